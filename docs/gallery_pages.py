@@ -1,4 +1,5 @@
-"""The pages of the gallery, made from the notebooks in examples/gallery: text, code, and the picture that each ends in.
+"""The pages of the gallery, made from the notebooks in examples/gallery: text, code, and the
+picture that each ends in.
 
 MkDocs calls :func:`on_files` while it builds; nothing of this is kept on disk.
 """
@@ -11,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 GALLERY = Path(__file__).resolve().parents[1] / "examples" / "gallery"
-ORDER = ("five-lines", "delay-against-rebound", "compensations-compared", "a-diagnosis", "six-axes")  # from the smallest
+# from the smallest
+ORDER = ("five-lines", "delay-against-rebound", "compensations-compared", "a-diagnosis", "six-axes")
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -39,9 +41,20 @@ def page(name: str) -> str:
 
 def overview() -> str:
     """Each example with its picture."""
-    lines = ["# Examples", "", "Notebooks, from five lines on. Each runs in a minute at most and ends in the picture that stands here.", ""]
+    lines = [
+        "# Examples",
+        "",
+        "Notebooks, from five lines on. Each runs in a minute at most and ends in the picture "
+        "that stands here.",
+        "",
+    ]
     for name in ORDER:
-        lines += [f"## [{title(name)}]({name}.md)", "", f"[![{title(name)}]({name}.png)]({name}.md)", ""]
+        lines += [
+            f"## [{title(name)}]({name}.md)",
+            "",
+            f"[![{title(name)}]({name}.png)]({name}.md)",
+            "",
+        ]
     return "\n".join(lines)
 
 

@@ -1,6 +1,8 @@
-"""The reference pages, made from the code: every scenario key, effect, method, column, command and public name.
+"""The reference pages, made from the code: every scenario key, effect, method, column, command and
+public name.
 
-MkDocs calls :func:`on_files` while it builds; nothing of this is kept on disk. `python docs/reference_pages.py DIR` writes the pages.
+MkDocs calls :func:`on_files` while it builds; nothing of this is kept on disk. `python
+docs/reference_pages.py DIR` writes the pages.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from typing import Any
 
 EXIT_STATUS = {
     0: "done",
-    1: "anything else that failed: a file that cannot be written, an interrupted run, a missing extra",
+    1: "anything else that failed: a file that cannot be written, an interrupted run, a missing "
+    "extra",
     2: "bad input: every fault, with file, line and column",
     3: "the simulation diverged, or a safety limit stopped it; the folder is written all the same",
 }
@@ -50,9 +53,13 @@ def on_page_content(html: str, **_: Any) -> str:
     from latex2mathml.converter import convert
 
     def mathml(found: re.Match[str]) -> str:
-        return convert(unescape(found[3]).strip(), display="block" if found[1] == "div" else "inline")
+        return convert(
+            unescape(found[3]).strip(), display="block" if found[1] == "div" else "inline"
+        )
 
-    return re.sub(r'<(div|span) class="arithmatex">\\([\[(])(.*?)\\[\])]</\1>', mathml, html, flags=re.DOTALL)
+    return re.sub(
+        r'<(div|span) class="arithmatex">\\([\[(])(.*?)\\[\])]</\1>', mathml, html, flags=re.DOTALL
+    )
 
 
 def keys(kind: str, title: str) -> str:
@@ -60,7 +67,13 @@ def keys(kind: str, title: str) -> str:
     from hiltestbed.check import json_schema
 
     schema = json_schema(kind)  # type: ignore[arg-type]
-    lines = [f"# {title}", "", f"Every key of a {kind} file, as `hiltestbed schema {kind}` prints it. Units stand in brackets.", ""]
+    lines = [
+        f"# {title}",
+        "",
+        f"Every key of a {kind} file, as `hiltestbed schema {kind}` prints it. Units stand in "
+        f"brackets.",
+        "",
+    ]
     lines += _section("the file", schema)
     for name, definition in schema.get("$defs", {}).items():
         if kind == "scenario" and _is_effect(definition):
@@ -87,13 +100,26 @@ def _section(title: str, definition: Mapping[str, Any]) -> Iterator[str]:
     required = definition.get("required", ())
     for key, about in definition.get("properties", {}).items():
         default = default_of(about, key in required)
-        default = "**must be given**" if key in required else f"`{default}`" if default and default != OF_ITS_KEYS else default
-        yield f"| `{key}` | {_cell(takes(about))} | {_cell(default)} | {_cell(about.get('description', ''))} |"
+        default = (
+            "**must be given**"
+            if key in required
+            else f"`{default}`"
+            if default and default != OF_ITS_KEYS
+            else default
+        )
+        yield (
+            f"| `{key}` | {_cell(takes(about))} | {_cell(default)} | "
+            f"{_cell(about.get('description', ''))} |"
+        )
     yield ""
 
 
 ACT_ON = {  # link to what holds for all of its effects
-    "platform": ("They act on the commanded position, on each of the three translations alike; the attitude follows its command.", ""),
+    "platform": (
+        "They act on the commanded position, on each of the three translations alike; the "
+        "attitude follows its command.",
+        "",
+    ),
 }
 
 
@@ -102,18 +128,34 @@ def effects() -> str:
     from hiltestbed.effects import EFFECTS
     from hiltestbed.effects.base import LINKS
 
-    lines = ["# Effects", "", "One vocabulary for `effects:` in a scenario and for the causes of a diagnosis.", ""]
+    lines = [
+        "# Effects",
+        "",
+        "One vocabulary for `effects:` in a scenario and for the causes of a diagnosis.",
+        "",
+    ]
     for link in LINKS:
         mine = {kind: cls for kind, cls in EFFECTS.items() if cls.link == link}
         lines += [f"## {link}", "", *ACT_ON.get(link, ())] if mine else []
         for kind, cls in mine.items():
-            lines += [f"### `{kind}`", "", cls.meaning(), "", f"- Equation: `{cls.equation}`", f"- Source: {cls.reference}"]
+            lines += [
+                f"### `{kind}`",
+                "",
+                cls.meaning(),
+                "",
+                f"- Equation: `{cls.equation}`",
+                f"- Source: {cls.reference}",
+            ]
             if cls.resembles:
-                lines.append(f"- Easily taken for: {', '.join(f'`{name}`' for name in cls.resembles)}")
+                lines.append(
+                    f"- Easily taken for: {', '.join(f'`{name}`' for name in cls.resembles)}"
+                )
             lines += ["", "| parameter | unit | meaning |", "|---|---|---|"]
             for name, field in cls.model_fields.items():
                 if name != "kind":
-                    lines.append(f"| `{name}` | {cls.unit(name) or '-'} | {_cell(field.description or '')} |")
+                    lines.append(
+                        f"| `{name}` | {cls.unit(name) or '-'} | {_cell(field.description or '')} |"
+                    )
             lines.append("")
     return "\n".join(lines) + "\n"
 
@@ -138,7 +180,10 @@ def methods() -> str:
         lines += [f"## `{key}`", "", "| kind | what it is | settings |", "|---|---|---|"]
         for kind, cls in sorted(table.items()):
             settings = ", ".join(f"`{name}`" for name in cls.model_fields if name != "kind")
-            lines.append(f"| `{kind}` | {_cell((inspect.getdoc(cls) or '').partition(chr(10))[0])} | {settings} |")
+            lines.append(
+                f"| `{kind}` | {_cell((inspect.getdoc(cls) or '').partition(chr(10))[0])} | "
+                f"{settings} |"
+            )
         lines.append("")
     lines += ["## What a method may know at a tick", "", inspect.getdoc(Measurement) or "", ""]
     return "\n".join(lines) + "\n"
@@ -148,11 +193,23 @@ def columns() -> str:
     """The columns of trace.parquet."""
     from hiltestbed.signals import GROUPS
 
-    lines = ["# Columns of a trace", "", "One row a tick; unit, frame and meaning stand in the metadata of each field, too.", ""]
-    lines += ["| columns | unit | frame | meaning |", "|---|---|---|---|", "| `t` | s | | time from the start, tick/rate |"]
+    lines = [
+        "# Columns of a trace",
+        "",
+        "One row a tick; unit, frame and meaning stand in the metadata of each field, too.",
+        "",
+    ]
+    lines += [
+        "| columns | unit | frame | meaning |",
+        "|---|---|---|---|",
+        "| `t` | s | | time from the start, tick/rate |",
+    ]
     for group in GROUPS.values():
         names = ", ".join(f"`{name}`" for name in group.columns)
-        lines.append(f"| {names} | {', '.join(dict.fromkeys(group.units))} | {group.frame} | {group.meaning} |")
+        lines.append(
+            f"| {names} | {', '.join(dict.fromkeys(group.units))} | {group.frame} | "
+            f"{group.meaning} |"
+        )
     lines += ["| `contact` | | | the mechanisms touch |", ""]
     return "\n".join(lines) + "\n"
 
@@ -167,14 +224,26 @@ def commands() -> str:
     lines = [
         "# Commands",
         "",
-        "`--plugin MODULE` and `--figures` (figures of reports as PNG and SVG, too) may stand with every command.",
+        "`--plugin MODULE` and `--figures` (figures of reports as PNG and SVG, too) may stand "
+        "with every command.",
         "",
     ]
     for name, command in sorted(group.commands.items()):  # type: ignore[attr-defined]
-        lines += [f"## `hiltestbed {name}`", "", inspect.cleandoc(command.help or ""), "", "| | |", "|---|---|"]
+        lines += [
+            f"## `hiltestbed {name}`",
+            "",
+            inspect.cleandoc(command.help or ""),
+            "",
+            "| | |",
+            "|---|---|",
+        ]
         for parameter in command.params:
             told = parameter.metavar or ""
-            called = f"{', '.join(parameter.opts)} {told}" if parameter.param_type_name == "option" else told or parameter.name
+            called = (
+                f"{', '.join(parameter.opts)} {told}"
+                if parameter.param_type_name == "option"
+                else told or parameter.name
+            )
             lines.append(f"| `{_cell(called)}` | {_cell(getattr(parameter, 'help', '') or '')} |")
         lines.append("")
     lines += ["## Exit status", "", "| status | meaning |", "|---|---|"]
@@ -197,10 +266,20 @@ def python() -> str:
             lines += [_indented(inspect.getdoc(thing) or ""), ""]
             for method, function in inspect.getmembers(thing, inspect.isfunction):
                 if not method.startswith("_") and function.__module__.startswith("hiltestbed"):
-                    lines += [f"- `{method}{_signature(function)}`: {(inspect.getdoc(function) or '').partition(chr(10))[0]}"]
+                    lines += [
+                        f"- `{method}{_signature(function)}`: "
+                        f"{(inspect.getdoc(function) or '').partition(chr(10))[0]}"
+                    ]
             lines.append("")
         else:
-            lines += ["```text", f"{name}{_signature(thing)}", "```", "", _indented(inspect.getdoc(thing) or ""), ""]
+            lines += [
+                "```text",
+                f"{name}{_signature(thing)}",
+                "```",
+                "",
+                _indented(inspect.getdoc(thing) or ""),
+                "",
+            ]
     return "\n".join(lines) + "\n"
 
 

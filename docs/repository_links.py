@@ -1,5 +1,5 @@
-"""Links of the sources lead to what stands in the repository, so that they work where it is read; on the site they lead to the pages that
-are made from it.
+"""Links of the sources lead to what stands in the repository, so that they work where it is read;
+on the site they lead to the pages that are made from it.
 
 MkDocs calls :func:`on_page_markdown` while it builds.
 """
@@ -15,7 +15,10 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = {  # in the repository, to the page of the site
     "examples/gallery": "gallery/index.md",
     "hiltestbed/effects": "reference/effects.md",
-} | {f"examples/gallery/{path.name}": f"gallery/{path.stem}.md" for path in (ROOT / "examples" / "gallery").glob("*.ipynb")}
+} | {
+    f"examples/gallery/{path.name}": f"gallery/{path.stem}.md"
+    for path in (ROOT / "examples" / "gallery").glob("*.ipynb")
+}
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
@@ -29,6 +32,8 @@ def for_the_site(markdown: str, page: str) -> str:
 
     def led(found: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join("docs", folder, found[1]))
-        return f"]({posixpath.relpath(PAGES[target], folder or '.')}" if target in PAGES else found[0]
+        return (
+            f"]({posixpath.relpath(PAGES[target], folder or '.')}" if target in PAGES else found[0]
+        )
 
     return re.sub(r"\]\(([^)#\s]+)", led, markdown)

@@ -3,7 +3,7 @@
 The closed loop is in ``hiltestbed/loop.py``: read that first. Use from Python:
 
     import hiltestbed
-    scenario = hiltestbed.load_scenario("scenarios/reference-bumper.yaml", set={"sensor.delay": 0.010})
+    scenario = hiltestbed.load_scenario("reference-bumper", set={"sensor.delay": 0.010})
     run = hiltestbed.run(scenario)
     run.summary["cor"], run.trace["pose_act"]
     hiltestbed.write_run(run, "runs/first")

@@ -1,6 +1,8 @@
-"""Assessment of a run from its figures: whether the rig was passive and by what margin, warnings, advice.
+"""Assessment of a run from its figures: whether the rig was passive and by what margin, warnings,
+advice.
 
-Everything is derived from the summary, so that a run read from disk is assessed like one that has just ended.
+Everything is derived from the summary, so that a run read from disk is assessed like one that has
+just ended.
 """
 
 from __future__ import annotations
@@ -9,10 +11,14 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-NEUTRAL = 5e-3  # of the approach energy: the relative change of e is half of it over e^2, as for a 0.5 % gain error of the force sensor
+# of the approach energy: the relative change of e is half of it over e^2, as for a 0.5 % gain error
+# of the force sensor
+NEUTRAL = 5e-3
 CLOSE = 0.02  # |ln(e/e_ref)| up to which the rebound counts as correct: 2 % of the rebound speed
-ACTIVE = math.expm1(2.0 * CLOSE)  # times e_ref^2: energy gain of a rebound that is CLOSE too fast; a smaller gain gives no warning
-UNSURE = 0.10  # relative error of an identified stiffness or damping, above which there is a warning
+# times e_ref^2: energy gain of a rebound that is CLOSE too fast; a smaller gain gives no warning
+ACTIVE = math.expm1(2.0 * CLOSE)
+# relative error of an identified stiffness or damping, above which there is a warning
+UNSURE = 0.10
 
 
 @dataclass(frozen=True)
@@ -20,7 +26,8 @@ class Assessment:
     """Assessment of a run.
 
     Attributes:
-        passive: whether the rig made no energy; None if it is within the tolerance or nothing touched.
+        passive: whether the rig made no energy; None if it is within the tolerance or nothing
+            touched.
         energy: meaning of the energy figure. headline: what happened, in a sentence.
         warnings: for the user's attention. advice: what to do next.
     """
@@ -35,44 +42,60 @@ class Assessment:
 def assess(summary: dict[str, Any]) -> Assessment:
     """Assess a run from the contents of its summary.json."""
     passive, energy = _energy(summary)
-    return Assessment(passive, energy, _headline(summary), tuple(_warnings(summary)), tuple(_advice(summary)))
+    return Assessment(
+        passive, energy, _headline(summary), tuple(_warnings(summary)), tuple(_advice(summary))
+    )
 
 
 def monitored(summary: dict[str, Any]) -> tuple[str, str] | None:
-    """Result of process monitoring: the events in order, and wear; None if the scenario does not request it."""
+    """Result of process monitoring: the events in order, and wear; None if the scenario does not
+    request it.
+    """
     found = summary.get("monitoring")
     if not found:
         return None
-    events = sorted((found[name], name) for name in ("touch", "seat", "capture") if found[name] is not None)
+    events = sorted(
+        (found[name], name) for name in ("touch", "seat", "capture") if found[name] is not None
+    )
     wear = found["wear"]
     if wear is None:
         note = ""
     else:
         note = "worn" if wear["alarm"] else "not worn"
         changed = {name: wear[f"{name}_change"] for name in ("stiffness", "damping")}
-        note += ": " + ", ".join(f"{name} {100.0 * change:+.2g} %" for name, change in changed.items() if change is not None)
+        note += ": " + ", ".join(
+            f"{name} {100.0 * change:+.2g} %"
+            for name, change in changed.items()
+            if change is not None
+        )
     return ", ".join(f"{name} at {at:.3f} s" for at, name in events) or "nothing", note
 
 
 def energy_share(summary: dict[str, Any]) -> float | None:
-    """Energy made by the rig over the kinetic energy of the approach (or, for a mechanism latched from the start, the energy stored at the
-    peak force); None if nothing touched or neither is known."""
+    """Energy made by the rig over the kinetic energy of the approach (or, for a mechanism latched
+    from the start, the energy stored at the peak force); None if nothing touched or neither is
+    known.
+    """
     reference = summary.get("energy_reference", summary.get("approach_energy"))
     return None if not reference else summary["energy_generated"] / reference
 
 
 def is_active(summary: dict[str, Any]) -> bool:
-    """Whether the rig made enough energy for a warning: more than that of a rebound that is 2 % too fast.
+    """Whether the rig made enough energy for a warning: more than that of a rebound that is 2 % too
+    fast.
 
-    A contact with coefficient e_ref keeps e_ref^2 of the energy, so a rebound that is :data:`CLOSE` too fast has gained
-    ``e_ref^2 (exp(2 CLOSE) - 1)`` of it. The threshold is at least :data:`NEUTRAL`, and at least the resolution of the sum over ticks.
+    A contact with coefficient e_ref keeps e_ref^2 of the energy, so a rebound that is :data:`CLOSE`
+    too fast has gained ``e_ref^2 (exp(2 CLOSE) - 1)`` of it. The threshold is at least
+    :data:`NEUTRAL`, and at least the resolution of the sum over ticks.
     """
     share = energy_share(summary)
     if share is None or not summary["contact_duration"]:
         return False
     references = [summary.get(name) for name in ("cor_reference", "cor_normal_reference")]
     kept = next((min(e, 1.0) for e in references if e is not None), 1.0)
-    return share > max(NEUTRAL, ACTIVE * kept**2) and summary["energy_generated"] > summary.get("energy_resolution", 0.0)
+    return share > max(NEUTRAL, ACTIVE * kept**2) and summary["energy_generated"] > summary.get(
+        "energy_resolution", 0.0
+    )
 
 
 def _energy(summary: dict[str, Any]) -> tuple[bool | None, str]:
@@ -81,18 +104,30 @@ def _energy(summary: dict[str, Any]) -> tuple[bool | None, str]:
         return None, "no contact"
     share = energy_share(summary)
     if share is None:
-        return (None, "neither gained nor lost") if made == 0.0 else (made < 0.0, "gained: active" if made > 0.0 else "lost: passive")
+        return (
+            (None, "neither gained nor lost")
+            if made == 0.0
+            else (made < 0.0, "gained: active" if made > 0.0 else "lost: passive")
+        )
     size = f"{100.0 * abs(share):.2g} % of the approach energy"
     if abs(share) <= NEUTRAL:
         return None, f"neutral: within {100.0 * NEUTRAL:g} % of the approach energy"
     if abs(made) <= summary.get("energy_resolution", 0.0):
-        return None, f"neutral: within {summary['energy_resolution']:.2g} J, the resolution of the sum over ticks"
+        return (
+            None,
+            f"neutral: within {summary['energy_resolution']:.2g} J, the resolution of the sum "
+            f"over ticks",
+        )
     return (False, f"gained, {size}: active") if made > 0.0 else (True, f"lost, {size}: passive")
 
 
 def _headline(summary: dict[str, Any]) -> str:
     if summary["status"] != "completed":
-        return f"The run {'diverged' if summary['status'] == 'diverged' else 'was stopped'}: {summary['stop_reason']}."
+        return (
+            f"The run "
+            f"{'diverged' if summary['status'] == 'diverged' else 'was stopped'}: "
+            f"{summary['stop_reason']}."
+        )
     ended = {
         "captured": "The ports were captured.",
         "rebound": "The ports touched and separated.",
@@ -103,11 +138,19 @@ def _headline(summary: dict[str, Any]) -> str:
     cor, reference = summary["cor"], summary["cor_reference"]
     if cor is not None:
         text += f" They separated at {cor:.4g} times the approach speed"
-        text += "." if reference is None else f"; without delay and with ideal tracking it is {reference:.4g} times."
+        text += (
+            "."
+            if reference is None
+            else f"; without delay and with ideal tracking it is {reference:.4g} times."
+        )
     elif (along := summary.get("cor_normal")) is not None:
         text += f" The first contact ended at {along:.4g} times its speed along its impulse"
         reference = summary.get("cor_normal_reference")
-        text += "." if reference is None else f"; without delay and with ideal tracking it is {reference:.4g} times."
+        text += (
+            "."
+            if reference is None
+            else f"; without delay and with ideal tracking it is {reference:.4g} times."
+        )
     return text
 
 
@@ -115,11 +158,17 @@ def _warnings(summary: dict[str, Any]) -> list[str]:
     out = []
     cor, reference, error = summary["cor"], summary["cor_reference"], summary["cor_log_error"]
     if cor is not None and cor > 1.0 and (reference is None or cor > reference * math.exp(CLOSE)):
-        out.append(f"the rebound is faster than the approach (e = {cor:.4g}): the loop feeds energy into the contact")
+        out.append(
+            f"the rebound is faster than the approach (e = {cor:.4g}): the loop feeds energy into "
+            f"the contact"
+        )
     elif error is not None and abs(error) > CLOSE:
         out.append(f"the rebound is {100.0 * math.expm1(error):+z.1f} % off the reference")
     elif error is None and abs(along := summary.get("cor_normal_log_error") or 0.0) > CLOSE:
-        out.append(f"the rebound of the first contact, along its impulse, is {100.0 * math.expm1(along):+z.1f} % off the reference")
+        out.append(
+            f"the rebound of the first contact, along its impulse, is "
+            f"{100.0 * math.expm1(along):+z.1f} % off the reference"
+        )
     if is_active(summary):
         share = energy_share(summary)
         size = "" if share is None else f", {100.0 * share:.2g} % of the approach energy"
@@ -131,21 +180,33 @@ def _warnings(summary: dict[str, Any]) -> list[str]:
         for quantity in ("stiffness", "damping"):
             found, true = values[quantity], values[f"{quantity}_true"]
             if found is not None and true and abs(found / true - 1.0) > UNSURE:
-                out.append(f"{quantity} along {axis} was identified as {found:.4g}; the true value is {true:.4g}")
+                out.append(
+                    f"{quantity} along {axis} was identified as {found:.4g}; the true value is "
+                    f"{true:.4g}"
+                )
     return out
 
 
 def identified(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The estimates on each axis that has one, and along the normal of a contact whose surface is not one plane."""
-    every = summary["identification"] | ({"normal": summary["identification_normal"]} if "identification_normal" in summary else {})
+    """The estimates on each axis that has one, and along the normal of a contact whose surface is
+    not one plane.
+    """
+    every = summary["identification"] | (
+        {"normal": summary["identification_normal"]} if "identification_normal" in summary else {}
+    )
     return {axis: values for axis, values in every.items() if values["stiffness"] is not None}
 
 
 def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:
-    """The delay ledger entry (except the total) with the largest delay after subtraction of the compensation of sensor and platform; None
-    if there is no delay."""
+    """The delay ledger entry (except the total) with the largest delay after subtraction of the
+    compensation of sensor and platform; None if there is no delay.
+    """
     entries = [entry for entry in summary["delay_ledger"] if entry["source"] != "total"]
-    taken = {entry["source"]: -entry["delay"] for entry in entries if entry["source"].startswith("compensation.")}
+    taken = {
+        entry["source"]: -entry["delay"]
+        for entry in entries
+        if entry["source"].startswith("compensation.")
+    }
     off = {"platform": taken.pop("compensation.platform", 0.0), "sensor": sum(taken.values())}
     left = []
     for entry in entries:
@@ -153,25 +214,36 @@ def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:
         less = min(off.get(link, 0.0), entry["delay"])
         off[link] = off.get(link, 0.0) - less
         left.append(entry | {"delay": entry["delay"] - less})
-    return max((entry for entry in left if entry["delay"] > 0.0), key=lambda entry: entry["delay"], default=None)
+    return max(
+        (entry for entry in left if entry["delay"] > 0.0),
+        key=lambda entry: entry["delay"],
+        default=None,
+    )
 
 
 def _lags_later(summary: dict[str, Any]) -> bool:
-    """Whether the rig makes energy in a later touch, whose line a compensation of the platform does not know in advance."""
+    """Whether the rig makes energy in a later touch, whose line a compensation of the platform does
+    not know in advance.
+    """
     ways = (summary.get("stability") or {}).get("directions", ())
-    return any(way["direction"].endswith("later touch") and (way.get("rig_energy") or 0.0) > NEUTRAL for way in ways)
+    return any(
+        way["direction"].endswith("later touch") and (way.get("rig_energy") or 0.0) > NEUTRAL
+        for way in ways
+    )
 
 
 def _cure(source: str, ledger: list[dict[str, Any]]) -> str:
     """How to remove the delay of the ledger entry ``source``."""
     if source.startswith("effects."):
         return (
-            "the loop does not know it; add it to the description of the rig in the scenario, or have it estimated with "
+            "the loop does not know it; add it to the description of the rig in the scenario, or "
+            "have it estimated with "
             "--set 'compensation.force={kind: resynchronised, delay: estimate}'"
         )
     if source.startswith("platform."):
         return (
-            "remove it with --set 'compensation.force={kind: resynchronised}', which also compensates the platform; the lag of a servo "
+            "remove it with --set 'compensation.force={kind: resynchronised}', which also "
+            "compensates the platform; the lag of a servo "
             "without feed-forward also with --set 'compensation.motion={kind: feedforward}'"
         )
     if any(entry["source"] == "compensation.resynchronised" for entry in ledger):
@@ -182,26 +254,39 @@ def _cure(source: str, ledger: list[dict[str, Any]]) -> str:
 def _advice(summary: dict[str, Any]) -> list[str]:
     if summary["status"] != "completed":
         return [
-            "Replay the last ticks with hiltestbed.replay_failure(FOLDER) and see which quantity grows first.",
+            "Replay the last ticks with hiltestbed.replay_failure(FOLDER) and see which quantity "
+            "grows first.",
             "Lower the approach speed, or raise the limit under `safety` if the rig allows it.",
         ]
     if summary["outcome"] == "miss":
-        return ["Raise `duration`, lower `approach.gap`, or aim with `approach.offset` and `approach.velocity`."]
+        return [
+            "Raise `duration`, lower `approach.gap`, or aim with `approach.offset` and "
+            "`approach.velocity`."
+        ]
     error, largest = summary["cor_log_error"], largest_delay(summary)
     total = summary["delay_ledger"][-1] if summary["delay_ledger"] else None
     out = []
     if (is_active(summary) or (error is not None and abs(error) > CLOSE)) and total is not None:
         if largest is not None and total["delay"] > 0.0:
             out.append(
-                f"The remaining delays add up to {1e3 * total['delay']:.3g} ms, the largest is {largest['source']} "
-                f"({1e3 * largest['delay']:.3g} ms): {_cure(largest['source'], summary['delay_ledger'])}."
+                f"The remaining delays add up to {1e3 * total['delay']:.3g} ms, the largest is "
+                f"{largest['source']} "
+                f"({1e3 * largest['delay']:.3g} ms): "
+                f"{_cure(largest['source'], summary['delay_ledger'])}."
             )
         if is_active(summary) and _lags_later(summary):
             out.append(
-                "In a later touch, elsewhere on the surface, the compensation does not know the line of the force yet, so the platform's "
+                "In a later touch, elsewhere on the surface, the compensation does not know the "
+                "line of the force yet, so the platform's "
                 "lag counts: remove it with --set 'compensation.motion={kind: feedforward}'."
             )
-        out.append("Map where this rig diverges with a campaign over sensor.delay and mechanism.contact.stiffness (hiltestbed sweep).")
+        out.append(
+            "Map where this rig diverges with a campaign over sensor.delay and "
+            "mechanism.contact.stiffness (hiltestbed sweep)."
+        )
     if not out and summary["outcome"] in ("rebound", "captured"):
-        out.append("The loop reproduces the contact. Vary the least known parameters, delay and stiffness first, with hiltestbed sweep.")
+        out.append(
+            "The loop reproduces the contact. Vary the least known parameters, delay and "
+            "stiffness first, with hiltestbed sweep."
+        )
     return out

@@ -1,9 +1,11 @@
 """Compiled kernels whose arrays are bound once.
 
-At each call of a compiled kernel, Numba determines type, address, shape and strides of every array argument. For a kernel with twenty
-arrays of one run, this takes longer than the computation. The blocks of the loop work on buffers at fixed addresses, so this can be done
-in advance: :func:`bound` writes addresses, shapes and strides into a table, and compiles a call that reads them there and takes only the
-address of the table and the arguments that change from call to call. The kernel itself is the same, and so are its results.
+At each call of a compiled kernel, Numba determines type, address, shape and strides of every array
+argument. For a kernel with twenty arrays of one run, this takes longer than the computation. The
+blocks of the loop work on buffers at fixed addresses, so this can be done
+in advance: :func:`bound` writes addresses, shapes and strides into a table, and compiles a call
+that reads them there and takes only the address of the table and the arguments that change from
+call to call. The kernel itself is the same, and so are its results.
 """
 
 from __future__ import annotations
@@ -27,13 +29,16 @@ WORD = 8  # [bytes] of an entry of the table
 REMEMBERED = 4  # sets of a caller's arrays that stay bound
 GIVEN = object()  # placeholder for an array that the caller of a block passes
 
-_calls: dict[tuple[Any, ...], Any] = {}  # by kernel and types of its arguments: one entry per combination of types, not per block
+# by kernel and types of its arguments: one entry per combination of types, not per block
+_calls: dict[tuple[Any, ...], Any] = {}
 
 
 class Bound(partial):
-    """A kernel with its arrays; ``kept`` references them and their table for as long as the kernel can be called.
+    """A kernel with its arrays; ``kept`` references them and their table for as long as the kernel
+    can be called.
 
-    The additional attribute also prevents ``partial`` from flattening a nested ``Bound``, which would lose the references.
+    The additional attribute also prevents ``partial`` from flattening a nested ``Bound``, which
+    would lose the references.
     """
 
     __slots__ = ("kept",)
@@ -47,9 +52,11 @@ class Bound(partial):
 
 
 def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
-    """``kernel`` with its arguments ``given`` in order: arrays, numbers, and ``...`` for those that each call passes.
+    """``kernel`` with its arguments ``given`` in order: arrays, numbers, and ``...`` for those that
+    each call passes.
 
-    Arrays must keep their memory: they may be written, but not replaced. Numbers are bound with their current values.
+    Arrays must keep their memory: they may be written, but not replaced. Numbers are bound with
+        their current values.
     """
     words: list[int] = []
     kinds: list[Any] = []
@@ -60,8 +67,12 @@ def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
             kinds.append((len(words), typeof(value)))
             words += [value.ctypes.data, *value.shape, *value.strides]
         else:
-            number = np.float64(value) if isinstance(value, (float, np.floating)) else np.int64(value)
-            kinds.append((len(words), types.float64 if isinstance(number, np.float64) else _integer(value)))
+            number = (
+                np.float64(value) if isinstance(value, (float, np.floating)) else np.int64(value)
+            )
+            kinds.append(
+                (len(words), types.float64 if isinstance(number, np.float64) else _integer(value))
+            )
             words.append(int(number.view(np.int64)))
     table = np.array(words, dtype=np.int64)
     key = (kernel, *kinds)
@@ -71,7 +82,8 @@ def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
 
 
 def together(*calls: Callable[..., Any], telling: int = -1) -> Callable[..., Any]:
-    """Several results of :func:`bound`, in this order, as one call; it returns the result of the one at index ``telling`` (the last).
+    """Several results of :func:`bound`, in this order, as one call; it returns the result of the
+    one at index ``telling`` (the last).
 
     Each takes as many of the call's numbers as it takes by itself.
     """
@@ -86,17 +98,23 @@ def together(*calls: Callable[..., Any], telling: int = -1) -> Callable[..., Any
 
 def _whole(call: Callable[..., Any]) -> Bound:
     if not isinstance(call, Bound):
-        raise TypeError(f"together: {call!r} cannot be joined; allowed is what bound and together give")
+        raise TypeError(
+            f"together: {call!r} cannot be joined; allowed is what bound and together give"
+        )
     return call
 
 
 class Call:
-    """A kernel with some arrays of the caller, which are the same at almost every call; it is bound again if one of them changes."""
+    """A kernel with some arrays of the caller, which are the same at almost every call; it is bound
+    again if one of them changes.
+    """
 
     __slots__ = ("_a", "_b", "_bound", "_c", "_d", "_e", "_f", "_g", "_given", "_kernel", "_known")
 
     def __init__(self, kernel: Any, *given: Any) -> None:
-        """``given``: as for :func:`bound`, with :data:`GIVEN` for each array or number that is passed to :meth:`on`: at most seven."""
+        """``given``: as for :func:`bound`, with :data:`GIVEN` for each array or number that is
+        passed to :meth:`on`: at most seven.
+        """
         self._kernel, self._given = kernel, given
         self._a: Any = self  # not an array, so that the first call binds
         self._b = self._c = self._d = self._e = self._f = self._g = None
@@ -104,18 +122,42 @@ class Call:
         self._known: dict[tuple[int, ...], tuple[tuple[Any, ...], Any]] = {}
 
     def on(
-        self, a: Any = None, b: Any = None, c: Any = None, d: Any = None, e: Any = None, f: Any = None, g: Any = None
+        self,
+        a: Any = None,
+        b: Any = None,
+        c: Any = None,
+        d: Any = None,
+        e: Any = None,
+        f: Any = None,
+        g: Any = None,
     ) -> Callable[..., Any]:
-        """The kernel bound to the caller's arrays, in the order of its arguments; it is called with the arguments that change."""
-        if a is self._a and b is self._b and c is self._c and d is self._d and e is self._e and f is self._f and g is self._g:
+        """The kernel bound to the caller's arrays, in the order of its arguments; it is called with
+        the arguments that change.
+        """
+        if (
+            a is self._a
+            and b is self._b
+            and c is self._c
+            and d is self._d
+            and e is self._e
+            and f is self._f
+            and g is self._g
+        ):
             return self._bound
         self._a, self._b, self._c, self._d, self._e, self._f, self._g = arrays = a, b, c, d, e, f, g
-        key = tuple(map(id, arrays))  # the arrays are referenced, so that their ids cannot be reused
+        # the arrays are referenced, so that their ids cannot be reused
+        key = tuple(map(id, arrays))
         if key not in self._known:
             if len(self._known) >= REMEMBERED:
                 self._known.clear()
             rest = iter(arrays)
-            self._known[key] = arrays, bound(self._kernel, *(next(rest) if value is GIVEN else value for value in self._given))
+            self._known[key] = (
+                arrays,
+                bound(
+                    self._kernel,
+                    *(next(rest) if value is GIVEN else value for value in self._given),
+                ),
+            )
         self._bound = self._known[key][1]
         return self._bound
 
@@ -143,37 +185,62 @@ def _integer(value: Any) -> Any:
 
 
 def _compiled(kernel: Any, kinds: list[Any]) -> Any:
-    """A function of the table's address and of the arguments of each call, cached on disk beside its kernel."""
+    """A function of the table's address and of the arguments of each call, cached on disk beside
+    its kernel.
+    """
     function = kernel.py_func
     brought = [f"given_{i}" for i, kind in enumerate(kinds) if kind is None]
-    space: dict[str, Any] = {"kernel": kernel, "number": _number, "array": _array, "__name__": function.__module__}
+    space: dict[str, Any] = {
+        "kernel": kernel,
+        "number": _number,
+        "array": _array,
+        "__name__": function.__module__,
+    }
     passed = []
     for i, kind in enumerate(kinds):
         if kind is None:
             passed.append(f"given_{i}")
             continue
         space[f"kind_{i}"] = kind[1]
-        passed.append(f"{'array' if isinstance(kind[1], types.Array) else 'number'}(table, {kind[0]}, kind_{i})")
-    # Numba names its cache entries by file, function and line; the time stamp of the file decides whether they are valid.
-    mark = hashlib.sha256(repr([kind and (kind[0], str(kind[1])) for kind in kinds]).encode()).hexdigest()[:16]
+        passed.append(
+            f"{'array' if isinstance(kind[1], types.Array) else 'number'}(table, {kind[0]}, "
+            f"kind_{i})"
+        )
+    # Numba names its cache entries by file, function and line; the time stamp of the file decides
+    # whether they are valid.
+    mark = hashlib.sha256(
+        repr([kind and (kind[0], str(kind[1])) for kind in kinds]).encode()
+    ).hexdigest()[:16]
     name = f"{function.__name__}_bound_{mark}"
-    text = f"def {name}({', '.join(['table', *brought])}):\n    return kernel({', '.join(passed)})\n"
+    text = (
+        f"def {name}({', '.join(['table', *brought])}):\n    return kernel({', '.join(passed)})\n"
+    )
     exec(compile(text, function.__code__.co_filename, "exec"), space)
     return njit(cache=True)(space[name])
 
 
 def _joined(calls: list[Any], telling: int) -> Any:
-    """A function of the address of a table of tables, cached on disk beside the last of the ``calls``."""
+    """A function of the address of a table of tables, cached on disk beside the last of the
+    ``calls``.
+    """
     takes = [call.py_func.__code__.co_argcount - 1 for call in calls]
     brought = [f"given_{i}" for i in range(max(takes))]
     last = calls[-1].py_func
     space: dict[str, Any] = {"number": _number, "word": types.int64, "__name__": last.__module__}
     space |= {f"call_{i}": call for i, call in enumerate(calls)}
-    lines = [f"call_{i}({', '.join([f'number(table, {i}, word)', *brought[:count]])})" for i, count in enumerate(takes)]
+    lines = [
+        f"call_{i}({', '.join([f'number(table, {i}, word)', *brought[:count]])})"
+        for i, count in enumerate(takes)
+    ]
     lines[telling] = f"result = {lines[telling]}"
-    names = str(telling).join(f"{call.py_func.__module__}.{call.py_func.__name__}" for call in calls)
+    names = str(telling).join(
+        f"{call.py_func.__module__}.{call.py_func.__name__}" for call in calls
+    )
     name = f"{last.__name__}_after_{hashlib.sha256(names.encode()).hexdigest()[:16]}"
-    text = "\n    ".join([f"def {name}({', '.join(['table', *brought])}):", *lines, "return result"]) + "\n"
+    text = (
+        "\n    ".join([f"def {name}({', '.join(['table', *brought])}):", *lines, "return result"])
+        + "\n"
+    )
     exec(compile(text, last.__code__.co_filename, "exec"), space)
     return njit(cache=True)(space[name])
 
@@ -206,14 +273,19 @@ def _array(typingctx, table, at, kind):
     def make(context, builder, signature, args):
         ary = make_array(found)(context, builder)
         word = context.get_value_type(types.intp)
-        first = [_entry(builder, args[0], builder.add(args[1], args[1].type(i)), word) for i in range(1 + 2 * found.ndim)]
+        first = [
+            _entry(builder, args[0], builder.add(args[1], args[1].type(i)), word)
+            for i in range(1 + 2 * found.ndim)
+        ]
         pointer = context.get_data_type(found.dtype).as_pointer()
         populate_array(
             ary,
             data=builder.inttoptr(first[0], pointer),
             shape=cgutils.pack_array(builder, first[1 : 1 + found.ndim]) if found.ndim else (),
             strides=cgutils.pack_array(builder, first[1 + found.ndim :]) if found.ndim else (),
-            itemsize=context.get_constant(types.intp, found.dtype.bitwidth // 8 if found.dtype != types.boolean else 1),
+            itemsize=context.get_constant(
+                types.intp, found.dtype.bitwidth // 8 if found.dtype != types.boolean else 1
+            ),
             meminfo=None,
         )
         return ary._getvalue()

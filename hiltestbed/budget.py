@@ -1,7 +1,9 @@
-"""Estimated memory, time and disk space of a run, a sweep or a diagnosis, from its files, before anything is allocated.
+"""Estimated memory, time and disk space of a run, a sweep or a diagnosis, from its files, before
+anything is allocated.
 
-The estimates are rough: their constants are those of one machine, for any kind of rig. They distinguish a minute from a week, and a
-gigabyte from a petabyte. Work beyond a limit is refused; environment variables set the limits:
+The estimates are rough: their constants are those of one machine, for any kind of rig. They
+distinguish a minute from a week, and a gigabyte from a petabyte. Work beyond a limit is refused;
+environment variables set the limits:
 
     HILTESTBED_MEMORY_LIMIT   [GB], default: MEMORY_PART of the free memory
     HILTESTBED_DISK_LIMIT     [GB], default: DISK_PART of the free disk space
@@ -40,8 +42,13 @@ ROW = 700.0  # [byte] per row in trace.parquet and recording.rrd together
 FIXED_FILES = 2.5e6  # [byte] of a recording and a report of even the shortest run
 DIAGNOSIS_PER_ROW = 6e-3  # [s] per row of a dataset: 6 runs of 900 rows take 10 to 60 s
 FIT_PER_ROW = 3.0e4  # [byte] per row of a dataset while links are replayed for many hypotheses
-FILTER_MEMORY = 10.0  # time constants of a low-pass, the sensor's or its own, for which the identification keeps data
-VARIABLES = {"memory": "HILTESTBED_MEMORY_LIMIT", "disk": "HILTESTBED_DISK_LIMIT", "time": "HILTESTBED_TIME_LIMIT"}
+# time constants of a low-pass, the sensor's or its own, for which the identification keeps data
+FILTER_MEMORY = 10.0
+VARIABLES = {
+    "memory": "HILTESTBED_MEMORY_LIMIT",
+    "disk": "HILTESTBED_DISK_LIMIT",
+    "time": "HILTESTBED_TIME_LIMIT",
+}
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,10 @@ class Budget:
     disk: float
 
     def __str__(self) -> str:
-        return f"about {_bytes(self.memory)} of memory, {_duration(self.time)} on one core, {_bytes(self.disk)} on disk"
+        return (
+            f"about {_bytes(self.memory)} of memory, {_duration(self.time)} on one core, "
+            f"{_bytes(self.disk)} on disk"
+        )
 
     def refused(self, folder: Path = Path()) -> list[str]:
         """Why the task is refused: a sentence for each limit that it exceeds."""
@@ -65,7 +75,10 @@ class Budget:
         ):
             if not need <= limit:
                 unit = "h" if name == "time" else "GB"
-                out.append(f"needs about {show(need)} of {name} (allowed: {show(limit)}); {VARIABLES[name]} [{unit}] sets the limit")
+                out.append(
+                    f"needs about {show(need)} of {name} (allowed: {show(limit)}); "
+                    f"{VARIABLES[name]} [{unit}] sets the limit"
+                )
         return out
 
 
@@ -91,7 +104,8 @@ def disk_limit(folder: Path) -> float:
         there = there.parent
     try:
         usage = shutil.disk_usage(there)
-        return DISK_PART * usage.free if usage.total else math.inf  # a file system without blocks reports no size
+        # a file system without blocks reports no size
+        return DISK_PART * usage.free if usage.total else math.inf
     except OSError:
         return math.inf
 
@@ -110,7 +124,9 @@ def _given(name: str, unit: float) -> float | None:
     except ValueError:
         value = math.nan
     if not value > 0:
-        raise InputError(f"{VARIABLES[name]}: is no limit (got {text!r}); allowed is a number above 0, or inf")
+        raise InputError(
+            f"{VARIABLES[name]}: is no limit (got {text!r}); allowed is a number above 0, or inf"
+        )
     return value * unit
 
 
@@ -119,7 +135,9 @@ def _free_memory() -> float:
     found = []
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
-            found += [1024.0 * float(line.split()[1]) for line in file if line.startswith("MemAvailable")]
+            found += [
+                1024.0 * float(line.split()[1]) for line in file if line.startswith("MemAvailable")
+            ]
         with open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:
             found += [float(text) for text in [file.read().strip()] if text.isdigit()]
     except (OSError, ValueError):
@@ -132,7 +150,9 @@ def run_budget(scenarios: Sequence[Scenario], rows: bool = True) -> Budget:
     ticks, n, first = max(s.ticks for s in scenarios), len(scenarios), scenarios[0]
     trace = ticks * n * COLUMNS * 8.0
     lines = sum(delay_line(s) for s in scenarios)
-    core = ticks * (TICK + INSTANT * first.substeps) * (1 + BATCH_FACTOR * (n - 1)) * (1 + REFERENCE)
+    core = (
+        ticks * (TICK + INSTANT * first.substeps) * (1 + BATCH_FACTOR * (n - 1)) * (1 + REFERENCE)
+    )
     disk = n * (ticks * ROW + FIXED_FILES) if rows else 2e3 * n
     return Budget(BASE + (COPIES * trace if rows else 0.0) + STATES * lines, STARTUP + core, disk)
 
@@ -141,15 +161,25 @@ REFERENCE = 0.5  # time of a reference run, relative to that of its run
 
 
 def delay_line(scenario: Scenario) -> float:
-    """[byte] of the delay lines: the wrench of every physics step until it is read, poses and estimates of every tick."""
-    delays = [scenario.sensor.delay] + [getattr(effect, "delay", 0.0) for effect in scenario.effects]
+    """[byte] of the delay lines: the wrench of every physics step until it is read, poses and
+    estimates of every tick.
+    """
+    delays = [scenario.sensor.delay] + [
+        getattr(effect, "delay", 0.0) for effect in scenario.effects
+    ]
     delays += [8.0 * e.sigma for e in scenario.effects if e.kind == "sensor.jitter"]  # type: ignore[attr-defined]
     late = sum(getattr(effect, "ticks", 0) for effect in scenario.effects)
     longest = float(sum(delays))
     lowpass = scenario.sensor.lowpass
-    constant = max(0.0 if lowpass is None else 1.0 / (2.0 * math.pi * lowpass), scenario.identification.settles)
+    constant = max(
+        0.0 if lowpass is None else 1.0 / (2.0 * math.pi * lowpass), scenario.identification.settles
+    )
     remembered = FILTER_MEMORY * constant * scenario.rate * 28 * 8.0
-    return remembered + longest * (scenario.physics_rate * 48.0 + scenario.rate * 8.0 * 80.0) + late * 13 * 8.0
+    return (
+        remembered
+        + longest * (scenario.physics_rate * 48.0 + scenario.rate * 8.0 * 80.0)
+        + late * 13 * 8.0
+    )
 
 
 def campaign_budget(campaign: LoadedCampaign, workers: int = 1, chunk: int = 64) -> Budget:
@@ -162,7 +192,11 @@ def campaign_budget(campaign: LoadedCampaign, workers: int = 1, chunk: int = 64)
     one = run_budget([scenario] * together, rows=False)
     held = min(together * scenario.ticks, 400_000) * COLUMNS * 8.0 * COPIES if keeps else 0.0
     disk = cases * (scenario.ticks * ROW if keeps else 2e3)
-    return Budget(workers * (one.memory + held), STARTUP + (one.time - STARTUP) * cases / together / workers, disk)
+    return Budget(
+        workers * (one.memory + held),
+        STARTUP + (one.time - STARTUP) * cases / together / workers,
+        disk,
+    )
 
 
 def dataset_budget(dataset: LoadedDataset) -> Budget:

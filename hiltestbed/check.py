@@ -1,4 +1,6 @@
-"""Check of a file: its kind, its faults, its cost, remarks on unusual values; and the JSON Schema of each kind."""
+"""Check of a file: its kind, its faults, its cost, remarks on unusual values; and the JSON Schema
+of each kind.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,10 @@ class Findings:
     """Result of `hiltestbed check` for a file.
 
     Attributes:
-        kind: None if it is not a YAML file. faults: errors. remarks: losses and notes on a dataset's files, and numbers of a scenario
-            that are implausible in combination. budget: resources that the task needs, None if it cannot be started.
+        kind: None if it is not a YAML file. faults: errors. remarks: losses and notes on a
+            dataset's files, and numbers of a scenario
+            that are implausible in combination. budget: resources that the task needs, None if it
+            cannot be started.
     """
 
     kind: Kind | None
@@ -38,13 +42,17 @@ class Findings:
 
 
 def check_file(path: str | Path) -> tuple[Kind | None, tuple[Fault, ...]]:
-    """The kind of a file (None if it is not a YAML file) and every fault in it. The data of a dataset are not opened."""
+    """The kind of a file (None if it is not a YAML file) and every fault in it. The data of a
+    dataset are not opened.
+    """
     found = _look_at(path, data=False)
     return found.kind, found.faults
 
 
 def look_at(path: str | Path, set: Mapping[str, Any] | None = None) -> Findings:
-    """All findings on a file, with dotted keys overridden; the data of a dataset are opened and checked against its scenario."""
+    """All findings on a file, with dotted keys overridden; the data of a dataset are opened and
+    checked against its scenario.
+    """
     return _look_at(path, data=True, set=set)
 
 
@@ -53,7 +61,9 @@ def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None)
     try:
         source = read_source(path).with_set(set)
         kind = file_kind(source)
-        return {"scenario": _scenario, "campaign": _campaign, "dataset": _dataset}[kind](source, data)
+        return {"scenario": _scenario, "campaign": _campaign, "dataset": _dataset}[kind](
+            source, data
+        )
     except InputError as error:
         return Findings(kind, error.faults or (Fault(str(path), None, None, "", str(error)),))
 
@@ -96,7 +106,9 @@ def _dataset(source: Source, data: bool) -> Findings:
 
     examined = examine(loaded)
     faults = tuple(as_faults(examined))
-    remarks = tuple(str(remark) for remark in together(r for r in examined.remarks if r.severity != "error"))
+    remarks = tuple(
+        str(remark) for remark in together(r for r in examined.remarks if r.severity != "error")
+    )
     return _within(Findings("dataset", faults, remarks, dataset_budget(loaded)), source)
 
 
@@ -106,7 +118,11 @@ def _as_warnings(found: tuple[str, ...]) -> tuple[str, ...]:
 
 def _within(found: Findings, source: Source) -> Findings:
     """The findings, with a fault for each limit that the budget exceeds."""
-    over = () if found.budget is None else tuple(source.fault((), reason) for reason in found.budget.refused())
+    over = (
+        ()
+        if found.budget is None
+        else tuple(source.fault((), reason) for reason in found.budget.refused())
+    )
     return replace(found, faults=(*found.faults, *over))
 
 

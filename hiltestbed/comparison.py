@@ -48,15 +48,25 @@ class Comparison:
     figures: dict[str, list[Any]]
 
     def __repr__(self) -> str:
-        return f"Comparison({', '.join(self.names)}; different: {', '.join(self.differences) or 'nothing'})"
+        return (
+            f"Comparison({', '.join(self.names)}; different: "
+            f"{', '.join(self.differences) or 'nothing'})"
+        )
 
     def _repr_html_(self) -> str:
         return html_table("Runs side by side", ("", *self.names), self.rows())
 
     def rows(self) -> list[list[str]]:
         """Every row as text: the keys that differ, then the figures."""
-        keys = [[key, *("-" if v is None else str(v) for v in values)] for key, values in self.differences.items()]
-        texts = [[name, *("-" if v is None else str(v) for v in values)] for name, values in self.figures.items() if name in TEXTS]
+        keys = [
+            [key, *("-" if v is None else str(v) for v in values)]
+            for key, values in self.differences.items()
+        ]
+        texts = [
+            [name, *("-" if v is None else str(v) for v in values)]
+            for name, values in self.figures.items()
+            if name in TEXTS
+        ]
         numbers = [
             [f"{name} [{FIGURES[name]}]" if FIGURES[name] else name, *(number(v) for v in values)]
             for name, values in self.figures.items()
@@ -74,7 +84,9 @@ class Comparison:
         return pd.DataFrame(self.differences | self.figures, index=pd.Index(self.names, name="run"))
 
     def plot(self, column: str = "wrench_true.fz", axes: Axes | None = None) -> Axes:
-        """One column of every run's trace over time. Raises UnknownColumn; ValueError if a run has no trace."""
+        """One column of every run's trace over time. Raises UnknownColumn; ValueError if a run has
+        no trace.
+        """
         for i, (name, run) in enumerate(zip(self.names, self.runs, strict=True)):
             axes = run.plot(column, axes=axes)
             line = axes.lines[-1]
@@ -96,9 +108,16 @@ def compare(runs: Sequence[Run | str | Path]) -> Comparison:
     read = tuple(run if isinstance(run, Run) else read_run(run) for run in runs)
     flat = [_flat(resolved(run.scenario)) for run in read]
     keys = [key for key in dict.fromkeys(key for one in flat for key in one) if key not in SILENT]
-    differences = {key: [one.get(key) for one in flat] for key in keys if any(one.get(key) != flat[0].get(key) for one in flat[1:])}
+    differences = {
+        key: [one.get(key) for one in flat]
+        for key in keys
+        if any(one.get(key) != flat[0].get(key) for one in flat[1:])
+    }
     figures = {name: [_figure(run.summary, name) for run in read] for name in (*TEXTS, *FIGURES)}
-    labels = [run.summary["name"] if isinstance(given, Run) else Path(given).name for given, run in zip(runs, read, strict=True)]
+    labels = [
+        run.summary["name"] if isinstance(given, Run) else Path(given).name
+        for given, run in zip(runs, read, strict=True)
+    ]
     return Comparison(tuple(_unique(labels)), read, differences, figures)
 
 
@@ -110,7 +129,11 @@ def _flat(data: Any, path: str = "") -> dict[str, Any]:
         items = enumerate(data)
     else:
         return {path: data}
-    return {key: value for name, below in items for key, value in _flat(below, f"{path}.{name}" if path else str(name)).items()}
+    return {
+        key: value
+        for name, below in items
+        for key, value in _flat(below, f"{path}.{name}" if path else str(name)).items()
+    }
 
 
 def _figure(summary: Mapping[str, Any], name: str) -> Any:
@@ -154,4 +177,6 @@ def write_comparison(comparison: Comparison, path: Path) -> None:
     try:
         report.write(path)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); choose another --out"
+        ) from None

@@ -20,7 +20,17 @@ EXTRAS = {  # optional package, to its purpose and the extra that installs it
     "xarray": ("to_xarray()", "xarray"),
     "fmpy": ("FMUs", "fmi"),
 }
-NEEDED = ("mujoco", "pin", "numpy", "scipy", "numba", "rerun-sdk", "pyarrow", "matplotlib", "pydantic")
+NEEDED = (
+    "mujoco",
+    "pin",
+    "numpy",
+    "scipy",
+    "numba",
+    "rerun-sdk",
+    "pyarrow",
+    "matplotlib",
+    "pydantic",
+)
 
 
 @dataclass(frozen=True)
@@ -52,7 +62,12 @@ def _package(name: str) -> Finding:
 
 def _extra(name: str, purpose: str, extra: str) -> Finding:
     here = find_spec(name) is not None
-    return Finding(name, f"{purpose}" if here else f"not installed ({purpose}); pip install 'hiltestbed[{extra}]'", here, needed=False)
+    return Finding(
+        name,
+        f"{purpose}" if here else f"not installed ({purpose}); pip install 'hiltestbed[{extra}]'",
+        here,
+        needed=False,
+    )
 
 
 def _cache() -> Finding:
@@ -61,13 +76,29 @@ def _cache() -> Finding:
     folder = cache_folder()
     above = next(path for path in (folder, *folder.parents) if path.exists())
     if not os.access(above, os.W_OK):
-        return Finding("compiled kernels", f"{folder} cannot be written: every run compiles again; set NUMBA_CACHE_DIR", False)
-    return Finding("compiled kernels", f"in {folder}" if compiled() else "none yet: the first run compiles them, in about a minute", True)
+        return Finding(
+            "compiled kernels",
+            f"{folder} cannot be written: every run compiles again; set NUMBA_CACHE_DIR",
+            False,
+        )
+    return Finding(
+        "compiled kernels",
+        f"in {folder}"
+        if compiled()
+        else "none yet: the first run compiles them, in about a minute",
+        True,
+    )
 
 
 def _viewer() -> Finding:
-    display = sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    state = "a display is available" if display else "no display: `hiltestbed view` needs one; report.html only needs a browser"
+    display = sys.platform != "linux" or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
+    state = (
+        "a display is available"
+        if display
+        else "no display: `hiltestbed view` needs one; report.html only needs a browser"
+    )
     return Finding("viewer", state, display, needed=False)
 
 

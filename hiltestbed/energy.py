@@ -12,12 +12,18 @@ from hiltestbed.signals import RunTrace
 
 
 def energy_generated(trace: RunTrace, scenario: Scenario) -> Array:
-    """``(ticks,)`` [J] made by the rig so far: the integral of F v_act - F_used v_cmd, as :class:`hiltestbed.metrics.Tally` adds it up."""
+    """``(ticks,)`` [J] made by the rig so far: the integral of F v_act - F_used v_cmd, as
+    :class:`hiltestbed.metrics.Tally` adds it up.
+    """
     tick = 1.0 / scenario.rate
     slope = np.zeros_like(trace["twist_act"])
     _slopes(trace["pose_act"], tick, slope)
-    commanded = np.concatenate([approach_state(scenario)[None, :7], trace["pose_cmd"][:-1]])  # for t_k, when the wrench is used
-    force, used = _about_A(trace["wrench_true"], trace["pose_act"]), _about_A(trace["wrench_comp"], commanded)
+    # for t_k, when the wrench is used
+    commanded = np.concatenate([approach_state(scenario)[None, :7], trace["pose_cmd"][:-1]])
+    force, used = (
+        _about_A(trace["wrench_true"], trace["pose_act"]),
+        _about_A(trace["wrench_comp"], commanded),
+    )
     rate = trace["twist_cmd"]
     before = np.concatenate([approach_state(scenario)[None, 7:], rate[:-1]])
     taken = np.zeros(len(trace.t))
@@ -26,7 +32,9 @@ def energy_generated(trace: RunTrace, scenario: Scenario) -> Array:
 
 
 def _about_A(wrench: Array, pose: Array) -> Array:
-    """``(ticks, 6)`` wrenches at P's origin, with their moments about A's origin, so that they are conjugate to A's twist."""
+    """``(ticks, 6)`` wrenches at P's origin, with their moments about A's origin, so that they are
+    conjugate to A's twist.
+    """
     return np.hstack([wrench[:, :3], wrench[:, 3:] - np.cross(pose[:, :3], wrench[:, :3])])
 
 

@@ -1,6 +1,8 @@
-"""The errors that a caller may want to distinguish; everything that hiltestbed raises on purpose is a HiltestbedError.
+"""The errors that a caller may want to distinguish; everything that hiltestbed raises on purpose is
+a HiltestbedError.
 
-The exit status of the command line follows the class: InputError 2, any other 1; a run that diverged or was stopped ends with 3.
+The exit status of the command line follows the class: InputError 2, any other 1; a run that
+diverged or was stopped ends with 3.
 """
 
 from __future__ import annotations
@@ -10,7 +12,9 @@ from dataclasses import dataclass
 
 
 def printable(text: str) -> str:
-    """``text`` with control characters escaped: names in a file may contain terminal escape sequences."""
+    """``text`` with control characters escaped: names in a file may contain terminal escape
+    sequences.
+    """
     return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
 
 
@@ -22,9 +26,11 @@ class HiltestbedError(Exception):
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of one input: its place, its key, and the message "what is wrong (got ...); what is allowed".
+    """One fault of one input: its place, its key, and the message "what is wrong (got ...); what is
+    allowed".
 
-    `file` may also be a command-line option (`--set KEY`), which has neither line nor column (both None).
+    `file` may also be a command-line option (`--set KEY`), which has neither line nor column (both
+    None).
     """
 
     file: str
@@ -35,11 +41,15 @@ class Fault:
 
     def __str__(self) -> str:
         place = self.file if self.line is None else f"{self.file}:{self.line}:{self.column or 1}"
-        return printable(f"{place}: {self.key}: {self.message}" if self.key else f"{place}: {self.message}")
+        return printable(
+            f"{place}: {self.key}: {self.message}" if self.key else f"{place}: {self.message}"
+        )
 
 
 class InputError(HiltestbedError):
-    """The input cannot be used; `faults` contains every fault that was found, each with one line in the message."""
+    """The input cannot be used; `faults` contains every fault that was found, each with one line in
+    the message.
+    """
 
     exit_status = 2
 
@@ -56,4 +66,7 @@ class MissingExtra(HiltestbedError):
     """An optional dependency is not installed; the message is the install line."""
 
     def __init__(self, what: str, extra: str) -> None:
-        super().__init__(f"{what} needs an optional dependency; install it with: pip install 'hiltestbed[{extra}]'")
+        super().__init__(
+            f"{what} needs an optional dependency; install it with: pip install "
+            f"'hiltestbed[{extra}]'"
+        )

@@ -5,7 +5,8 @@ from __future__ import annotations
 from contextvars import ContextVar
 from pathlib import Path
 
-FIGURES_APART: ContextVar[bool] = ContextVar("figures_apart", default=False)  # also write the figures of a report beside it, as PNG and SVG
+# also write the figures of a report beside it, as PNG and SVG
+FIGURES_APART: ContextVar[bool] = ContextVar("figures_apart", default=False)
 
 
 def is_file(path: Path) -> bool:
@@ -27,4 +28,7 @@ def free_folder(path: Path) -> Path:
 
 def safe_name(name: str) -> str:
     """The name of a scenario or a campaign, made valid as a folder name."""
-    return "".join(c if c.isalnum() or c in "-_." else "-" for c in name).strip(".-")[:100] or "unnamed"
+    return (
+        "".join(c if c.isalnum() or c in "-_." else "-" for c in name).strip(".-")[:100]
+        or "unnamed"
+    )

@@ -1,12 +1,15 @@
 """All conventions of position, attitude and wrench, and all conversions between them.
 
-Two port frames: ``A`` on the active mechanism (carried by the motion platform) and ``P`` on the passive one (on the force
-sensor). Both have +z along the direction of insertion. A pose is ``(..., 7)``: position [m] and unit quaternion ``x, y, z, w``;
-a twist ``(..., 6)``: linear [m/s] and angular [rad/s] velocity; a wrench ``(..., 6)``: force [N] and torque [N m].
-MuJoCo writes quaternions w-first: only :func:`quat_to_mujoco` and :func:`quat_from_mujoco` depend on this.
+Two port frames: ``A`` on the active mechanism (carried by the motion platform) and ``P`` on the
+passive one (on the force sensor). Both have +z along the direction of insertion. A pose is ``(...,
+7)``: position [m] and unit quaternion ``x, y, z, w``;
+a twist ``(..., 6)``: linear [m/s] and angular [rad/s] velocity; a wrench ``(..., 6)``: force [N]
+and torque [N m]. MuJoCo writes quaternions w-first: only :func:`quat_to_mujoco` and
+:func:`quat_from_mujoco` depend on this.
 
-The scalar kernels work on one-dimensional slices and write into ``out``; they are compiled once and called from the loops over
-the runs of a batch, so that a single run and a run in a batch use the same arithmetic.
+The scalar kernels work on one-dimensional slices and write into ``out``; they are compiled once and
+called from the loops over the runs of a batch, so that a single run and a run in a batch use the
+same arithmetic.
 """
 
 from __future__ import annotations
@@ -21,19 +24,29 @@ from hiltestbed.jit import njit
 Array = NDArray[np.float64]
 
 TINY = 1e-300  # a quaternion after a numerical overflow may have length zero
-SMALL_ANGLE = 1e-4  # [rad] below it sin(a)/a is computed by its series, whose next term is a^4/120 < 1e-18
-SERIES_ANGLE = 0.1  # [rad] largest angle of the series of sine and cosine: its first term left out, of degree 13, is 2e-23
+# [rad] below it sin(a)/a is computed by its series, whose next term is a^4/120 < 1e-18
+SMALL_ANGLE = 1e-4
+# [rad] largest angle of the series of sine and cosine: its first term left out, of degree 13, is
+# 2e-23
+SERIES_ANGLE = 0.1
 SERIES = tuple(1.0 / math.factorial(n) for n in range(13))
 
 
 @njit(cache=True)
 def sin_cos(angle):
-    """Sine and cosine. Up to :data:`SERIES_ANGLE`, Taylor series, exact to rounding and several times faster than the library's."""
+    """Sine and cosine. Up to :data:`SERIES_ANGLE`, Taylor series, exact to rounding and several
+    times faster than the library's.
+    """
     if abs(angle) > SERIES_ANGLE:
         return math.sin(angle), math.cos(angle)
     s = angle * angle
-    sine = angle - angle * s * (SERIES[3] - s * (SERIES[5] - s * (SERIES[7] - s * (SERIES[9] - s * SERIES[11]))))
-    cosine = 1.0 - s * (SERIES[2] - s * (SERIES[4] - s * (SERIES[6] - s * (SERIES[8] - s * (SERIES[10] - s * SERIES[12])))))
+    sine = angle - angle * s * (
+        SERIES[3] - s * (SERIES[5] - s * (SERIES[7] - s * (SERIES[9] - s * SERIES[11])))
+    )
+    cosine = 1.0 - s * (
+        SERIES[2]
+        - s * (SERIES[4] - s * (SERIES[6] - s * (SERIES[8] - s * (SERIES[10] - s * SERIES[12]))))
+    )
     return sine, cosine
 
 
@@ -101,7 +114,11 @@ def rotation_vector(q, out):
     """``out``: the rotation vector [rad] of ``q``, by at most pi."""
     s = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     sign = 1.0 if q[3] >= 0.0 else -1.0
-    scale = 2.0 * sign / max(abs(q[3]), s, TINY) if s < 1e-12 else 2.0 * math.atan2(s, abs(q[3])) / s * sign
+    scale = (
+        2.0 * sign / max(abs(q[3]), s, TINY)
+        if s < 1e-12
+        else 2.0 * math.atan2(s, abs(q[3])) / s * sign
+    )
     out[0] = scale * q[0]
     out[1] = scale * q[1]
     out[2] = scale * q[2]
@@ -148,7 +165,9 @@ def pose_compose(pose_WP, pose_PA, out):
 
 @njit(cache=True)
 def wrench_moved(pose_PS, wrench_S, out):
-    """``out``: ``wrench_S``, expressed in S at S's origin, in P at P's origin; ``pose_PS`` is the pose of S in P."""
+    """``out``: ``wrench_S``, expressed in S at S's origin, in P at P's origin; ``pose_PS`` is the
+    pose of S in P.
+    """
     rotate(pose_PS[3:7], wrench_S[0:3], out[0:3])
     rotate(pose_PS[3:7], wrench_S[3:6], out[3:6])
     arm = np.empty(3)
@@ -159,7 +178,9 @@ def wrench_moved(pose_PS, wrench_S, out):
 
 @njit(cache=True)
 def pose_step(pose, twist, h, out):
-    """``out``: ``pose`` moved for ``h`` [s] by a constant twist, both in the frame of the pose (linear and angular separately)."""
+    """``out``: ``pose`` moved for ``h`` [s] by a constant twist, both in the frame of the pose
+    (linear and angular separately).
+    """
     r = np.empty(3)
     q = np.empty(4)
     for i in range(3):
@@ -172,7 +193,9 @@ def pose_step(pose, twist, h, out):
 
 @njit(cache=True)
 def twist_between(pose_0, pose_1, h, out):
-    """``out``: the constant twist that takes ``pose_0`` to ``pose_1`` in ``h`` [s], linear and angular separately."""
+    """``out``: the constant twist that takes ``pose_0`` to ``pose_1`` in ``h`` [s], linear and
+    angular separately.
+    """
     q = np.empty(4)
     inverse = np.empty(4)
     for i in range(3):
@@ -196,7 +219,9 @@ def quat_from_mujoco(q: Array) -> Array:
 
 
 def quat_from_attitude_deg(attitude_deg: ArrayLike) -> Array:
-    """Quaternion ``(..., 4)`` of ``attitude_deg`` ``(..., 3)``: rotations about the fixed x, then y, then z axis [deg]."""
+    """Quaternion ``(..., 4)`` of ``attitude_deg`` ``(..., 3)``: rotations about the fixed x, then
+    y, then z axis [deg].
+    """
     half = 0.5 * np.radians(np.asarray(attitude_deg, dtype=float))
     sine, cosine = np.sin(half), np.cos(half)
     sx, sy, sz = sine[..., 0], sine[..., 1], sine[..., 2]
@@ -209,11 +234,13 @@ def quat_from_attitude_deg(attitude_deg: ArrayLike) -> Array:
     return out
 
 
-POLE = 1.0 - 1e-12  # |sin| of the middle angle, above which the first and the last rotation have the same axis
+# |sin| of the middle angle, above which the first and the last rotation have the same axis
+POLE = 1.0 - 1e-12
 
 
 def attitude_deg_from_quat(q: Array) -> Array:
-    """Rotations about the fixed x, then y, then z axis [deg] ``(3,)`` of the quaternion ``(4,)``; at y = +-90 deg x is 0.
+    """Rotations about the fixed x, then y, then z axis [deg] ``(3,)`` of the quaternion ``(4,)``;
+    at y = +-90 deg x is 0.
 
     The inverse of :func:`quat_from_attitude_deg`.
     """

@@ -17,7 +17,9 @@ def shipped(kind: str) -> Path:
 
 
 def find_scenario(name: str | Path) -> Path:
-    """`name` itself if such a path exists, otherwise the shipped scenario of that name (`02-bumper`, `scenarios/02-bumper.yaml`)."""
+    """`name` itself if such a path exists, otherwise the shipped scenario of that name
+    (`02-bumper`, `scenarios/02-bumper.yaml`).
+    """
     path = Path(name)
     if path.exists() or path.is_absolute():
         return path
@@ -32,7 +34,11 @@ def find_scenario(name: str | Path) -> Path:
 def scenario_names() -> list[str]:
     """The names of the shipped scenarios; those in subfolders as FOLDER/NAME."""
     root = shipped("scenarios")
-    return sorted(str(path.relative_to(root).with_suffix("")) for path in root.rglob("*.yaml") if path.parent.name != "campaigns")
+    return sorted(
+        str(path.relative_to(root).with_suffix(""))
+        for path in root.rglob("*.yaml")
+        if path.parent.name != "campaigns"
+    )
 
 
 def campaign_names() -> list[str]:
@@ -41,10 +47,13 @@ def campaign_names() -> list[str]:
 
 
 def refuse_unknown(name: str | Path, names: list[str]) -> None:
-    """Raises InputError with the shipped ``names`` if ``name`` is not a file and does not look like a path."""
+    """Raises InputError with the shipped ``names`` if ``name`` is not a file and does not look like
+    a path.
+    """
     if not find_scenario(name).exists():
         close = get_close_matches(str(name), names, n=1, cutoff=0.4)
         hint = f" (did you mean {close[0]!r}?)" if close else ""
         raise InputError(
-            f"{name}: no such file, and nothing of that name is shipped{hint}; allowed is a file, or one of {', '.join(names)}"
+            f"{name}: no such file, and nothing of that name is shipped{hint}; allowed is a file, "
+            f"or one of {', '.join(names)}"
         )

@@ -1,8 +1,9 @@
 """Reliable handling of Ctrl-C.
 
-A KeyboardInterrupt inside a compiled import appears as an ImportError; inside a compiler's callback it is printed and lost, or crashes the
-process. Ctrl-C is therefore recorded here: long tasks call `check` regularly, an error that follows a Ctrl-C is attributed to it, and while
-LLVM is compiling the exception is deferred.
+A KeyboardInterrupt inside a compiled import appears as an ImportError; inside a compiler's callback
+it is printed and lost, or crashes the process. Ctrl-C is therefore recorded here: long tasks call
+`check` regularly, an error that follows a Ctrl-C is attributed to it, and while LLVM is compiling
+the exception is deferred.
 """
 
 from __future__ import annotations
@@ -51,10 +52,11 @@ def _compiling(frame: FrameType | None) -> bool:
 
 
 def _over() -> None:
-    """Let the program end with its own exit status: otherwise Python may end it by the signal SIGINT.
+    """Let the program end with its own exit status: otherwise Python may end it by the signal
+    SIGINT.
 
-    Python does so after a Ctrl-C at exit (ignored from here on), and if a KeyboardInterrupt has left an ``exec``, even if it was caught
-    afterwards; another ``exec`` clears that flag.
+    Python does so after a Ctrl-C at exit (ignored from here on), and if a KeyboardInterrupt has
+    left an ``exec``, even if it was caught afterwards; another ``exec`` clears that flag.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     exec("")

@@ -1,8 +1,11 @@
-"""Numba's ``njit``, with cached kernels that are recompiled whenever anything that they depend on has changed.
+"""Numba's ``njit``, with cached kernels that are recompiled whenever anything that they depend on
+has changed.
 
-Numba keeps a compiled kernel as long as the file of its function is unchanged. The functions that it calls and the constants that it reads
-are compiled into it: if they are in another file, an updated program would continue with the old ones. Here a kernel is marked by its
-own code, all kernels that it calls, and the values of all constants that any of them reads.
+Numba keeps a compiled kernel as long as the file of its function is unchanged. The functions that
+it calls and the constants that it reads
+are compiled into it: if they are in another file, an updated program would continue with the old
+ones. Here a kernel is marked by its own code, all kernels that it calls, and the values of all
+constants that any of them reads.
 """
 
 from __future__ import annotations
@@ -22,7 +25,9 @@ _marks: dict[FunctionType, str] = {}
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """``numba.njit`` with its options; a kernel cached on disk is marked by everything that it depends on."""
+    """``numba.njit`` with its options; a kernel cached on disk is marked by everything that it
+    depends on.
+    """
 
     def compiled(function: Any) -> Any:
         kernel = _njit(**options)(function)
@@ -31,7 +36,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         try:
             kept = kernel._cache._cache_file
             kept._source_stamp  # noqa: B018
-        except AttributeError:  # a Numba with another cache: compiling at each start is slow, but never out of date
+        # a Numba with another cache: compiling at each start is slow, but never out of date
+        except AttributeError:
             return _njit(**options | {"cache": False})(function)
         kept._source_stamp = Mark(function)
         return kernel
@@ -40,7 +46,9 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 class Mark:
-    """The mark with which a cached kernel is compared; computed at first use, when everything that the function names is defined."""
+    """The mark with which a cached kernel is compared; computed at first use, when everything that
+    the function names is defined.
+    """
 
     __slots__ = ("_function",)
 
@@ -61,7 +69,9 @@ class Mark:
 
 
 def mark_of(function: FunctionType) -> str:
-    """Hash of a function's code, of all kernels that it calls, and of the constants that any of them reads."""
+    """Hash of a function's code, of all kernels that it calls, and of the constants that any of
+    them reads.
+    """
     if function not in _marks:
         reached: dict[FunctionType, str] = {}
         _reach(function, reached)
@@ -70,7 +80,9 @@ def mark_of(function: FunctionType) -> str:
 
 
 def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
-    """Add to ``reached`` a function with its description (without the functions that it calls), and then those functions."""
+    """Add to ``reached`` a function with its description (without the functions that it calls), and
+    then those functions.
+    """
     if function in reached:
         return
     reached[function] = ""
@@ -78,17 +90,30 @@ def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
     parts: list[str] = [f"{function.__module__}.{function.__qualname__}"]
     called: list[FunctionType] = []
     space = function.__globals__
-    held = dict(zip(function.__code__.co_freevars, (c.cell_contents for c in function.__closure__ or ()), strict=True))
+    held = dict(
+        zip(
+            function.__code__.co_freevars,
+            (c.cell_contents for c in function.__closure__ or ()),
+            strict=True,
+        )
+    )
     while codes:
         code = codes.pop()
         parts += [code.co_code.hex(), repr(code.co_names), repr(code.co_varnames)]
         codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
-        parts += [_description(constant, called) for constant in code.co_consts if not isinstance(constant, CodeType)]
+        parts += [
+            _description(constant, called)
+            for constant in code.co_consts
+            if not isinstance(constant, CodeType)
+        ]
         for name in (*code.co_names, *code.co_freevars):
             value = held.get(name, space.get(name))
             parts.append(f"{name} {_description(value, called)}")
             if isinstance(value, ModuleType):
-                parts += [f"{name}.{part} {_description(getattr(value, part, None), called)}" for part in code.co_names]
+                parts += [
+                    f"{name}.{part} {_description(getattr(value, part, None), called)}"
+                    for part in code.co_names
+                ]
     parts.append(_description(function.__defaults__, called))
     reached[function] = "\n".join(parts)
     for other in called:
@@ -96,16 +121,25 @@ def _reach(function: FunctionType, reached: dict[FunctionType, str]) -> None:
 
 
 def _description(value: Any, called: list[FunctionType]) -> str:
-    """Description of a value that is the same in every process; functions that are compiled with it are added to ``called``."""
-    compiled = value.py_func if isinstance(value, Dispatcher) else getattr(value, "_defn", None)  # the latter of an intrinsic
+    """Description of a value that is the same in every process; functions that are compiled with it
+    are added to ``called``.
+    """
+    # the latter of an intrinsic
+    compiled = value.py_func if isinstance(value, Dispatcher) else getattr(value, "_defn", None)
     if isinstance(compiled, FunctionType):
         called.append(compiled)
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, (tuple, list)):
-        return f"{type(value).__qualname__}({', '.join(_description(part, called) for part in value)})"
+        return (
+            f"{type(value).__qualname__}({', '.join(_description(part, called) for part in value)})"
+        )
     if isinstance(value, frozenset):
         return f"frozenset({', '.join(sorted(_description(part, called) for part in value))})"
     if value is None or isinstance(value, (bool, int, float, complex, str, bytes, np.generic)):
         return repr(value)
-    return str(value) if isinstance(value, Type) else f"{type(value).__module__}.{type(value).__qualname__}"
+    return (
+        str(value)
+        if isinstance(value, Type)
+        else f"{type(value).__module__}.{type(value).__qualname__}"
+    )

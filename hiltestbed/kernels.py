@@ -22,7 +22,9 @@ def cores() -> int:
 
 
 def threads() -> int:
-    """Threads that this process may use at a time: its cores, or one if it is one of several worker processes."""
+    """Threads that this process may use at a time: its cores, or one if it is one of several worker
+    processes.
+    """
     return 1 if multiprocessing.parent_process() is not None else cores()
 
 
@@ -40,8 +42,9 @@ def compiled() -> bool:
 
 @functools.cache
 def tell_of_compiling() -> Any:
-    """From now on, print a message to standard error, once, if compiling takes longer than :data:`PATIENCE`; returns the listener for
-    Numba's events."""
+    """From now on, print a message to standard error, once, if compiling takes longer than
+    :data:`PATIENCE`; returns the listener for Numba's events.
+    """
     from numba.core import event
 
     class CompileListener(event.Listener):
@@ -63,7 +66,10 @@ def tell_of_compiling() -> Any:
             if not self.notified and self.spent + time.monotonic() - self.begun > PATIENCE:
                 self.notified = True
                 clear = "\r\x1b[K" if sys.stderr.isatty() else ""
-                sys.stderr.write(f"{clear}compiling inner loops: takes about a minute, and is kept for later runs\n")
+                sys.stderr.write(
+                    f"{clear}compiling inner loops: takes about a minute, and is kept for later "
+                    f"runs\n"
+                )
                 sys.stderr.flush()
 
     listener = CompileListener()

@@ -1,4 +1,6 @@
-"""Every key of a kind of file, with what it takes and means, from its JSON Schema; and the search among them."""
+"""Every key of a kind of file, with what it takes and means, from its JSON Schema; and the search
+among them.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,10 @@ class Key:
     """A key of a file.
 
     Attributes:
-        path: its dotted name; items of lists are ``N``, freely chosen names ``NAME``. kinds: the ``kind`` of each section above it that has
-            several, outermost first. takes: values, in words. default: as in JSON, or what stands for it. meaning: one sentence.
+        path: its dotted name; items of lists are ``N``, freely chosen names ``NAME``. kinds: the
+            ``kind`` of each section above it that has
+            several, outermost first. takes: values, in words. default: as in JSON, or what stands
+                for it. meaning: one sentence.
     """
 
     path: str
@@ -31,8 +35,18 @@ class Key:
     meaning: str
 
     def __str__(self) -> str:
-        where = f"{self.path} ({', '.join(f'kind: {kind}' for kind in self.kinds)})" if self.kinds else self.path
-        default = f"; {self.default}" if self.default == REQUIRED else f"; default {self.default}" if self.default else ""
+        where = (
+            f"{self.path} ({', '.join(f'kind: {kind}' for kind in self.kinds)})"
+            if self.kinds
+            else self.path
+        )
+        default = (
+            f"; {self.default}"
+            if self.default == REQUIRED
+            else f"; default {self.default}"
+            if self.default
+            else ""
+        )
         return f"{where}: {self.takes}{default}\n    {self.meaning}"
 
 
@@ -42,21 +56,33 @@ def keys_of(schema: Mapping[str, Any]) -> Iterator[Key]:
 
 
 def at(keys: Sequence[Key], path: str) -> list[Key]:
-    """A key and the keys directly below it. Raises InputError with the nearest keys if there is none of that name."""
+    """A key and the keys directly below it. Raises InputError with the nearest keys if there is
+    none of that name.
+    """
     parts = path.split(".")
     found = [key for key in keys if _matches(key.path.split("."), parts)]
     if not found:
         known = list(dict.fromkeys(key.path for key in keys))
-        close = difflib.get_close_matches(path, known, n=3, cutoff=0.5) or [p for p in known if p.rpartition(".")[2] == parts[-1]][:3]
+        close = (
+            difflib.get_close_matches(path, known, n=3, cutoff=0.5)
+            or [p for p in known if p.rpartition(".")[2] == parts[-1]][:3]
+        )
         hint = f"nearest: {', '.join(close)}; " if close else ""
-        raise InputError(f"schema: no such key (got {path!r}); {hint}hiltestbed schema --search WORD finds keys by their meaning")
+        raise InputError(
+            f"schema: no such key (got {path!r}); {hint}hiltestbed schema --search WORD finds "
+            f"keys by their meaning"
+        )
     return found
 
 
 def search(keys: Sequence[Key], words: str) -> list[Key]:
     """The keys whose name, kind or meaning contains every one of the words, whatever their case."""
     wanted = words.lower().split()
-    return [key for key in keys if all(word in f"{key.path} {' '.join(key.kinds)} {key.meaning}".lower() for word in wanted)]
+    return [
+        key
+        for key in keys
+        if all(word in f"{key.path} {' '.join(key.kinds)} {key.meaning}".lower() for word in wanted)
+    ]
 
 
 def takes(about: Mapping[str, Any]) -> str:
@@ -84,10 +110,18 @@ def default_of(about: Mapping[str, Any], required: bool) -> str:
     if required:
         return REQUIRED
     value = about.get("default", "")
-    return OF_ITS_KEYS if isinstance(value, Mapping) and value else json.dumps(value) if "default" in about else ""
+    return (
+        OF_ITS_KEYS
+        if isinstance(value, Mapping) and value
+        else json.dumps(value)
+        if "default" in about
+        else ""
+    )
 
 
-def _below(about: Mapping[str, Any], definitions: Mapping[str, Any], path: str, kinds: tuple[str, ...]) -> Iterator[Key]:
+def _below(
+    about: Mapping[str, Any], definitions: Mapping[str, Any], path: str, kinds: tuple[str, ...]
+) -> Iterator[Key]:
     """The keys below one place of the schema."""
     if "$ref" in about:
         yield from _below(definitions[about["$ref"].rpartition("/")[2]], definitions, path, kinds)
@@ -103,21 +137,47 @@ def _below(about: Mapping[str, Any], definitions: Mapping[str, Any], path: str, 
     for name, inner in properties.items():
         here = f"{path}.{name}" if path else name
         words = _section_of(inner, definitions) or takes(inner).replace("`", "")
-        yield Key(here, kinds, words, default_of(inner, name in about.get("required", ())), inner.get("description", "-"))
+        yield Key(
+            here,
+            kinds,
+            words,
+            default_of(inner, name in about.get("required", ())),
+            inner.get("description", "-"),
+        )
         yield from _below(inner, definitions, here, kinds)
 
 
 def _section_of(about: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """What a section that has several kinds takes, or a list of such sections; empty for anything else."""
-    if isinstance(about.get("items"), Mapping) and (inner := _section_of(about["items"], definitions)):
+    """What a section that has several kinds takes, or a list of such sections; empty for anything
+    else.
+    """
+    if isinstance(about.get("items"), Mapping) and (
+        inner := _section_of(about["items"], definitions)
+    ):
         return f"list of {inner}"
-    members = [definitions[m["$ref"].rpartition("/")[2]] for m in about.get("oneOf", ()) if "$ref" in m]
-    kinds = [m["properties"]["kind"]["const"] for m in members if "const" in m.get("properties", {}).get("kind", {})]
-    return f"section of kind {', '.join(kinds)}" if kinds and len(kinds) == len(about["oneOf"]) else ""
+    members = [
+        definitions[m["$ref"].rpartition("/")[2]] for m in about.get("oneOf", ()) if "$ref" in m
+    ]
+    kinds = [
+        m["properties"]["kind"]["const"]
+        for m in members
+        if "const" in m.get("properties", {}).get("kind", {})
+    ]
+    return (
+        f"section of kind {', '.join(kinds)}" if kinds and len(kinds) == len(about["oneOf"]) else ""
+    )
 
 
 def _matches(path: Sequence[str], wanted: Sequence[str]) -> bool:
-    """Whether a key is the wanted one or directly below it, where numbers and names stand for any."""
-    if not len(wanted) <= len(path) <= len(wanted) + 1 + (path[len(wanted) : len(wanted) + 1] in ([NUMBER], [NAME])):
+    """Whether a key is the wanted one or directly below it, where numbers and names stand for
+    any.
+    """
+    if (
+        not len(wanted)
+        <= len(path)
+        <= len(wanted) + 1 + (path[len(wanted) : len(wanted) + 1] in ([NUMBER], [NAME]))
+    ):
         return False
-    return all(p in (w, NAME) or (p == NUMBER and w.isdigit()) for p, w in zip(path, wanted, strict=False))
+    return all(
+        p in (w, NAME) or (p == NUMBER and w.isdigit()) for p, w in zip(path, wanted, strict=False)
+    )

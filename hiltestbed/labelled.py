@@ -18,31 +18,50 @@ PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#0
 
 
 def trace_to_pandas(trace: RunTrace) -> Any:
-    """A DataFrame with the trace's columns over time [s]; ``frame.attrs["columns"]`` has unit, frame and meaning. Raises MissingExtra."""
+    """A DataFrame with the trace's columns over time [s]; ``frame.attrs["columns"]`` has unit,
+    frame and meaning. Raises MissingExtra.
+    """
     try:
         import pandas as pd
     except ImportError:
         raise MissingExtra("to_pandas()", "pandas") from None
     columns = trace.columns()
-    frame = pd.DataFrame({name: values for name, values in columns.items() if name != "t"}, index=pd.Index(columns["t"], name="t"))
+    frame = pd.DataFrame(
+        {name: values for name, values in columns.items() if name != "t"},
+        index=pd.Index(columns["t"], name="t"),
+    )
     about = trace.about()
     frame.attrs = {"index": about.pop("t"), "columns": about}
     return frame
 
 
 def trace_to_xarray(trace: RunTrace) -> Any:
-    """A Dataset: each group ``(t, parts of the group)``; ``attrs`` of a variable: units, frame, long_name. Raises MissingExtra."""
+    """A Dataset: each group ``(t, parts of the group)``; ``attrs`` of a variable: units, frame,
+    long_name. Raises MissingExtra.
+    """
     try:
         import xarray as xr
     except ImportError:
         raise MissingExtra("to_xarray()", "xarray") from None
-    variables: dict[str, Any] = {"contact": ("t", trace.contact, {"units": "1", "long_name": about_column("contact")["meaning"]})}
-    coordinates: dict[str, Any] = {"t": ("t", trace.t, {"units": "s", "long_name": about_column("t")["meaning"]})}
+    variables: dict[str, Any] = {
+        "contact": (
+            "t",
+            trace.contact,
+            {"units": "1", "long_name": about_column("contact")["meaning"]},
+        )
+    }
+    coordinates: dict[str, Any] = {
+        "t": ("t", trace.t, {"units": "s", "long_name": about_column("t")["meaning"]})
+    }
     for group in trace.groups():
         name = group.name
         axis = f"{name}_part"
         units = list(dict.fromkeys(group.units))
-        about = {"units": units[0] if len(units) == 1 else list(group.units), "frame": group.frame, "long_name": group.meaning}
+        about = {
+            "units": units[0] if len(units) == 1 else list(group.units),
+            "frame": group.frame,
+            "long_name": group.meaning,
+        }
         variables[name] = (("t", axis), trace[name], about)
         coordinates[axis] = (axis, list(group.parts), {"units": list(group.units)})
     return xr.Dataset(variables, coordinates)
@@ -51,8 +70,11 @@ def trace_to_xarray(trace: RunTrace) -> Any:
 def plot_trace(trace: RunTrace, names: Sequence[str], axes: Axes | None) -> Axes:
     """Columns or groups over time in one set of axes, contacts shaded."""
     groups = {group.name: group for group in trace.groups()}
-    columns = [column for name in names for column in (groups[name].columns if name in groups else (name,))]
-    values = [trace[column] for column in columns]  # raises for an unknown column before anything is drawn
+    columns = [
+        column for name in names for column in (groups[name].columns if name in groups else (name,))
+    ]
+    # raises for an unknown column before anything is drawn
+    values = [trace[column] for column in columns]
     if axes is None:
         import matplotlib.pyplot as plt
 

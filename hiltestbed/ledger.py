@@ -1,8 +1,9 @@
 """The delay ledger: every delay in the loop, and the damping that it removes from the contact.
 
-A delay tau of the force acts on a contact of stiffness k as a damping -k tau, since ``F(t - tau) ~ F - tau k v``; one bounce of two
-free bodies of reduced mass mu then has ``ln e = -pi c_eff/(2 sqrt(k mu))``, hence ``ln(e/e_ref) = (pi/2) w sum(tau)`` with
-``w = sqrt(k/mu)``. Accurate to 0.01 in ln e for w tau <= 0.25.
+A delay tau of the force acts on a contact of stiffness k as a damping -k tau, since ``F(t - tau) ~
+F - tau k v``; one bounce of two free bodies of reduced mass mu then has ``ln e = -pi c_eff/(2
+sqrt(k mu))``, hence ``ln(e/e_ref) = (pi/2) w sum(tau)`` with ``w = sqrt(k/mu)``. Accurate to 0.01
+in ln e for w tau <= 0.25.
 """
 
 from __future__ import annotations
@@ -27,15 +28,27 @@ class Delay:
 
 
 def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
-    """Every delay between the contact and the numerical model's motion (leads are negative), and their sum last."""
-    # The force is read at t_k, the model steps, the rig moves linearly to its pose until t_(k+1): the semi-implicit step makes up for
-    # the tick.
+    """Every delay between the contact and the numerical model's motion (leads are negative), and
+    their sum last.
+    """
+    # The force is read at t_k, the model steps, the rig moves linearly to its pose until t_(k+1):
+    # the semi-implicit step makes up for the tick.
     compensation, w = scenario.compensation, contact_frequency(scenario)
     if scenario.rig.platform.physical:  # no loop: the bodies themselves move
         return [Delay("total", 0.0, 0.0)]
-    delays = [*_sensor(scenario, w), *_compensation(scenario), ("coupling", 0.0), *_effects(scenario, w, "dynamics")]
+    delays = [
+        *_sensor(scenario, w),
+        *_compensation(scenario),
+        ("coupling", 0.0),
+        *_effects(scenario, w, "dynamics"),
+    ]
     if scenario.numerical_model.ticks_late:
-        delays.append((f"numerical_model.{scenario.numerical_model.kind}", scenario.numerical_model.ticks_late * scenario.tick))
+        delays.append(
+            (
+                f"numerical_model.{scenario.numerical_model.kind}",
+                scenario.numerical_model.ticks_late * scenario.tick,
+            )
+        )
     if scenario.rig.platform.tracking == "servo":
         delays.append(("platform.servo", figures.tracking_delay or 0.0))
     elif scenario.rig.platform.tracking == "response":
@@ -43,16 +56,27 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
     elif by_link(scenario.effects, "platform"):
         delays.append(("platform.effects", figures.tracking_delay or 0.0))
     if compensation.force.corrects_platform or compensation.motion.corrects_force:
-        delays.append(("compensation.platform", -sum(delay for source, delay in delays if source.startswith("platform."))))
+        delays.append(
+            (
+                "compensation.platform",
+                -sum(delay for source, delay in delays if source.startswith("platform.")),
+            )
+        )
     delays.append(("total", sum(delay for _, delay in delays)))
     k = scenario.mechanism.contact.stiffness
     return [Delay(source, delay, 0.0 - k * delay) for source, delay in delays]
 
 
 def force_path_delay(scenario: Scenario, compensated: bool) -> float:
-    """Delay [s] of the force that drives the numerical model: sensor and effects, minus what the compensation removes."""
+    """Delay [s] of the force that drives the numerical model: sensor and effects, minus what the
+    compensation removes.
+    """
     w = contact_frequency(scenario)
-    parts = [*_sensor(scenario, w), *_effects(scenario, w, "dynamics"), *(_compensation(scenario) if compensated else ())]
+    parts = [
+        *_sensor(scenario, w),
+        *_effects(scenario, w, "dynamics"),
+        *(_compensation(scenario) if compensated else ()),
+    ]
     return sum(delay for _, delay in parts)
 
 
@@ -74,8 +98,13 @@ def _effects(scenario: Scenario, w: float, link: str) -> Iterator[tuple[str, flo
 
 
 def _compensation(scenario: Scenario) -> Iterator[tuple[str, float]]:
-    """What the method removes at low frequency, once it knows the contact parameters that it needs."""
-    return ((f"compensation.{name}", -delay) for name, delay in scenario.compensation.force.removes(scenario).items())
+    """What the method removes at low frequency, once it knows the contact parameters that it
+    needs.
+    """
+    return (
+        (f"compensation.{name}", -delay)
+        for name, delay in scenario.compensation.force.removes(scenario).items()
+    )
 
 
 def contact_frequency(scenario: Scenario) -> float:

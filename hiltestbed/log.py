@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass
 class LogParameters:
-    """The record of one run. skew: [s] by which the wrench is stamped late. reread: whether it was read again at the later time, instead
-    of being interpolated between the loop's own readings."""
+    """The record of one run. skew: [s] by which the wrench is stamped late. reread: whether it was
+    read again at the later time, instead of being interpolated between the loop's own readings.
+    """
 
     skew: float = 0.0
     reread: bool = False
@@ -31,7 +32,9 @@ class LogSkew(Effect):
     """The force is stamped late in the record only; the loop itself is not affected."""
 
     kind: Literal["log.skew"] = "log.skew"
-    delay: float = quantity("s", "Time by which the force is stamped late", ge=0.0, le=1.0, search=(0.0, 0.03))
+    delay: float = quantity(
+        "s", "Time by which the force is stamped late", ge=0.0, le=1.0, search=(0.0, 0.03)
+    )
     link = "log"
     equation = "logged w_meas(t) = w_meas(t - delay)"
     reference = "clock of the recorder"
@@ -63,7 +66,9 @@ def log_parameters(effects: Sequence[Effect]) -> LogParameters:
 
 
 def stamp_late(trace: Trace, scenarios: Sequence[Scenario]) -> None:
-    """For a record that is stamped late, put the reading of t - delay, interpolated linearly, into the row of t; zero before the start."""
+    """For a record that is stamped late, put the reading of t - delay, interpolated linearly, into
+    the row of t; zero before the start.
+    """
     rows = np.arange(len(trace.t))
     for i, scenario in enumerate(scenarios):
         skew = log_parameters(scenario.effects).skew

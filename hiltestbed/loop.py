@@ -1,8 +1,9 @@
 """The closed loop: read this first.
 
-A tick, at t_k: read the physical wrench through the sensor; identify stiffness and damping; compensate the wrench and advance the
-numerical model; command the platform to the pose for t_(k+1) and start its motion; write the row; simulate the rig until then. One call
-per block, in the order of the signal flow, on arrays whose leading axis is the run in the batch.
+A tick, at t_k: read the physical wrench through the sensor; identify stiffness and damping;
+compensate the wrench and advance the numerical model; command the platform to the pose for t_(k+1)
+and start its motion; write the row; simulate the rig until then. One call per block, in the order
+of the signal flow, on arrays whose leading axis is the run in the batch.
 """
 
 from __future__ import annotations
@@ -33,10 +34,22 @@ from hiltestbed.sensor.sensor import Sensor
 from hiltestbed.signals import Trace
 
 ROW = (
-    "pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_true", "wrench_meas", "wrench_comp", "slider_cmd", "slider_act", "upper_cmd",
-    "upper_act", "stiffness_est", "damping_est",
-)  # fmt: skip
-POSE_LIMIT = 10.0  # [m] a larger commanded position counts as divergence: forty times the platform's reach
+    "pose_cmd",
+    "pose_act",
+    "twist_cmd",
+    "twist_act",
+    "wrench_true",
+    "wrench_meas",
+    "wrench_comp",
+    "slider_cmd",
+    "slider_act",
+    "upper_cmd",
+    "upper_act",
+    "stiffness_est",
+    "damping_est",
+)
+# [m] a larger commanded position counts as divergence: forty times the platform's reach
+POSE_LIMIT = 10.0
 
 
 class RigSide(Protocol):
@@ -65,7 +78,9 @@ class RigSide(Protocol):
 
 
 class SensorSide(Protocol):
-    """The force sensor as seen by the loop; implemented by :class:`~hiltestbed.sensor.sensor.Sensor`."""
+    """The force sensor as seen by the loop; implemented by
+    :class:`~hiltestbed.sensor.sensor.Sensor`.
+    """
 
     reading: Array
 
@@ -91,17 +106,23 @@ def simulated(scenarios: Sequence[Scenario], nthread: int) -> Side:
 
 
 class Loop:
-    """``n`` runs in lockstep. The scenarios agree in structure (kinds, rates, methods) and differ in numbers.
+    """``n`` runs in lockstep. The scenarios agree in structure (kinds, rates, methods) and differ
+    in numbers.
 
     Attributes:
         k: the next tick.
-        alive: ``(n,)`` runs that continue; once a run has diverged or was stopped, its further rows do not count.
+        alive: ``(n,)`` runs that continue; once a run has diverged or was stopped, its further rows
+            do not count.
         trouble: run to (tick, status, reason).
         measurement: the signals that are known to the compensation and the identification at t_k.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], nthread: int = 1, side: MakeSide = simulated) -> None:
-        """``side``: makes the physical side, simulated or with real devices, for the scenarios and a number of threads."""
+    def __init__(
+        self, scenarios: Sequence[Scenario], nthread: int = 1, side: MakeSide = simulated
+    ) -> None:
+        """``side``: makes the physical side, simulated or with real devices, for the scenarios and
+        a number of threads.
+        """
         n = len(scenarios)
         self.scenarios = scenarios
         self.sensor, self.plant, self.safety = side(scenarios, nthread)
@@ -113,7 +134,11 @@ class Loop:
         self.monitor = ProcessMonitor(scenarios) if any(s.monitoring for s in scenarios) else None
         self.dead_zone = InputDeadZone(scenarios)
         self.model = scenarios[0].numerical_model.start(scenarios)
-        self.drive: Drive = FreeMotion(scenarios, self.plant) if self.plant.physical else make_drive(scenarios, self.model)
+        self.drive: Drive = (
+            FreeMotion(scenarios, self.plant)
+            if self.plant.physical
+            else make_drive(scenarios, self.model)
+        )
         self.motion = MotionCommand(scenarios)
         self.tally = Tally(scenarios)
         self.outcomes = Outcomes(scenarios)
@@ -122,7 +147,8 @@ class Loop:
         self.trouble: dict[int, tuple[int, str, str]] = {}
         self._pose_before = self.drive.pose.copy()
         self._wrench = self.plant.wrench_sub[:, -1]
-        self._keeping: tuple[Any, ...] = (None,) * 4  # the trace and the drive's arrays to which _keep is bound
+        # the trace and the drive's arrays to which _keep is bound
+        self._keeping: tuple[Any, ...] = (None,) * 4
         self.plant.reset(self.drive.pose, self.drive.twist)
         self.motion.start(self.drive.twist)
         self.tally.start(self.drive.twist)
@@ -162,31 +188,67 @@ class Loop:
         self.k = k + 1
 
     def _kept(self, trace: Trace | None) -> Callable[[int], bool]:
-        """The call that updates figures, contacts and the row of a tick, and returns whether a run is lost."""
+        """The call that updates figures, contacts and the row of a tick, and returns whether a run
+        is lost.
+        """
         drive, (traced, pose, twist, wrench) = self.drive, self._keeping
-        if trace is not traced or drive.pose is not pose or drive.twist is not twist or drive.wrench is not wrench:
+        if (
+            trace is not traced
+            or drive.pose is not pose
+            or drive.twist is not twist
+            or drive.wrench is not wrench
+        ):
             plant, wrench = self.plant, self._wrench
             rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
             figures = self.tally.taking(rig, self._pose_before, (drive.wrench, drive.twist))
             contacts = self.outcomes.taking(wrench, plant.contact, plant.captured)
             row = () if trace is None else (self.row_of(trace),)
             lost = bound(_lost, drive.pose, POSE_LIMIT, self.alive, plant.diverged)
-            self._keep, self._keeping = together(figures, contacts, *row, lost), (trace, drive.pose, drive.twist, drive.wrench)
+            self._keep, self._keeping = (
+                together(figures, contacts, *row, lost),
+                (trace, drive.pose, drive.twist, drive.wrench),
+            )
         return self._keep
 
     def row_of(self, trace: Trace) -> Callable[[int], None]:
-        """The call that writes row k of a trace: the readings at t_k and the commands computed from them."""
+        """The call that writes row k of a trace: the readings at t_k and the commands computed from
+        them.
+        """
         drive, plant, known = self.drive, self.plant, self.measurement
         now = (
-            drive.pose, plant.pose_act, drive.twist, plant.twist_act, self._wrench, self.sensor.reading, drive.wrench, plant.slider_cmd,
-            plant.slider_act, plant.upper_cmd, plant.upper_act, known.stiffness, known.damping,
-        )  # fmt: skip
-        return bound(_write, ..., *now, *(trace.data[name] for name in ROW), plant.contact, trace.contact)
+            drive.pose,
+            plant.pose_act,
+            drive.twist,
+            plant.twist_act,
+            self._wrench,
+            self.sensor.reading,
+            drive.wrench,
+            plant.slider_cmd,
+            plant.slider_act,
+            plant.upper_cmd,
+            plant.upper_act,
+            known.stiffness,
+            known.damping,
+        )
+        return bound(
+            _write, ..., *now, *(trace.data[name] for name in ROW), plant.contact, trace.contact
+        )
 
     @property
     def blocks(self) -> dict[str, Any]:
         """The blocks whose arrays form the state of the loop between two ticks."""
-        names = ("sensor", "plant", "identification", "monitor", "dead_zone", "drive", "motion", "tally", "outcomes", "safety")
+        names = (
+            "sensor",
+            "plant",
+            "identification",
+            "monitor",
+            "dead_zone",
+            "drive",
+            "motion",
+            "tally",
+            "outcomes",
+            "safety",
+        )
         return {name: getattr(self, name) for name in names}
 
     def _end_runs(self) -> None:
@@ -197,7 +259,11 @@ class Loop:
                 self.trouble[i] = (self.k, "diverged", self.plant.divergence(i))
             elif not np.all(np.abs(self.drive.pose[i]) <= POSE_LIMIT):
                 where = ", ".join(f"{v:.3g}" for v in self.drive.pose[i, :3])
-                self.trouble[i] = (self.k, "diverged", f"relative position px, py, pz = {where} m (limit {POSE_LIMIT:g} m)")
+                self.trouble[i] = (
+                    self.k,
+                    "diverged",
+                    f"relative position px, py, pz = {where} m (limit {POSE_LIMIT:g} m)",
+                )
             elif reason is not None:
                 self.trouble[i] = (self.k, "stopped", reason)
             else:
@@ -207,9 +273,39 @@ class Loop:
 
 @njit(cache=True)
 def _write(
-    k, a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, a10, a11, a12, b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, touching, touched
-):  # fmt: skip
-    """Copies each ``a`` (n, parts) to row ``k`` of its ``b`` (rows, n, parts); modulo the number of rows."""
+    k,
+    a0,
+    a1,
+    a2,
+    a3,
+    a4,
+    a5,
+    a6,
+    a7,
+    a8,
+    a9,
+    a10,
+    a11,
+    a12,
+    b0,
+    b1,
+    b2,
+    b3,
+    b4,
+    b5,
+    b6,
+    b7,
+    b8,
+    b9,
+    b10,
+    b11,
+    b12,
+    touching,
+    touched,
+):
+    """Copies each ``a`` (n, parts) to row ``k`` of its ``b`` (rows, n, parts); modulo the number of
+    rows.
+    """
     k = k % b0.shape[0]
     b0[k][:] = a0
     b1[k][:] = a1
@@ -230,7 +326,9 @@ def _write(
 
 @njit(cache=True)
 def _lost(pose, limit, alive, diverged):
-    """Whether a run that was alive has exceeded ``limit`` or become non-finite, in the numerical model or in the rig."""
+    """Whether a run that was alive has exceeded ``limit`` or become non-finite, in the numerical
+    model or in the rig.
+    """
     for i in range(pose.shape[0]):
         if alive[i]:
             if diverged[i]:

@@ -18,17 +18,33 @@ from hiltestbed.folders import is_file
 if TYPE_CHECKING:
     import mujoco
 
-_CONTENT = ("body_", "geom_", "jnt_", "site_", "dof_", "mesh_vert", "mesh_face", "actuator_", "tendon_", "eq_")
+_CONTENT = (
+    "body_",
+    "geom_",
+    "jnt_",
+    "site_",
+    "dof_",
+    "mesh_vert",
+    "mesh_face",
+    "actuator_",
+    "tendon_",
+    "eq_",
+)
 
 
 @cache
 def models_folder() -> Path:
-    """The folder ``models/``: beside the package in a checkout, ``hiltestbed/_data/models`` in an installed wheel."""
+    """The folder ``models/``: beside the package in a checkout, ``hiltestbed/_data/models`` in an
+    installed wheel.
+    """
     package = Path(str(files("hiltestbed")))
     for candidate in (package / "_data" / "models", package.parent / "models"):
         if (candidate / "pss33" / "pss33.xml").is_file():
             return candidate
-    raise InputError(f"no models found in {package / '_data' / 'models'} or {package.parent / 'models'}; reinstall hiltestbed")
+    raise InputError(
+        f"no models found in {package / '_data' / 'models'} or {package.parent / 'models'}; "
+        f"reinstall hiltestbed"
+    )
 
 
 def load(name: str) -> mujoco.MjSpec:
@@ -41,29 +57,42 @@ def load(name: str) -> mujoco.MjSpec:
 def _assets(spec: mujoco.MjSpec) -> Iterator[tuple[object, Path]]:
     """The parts of a model that are in separate files, with their paths."""
     folder = Path(spec.modelfiledir)
-    for things, below in ((spec.meshes, spec.meshdir), (spec.hfields, spec.meshdir), (spec.textures, spec.texturedir)):
+    for things, below in (
+        (spec.meshes, spec.meshdir),
+        (spec.hfields, spec.meshdir),
+        (spec.textures, spec.texturedir),
+    ):
         for thing in things:
             if thing.file:
                 yield thing, folder / below / thing.file
 
 
 def digest(file: Path) -> str:
-    """SHA-256 of the model that an MJCF file describes, to nine decimals; independent of its location. Raises InputError."""
+    """SHA-256 of the model that an MJCF file describes, to nine decimals; independent of its
+    location. Raises InputError.
+    """
     model = _parsed(file).compile()
     whole = hashlib.sha256(model.names)
     for name in sorted(n for n in dir(model) if n.startswith(_CONTENT)):
         array = np.asarray(getattr(model, name))
         whole.update(name.encode())
-        whole.update((np.round(array, 9) + 0.0).tobytes() if array.dtype.kind == "f" else array.tobytes())
+        whole.update(
+            (np.round(array, 9) + 0.0).tobytes() if array.dtype.kind == "f" else array.tobytes()
+        )
     return whole.hexdigest()
 
 
 def stamp(file: Path) -> tuple[int, ...]:
-    """Modification times of an MJCF file and each of its meshes [ns]; empty if there is no such file."""
+    """Modification times of an MJCF file and each of its meshes [ns]; empty if there is no such
+    file.
+    """
     if not is_file(file):
         return ()
     written = file.stat().st_mtime_ns
-    return (written, *(path.stat().st_mtime_ns if path.is_file() else 0 for path in _asset_files(file, written)))
+    return (
+        written,
+        *(path.stat().st_mtime_ns if path.is_file() else 0 for path in _asset_files(file, written)),
+    )
 
 
 @lru_cache(maxsize=64)
@@ -77,7 +106,9 @@ def _asset_files(file: Path, written: int) -> tuple[Path, ...]:
 
 
 def copy_model(file: Path, folder: Path) -> Path:
-    """Copies an MJCF file and everything that it needs into a new ``folder``; returns the copy. Raises InputError."""
+    """Copies an MJCF file and everything that it needs into a new ``folder``; returns the copy.
+    Raises InputError.
+    """
     spec = _parsed(file)
     folder.mkdir(parents=True)
     for thing, path in list(_assets(spec)):
@@ -101,5 +132,7 @@ def _parsed(file: Path) -> mujoco.MjSpec:
                 thing.name = path.stem  # type: ignore[attr-defined]
         spec.compile()  # a model that does not compile cannot be written either
     except ValueError as error:
-        raise InputError(f"{file}: is no MJCF that MuJoCo can read: {' '.join(str(error).split())}") from error
+        raise InputError(
+            f"{file}: is no MJCF that MuJoCo can read: {' '.join(str(error).split())}"
+        ) from error
     return spec

@@ -22,8 +22,10 @@ class Outcomes:
     """The contacts of ``n`` runs, updated tick by tick.
 
     Attributes:
-        events: ``(n, LISTED, 6)`` first and last tick, impulse x, y, z in P [N s] and peak force [N] of each contact.
-        count: ``(n,)`` contacts so far. captured_tick: ``(n,)`` tick at which the latches closed, -1 before.
+        events: ``(n, LISTED, 6)`` first and last tick, impulse x, y, z in P [N s] and peak force
+            [N] of each contact.
+        count: ``(n,)`` contacts so far. captured_tick: ``(n,)`` tick at which the latches closed,
+            -1 before.
     """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
@@ -33,18 +35,37 @@ class Outcomes:
         self.count = np.zeros(n, dtype=np.int64)
         self.captured_tick = np.full(n, -1, dtype=np.int64)
         self.touching = np.zeros(n, dtype=bool)
-        self._update = Call(_update, ..., self.tick, GIVEN, GIVEN, GIVEN, self.events, self.count, self.captured_tick, self.touching)
+        self._update = Call(
+            _update,
+            ...,
+            self.tick,
+            GIVEN,
+            GIVEN,
+            GIVEN,
+            self.events,
+            self.count,
+            self.captured_tick,
+            self.touching,
+        )
 
-    def update(self, k: int, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]) -> None:
-        """Update with tick k: physical wrench ``(n, 6)``, whether the mechanisms touch and are latched, ``(n,)`` each."""
+    def update(
+        self, k: int, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]
+    ) -> None:
+        """Update with tick k: physical wrench ``(n, 6)``, whether the mechanisms touch and are
+        latched, ``(n,)`` each.
+        """
         self.taking(wrench, contact, captured)(k)
 
-    def taking(self, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]) -> Callable[[int], None]:
+    def taking(
+        self, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]
+    ) -> Callable[[int], None]:
         """:meth:`update` bound to arrays with fixed memory; it is called with k."""
         return self._update.on(wrench, contact, captured)
 
     def summary(self, i: int) -> dict[str, Any]:
-        """Outcome of run ``i``, with the time of capture [s] and its contacts: start and end [s], impulse [N s], peak force [N]."""
+        """Outcome of run ``i``, with the time of capture [s] and its contacts: start and end [s],
+        impulse [N s], peak force [N].
+        """
         captured = int(self.captured_tick[i])
         return {
             "outcome": self._name(i),

@@ -14,7 +14,8 @@ from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 
 MOST = 18  # knots of a curve
-PACKED = 1 + 2 * MOST  # length of a packed curve: number of knots, their abscissae, their values; padded with 0
+# length of a packed curve: number of knots, their abscissae, their values; padded with 0
+PACKED = 1 + 2 * MOST
 
 Pairs = tuple[tuple[float, ...], ...]  # abscissa and value of each knot
 
@@ -24,7 +25,11 @@ def _rising(pairs: Pairs) -> Pairs:
         raise PydanticCustomError("curve", "a curve has two knots or more, or none (got 1)")
     places = [x for x, _ in pairs]
     if any(b <= a for a, b in pairwise(places)):
-        raise PydanticCustomError("curve", "the first numbers of the pairs must rise (got {places})", {"places": str(places)})
+        raise PydanticCustomError(
+            "curve",
+            "the first numbers of the pairs must rise (got {places})",
+            {"places": str(places)},
+        )
     return pairs
 
 
@@ -33,7 +38,9 @@ Curve = Annotated[tuple[_Knot, ...], Strict(False), Field(max_length=MOST), Afte
 
 
 def packed(pairs: Sequence[Sequence[float]], most: int = MOST) -> Array:
-    """``(1 + 2 most,)`` of a curve given as pairs; all 0 without pairs, which gives a curve that is 0 everywhere."""
+    """``(1 + 2 most,)`` of a curve given as pairs; all 0 without pairs, which gives a curve that is
+    0 everywhere.
+    """
     out = np.zeros(1 + 2 * most)
     out[0] = len(pairs)
     for i, (place, value) in enumerate(pairs):
@@ -43,7 +50,9 @@ def packed(pairs: Sequence[Sequence[float]], most: int = MOST) -> Array:
 
 @njit(cache=True)
 def along(curve, x):
-    """Value at x of a packed ``curve``, extrapolated beyond its ends with the first and last slopes."""
+    """Value at x of a packed ``curve``, extrapolated beyond its ends with the first and last
+    slopes.
+    """
     n, most = int(curve[0]), (len(curve) - 1) // 2
     if n == 0:
         return 0.0

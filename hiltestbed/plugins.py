@@ -1,8 +1,9 @@
 """Registries of built-in and user-defined components.
 
-Effects, compensation methods, identifiers, mechanisms and platforms are classes with a literal ``kind``. The built-in ones are found in
-the modules of their packages. A user's module is loaded by ``--plugin MODULE`` (a module name or a .py file), by :func:`load`, or
-through the entry-point group ``hiltestbed.plugins``, and registers its classes with :func:`register`::
+Effects, compensation methods, identifiers, mechanisms and platforms are classes with a literal
+``kind``. The built-in ones are found in the modules of their packages. A user's module is loaded by
+``--plugin MODULE`` (a module name or a .py file), by :func:`load`, or through the entry-point group
+``hiltestbed.plugins``, and registers its classes with :func:`register`::
 
     from hiltestbed.effects import Effect, quantity
     from hiltestbed.plugins import register
@@ -43,7 +44,9 @@ class Registry(Mapping[str, type[T]], Generic[T]):
     """
 
     def __init__(self, what: str, base: type[T], homes: Sequence[str]) -> None:
-        """``homes``: modules, or packages of modules, with the built-in classes; imported when the table is first read."""
+        """``homes``: modules, or packages of modules, with the built-in classes; imported when the
+        table is first read.
+        """
         self.what, self.base = what, base
         self._homes = homes
         self._found: dict[str, type[T]] = {}
@@ -51,34 +54,47 @@ class Registry(Mapping[str, type[T]], Generic[T]):
         _REGISTRIES.append(self)
 
     def add(self, cls: type[T]) -> type[T]:
-        """Add a class under its kind. Raises InputError if a part is missing or the kind is already in use."""
+        """Add a class under its kind. Raises InputError if a part is missing or the kind is already
+        in use.
+        """
         kind = kind_of(cls)
         where = _place(cls)
         if kind is None:
-            raise InputError(f"plugin class {where}: lacks `kind`; give it as kind: Literal['name'] = 'name'")
+            raise InputError(
+                f"plugin class {where}: lacks `kind`; give it as kind: Literal['name'] = 'name'"
+            )
         lacking = [part for part in getattr(cls, "PARTS", ()) if not _has(cls, part)]
         if lacking:
             raise InputError(
                 f"plugin class {where}: the {self.what} {kind!r} lacks {', '.join(lacking)}; "
-                f"the documentation (Plugins) and {self.base.__module__}.{self.base.__name__} explain each part"
+                f"the documentation (Plugins) and {self.base.__module__}.{self.base.__name__} "
+                f"explain each part"
             )
         for part, allowed in getattr(cls, "CHOICES", {}).items():
             given = getattr(cls, part)
             if not isinstance(given, frozenset | set) or given - allowed:
                 raise InputError(
-                    f"plugin class {where}: `{part}` of the {self.what} {kind!r} is {given!r}; allowed is a set of any of "
+                    f"plugin class {where}: `{part}` of the {self.what} {kind!r} is {given!r}; "
+                    f"allowed is a set of any of "
                     f"{', '.join(map(repr, sorted(allowed)))}"
                 )
         known = self._found.get(kind)
-        if known is not None and (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
-            raise InputError(f"plugin class {where}: the {self.what} {kind!r} exists already ({known.__module__}); choose another kind")
+        if known is not None and (known.__module__, known.__qualname__) != (
+            cls.__module__,
+            cls.__qualname__,
+        ):
+            raise InputError(
+                f"plugin class {where}: the {self.what} {kind!r} exists already "
+                f"({known.__module__}); choose another kind"
+            )
         self._found[kind] = cls
         return cls
 
     def _load(self) -> None:
         if self._whole:
             return
-        self._whole = True  # set first: the modules imported below register while the table is being filled
+        # set first: the modules imported below register while the table is being filled
+        self._whole = True
         for home in self._homes:
             module = import_module(home)
             for info in iter_modules(getattr(module, "__path__", ())):
@@ -112,15 +128,24 @@ def kind_of(cls: type) -> str | None:
 
 def _place(cls: type) -> str:
     """The file that defines a class, or its module if there is no file."""
-    return f"{getattr(sys.modules.get(cls.__module__), '__file__', None) or cls.__module__}: {cls.__qualname__}"
+    return (
+        f"{getattr(sys.modules.get(cls.__module__), '__file__', None) or cls.__module__}: "
+        f"{cls.__qualname__}"
+    )
 
 
 def _has(cls: type, part: str) -> bool:
-    """Whether a class defines a part itself: a docstring, or an attribute that is not the placeholder of the base class."""
+    """Whether a class defines a part itself: a docstring, or an attribute that is not the
+    placeholder of the base class.
+    """
     if part == "docstring":
         return bool((cls.__dict__.get("__doc__") or "").strip())
     value = inspect.getattr_static(cls, part, None)
-    return value is not None and not getattr(getattr(value, "__func__", value), "placeholder", False) and value != ""
+    return (
+        value is not None
+        and not getattr(getattr(value, "__func__", value), "placeholder", False)
+        and value != ""
+    )
 
 
 def placeholder(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -130,7 +155,9 @@ def placeholder(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def register(cls: type[T]) -> type[T]:
-    """Class decorator: add a class to the registry of its base class. Raises InputError if a part is missing."""
+    """Class decorator: add a class to the registry of its base class. Raises InputError if a part
+    is missing.
+    """
     for registry in _REGISTRIES:
         if issubclass(cls, registry.base):
             registry.add(cls)
@@ -139,38 +166,52 @@ def register(cls: type[T]) -> type[T]:
                     refresh()
             return cls
     bases = ", ".join(f"{r.base.__module__}.{r.base.__name__}" for r in _REGISTRIES)
-    raise InputError(f"plugin class {_place(cls)}: derives from nothing that can be added; allowed are {bases}")
+    raise InputError(
+        f"plugin class {_place(cls)}: derives from nothing that can be added; allowed are {bases}"
+    )
 
 
 def depends(refresh: Callable[[], None]) -> Callable[[], None]:
-    """Call ``refresh`` whenever a class has been added: for models whose schema lists a registry."""
+    """Call ``refresh`` whenever a class has been added: for models whose schema lists a
+    registry.
+    """
     _DEPENDENTS.append(refresh)
     return refresh
 
 
 def load(modules: Sequence[str] = ()) -> None:
-    """Import the user's modules, by name or as .py files, and those of installed packages (entry points). Raises InputError.
+    """Import the user's modules, by name or as .py files, and those of installed packages (entry
+    points). Raises InputError.
 
     Child processes load the same modules, through the environment variable ``HILTESTBED_PLUGINS``.
     """
-    asked = [*os.environ.get(ENVIRONMENT, "").split(os.pathsep), *(_absolute(name) for name in modules)]
+    asked = [
+        *os.environ.get(ENVIRONMENT, "").split(os.pathsep),
+        *(_absolute(name) for name in modules),
+    ]
     wanted = [name for name in dict.fromkeys(asked) if name and name not in _LOADED]
     points = [] if _POINTS_READ else sorted(entry_points(group=GROUP), key=lambda p: p.name)
     if points or wanted:
         import_module("hiltestbed.scenario")  # defines the registries to which a module may add
     _POINTS_READ.append(True)
     for point in points:
-        _LOADED[point.name] = _import(point.value.partition(":")[0], f"entry point {point.name!r} of the group {GROUP}")
+        _LOADED[point.name] = _import(
+            point.value.partition(":")[0], f"entry point {point.name!r} of the group {GROUP}"
+        )
     for name in wanted:
         _LOADED[name] = _import(name, f"--plugin {name}")
-        os.environ[ENVIRONMENT] = os.pathsep.join([*filter(None, os.environ.get(ENVIRONMENT, "").split(os.pathsep)), name])
+        os.environ[ENVIRONMENT] = os.pathsep.join(
+            [*filter(None, os.environ.get(ENVIRONMENT, "").split(os.pathsep)), name]
+        )
 
 
 load_plugins = load  # its public name in the package
 
 
 def _absolute(name: str) -> str:
-    """A .py file with its absolute path, so that it is found from any folder and loaded only once."""
+    """A .py file with its absolute path, so that it is found from any folder and loaded only
+    once.
+    """
     return str(Path(name).resolve()) if name.endswith(".py") else name
 
 
@@ -184,8 +225,12 @@ def _import(name: str, where: str) -> str:
     path = Path(name)
     if path.suffix == ".py":
         if not path.is_file():
-            raise InputError(f"{where}: no such file; give a module that can be imported, or the path of a .py file")
-        module_name = f"hiltestbed_plugin_{path.stem}_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}"
+            raise InputError(
+                f"{where}: no such file; give a module that can be imported, or the path of a .py "
+                f"file"
+            )
+        mark = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
+        module_name = f"hiltestbed_plugin_{path.stem}_{mark}"
         spec = importlib.util.spec_from_file_location(module_name, path)
         if spec is None or spec.loader is None:
             raise InputError(f"{where}: cannot be read as a Python module")
@@ -202,15 +247,29 @@ def _import(name: str, where: str) -> str:
         raise
     except ModuleNotFoundError as error:
         sys.modules.pop(module_name, None)
-        raise InputError(f"{where}: {error}; give a module that can be imported, or the path of a .py file") from error
-    except (ImportError, SyntaxError, NameError, AttributeError, TypeError, ValueError, ArithmeticError, LookupError, OSError) as error:
+        raise InputError(
+            f"{where}: {error}; give a module that can be imported, or the path of a .py file"
+        ) from error
+    except (
+        ImportError,
+        SyntaxError,
+        NameError,
+        AttributeError,
+        TypeError,
+        ValueError,
+        ArithmeticError,
+        LookupError,
+        OSError,
+    ) as error:
         sys.modules.pop(module_name, None)
         raise InputError(f"{where}: failed to load: {type(error).__name__}: {error}") from error
     return module_name
 
 
 def loaded() -> dict[str, str]:
-    """The user's modules, as named by the user, with the SHA-256 of their source, on which a result depends."""
+    """The user's modules, as named by the user, with the SHA-256 of their source, on which a result
+    depends.
+    """
     out = {}
     for asked, name in _LOADED.items():
         file = getattr(sys.modules.get(name), "__file__", None)
@@ -219,9 +278,11 @@ def loaded() -> dict[str, str]:
 
 
 class OneOf:
-    """Annotation of a field that takes any class of a registry, selected by ``kind``: ``Annotated[Base, OneOf(TABLE)]``.
+    """Annotation of a field that takes any class of a registry, selected by ``kind``:
+    ``Annotated[Base, OneOf(TABLE)]``.
 
-    The schema lists the classes in the registry when the model is built; after a plugin was loaded, models are built again.
+    The schema lists the classes in the registry when the model is built; after a plugin was loaded,
+    models are built again.
     """
 
     def __init__(self, registry: Registry[Any], default: str | None = None) -> None:
@@ -230,20 +291,31 @@ class OneOf:
 
     def pick(self, data: Any) -> str | None:
         """The kind of data from a file, or of an object of one of the classes."""
-        kind = data.get("kind", self.default) if isinstance(data, dict) else getattr(data, "kind", None)
+        kind = (
+            data.get("kind", self.default)
+            if isinstance(data, dict)
+            else getattr(data, "kind", None)
+        )
         return kind if isinstance(kind, str) else repr(kind) if kind is not None else None
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
         choices = {kind: handler.generate_schema(cls) for kind, cls in self.registry.items()}
         return core_schema.tagged_union_schema(choices, discriminator=self.pick)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """The union as JSON Schema: ``kind`` is the discriminator of its members, with a description of each."""
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """The union as JSON Schema: ``kind`` is the discriminator of its members, with a
+        description of each.
+        """
         found = handler(schema)
         for member in found["oneOf"]:
             own = handler.resolve_ref_schema(member)
             kind = own["properties"]["kind"]
-            kind["description"] = own.get("description", "").partition("\n")[0]
+            summary = own.get("description", "").partition("\n\n")[0]
+            kind["description"] = " ".join(summary.split())
             if kind["const"] != self.default and "kind" not in own.get("required", ()):
                 own["required"] = ["kind", *own.get("required", ())]
         found["discriminator"] = {"propertyName": "kind"}

@@ -1,7 +1,9 @@
-"""Progress of long runs on standard error: a bar on a terminal, a line every ten seconds in a log, nothing for short runs.
+"""Progress of long runs on standard error: a bar on a terminal, a line every ten seconds in a log,
+nothing for short runs.
 
-The remaining time is estimated from the pace of the work itself: the clock starts with the first part that is reported, so that imports
-and compiling do not count, and a single slow part (a kernel compiled at the first touch) does not affect the pace.
+The remaining time is estimated from the pace of the work itself: the clock starts with the first
+part that is reported, so that imports and compiling do not count, and a single slow part (a kernel
+compiled at the first touch) does not affect the pace.
 """
 
 from __future__ import annotations
@@ -42,8 +44,9 @@ class Pace:
     def left(self, work: float) -> float | None:
         """Seconds that ``work`` more units take; None while there are too few data.
 
-        Uses the mean of the latest intervals. A single interval longer than five times the median for its work is left out; several of them
-        count. If the intervals vary much, more are awaited until the 95 % interval of the mean is within :data:`LARGEST_SPREAD` of it.
+        Uses the mean of the latest intervals. A single interval longer than five times the median
+        for its work is left out; several of them count. If the intervals vary much, more are
+        awaited until the 95 % interval of the mean is within :data:`LARGEST_SPREAD` of it.
         """
         if len(self._paces) < FEWEST_INTERVALS:
             return None
@@ -54,13 +57,21 @@ class Pace:
         free = len(usual) - 1
         if free < 1:
             return None
-        spread = math.sqrt(sum((seconds - pace * units) ** 2 for seconds, units in usual) * len(usual) / free)
+        spread = math.sqrt(
+            sum((seconds - pace * units) ** 2 for seconds, units in usual) * len(usual) / free
+        )
         student = 2.0 + 9.0 / free**2  # Student's t for 95 %, accurate to 0.2
-        return work * pace if student * spread <= LARGEST_SPREAD * sum(seconds for seconds, _ in usual) else None
+        return (
+            work * pace
+            if student * spread <= LARGEST_SPREAD * sum(seconds for seconds, _ in usual)
+            else None
+        )
 
 
 def time_left_text(seconds: float | None, of: str = "") -> str:
-    """`, 40 s left`, or nothing while it is not known. of: of what, such as `in this step`, where more follows."""
+    """`, 40 s left`, or nothing while it is not known. of: of what, such as `in this step`, where
+    more follows.
+    """
     if seconds is None:
         return ""
     time_left = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
@@ -70,7 +81,9 @@ def time_left_text(seconds: float | None, of: str = "") -> str:
 @contextmanager
 def progress_bar(name: str, duration: float) -> Iterator[Callable[[int, int], None]]:
     """A callback (ticks done, total ticks) for a run of `duration` [s] of simulated time."""
-    with _bar_or_lines(name, lambda part: f"{part * duration:.2f} of {duration:g} s simulated") as update:
+    with _bar_or_lines(
+        name, lambda part: f"{part * duration:.2f} of {duration:g} s simulated"
+    ) as update:
         yield update
 
 
@@ -83,7 +96,9 @@ def count_bar(name: str) -> Iterator[Callable[[float, float], None]]:
 
 @contextmanager
 def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
-    """A callback (cases done, total cases, number of cases per status) that shows rate and remaining time, of this session alone."""
+    """A callback (cases done, total cases, number of cases per status) that shows rate and
+    remaining time, of this session alone.
+    """
     shown = time.monotonic()
     first: int | None = None
     terminal = sys.stderr.isatty()
@@ -102,8 +117,14 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
         one = pace.left(1.0)
         rate = f", {1.0 / one:.1f} a second" if one else ""
         before = f" ({first} from before)" if first else ""
-        odd = "".join(f", {count} {status}" for status, count in statuses.items() if status != "completed")
-        line = f"{done} of {total} cases{before}{rate}{time_left_text(pace.left(total - done)) if done < total else ''}{odd}"
+        odd = "".join(
+            f", {count} {status}" for status, count in statuses.items() if status != "completed"
+        )
+        line = (
+            f"{done} of {total} "
+            f"cases{before}{rate}"
+            f"{time_left_text(pace.left(total - done)) if done < total else ''}{odd}"
+        )
         sys.stderr.write(f"\r\x1b[K{line}" if terminal else f"{line}\n")
         sys.stderr.flush()
 
@@ -116,7 +137,9 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
 
 @contextmanager
 def step_line(name: str) -> Iterator[Callable[[str], None]]:
-    """A callback that takes the current step: a line that is updated on a terminal, or occasional lines in a log."""
+    """A callback that takes the current step: a line that is updated on a terminal, or occasional
+    lines in a log.
+    """
     start = shown = time.monotonic()
     terminal = sys.stderr.isatty()
 
@@ -139,7 +162,9 @@ def step_line(name: str) -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def _bar_or_lines(name: str, describe: Callable[[float], str]) -> Iterator[Callable[[float, float], None]]:
+def _bar_or_lines(
+    name: str, describe: Callable[[float], str]
+) -> Iterator[Callable[[float, float], None]]:
     start = shown = time.monotonic()
     bar = None
     pace = Pace()
@@ -152,10 +177,16 @@ def _bar_or_lines(name: str, describe: Callable[[float], str]) -> Iterator[Calla
         if bar is None and now - start > QUIET and done < total and sys.stderr.isatty():
             bar = _bar(name, total)
         if bar is not None:
-            bar.update(bar.task_ids[0], completed=done, left=time_left_text(pace.left(total - done)).lstrip(", "))
+            bar.update(
+                bar.task_ids[0],
+                completed=done,
+                left=time_left_text(pace.left(total - done)).lstrip(", "),
+            )
         elif now - shown > LOG_INTERVAL and done < total:
             shown = now
-            sys.stderr.write(f"{name}: {describe(done / total)}{time_left_text(pace.left(total - done))}\n")
+            sys.stderr.write(
+                f"{name}: {describe(done / total)}{time_left_text(pace.left(total - done))}\n"
+            )
 
     try:
         yield update
@@ -168,7 +199,12 @@ def _bar(name: str, total: float):
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TextColumn("{task.fields[left]}"))
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.fields[left]}"),
+    )
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
     bar.add_task(name, total=total, left="")
     bar.start()

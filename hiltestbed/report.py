@@ -67,32 +67,58 @@ class Report:
 
     def items(self, texts: Sequence[str]) -> None:
         """A list."""
-        self._parts.append(Markup("<ul>{}</ul>").format(Markup("").join(Markup("<li>{}</li>").format(text) for text in texts)))
+        self._parts.append(
+            Markup("<ul>{}</ul>").format(
+                Markup("").join(Markup("<li>{}</li>").format(text) for text in texts)
+            )
+        )
 
     def code(self, text: str) -> None:
         self._parts.append(Markup("<pre>{}</pre>").format(text))
 
-    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> None:
+    def table(
+        self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = ""
+    ) -> None:
         """Cells are escaped; numbers should come formatted."""
-        opening = [' class="words"' if i and _words([row[i] for row in rows]) else "" for i in range(len(header))]
-        head = Markup("").join(Markup(f"<th{of}>{{}}</th>").format(_cell(cell)) for of, cell in zip(opening, header, strict=True))
+        opening = [
+            ' class="words"' if i and _words([row[i] for row in rows]) else ""
+            for i in range(len(header))
+        ]
+        head = Markup("").join(
+            Markup(f"<th{of}>{{}}</th>").format(_cell(cell))
+            for of, cell in zip(opening, header, strict=True)
+        )
         body = Markup("").join(
             Markup("<tr>{}</tr>").format(
-                Markup("").join(Markup(f"<td{of}>{{}}</td>").format(_cell(cell)) for of, cell in zip(opening, row, strict=True))
+                Markup("").join(
+                    Markup(f"<td{of}>{{}}</td>").format(_cell(cell))
+                    for of, cell in zip(opening, row, strict=True)
+                )
             )
             for row in rows
         )
         below = Markup('<p class="soft">{}</p>').format(caption) if caption else Markup("")
-        self._parts.append(Markup('<div class="scroll"><table><tr>{}</tr>{}</table></div>{}').format(head, body, below))
+        self._parts.append(
+            Markup('<div class="scroll"><table><tr>{}</tr>{}</table></div>{}').format(
+                head, body, below
+            )
+        )
 
     def figure(self, figure: Figure, caption: str = "") -> None:
         """A matplotlib figure, as a PNG inside the page."""
         data = io.BytesIO()
-        figure.savefig(data, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
-        wide = int.from_bytes(data.getvalue()[16:20], "big")  # width from the PNG header; narrow screens scroll the figure
+        figure.savefig(
+            data, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None}
+        )
+        # width from the PNG header; narrow screens scroll the figure
+        wide = int.from_bytes(data.getvalue()[16:20], "big")
         source = Markup("data:image/png;base64," + base64.b64encode(data.getvalue()).decode())
-        image = Markup('<div class="scroll"><img alt="{}" style="--wide: {}" src="{}"></div>').format(caption, wide, source)
-        self._parts.append(Markup("<figure>{}<figcaption>{}</figcaption></figure>").format(image, caption))
+        image = Markup(
+            '<div class="scroll"><img alt="{}" style="--wide: {}" src="{}"></div>'
+        ).format(caption, wide, source)
+        self._parts.append(
+            Markup("<figure>{}<figcaption>{}</figcaption></figure>").format(image, caption)
+        )
         if FIGURES_APART.get():
             name = f"{len(self._apart) + 1:02d}-{safe_name(shorten(caption, LONGEST_NAME, placeholder=''))}"
             self._apart.append((name, data.getvalue(), _as_svg(figure)))
@@ -101,7 +127,9 @@ class Report:
         return _PAGE.render(title=self.title, parts=self._parts)
 
     def write(self, path: Path) -> None:
-        """Write the page, and the folder ``figures`` beside it if requested by :data:`hiltestbed.folders.FIGURES_APART`."""
+        """Write the page, and the folder ``figures`` beside it if requested by
+        :data:`hiltestbed.folders.FIGURES_APART`.
+        """
         path.write_text(self.html(), encoding="utf-8")
         for name, png, svg in self._apart:
             folder = path.parent / "figures"
@@ -116,13 +144,18 @@ def _as_svg(figure: Figure) -> bytes:
 
     data = io.BytesIO()
     with rc_context({"svg.hashsalt": "hiltestbed"}):
-        figure.savefig(data, format="svg", bbox_inches="tight", metadata={"Date": None, "Creator": None})
+        figure.savefig(
+            data, format="svg", bbox_inches="tight", metadata={"Date": None, "Creator": None}
+        )
     return data.getvalue()
 
 
 def provenance(versions: Mapping[str, str], plugins: Mapping[str, str]) -> list[tuple[str, str]]:
     """Table rows: each package with its version, each plugin with the start of its hash."""
-    return [*versions.items(), *((f"plugin {name}", digest[:16]) for name, digest in plugins.items())]
+    return [
+        *versions.items(),
+        *((f"plugin {name}", digest[:16]) for name, digest in plugins.items()),
+    ]
 
 
 def _words(cells: Sequence[object]) -> bool:
@@ -132,13 +165,17 @@ def _words(cells: Sequence[object]) -> bool:
 
 
 def _cell(cell: object) -> Markup:
-    """The escaped cell; no line break between a number and its per cent sign; dotted keys may break after a dot."""
+    """The escaped cell; no line break between a number and its per cent sign; dotted keys may break
+    after a dot.
+    """
     text = escape(str(cell).replace(" %", "\N{NO-BREAK SPACE}%"))
     return Markup(DOTTED.sub(".<wbr>", text))
 
 
 def new_figure(width: float = 8.0, height: float = 4.0, **subplots: object):
-    """A figure and its axes, independent of a display and of pyplot, so that the caller's pyplot state is not changed."""
+    """A figure and its axes, independent of a display and of pyplot, so that the caller's pyplot
+    state is not changed.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")

@@ -23,7 +23,8 @@ class Run:
         scenario: as it was run.
         summary: the contents of summary.json.
         trace: the rows, or None if none was kept.
-        failure: the state some ticks before a divergence or a stop, from which that can be replayed.
+        failure: the state some ticks before a divergence or a stop, from which that can be
+            replayed.
     """
 
     scenario: Scenario
@@ -48,19 +49,27 @@ class Run:
             ("outcome", s["outcome"].replace("_", " ")),
             ("coefficient of restitution", number(s["cor"])),
             ("the same without delay, ideal tracking", number(s["cor_reference"])),
-            ("energy made by the rig", f"{number(s['energy_generated'], 4, 'J')}, {self.assessment.energy}"),
+            (
+                "energy made by the rig",
+                f"{number(s['energy_generated'], 4, 'J')}, {self.assessment.energy}",
+            ),
             ("peak force", number(s["peak_force"], 4, "N")),
             ("contact time", number(s["contact_duration"], 4, "s")),
         ]
-        return html_table(f"{s['name']}: {s['status']}", (), rows, "; ".join(self.assessment.warnings))
+        return html_table(
+            f"{s['name']}: {s['status']}", (), rows, "; ".join(self.assessment.warnings)
+        )
 
     def plot(self, *columns: str, axes: Axes | None = None) -> Axes:
-        """Columns or groups of the trace over time (left out: the contact force along z, true, measured and used).
+        """Columns or groups of the trace over time (left out: the contact force along z, true,
+        measured and used).
 
         Raises:
             InputError: no such column. ValueError: the run has no trace.
         """
-        axes = self._trace().plot(*(columns or ("wrench_true.fz", "wrench_meas.fz", "wrench_comp.fz")), axes=axes)
+        axes = self._trace().plot(
+            *(columns or ("wrench_true.fz", "wrench_meas.fz", "wrench_comp.fz")), axes=axes
+        )
         axes.set_title(self.summary["name"])
         return axes
 
@@ -78,5 +87,8 @@ class Run:
 
     def _trace(self) -> RunTrace:
         if self.trace is None:
-            raise ValueError("the run has no trace: run it with hiltestbed.run, or read a folder with trace.parquet")
+            raise ValueError(
+                "the run has no trace: run it with hiltestbed.run, or read a folder with "
+                "trace.parquet"
+            )
         return self.trace

@@ -1,7 +1,9 @@
-"""Response G of a scenario's rig to its command and compliance Y to a force, on six axes, measured on the simulated rig itself.
+"""Response G of a scenario's rig to its command and compliance Y to a force, on six axes, measured
+on the simulated rig itself.
 
-Effects and friction of its drives are included, and a motion compensation that changes the command without measurements. For each axis,
-one run follows a sum of sines along the axis, and one holds its position under a force that is a sum of sines.
+Effects and friction of its drives are included, and a motion compensation that changes the command
+without measurements. For each axis, one run follows a sum of sines along the axis, and one holds
+its position under a force that is a sum of sines.
 """
 
 from __future__ import annotations
@@ -24,8 +26,10 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 Complex = NDArray[np.complex128]
 LINES = 100  # [Hz] sines at 1, 2, ... Hz
 PERIOD = 1.0  # [s] of their sum, measured after a lead-in of the same length
-MOST_INSTANTS = 1_000_000  # physics steps of a measurement, at most: half a minute along one axis, three minutes on six
-MAX_AMPLITUDE, MAX_ACCELERATION = 1e-3, 0.3  # [m], [m/s^2] largest amplitude and acceleration of a sine
+# physics steps of a measurement, at most: half a minute along one axis, three minutes on six
+MOST_INSTANTS = 1_000_000
+# [m], [m/s^2] largest amplitude and acceleration of a sine
+MAX_AMPLITUDE, MAX_ACCELERATION = 1e-3, 0.3
 FORCE_AMPLITUDE = 20.0  # [N] amplitude of each sine of the force
 ARM = 0.6  # [m] converts angles to lengths and forces to torques: the height of a docking mechanism
 FINE = 50  # interpolated points per line spacing
@@ -35,7 +39,9 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True)
 class RigResponse:
-    """Measured along one direction, all (L,): frequency [Hz] from 0 on; follows, pose over command; yields, to the contact force [m/N]."""
+    """Measured along one direction, all (L,): frequency [Hz] from 0 on; follows, pose over command;
+    yields, to the contact force [m/N].
+    """
 
     frequency: Array
     follows: Complex
@@ -44,18 +50,25 @@ class RigResponse:
     def finer(self) -> RigResponse:
         """Interpolated to :data:`FINE` points per line spacing."""
         f = np.linspace(self.frequency[0], self.frequency[-1], FINE * (len(self.frequency) - 1) + 1)
-        parts = [np.interp(f, self.frequency, x.real) + 1j * np.interp(f, self.frequency, x.imag) for x in (self.follows, self.yields)]
+        parts = [
+            np.interp(f, self.frequency, x.real) + 1j * np.interp(f, self.frequency, x.imag)
+            for x in (self.follows, self.yields)
+        ]
         return RigResponse(f, parts[0], parts[1])
 
 
-EXACT = RigResponse(np.arange(0.0, 2001.0), np.ones(2001, dtype=complex), np.zeros(2001, dtype=complex))
+EXACT = RigResponse(
+    np.arange(0.0, 2001.0), np.ones(2001, dtype=complex), np.zeros(2001, dtype=complex)
+)
 
 
 @dataclass(frozen=True)
 class SixAxisResponse:
-    """Measured on six axes: frequency (L,) [Hz]; follows (L, 6, 6), pose over command; yields (L, 6, 6), to the contact's wrench at A.
+    """Measured on six axes: frequency (L,) [Hz]; follows (L, 6, 6), pose over command; yields (L,
+    6, 6), to the contact's wrench at A.
 
-    The index of the responding axis precedes that of the moved or pushed axis; rotations are rotation vectors.
+    The index of the responding axis precedes that of the moved or pushed axis; rotations are
+    rotation vectors.
     """
 
     frequency: Array
@@ -63,16 +76,22 @@ class SixAxisResponse:
     yields: Complex
 
     def along(self, row: Array, mobility: Array) -> RigResponse:
-        """The response of the penetration x = ``row`` (6,) q between bodies with relative ``mobility`` (6, 6) [1/kg, ...].
+        """The response of the penetration x = ``row`` (6,) q between bodies with relative
+        ``mobility`` (6, 6) [1/kg, ...].
 
-        A force F along x moves the numerical model by M^-1 J^T F, so G becomes J G M^-1 J^T over J M^-1 J^T, and Y becomes J Y J^T.
+        A force F along x moves the numerical model by M^-1 J^T F, so G becomes J G M^-1 J^T over J
+        M^-1 J^T, and Y becomes J Y J^T.
         """
         way = mobility @ row
-        return RigResponse(self.frequency, (self.follows @ way) @ row / (row @ way), (self.yields @ row) @ row)
+        return RigResponse(
+            self.frequency, (self.follows @ way) @ row / (row @ way), (self.yields @ row) @ row
+        )
 
 
 def measured_response(scenario: Scenario) -> RigResponse:
-    """The response of a scenario's rig along the insertion; each rig is measured once per process."""
+    """The response of a scenario's rig along the insertion; each rig is measured once per
+    process.
+    """
     if _exact(scenario):
         return EXACT
     found = _measured(_quiet(scenario), (ALONG,))
@@ -85,31 +104,52 @@ def six_axis_response(scenario: Scenario) -> SixAxisResponse:
         follows = np.tile(np.eye(6, dtype=complex), (len(EXACT.frequency), 1, 1))
         return SixAxisResponse(EXACT.frequency, follows, np.zeros_like(follows))
     found = _measured(_quiet(scenario), tuple(range(6)))
-    return SixAxisResponse(found.frequency, np.swapaxes(found.follows, 1, 2), np.swapaxes(found.yields, 1, 2))
+    return SixAxisResponse(
+        found.frequency, np.swapaxes(found.follows, 1, 2), np.swapaxes(found.yields, 1, 2)
+    )
 
 
 def beyond_measure(scenario: Scenario) -> str | None:
-    """Why the loop of a scenario is not judged, if its physics steps are so short that this would take minutes; otherwise None."""
+    """Why the loop of a scenario is not judged, if its physics steps are so short that this would
+    take minutes; otherwise None.
+    """
     instants = 2.0 * PERIOD * scenario.rate * scenario.substeps
     if instants <= MOST_INSTANTS:
         return None
     most = MOST_INSTANTS / (2.0 * PERIOD)
-    return f"{instants:.3g} steps of the physics would be needed; with a physics_rate up to {most:.3g} Hz it is"
+    return (
+        f"{instants:.3g} steps of the physics would be needed; with a physics_rate up to "
+        f"{most:.3g} Hz it is"
+    )
 
 
 def _exact(scenario: Scenario) -> bool:
-    return scenario.rig.platform.tracking == "ideal" and not any(e.link == "platform" for e in scenario.effects)
+    return scenario.rig.platform.tracking == "ideal" and not any(
+        e.link == "platform" for e in scenario.effects
+    )
 
 
 def _quiet(scenario: Scenario) -> str:
-    """The rig of a scenario as text, isolated: vehicles and contact have no influence and are set to standard values."""
+    """The rig of a scenario as text, isolated: vehicles and contact have no influence and are set
+    to standard values.
+    """
     data, body = resolved(scenario), {"mass": 1000.0, "inertia": [500.0, 500.0, 500.0]}
     quiet = {
-        "name": "response", "description": "", "seed": 0, "duration": 1.0, "sensor": {}, "identification": {"kind": "none"},
-        "safety": dict.fromkeys(data["safety"]), "effects": [e for e in data["effects"] if e["kind"].startswith("platform.")],
-        "approach": {"gap": 0.0, "velocity": [0.0, 0.0, 0.0]}, "spacecraft": {"chaser": body, "target": body},
-    }  # fmt: skip
-    quiet["compensation"] = {"force": {"kind": "none"}, "motion": scenario.compensation.motion.of_the_rig()}
+        "name": "response",
+        "description": "",
+        "seed": 0,
+        "duration": 1.0,
+        "sensor": {},
+        "identification": {"kind": "none"},
+        "safety": dict.fromkeys(data["safety"]),
+        "effects": [e for e in data["effects"] if e["kind"].startswith("platform.")],
+        "approach": {"gap": 0.0, "velocity": [0.0, 0.0, 0.0]},
+        "spacecraft": {"chaser": body, "target": body},
+    }
+    quiet["compensation"] = {
+        "force": {"kind": "none"},
+        "motion": scenario.compensation.motion.of_the_rig(),
+    }
     quiet["rig"] = data["rig"] | {"upper": {"kind": "fixed"}}
     quiet["mechanism"] = {k: v for k, v in data["mechanism"].items() if k != "latch"}
     if isinstance(quiet["mechanism"].get("contact"), dict):
@@ -123,7 +163,9 @@ def _measured(scenario: str, axes: tuple[int, ...]) -> SixAxisResponse:
 
 
 class _Pushes:
-    """No force on the runs that follow a command; a sum of sines along one axis on each run that holds its position."""
+    """No force on the runs that follow a command; a sum of sines along one axis on each run that
+    holds its position.
+    """
 
     def __init__(self, wave: Array, axes: Sequence[int]) -> None:
         self._wave, self._at, self._wrench = wave, 0, np.zeros((2 * len(axes), 6))
@@ -131,18 +173,23 @@ class _Pushes:
 
     def next(self) -> Array:
         for run, axis in self._pushed:
-            self._wrench[run, axis] = self._wave[self._at % len(self._wave)] * (1.0 if axis < 3 else ARM)
+            self._wrench[run, axis] = self._wave[self._at % len(self._wave)] * (
+                1.0 if axis < 3 else ARM
+            )
         self._at += 1
         return self._wrench
 
 
 def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
-    """``follows`` and ``yields`` (L, len(axes), 6): the response of every axis to a motion or a force along each of ``axes``."""
+    """``follows`` and ``yields`` (L, len(axes), 6): the response of every axis to a motion or a
+    force along each of ``axes``.
+    """
     tick, m = scenario.tick, scenario.substeps
     still = np.zeros((1, len(axes), 6), dtype=complex)
     still[0, range(len(axes)), list(axes)] = 1.0
     lines = np.arange(1, int(min(LINES, 0.1 * scenario.rate)) + 1)
-    if not len(lines):  # the loop is so slow that a period of the lowest frequency is shorter than ten ticks
+    # the loop is so slow that a period of the lowest frequency is shorter than ten ticks
+    if not len(lines):
         return SixAxisResponse(np.zeros(1), still, np.zeros_like(still))
     phase = -math.pi * lines * (lines - 1) / len(lines)  # Schroeder phases: a low crest factor
     w = 2.0 * math.pi * lines / PERIOD
@@ -151,7 +198,9 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
 
     def wave(t: NDArray[Any], order: int) -> Array:
         """The sum of sines, or its first or second derivative."""
-        return (size * w**order * np.sin(w * t[:, None] + phase + 0.5 * math.pi * order)).sum(axis=1)
+        return (size * w**order * np.sin(w * t[:, None] + phase + 0.5 * math.pi * order)).sum(
+            axis=1
+        )
 
     ends = np.arange(1, 2 * period + 1) * tick
     place = wave(ends, 0)
@@ -161,7 +210,11 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
     push = FORCE_AMPLITUDE * np.sin(w * instants[:, None] + phase).sum(axis=1)
     runs = 2 * len(axes)
     plant = Plant([scenario] * runs, force=_Pushes(push, axes))
-    pose, twist, accel = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (runs, 1)), np.zeros((runs, 6)), np.zeros((runs, 6))
+    pose, twist, accel = (
+        np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (runs, 1)),
+        np.zeros((runs, 6)),
+        np.zeros((runs, 6)),
+    )
 
     def put(x: float, v: float, a: float) -> None:
         for run, axis in enumerate(axes):
@@ -169,7 +222,10 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
             if axis < 3:
                 pose[2 * run, axis] = x
             else:
-                pose[2 * run, axis], pose[2 * run, 6] = math.sin(0.5 * scale * x), math.cos(0.5 * scale * x)
+                pose[2 * run, axis], pose[2 * run, 6] = (
+                    math.sin(0.5 * scale * x),
+                    math.cos(0.5 * scale * x),
+                )
             twist[2 * run, axis], accel[2 * run, axis] = scale * v, scale * a
 
     put(wave(np.zeros(1), 0)[0], wave(np.zeros(1), 1)[0], 0.0)
@@ -192,7 +248,8 @@ def _measure(scenario: Scenario, axes: Sequence[int]) -> SixAxisResponse:
     answer = np.fft.rfft(reached[period:], axis=0)[lines]
     scale = np.array([1.0 if axis < 3 else 1.0 / ARM for axis in axes])[:, None]
     follows = answer[:, 0::2] / (np.fft.rfft(place[period:])[lines][:, None, None] * scale)
-    # The force at t_k, beginning with the start, is one row behind the pose, which is reached at the end of a tick.
+    # The force at t_k, beginning with the start, is one row behind the pose, which is reached at
+    # the end of a tick.
     force = np.fft.rfft(np.roll(push[::m], -1))[lines]
     yields = -answer[:, 1::2] / (force[:, None, None] / scale)
     return SixAxisResponse(

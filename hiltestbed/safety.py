@@ -1,8 +1,9 @@
 """The rig's safety limits: if one is exceeded, the run stops within the tick.
 
-The monitored quantities are those of a rig's own electronics: the sliders and limbs of the platform, its tracking error, the sensor's
-load before any delay (its overload relay is analogue), and the energy that the rig has created so far,
-the integral of ``F . v_act - F_used . v_cmd``. A delay makes energy from the first millimetre of penetration on, long before the
+The monitored quantities are those of a rig's own electronics: the sliders and limbs of the
+platform, its tracking error, the sensor's load before any delay (its overload relay is analogue),
+and the energy that the rig has created so far, the integral of ``F . v_act - F_used . v_cmd``. A
+delay makes energy from the first millimetre of penetration on, long before the
 force is large: the energy limit stops a diverging loop before the hardware is damaged.
 """
 
@@ -20,7 +21,16 @@ from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.pss33.kinematics import Platform, slider
 from hiltestbed.scenario import Scenario
 
-LIMITS = ("stroke", "speed", "acceleration", "limb_angle_deg", "tracking_error", "force", "torque", "energy")
+LIMITS = (
+    "stroke",
+    "speed",
+    "acceleration",
+    "limb_angle_deg",
+    "tracking_error",
+    "force",
+    "torque",
+    "energy",
+)
 _UNITS = ("m", "m/s", "m/s^2", "deg", "m", "N", "N m", "J")
 _MESSAGES = (
     "a slider is {value:.4g} m from home",
@@ -45,25 +55,40 @@ class Safety:
         n = len(scenarios)
         self._tick = 1.0 / scenarios[0].rate
         limits = [[getattr(s.safety, name) for name in LIMITS] for s in scenarios]
-        self._limits = np.array([[math.inf if limit is None else limit for limit in row] for row in limits])
-        # If a platform states limits of its joints, Plant.joint_limit checks these; sliders and limbs of other platforms are checked here.
+        self._limits = np.array(
+            [[math.inf if limit is None else limit for limit in row] for row in limits]
+        )
+        # If a platform states limits of its joints, Plant.joint_limit checks these; sliders and
+        # limbs of other platforms are checked here.
         stated = scenarios[0].rig.platform.states_limits
         self._limbs = Platform.load().limbs[: 0 if stated else 6]
         self._plant: Plant | None = None
         self.quantities = np.zeros((n, len(LIMITS)))
         self._sliders = np.zeros((n, 2, 6))  # positions and speeds at the previous tick
         self._ticks = np.zeros(n, dtype=np.int64)
-        self._watch = Call(_watch, self._tick, self._limbs, *(GIVEN,) * 6, self._ticks, self._sliders, self.quantities, self._limits)
+        self._watch = Call(
+            _watch,
+            self._tick,
+            self._limbs,
+            *(GIVEN,) * 6,
+            self._ticks,
+            self._sliders,
+            self.quantities,
+            self._limits,
+        )
 
     def passed(self, plant: Plant, pose_before: Array, energy: Array) -> bool:
         """Whether a run has exceeded a limit at this tick.
 
         Args:
-            plant: at t_k. pose_before: ``(n, 7)`` that had been commanded for this tick. energy: ``(n,)`` created so far [J].
+            plant: at t_k. pose_before: ``(n, 7)`` that had been commanded for this tick. energy:
+                ``(n,)`` created so far [J].
         """
         self._plant = plant
         passed = plant.joint_limit_passed()
-        look = self._watch.on(plant.slider_act, plant.pose_W, plant.pose_act, pose_before, plant.wrench_sub, energy)
+        look = self._watch.on(
+            plant.slider_act, plant.pose_W, plant.pose_act, pose_before, plant.wrench_sub, energy
+        )
         return look() or passed
 
     def reason(self, i: int) -> str | None:
@@ -76,7 +101,9 @@ class Safety:
 
 
 @njit(cache=True)
-def _watch(h, limbs, sliders, pose_W, pose, pose_before, wrench_sub, energy, ticks, before, q, limits):
+def _watch(
+    h, limbs, sliders, pose_W, pose, pose_before, wrench_sub, energy, ticks, before, q, limits
+):
     passed = False
     arm = np.empty(3)
     for i in range(sliders.shape[0]):

@@ -1,9 +1,10 @@
-"""Warnings on scenarios whose numbers are valid individually but implausible in combination: what is unreliable, and what to change.
+"""Warnings on scenarios whose numbers are valid individually but implausible in combination: what
+is unreliable, and what to change.
 
 They include keys that were given but have no effect.
 
-Such scenarios are not refused. The warnings are in the output of `hiltestbed check`, on standard error of `hiltestbed run` and in
-summary.json.
+Such scenarios are not refused. The warnings are in the output of `hiltestbed check`, on standard
+error of `hiltestbed run` and in summary.json.
 """
 
 from __future__ import annotations
@@ -18,10 +19,14 @@ from hiltestbed.scenario.idle import given_in_vain
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-FEWEST_TICKS = 2.0  # ticks of the loop per contact; with fewer, the measured force does not represent the contact
-FEWEST_INSTANTS = 8.0  # physics steps per contact; with fewer, the impulse is wrong by about a percent: (pi/n)^2/24 of it
+# ticks of the loop per contact; with fewer, the measured force does not represent the contact
+FEWEST_TICKS = 2.0
+# physics steps per contact; with fewer, the impulse is wrong by about a percent: (pi/n)^2/24 of it
+FEWEST_INSTANTS = 8.0
 MASS_RATIO = 1e6  # above it, differences of the two motions lose half of the digits
-STIFF_DAMPER = 1.0  # part of the relative speed that the damper removes in one physics step; above it an explicit force overshoots
+# part of the relative speed that the damper removes in one physics step; above it an explicit force
+# overshoots
+STIFF_DAMPER = 1.0
 
 
 def warnings(scenario: Scenario) -> tuple[str, ...]:
@@ -37,32 +42,41 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
     if not scenario.mechanism.captured:
         if ticks < FEWEST_TICKS:
             yield (
-                f"the contact lasts {ticks:.2g} ticks of the loop ({lasts:.3g} s at {scenario.rate:g} Hz): the numerical model is driven "
-                f"with another force than the contact's, rebound and energy are meaningless; use a rate above {8.0 / lasts:.3g} Hz"
+                f"the contact lasts {ticks:.2g} ticks of the loop ({lasts:.3g} s at "
+                f"{scenario.rate:g} Hz): the numerical model is driven "
+                f"with another force than the contact's, rebound and energy are meaningless; use "
+                f"a rate above {8.0 / lasts:.3g} Hz"
             )
         elif instants < FEWEST_INSTANTS:
             yield (
-                f"the contact lasts {instants:.2g} steps of the physics: its peak and impulse are wrong by some percent; "
+                f"the contact lasts {instants:.2g} steps of the physics: its peak and impulse are "
+                f"wrong by some percent; "
                 f"use a physics_rate above {4 * FEWEST_INSTANTS / lasts:.3g} Hz"
             )
         yield from _too_far(scenario)
         yield from _drowned(scenario, frequency)
-    late = scenario.sensor.delay + sum(float(getattr(e, "delay", 0.0)) for e in scenario.effects if e.link != "log")
+    late = scenario.sensor.delay + sum(
+        float(getattr(e, "delay", 0.0)) for e in scenario.effects if e.link != "log"
+    )
     if late > lasts:
         yield (
-            f"the delay of {late:.3g} s is longer than the contact ({lasts:.3g} s): the force arrives when the bodies have separated, no "
+            f"the delay of {late:.3g} s is longer than the contact ({lasts:.3g} s): the force "
+            f"arrives when the bodies have separated, no "
             f"compensation helps; use a delay below {lasts / 10:.2g} s or a softer contact"
         )
     pair = scenario.spacecraft.chaser.mass, scenario.spacecraft.target.mass
     if max(pair) >= MASS_RATIO * min(pair):
         yield (
-            f"one vehicle has {max(pair) / min(pair):.3g} times the mass of the other: the motion of the heavy one is below the "
+            f"one vehicle has {max(pair) / min(pair):.3g} times the mass of the other: the motion "
+            f"of the heavy one is below the "
             "numerical resolution, so that momentum and energy of the pair are meaningless"
         )
     if contact.damping / (mass * scenario.physics_rate) > STIFF_DAMPER:
         yield (
-            f"the damper removes {contact.damping / (mass * scenario.physics_rate):.3g} times the relative speed in one physics step: "
-            f"the contact chatters; use a physics_rate above {4 * contact.damping / mass:.3g} Hz or less damping"
+            f"the damper removes {contact.damping / (mass * scenario.physics_rate):.3g} times the "
+            f"relative speed in one physics step: "
+            f"the contact chatters; use a physics_rate above {4 * contact.damping / mass:.3g} Hz "
+            f"or less damping"
         )
     yield from _too_deep(scenario, frequency)
     for keys, why in given_in_vain(scenario):
@@ -74,15 +88,22 @@ def _too_far(scenario: Scenario) -> Iterator[str]:
     approach = scenario.approach
     if approach.velocity[2] < 0.0 < approach.gap:
         yield (
-            f"nothing touches: at {approach.velocity[2]:.3g} m/s the sides, {1e3 * approach.gap:.3g} mm apart, move away from each other; "
+            f"nothing touches: at {approach.velocity[2]:.3g} m/s the sides, "
+            f"{1e3 * approach.gap:.3g} mm apart, move away from each other; "
             "a positive approach.velocity.2 brings them together"
         )
-    if not scenario.mechanism.flat or any(approach.attitude_deg) or any(approach.rate_deg) or not approach.velocity[2] > 0.0:
+    if (
+        not scenario.mechanism.flat
+        or any(approach.attitude_deg)
+        or any(approach.rate_deg)
+        or not approach.velocity[2] > 0.0
+    ):
         return
     touch = approach.gap / approach.velocity[2]
     if touch >= scenario.duration:
         yield (
-            f"nothing touches: the gap of {1e3 * approach.gap:.3g} mm takes {touch:.3g} s at {approach.velocity[2]:.3g} m/s, the run lasts "
+            f"nothing touches: the gap of {1e3 * approach.gap:.3g} mm takes {touch:.3g} s at "
+            f"{approach.velocity[2]:.3g} m/s, the run lasts "
             f"{scenario.duration:.3g} s; use a longer duration or a smaller gap"
         )
 
@@ -92,8 +113,10 @@ def _drowned(scenario: Scenario, frequency: float) -> Iterator[str]:
     peak = scenario.mechanism.contact.stiffness * abs(scenario.approach.velocity[2]) / frequency
     if 0.0 < peak < scenario.sensor.noise:
         yield (
-            f"the sensor's noise, {scenario.sensor.noise:.3g} N, is more than the contact's peak of about {peak:.3g} N: noise drives the "
-            "loop, and rebound and energy are not those of the contact; the verdict on stability is that for a sensor without noise"
+            f"the sensor's noise, {scenario.sensor.noise:.3g} N, is more than the contact's peak "
+            f"of about {peak:.3g} N: noise drives the "
+            "loop, and rebound and energy are not those of the contact; the verdict on stability "
+            "is that for a sensor without noise"
         )
 
 
@@ -104,7 +127,8 @@ def _too_deep(scenario: Scenario, frequency: float) -> Iterator[str]:
     deepest, tip = abs(scenario.approach.velocity[2]) / frequency, _tip(scenario)
     if tip is not None and deepest > 2 * tip:
         yield (
-            f"the contact goes {1e3 * deepest:.3g} mm deep, the tip is {2e3 * tip:.3g} mm across: it is completely inside the other side, "
+            f"the contact goes {1e3 * deepest:.3g} mm deep, the tip is {2e3 * tip:.3g} mm across: "
+            f"it is completely inside the other side, "
             "where there is no contact; use a slower approach or a stiffer contact"
         )
 

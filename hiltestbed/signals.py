@@ -1,4 +1,6 @@
-"""Named signals on a time base: the columns of a trace, with unit and frame, and the arrays behind them."""
+"""Named signals on a time base: the columns of a trace, with unit and frame, and the arrays behind
+them.
+"""
 
 from __future__ import annotations
 
@@ -46,19 +48,91 @@ class Group:
 GROUPS = {
     g.name: g
     for g in (
-        Group("pose_cmd", _POSE, _POSE_UNITS, "A in P", "relative pose that the numerical model computed"),
+        Group(
+            "pose_cmd",
+            _POSE,
+            _POSE_UNITS,
+            "A in P",
+            "relative pose that the numerical model computed",
+        ),
         Group("pose_act", _POSE, _POSE_UNITS, "A in P", "relative pose that the rig reached"),
-        Group("twist_cmd", _TWIST, _TWIST_UNITS, "A relative to P, in P", "velocity of the numerical model"),
-        Group("twist_act", _TWIST, _TWIST_UNITS, "A relative to P, in P", "velocity that the rig reached"),
-        Group("wrench_true", _WRENCH, _WRENCH_UNITS, "in P at P's origin", "physical contact wrench, active on passive"),
-        Group("wrench_meas", _WRENCH, _WRENCH_UNITS, "in P at P's origin", "wrench that the sensor gave"),
-        Group("wrench_comp", _WRENCH, _WRENCH_UNITS, "in P at P's origin", "wrench that drove the numerical model"),
-        Group("stiffness_est", AXES, ("N/m",) * 3 + ("N m/rad",) * 3, "in P at P's origin", "running estimate of stiffness"),
-        Group("damping_est", AXES, ("N s/m",) * 3 + ("N m s/rad",) * 3, "in P at P's origin", "running estimate of damping"),
-        Group("slider_cmd", _SLIDERS, ("m",) * 6, "platform", "driven joints of the platform commanded: its sliders; 0 at home"),
-        Group("slider_act", _SLIDERS, ("m",) * 6, "platform", "driven joints of the platform reached: its sliders; 0 at home"),
-        Group("upper_cmd", _SLIDERS[:3], ("m",) * 3, "upper platform", "slider positions of the upper platform commanded; 0 at home"),
-        Group("upper_act", _SLIDERS[:3], ("m",) * 3, "upper platform", "slider positions of the upper platform reached; 0 at home"),
+        Group(
+            "twist_cmd",
+            _TWIST,
+            _TWIST_UNITS,
+            "A relative to P, in P",
+            "velocity of the numerical model",
+        ),
+        Group(
+            "twist_act",
+            _TWIST,
+            _TWIST_UNITS,
+            "A relative to P, in P",
+            "velocity that the rig reached",
+        ),
+        Group(
+            "wrench_true",
+            _WRENCH,
+            _WRENCH_UNITS,
+            "in P at P's origin",
+            "physical contact wrench, active on passive",
+        ),
+        Group(
+            "wrench_meas",
+            _WRENCH,
+            _WRENCH_UNITS,
+            "in P at P's origin",
+            "wrench that the sensor gave",
+        ),
+        Group(
+            "wrench_comp",
+            _WRENCH,
+            _WRENCH_UNITS,
+            "in P at P's origin",
+            "wrench that drove the numerical model",
+        ),
+        Group(
+            "stiffness_est",
+            AXES,
+            ("N/m",) * 3 + ("N m/rad",) * 3,
+            "in P at P's origin",
+            "running estimate of stiffness",
+        ),
+        Group(
+            "damping_est",
+            AXES,
+            ("N s/m",) * 3 + ("N m s/rad",) * 3,
+            "in P at P's origin",
+            "running estimate of damping",
+        ),
+        Group(
+            "slider_cmd",
+            _SLIDERS,
+            ("m",) * 6,
+            "platform",
+            "driven joints of the platform commanded: its sliders; 0 at home",
+        ),
+        Group(
+            "slider_act",
+            _SLIDERS,
+            ("m",) * 6,
+            "platform",
+            "driven joints of the platform reached: its sliders; 0 at home",
+        ),
+        Group(
+            "upper_cmd",
+            _SLIDERS[:3],
+            ("m",) * 3,
+            "upper platform",
+            "slider positions of the upper platform commanded; 0 at home",
+        ),
+        Group(
+            "upper_act",
+            _SLIDERS[:3],
+            ("m",) * 3,
+            "upper platform",
+            "slider positions of the upper platform reached; 0 at home",
+        ),
     )
 }
 
@@ -67,9 +141,11 @@ CYCLE = Group(
     ("period", "busy", "sensor_age", "missed"),
     ("s", "s", "s", "1"),
     "",
-    "of a run against devices: from the start of the cycle before, from its start to the command, age of the reading, ticks missed",
+    "of a run against devices: from the start of the cycle before, from its start to the command, "
+    "age of the reading, ticks missed",
 )
-RECORDED = GROUPS | {CYCLE.name: CYCLE}  # all groups that a trace may have; the simulation has no cycles
+# all groups that a trace may have; the simulation has no cycles
+RECORDED = GROUPS | {CYCLE.name: CYCLE}
 
 
 SIX_SLIDERS = ("m",) * 6
@@ -78,9 +154,14 @@ _JOINTS = ("slider_cmd", "slider_act")
 
 @lru_cache
 def groups(joints: tuple[str, ...] = SIX_SLIDERS) -> dict[str, Group]:
-    """The groups of a trace for a platform with driven joints of the units ``joints``; no joint columns if nothing is driven."""
+    """The groups of a trace for a platform with driven joints of the units ``joints``; no joint
+    columns if nothing is driven.
+    """
     parts = tuple(map(str, range(len(joints))))
-    return {name: replace(g, parts=parts, units=joints) if name in _JOINTS else g for name, g in RECORDED.items()}
+    return {
+        name: replace(g, parts=parts, units=joints) if name in _JOINTS else g
+        for name, g in RECORDED.items()
+    }
 
 
 class Trace:
@@ -94,10 +175,16 @@ class Trace:
         length: ``(n,)`` rows with data: fewer than ``ticks`` if a run was stopped.
     """
 
-    def __init__(self, ticks: int, n: int, rate: float, joints: tuple[str, ...] = SIX_SLIDERS) -> None:
+    def __init__(
+        self, ticks: int, n: int, rate: float, joints: tuple[str, ...] = SIX_SLIDERS
+    ) -> None:
         self.joints = joints
         self.t = np.arange(ticks) / rate
-        self.data = {g.name: np.full((ticks, n, len(g.parts)), np.nan) for g in groups(joints).values() if g.name in GROUPS}
+        self.data = {
+            g.name: np.full((ticks, n, len(g.parts)), np.nan)
+            for g in groups(joints).values()
+            if g.name in GROUPS
+        }
         self.contact = np.zeros((ticks, n), dtype=bool)
         self.length = np.full(n, ticks)
 
@@ -115,13 +202,22 @@ class Trace:
 
 
 class RunTrace(dict[str, NDArray[np.float64]]):
-    """One run: ``t`` ``(rows,)``, ``data`` group name to ``(rows, parts)``, ``contact`` ``(rows,)``.
+    """One run: ``t`` ``(rows,)``, ``data`` group name to ``(rows, parts)``, ``contact``
+    ``(rows,)``.
 
-    A dict of column names to columns, so that ``pandas.DataFrame(trace)`` has the same columns; the name of a group gives the whole
-    group: ``trace["wrench_meas.fz"]`` ``(rows,)``, ``trace["wrench_meas"]`` ``(rows, 6)``, ``trace["t"]``, ``trace["contact"]``.
+    A dict of column names to columns, so that ``pandas.DataFrame(trace)`` has the same columns; the
+    name of a group gives the whole
+    group: ``trace["wrench_meas.fz"]`` ``(rows,)``, ``trace["wrench_meas"]`` ``(rows, 6)``,
+        ``trace["t"]``, ``trace["contact"]``.
     """
 
-    def __init__(self, t: Array, data: dict[str, Array], contact: np.ndarray, joints: tuple[str, ...] = SIX_SLIDERS) -> None:
+    def __init__(
+        self,
+        t: Array,
+        data: dict[str, Array],
+        contact: np.ndarray,
+        joints: tuple[str, ...] = SIX_SLIDERS,
+    ) -> None:
         """``joints``: units of the platform's driven joints."""
         self.t, self.data, self.contact, self.joints = t, data, contact, joints
         super().__init__(t=t)
@@ -147,8 +243,13 @@ class RunTrace(dict[str, NDArray[np.float64]]):
     def _repr_html_(self) -> str:
         from hiltestbed.notebook import html_table
 
-        rows = [(g.name, ", ".join(g.parts), ", ".join(dict.fromkeys(g.units)), g.frame, g.meaning) for g in self.groups()]
-        return html_table(f"Trace of {len(self.t)} rows", ("group", "parts", "unit", "frame", "meaning"), rows)
+        rows = [
+            (g.name, ", ".join(g.parts), ", ".join(dict.fromkeys(g.units)), g.frame, g.meaning)
+            for g in self.groups()
+        ]
+        return html_table(
+            f"Trace of {len(self.t)} rows", ("group", "parts", "unit", "frame", "meaning"), rows
+        )
 
     def groups(self) -> list[Group]:
         """The groups of this trace, with the columns of its platform."""
@@ -163,19 +264,25 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         return {name: about_column(name, self.joints) for name in self}
 
     def to_pandas(self):
-        """A pandas DataFrame, time [s] as its index; ``attrs`` holds unit, frame and meaning of each column."""
+        """A pandas DataFrame, time [s] as its index; ``attrs`` holds unit, frame and meaning of
+        each column.
+        """
         from hiltestbed.labelled import trace_to_pandas
 
         return trace_to_pandas(self)
 
     def to_xarray(self):
-        """An xarray Dataset: one variable ``(t, part)`` per group, with units and frame in its ``attrs``. Raises MissingExtra."""
+        """An xarray Dataset: one variable ``(t, part)`` per group, with units and frame in its
+        ``attrs``. Raises MissingExtra.
+        """
         from hiltestbed.labelled import trace_to_xarray
 
         return trace_to_xarray(self)
 
     def plot(self, *names: str, axes: Axes | None = None) -> Axes:
-        """Columns or groups over time, with contacts shaded; returns the Matplotlib axes. Raises UnknownColumn."""
+        """Columns or groups over time, with contacts shaded; returns the Matplotlib axes. Raises
+        UnknownColumn.
+        """
         from hiltestbed.labelled import plot_trace
 
         return plot_trace(self, names or ("wrench_meas.fz",), axes)
@@ -189,7 +296,9 @@ class UnknownColumn(KeyError, InputError):
         hint = f" (did you mean {close[0]!r}?)" if close else ""
         groups = [a for a in allowed if a in GROUPS]
         InputError.__init__(
-            self, f"trace: no column {name!r}{hint}; allowed are t, contact, the groups {', '.join(groups)} and their parts"
+            self,
+            f"trace: no column {name!r}{hint}; allowed are t, contact, the groups "
+            f"{', '.join(groups)} and their parts",
         )
 
     def __str__(self) -> str:
@@ -204,4 +313,8 @@ def about_column(name: str, joints: tuple[str, ...] = SIX_SLIDERS) -> dict[str, 
         return {"unit": "1", "frame": "", "meaning": "the mechanisms touch"}
     group, _, part = name.partition(".")
     found = groups(joints)[group]
-    return {"unit": found.units[found.parts.index(part)], "frame": found.frame, "meaning": found.meaning}
+    return {
+        "unit": found.units[found.parts.index(part)],
+        "frame": found.frame,
+        "meaning": found.meaning,
+    }

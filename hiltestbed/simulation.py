@@ -1,4 +1,6 @@
-"""Runs and batches of runs: the loop from the first tick to the last, the reference run, and the results."""
+"""Runs and batches of runs: the loop from the first tick to the last, the reference run, and the
+results.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ from hiltestbed.stability import stability
 from hiltestbed.versions import versions
 
 Progress = Callable[[int, int], None]
-MakeTrace = Callable[[Loop], Any]  # makes an object that takes the rows of a loop instead of a Trace
+# makes an object that takes the rows of a loop instead of a Trace
+MakeTrace = Callable[[Loop], Any]
 PROGRESS_TICKS = 500
 
 
@@ -49,23 +52,31 @@ class Batch:
 
 
 def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) -> Run:
-    """Run one scenario, with its trace, its reference, and the stability of its loop in a contact."""
+    """Run one scenario, with its trace, its reference, and the stability of its loop in a
+    contact.
+    """
     done = run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
     done.summary["stability"] = stability(scenario)
     return done
 
 
 def run_batch(
-    scenarios: Sequence[Scenario], *, trace: bool | MakeTrace = False, progress: Progress | None = None, nthread: int = 1
+    scenarios: Sequence[Scenario],
+    *,
+    trace: bool | MakeTrace = False,
+    progress: Progress | None = None,
+    nthread: int = 1,
 ) -> list[Run]:
-    """Run scenarios of the same structure in lockstep, each with its reference: the same without delay and with ideal tracking.
+    """Run scenarios of the same structure in lockstep, each with its reference: the same without
+    delay and with ideal tracking.
 
     A run's result does not depend on the others in its batch.
     """
     batch = simulate(scenarios, trace=trace, progress=progress, nthread=nthread)
     references = [reference_scenario(s) for s in scenarios]
     names = [scenario_sha256(reference) for reference in references]
-    different = dict(zip(names, references, strict=True))  # scenarios that differ only in the rig share one
+    # scenarios that differ only in the rig share one
+    different = dict(zip(names, references, strict=True))
     reference = simulate(list(different.values()), until_parted=True, nthread=nthread)
     found = dict(zip(different, reference.figures, strict=True))
     return [concluded(batch, found[name], i) for i, name in enumerate(names)]
@@ -82,19 +93,36 @@ def simulate(
     """Run the loop to its end; ``until_parted`` ends it once every run's rebound speed is known."""
     ticks = max(s.ticks for s in scenarios)
     budget = run_budget(scenarios, rows=trace is True)
-    refuse_beyond(replace(budget, time=0.0, disk=0.0), scenarios[0].name, "a shorter duration, a lower rate or shorter delays need less")
+    refuse_beyond(
+        replace(budget, time=0.0, disk=0.0),
+        scenarios[0].name,
+        "a shorter duration, a lower rate or shorter delays need less",
+    )
     loop = Loop(scenarios, nthread)
-    rows = trace(loop) if callable(trace) else Trace(ticks, len(scenarios), scenarios[0].rate, loop.plant.units) if trace else None
+    rows = (
+        trace(loop)
+        if callable(trace)
+        else Trace(ticks, len(scenarios), scenarios[0].rate, loop.plant.units)
+        if trace
+        else None
+    )
     snapshots = Snapshots(loop)
     start = 0.0
     while loop.k < ticks and loop.alive.any():
         snapshots.keep()
         try:
             loop.step(rows)
-        except ZeroDivisionError:  # a denominator is zero or has overflowed, with numbers far from those of any rig
+        # a denominator is zero or has overflowed, with numbers far from those of any rig
+        except ZeroDivisionError:
             if len(scenarios) > 1:
-                raise HiltestbedError("a run of the batch divided by zero; run each alone to find out which") from None
-            loop.trouble[0] = (max(loop.k - 1, 0), "diverged", "a denominator reached zero or overflowed")
+                raise HiltestbedError(
+                    "a run of the batch divided by zero; run each alone to find out which"
+                ) from None
+            loop.trouble[0] = (
+                max(loop.k - 1, 0),
+                "diverged",
+                "a denominator reached zero or overflowed",
+            )
             loop.alive[:] = False
         if rows is not None:
             rows.filled(loop.k)
@@ -130,7 +158,11 @@ def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot])
         trouble=loop.trouble,
         identification=[_identified(loop, i) for i in range(len(scenarios))],
         outcomes=[
-            loop.outcomes.summary(i) | _capture(loop, i) | _along_normal(loop, i) | _monitored(loop, i) for i in range(len(scenarios))
+            loop.outcomes.summary(i)
+            | _capture(loop, i)
+            | _along_normal(loop, i)
+            | _monitored(loop, i)
+            for i in range(len(scenarios))
         ],
         payload=[loop.plant.payload_left(i) for i in range(len(scenarios))],
         ticks=loop.k,
@@ -141,9 +173,11 @@ def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot])
 
 
 def reference_scenario(scenario: Scenario) -> Scenario:
-    """The same contact between the same bodies with an ideal rig: no sensor, no compensation, ideal tracking.
+    """The same contact between the same bodies with an ideal rig: no sensor, no compensation, ideal
+    tracking.
 
-    Effects of the contact itself are kept; those of the rig, the sensor and the numerical model are removed.
+    Effects of the contact itself are kept; those of the rig, the sensor and the numerical model are
+    removed.
     """
     data = scenario.model_dump(mode="json") | {"name": "reference", "description": "", "seed": 0}
     data["sensor"] = {}
@@ -158,7 +192,9 @@ def reference_scenario(scenario: Scenario) -> Scenario:
 
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
-    """Per axis: identified stiffness and damping (None without an estimate), and the true values if they are defined."""
+    """Per axis: identified stiffness and damping (None without an estimate), and the true values if
+    they are defined.
+    """
     truth = _truth(loop, i)
     estimate = loop.identification
     out = {}
@@ -166,7 +202,9 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
     for j, axis in enumerate(AXES):
         pair = truth[j] or (None, None)
         out[axis] = {
-            "stiffness": _number(estimate.stiffness[i, j]) if estimate and j < identifiable else None,
+            "stiffness": _number(estimate.stiffness[i, j])
+            if estimate and j < identifiable
+            else None,
             "damping": _number(estimate.damping[i, j]) if estimate and j < identifiable else None,
             "stiffness_true": pair[0],
             "damping_true": pair[1],
@@ -176,7 +214,9 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
-    """True stiffness and damping of each axis: from the mechanism's numbers or, once latched in phases, from the model's Jacobians."""
+    """True stiffness and damping of each axis: from the mechanism's numbers or, once latched in
+    phases, from the model's Jacobians.
+    """
     held = loop.plant.held_pair(i)
     if held is None:
         return axis_truth(loop.scenarios[i], bool(loop.plant.captured[i]))
@@ -184,47 +224,74 @@ def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
 
 
 def _identifiable_axes(loop: Loop, i: int) -> int:
-    """Number of axes with a stiffness: a ball joint rotates freely, and a fit on its rotations would only give the arm of its force."""
+    """Number of axes with a stiffness: a ball joint rotates freely, and a fit on its rotations
+    would only give the arm of its force.
+    """
     phases = loop.plant.phases
     if phases is None:
         return len(AXES)
-    closed = [p.close for p in loop.scenarios[i].mechanism.phases()[: int(phases.begun[i])] if p.close is not None]
+    closed = [
+        p.close
+        for p in loop.scenarios[i].mechanism.phases()[: int(phases.begun[i])]
+        if p.close is not None
+    ]
     return len(AXES) if any(c.kind == "weld" for c in closed) else 3
 
 
 def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
-    """The values identified along the contact normal before latching, for a mechanism whose surfaces are not one plane."""
+    """The values identified along the contact normal before latching, for a mechanism whose
+    surfaces are not one plane.
+    """
     estimate, mechanism = loop.identification, loop.scenarios[i].mechanism
     if not isinstance(estimate, RecursiveLeastSquares) or mechanism.flat or mechanism.captured:
         return {}
     k, c, k_sd, c_sd, samples = (_number(v) for v in estimate.along_normal[i])
     truth = normal_truth(loop.scenarios[i]) or (None, None)
-    found = {"stiffness": k, "damping": c, "stiffness_sd": k_sd, "damping_sd": c_sd, "samples": int(samples or 0)}
+    found = {
+        "stiffness": k,
+        "damping": c,
+        "stiffness_sd": k_sd,
+        "damping_sd": c_sd,
+        "samples": int(samples or 0),
+    }
     return {"identification_normal": found | {"stiffness_true": truth[0], "damping_true": truth[1]}}
 
 
 def _capture(loop: Loop, i: int) -> dict[str, Any]:
-    """The phases of a mechanism with phases, each with the time at which it began [s], None if it has not begun."""
+    """The phases of a mechanism with phases, each with the time at which it began [s], None if it
+    has not begun.
+    """
     phases = loop.plant.phases
     if phases is None:
         return {}
     ticks = [int(k) for k in phases.since[i]]
     return {
         "phases": [
-            {"name": name, "at": k / loop.scenarios[i].rate if k >= 0 else None} for name, k in zip(phases.names, ticks, strict=True)
+            {"name": name, "at": k / loop.scenarios[i].rate if k >= 0 else None}
+            for name, k in zip(phases.names, ticks, strict=True)
         ]
     }
 
 
 def _monitored(loop: Loop, i: int) -> dict[str, Any]:
-    """Result of process monitoring for a run that requests it; wear is judged by the values identified along z."""
+    """Result of process monitoring for a run that requests it; wear is judged by the values
+    identified along z.
+    """
     if loop.monitor is None or loop.scenarios[i].monitoring is None:
         return {}
     estimate, contact = loop.identification, None
     if isinstance(estimate, RecursiveLeastSquares):
-        k, c, k_sd, c_sd = (getattr(estimate, name)[i, 2] for name in ("stiffness", "damping", "stiffness_sd", "damping_sd"))
+        k, c, k_sd, c_sd = (
+            getattr(estimate, name)[i, 2]
+            for name in ("stiffness", "damping", "stiffness_sd", "damping_sd")
+        )
         if k > 0.0 and c >= 0.0 and k_sd > 0.0 and c_sd > 0.0:
-            contact = ContactEstimate(stiffness=float(k), damping=float(c), stiffness_sd=float(k_sd), damping_sd=float(c_sd))
+            contact = ContactEstimate(
+                stiffness=float(k),
+                damping=float(c),
+                stiffness_sd=float(k_sd),
+                damping_sd=float(c_sd),
+            )
     return {"monitoring": loop.monitor.summary(i, contact)}
 
 
@@ -233,10 +300,14 @@ def _number(value: float) -> float | None:
 
 
 def concluded(batch: Batch, reference: ContactFigures | None, i: int) -> Run:
-    """Run ``i`` of a batch with its summary; ``reference``: figures of the same contact with an ideal rig."""
+    """Run ``i`` of a batch with its summary; ``reference``: figures of the same contact with an
+    ideal rig.
+    """
     scenario, figures = batch.scenarios[i], batch.figures[i]
     cor, along = figures.cor, figures.cor_normal
-    cor_reference, along_reference = (None, None) if reference is None else (reference.cor, reference.cor_normal)
+    cor_reference, along_reference = (
+        (None, None) if reference is None else (reference.cor, reference.cor_normal)
+    )
     ledger = delay_ledger(scenario, figures)
     trouble = batch.trouble.get(i)
     wall = batch.wall
@@ -247,7 +318,9 @@ def concluded(batch: Batch, reference: ContactFigures | None, i: int) -> Run:
         "versions": versions(),
         "plugins": plugins.loaded(),
         "status": trouble[1] if trouble else "completed",
-        "stop_reason": f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[2]}" if trouble else None,
+        "stop_reason": f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[2]}"
+        if trouble
+        else None,
         "cor": cor,
         "cor_reference": cor_reference,
         "cor_log_error": log_error(cor, cor_reference),
@@ -256,11 +329,17 @@ def concluded(batch: Batch, reference: ContactFigures | None, i: int) -> Run:
         "cor_normal_log_error": log_error(along, along_reference),
         "cor_log_error_predicted": predicted_log_error(scenario, ledger),
         "approach_speed": figures.approach_speed,
-        "approach_energy": None if figures.approach_speed is None else 0.5 * effective_mass(scenario) * figures.approach_speed**2,
+        "approach_energy": None
+        if figures.approach_speed is None
+        else 0.5 * effective_mass(scenario) * figures.approach_speed**2,
         "rebound_speed": figures.rebound_speed,
         "energy_generated": figures.energy_generated,
         "energy_reference": _energy_reference(scenario, figures),
-        "energy_resolution": 0.5 * scenario.tick * scenario.mechanism.contact.damping * _speed(scenario) ** 2 * max(figures.contacts, 1),
+        "energy_resolution": 0.5
+        * scenario.tick
+        * scenario.mechanism.contact.damping
+        * _speed(scenario) ** 2
+        * max(figures.contacts, 1),
         "peak_force": figures.peak_force,
         "contact_duration": figures.contact_duration,
         "contacts": figures.contacts,
@@ -276,7 +355,9 @@ def concluded(batch: Batch, reference: ContactFigures | None, i: int) -> Run:
         "timing": {
             "ticks": batch.ticks,
             "wall": wall,
-            "real_time_factor": (batch.ticks - 1) / scenario.rate * len(batch.scenarios) / wall if wall > 0.0 and batch.ticks > 1 else None,
+            "real_time_factor": (batch.ticks - 1) / scenario.rate * len(batch.scenarios) / wall
+            if wall > 0.0 and batch.ticks > 1
+            else None,
         },
     }
     trace = batch.trace.run(i) if batch.trace is not None else None
@@ -289,14 +370,18 @@ def _speed(scenario: Scenario) -> float:
 
 
 def _energy_reference(scenario: Scenario, figures: ContactFigures) -> float | None:
-    """Reference of the energy made by the rig [J]: the kinetic energy of the approach (at least along z) or, for contacts that begin at
-    rest, the energy of the spring at the peak force, F^2/(2 k). None if nothing touched."""
+    """Reference of the energy made by the rig [J]: the kinetic energy of the approach (at least
+    along z) or, for contacts that begin at rest, the energy of the spring at the peak force, F^2/(2
+    k). None if nothing touched.
+    """
     if not figures.contact_duration:
         return None
     if scenario.mechanism.captured:
         stored = figures.peak_force**2 / (2.0 * scenario.mechanism.contact.stiffness)
         return max(stored, 0.5 * effective_mass(scenario) * _speed(scenario) ** 2)
-    return 0.5 * effective_mass(scenario) * max(_speed(scenario), figures.approach_speed or 0.0) ** 2
+    return (
+        0.5 * effective_mass(scenario) * max(_speed(scenario), figures.approach_speed or 0.0) ** 2
+    )
 
 
 def log_error(cor: float | None, reference: float | None) -> float | None:

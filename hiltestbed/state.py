@@ -1,7 +1,8 @@
 """The state of a block: every array that it or one of its parts contains, found by name.
 
-Blocks need not list their arrays. The saved state of a loop consists of the arrays that have changed since it was made: all others are
-constants, which a new loop of the same scenario has already.
+Blocks need not list their arrays. The saved state of a loop consists of the arrays that have
+changed since it was made: all others are constants, which a new loop of the same scenario has
+already.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ _DEEPEST = 12
 
 
 def arrays_of(block: Any) -> dict[str, Array]:
-    """Every writable array in ``block`` and in its parts, by a dotted name; an array with several names by the first one."""
+    """Every writable array in ``block`` and in its parts, by a dotted name; an array with several
+    names by the first one.
+    """
     found: dict[str, Array] = {}
     seen: set[int] = set()
     for name, array in _walk(block, "", seen, 0):
@@ -52,7 +55,9 @@ def _parts(value: Any) -> Iterator[tuple[Any, Any]] | None:
         return iter(value._asdict().items())
     if isinstance(value, (list, tuple)):
         return iter(enumerate(value))
-    if isinstance(value, (BaseModel, type, types.ModuleType, types.FunctionType, types.MethodType, str)):
+    if isinstance(
+        value, (BaseModel, type, types.ModuleType, types.FunctionType, types.MethodType, str)
+    ):
         return None
     if type(value).__module__.partition(".")[0] in _FOREIGN:
         return None

@@ -20,11 +20,22 @@ START: dict[str, Any] = {
     "duration": 1.5,
     "rate": 2000,
     "spacecraft": {
-        "chaser": {"mass": 500.0, "inertia": [200.0, 180.0, 150.0], "port": {"position": [0.0, 0.0, 1.0]}},
-        "target": {"mass": 2000.0, "inertia": [900.0, 900.0, 700.0], "port": {"position": [0.0, 0.0, -1.0]}},
+        "chaser": {
+            "mass": 500.0,
+            "inertia": [200.0, 180.0, 150.0],
+            "port": {"position": [0.0, 0.0, 1.0]},
+        },
+        "target": {
+            "mass": 2000.0,
+            "inertia": [900.0, 900.0, 700.0],
+            "port": {"position": [0.0, 0.0, -1.0]},
+        },
     },
     "approach": {"gap": 0.01, "velocity": [0.0, 0.0, 0.03], "offset": [0.0, 0.0]},
-    "mechanism": {"kind": "bumper", "contact": {"stiffness": 1.0e5, "damping": 400.0, "friction": 0.0}},
+    "mechanism": {
+        "kind": "bumper",
+        "contact": {"stiffness": 1.0e5, "damping": 400.0, "friction": 0.0},
+    },
     "rig": {"platform": {"kind": "pss33", "tracking": "servo"}},
     "sensor": {"delay": 0.005, "lowpass": None, "noise": 0.0, "torque_noise": 0.0},
     "compensation": {"force": {"kind": "resynchronised"}, "motion": {"kind": "feedforward"}},
@@ -46,10 +57,15 @@ def template(name: str) -> str:
 
 
 def write_template(name: str) -> Path:
-    """Write NAME.yaml into the current folder. Raises InputError if it exists or the name is not a valid file name."""
+    """Write NAME.yaml into the current folder. Raises InputError if it exists or the name is not a
+    valid file name.
+    """
     stem = name.removesuffix(".yaml")
     if safe_name(stem) != stem:
-        raise InputError(f"new: invalid name for a scenario (got {name!r}); allowed are letters, digits, '-', '_' and '.', such as my-rig")
+        raise InputError(
+            f"new: invalid name for a scenario (got {name!r}); allowed are letters, digits, '-', "
+            f"'_' and '.', such as my-rig"
+        )
     path = Path(f"{stem}.yaml")
     if path.exists():
         raise InputError(f"{path}: exists already; choose another name")
@@ -74,4 +90,10 @@ def _scalar(value: Any) -> str:
         return "null"
     if isinstance(value, list):
         return f"[{', '.join(map(_scalar, value))}]"
-    return f"{value:g}" if isinstance(value, float) and abs(value) < 1e4 else f"{value:.1e}" if isinstance(value, float) else str(value)
+    return (
+        f"{value:g}"
+        if isinstance(value, float) and abs(value) < 1e4
+        else f"{value:.1e}"
+        if isinstance(value, float)
+        else str(value)
+    )

@@ -1,4 +1,6 @@
-"""From a `Source` to a pydantic model, or to all faults at once, with messages that say what is allowed."""
+"""From a `Source` to a pydantic model, or to all faults at once, with messages that say what is
+allowed.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    Strict,
+    ValidationError,
+    ValidationInfo,
+)
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from hiltestbed.errors import Fault, InputError
@@ -23,12 +33,15 @@ Problem = tuple[KeyPath, str]
 
 
 class Strictly(BaseModel):
-    """Base of every model that is read from a file: no unknown keys, no silent conversion, no NaN or infinity, immutable."""
+    """Base of every model that is read from a file: no unknown keys, no silent conversion, no NaN
+    or infinity, immutable.
+    """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     def idle(self, scenario: Any) -> Iterable[Problem]:
-        """Keys below this one that have no effect in ``scenario`` because of other settings, each with the reason and what to do.
+        """Keys below this one that have no effect in ``scenario`` because of other settings, each
+        with the reason and what to do.
 
         The path of a section means every key in it.
         """
@@ -37,17 +50,24 @@ class Strictly(BaseModel):
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-Vector2 = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=2)]  # lists in a file, tuples in memory
+# lists in a file, tuples in memory
+Vector2 = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=2)]
 Vector3 = Annotated[tuple[float, ...], Strict(False), Field(min_length=3, max_length=3)]
 
 
 def _found(name: str, info: ValidationInfo) -> str:
-    """An existing file, as an absolute path; relative paths start at the folder of the file that names it."""
+    """An existing file, as an absolute path; relative paths start at the folder of the file that
+    names it.
+    """
     path = (info.context or {}).get("folder", Path()) / name
     with suppress(OSError, ValueError):  # a name that the file system does not accept
         path = path.resolve()
     if not is_file(path):
-        raise PydanticCustomError("no_file", "no such file (got {name}, looked for {path})", {"name": repr(name), "path": str(path)})
+        raise PydanticCustomError(
+            "no_file",
+            "no such file (got {name}, looked for {path})",
+            {"name": repr(name), "path": str(path)},
+        )
     return str(path)
 
 
@@ -55,17 +75,25 @@ ModelFile = Annotated[str, AfterValidator(_found)]
 
 
 def refuse(problems: Iterable[Problem]) -> None:
-    """For validators: raises all `problems` (path below the model, message) together, if there are any."""
+    """For validators: raises all `problems` (path below the model, message) together, if there are
+    any.
+    """
     found = list(problems)
     if found:
-        raise PydanticCustomError("problems", "{count} problems", {"count": len(found), "problems": found})
+        raise PydanticCustomError(
+            "problems", "{count} problems", {"count": len(found), "problems": found}
+        )
 
 
-def validate(model: type[Model], source: Source, specimen: Mapping[str, Any] | None = None) -> Model:
+def validate(
+    model: type[Model], source: Source, specimen: Mapping[str, Any] | None = None
+) -> Model:
     """`source.data` as `model`. Raises InputError with every fault.
 
-    Checks of several keys together only run if each key is valid by itself. Therefore each rejected value is replaced by that of a valid
-    `specimen` (or removed), and the rest is validated again: a misspelt key does not hide two rates that do not divide.
+    Checks of several keys together only run if each key is valid by itself. Therefore each rejected
+    value is replaced by that of a valid
+    `specimen` (or removed), and the rest is validated again: a misspelt key does not hide two rates
+    that do not divide.
     """
     data = source.data
     problems: list[Problem] = []
@@ -73,14 +101,21 @@ def validate(model: type[Model], source: Source, specimen: Mapping[str, Any] | N
         try:
             result = model.model_validate(data, context={"folder": source.folder})
         except ValidationError as error:
-            new = [item for item in _problems(model, data, error) if not _overlaps(item[0], problems)]
+            new = [
+                item for item in _problems(model, data, error) if not _overlaps(item[0], problems)
+            ]
         else:
             new = []
             if not problems:
                 return result
         problems += new
         if not new:
-            raise InputError(sorted((source.fault(*item) for item in problems if not _is_misspelt(item, problems)), key=_order))
+            raise InputError(
+                sorted(
+                    (source.fault(*item) for item in problems if not _is_misspelt(item, problems)),
+                    key=_order,
+                )
+            )
         data = copy.deepcopy(data)
         for path, _ in new:
             known = not path or path[-1] != "kind" or _holds(specimen or {}, path)
@@ -93,10 +128,14 @@ def _overlaps(path: KeyPath, problems: list[Problem]) -> bool:
 
 
 def _is_misspelt(missing: Problem, problems: list[Problem]) -> bool:
-    """Whether a missing key is present under a misspelt name; then only the misspelling is reported."""
+    """Whether a missing key is present under a misspelt name; then only the misspelling is
+    reported.
+    """
     path, message = missing
     hint = f"unknown key (did you mean {str(path[-1])!r}?)" if path else ""
-    return message.startswith("is missing") and any(other[:-1] == path[:-1] and text.startswith(hint) for other, text in problems)
+    return message.startswith("is missing") and any(
+        other[:-1] == path[:-1] and text.startswith(hint) for other, text in problems
+    )
 
 
 def _order(fault: Fault) -> tuple[bool, int, int]:
@@ -105,7 +144,11 @@ def _order(fault: Fault) -> tuple[bool, int, int]:
 
 def _holds(data: Any, path: KeyPath) -> bool:
     for part in path:
-        inside = part < len(data) if isinstance(data, list) and isinstance(part, int) else isinstance(data, dict) and part in data
+        inside = (
+            part < len(data)
+            if isinstance(data, list) and isinstance(part, int)
+            else isinstance(data, dict) and part in data
+        )
         if not inside:
             return False
         data = data[part]  # type: ignore[index, call-overload]
@@ -113,7 +156,9 @@ def _holds(data: Any, path: KeyPath) -> bool:
 
 
 def _repair(data: Any, path: KeyPath, specimen: Any) -> None:
-    """Sets `path` to the specimen's value, or removes the key; for a list all items, since its length has a meaning."""
+    """Sets `path` to the specimen's value, or removes the key; for a list all items, since its
+    length has a meaning.
+    """
     for depth, part in enumerate(path):
         specimen = specimen[part] if _holds(specimen, (part,)) else None
         if not isinstance(data, dict):
@@ -153,7 +198,9 @@ def _path(data: Any, location: tuple[int | str, ...]) -> KeyPath:
         elif isinstance(data, (list, tuple)) and isinstance(part, int):
             path.append(part)
             data = data[part] if part < len(data) else None
-        elif index == len(location) - 1 and not (isinstance(data, dict) and data.get("kind") == part):
+        elif index == len(location) - 1 and not (
+            isinstance(data, dict) and data.get("kind") == part
+        ):
             path.append(part)
     return tuple(path)
 
@@ -195,7 +242,9 @@ def _items(annotation: Any) -> Any:
 
 
 def description_of(model: type[BaseModel], data: Any, path: KeyPath) -> str:
-    """Description of the key at ``path`` of ``data``, or an empty text; in a union, of the member with the `kind` in the data."""
+    """Description of the key at ``path`` of ``data``, or an empty text; in a union, of the member
+    with the `kind` in the data.
+    """
     owner = _model_at(model, data, path[:-1])
     field = owner.model_fields.get(str(path[-1])) if owner is not None else None
     return (field.description or "") if field is not None else ""
@@ -212,17 +261,32 @@ def _annotation(model: type[BaseModel], key: str) -> Any:
 
 def _pick(annotation: Any, data: Any) -> type[BaseModel] | None:
     """The model of an annotation; among several, the one with the `kind` in the data."""
-    table = next((m for m in get_args(annotation)[1:] if isinstance(m, OneOf)), None) if get_origin(annotation) is Annotated else None
+    table = (
+        next((m for m in get_args(annotation)[1:] if isinstance(m, OneOf)), None)
+        if get_origin(annotation) is Annotated
+        else None
+    )
     if table is not None:
         kind = table.pick(data)
-        return table.registry[kind] if kind is not None and kind in table.registry else table.registry.base
+        return (
+            table.registry[kind]
+            if kind is not None and kind in table.registry
+            else table.registry.base
+        )
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     origin, members = get_origin(annotation), get_args(annotation)
     if origin in (Union, types.UnionType, Annotated):
-        models = [found for found in (_pick(member, data) for member in members) if found is not None]
+        models = [
+            found for found in (_pick(member, data) for member in members) if found is not None
+        ]
         kind = data.get("kind") if isinstance(data, dict) else None
-        named = [found for found in models if "kind" in found.model_fields and kind in get_args(found.model_fields["kind"].annotation)]
+        named = [
+            found
+            for found in models
+            if "kind" in found.model_fields
+            and kind in get_args(found.model_fields["kind"].annotation)
+        ]
         return (named or models or [None])[0]
     return None
 
@@ -240,7 +304,12 @@ _KINDS = {
     "model_attributes_type": "a mapping (key: value)",
     "finite_number": "a finite number",
 }
-_BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"), "less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}
+_BOUNDS = {
+    "greater_than": (">", "gt"),
+    "greater_than_equal": (">=", "ge"),
+    "less_than": ("<", "lt"),
+    "less_than_equal": ("<=", "le"),
+}
 
 
 def _message(detail: ErrorDetails) -> str:
@@ -255,15 +324,25 @@ def _message(detail: ErrorDetails) -> str:
         return f"is out of range (got {got}); allowed is {sign} {context[name]:g}"
     if kind == "literal_error":
         choices = context["expected"].replace("'", "").replace(" or ", ", ").split(", ")
-        return f"unknown value{nearest(str(detail['input']), choices)} (got {got}); allowed: {', '.join(choices)}"
+        return (
+            f"unknown value{nearest(str(detail['input']), choices)} (got {got}); "
+            f"allowed: {', '.join(choices)}"
+        )
     if kind == "union_tag_invalid":
         choices = sorted(context["expected_tags"].replace("'", "").split(", "))
         allowed = f"allowed: {', '.join(choices)}; one of your own needs --plugin"
-        return f"unknown kind{nearest(str(context['tag']), choices)} (got {context['tag']!r}); {allowed}"
+        return (
+            f"unknown kind{nearest(str(context['tag']), choices)} (got "
+            f"{context['tag']!r}); {allowed}"
+        )
     if kind == "union_tag_not_found":
         return f"has no kind (got {got}); give it as {{kind: ...}}"
     if kind in ("too_short", "too_long"):
-        limit = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
+        limit = (
+            f"at least {context['min_length']}"
+            if kind == "too_short"
+            else f"at most {context['max_length']}"
+        )
         return f"has the wrong length (got {context['actual_length']} items); allowed is {limit}"
     if kind == "string_too_short":
         return "is empty; some text is expected"

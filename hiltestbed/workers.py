@@ -15,7 +15,9 @@ WATCH = 0.5  # [s] between two checks whether the parent is alive
 
 def new_pool(workers: int) -> ProcessPoolExecutor:
     """A pool of ``workers`` fresh processes."""
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin, initargs=(os.getpid(),))
+    return ProcessPoolExecutor(
+        workers, mp_context=get_context("spawn"), initializer=_begin, initargs=(os.getpid(),)
+    )
 
 
 def end_pool(pool: ProcessPoolExecutor) -> None:
@@ -29,7 +31,9 @@ def end_pool(pool: ProcessPoolExecutor) -> None:
 
 
 def _begin(parent: int) -> None:
-    """A worker ignores Ctrl-C, which its parent handles, and ends when the parent has ended for any reason."""
+    """A worker ignores Ctrl-C, which its parent handles, and ends when the parent has ended for any
+    reason.
+    """
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)

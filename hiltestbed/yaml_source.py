@@ -1,7 +1,8 @@
 """YAML 1.2 files as plain data with the place of each key.
 
-A `Source` is the tree of a file (dicts, lists, numbers, strings) with the line and column of every key, and with the `--set` overrides
-applied. This module is independent of the content of a scenario.
+A `Source` is the tree of a file (dicts, lists, numbers, strings) with the line and column of every
+key, and with the `--set` overrides applied. This module is independent of the content of a
+scenario.
 """
 
 from __future__ import annotations
@@ -18,14 +19,17 @@ from hiltestbed.errors import Fault, InputError
 from hiltestbed.folders import is_file
 from hiltestbed.gallery import find_scenario, scenario_names
 
-SIZE_LIMIT = 500_000  # [byte] a scenario is a page or two; a file a hundred times larger is something else
+# [byte] a scenario is a page or two; a file a hundred times larger is something else
+SIZE_LIMIT = 500_000
 VALUE_LIMIT = 100_000  # values after expansion of aliases: nested aliases grow without bound
 DEPTH_LIMIT = 40
 
 KeyPath = tuple[str | int, ...]
 
 _PREFIX = "tag:yaml.org,2002:"
-_SCALARS = {_PREFIX + name for name in ("null", "bool", "int", "float", "str", "timestamp", "binary")}
+_SCALARS = {
+    _PREFIX + name for name in ("null", "bool", "int", "float", "str", "timestamp", "binary")
+}
 
 
 def dotted(path: KeyPath) -> str:
@@ -35,7 +39,9 @@ def dotted(path: KeyPath) -> str:
 
 @dataclass
 class Source:
-    """The data of one file (or of a dict from Python), with the place of each key; `overridden` are the paths set by overrides."""
+    """The data of one file (or of a dict from Python), with the place of each key; `overridden` are
+    the paths set by overrides.
+    """
 
     file: str
     data: Any
@@ -53,7 +59,8 @@ class Source:
         for end in range(len(path), -1, -1):
             if path[:end] in self.overridden:
                 return Fault(f"--set {dotted(path[:end])}", None, None, key, message)
-        if path and path not in self.marks:  # a key that is not in the file was created by an override below it
+        # a key that is not in the file was created by an override below it
+        if path and path not in self.marks:
             for below in sorted(self.overridden, key=dotted):
                 if below[: len(path)] == path:
                     return Fault(f"--set {dotted(below)}", None, None, key, message)
@@ -64,7 +71,9 @@ class Source:
         return Fault(self.file, *((1, 1) if self.marks else (None, None)), key, message)
 
     def relocated(self, fault: Fault, base: KeyPath) -> Fault:
-        """A fault of an override that is written in this source below `base`, with its place there; any other fault unchanged."""
+        """A fault of an override that is written in this source below `base`, with its place there;
+        any other fault unchanged.
+        """
         if not fault.file.startswith("--set "):
             return fault
         key = fault.file.removeprefix("--set ")
@@ -72,7 +81,9 @@ class Source:
         return self.fault((*base, key), message)
 
     def with_set(self, overrides: Mapping[str, Any] | None) -> Source:
-        """The same source with dotted keys set; a string value is read as YAML. Raises InputError with every fault."""
+        """The same source with dotted keys set; a string value is read as YAML. Raises InputError
+        with every fault.
+        """
         if not overrides:
             return self
         result = Source(self.file, copy.deepcopy(self.data), self.marks, self.overridden)
@@ -83,7 +94,10 @@ class Source:
                 try:
                     value = parse_yaml(value, f"--set {key}")[0]
                 except InputError as error:
-                    faults.extend(Fault(f"--set {key}", None, None, key, fault.message) for fault in error.faults)
+                    faults.extend(
+                        Fault(f"--set {key}", None, None, key, fault.message)
+                        for fault in error.faults
+                    )
                     continue
             problem = "is not a key" if not key or "" in path else _assign(result.data, path, value)
             if problem:
@@ -95,21 +109,31 @@ class Source:
 
 
 def key_path(key: str) -> KeyPath:
-    """`approach.velocity.2` as `("approach", "velocity", 2)`: a part with digits only is the index of a list item."""
+    """`approach.velocity.2` as `("approach", "velocity", 2)`: a part with digits only is the index
+    of a list item.
+    """
     return tuple(int(part) if part.isdecimal() else part for part in key.split("."))
 
 
 def _assign(data: Any, path: KeyPath, value: Any) -> str | None:
-    """Sets `value` at `path` inside `data`, creating mappings as needed; returns a message if that is not possible."""
+    """Sets `value` at `path` inside `data`, creating mappings as needed; returns a message if that
+    is not possible.
+    """
     node = data
     for depth, part in enumerate(path):
         last = depth == len(path) - 1
         where = dotted(path[:depth]) or "the file"
         if isinstance(node, list):
             if not isinstance(part, int):
-                return f"{where} is a list (got the key {part!r}); its items are numbered 0 to {max(len(node) - 1, 0)}"
+                return (
+                    f"{where} is a list (got the key {part!r}); its items are numbered 0 "
+                    f"to {max(len(node) - 1, 0)}"
+                )
             if part > len(node):
-                return f"{where} has {len(node)} items (got number {part}); allowed is 0 to {len(node)}"
+                return (
+                    f"{where} has {len(node)} items (got number {part}); allowed is 0 to "
+                    f"{len(node)}"
+                )
             node += [None] * (part == len(node))
         elif isinstance(node, dict):
             part = str(part)
@@ -135,26 +159,43 @@ def describe(value: Any) -> str:
 
 
 def read_source(path: str | Path) -> Source:
-    """Reads one YAML file. Raises InputError for anything else, and for a file that is too large before reading it."""
+    """Reads one YAML file. Raises InputError for anything else, and for a file that is too large
+    before reading it.
+    """
     path = Path(path)
     text = _read_text(path)
     data, marks = parse_yaml(text, str(path))
     if data is None:
-        raise InputError(Fault(str(path), 1, 1, "", "the file is empty; a YAML mapping is expected"))
+        raise InputError(
+            Fault(str(path), 1, 1, "", "the file is empty; a YAML mapping is expected")
+        )
     if not isinstance(data, dict):
-        raise InputError(Fault(str(path), 1, 1, "", f"the file holds {describe(data)}; a YAML mapping (key: value) is expected"))
+        raise InputError(
+            Fault(
+                str(path),
+                1,
+                1,
+                "",
+                f"the file holds {describe(data)}; a YAML mapping (key: value) is expected",
+            )
+        )
     return Source(str(path), data, marks)
 
 
 def referenced_source(source: Source, key: str = "scenario") -> Source:
-    """The file that a source names under `key`, relative to the source's folder, or a shipped scenario. Raises InputError."""
+    """The file that a source names under `key`, relative to the source's folder, or a shipped
+    scenario. Raises InputError.
+    """
     name = str(source.data[key])
     target = source.folder / name
     if is_file(target):
         return read_source(target)
     if name in scenario_names():
         return read_source(find_scenario(name))
-    text = f"names no file and no shipped scenario (got {describe(source.data[key])}); looked for {target}"
+    text = (
+        f"names no file and no shipped scenario (got {describe(source.data[key])}); "
+        f"looked for {target}"
+    )
     raise InputError(source.fault((key,), text))
 
 
@@ -171,7 +212,10 @@ def _read_text(path: Path) -> str:
             raise refuse("is not a regular file; a YAML file is expected")
         size = path.stat().st_size
         if size > SIZE_LIMIT:
-            raise refuse(f"the file is too large (got {size / 1e6:.1f} MB); at most {SIZE_LIMIT / 1e6:g} MB is read")
+            raise refuse(
+                f"the file is too large (got {size / 1e6:.1f} MB); at most {SIZE_LIMIT / 1e6:g} "
+                f"MB is read"
+            )
         raw = path.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         raise refuse(f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
@@ -182,12 +226,17 @@ def _read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         column = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
-        message = f"is not UTF-8 text (got byte 0x{raw[error.start]:02x}); a YAML file in UTF-8 is expected"
+        message = (
+            f"is not UTF-8 text (got byte 0x{raw[error.start]:02x}); a YAML file in "
+            f"UTF-8 is expected"
+        )
         raise InputError(Fault(str(path), line, column, "", message)) from None
 
 
 def parse_yaml(text: str, file: str) -> tuple[Any, dict[KeyPath, tuple[int, int]]]:
-    """YAML text as plain data, with the (line, column) of every key and list item, counted from 1. Raises InputError."""
+    """YAML text as plain data, with the (line, column) of every key and list item, counted from 1.
+    Raises InputError.
+    """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
@@ -197,13 +246,17 @@ def parse_yaml(text: str, file: str) -> tuple[Any, dict[KeyPath, tuple[int, int]
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
-        raise InputError(Fault(file, *place, "", f"is not YAML: {error.problem or error.context}")) from None
+        raise InputError(
+            Fault(file, *place, "", f"is not YAML: {error.problem or error.context}")
+        ) from None
     except YAMLError as error:
         line = text.count("\n", 0, getattr(error, "position", 0)) + 1
         reason = getattr(error, "reason", None) or str(error).splitlines()[0]
         raise InputError(Fault(file, line, 1, "", f"is not YAML: {reason}")) from None
     except RecursionError:
-        raise InputError(Fault(file, 1, 1, "", f"is nested too deeply; at most {DEPTH_LIMIT} levels are read")) from None
+        raise InputError(
+            Fault(file, 1, 1, "", f"is nested too deeply; at most {DEPTH_LIMIT} levels are read")
+        ) from None
     except ValueError as error:
         raise InputError(Fault(file, 1, 1, "", f"is not YAML: {error}")) from None
     builder = _Builder(file)
@@ -227,7 +280,9 @@ def dump_yaml(data: Any) -> str:
 
 
 class _Builder:
-    """Plain data from a tree of YAML nodes; collects duplicate keys and unusable values as faults."""
+    """Plain data from a tree of YAML nodes; collects duplicate keys and unusable values as
+    faults.
+    """
 
     def __init__(self, file: str) -> None:
         self.file = file
@@ -236,7 +291,15 @@ class _Builder:
         self.count = 0
 
     def fault(self, node: Any, path: KeyPath, message: str) -> None:
-        self.faults.append(Fault(self.file, node.start_mark.line + 1, node.start_mark.column + 1, dotted(path), message))
+        self.faults.append(
+            Fault(
+                self.file,
+                node.start_mark.line + 1,
+                node.start_mark.column + 1,
+                dotted(path),
+                message,
+            )
+        )
 
     def build(self, node: Any, path: KeyPath) -> Any:
         self.count += 1
@@ -265,7 +328,11 @@ class _Builder:
             place = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
             if key in result:
                 first = self.marks[(*path, key)][0]
-                self.fault(key_node, (*path, key), f"is given twice (first in line {first}); each key may stand once")
+                self.fault(
+                    key_node,
+                    (*path, key),
+                    f"is given twice (first in line {first}); each key may stand once",
+                )
                 self.build(value_node, (*path, key))
                 continue
             self.marks[(*path, key)] = place
@@ -276,7 +343,11 @@ class _Builder:
     def _scalar(self, node: Any, path: KeyPath) -> Any:
         tag, text = str(node.tag), node.value
         if tag not in _SCALARS:
-            self.fault(node, path, f"has the tag {tag.removeprefix(_PREFIX)!r}; plain YAML values alone are read")
+            self.fault(
+                node,
+                path,
+                f"has the tag {tag.removeprefix(_PREFIX)!r}; plain YAML values alone are read",
+            )
             return None
         try:
             if tag == _PREFIX + "null":

@@ -1,10 +1,13 @@
-"""Which tests are quick: those that need no long simulation. All others are marked slow, so that a new test is slow until it is listed.
+"""Which tests are quick: those that need no long simulation. All others are marked slow, so that a
+new test is slow until it is listed.
 
-And which files come first, where several workers take a file at a time: those that compile the kernels that the others need, a rig to each
-worker so that none is compiled twice, then the longest, so that at the end no worker waits for another.
+And which files come first, where several workers take a file at a time: those that compile the
+kernels that the others need, a rig to each worker so that none is compiled twice, then the longest,
+so that at the end no worker waits for another.
 
-At the end of a file the C library gives back to the system what has been freed: by itself it keeps what lies below any block that is still
-in use, hundreds of megabytes a file of long runs and batches.
+At the end of a file the C library gives back to the system what has been freed: by itself it keeps
+what lies below any block that is still in use, hundreds of megabytes a file of long runs and
+batches.
 """
 
 from __future__ import annotations
@@ -20,7 +23,8 @@ import pytest
 from hiltestbed import cli, plugins
 
 HERE = Path(__file__).parent
-_TRIM = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None  # of glibc
+# of glibc
+_TRIM = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 QUICK = (  # files and folders below tests
     "campaign/test_designs.py",
     "campaign/test_schema.py",
@@ -97,7 +101,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, object, object]:
+def pytest_runtest_teardown(
+    item: pytest.Item, nextitem: pytest.Item | None
+) -> Generator[None, object, object]:
     result = yield
     if _TRIM is not None and (nextitem is None or nextitem.path != item.path):
         _TRIM(0)
@@ -106,9 +112,11 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 @pytest.fixture
 def tables_as_shipped() -> Iterator[None]:
-    """What a test loads is taken out of the tables again: other tests walk the vocabulary that is shipped.
+    """What a test loads is taken out of the tables again: other tests walk the vocabulary that is
+    shipped.
 
-    Loading also leaves the modules in the environment, for processes that are started; they are gone afterwards as well.
+    Loading also leaves the modules in the environment, for processes that are started; they are
+    gone afterwards as well.
     """
     asked = os.environ.pop(plugins.ENVIRONMENT, None)
     before = [(registry, dict(registry)) for registry in plugins._REGISTRIES]
@@ -126,7 +134,9 @@ def tables_as_shipped() -> Iterator[None]:
 
 
 @pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+def call(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
     """Runs one command in this process: (exit status, standard output, standard error)."""
 
     def run(*arguments: str) -> tuple[int, str, str]:

@@ -8,5 +8,7 @@ from hiltestbed.simulation import run_batch
 
 
 def run(scenario: Scenario) -> Run:
-    """A run with its trace and its reference; not told is whether it is stable, which takes longer than a short run itself."""
+    """A run with its trace and its reference; not told is whether it is stable, which takes longer
+    than a short run itself.
+    """
     return run_batch([scenario], trace=True)[0]

@@ -19,8 +19,12 @@ SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
 
 @pytest.mark.parametrize("name", ["reference-bumper", slow("09-docking"), slow("18-stewart")])
-def test_nothing_is_compiled_that_the_run_does_not_call(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A call is known by its kernel and the kinds of what it is bound to: by nothing else does Numba tell whether it has compiled it."""
+def test_nothing_is_compiled_that_the_run_does_not_call(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A call is known by its kernel and the kinds of what it is bound to: by nothing else does
+    Numba tell whether it has compiled it.
+    """
     monkeypatch.setattr(bound, "_calls", {})
     scenario = load_scenario(SCENARIOS / f"{name}.yaml", {"duration": 0.1})
     run(scenario)
@@ -32,7 +36,12 @@ def test_nothing_is_compiled_that_the_run_does_not_call(name: str, monkeypatch: 
 
 def test_the_process_reads_what_run_was_called_with() -> None:
     given = json.dumps([str(SCENARIOS / "reference-bumper.yaml"), ["duration=0.1"], None])
-    done = subprocess.run([sys.executable, "-m", "hiltestbed.cli.ahead"], input=given.encode(), capture_output=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-m", "hiltestbed.cli.ahead"],
+        input=given.encode(),
+        capture_output=True,
+        timeout=300,
+    )
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
 
 

@@ -1,4 +1,6 @@
-"""Kernels whose arrays are handed over once give what the kernel itself gives, and hold on to what they need."""
+"""Kernels whose arrays are handed over once give what the kernel itself gives, and hold on to what
+they need.
+"""
 
 import gc
 from functools import partial
@@ -15,7 +17,12 @@ from hiltestbed.state import arrays_of
 def _mix(k, scale, flag, count, a, b, mask, empty, out):
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
-            out[i, j] = k * scale * a[i, j] + (b[i] if mask[i] else 0.0) + (count if flag else 0) + empty.shape[0]
+            out[i, j] = (
+                k * scale * a[i, j]
+                + (b[i] if mask[i] else 0.0)
+                + (count if flag else 0)
+                + empty.shape[0]
+            )
     return out[0, 0] > 0.0
 
 
@@ -40,7 +47,13 @@ def _arrays(kind: str) -> list[np.ndarray]:
     store, row = rng.normal(size=(4, 3, 5)), rng.normal(size=8)
     mask, empty = np.array([True, False, True, False, True, False, True, False]), np.zeros((0, 2))
     if kind == "contiguous":
-        return [np.ascontiguousarray(store[:, 0]), row[:4].copy(), mask[:4].copy(), empty, np.zeros((4, 5))]
+        return [
+            np.ascontiguousarray(store[:, 0]),
+            row[:4].copy(),
+            mask[:4].copy(),
+            empty,
+            np.zeros((4, 5)),
+        ]
     if kind == "views":
         return [store[:, -1], row[::2], mask[1::2], empty, np.zeros((4, 2, 5))[:, 1]]
     return [store[1:2, -1], row[:1], mask[:1], empty, np.zeros((5, 1)).T]
@@ -74,7 +87,9 @@ def test_what_is_bound_lives_as_long_as_the_call() -> None:
 
 
 def test_a_callers_arrays_are_looked_at_by_identity() -> None:
-    """Two arrays of equal numbers are two arrays; the first is written no more once the second is given, and again when it returns."""
+    """Two arrays of equal numbers are two arrays; the first is written no more once the second is
+    given, and again when it returns.
+    """
     call, first, second = Call(_add, ..., GIVEN), np.zeros(1), np.zeros(1)
     call.on(first)(1.0)
     call.on(second)(2.0)

@@ -63,17 +63,23 @@ def test_run_writes_the_folder_and_prints_a_table(folder: Path, call) -> None:
 
 
 def test_run_json_is_one_object_and_nothing_else(folder: Path, call) -> None:
-    status, out, _ = call("run", "s.yaml", "--no-rerun", "--json", "--set", "approach.velocity.2=0.02")
+    status, out, _ = call(
+        "run", "s.yaml", "--no-rerun", "--json", "--set", "approach.velocity.2=0.02"
+    )
     summary = json.loads(out)
     assert status == 0
     assert summary["status"] == "completed"
     assert summary["folder"] == "runs/head-on"
     assert load_scenario(Path(summary["folder"]) / "scenario.yaml").approach.velocity[2] == 0.02
-    assert json.loads(call("run", "s.yaml", "--no-rerun", "--json")[1])["folder"] == "runs/head-on-2", "nothing is overwritten unasked"
+    assert (
+        json.loads(call("run", "s.yaml", "--no-rerun", "--json")[1])["folder"] == "runs/head-on-2"
+    ), "nothing is overwritten unasked"
 
 
 def test_a_run_that_diverges_ends_with_status_3(folder: Path, call) -> None:
-    """A bumper that is too stiff for the rate (w h = 30, semi-implicit Euler needs < 2) throws the model out of the numbers."""
+    """A bumper that is too stiff for the rate (w h = 30, semi-implicit Euler needs < 2) throws the
+    model out of the numbers.
+    """
     faster = ("--set", "mechanism.contact.stiffness=3.6e11", "--set", "approach.velocity.2=0.2")
     for limit in ("stroke", "speed", "limb_angle_deg", "force", "torque"):
         faster += ("--set", f"safety.{limit}=null")
@@ -98,7 +104,9 @@ def test_a_run_that_diverges_ends_with_status_3(folder: Path, call) -> None:
         ("name: [1\n", 2, "is not YAML"),
     ],
 )
-def test_bad_input_ends_with_status_2_file_line_and_what_is_allowed(folder: Path, call, content: str, line: int, words: str) -> None:
+def test_bad_input_ends_with_status_2_file_line_and_what_is_allowed(
+    folder: Path, call, content: str, line: int, words: str
+) -> None:
     Path("bad.yaml").write_text(content)
     status, out, err = call("run", "bad.yaml")
     assert (status, out) == (2, "")
@@ -142,7 +150,9 @@ def test_bad_input_ends_with_status_2_file_line_and_what_is_allowed(folder: Path
         ("dance",),
     ],
 )
-def test_a_wrong_call_ends_with_status_2_and_says_why(folder: Path, call, arguments: tuple[str, ...]) -> None:
+def test_a_wrong_call_ends_with_status_2_and_says_why(
+    folder: Path, call, arguments: tuple[str, ...]
+) -> None:
     status, out, err = call(*arguments)
     assert (status, out) == (2, "")
     assert err.strip()
@@ -167,7 +177,10 @@ def test_a_folder_that_cannot_be_written_is_said(folder: Path, call) -> None:
 
 def test_check_knows_the_kind_of_a_file_by_its_keys(folder: Path, call) -> None:
     status, out, _ = call("check", "s.yaml", "c.yaml", "d.yaml")
-    told = {name: [line for line in out.splitlines() if line.startswith(name)] for name in ("s.yaml", "c.yaml")}
+    told = {
+        name: [line for line in out.splitlines() if line.startswith(name)]
+        for name in ("s.yaml", "c.yaml")
+    }
     assert status == 2  # the data of the dataset are opened, and hold one row
     assert told["s.yaml"][0] == "s.yaml: scenario: no faults"
     assert any(line.startswith("s.yaml: stable: net damping") for line in told["s.yaml"])
@@ -193,11 +206,18 @@ def test_sweep_fills_a_folder_and_one_case_repeats_in_full(folder: Path, call) -
     status, out, _ = call("run", "c.yaml", "--case", "1", "--no-rerun", "--out", "one")
     assert status == 0
     assert load_scenario("one/scenario.yaml").sensor.delay == 0.01
-    assert "2 cases, complete" in call("sweep", "c.yaml", "--out", "swept")[1], "there is nothing left to do"
+    assert "2 cases, complete" in call("sweep", "c.yaml", "--out", "swept")[1], (
+        "there is nothing left to do"
+    )
 
 
 def test_shipped_scenarios_and_campaigns_are_found_by_name(folder: Path, call) -> None:
-    names = ("02-bumper", "scenarios/02-bumper.yaml", "delay-stiffness", "scenarios/campaigns/delay-stiffness.yaml")
+    names = (
+        "02-bumper",
+        "scenarios/02-bumper.yaml",
+        "delay-stiffness",
+        "scenarios/campaigns/delay-stiffness.yaml",
+    )
     assert call("check", *names)[0] == 0
     assert call("check", "scenarios/../../../etc/passwd")[0] == 2
 
@@ -214,7 +234,9 @@ def test_figures_are_written_beside_the_report_when_asked_for(folder: Path, call
     assert not Path("plain/figures").exists()
     assert call("run", "s.yaml", "--out", "r", "--no-rerun", "--figures")[0] == 0
     drawn = Path("r/report.html").read_text().count("<img ")
-    png, svg = (sorted(f.stem for f in Path("r/figures").glob(f"*.{kind}")) for kind in ("png", "svg"))
+    png, svg = (
+        sorted(f.stem for f in Path("r/figures").glob(f"*.{kind}")) for kind in ("png", "svg")
+    )
     assert png == svg
     assert len(png) == drawn > 0
     for name in png:
@@ -223,13 +245,32 @@ def test_figures_are_written_beside_the_report_when_asked_for(folder: Path, call
 
 
 def command(*arguments: str, **options) -> subprocess.Popen:
-    return subprocess.Popen([sys.executable, "-m", "hiltestbed.cli", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
+    return subprocess.Popen(
+        [sys.executable, "-m", "hiltestbed.cli", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        **options,
+    )
 
 
 def test_help_imports_nothing_heavy_and_version_is_told() -> None:
     """What --help costs is what it imports; the simulation's packages take a second."""
-    heavy = ("mujoco", "pinocchio", "numba", "scipy", "rerun", "pyarrow", "numpy", "pydantic", "matplotlib", "distributed")
-    code = "import sys; sys.argv[1:] = ['--help']\nimport hiltestbed.cli\ntry: hiltestbed.cli.main()\nexcept SystemExit: pass\n"
+    heavy = (
+        "mujoco",
+        "pinocchio",
+        "numba",
+        "scipy",
+        "rerun",
+        "pyarrow",
+        "numpy",
+        "pydantic",
+        "matplotlib",
+        "distributed",
+    )
+    code = (
+        "import sys; sys.argv[1:] = ['--help']\nimport hiltestbed.cli\ntry: "
+        "hiltestbed.cli.main()\nexcept SystemExit: pass\n"
+    )
     code += f"print([m for m in {heavy} if m in sys.modules], file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "check" in done.stdout
@@ -241,7 +282,9 @@ def test_help_imports_nothing_heavy_and_version_is_told() -> None:
 def test_a_reader_that_hangs_up_gets_no_traceback(folder: Path) -> None:
     read, write = os.pipe()
     os.close(read)
-    process = subprocess.Popen([sys.executable, "-m", "hiltestbed.cli", "schema"], stdout=write, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hiltestbed.cli", "schema"], stdout=write, stderr=subprocess.PIPE
+    )
     os.close(write)
     _, err = process.communicate()
     assert b"Traceback" not in err
@@ -249,9 +292,20 @@ def test_a_reader_that_hangs_up_gets_no_traceback(folder: Path) -> None:
 
 
 def test_interrupted_leaves_no_folder_and_no_traceback(folder: Path) -> None:
-    process = command("run", "s.yaml", "--set", "duration=200", "--set", "approach.velocity=[0,0,0]", "--no-rerun", "--out", "r")
+    process = command(
+        "run",
+        "s.yaml",
+        "--set",
+        "duration=200",
+        "--set",
+        "approach.velocity=[0,0,0]",
+        "--no-rerun",
+        "--out",
+        "r",
+    )
     end = time.monotonic() + 60.0
-    while "libmujoco" not in Path(f"/proc/{process.pid}/maps").read_text():  # past the command's own imports
+    # past the command's own imports
+    while "libmujoco" not in Path(f"/proc/{process.pid}/maps").read_text():
         assert time.monotonic() < end
         time.sleep(0.05)
     time.sleep(1.0)
@@ -285,7 +339,10 @@ def test_an_unknown_name_is_answered_with_those_that_are_shipped(folder: Path, c
 
 def test_compare_puts_runs_side_by_side(folder: Path, call) -> None:
     for name, delay in (("a", 0.0), ("b", 0.01)):
-        assert call("run", "s.yaml", "--no-rerun", "--out", name, "--set", f"sensor.delay={delay}")[0] == 0
+        assert (
+            call("run", "s.yaml", "--no-rerun", "--out", name, "--set", f"sensor.delay={delay}")[0]
+            == 0
+        )
     status, out, _ = call("compare", "a", "b", "--json", "--out", "both.html")
     told = json.loads(out)
     assert status == 0
@@ -297,7 +354,9 @@ def test_compare_puts_runs_side_by_side(folder: Path, call) -> None:
     assert call("compare", "a", "gone")[0] == 2
 
 
-def test_a_benchmark_that_leaves_out_the_users_own_fails_after_it_has_written(folder: Path, call, monkeypatch) -> None:
+def test_a_benchmark_that_leaves_out_the_users_own_fails_after_it_has_written(
+    folder: Path, call, monkeypatch
+) -> None:
     result = BenchResult("cor", [], {}, Report("CoR"), [("best", "0.001")], {"mine": "too steep"})
     monkeypatch.setattr("hiltestbed.bench.cor.cor", lambda **_: result)
     status, out, err = call("bench", "cor", "--out", "b")
@@ -311,7 +370,9 @@ def test_doctor_finds_what_is_needed(folder: Path, call) -> None:
     status, out, _ = call("doctor", "--json")
     told = json.loads(out)
     assert (status, told["healthy"]) == (0, True)
-    assert {"mujoco", "cores", "compiled kernels", "plugins"} <= {finding["what"] for finding in told["findings"]}
+    assert {"mujoco", "cores", "compiled kernels", "plugins"} <= {
+        finding["what"] for finding in told["findings"]
+    }
     assert "mujoco" in call("doctor")[1]
 
 
@@ -321,9 +382,23 @@ def test_a_shell_completes_shipped_names_and_files(folder: Path) -> None:
     assert "delay-stiffness" in complete("d")
 
 
-def test_a_run_that_gains_energy_is_warned_of_and_one_that_does_not_is_not(folder: Path, call) -> None:
-    assert "faster than the approach" in call("run", "s.yaml", "--no-rerun", "--out", "late", "--set", "sensor.delay=0.01",
-        "--set", "compensation.force={kind: none}")[1]  # fmt: skip
+def test_a_run_that_gains_energy_is_warned_of_and_one_that_does_not_is_not(
+    folder: Path, call
+) -> None:
+    assert (
+        "faster than the approach"
+        in call(
+            "run",
+            "s.yaml",
+            "--no-rerun",
+            "--out",
+            "late",
+            "--set",
+            "sensor.delay=0.01",
+            "--set",
+            "compensation.force={kind: none}",
+        )[1]
+    )
     assert "warning" not in call("run", "s.yaml", "--no-rerun", "--out", "right")[1]
 
 
@@ -333,7 +408,15 @@ def test_check_takes_the_overrides_of_run(folder: Path, call) -> None:
     status, out, _ = call("check", "s.yaml", "--set", "sensor.delay=-1.0")
     assert status == 2
     assert "sensor.delay: is out of range (got -1.0)" in out
-    status, out, _ = call("check", "s.yaml", "--json", "--set", "mechanism.contact.stiffness=2e5", "--set", "rig.platform.bandwidth=20.0")
+    status, out, _ = call(
+        "check",
+        "s.yaml",
+        "--json",
+        "--set",
+        "mechanism.contact.stiffness=2e5",
+        "--set",
+        "rig.platform.bandwidth=20.0",
+    )
     found = json.loads(out)["files"][0]
     assert found["stability"]["stiffness"] == 2e5
     assert any("rig.platform.bandwidth: has no effect" in remark for remark in found["remarks"])

@@ -1,4 +1,6 @@
-"""The bounce that is foretold before a run: against closed forms and small steps, and against what the loop then does."""
+"""The bounce that is foretold before a run: against closed forms and small steps, and against what
+the loop then does.
+"""
 
 from __future__ import annotations
 
@@ -20,22 +22,37 @@ SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.8])
 def test_a_bounce_without_a_rig_is_that_of_a_spring_and_a_damper(ratio) -> None:
-    """It ends where the force is zero: e = exp(-zeta/s atan2(2 zeta s, 2 zeta^2 - 1)), s = sqrt(1 - zeta^2); nothing makes energy."""
+    """It ends where the force is zero: e = exp(-zeta/s atan2(2 zeta s, 2 zeta^2 - 1)), s = sqrt(1 -
+    zeta^2); nothing makes energy.
+    """
     mass, k = 300.0, 2.0e4
     found = bounce(EXACT, mass, k, 2.0 * ratio * math.sqrt(k * mass), 0.0)
     s = math.sqrt(1.0 - ratio**2)
-    assert found.rebound == pytest.approx(math.exp(-ratio / s * math.atan2(2.0 * ratio * s, 2.0 * ratio**2 - 1.0)), abs=2e-3)
+    assert found.rebound == pytest.approx(
+        math.exp(-ratio / s * math.atan2(2.0 * ratio * s, 2.0 * ratio**2 - 1.0)), abs=2e-3
+    )
     assert found.energy == pytest.approx(0.0, abs=2e-4)
 
 
-@pytest.mark.parametrize(("band", "zeta", "late", "ratio", "mass"), [(20.0, 1.0, 0.002, 0.3, 50.0), (10.0, 0.7, 0.006, 0.4, 300.0)])
+@pytest.mark.parametrize(
+    ("band", "zeta", "late", "ratio", "mass"),
+    [(20.0, 1.0, 0.002, 0.3, 50.0), (10.0, 0.7, 0.006, 0.4, 300.0)],
+)
 def test_a_bounce_through_a_second_order_and_a_delay(band, zeta, late, ratio, mass) -> None:
-    """Against small explicit steps of x'' = w^2 (z - x) - 2 zeta w x', m z'' = -F(t - late), F = k x + c x' while x > 0."""
+    """Against small explicit steps of x'' = w^2 (z - x) - 2 zeta w x', m z'' = -F(t - late), F = k
+    x + c x' while x > 0.
+    """
     k, w = 2.0e4, 2.0 * math.pi * band
     c = 2.0 * ratio * math.sqrt(k * mass)
     f = np.arange(0.0, 101.0)
     p = 2j * math.pi * f
-    found = bounce(RigResponse(f, w * w / (p * p + 2.0 * zeta * w * p + w * w), np.zeros(101, dtype=complex)), mass, k, c, late)
+    found = bounce(
+        RigResponse(f, w * w / (p * p + 2.0 * zeta * w * p + w * w), np.zeros(101, dtype=complex)),
+        mass,
+        k,
+        c,
+        late,
+    )
     dt = 2e-5
     ago = round(late / dt)
     z, v, x, rate = 2.0 * zeta / w, 1.0, 0.0, 1.0  # on a uniform motion the rig is 2 zeta/w late
@@ -53,35 +70,56 @@ def test_a_bounce_through_a_second_order_and_a_delay(band, zeta, late, ratio, ma
 
 
 def light_tip(k: float, c: float, **more):
-    """A probe of which the contact's normal in the cone moves little mass, a spring and a damper, no compensation."""
+    """A probe of which the contact's normal in the cone moves little mass, a spring and a damper,
+    no compensation.
+    """
     bodies = {
-        "chaser": {"mass": 750.0, "inertia": [200.0, 200.0, 225.0], "port": {"position": [0.0, 0.0, 0.9]}},
-        "target": {"mass": 500.0, "inertia": [250.0, 250.0, 300.0], "port": {"position": [0.0, 0.0, -1.9]}},
+        "chaser": {
+            "mass": 750.0,
+            "inertia": [200.0, 200.0, 225.0],
+            "port": {"position": [0.0, 0.0, 0.9]},
+        },
+        "target": {
+            "mass": 500.0,
+            "inertia": [250.0, 250.0, 300.0],
+            "port": {"position": [0.0, 0.0, -1.9]},
+        },
     }
     keys = {
-        "spacecraft": bodies, "mechanism": {"kind": "probe_cone", "contact": {"stiffness": k, "damping": c}},
-        "approach": {"gap": 0.07, "offset": [0.04, 0.0], "velocity": [0.0, 0.0, 0.08]}, "duration": 0.7, "sensor": {"delay": 0.002},
-        "identification.kind": "none", "compensation": {"force": {"kind": "none"}, "motion": {"kind": "none"}},
-    }  # fmt: skip
+        "spacecraft": bodies,
+        "mechanism": {"kind": "probe_cone", "contact": {"stiffness": k, "damping": c}},
+        "approach": {"gap": 0.07, "offset": [0.04, 0.0], "velocity": [0.0, 0.0, 0.08]},
+        "duration": 0.7,
+        "sensor": {"delay": 0.002},
+        "identification.kind": "none",
+        "compensation": {"force": {"kind": "none"}, "motion": {"kind": "none"}},
+    }
     return load_scenario(SCENARIOS / "09-docking.yaml", keys | more)
 
 
 @pytest.mark.parametrize(
-    ("k", "c", "damped", "stable"), [(3.4e5, 1.02e4, True, False), (1.0e5, 6000.0, True, True), (3.4e5, 3000.0, False, False)]
+    ("k", "c", "damped", "stable"),
+    [(3.4e5, 1.02e4, True, False), (1.0e5, 6000.0, True, True), (3.4e5, 3000.0, False, False)],
 )
 def test_a_bounce_in_a_cone_is_foretold(k, c, damped, stable) -> None:
-    """Speed after it and energy that the rig makes, within 5 %: it may gain although much damping is left of what stays."""
+    """Speed after it and energy that the rig makes, within 5 %: it may gain although much damping
+    is left of what stays.
+    """
     s = light_tip(k, c)
     done = run(s)
     assert done.trace is not None
-    said = {d["direction"]: d for d in done.summary["stability"]["directions"]}["along the normal of the first touch"]
+    said = {d["direction"]: d for d in done.summary["stability"]["directions"]}[
+        "along the normal of the first touch"
+    ]
     way = next(d for d in directions(s) if d.slant)
     contact, twist = done.trace.contact, done.trace["twist_cmd"]
     first = int(np.argmax(contact))
     last = first + int(np.argmin(contact[first:]))
     before, after = way.row @ twist[first - 1], way.row @ twist[last + 60]
     assert -after / before == pytest.approx(said["rebound"], rel=0.05)
-    assert done.summary["energy_generated"] / (0.5 * way.mass * before**2) == pytest.approx(said["rig_energy"], rel=0.05)
+    assert done.summary["energy_generated"] / (0.5 * way.mass * before**2) == pytest.approx(
+        said["rig_energy"], rel=0.05
+    )
     assert (said["net_damping"] > 0.0) is damped
     assert said["stable"] is stable
     assert bool(-after / before < 1.0) is stable
@@ -89,22 +127,38 @@ def test_a_bounce_in_a_cone_is_foretold(k, c, damped, stable) -> None:
 
 
 def test_the_delay_that_a_bounce_bears() -> None:
-    """At the largest delay a bounce ends as fast as it began, whichever ends first: that, or the damping of what stays."""
+    """At the largest delay a bounce ends as fast as it began, whichever ends first: that, or the
+    damping of what stays.
+    """
     said = stability(light_tip(1.0e5, 6000.0))
     assert said is not None
     for factor, stable in ((0.98, True), (1.02, False)):
-        again = stability(light_tip(1.0e5, 6000.0, **{"sensor.delay": factor * said["largest_delay"]}))
+        again = stability(
+            light_tip(1.0e5, 6000.0, **{"sensor.delay": factor * said["largest_delay"]})
+        )
         assert again is not None
         assert again["stable"] is stable, factor
 
 
 def test_a_prediction_makes_up_for_the_platform_where_it_knows_the_line() -> None:
-    """On the first touch the rig makes nothing; on the wall across it does, less than without prediction; with feed-forward nowhere."""
-    shared = {"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0], "mechanism.latch": None, "duration": 3.3}
-    shared |= {"mechanism.contact": {"stiffness": 5.0e4, "damping": 800.0, "friction": 0.0}, "sensor": {"delay": 0.002}}
+    """On the first touch the rig makes nothing; on the wall across it does, less than without
+    prediction; with feed-forward nowhere.
+    """
+    shared = {
+        "approach.offset": [0.06, 0.0],
+        "approach.attitude_deg": [0.0, 0.0, 0.0],
+        "mechanism.latch": None,
+        "duration": 3.3,
+    }
+    shared |= {
+        "mechanism.contact": {"stiffness": 5.0e4, "damping": 800.0, "friction": 0.0},
+        "sensor": {"delay": 0.002},
+    }
     made = {}
     for motion in ("none", "feedforward"):
-        keys = shared | {"compensation": {"force": {"kind": "resynchronised"}, "motion": {"kind": motion}}}
+        keys = shared | {
+            "compensation": {"force": {"kind": "resynchronised"}, "motion": {"kind": motion}}
+        }
         done = run(load_scenario(SCENARIOS / "09-docking.yaml", keys))
         made[motion] = done.summary["energy_generated"] / done.summary["approach_energy"]
         said = {d["direction"]: d["rig_energy"] for d in done.summary["stability"]["directions"]}
@@ -112,19 +166,27 @@ def test_a_prediction_makes_up_for_the_platform_where_it_knows_the_line() -> Non
         assert (said["along the normal of a later touch"] > 0.05) is (motion == "none")
     assert made["none"] > 0.05
     assert abs(made["feedforward"]) < 0.01
-    flat = stability(load_scenario(SCENARIOS / "02-bumper.yaml", {"compensation.motion.kind": "none"}))
+    flat = stability(
+        load_scenario(SCENARIOS / "02-bumper.yaml", {"compensation.motion.kind": "none"})
+    )
     assert flat is not None
     assert [d["direction"] for d in flat["directions"]] == ["along z"]
 
 
-def slow_bounce(kind: str, drive: dict | None, speed: float, delay: float = 0.002, motion: str = "none"):
+def slow_bounce(
+    kind: str, drive: dict | None, speed: float, delay: float = 0.002, motion: str = "none"
+):
     """A bumper on a rig with drives that rub, or do not, met at a speed [m/s]."""
     platform = {"kind": kind} | (drive or {})
     keys = {
-        "rig.platform": platform, "mechanism.contact": {"stiffness": 1.0e5, "damping": 1500.0, "friction": 0.0}, "sensor": {"delay": delay},
-        "approach": {"gap": 0.3 * speed, "velocity": [0.0, 0.0, speed]}, "identification.kind": "none", "duration": 0.8,
+        "rig.platform": platform,
+        "mechanism.contact": {"stiffness": 1.0e5, "damping": 1500.0, "friction": 0.0},
+        "sensor": {"delay": delay},
+        "approach": {"gap": 0.3 * speed, "velocity": [0.0, 0.0, speed]},
+        "identification.kind": "none",
+        "duration": 0.8,
         "compensation": {"force": {"kind": "none"}, "motion": {"kind": motion}},
-    }  # fmt: skip
+    }
     return load_scenario(SCENARIOS / "18-stewart.yaml", set=keys)
 
 
@@ -133,7 +195,12 @@ RUBBING = {
     "gears": ("serial_arm", None),
     "sliders": ("pss33", {"actuator": {"kind": "single"}}),
 }
-SMOOTH = {"drive": {"kind": "hydraulic", "friction": {"coulomb": 0.0, "stiction": 0.0, "stribeck_speed": 0.005, "viscous": 600.0}}}
+SMOOTH = {
+    "drive": {
+        "kind": "hydraulic",
+        "friction": {"coulomb": 0.0, "stiction": 0.0, "stribeck_speed": 0.005, "viscous": 600.0},
+    }
+}
 
 
 @pytest.mark.parametrize("motion", ["feedforward", slow("none")])
@@ -145,12 +212,16 @@ def test_dry_friction_of_the_drives_is_in_the_bounce_that_is_foretold(name, moti
     done = run(s).summary
     said = done["stability"]
     assert said["rebound"] == pytest.approx(done["cor"], rel=0.02)
-    assert said["rig_energy"] == pytest.approx(done["energy_generated"] / done["approach_energy"], rel=0.03, abs=0.06)
+    assert said["rig_energy"] == pytest.approx(
+        done["energy_generated"] / done["approach_energy"], rel=0.03, abs=0.06
+    )
     assert said["caveat"] is None
 
 
 def test_friction_makes_more_of_a_slow_bounce_and_nothing_without_it_hangs_on_the_speed() -> None:
-    """What sticks at a reversal is a length, of which a slow bounce is short; without it drives, valves and oil are linear."""
+    """What sticks at a reversal is a length, of which a slow bounce is short; without it drives,
+    valves and oil are linear.
+    """
     told = {
         (speed, rubs): stability(slow_bounce("stewart", None if rubs else SMOOTH, speed))
         for speed in (0.005, 0.05)
@@ -165,8 +236,15 @@ def test_friction_makes_more_of_a_slow_bounce_and_nothing_without_it_hangs_on_th
 def test_the_first_contact_is_the_same_however_long_the_run_is() -> None:
     """Also where it ends before the touch at 0.3 s."""
     kind, drive = RUBBING["sliders"]
-    told = [stability(slow_bounce(kind, drive, 0.02).model_copy(update={"duration": duration})) for duration in (0.8, 0.2)]
-    first, second = ({key: said[key] for key in ("rebound", "rig_energy", "largest_delay", "stable")} for said in told if said is not None)
+    told = [
+        stability(slow_bounce(kind, drive, 0.02).model_copy(update={"duration": duration}))
+        for duration in (0.8, 0.2)
+    ]
+    first, second = (
+        {key: said[key] for key in ("rebound", "rig_energy", "largest_delay", "stable")}
+        for said in told
+        if said is not None
+    )
     assert first == second
 
 
@@ -178,25 +256,44 @@ def test_drives_that_rub_bear_the_delay_that_is_told(name) -> None:
     assert said is not None
     assert said["largest_delay"] > 0.002
     for factor, faster in ((0.97, False), (1.03, True)):
-        done = run(slow_bounce(kind, drive, 0.008, factor * said["largest_delay"], "feedforward")).summary
+        done = run(
+            slow_bounce(kind, drive, 0.008, factor * said["largest_delay"], "feedforward")
+        ).summary
         assert (done["cor"] > 1.0) is faster, factor
 
 
 @pytest.mark.parametrize("friction", [0.1, slow(0.0), slow(0.3)])
 @pytest.mark.parametrize("tilt", [[4.0, -3.0, 0.0], slow([2.0, 0.0, 0.0])])
 def test_a_tip_that_slides_in_its_socket_ends_as_foretold(tilt, friction) -> None:
-    """Centred, tilted: the normal turns by up to half a right angle while the tip slides to the bottom. Along the impulse of the run."""
-    keys = {"approach.offset": [0.0, 0.0], "approach.attitude_deg": tilt, "approach.gap": 0.03, "duration": 1.0}
+    """Centred, tilted: the normal turns by up to half a right angle while the tip slides to the
+    bottom. Along the impulse of the run.
+    """
+    keys = {
+        "approach.offset": [0.0, 0.0],
+        "approach.attitude_deg": tilt,
+        "approach.gap": 0.03,
+        "duration": 1.0,
+    }
     s = light_tip(1.0e5, 6000.0, **(keys | {"mechanism.contact.friction": friction}))
     done = run(s).summary
-    first = next(d for d in done["stability"]["directions"] if d["direction"] == "along the normal of the first touch")
+    first = next(
+        d
+        for d in done["stability"]["directions"]
+        if d["direction"] == "along the normal of the first touch"
+    )
     assert first["rebound"] == pytest.approx(done["cor_normal"], rel=0.02)
     assert first["caveat"] is None
-    assert next(d for d in done["stability"]["directions"] if d["direction"] == "along z")["caveat"].startswith("of a head-on touch")
+    assert next(d for d in done["stability"]["directions"] if d["direction"] == "along z")[
+        "caveat"
+    ].startswith("of a head-on touch")
 
 
 def test_a_bounce_that_is_not_the_first_contacts_says_to_which_side_it_is() -> None:
-    later = stability(load_scenario(SCENARIOS / "09-docking.yaml", {"compensation": {"force": {"kind": "resynchronised"}}}))
+    later = stability(
+        load_scenario(
+            SCENARIOS / "09-docking.yaml", {"compensation": {"force": {"kind": "resynchronised"}}}
+        )
+    )
     assert later is not None
     caveats = {d["direction"]: d["caveat"] for d in later["directions"]}
     assert caveats["along the normal of a later touch"].startswith("an upper bound")
@@ -214,8 +311,13 @@ def test_a_bounce_that_is_not_the_first_contacts_says_to_which_side_it_is() -> N
     ],
 )
 def test_what_gives_way_behind_the_contact_is_in_the_bounce_that_is_foretold(gives) -> None:
-    """A frame takes part of the deflection, and its part of the damper's work: the rebound is 0.91 without it."""
-    s = load_scenario(SCENARIOS / "02-bumper.yaml", {"effects": [gives], "compensation": {"force": {"kind": "none"}}})
+    """A frame takes part of the deflection, and its part of the damper's work: the rebound is 0.91
+    without it.
+    """
+    s = load_scenario(
+        SCENARIOS / "02-bumper.yaml",
+        {"effects": [gives], "compensation": {"force": {"kind": "none"}}},
+    )
     said, done = stability(s), run(s).summary
     assert said is not None
     assert abs(done["cor"] - 0.907) > 0.01
@@ -224,7 +326,9 @@ def test_what_gives_way_behind_the_contact_is_in_the_bounce_that_is_foretold(giv
 
 
 def test_what_is_not_in_the_bounce_that_is_foretold_is_said() -> None:
-    """A gain that is not believed makes another stiffness of the model's contact; a delay is in the force that is late."""
+    """A gain that is not believed makes another stiffness of the model's contact; a delay is in the
+    force that is late.
+    """
     hidden = [{"kind": "sensor.gain", "factor": 1.3}, {"kind": "sensor.delay", "delay": 0.001}]
     said = stability(load_scenario(SCENARIOS / "02-bumper.yaml", {"effects": hidden}))
     assert said is not None
@@ -232,7 +336,9 @@ def test_what_is_not_in_the_bounce_that_is_foretold_is_said() -> None:
 
 
 def test_a_stiffness_that_an_effect_of_the_contact_does_not_bear_is_not_simulated() -> None:
-    """A frame of a gram on a spring of 1 GN/m would ring in 1,250 steps an instant, which no scenario may."""
+    """A frame of a gram on a spring of 1 GN/m would ring in 1,250 steps an instant, which no
+    scenario may.
+    """
     ringing = {"kind": "frame.mode", "frequency": 1.0e4, "damping_ratio": 0.1, "mass": 1e-3}
     simulated = first_contact(load_scenario(SCENARIOS / "02-bumper.yaml", {"effects": [ringing]}))
     assert simulated is not None

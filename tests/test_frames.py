@@ -1,4 +1,6 @@
-"""The algebra of rotations and poses, against an independent implementation (scipy) and its own axioms."""
+"""The algebra of rotations and poses, against an independent implementation (scipy) and its own
+axioms.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,13 @@ def test_products_and_rotations_are_scipys(quaternions: np.ndarray) -> None:
     out, v = np.empty(4), np.array([0.3, -1.2, 0.7])
     for a, b in zip(quaternions[:10], quaternions[10:], strict=True):
         frames.quat_mul(a, b, out)
-        assert abs(out @ (Rotation.from_quat(a) * Rotation.from_quat(b)).as_quat()) == pytest.approx(1.0, abs=1e-14)
+        assert abs(
+            out @ (Rotation.from_quat(a) * Rotation.from_quat(b)).as_quat()
+        ) == pytest.approx(1.0, abs=1e-14)
         frames.quat_conj_mul(a, b, out)
-        assert abs(out @ (Rotation.from_quat(a).inv() * Rotation.from_quat(b)).as_quat()) == pytest.approx(1.0, abs=1e-14)
+        assert abs(
+            out @ (Rotation.from_quat(a).inv() * Rotation.from_quat(b)).as_quat()
+        ) == pytest.approx(1.0, abs=1e-14)
         w = np.empty(3)
         frames.rotate(a, v, w)
         np.testing.assert_allclose(w, Rotation.from_quat(a).apply(v), atol=1e-14)
@@ -37,14 +43,22 @@ def test_exponential_and_logarithm_are_inverse(size: float) -> None:
     assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-15)
     frames.rotation_vector(q, back)
     np.testing.assert_allclose(back, r, rtol=1e-12)
-    np.testing.assert_allclose(frames.rotation_vectors(-q), r, rtol=1e-12)  # -q is the same attitude
+    # -q is the same attitude
+    np.testing.assert_allclose(frames.rotation_vectors(-q), r, rtol=1e-12)
 
 
 def test_attitude_deg_turns_about_the_fixed_axes() -> None:
     angles = np.array([12.0, -7.0, 30.0])
-    ours, scipys = frames.quat_from_attitude_deg(angles), Rotation.from_euler("xyz", angles, degrees=True).as_quat()
+    ours, scipys = (
+        frames.quat_from_attitude_deg(angles),
+        Rotation.from_euler("xyz", angles, degrees=True).as_quat(),
+    )
     assert abs(ours @ scipys) == pytest.approx(1.0, abs=1e-15)
-    np.testing.assert_allclose(frames.rotation_matrix(ours), Rotation.from_euler("xyz", angles, degrees=True).as_matrix(), atol=1e-15)
+    np.testing.assert_allclose(
+        frames.rotation_matrix(ours),
+        Rotation.from_euler("xyz", angles, degrees=True).as_matrix(),
+        atol=1e-15,
+    )
 
 
 def test_the_slope_between_two_poses_takes_one_to_the_other(quaternions: np.ndarray) -> None:
@@ -56,5 +70,9 @@ def test_the_slope_between_two_poses_takes_one_to_the_other(quaternions: np.ndar
 
 
 def test_mujoco_order_is_undone(quaternions: np.ndarray) -> None:
-    np.testing.assert_array_equal(frames.quat_from_mujoco(frames.quat_to_mujoco(quaternions)), quaternions)
-    np.testing.assert_array_equal(frames.quat_to_mujoco(np.array([1.0, 2.0, 3.0, 4.0])), [4.0, 1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(
+        frames.quat_from_mujoco(frames.quat_to_mujoco(quaternions)), quaternions
+    )
+    np.testing.assert_array_equal(
+        frames.quat_to_mujoco(np.array([1.0, 2.0, 3.0, 4.0])), [4.0, 1.0, 2.0, 3.0]
+    )

@@ -1,4 +1,6 @@
-"""What imports what: no circle among the modules of the package, as far as it is imported when a module is loaded."""
+"""What imports what: no circle among the modules of the package, as far as it is imported when a
+module is loaded.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def modules() -> dict[str, Path]:
 
 
 def loaded_at_import(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
-    """The imports that run when the module is loaded: not those of functions, not those for type checkers alone."""
+    """The imports that run when the module is loaded: not those of functions, not those for type
+    checkers alone.
+    """
     waiting: list[ast.AST] = list(tree.body)
     while waiting:
         node = waiting.pop()
@@ -30,12 +34,20 @@ def loaded_at_import(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
             yield node
         elif isinstance(node, ast.If):
             named = ast.unparse(node.test)
-            waiting += node.orelse if named.endswith("TYPE_CHECKING") else [*node.body, *node.orelse]
+            waiting += (
+                node.orelse if named.endswith("TYPE_CHECKING") else [*node.body, *node.orelse]
+            )
         elif not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
-            waiting += [child for child in ast.iter_child_nodes(node) if isinstance(child, ast.stmt | ast.excepthandler)]
+            waiting += [
+                child
+                for child in ast.iter_child_nodes(node)
+                if isinstance(child, ast.stmt | ast.excepthandler)
+            ]
 
 
-def targets(node: ast.Import | ast.ImportFrom, known: dict[str, Path], importer: str) -> Iterator[str]:
+def targets(
+    node: ast.Import | ast.ImportFrom, known: dict[str, Path], importer: str
+) -> Iterator[str]:
     """The modules of the package that an import loads."""
     if isinstance(node, ast.Import):
         yield from (alias.name for alias in node.names if alias.name in known)
@@ -59,7 +71,12 @@ def graph() -> dict[str, set[str]]:
     for name, path in known.items():
         nodes = loaded_at_import(ast.parse(path.read_text(encoding="utf-8")))
         direct = {target for node in nodes for target in targets(node, known, name)}
-        out[name] = {step for target in direct for step in packages_to(target) if not f"{name}.".startswith(f"{step}.")}
+        out[name] = {
+            step
+            for target in direct
+            for step in packages_to(target)
+            if not f"{name}.".startswith(f"{step}.")
+        }
     return out
 
 
@@ -79,5 +96,6 @@ def test_no_module_imports_itself_by_way_of_others() -> None:
 def test_the_walk_sees_imports() -> None:
     found = graph()
     assert "hiltestbed.loop" in found["hiltestbed.simulation"]
-    assert "hiltestbed.diagnosis.diagnose" not in found["hiltestbed.cli.studies"]  # imported by the command that needs it
+    # imported by the command that needs it
+    assert "hiltestbed.diagnosis.diagnose" not in found["hiltestbed.cli.studies"]
     assert len(found) > 200

@@ -1,4 +1,6 @@
-"""Ctrl-C at the moments at which Python loses or garbles it; what the program itself leaves is in the tests of its commands."""
+"""Ctrl-C at the moments at which Python loses or garbles it; what the program itself leaves is in
+the tests of its commands.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ except KeyboardInterrupt:
 
 def test_ctrl_c_that_passed_through_an_exec_leaves_the_status_as_it_is(tmp_path: Path) -> None:
     (tmp_path / "through_text.py").write_text(THROUGH_TEXT)
-    ended = subprocess.run([sys.executable, "-m", "through_text"], capture_output=True, timeout=60, cwd=tmp_path)
+    ended = subprocess.run(
+        [sys.executable, "-m", "through_text"], capture_output=True, timeout=60, cwd=tmp_path
+    )
     assert (ended.returncode, ended.stderr) == (1, b"")
 
 
@@ -54,7 +58,9 @@ except KeyboardInterrupt:
 
 
 def test_ctrl_c_waits_for_llvm() -> None:
-    ended = subprocess.run([sys.executable, "-c", COMPILING], capture_output=True, timeout=20, text=True)
+    ended = subprocess.run(
+        [sys.executable, "-c", COMPILING], capture_output=True, timeout=20, text=True
+    )
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "compiled\ninterrupted\n", "")
 
 

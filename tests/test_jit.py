@@ -1,4 +1,6 @@
-"""A kernel on disk is good for as long as all that it is made of is the same, wherever that is written."""
+"""A kernel on disk is good for as long as all that it is made of is the same, wherever that is
+written.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ print(force(1.0), constant(1.0), of_module(1.0), *(sum(f.stats.cache_hits.values
 def ran(folder: Path, factor: float, sign: str) -> list[float]:
     (folder / "law.py").write_text(LAW.format(factor=factor, sign=sign))
     (folder / "user.py").write_text(USER)
-    done = subprocess.run([sys.executable, "-B", "user.py"], cwd=folder, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-B", "user.py"], cwd=folder, capture_output=True, text=True, check=True
+    )
     return [float(word) for word in done.stdout.split()]
 
 
@@ -68,4 +72,6 @@ def test_an_old_kernel_is_taken_only_where_nothing_has_changed(folder: Path) -> 
 def test_every_kernel_of_the_package_is_marked() -> None:
     package = Path(hiltestbed.__file__).parent
     bare = re.compile(r"^\s*(from numba import .*\bnjit\b|@(numba\.)?jit\b)", re.MULTILINE)
-    assert [file.name for file in package.rglob("*.py") if bare.search(file.read_text(encoding="utf-8"))] == []
+    assert [
+        file.name for file in package.rglob("*.py") if bare.search(file.read_text(encoding="utf-8"))
+    ] == []

@@ -20,7 +20,11 @@ W = math.sqrt(1.0e5 / 400.0)
 @cache
 def undelayed(rate: float, physics_rate: float) -> float:
     """Restitution of the same bounce without any delay."""
-    found = simulate([load_scenario(SCENARIO, set={"rate": rate, "physics_rate": physics_rate})]).figures[0].cor
+    found = (
+        simulate([load_scenario(SCENARIO, set={"rate": rate, "physics_rate": physics_rate})])
+        .figures[0]
+        .cor
+    )
     assert found is not None
     return found
 
@@ -39,9 +43,18 @@ def undelayed(rate: float, physics_rate: float) -> float:
         {"sensor.delay": 0.008, "compensation.force": {"kind": "phase_lead", "lead": 0.004}},
         {"sensor.delay": 0.008, "compensation.force": {"kind": "second_order_lead"}},
         {"sensor.delay": 0.008, "compensation.force": {"kind": "resynchronised"}},
-        {"sensor.delay": 0.008, "compensation.force": {"kind": "virtual_contact", "damping": 500.0}},
-        {"sensor.delay": 0.008, "compensation.force": {"kind": "smith_predictor", "stiffness": 0.5e5, "damping": 200.0}},
-        {"compensation.force": {"kind": "resynchronised"}, "effects": [{"kind": "platform.delay", "delay": 0.008}]},
+        {
+            "sensor.delay": 0.008,
+            "compensation.force": {"kind": "virtual_contact", "damping": 500.0},
+        },
+        {
+            "sensor.delay": 0.008,
+            "compensation.force": {"kind": "smith_predictor", "stiffness": 0.5e5, "damping": 200.0},
+        },
+        {
+            "compensation.force": {"kind": "resynchronised"},
+            "effects": [{"kind": "platform.delay", "delay": 0.008}],
+        },
         {
             "sensor.delay": 0.004,
             "compensation.force": {"kind": "resynchronised", "delay": "estimate"},
@@ -51,11 +64,18 @@ def undelayed(rate: float, physics_rate: float) -> float:
     ids=lambda c: " ".join(str(v) for v in c.values()),
 )
 def test_every_delay_is_in_the_ledger(changes: dict[str, Any]) -> None:
-    """ln(e/e_ref) within 0.01 while w tau <= 0.25; a first-order lag leaves 3 % of it by its gain."""
+    """ln(e/e_ref) within 0.01 while w tau <= 0.25; a first-order lag leaves 3 % of it by its
+    gain.
+    """
     scenario = load_scenario(SCENARIO, set=changes)
-    reference, figures = undelayed(scenario.rate, scenario.physics_rate), simulate([scenario]).figures[0]
+    reference, figures = (
+        undelayed(scenario.rate, scenario.physics_rate),
+        simulate([scenario]).figures[0],
+    )
     assert figures.cor is not None
     ledger = delay_ledger(scenario, figures)
     assert abs(W * ledger[-1].delay) <= 0.25
     assert ledger[-1].delay == pytest.approx(sum(entry.delay for entry in ledger[:-1]))
-    assert predicted_log_error(scenario, ledger) == pytest.approx(math.log(figures.cor / reference), abs=0.015)
+    assert predicted_log_error(scenario, ledger) == pytest.approx(
+        math.log(figures.cor / reference), abs=0.015
+    )

@@ -1,4 +1,6 @@
-"""The rebound speed is that with which the vehicles part, whatever the compensation still does after the contact."""
+"""The rebound speed is that with which the vehicles part, whatever the compensation still does
+after the contact.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +15,26 @@ from hiltestbed.loop import Loop
 
 @pytest.mark.parametrize(
     "force",
-    [{"kind": "none"}, {"kind": "polynomial", "order": 1}, {"kind": "polynomial"}, {"kind": "phase_lead"}, {"kind": "kalman"}],
+    [
+        {"kind": "none"},
+        {"kind": "polynomial", "order": 1},
+        {"kind": "polynomial"},
+        {"kind": "phase_lead"},
+        {"kind": "kalman"},
+    ],
     ids=str,
 )
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_the_coefficient_of_restitution_is_that_of_the_last_speed(force: dict[str, Any], noise: float) -> None:
-    """An extrapolation through three delays of 20 ms goes on for 60 ms after a contact of 65 ms, and still adds a tenth of the speed. It
-    amplifies noise of 0.3 N to some 10 N at most, so that up to 20 N may pass for noise: in the last 6 ms, 1 % of the 12 N s that 400 kg
-    have at 0.03 m/s."""
+def test_the_coefficient_of_restitution_is_that_of_the_last_speed(
+    force: dict[str, Any], noise: float
+) -> None:
+    """An extrapolation through three delays of 20 ms goes on for 60 ms after a contact of 65 ms,
+    and still adds a tenth of the speed. It amplifies noise of 0.3 N to some 10 N at most, so that
+    up to 20 N may pass for noise: in the last 6 ms, 1 % of the 12 N s that 400 kg have at 0.03 m/s.
+    """
     scenario = load_scenario(
-        shipped("scenarios") / "02-bumper.yaml", {"sensor.delay": 0.02, "sensor.noise": noise, "compensation.force": force}
+        shipped("scenarios") / "02-bumper.yaml",
+        {"sensor.delay": 0.02, "sensor.noise": noise, "compensation.force": force},
     )
     result = run(scenario)
     assert result.trace is not None
@@ -31,7 +43,11 @@ def test_the_coefficient_of_restitution_is_that_of_the_last_speed(force: dict[st
 
 
 def test_a_run_has_rebounded_once_its_speed_no_longer_changes() -> None:
-    changes = {"sensor.delay": 0.02, "sensor.noise": 0.0, "compensation.force": {"kind": "polynomial"}}
+    changes = {
+        "sensor.delay": 0.02,
+        "sensor.noise": 0.0,
+        "compensation.force": {"kind": "polynomial"},
+    }
     loop = Loop([load_scenario(shipped("scenarios") / "02-bumper.yaml", changes)])
     while not loop.tally.parted(loop.alive):
         loop.step(None)

@@ -30,7 +30,9 @@ def _watch(scenarios: list[Scenario]) -> tuple[ProcessMonitor, Loop]:
 
 
 def test_a_bounce_is_a_touch_and_no_more() -> None:
-    """Touch is said two readings after the force arrives, a delay after it was there; nothing seats, nothing is captured."""
+    """Touch is said two readings after the force arrives, a delay after it was there; nothing
+    seats, nothing is captured.
+    """
     contacts = [Contact(4.0, d, 0.05, seed=i) for i, d in enumerate([0.002, 0.01] * 20)]
     monitor, loop = _watch([c.scenario(FORCE) for c in contacts])
     truth = loop.tally.first_tick / contacts[0].scenario(FORCE).rate
@@ -43,26 +45,32 @@ def test_a_bounce_is_a_touch_and_no_more() -> None:
 
 def test_noise_alone_is_no_touch() -> None:
     scenario = load_scenario(
-        SCENARIOS / "01-free-flight.yaml", set={"rig.platform.tracking": "ideal", "sensor.noise": 1.0, "duration": 1.0}
+        SCENARIOS / "01-free-flight.yaml",
+        set={"rig.platform.tracking": "ideal", "sensor.noise": 1.0, "duration": 1.0},
     )
     monitor, _ = _watch([scenario.model_copy(update={"seed": seed}) for seed in range(32)])
     assert np.isnan(monitor.touch).all()
 
 
 def test_a_stop_behind_a_spring_is_a_seat() -> None:
-    """A second spring, five times as stiff, 0.5 mm in: the stiffness over 20 ms rises from k to 6 k."""
+    """A second spring, five times as stiff, 0.5 mm in: the stiffness over 20 ms rises from k to 6
+    k.
+    """
     contact = Contact(2.0, 0.005, 0.05)
     stop = {"kind": "contact.hard_stop", "position": 1.2e-3, "stiffness": 5.0 * contact.stiffness}
     scenario = replace(contact, changes={"effects": [stop]}).scenario(FORCE)
     monitor, loop = _watch([scenario])
     assert monitor.first_stiffness[0] == pytest.approx(contact.stiffness, rel=0.1)
-    reached = loop.tally.first_tick[0] / scenario.rate + 1.2e-3 / contact.speed  # at the speed of approach; a little later in truth
+    # at the speed of approach; a little later in truth
+    reached = loop.tally.first_tick[0] / scenario.rate + 1.2e-3 / contact.speed
     assert reached < monitor.seat[0] < reached + 0.005 + 4.0 * 0.02  # the delay, and four memories
     assert np.isnan(monitor.capture[0])
 
 
 def test_a_mechanism_that_pulls_has_captured() -> None:
-    scenario = load_scenario(SCENARIOS / "13-ring-down.yaml", set={"duration": 0.5, "rig.platform.tracking": "ideal"})
+    scenario = load_scenario(
+        SCENARIOS / "13-ring-down.yaml", set={"duration": 0.5, "rig.platform.tracking": "ideal"}
+    )
     monitor, _ = _watch([scenario])
     assert monitor.touch[0] < monitor.capture[0] < 0.3
 
@@ -72,22 +80,33 @@ def _estimates(contact: Contact, seeds: range) -> list[ContactEstimate]:
     e = result.loop.identification
     assert e is not None
     names = ("stiffness", "damping", "stiffness_sd", "damping_sd")
-    return [ContactEstimate(**{name: float(getattr(e, name)[i, 2]) for name in names}) for i in range(len(seeds))]
+    return [
+        ContactEstimate(**{name: float(getattr(e, name)[i, 2]) for name in names})
+        for i in range(len(seeds))
+    ]
 
 
 def test_a_scenario_asks_for_it() -> None:
-    """The shipped one: 2 % softer than three contacts of which each is known to 0.04 %: 40 sigma."""
+    """The shipped one: 2 % softer than three contacts of which each is known to 0.04 %: 40
+    sigma.
+    """
     batch = simulate([load_scenario(SCENARIOS / "24-worn-buffer.yaml")])
     found = batch.outcomes[0]["monitoring"]
     figures = batch.figures[0]
     assert figures.first_contact is not None
-    assert figures.first_contact + 0.005 <= found["touch"] <= figures.first_contact + 0.005 + 3.0 / 2000.0
+    assert (
+        figures.first_contact + 0.005
+        <= found["touch"]
+        <= figures.first_contact + 0.005 + 3.0 / 2000.0
+    )
     assert found["first_stiffness"] == pytest.approx(98000.0, rel=0.03)
     assert (found["seat"], found["capture"]) == (None, None)
     assert found["wear"]["alarm"]
     assert found["wear"]["stiffness_change"] == pytest.approx(-0.02, abs=0.002)
     assert batch.identification[0]["z"]["stiffness_true"] == pytest.approx(98000.0)
-    healthy = simulate([load_scenario(SCENARIOS / "24-worn-buffer.yaml", set={"effects": []})]).outcomes[0]["monitoring"]
+    healthy = simulate(
+        [load_scenario(SCENARIOS / "24-worn-buffer.yaml", set={"effects": []})]
+    ).outcomes[0]["monitoring"]
     assert not healthy["wear"]["alarm"]
 
 
@@ -97,7 +116,9 @@ def test_one_that_does_not_ask_is_not_watched() -> None:
 
 
 def test_wear_is_told_and_its_false_alarms_are_as_rare_as_promised() -> None:
-    """At 5 %, 400 healthy contacts raise 20 alarms, three standard deviations 13. A spring that is 1 % softer is always told: 20 sigma."""
+    """At 5 %, 400 healthy contacts raise 20 alarms, three standard deviations 13. A spring that is
+    1 % softer is always told: 20 sigma.
+    """
     contact = Contact(4.0, 0.01, 0.05)
     baseline, healthy = _estimates(contact, range(1000, 1010)), _estimates(contact, range(400))
     alarms = sum(wear(baseline, one, false_alarm_rate=0.05).alarm for one in healthy)
@@ -110,7 +131,12 @@ def test_wear_is_told_and_its_false_alarms_are_as_rare_as_promised() -> None:
 
 def test_a_contact_without_damping_has_no_relative_change_of_it() -> None:
     elastic = ContactEstimate(stiffness=2e4, damping=0.0, stiffness_sd=10.0, damping_sd=1.0)
-    found = wear([elastic], ContactEstimate(stiffness=2.2e4, damping=5.0, stiffness_sd=10.0, damping_sd=1.0))
+    found = wear(
+        [elastic], ContactEstimate(stiffness=2.2e4, damping=5.0, stiffness_sd=10.0, damping_sd=1.0)
+    )
     assert (found.stiffness_change, found.damping_change) == (pytest.approx(0.1), None)
     events = dict.fromkeys(("touch", "seat", "capture"), None)
-    assert monitored({"monitoring": {**events, "wear": asdict(found)}}) == ("nothing", "worn: stiffness +10 %")
+    assert monitored({"monitoring": {**events, "wear": asdict(found)}}) == (
+        "nothing",
+        "worn: stiffness +10 %",
+    )

@@ -15,7 +15,9 @@ def test_between_the_knots_it_is_straight_and_past_the_ends_the_slopes_go_on() -
     curve = packed(PAIRS)
     assert curve.shape == (PACKED,)
     x = np.linspace(-1.0, 2.0, 50)
-    np.testing.assert_allclose([along(curve, v) for v in x], np.interp(x, *np.array(PAIRS).T), atol=1e-14)
+    np.testing.assert_allclose(
+        [along(curve, v) for v in x], np.interp(x, *np.array(PAIRS).T), atol=1e-14
+    )
     assert along(curve, -2.0) == pytest.approx(6.0)
     assert along(curve, 3.0) == pytest.approx(11.0)
 
@@ -31,7 +33,13 @@ def test_without_knots_it_is_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "pairs", [[[0.0, 1.0]], [[0.0, 1.0], [0.0, 2.0]], [[0.0, 1.0, 2.0], [1.0, 1.0]], [[i, 0.0] for i in range(MOST + 1)]]
+    "pairs",
+    [
+        [[0.0, 1.0]],
+        [[0.0, 1.0], [0.0, 2.0]],
+        [[0.0, 1.0, 2.0], [1.0, 1.0]],
+        [[i, 0.0] for i in range(MOST + 1)],
+    ],
 )
 def test_what_is_no_curve_is_refused(pairs: list[list[float]]) -> None:
     with pytest.raises(ValidationError):

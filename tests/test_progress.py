@@ -1,4 +1,6 @@
-"""The time left is that of the work: neither what came before the first part nor one slow part counts."""
+"""The time left is that of the work: neither what came before the first part nor one slow part
+counts.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def test_parts_of_unequal_work_count_by_their_work() -> None:
 
 
 def test_a_time_is_not_told_while_parts_differ_too_much() -> None:
-    """After parts of 1 and 9 s for the same work three do not tell the mean; after many it is told, slow ones counted."""
+    """After parts of 1 and 9 s for the same work three do not tell the mean; after many it is told,
+    slow ones counted.
+    """
     times = [0.0]
     for i in range(24):
         times.append(times[-1] + (9.0 if i % 2 else 1.0))
@@ -54,7 +58,9 @@ def test_a_time_is_not_told_while_parts_differ_too_much() -> None:
 
 @pytest.mark.parametrize("spread", [0.3, 0.7])
 def test_the_first_time_that_is_told_is_right_by_a_factor_of_two(spread) -> None:
-    """Sets that two processes work on, of lengths that differ by a factor of exp(spread), after half a minute of compiling in each."""
+    """Sets that two processes work on, of lengths that differ by a factor of exp(spread), after
+    half a minute of compiling in each.
+    """
     right = 0
     for seed in range(200):
         lengths = 8.0 * np.exp(spread * np.random.default_rng(seed).standard_normal(60))
@@ -77,8 +83,13 @@ def test_the_first_time_that_is_told_is_right_by_a_factor_of_two(spread) -> None
 
 @SLOW
 def test_the_effort_of_a_batch_is_what_it_takes() -> None:
-    """Processor time of small and large batches, ideal and servo, within a factor of two of the ratio that is assumed."""
-    cases = [[Contact(f, 0.005, 0.05, tracking=t)] * n for f, t, n in ((2.0, "ideal", 4), (1.0, "ideal", 48), (2.0, "servo", 16))]
+    """Processor time of small and large batches, ideal and servo, within a factor of two of the
+    ratio that is assumed.
+    """
+    cases = [
+        [Contact(f, 0.005, 0.05, tracking=t)] * n
+        for f, t, n in ((2.0, "ideal", 4), (1.0, "ideal", 48), (2.0, "servo", 16))
+    ]
     bounce([c.scenario({"kind": "none"}) for c in cases[0]])
     bounce([c.scenario({"kind": "none"}) for c in cases[2][:1]])  # from here on all is loaded
     paces = []
@@ -89,8 +100,11 @@ def test_the_effort_of_a_batch_is_what_it_takes() -> None:
     assert max(paces) < 2.0 * min(paces), paces
 
 
-def test_compiling_is_told_once_and_only_where_it_takes_long(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    listener = kernels.tell_of_compiling.__wrapped__()  # one of its own, whatever commands were called in this process before
+def test_compiling_is_told_once_and_only_where_it_takes_long(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # one of its own, whatever commands were called in this process before
+    listener = kernels.tell_of_compiling.__wrapped__()
     unregister("numba:compile", listener)  # fails where it was not registered
     for patience, told in ((3600.0, 0), (0.0, 1), (0.0, 0)):
         monkeypatch.setattr(kernels, "PATIENCE", patience)

@@ -1,4 +1,6 @@
-"""Run, RunTrace, Sweep and Comparison as Python users take them: reprs, columns by name, pandas, xarray, plots, the verdict on energy."""
+"""Run, RunTrace, Sweep and Comparison as Python users take them: reprs, columns by name, pandas,
+xarray, plots, the verdict on energy.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +19,31 @@ from hiltestbed.signals import GROUPS
 
 pytest.importorskip("matplotlib").use("Agg")
 
-OVERRIDES = {"duration": 0.6, "approach.gap": 0.002, "rig.platform.tracking": "ideal", "physics_rate": 4000}
+OVERRIDES = {
+    "duration": 0.6,
+    "approach.gap": 0.002,
+    "rig.platform.tracking": "ideal",
+    "physics_rate": 4000,
+}
 
 
 @pytest.fixture(scope="module")
 def late() -> hiltestbed.Run:
     """5 ms of delay, uncompensated: it rebounds faster than it came."""
-    return hiltestbed.run(hiltestbed.load_scenario(hiltestbed.shipped("scenarios") / "03-bumper-delay-uncompensated.yaml", OVERRIDES))
+    return hiltestbed.run(
+        hiltestbed.load_scenario(
+            hiltestbed.shipped("scenarios") / "03-bumper-delay-uncompensated.yaml", OVERRIDES
+        )
+    )
 
 
 @pytest.fixture(scope="module")
 def right() -> hiltestbed.Run:
-    return hiltestbed.run(hiltestbed.load_scenario(hiltestbed.shipped("scenarios") / "04-bumper-delay-compensated.yaml", OVERRIDES))
+    return hiltestbed.run(
+        hiltestbed.load_scenario(
+            hiltestbed.shipped("scenarios") / "04-bumper-delay-compensated.yaml", OVERRIDES
+        )
+    )
 
 
 def trace_of(run: hiltestbed.Run) -> hiltestbed.RunTrace:
@@ -92,26 +107,44 @@ def test_plot_returns_axes_with_what_was_asked(late: hiltestbed.Run) -> None:
 
 
 def test_a_run_without_trace_says_so() -> None:
-    bare = hiltestbed.run_batch([hiltestbed.load_scenario(hiltestbed.shipped("scenarios") / "02-bumper.yaml", {"duration": 0.01})])[0]
+    bare = hiltestbed.run_batch(
+        [
+            hiltestbed.load_scenario(
+                hiltestbed.shipped("scenarios") / "02-bumper.yaml", {"duration": 0.01}
+            )
+        ]
+    )[0]
     assert "no trace" in repr(bare)
     with pytest.raises(ValueError, match="no trace"):
         bare.to_pandas()
 
 
-def test_the_verdict_on_energy_follows_the_number(late: hiltestbed.Run, right: hiltestbed.Run) -> None:
-    """In shares of the approach energy: e^2 = 1 - what the contact took + what the rig made; the first from speeds, the second by work."""
+def test_the_verdict_on_energy_follows_the_number(
+    late: hiltestbed.Run, right: hiltestbed.Run
+) -> None:
+    """In shares of the approach energy: e^2 = 1 - what the contact took + what the rig made; the
+    first from speeds, the second by work.
+    """
     wrong, good = late.assessment, right.assessment
     assert late.summary["energy_generated"] > 0.0
     assert wrong.passive is False
     assert "gained" in wrong.energy
     assert any("faster than the approach" in text for text in wrong.warnings)
     trace = trace_of(late)
-    taken = float(np.trapezoid(trace["wrench_true.fz"], trace["pose_act.pz"])) / late.summary["approach_energy"]
-    assert energy_share(late.summary) == pytest.approx(late.summary["cor"] ** 2 - 1.0 + taken, rel=0.01)
+    taken = (
+        float(np.trapezoid(trace["wrench_true.fz"], trace["pose_act.pz"]))
+        / late.summary["approach_energy"]
+    )
+    assert energy_share(late.summary) == pytest.approx(
+        late.summary["cor"] ** 2 - 1.0 + taken, rel=0.01
+    )
     assert abs(energy_share(right.summary) or 0.0) <= NEUTRAL
     assert good.passive is None
     assert good.warnings == ()
-    lost = assess(late.summary | {"energy_generated": -late.summary["energy_generated"], "cor": 0.5, "cor_log_error": -0.6})
+    lost = assess(
+        late.summary
+        | {"energy_generated": -late.summary["energy_generated"], "cor": 0.5, "cor_log_error": -0.6}
+    )
     assert lost.passive is True
     assert not any("active" in text for text in lost.warnings)
 
@@ -123,7 +156,9 @@ def test_every_verdict_has_advice(late: hiltestbed.Run) -> None:
     assert stopped.advice
 
 
-def test_compare_says_which_keys_differ_and_what_they_did(late: hiltestbed.Run, right: hiltestbed.Run, tmp_path: Path) -> None:
+def test_compare_says_which_keys_differ_and_what_they_did(
+    late: hiltestbed.Run, right: hiltestbed.Run, tmp_path: Path
+) -> None:
     pytest.importorskip("pandas")
     hiltestbed.write_run(late, tmp_path / "late", rerun=False)
     both = hiltestbed.compare([tmp_path / "late", right])
@@ -147,6 +182,12 @@ def test_the_package_tells_version_and_types() -> None:
 
 
 def test_no_module_hides_a_public_name() -> None:
-    """A submodule of the same name would take the place of the function as soon as it is imported."""
-    taken = {path.stem for path in Path(hiltestbed.__file__).parent.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
+    """A submodule of the same name would take the place of the function as soon as it is
+    imported.
+    """
+    taken = {
+        path.stem
+        for path in Path(hiltestbed.__file__).parent.iterdir()
+        if path.suffix == ".py" or (path / "__init__.py").is_file()
+    }
     assert taken.isdisjoint(hiltestbed.__all__)

@@ -18,7 +18,12 @@ SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
 @pytest.fixture(scope="module")
 def short_run():
-    return run(load_scenario(SCENARIOS / "04-bumper-delay-compensated.yaml", set={"duration": 0.45, "rig.platform.tracking": "ideal"}))
+    return run(
+        load_scenario(
+            SCENARIOS / "04-bumper-delay-compensated.yaml",
+            set={"duration": 0.45, "rig.platform.tracking": "ideal"},
+        )
+    )
 
 
 def test_a_run_is_read_back_as_it_was(short_run, tmp_path: Path) -> None:
@@ -46,7 +51,9 @@ def test_the_same_seed_gives_the_same_file(short_run, tmp_path: Path) -> None:
     assert (first / "trace.parquet").read_bytes() == (second / "trace.parquet").read_bytes()
 
 
-def test_what_fails_half_way_leaves_nothing(short_run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_fails_half_way_leaves_nothing(
+    short_run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full_disk(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -56,7 +63,9 @@ def test_what_fails_half_way_leaves_nothing(short_run, tmp_path: Path, monkeypat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_earlier_run_is_kept_when_the_new_one_fails(short_run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_earlier_run_is_kept_when_the_new_one_fails(
+    short_run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = write_run(short_run, tmp_path / "run", rerun=False)
     before = (folder / "trace.parquet").read_bytes()
 
@@ -76,14 +85,23 @@ def test_a_folder_with_other_things_in_it_is_refused_untouched(short_run, tmp_pa
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
-UNWATCHED = {f"safety.{limit}": None for limit in ("stroke", "speed", "limb_angle_deg", "force", "torque")}
+UNWATCHED = {
+    f"safety.{limit}": None for limit in ("stroke", "speed", "limb_angle_deg", "force", "torque")
+}
 
 
 def test_a_divergence_says_when_and_why_and_can_be_replayed(tmp_path: Path) -> None:
-    """A spring of 1e12 N/m felt 5 ms late throws the bodies apart at some 1e6 m/s: the model leaves the room in the next tick."""
+    """A spring of 1e12 N/m felt 5 ms late throws the bodies apart at some 1e6 m/s: the model leaves
+    the room in the next tick.
+    """
     scenario = load_scenario(
         SCENARIOS / "04-bumper-delay-compensated.yaml",
-        set={"rig.platform.tracking": "ideal", "mechanism.contact.stiffness": 1e12, "compensation.force": {"kind": "none"}} | UNWATCHED,
+        set={
+            "rig.platform.tracking": "ideal",
+            "mechanism.contact.stiffness": 1e12,
+            "compensation.force": {"kind": "none"},
+        }
+        | UNWATCHED,
     )
     failed = run(scenario)
     assert failed.summary["status"] == "diverged"
@@ -99,10 +117,19 @@ def test_a_divergence_says_when_and_why_and_can_be_replayed(tmp_path: Path) -> N
 def test_a_run_that_diverges_leaves_the_others_of_its_batch_alone() -> None:
     from hiltestbed.simulation import simulate
 
-    base = load_scenario(SCENARIOS / "04-bumper-delay-compensated.yaml", set={"rig.platform.tracking": "ideal", "duration": 0.6})
+    base = load_scenario(
+        SCENARIOS / "04-bumper-delay-compensated.yaml",
+        set={"rig.platform.tracking": "ideal", "duration": 0.6},
+    )
     wild = load_scenario(
         SCENARIOS / "04-bumper-delay-compensated.yaml",
-        set={"rig.platform.tracking": "ideal", "duration": 0.6, "mechanism.contact.stiffness": 1e12, "seed": 9} | UNWATCHED,
+        set={
+            "rig.platform.tracking": "ideal",
+            "duration": 0.6,
+            "mechanism.contact.stiffness": 1e12,
+            "seed": 9,
+        }
+        | UNWATCHED,
     )
     alone = simulate([base], trace=True).trace
     batch = simulate([wild, base], trace=True)

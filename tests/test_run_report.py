@@ -19,7 +19,9 @@ SHORT = {"duration": 0.6, "approach.gap": 0.002, "rig.platform.tracking": "ideal
 
 
 def shipped(name: str, **changes) -> hiltestbed.Run:
-    return hiltestbed.run(hiltestbed.load_scenario(hiltestbed.shipped("scenarios") / f"{name}.yaml", changes))
+    return hiltestbed.run(
+        hiltestbed.load_scenario(hiltestbed.shipped("scenarios") / f"{name}.yaml", changes)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +32,9 @@ def late() -> hiltestbed.Run:
 def test_the_energy_of_the_page_is_that_of_the_loop(late: hiltestbed.Run) -> None:
     """The sum over the trace against the one that the loop keeps tick by tick."""
     assert late.trace is not None
-    assert energy_generated(late.trace, late.scenario)[-1] == pytest.approx(late.summary["energy_generated"], rel=1e-9)
+    assert energy_generated(late.trace, late.scenario)[-1] == pytest.approx(
+        late.summary["energy_generated"], rel=1e-9
+    )
 
 
 def test_the_page_warns_and_advises(late: hiltestbed.Run, tmp_path: Path) -> None:
@@ -38,7 +42,13 @@ def test_the_page_warns_and_advises(late: hiltestbed.Run, tmp_path: Path) -> Non
     page = (tmp_path / "r" / "report.html").read_text()
     assert "http" not in page
     verdict = "The loop in this contact is unstable"
-    for words in ("faster than the approach", "Is the loop passive?", verdict, "What to do next", "compensation.force="):
+    for words in (
+        "faster than the approach",
+        "Is the loop passive?",
+        verdict,
+        "What to do next",
+        "compensation.force=",
+    ):
         assert words in page
     assert page.count("data:image/png") == 2
     assert json.loads((tmp_path / "r" / "summary.json").read_text())["cor"] == late.summary["cor"]
@@ -56,15 +66,20 @@ def test_a_miss_and_a_run_without_trace_have_a_page() -> None:
 def glancing() -> hiltestbed.Run:
     """A probe that meets its cone off the axis and goes on inwards: along z it has no rebound."""
     keys = {
-        "approach": {"gap": 0.07, "offset": [0.06, -0.02], "velocity": [0.0, 0.0, 0.08]}, "duration": 1.0, "mechanism.latch": None,
-        "mechanism.contact": {"stiffness": 5.0e4, "damping": 800.0, "friction": 0.0}, "sensor": {"delay": 0.006},
+        "approach": {"gap": 0.07, "offset": [0.06, -0.02], "velocity": [0.0, 0.0, 0.08]},
+        "duration": 1.0,
+        "mechanism.latch": None,
+        "mechanism.contact": {"stiffness": 5.0e4, "damping": 800.0, "friction": 0.0},
+        "sensor": {"delay": 0.006},
         "compensation.force.kind": "none",
-    }  # fmt: skip
+    }
     return shipped("09-docking", **keys)
 
 
 def test_restitution_along_the_impulse_is_that_of_the_energy(glancing: hiltestbed.Run) -> None:
-    """1 - e^2 is the part of the kinetic energy along the impulse that the contact took from the numerical model: J (v + v')/2."""
+    """1 - e^2 is the part of the kinetic energy along the impulse that the contact took from the
+    numerical model: J (v + v')/2.
+    """
     trace, summary = glancing.trace, glancing.summary
     assert trace is not None
     assert summary["cor"] is None
@@ -72,22 +87,35 @@ def test_restitution_along_the_impulse_is_that_of_the_energy(glancing: hiltestbe
     last = first + int(np.argmin(trace.contact[first:])) + 40
     rows = slice(first - 1, last)
     wrench, twist = trace["wrench_comp"][rows], trace["twist_cmd"]
-    lever = trace["pose_cmd"][first - 2 : last - 1, :3]  # where A was when the wrench acted; its twist goes with the moment about it
+    # where A was when the wrench acted; its twist goes with the moment about it
+    lever = trace["pose_cmd"][first - 2 : last - 1, :3]
     wrench = np.hstack([wrench[:, :3], wrench[:, 3:] - np.cross(lever, wrench[:, :3])])
-    change = -float(np.sum(wrench * 0.5 * (twist[rows] + twist[first - 2 : last - 1]))) / glancing.scenario.rate
+    change = (
+        -float(np.sum(wrench * 0.5 * (twist[rows] + twist[first - 2 : last - 1])))
+        / glancing.scenario.rate
+    )
     impulse = wrench.sum(axis=0)
-    energy = 0.5 * (impulse @ twist[first - 1]) ** 2 / (impulse @ mobility(glancing.scenario) @ impulse)  # m u^2/2 along it
+    # m u^2/2 along it
+    energy = (
+        0.5 * (impulse @ twist[first - 1]) ** 2 / (impulse @ mobility(glancing.scenario) @ impulse)
+    )
     assert summary["cor_normal"] == pytest.approx(math.sqrt(1.0 + change / energy), rel=0.01)
     assert summary["cor_normal"] > summary["cor_normal_reference"] * 1.02
-    assert summary["cor_normal_log_error"] == pytest.approx(math.log(summary["cor_normal"] / summary["cor_normal_reference"]))
+    assert summary["cor_normal_log_error"] == pytest.approx(
+        math.log(summary["cor_normal"] / summary["cor_normal_reference"])
+    )
 
 
 def test_a_head_on_hit_has_one_restitution(late: hiltestbed.Run) -> None:
     assert late.summary["cor_normal"] == pytest.approx(late.summary["cor"], rel=1e-6)
-    assert late.summary["cor_normal_reference"] == pytest.approx(late.summary["cor_reference"], rel=1e-6)
+    assert late.summary["cor_normal_reference"] == pytest.approx(
+        late.summary["cor_reference"], rel=1e-6
+    )
 
 
-def test_the_page_of_a_cone_says_what_was_identified_along_the_normal(glancing: hiltestbed.Run) -> None:
+def test_the_page_of_a_cone_says_what_was_identified_along_the_normal(
+    glancing: hiltestbed.Run,
+) -> None:
     page = run_report(glancing).html()
     normal = glancing.summary["identification_normal"]
     assert normal["stiffness"] == pytest.approx(5.0e4, rel=0.01)
@@ -99,14 +127,31 @@ def test_the_page_of_a_cone_says_what_was_identified_along_the_normal(glancing: 
 
 
 def _made(share: float, **figures: object) -> dict:
-    """The summary of a run in which the rig made that part of the energy, with nothing else to warn of."""
-    run = {"status": "completed", "outcome": "rebound", "cor": 0.9, "cor_reference": 0.9, "cor_log_error": 0.0, "contact_duration": 0.1}
-    run |= {"identification": {}, "delay_ledger": [], "energy_reference": 2.0, "energy_generated": 2.0 * share, "energy_resolution": 0.0}
+    """The summary of a run in which the rig made that part of the energy, with nothing else to warn
+    of.
+    """
+    run = {
+        "status": "completed",
+        "outcome": "rebound",
+        "cor": 0.9,
+        "cor_reference": 0.9,
+        "cor_log_error": 0.0,
+        "contact_duration": 0.1,
+    }
+    run |= {
+        "identification": {},
+        "delay_ledger": [],
+        "energy_reference": 2.0,
+        "energy_generated": 2.0 * share,
+        "energy_resolution": 0.0,
+    }
     return run | figures
 
 
 def test_activity_is_warned_of_from_where_it_shows_in_the_rebound() -> None:
-    """e^2 (exp(0.04) - 1) of the energy makes a rebound 2 % too fast; less is told without a warning, and so is what a tick blurs."""
+    """e^2 (exp(0.04) - 1) of the energy makes a rebound 2 % too fast; less is told without a
+    warning, and so is what a tick blurs.
+    """
     limit = 0.81 * ACTIVE
     assert math.sqrt(0.81 + limit) / 0.9 == pytest.approx(math.exp(0.02))
     for summary, warned in (
@@ -125,12 +170,20 @@ def test_activity_is_warned_of_from_where_it_shows_in_the_rebound() -> None:
     ("ledger", "advised"),
     [
         ({"sensor.delay": 5.0}, "{kind: resynchronised}"),
-        ({"sensor.delay": 5.0, "effects.sensor.delay": 7.5, "compensation.resynchronised": -5.0}, "delay: estimate"),
+        (
+            {"sensor.delay": 5.0, "effects.sensor.delay": 7.5, "compensation.resynchronised": -5.0},
+            "delay: estimate",
+        ),
         ({"sensor.delay": 2.0, "platform.servo": 15.0}, "compensation.motion={kind: feedforward}"),
-        ({"sensor.delay": 5.0, "coupling": 6.0, "compensation.resynchronised": -5.0}, "no further compensation"),
+        (
+            {"sensor.delay": 5.0, "coupling": 6.0, "compensation.resynchronised": -5.0},
+            "no further compensation",
+        ),
     ],
 )
-def test_what_is_advised_takes_out_the_delay_that_is_largest(ledger: dict[str, float], advised: str) -> None:
+def test_what_is_advised_takes_out_the_delay_that_is_largest(
+    ledger: dict[str, float], advised: str
+) -> None:
     entries = [{"source": name, "delay": 1e-3 * delay} for name, delay in ledger.items()]
     total = {"source": "total", "delay": 1e-3 * sum(ledger.values())}
     (first, *_) = assess(_made(0.2, delay_ledger=[*entries, total])).advice
@@ -140,9 +193,21 @@ def test_what_is_advised_takes_out_the_delay_that_is_largest(ledger: dict[str, f
 
 def test_a_delay_that_is_taken_out_is_not_advised_on() -> None:
     """Of 5 ms that the compensation takes out and 2 ms that nobody knows of, the 2 ms are left."""
-    delays = {"sensor.delay": 5.0, "effects.sensor.delay": 2.0, "compensation.resynchronised": -5.0, "platform.servo": 4.0}
+    delays = {
+        "sensor.delay": 5.0,
+        "effects.sensor.delay": 2.0,
+        "compensation.resynchronised": -5.0,
+        "platform.servo": 4.0,
+    }
     delays |= {"compensation.platform": -4.0, "total": 2.0}
-    (first, *_) = assess(_made(0.2, delay_ledger=[{"source": name, "delay": 1e-3 * delay} for name, delay in delays.items()])).advice
+    (first, *_) = assess(
+        _made(
+            0.2,
+            delay_ledger=[
+                {"source": name, "delay": 1e-3 * delay} for name, delay in delays.items()
+            ],
+        )
+    ).advice
     assert "the largest is effects.sensor.delay (2 ms)" in first
     assert "delay: estimate" in first
 
@@ -151,14 +216,22 @@ def test_a_delay_that_is_taken_out_is_not_advised_on() -> None:
 def test_a_lag_that_counts_on_later_touches_is_advised_on(made, advised) -> None:
     ways = [{"direction": "along the normal of a later touch", "rig_energy": made}]
     total = {"source": "total", "delay": 0.0, "equivalent_damping": 0.0}
-    run = _made(0.1, stability={"stable": True, "verdict": "stable", "directions": ways}, delay_ledger=[total])
+    run = _made(
+        0.1,
+        stability={"stable": True, "verdict": "stable", "directions": ways},
+        delay_ledger=[total],
+    )
     assert any("feedforward" in advice for advice in assess(run).advice) is advised
 
 
 def test_what_holds_from_the_start_is_measured_by_what_its_spring_stores() -> None:
-    """A ring-down has next to no energy of approach: what the rig makes is set against F^2/(2 k) at the peak, or against the approach."""
+    """A ring-down has next to no energy of approach: what the rig makes is set against F^2/(2 k) at
+    the peak, or against the approach.
+    """
     run = shipped("13-ring-down", duration=0.3)
     contact = run.scenario.mechanism.contact
     stored = run.summary["peak_force"] ** 2 / (2.0 * contact.stiffness)
     speed = math.dist(run.scenario.approach.velocity, (0.0, 0.0, 0.0))
-    assert run.summary["energy_reference"] == pytest.approx(max(stored, 0.5 * effective_mass(run.scenario) * speed**2))
+    assert run.summary["energy_reference"] == pytest.approx(
+        max(stored, 0.5 * effective_mass(run.scenario) * speed**2)
+    )

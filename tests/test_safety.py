@@ -20,7 +20,10 @@ UNWATCHED: dict[str, Any] = {f"safety.{limit}": None for limit in LIMITS}
 
 def _bumper(**changes: Any) -> Scenario:
     changes = {key.replace("__", "."): value for key, value in changes.items()}
-    return load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set=UNWATCHED | {"sensor.noise": 0.0} | changes)
+    return load_scenario(
+        SCENARIOS / "03-bumper-delay-uncompensated.yaml",
+        set=UNWATCHED | {"sensor.noise": 0.0} | changes,
+    )
 
 
 def _stopped_at(scenario: Scenario, quantity: str) -> int:
@@ -65,7 +68,8 @@ def test_stroke(free_run) -> None:
 
 
 def test_speed(free_run) -> None:
-    limit = 0.0305  # between the approach (0.0300 m/s) and the rebound (0.0308 m/s) of the uncompensated bumper
+    # between the approach (0.0300 m/s) and the rebound (0.0308 m/s) of the uncompensated bumper
+    limit = 0.0305
     speed = np.abs(np.diff(free_run["slider_act"], axis=0)).max(axis=1) * 2000.0
     assert _stopped_at(_bumper(safety__speed=limit), "speed") == _first(speed > limit) + 1
 
@@ -73,7 +77,10 @@ def test_speed(free_run) -> None:
 def test_acceleration(free_run) -> None:
     limit = 0.3  # the peak is 190 N/400 kg = 0.48 m/s^2
     acceleration = np.abs(np.diff(free_run["slider_act"], 2, axis=0)).max(axis=1) * 2000.0**2
-    assert _stopped_at(_bumper(safety__acceleration=limit), "acceleration") == _first(acceleration > limit) + 2
+    assert (
+        _stopped_at(_bumper(safety__acceleration=limit), "acceleration")
+        == _first(acceleration > limit) + 2
+    )
 
 
 def test_tracking_error() -> None:
@@ -83,8 +90,12 @@ def test_tracking_error() -> None:
 
 
 def test_limb_angle() -> None:
-    """A sideways drift x leans the vertical links, which keep their length L = 1.1 m: sin(angle) = x/L."""
-    scenario = _bumper(approach__gap=0.01, approach__velocity=[0.2, 0.0, 0.0], safety__limb_angle_deg=8.0)
+    """A sideways drift x leans the vertical links, which keep their length L = 1.1 m: sin(angle) =
+    x/L.
+    """
+    scenario = _bumper(
+        approach__gap=0.01, approach__velocity=[0.2, 0.0, 0.0], safety__limb_angle_deg=8.0
+    )
     tick = _stopped_at(scenario, "limb_angle_deg")
     assert 0.2 * tick / 2000.0 == pytest.approx(1.1 * np.sin(np.radians(8.0)), abs=1e-3)
 
@@ -99,7 +110,9 @@ def test_energy(free_run) -> None:
 
 
 def test_a_diverging_docking_is_stopped_by_its_energy_before_its_force() -> None:
-    """A stiff contact and 20 ms: w tau = 1. The energy limit is a tenth of the kinetic energy, the force limit the undelayed peak."""
+    """A stiff contact and 20 ms: w tau = 1. The energy limit is a tenth of the kinetic energy, the
+    force limit the undelayed peak.
+    """
     kinetic, w = 0.5 * 400.0 * 0.03**2, np.sqrt(1.0e6 / 400.0)
     stiff = {"mechanism__contact__stiffness": 1.0e6, "sensor__delay": 0.02}
     peak = 400.0 * 0.03 * w

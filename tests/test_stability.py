@@ -16,40 +16,67 @@ from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.signals import Trace
-from hiltestbed.stability import EXACT, RigResponse, judge, largest_delay, measured_response, net_damping, stability
+from hiltestbed.stability import (
+    EXACT,
+    RigResponse,
+    judge,
+    largest_delay,
+    measured_response,
+    net_damping,
+    stability,
+)
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
-BAND, ZETA, LATE = 10.0, 0.7, 0.006  # of the platform: natural frequency [Hz], damping ratio, delay [s]
+# of the platform: natural frequency [Hz], damping ratio, delay [s]
+BAND, ZETA, LATE = 10.0, 0.7, 0.006
 K = 2.0e4
 
 
 def critical_damping(mass: float, stiffness: float) -> float:
-    """Of a rig that is a second order with a delay: (k + c s) w^2 e^(-s tau) + m s^2 (s^2 + 2 zeta w s + w^2) = 0 at s = j omega."""
+    """Of a rig that is a second order with a delay: (k + c s) w^2 e^(-s tau) + m s^2 (s^2 + 2 zeta
+    w s + w^2) = 0 at s = j omega.
+    """
     w = 2.0 * math.pi * BAND
 
     def both(x):
         c, omega = x
         s = 1j * omega
-        left = (stiffness + c * s) * w * w * np.exp(-s * LATE) + mass * s * s * (s * s + 2.0 * ZETA * w * s + w * w)
+        left = (stiffness + c * s) * w * w * np.exp(-s * LATE) + mass * s * s * (
+            s * s + 2.0 * ZETA * w * s + w * w
+        )
         return [left.real, left.imag]
 
-    return float(fsolve(both, [stiffness * (LATE + 2.0 * ZETA / w), math.sqrt(stiffness / mass)])[0])
+    return float(
+        fsolve(both, [stiffness * (LATE + 2.0 * ZETA / w), math.sqrt(stiffness / mass)])[0]
+    )
 
 
 def latched(damping: float):
-    """A contact that pulls, too, so that the loop is linear, behind a platform that is a second order with a delay."""
-    effects = [{"kind": "platform.delay", "delay": LATE}, {"kind": "platform.lag", "bandwidth": BAND}]
+    """A contact that pulls, too, so that the loop is linear, behind a platform that is a second
+    order with a delay.
+    """
+    effects = [
+        {"kind": "platform.delay", "delay": LATE},
+        {"kind": "platform.lag", "bandwidth": BAND},
+    ]
     return load_scenario(
         SCENARIOS / "02-bumper.yaml",
         set={
             "mechanism": {"kind": "latched", "contact": {"stiffness": K, "damping": damping}},
-            "effects": effects, "rate": 2000.0, "physics_rate": 4000.0, "duration": 4.0, "approach.gap": 0.0, "identification.kind": "none",
+            "effects": effects,
+            "rate": 2000.0,
+            "physics_rate": 4000.0,
+            "duration": 4.0,
+            "approach.gap": 0.0,
+            "identification.kind": "none",
         },
-    )  # fmt: skip
+    )
 
 
 def test_the_critical_damping_of_a_second_order_with_delay() -> None:
-    """The measured response, and the loop itself, are at their limit at the closed form's critical damping within 2 %."""
+    """The measured response, and the loop itself, are at their limit at the closed form's critical
+    damping within 2 %.
+    """
     mass = effective_mass(latched(1.0))
     closed = critical_damping(mass, K)
     response = measured_response(latched(closed))
@@ -66,7 +93,9 @@ def test_the_critical_damping_of_a_second_order_with_delay() -> None:
     z, t = np.abs(trace["pose_cmd"][:, :, 2]), trace.t
     growth = []
     for i in range(len(around)):
-        peaks = 1 + np.flatnonzero((z[1:-1, i] > z[:-2, i]) & (z[1:-1, i] >= z[2:, i]) & (t[1:-1] > 0.5))
+        peaks = 1 + np.flatnonzero(
+            (z[1:-1, i] > z[:-2, i]) & (z[1:-1, i] >= z[2:, i]) & (t[1:-1] > 0.5)
+        )
         growth.append(np.polyfit(t[peaks], np.log(z[peaks, i]), 1)[0])
     slope, offset = np.polyfit(around, growth, 1)
     assert -offset / slope == pytest.approx(closed, rel=0.02)
@@ -81,12 +110,18 @@ def test_a_rig_that_follows_exactly_bears_the_contacts_own_damping_as_delay() ->
     assert left == pytest.approx(c - k * tau, rel=0.02)
     assert frequency == pytest.approx(math.sqrt(k / mass) / (2.0 * math.pi), rel=0.02)
     omega = math.sqrt((c * c + math.sqrt(c**4 + 4.0 * k * k * mass * mass)) / 2.0) / mass
-    assert largest_delay(EXACT.finer(), mass, k, c) == pytest.approx(math.atan(c * omega / k) / omega, rel=1e-3)
+    assert largest_delay(EXACT.finer(), mass, k, c) == pytest.approx(
+        math.atan(c * omega / k) / omega, rel=1e-3
+    )
 
 
 def test_the_measured_response_is_the_drives_second_order() -> None:
-    """Without feed-forward the shipped platform is w^2/(s + w)^2, within 1 dB and 5 degrees up to 1.5 times its bandwidth."""
-    s = load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set={"compensation.motion.kind": "none"})
+    """Without feed-forward the shipped platform is w^2/(s + w)^2, within 1 dB and 5 degrees up to
+    1.5 times its bandwidth.
+    """
+    s = load_scenario(
+        SCENARIOS / "03-bumper-delay-uncompensated.yaml", set={"compensation.motion.kind": "none"}
+    )
     assert isinstance(s.rig.platform, Pss33)
     found = measured_response(s)
     reach = found.frequency <= 1.5 * s.rig.platform.bandwidth
@@ -98,11 +133,19 @@ def test_the_measured_response_is_the_drives_second_order() -> None:
 
 @pytest.mark.parametrize("kind", ["pss33", "stewart", "serial_arm"])
 def test_what_is_said_before_the_run_is_what_the_run_does(kind) -> None:
-    """ln e = -pi c_net/(2 m w): the net damping that was foretold is the one that the bounce shows, and the verdict its sign."""
-    s = load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set={"rig.platform": {"kind": kind}})
+    """ln e = -pi c_net/(2 m w): the net damping that was foretold is the one that the bounce shows,
+    and the verdict its sign.
+    """
+    s = load_scenario(
+        SCENARIOS / "03-bumper-delay-uncompensated.yaml", set={"rig.platform": {"kind": kind}}
+    )
     done = run(s).summary
     said = done["stability"]
-    foretold = -math.pi * said["net_damping"] / (2.0 * effective_mass(s) * 2.0 * math.pi * said["frequency"])
+    foretold = (
+        -math.pi
+        * said["net_damping"]
+        / (2.0 * effective_mass(s) * 2.0 * math.pi * said["frequency"])
+    )
     assert math.log(done["cor"]) == pytest.approx(foretold, abs=0.015)
     assert not said["stable"]
     assert said["verdict"].startswith("unstable: net damping -")
@@ -110,29 +153,51 @@ def test_what_is_said_before_the_run_is_what_the_run_does(kind) -> None:
 
 
 def test_a_slower_controller_of_the_sliders_is_as_late_as_its_cycles() -> None:
-    """500 Hz in a loop of 2 kHz, one cycle held back: 4 (1 + 1) - 1 ticks at low frequency. A cycle that is not whole is refused."""
+    """500 Hz in a loop of 2 kHz, one cycle held back: 4 (1 + 1) - 1 ticks at low frequency. A cycle
+    that is not whole is refused.
+    """
     command = {"controller_rate": 500.0, "delay_cycles": 1}
-    keys = {"rig.platform": {"kind": "pss33", "command": command}, "rate": 2000.0, "physics_rate": 4000.0}
+    keys = {
+        "rig.platform": {"kind": "pss33", "command": command},
+        "rate": 2000.0,
+        "physics_rate": 4000.0,
+    }
     s = load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set=keys)
-    direct = load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set=keys | {"rig.platform": {"kind": "pss33"}})
+    direct = load_scenario(
+        SCENARIOS / "03-bumper-delay-uncompensated.yaml",
+        set=keys | {"rig.platform": {"kind": "pss33"}},
+    )
     found, none = measured_response(s), measured_response(direct)
     low = (found.frequency > 0.0) & (found.frequency <= 4.0)
-    late = -np.angle(found.follows[low] / none.follows[low]) / (2.0 * math.pi * found.frequency[low])
+    late = -np.angle(found.follows[low] / none.follows[low]) / (
+        2.0 * math.pi * found.frequency[low]
+    )
     assert late == pytest.approx(7 / 2000.0, rel=0.02)
     with pytest.raises(InputError, match=r"controller_rate: does not divide the loop's rate"):
-        load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set=keys | {"rig.platform.command.controller_rate": 900.0})
+        load_scenario(
+            SCENARIOS / "03-bumper-delay-uncompensated.yaml",
+            set=keys | {"rig.platform.command.controller_rate": 900.0},
+        )
 
 
 def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
-    s = load_scenario(SCENARIOS / "18-stewart.yaml", set={"sensor.delay": 0.001, "compensation.force.kind": "none"})
+    s = load_scenario(
+        SCENARIOS / "18-stewart.yaml",
+        set={"sensor.delay": 0.001, "compensation.force.kind": "none"},
+    )
     said = stability(s)
     assert said is not None
     assert said["stable"]
-    for key, limit in (("mechanism.contact.stiffness", said["largest_stiffness"]), ("sensor.delay", said["largest_delay"])):
+    for key, limit in (
+        ("mechanism.contact.stiffness", said["largest_stiffness"]),
+        ("sensor.delay", said["largest_delay"]),
+    ):
         for factor, stable in ((0.99, True), (1.01, False)):
             again = stability(
                 load_scenario(
-                    SCENARIOS / "18-stewart.yaml", set={"sensor.delay": 0.001, "compensation.force.kind": "none"} | {key: factor * limit}
+                    SCENARIOS / "18-stewart.yaml",
+                    set={"sensor.delay": 0.001, "compensation.force.kind": "none"}
+                    | {key: factor * limit},
                 )
             )
             assert again is not None
@@ -140,22 +205,39 @@ def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
 
 
 def slow_across(damping: float):
-    """A latch behind a platform that is slow along x alone, ports at the centres of mass: each axis for itself."""
-    answer = {"bandwidth": [4.0, 30.0, 30.0, 30.0, 30.0, 30.0], "damping_ratio": 0.7, "delay": 0.002}
-    still = {"spacecraft.chaser.port.position": [0.0, 0.0, 0.0], "spacecraft.target.port.position": [0.0, 0.0, 0.0]}
+    """A latch behind a platform that is slow along x alone, ports at the centres of mass: each axis
+    for itself.
+    """
+    answer = {
+        "bandwidth": [4.0, 30.0, 30.0, 30.0, 30.0, 30.0],
+        "damping_ratio": 0.7,
+        "delay": 0.002,
+    }
+    still = {
+        "spacecraft.chaser.port.position": [0.0, 0.0, 0.0],
+        "spacecraft.target.port.position": [0.0, 0.0, 0.0],
+    }
     return load_scenario(
         SCENARIOS / "02-bumper.yaml",
         set={
-            "mechanism": {"kind": "latched", "contact": {"stiffness": K, "damping": damping}}, "sensor": {}, "duration": 3.0,
-            "rig.platform": {"kind": "pss33", "tracking": "response", "response": answer}, "rate": 1000.0, "physics_rate": 2000.0,
-            "approach": {"gap": 0.0, "velocity": [0.004, 0.0, 0.004], "offset": [0.0, 0.0]}, "identification.kind": "none",
+            "mechanism": {"kind": "latched", "contact": {"stiffness": K, "damping": damping}},
+            "sensor": {},
+            "duration": 3.0,
+            "rig.platform": {"kind": "pss33", "tracking": "response", "response": answer},
+            "rate": 1000.0,
+            "physics_rate": 2000.0,
+            "approach": {"gap": 0.0, "velocity": [0.004, 0.0, 0.004], "offset": [0.0, 0.0]},
+            "identification.kind": "none",
             "compensation": {"force": {"kind": "none"}, "motion": {"kind": "none"}},
-        } | still,
-    )  # fmt: skip
+        }
+        | still,
+    )
 
 
 def test_the_worst_axis_is_what_the_verdict_says() -> None:
-    """Along x the loop diverges, along z it does not, each as fast as its net damping says: growth -c_net/(2 m)."""
+    """Along x the loop diverges, along z it does not, each as fast as its net damping says: growth
+    -c_net/(2 m).
+    """
     s = slow_across(700.0)
     said = stability(s)
     assert said is not None
@@ -171,12 +253,19 @@ def test_the_worst_axis_is_what_the_verdict_says() -> None:
         z = np.abs(trace["pose_cmd"][:, 0, axis])
         peaks = 1 + np.flatnonzero((z[1:-1] > z[:-2]) & (z[1:-1] >= z[2:]) & (t[1:-1] > 0.3))
         growth = np.polyfit(t[peaks], np.log(z[peaks]), 1)[0]
-        assert growth == pytest.approx(-by[name]["net_damping"] / (2.0 * mass), rel=0.15, abs=0.02), name
+        assert growth == pytest.approx(
+            -by[name]["net_damping"] / (2.0 * mass), rel=0.15, abs=0.02
+        ), name
 
 
 def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
-    """J of the ball's contact is the cone's normal and its moment about A, 30 mm before the centre; its mass has both bodies' levers."""
-    s = load_scenario(SCENARIOS / "09-docking.yaml", set={"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0]})
+    """J of the ball's contact is the cone's normal and its moment about A, 30 mm before the centre;
+    its mass has both bodies' levers.
+    """
+    s = load_scenario(
+        SCENARIOS / "09-docking.yaml",
+        set={"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0]},
+    )
     touch = first_touch(s)
     assert touch is not None
     row, half = touch[0], math.sqrt(0.5)  # the cone has half an angle of 45 degrees
@@ -192,12 +281,28 @@ def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
 
 
 def test_a_command_through_the_inverse_of_the_platform_is_judged_as_it_runs() -> None:
-    """The platform's response times its inverse is 1 to second order: the lag of 2 zeta/w = 15 ms, by far too much, is gone."""
-    rig = {"rig.platform.tracking": "response", "rig.platform.response": {"bandwidth": 15.0, "damping_ratio": 0.7}, "sensor.noise": 0.0}
-    inverse = {"compensation.motion": {"kind": "inverse_model", "bandwidth": 15.0, "damping_ratio": 0.7}}
+    """The platform's response times its inverse is 1 to second order: the lag of 2 zeta/w = 15 ms,
+    by far too much, is gone.
+    """
+    rig = {
+        "rig.platform.tracking": "response",
+        "rig.platform.response": {"bandwidth": 15.0, "damping_ratio": 0.7},
+        "sensor.noise": 0.0,
+    }
+    inverse = {
+        "compensation.motion": {"kind": "inverse_model", "bandwidth": 15.0, "damping_ratio": 0.7}
+    }
     found = {}
-    for name, changes in {"none": {"compensation.motion": {"kind": "none"}}, "inverse": inverse}.items():
-        summary = run(load_scenario(SCENARIOS / "02-bumper.yaml", {"compensation.force": {"kind": "phase_lead"}} | rig | changes)).summary
+    for name, changes in {
+        "none": {"compensation.motion": {"kind": "none"}},
+        "inverse": inverse,
+    }.items():
+        summary = run(
+            load_scenario(
+                SCENARIOS / "02-bumper.yaml",
+                {"compensation.force": {"kind": "phase_lead"}} | rig | changes,
+            )
+        ).summary
         found[name] = summary["stability"]
         assert found[name]["rebound"] == pytest.approx(summary["cor"], rel=1e-3)
         assert found[name]["stable"] is (summary["cor"] < 1.0)
@@ -205,11 +310,17 @@ def test_a_command_through_the_inverse_of_the_platform_is_judged_as_it_runs() ->
 
 
 def test_what_changes_the_command_by_measurements_is_not_judged() -> None:
-    changes = {"compensation.motion": {"kind": "adaptive_time_series"}, "compensation.force": {"kind": "phase_lead"}}
+    changes = {
+        "compensation.motion": {"kind": "adaptive_time_series"},
+        "compensation.force": {"kind": "phase_lead"},
+    }
     found = stability(load_scenario(SCENARIOS / "02-bumper.yaml", changes))
     assert found is not None
     assert found["stable"] is None
-    assert found["verdict"].startswith("not judged with adaptive_time_series, which changes the command by measurements; without it")
+    assert found["verdict"].startswith(
+        "not judged with adaptive_time_series, which changes the command by measurements; without "
+        "it"
+    )
 
 
 def test_what_adds_a_force_of_its_own_is_not_judged() -> None:

@@ -13,12 +13,19 @@ ROWS = [
     ["mechanism.contact.stiffness", "100000.0", "120000.0", "80000.0"],
     ["stability.net_damping [N s/m, N m s/rad]", "12.34", "-1.2", "3.456"],
     ["approach.velocity", "[0.0, 0.0, 0.03]", "[0.0, 0.0, 0.02]", "[0.001, 0.0, 0.03]"],
-    ["energy", "neutral: within 0.5 % of the approach energy", "active: made 3 % of the approach energy", "passive"],
+    [
+        "energy",
+        "neutral: within 0.5 % of the approach energy",
+        "active: made 3 % of the approach energy",
+        "passive",
+    ],
 ]
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 100, 140])
-def test_a_comparison_breaks_no_word(width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_comparison_breaks_no_word(
+    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("COLUMNS", str(width))
     print_comparison(NAMES, ROWS, None)
     printed = capsys.readouterr().out
@@ -27,12 +34,25 @@ def test_a_comparison_breaks_no_word(width: int, monkeypatch: pytest.MonkeyPatch
         assert all(word in words or f"{word}:" in words for word in cell.split())
 
 
-@pytest.mark.parametrize(("ratio", "shown"), [(-1e-6, "+0.0 %"), (0.0, "+0.0 %"), (1e-6, "+0.0 %"), (-0.02, "-2.0 %")])
+@pytest.mark.parametrize(
+    ("ratio", "shown"), [(-1e-6, "+0.0 %"), (0.0, "+0.0 %"), (1e-6, "+0.0 %"), (-0.02, "-2.0 %")]
+)
 def test_nought_has_no_minus(ratio: float, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
     summary = {
-        "name": "run", "status": "completed", "outcome": "rebound", "contacts": 1, "captured_at": None, "cor": 0.9, "cor_reference": 0.9,
-        "cor_log_error": ratio, "energy_generated": 0.0, "peak_force": 1.0, "contact_duration": 0.1, "delay_ledger": [],
-        "identification": {}, "timing": {"real_time_factor": None, "wall": 1.0, "ticks": 10},
-    }  # fmt: skip
+        "name": "run",
+        "status": "completed",
+        "outcome": "rebound",
+        "contacts": 1,
+        "captured_at": None,
+        "cor": 0.9,
+        "cor_reference": 0.9,
+        "cor_log_error": ratio,
+        "energy_generated": 0.0,
+        "peak_force": 1.0,
+        "contact_duration": 0.1,
+        "delay_ledger": [],
+        "identification": {},
+        "timing": {"real_time_factor": None, "wall": 1.0, "ticks": 10},
+    }
     print_run(summary, Path("runs/run"))
     assert shown in capsys.readouterr().out

@@ -1,4 +1,5 @@
-"""The figures of docs/real-data.md, from what `hiltestbed diagnose` makes of the two examples beside this file.
+"""The figures of docs/real-data.md, from what `hiltestbed diagnose` makes of the two examples
+beside this file.
 
     HILTESTBED_DATA=... python docs/examples/figures.py [so101_servo] [friction_damper]
 
@@ -12,7 +13,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import hiltestbed
-from hiltestbed.diagnosis.report.pictures import EXTENDED, MEASURED, NOMINAL, force_against_penetration, heldout_bars, learned_curves
+from hiltestbed.diagnosis.report.pictures import (
+    EXTENDED,
+    MEASURED,
+    NOMINAL,
+    force_against_penetration,
+    heldout_bars,
+    learned_curves,
+)
 from hiltestbed.diagnosis.result import Diagnosis, Series
 from hiltestbed.report import new_figure
 
@@ -20,14 +28,20 @@ HERE = Path(__file__).resolve().parent
 DOCS = HERE.parent
 DPI = 80
 ARM = 0.01  # [m] at which the servo's angle stands as an arc
-WINDOWS = {0: (8.0, 24.0), 1: (23.5, 26.5), 2: (95.0, 115.0)}  # [s] of each run of the servo, and of the chirp's end
+# [s] of each run of the servo, and of the chirp's end
+WINDOWS = {0: (8.0, 24.0), 1: (23.5, 26.5), 2: (95.0, 115.0)}
 FAST = (112.0, 115.0)
 
 
 def servo(diagnosis: Diagnosis) -> None:
     """The angle in a window of each motion: measured, nominal, best explanation."""
     series = {s.run: s for s in diagnosis.finding.series if s.channel == "pose_act.px"}
-    panels = [(series[0], WINDOWS[0]), (series[0], FAST), (series[1], WINDOWS[1]), (series[2], WINDOWS[2])]
+    panels = [
+        (series[0], WINDOWS[0]),
+        (series[0], FAST),
+        (series[1], WINDOWS[1]),
+        (series[2], WINDOWS[2]),
+    ]
     figure, grid = new_figure(9.0, 5.4, nrows=2, ncols=2, squeeze=False)
     for axes, (s, window) in zip(grid.ravel(), panels, strict=True):
         _lines(axes, s, window, diagnosis.compared)
@@ -52,11 +66,19 @@ def _lines(axes, s: Series, window: tuple[float, float], compared: str) -> None:
 
 def damper(diagnosis: Diagnosis) -> None:
     """Force against displacement of both records."""
-    figure = force_against_penetration(diagnosis.finding.series, diagnosis.dataset, diagnosis.compared)
+    figure = force_against_penetration(
+        diagnosis.finding.series, diagnosis.dataset, diagnosis.compared
+    )
     if figure is not None:
         figure.set_size_inches(8.0, 3.8)
         figure.axes[0].get_legend().remove()
-        figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8, frameon=False)
+        figure.legend(
+            *figure.axes[0].get_legend_handles_labels(),
+            loc="outside upper center",
+            ncols=3,
+            fontsize=8,
+            frameon=False,
+        )
         for axes, run in zip(figure.axes, diagnosis.dataset.runs, strict=True):
             axes.set_title(run.record.file.stem, fontsize=9)
             axes.set_xlabel("displacement [mm]")
@@ -64,13 +86,17 @@ def damper(diagnosis: Diagnosis) -> None:
 
 
 def gain(diagnosis: Diagnosis, name: str) -> None:
-    """Each record's residual when it was left out of the fit, and the law where one was learned that carries over to other runs."""
+    """Each record's residual when it was left out of the fit, and the law where one was learned
+    that carries over to other runs.
+    """
     learned = diagnosis.finding.learned
     if learned is not None and not learned.carries_over:
         learned = None
     worth = learned.heldout if learned is not None else diagnosis.finding.partial_gain
     if worth is not None:
-        heldout_bars(worth, diagnosis.dataset.names).savefig(DOCS / f"real-data-{name}-gain.png", dpi=DPI)
+        heldout_bars(worth, diagnosis.dataset.names).savefig(
+            DOCS / f"real-data-{name}-gain.png", dpi=DPI
+        )
     if learned is not None:
         learned_curves(learned).savefig(DOCS / f"real-data-{name}-law.png", dpi=DPI)
 

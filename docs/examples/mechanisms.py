@@ -21,7 +21,9 @@ BRIGHT = [0.96, 0.97, 0.98]
 
 
 class View(NamedTuple):
-    """How a mechanism is looked at: ``gap`` [m] between A and P, ``aim`` (3,) [m] from P, ``distance`` [m], angles [deg]."""
+    """How a mechanism is looked at: ``gap`` [m] between A and P, ``aim`` (3,) [m] from P,
+    ``distance`` [m], angles [deg].
+    """
 
     gap: float
     aim: tuple[float, float, float]
@@ -48,11 +50,18 @@ def composed(name: str, view: View) -> mujoco.MjModel:
     quality = spec.visual.quality
     quality.offsamples, quality.numslices, quality.numstacks = 8, 96, 48
     spec.add_texture(
-        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, rgb1=BRIGHT, rgb2=BRIGHT, width=16,
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=BRIGHT,
+        rgb2=BRIGHT,
+        width=16,
         height=96,
-    )  # fmt: skip
+    )
     for pos, strength in (([1.5, 2.5, 1.5], 0.5), ([-2.5, 1.0, -0.5], 0.25)):
-        light = spec.worldbody.add_light(pos=pos, dir=[-p for p in pos], diffuse=[strength] * 3, specular=[0.2] * 3)
+        light = spec.worldbody.add_light(
+            pos=pos, dir=[-p for p in pos], diffuse=[strength] * 3, specular=[0.2] * 3
+        )
         light.castshadow = False
     for side, port, height in (("passive", "P", 0.0), ("active", "A", -view.gap)):
         file = ROOT / "models" / name / f"{side}.xml"
@@ -70,13 +79,22 @@ def picture(name: str, view: View) -> Image.Image:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
-    camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = view.aim, view.distance, view.azimuth, view.elevation
+    camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (
+        view.aim,
+        view.distance,
+        view.azimuth,
+        view.elevation,
+    )
     option = mujoco.MjvOption()
     option.geomgroup[:], option.sitegroup[:] = 1, 0
     with mujoco.Renderer(model, HEIGHT * SMOOTH, WIDTH * SMOOTH) as renderer:
         renderer.update_scene(data, camera, option)
         pixels = renderer.render()
-    return Image.fromarray(pixels).resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS).quantize(COLORS, dither=Image.Dither.NONE)
+    return (
+        Image.fromarray(pixels)
+        .resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS)
+        .quantize(COLORS, dither=Image.Dither.NONE)
+    )
 
 
 def main() -> None:

@@ -1,6 +1,8 @@
-"""The moving picture of the README: a docking on the rig, with the force that the sensor reads and the motion of the two spacecraft.
+"""The moving picture of the README: a docking on the rig, with the force that the sensor reads and
+the motion of the two spacecraft.
 
-    MUJOCO_GL=egl python docs/examples/moving.py        # or MUJOCO_GL=glfw on a desktop, osmesa without a screen
+    MUJOCO_GL=egl python docs/examples/moving.py        # or MUJOCO_GL=glfw on a desktop, osmesa
+    without a screen
 
 Writes docs/docking.gif.
 """
@@ -33,15 +35,25 @@ def rig_frames(run: hiltestbed.Run, rows: np.ndarray) -> list[Image.Image]:
     scene, trace = RigScene(run.scenario), run.trace
     assert trace is not None
     poses = {
-        name: np.stack([trace[f"{name}.{c}"] for c in ("px", "py", "pz", "qx", "qy", "qz", "qw")], axis=1)
+        name: np.stack(
+            [trace[f"{name}.{c}"] for c in ("px", "py", "pz", "qx", "qy", "qz", "qw")], axis=1
+        )
         for name in ("pose_cmd", "pose_act")
     }
-    joints = scene._joints(poses["pose_act"][rows], scene.port_poses(run.scenario, rows, poses["pose_cmd"], poses["pose_act"][rows]))
+    joints = scene._joints(
+        poses["pose_act"][rows],
+        scene.port_poses(run.scenario, rows, poses["pose_cmd"], poses["pose_act"][rows]),
+    )
     model, data = scene.model, scene.data
     model.vis.global_.offwidth, model.vis.global_.offheight = RIG * SMOOTH, HEIGHT * SMOOTH
     model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.45, 0.5
     camera, option = mujoco.MjvCamera(), mujoco.MjvOption()
-    camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (0.0, 0.0, -0.35), 2.9, 120.0, -6.0
+    camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (
+        (0.0, 0.0, -0.35),
+        2.9,
+        120.0,
+        -6.0,
+    )
     option.geomgroup[:], option.sitegroup[:] = (1, 1, 1, 0, 0, 0), 0
     out = []
     with mujoco.Renderer(model, HEIGHT * SMOOTH, RIG * SMOOTH) as renderer:
@@ -60,10 +72,19 @@ def plot_frames(run: hiltestbed.Run, rows: np.ndarray) -> list[Image.Image]:
     trace = run.trace
     assert trace is not None
     t, force, depth = trace["t"], trace["wrench_meas.fz"], 1e3 * trace["pose_act.pz"]
-    figure, axes = plt.subplots(2, 1, figsize=((WIDTH - RIG) / 80, HEIGHT / 80), dpi=80 * SMOOTH, sharex=True, layout="constrained")
+    figure, axes = plt.subplots(
+        2,
+        1,
+        figsize=((WIDTH - RIG) / 80, HEIGHT / 80),
+        dpi=80 * SMOOTH,
+        sharex=True,
+        layout="constrained",
+    )
     figure.set_facecolor(SKY)
     lines = []
-    for ax, values, label in zip(axes, (force, depth), ("force on the sensor [N]", "insertion [mm]"), strict=True):
+    for ax, values, label in zip(
+        axes, (force, depth), ("force on the sensor [N]", "insertion [mm]"), strict=True
+    ):
         ax.plot(t, values, color=FAINT, lw=1)
         lines.append(ax.plot([], [], color=MEASURED if values is force else INK, lw=1.4)[0])
         ax.set_title(label, fontsize=9, loc="left", color=INK)
@@ -95,7 +116,14 @@ def main() -> None:
     palette = frames[len(frames) // 2].quantize(COLORS)
     file = ROOT / "docs" / "docking.gif"
     first, *rest = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
-    first.save(file, save_all=True, append_images=rest, duration=1000 // FRAMES_PER_SECOND, loop=0, optimize=True)
+    first.save(
+        file,
+        save_all=True,
+        append_images=rest,
+        duration=1000 // FRAMES_PER_SECOND,
+        loop=0,
+        optimize=True,
+    )
     print(f"{file.name}: {file.stat().st_size / 1e3:.0f} kB, {len(frames)} frames")
 
 

@@ -29,13 +29,19 @@ def executed(path: Path, folder: str | Path) -> NotebookNode:
     notebook = nbformat.read(path, as_version=4)
     with TemporaryDirectory() as sockets:
         kernel = AsyncKernelManager(kernel_name="python3", transport="ipc", ip=f"{sockets}/kernel")
-        NotebookClient(notebook, km=kernel, timeout=LONGEST, resources={"metadata": {"path": str(folder)}}).execute()
+        NotebookClient(
+            notebook, km=kernel, timeout=LONGEST, resources={"metadata": {"path": str(folder)}}
+        ).execute()
     return notebook
 
 
 def picture(notebook: NotebookNode) -> bytes:
     """The PNG that the last cell shows; empty where it shows none."""
-    shown = [o["data"]["image/png"] for o in notebook.cells[-1].get("outputs", ()) if "image/png" in o.get("data", {})]
+    shown = [
+        o["data"]["image/png"]
+        for o in notebook.cells[-1].get("outputs", ())
+        if "image/png" in o.get("data", {})
+    ]
     return base64.b64decode(shown[-1]) if shown else b""
 
 

@@ -1,4 +1,5 @@
-"""A user-defined platform: a gantry of three slides with a wrist of three hinges, described by the MJCF file in the folder gantry.
+"""A user-defined platform: a gantry of three slides with a wrist of three hinges, described by the
+MJCF file in the folder gantry.
 
 hiltestbed run 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform={kind: gantry}'
 hiltestbed rig 02-bumper --plugin examples/plugins/gantry.py --set 'rig.platform={kind: gantry}'
@@ -23,7 +24,11 @@ class Gantry(MjcfSettings):
     """A gantry of three slides with a wrist of three hinges under position control."""
 
     kind: Literal["gantry"]
-    model: str = Field(default=str(MODEL), description="MJCF file of the rig, with a site `mount` and position actuators")
+    model: str = Field(
+        default=str(MODEL),
+        description="MJCF file of the rig, with a site `mount` and position actuators",
+    )
     command: CommandPath = Field(
-        default=CommandPath(controller_rate=1000.0), description="How commands reach the drives: every millisecond"
+        default=CommandPath(controller_rate=1000.0),
+        description="How commands reach the drives: every millisecond",
     )

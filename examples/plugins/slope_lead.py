@@ -1,7 +1,9 @@
-"""A user-defined compensation: the measured wrench is extrapolated over the delay, with its slope over the last ticks.
+"""A user-defined compensation: the measured wrench is extrapolated over the delay, with its slope
+over the last ticks.
 
-hiltestbed run 03-bumper-delay-uncompensated --plugin examples/plugins/slope_lead.py --set 'compensation.force={kind: slope_lead}'
-hiltestbed bench cor --quick --plugin examples/plugins/slope_lead.py
+hiltestbed run 03-bumper-delay-uncompensated --plugin examples/plugins/slope_lead.py --set
+'compensation.force={kind: slope_lead}' hiltestbed bench cor --quick --plugin
+examples/plugins/slope_lead.py
 """
 
 from __future__ import annotations
@@ -24,10 +26,14 @@ if TYPE_CHECKING:
 
 @register
 class SlopeLead(ForceMethod):
-    """Linear extrapolation of the measured wrench over the delay, with the slope of the last ticks."""
+    """Linear extrapolation of the measured wrench over the delay, with the slope of the last
+    ticks.
+    """
 
     kind: Literal["slope_lead"] = "slope_lead"
-    ticks: Annotated[int, Field(ge=1, le=100)] = Field(default=4, description="Ticks over which the slope is taken [-]")
+    ticks: Annotated[int, Field(ge=1, le=100)] = Field(
+        default=4, description="Ticks over which the slope is taken [-]"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod
@@ -46,8 +52,10 @@ class SlopeLeadBlock:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n, settings = len(scenarios), force_of(scenarios, SlopeLead)
         self._ticks = np.array([s.ticks for s in settings])
-        self._ahead = np.array([s.sensor.delay * s.rate for s in scenarios]) / self._ticks  # delay in units of the slope's span
-        self._before = np.zeros((int(self._ticks.max()) + 1, n, 6))  # the latest readings, newest first
+        # delay in units of the slope's span
+        self._ahead = np.array([s.sensor.delay * s.rate for s in scenarios]) / self._ticks
+        # the latest readings, newest first
+        self._before = np.zeros((int(self._ticks.max()) + 1, n, 6))
         self._runs = np.arange(n)
 
     def compensate(self, measurement: Measurement) -> Array:

@@ -1,4 +1,5 @@
-"""A user-defined mechanism: three pads on a ring that meet a flat plate. Its geometry is in the MJCF files of the folder three_pads.
+"""A user-defined mechanism: three pads on a ring that meet a flat plate. Its geometry is in the
+MJCF files of the folder three_pads.
 
 hiltestbed run 02-bumper --plugin examples/plugins/three_pads.py --set mechanism.kind=three_pads
 """

@@ -1,6 +1,7 @@
 """A user-defined effect with one parameter: a worn rubber pad loses stiffness and gains damping.
 
-hiltestbed run 02-bumper --plugin examples/plugins/worn_pad.py --set 'effects=[{kind: contact.worn_pad, wear: 0.2}]'
+hiltestbed run 02-bumper --plugin examples/plugins/worn_pad.py --set 'effects=[{kind:
+contact.worn_pad, wear: 0.2}]'
 """
 
 from __future__ import annotations

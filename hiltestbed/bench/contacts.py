@@ -1,4 +1,6 @@
-"""The contacts of the benchmarks: frequency, delay and damping ratio of one head-on bounce, or random rigs."""
+"""The contacts of the benchmarks: frequency, delay and damping ratio of one head-on bounce, or
+random rigs.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ DELAYS = (0.002, 0.005, 0.010, 0.020)  # [s]
 DAMPING_RATIOS = (0.02, 0.05, 0.2)
 RATE = 2000.0
 SPEED = 0.03  # [m/s]
-APPROACH_TICKS = 60.37  # until the touch; with a touch on a tick, round-off would decide whether the force starts at that tick
+# until the touch; with a touch on a tick, round-off would decide whether the force starts at that
+# tick
+APPROACH_TICKS = 60.37
 MASSES = (500.0, 2000.0)  # [kg] chaser, target
 NOISE = 0.002  # 1 sigma over the peak force
 ARM = 0.05  # [m] ratio of torque noise to force noise
@@ -32,8 +36,10 @@ class Contact:
     """One contact and the knowledge of the delay.
 
     Attributes:
-        frequency: sqrt(k/mu)/2 pi [Hz]. delay: true delay of the force [s]. noise: 1 sigma over the peak force.
-        delay_knowledge: exact; off: the nominal delay is 1/1.2 of the true one; jitter: with a sigma of a tenth of the delay.
+        frequency: sqrt(k/mu)/2 pi [Hz]. delay: true delay of the force [s]. noise: 1 sigma over the
+            peak force.
+        delay_knowledge: exact; off: the nominal delay is 1/1.2 of the true one; jitter: with a
+            sigma of a tenth of the delay.
     """
 
     frequency: float
@@ -78,7 +84,12 @@ class Contact:
     def believed_delay(self) -> float:
         return self.delay / 1.2 if self.delay_knowledge == "off" else self.delay
 
-    def scenario(self, force: dict[str, Any], identification: dict[str, Any] | None = None, motion: str = "feedforward") -> Scenario:
+    def scenario(
+        self,
+        force: dict[str, Any],
+        identification: dict[str, Any] | None = None,
+        motion: str = "feedforward",
+    ) -> Scenario:
         """The contact with a force compensation."""
         effects = []
         if self.delay_knowledge == "off":
@@ -86,7 +97,8 @@ class Contact:
         if self.delay_knowledge == "jitter":
             effects.append({"kind": "sensor.jitter", "sigma": 0.1 * self.delay})
         data = {
-            "name": f"bounce-{self.frequency:g}Hz-{1e3 * self.delay:g}ms-zeta{self.damping_ratio:g}",
+            "name": f"bounce-{self.frequency:g}Hz-{1e3 * self.delay:g}ms"
+            f"-zeta{self.damping_ratio:g}",
             "seed": self.seed,
             "rate": RATE,
             "physics_rate": 2.0 * RATE,
@@ -95,10 +107,20 @@ class Contact:
                 "chaser": _body(self.masses[0], [0.0, 0.0, 1.0]),
                 "target": _body(self.masses[1], [0.0, 0.0, -1.0]),
             },
-            "approach": {"gap": APPROACH_TICKS * self.speed / RATE, "velocity": [0.0, 0.0, self.speed]},
-            "mechanism": {"kind": "bumper", "contact": {"stiffness": self.stiffness, "damping": self.damping}},
+            "approach": {
+                "gap": APPROACH_TICKS * self.speed / RATE,
+                "velocity": [0.0, 0.0, self.speed],
+            },
+            "mechanism": {
+                "kind": "bumper",
+                "contact": {"stiffness": self.stiffness, "damping": self.damping},
+            },
             "rig": {"platform": {"tracking": self.tracking}},
-            "sensor": {"delay": self.believed_delay, "noise": self.noise * self.peak, "torque_noise": ARM * self.noise * self.peak},
+            "sensor": {
+                "delay": self.believed_delay,
+                "noise": self.noise * self.peak,
+                "torque_noise": ARM * self.noise * self.peak,
+            },
             "compensation": {"force": force, "motion": {"kind": motion}},
             "identification": identification or {"kind": "rls"},
             "effects": effects,
@@ -111,34 +133,56 @@ def _body(mass: float, port: list[float]) -> dict[str, Any]:
     return {"mass": mass, "inertia": [inertia, inertia, inertia], "port": {"position": port}}
 
 
-def grid(frequencies: tuple[float, ...] = FREQUENCIES, delays: tuple[float, ...] = DELAYS, **same: Any) -> list[Contact]:
+def grid(
+    frequencies: tuple[float, ...] = FREQUENCIES, delays: tuple[float, ...] = DELAYS, **same: Any
+) -> list[Contact]:
     """Every combination of frequency, delay and damping ratio."""
     ratios = same.pop("damping_ratios", DAMPING_RATIOS)
     return [Contact(f, d, z, **same) for z in ratios for f in frequencies for d in delays]
 
 
 def random_rigs(count: int, seed: int) -> list[Contact]:
-    """Random rigs: masses, contact, delay, speed, and off-axis hits with tilt, sliding and friction."""
+    """Random rigs: masses, contact, delay, speed, and off-axis hits with tilt, sliding and
+    friction.
+    """
     rng = np.random.default_rng(seed)
     rigs = []
     for i in range(count):
-        masses = (float(np.exp(rng.uniform(*np.log([300.0, 8000.0])))), float(np.exp(rng.uniform(*np.log([500.0, 1e5])))))
+        masses = (
+            float(np.exp(rng.uniform(*np.log([300.0, 8000.0])))),
+            float(np.exp(rng.uniform(*np.log([500.0, 1e5])))),
+        )
         changes = {
             "approach.offset": rng.uniform(-0.1, 0.1, 2).tolist(),
             "approach.attitude_deg": rng.uniform(-3.0, 3.0, 3).tolist(),
             "approach.rate_deg": rng.uniform(-0.3, 0.3, 3).tolist(),
             "mechanism.contact.friction": float(rng.uniform(0.02, 0.3)),
         }
-        frequency, delay, ratio = (float(np.exp(rng.uniform(*np.log(r)))) for r in ([1.0, 6.0], [0.002, 0.02], [0.02, 0.2]))
+        frequency, delay, ratio = (
+            float(np.exp(rng.uniform(*np.log(r)))) for r in ([1.0, 6.0], [0.002, 0.02], [0.02, 0.2])
+        )
         speed = float(np.exp(rng.uniform(*np.log([0.01, 0.06]))))
-        rigs.append(Contact(frequency, delay, ratio, tracking="servo", seed=seed + i, masses=masses, speed=speed, changes=changes))
+        rigs.append(
+            Contact(
+                frequency,
+                delay,
+                ratio,
+                tracking="servo",
+                seed=seed + i,
+                masses=masses,
+                speed=speed,
+                changes=changes,
+            )
+        )
     return rigs
 
 
 def effort(contacts: Sequence[Contact], ticks: float | None = None) -> float:
-    """Estimated time of a batch of bounces, roughly in seconds of one core; ``ticks``: number of ticks, by default from their duration.
+    """Estimated time of a batch of bounces, roughly in seconds of one core; ``ticks``: number of
+    ticks, by default from their duration.
 
-    The estimate includes start, checks of each scenario, and the cost of a tick of the loop and of each run in it, doubled with servo
+    The estimate includes start, checks of each scenario, and the cost of a tick of the loop and of
+    each run in it, doubled with servo
     tracking. Only ratios matter: they serve the progress display.
     """
     n, servo = len(contacts), contacts[0].tracking == "servo"
@@ -152,7 +196,8 @@ class Bounce:
 
     Attributes:
         figures: one per run.
-        velocity: ``(n, 2, 6)`` of both bodies when the rebound speed was determined, NaN without a rebound. start: ``(n, 2, 6)`` at t = 0.
+        velocity: ``(n, 2, 6)`` of both bodies when the rebound speed was determined, NaN without a
+            rebound. start: ``(n, 2, 6)`` at t = 0.
         loop: the loop that was run, with its estimator.
         trace: rows, if requested.
     """
@@ -191,4 +236,6 @@ def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> 
 def effective_contact(contact: Contact) -> float:
     """w tau of a contact, including the lever arms of an off-axis hit."""
     scenario = contact.scenario({"kind": "none"})
-    return math.sqrt(scenario.mechanism.contact.stiffness / effective_mass(scenario)) * contact.delay
+    return (
+        math.sqrt(scenario.mechanism.contact.stiffness / effective_mass(scenario)) * contact.delay
+    )

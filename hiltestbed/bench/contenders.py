@@ -19,7 +19,8 @@ class Contender:
 
     Attributes:
         contact: first: nothing is known about the contact; known: its k and c are given.
-        force: its section of the scenario for a contact. own: whether it comes from a plugin of the user.
+        force: its section of the scenario for a contact. own: whether it comes from a plugin of the
+            user.
     """
 
     name: str
@@ -44,20 +45,36 @@ CONTENDERS = (
     Contender("normalised_passivity", "first", lambda c: {"kind": "normalised_passivity"}),
     Contender("reconstruction", "first", lambda c: {"kind": "reconstruction"}),
     Contender(BEST, "first", lambda c: {"kind": BEST}),
-    Contender("virtual_contact", "known", lambda c: {"kind": "virtual_contact", "damping": c.stiffness * c.believed_delay}),
+    Contender(
+        "virtual_contact",
+        "known",
+        lambda c: {"kind": "virtual_contact", "damping": c.stiffness * c.believed_delay},
+    ),
     Contender("cor_designed", "known", lambda c: {"kind": "cor_designed", **_model(c)}),
     Contender("smith_predictor", "known", lambda c: {"kind": "smith_predictor", **_model(c)}),
     Contender(
-        "smith_predictor_10pct_off", "known",
+        "smith_predictor_10pct_off",
+        "known",
         lambda c: {"kind": "smith_predictor", "stiffness": 1.1 * c.stiffness, "damping": c.damping},
     ),
     Contender(
-        "smith_predictor_lead_10pct_off", "known",
-        lambda c: {"kind": "smith_predictor", "stiffness": 1.1 * c.stiffness, "damping": c.damping, "lead_rest": True},
+        "smith_predictor_lead_10pct_off",
+        "known",
+        lambda c: {
+            "kind": "smith_predictor",
+            "stiffness": 1.1 * c.stiffness,
+            "damping": c.damping,
+            "lead_rest": True,
+        },
     ),
     Contender(BEST, "known", lambda c: {"kind": BEST, "contact": _model(c)}),
-    Contender(f"{BEST}_delay_estimated", "first", lambda c: {"kind": BEST, "delay": "estimate"}, estimates_delay=True),
-)  # fmt: skip
+    Contender(
+        f"{BEST}_delay_estimated",
+        "first",
+        lambda c: {"kind": BEST, "delay": "estimate"},
+        estimates_delay=True,
+    ),
+)
 
 
 def contenders() -> tuple[Contender, ...]:
@@ -71,6 +88,8 @@ def _user(method: type[ForceMethod]) -> Contender:
     kind = str(plugins.kind_of(method))
     knows = bool(method.contest(1.0, 0.0, 0.0))
     return Contender(
-        kind, "known" if knows else "first",
-        lambda c: {"kind": kind, **method.contest(c.stiffness, c.damping, c.believed_delay)}, own=True,
-    )  # fmt: skip
+        kind,
+        "known" if knows else "first",
+        lambda c: {"kind": kind, **method.contest(c.stiffness, c.damping, c.believed_delay)},
+        own=True,
+    )

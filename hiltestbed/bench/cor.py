@@ -1,9 +1,12 @@
-"""The coefficient of restitution achieved with each compensation, over contact frequency, delay and damping ratio.
+"""The coefficient of restitution achieved with each compensation, over contact frequency, delay and
+damping ratio.
 
-Every method is applied to the same contacts: a first contact about which it knows nothing, or a contact identified before; a delay known
-exactly, off by 20 % or with jitter; ideal tracking or the platform's servo; 0.2 % of the peak force as noise. The reference is the same
-contact with no delay and perfect tracking. Random rigs, with off-axis hits, sliding and friction, give mean, standard
-deviation and maximum, as reported by the benchmark of real-time hybrid simulation (C. E. Silva et al., MSSP 135, 2020).
+Every method is applied to the same contacts: a first contact about which it knows nothing, or a
+contact identified before; a delay known exactly, off by 20 % or with jitter; ideal tracking or the
+platform's servo; 0.2 % of the peak force as noise. The reference is the same contact with no delay
+and perfect tracking. Random rigs, with off-axis hits, sliding and friction, give mean, standard
+deviation and maximum, as reported by the benchmark of real-time hybrid simulation (C. E. Silva et
+al., MSSP 135, 2020).
 """
 
 from __future__ import annotations
@@ -16,7 +19,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hiltestbed.bench.contacts import DELAYS, FREQUENCIES, Bounce, Contact, bounce, effective_contact, effort, grid, random_rigs
+from hiltestbed.bench.contacts import (
+    DELAYS,
+    FREQUENCIES,
+    Bounce,
+    Contact,
+    bounce,
+    effective_contact,
+    effort,
+    grid,
+    random_rigs,
+)
 from hiltestbed.bench.contenders import BEST, CONTENDERS, Contender, contenders
 from hiltestbed.bench.cor_report import cor_report
 from hiltestbed.bench.result import BenchResult
@@ -38,27 +51,50 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     """All methods on the whole grid; ``quick``: on its corners."""
     contacts = grid((2.0, 8.0), (0.005, 0.020), damping_ratios=(0.05,)) if quick else grid()
     methods = contenders()
-    jobs = [(t, k, m) for t, k in _conditions(quick) for m in methods if _takes_part(m, t, k, quick)]
+    jobs = [
+        (t, k, m) for t, k in _conditions(quick) for m in methods if _takes_part(m, t, k, quick)
+    ]
     rigs, points = random_rigs(8 if quick else 64, seed=11), 6 if quick else 12
-    random_methods = [m for m in methods if m.own or (m.name in RANDOM_METHODS and m.contact == "first")]
-    efforts = [effort([_under(c, tracking, knowledge) for c in contacts]) for tracking, knowledge, _ in jobs]
+    random_methods = [
+        m for m in methods if m.own or (m.name in RANDOM_METHODS and m.contact == "first")
+    ]
+    efforts = [
+        effort([_under(c, tracking, knowledge) for c in contacts])
+        for tracking, knowledge, _ in jobs
+    ]
     ideal_rigs = [_under(rig, "ideal", "exact") for rig in rigs]
-    random_effort, boundary_effort = effort(rigs) + effort(ideal_rigs), len(BOUNDARY) * effort(_boundary(points))
+    random_effort, boundary_effort = (
+        effort(rigs) + effort(ideal_rigs),
+        len(BOUNDARY) * effort(_boundary(points)),
+    )
     ticks = COST_TICKS // (2 if quick else 1)
     cost_effort = effort(_costly(), ticks)
-    whole = effort(contacts) + sum(efforts) + len(random_methods) * random_effort + boundary_effort + len(methods) * cost_effort + REPORT
+    whole = (
+        effort(contacts)
+        + sum(efforts)
+        + len(random_methods) * random_effort
+        + boundary_effort
+        + len(methods) * cost_effort
+        + REPORT
+    )
     step = _counter(progress, whole)
-    reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in contacts], THREADS)
+    reference = bounce(
+        [reference_scenario(c.scenario({"kind": "none"})) for c in contacts], THREADS
+    )
     step(effort(contacts))
     records: list[dict[str, Any]] = []
     failed: dict[str, str] = {}
     for (tracking, knowledge, contender), share in zip(jobs, efforts, strict=True):
         same = [_under(c, tracking, knowledge) for c in contacts]
-        records += _unless_failed(contender, failed, partial(measure, contender, same, reference)) or []
+        records += (
+            _unless_failed(contender, failed, partial(measure, contender, same, reference)) or []
+        )
         step(share)
     random_records = []
     for contender in random_methods:
-        random_records += _unless_failed(contender, failed, partial(measure_random, contender, rigs)) or []
+        random_records += (
+            _unless_failed(contender, failed, partial(measure_random, contender, rigs)) or []
+        )
         step(random_effort)
     boundary = stability_boundary(points)
     step(boundary_effort)
@@ -66,13 +102,22 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     for m in methods:
         costs[m.name, m.contact] = _unless_failed(m, failed, partial(cost, m, ticks))
         step(cost_effort)
-    records, random_records = ([r for r in some if r["method"] not in failed] for some in (records, random_records))
+    records, random_records = (
+        [r for r in some if r["method"] not in failed] for some in (records, random_records)
+    )
     board = leaderboard(records, costs)
     summary = {
-        "leaderboard": board, "random_rigs": statistics_of(random_records), "boundary": boundary, "best": BEST, "failed": failed,
-    }  # fmt: skip
+        "leaderboard": board,
+        "random_rigs": statistics_of(random_records),
+        "boundary": boundary,
+        "best": BEST,
+        "failed": failed,
+    }
     lines = [
-        (f"{row['method']} ({row['contact']} contact)", f"|ln e/e_ref| <= {_number(row['largest_log_error'])}")
+        (
+            f"{row['method']} ({row['contact']} contact)",
+            f"|ln e/e_ref| <= {_number(row['largest_log_error'])}",
+        )
         for row in board
         if row["largest_log_error"] is not None
     ]
@@ -81,8 +126,12 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     return BenchResult("cor", records + random_records, summary, report, lines, failed)
 
 
-def _unless_failed(contender: Contender, failed: dict[str, str], measured: Callable[[], T]) -> T | None:
-    """Result of ``measured``. If a method of the user raises, None, with the reason in ``failed``: the other methods are still measured."""
+def _unless_failed(
+    contender: Contender, failed: dict[str, str], measured: Callable[[], T]
+) -> T | None:
+    """Result of ``measured``. If a method of the user raises, None, with the reason in ``failed``:
+    the other methods are still measured.
+    """
     if contender.name in failed:
         return None
     try:
@@ -96,11 +145,15 @@ def _unless_failed(contender: Contender, failed: dict[str, str], measured: Calla
 
 def _conditions(quick: bool) -> list[tuple[str, str]]:
     """(tracking, delay knowledge)."""
-    return [("ideal", "exact"), ("ideal", "off"), ("servo", "exact")] + ([] if quick else [("ideal", "jitter")])
+    return [("ideal", "exact"), ("ideal", "off"), ("servo", "exact")] + (
+        [] if quick else [("ideal", "jitter")]
+    )
 
 
 def _takes_part(contender: Contender, tracking: str, knowledge: str, quick: bool) -> bool:
-    """A quick run includes every method under ideal conditions, and the leading and the user's methods under other conditions."""
+    """A quick run includes every method under ideal conditions, and the leading and the user's
+    methods under other conditions.
+    """
     leads = contender.own or contender.name.startswith((BEST, "phase_lead"))
     return not quick or leads or (tracking, knowledge) == ("ideal", "exact")
 
@@ -109,14 +162,21 @@ def _under(contact: Contact, tracking: str, knowledge: str) -> Contact:
     return Contact(contact.frequency, contact.delay, contact.damping_ratio, knowledge, tracking)
 
 
-def measure(contender: Contender, contacts: Sequence[Contact], reference: Bounce) -> list[dict[str, Any]]:
+def measure(
+    contender: Contender, contacts: Sequence[Contact], reference: Bounce
+) -> list[dict[str, Any]]:
     """One record per contact."""
     servo = contacts[0].tracking == "servo"
     result = bounce([c.scenario(contender.force(c)) for c in contacts], THREADS, trace=servo)
-    return [_record(contender, c, result, reference, i) | (_tracking(result, i) if servo else {}) for i, c in enumerate(contacts)]
+    return [
+        _record(contender, c, result, reference, i) | (_tracking(result, i) if servo else {})
+        for i, c in enumerate(contacts)
+    ]
 
 
-def _record(contender: Contender, contact: Contact, result: Bounce, reference: Bounce, i: int) -> dict[str, Any]:
+def _record(
+    contender: Contender, contact: Contact, result: Bounce, reference: Bounce, i: int
+) -> dict[str, Any]:
     figures, ideal = result.figures[i], reference.figures[i]
     return {
         "method": contender.name,
@@ -138,7 +198,9 @@ def _record(contender: Contender, contact: Contact, result: Bounce, reference: B
 
 
 def _tracking(result: Bounce, i: int) -> dict[str, float]:
-    """J1 delay by cross-correlation [ms], J2 rms error over rms [%], J3 peak error over peak [%] of the position along z in contact."""
+    """J1 delay by cross-correlation [ms], J2 rms error over rms [%], J3 peak error over peak [%] of
+    the position along z in contact.
+    """
     trace = result.trace
     if trace is None:
         return {}
@@ -149,7 +211,15 @@ def _tracking(result: Bounce, i: int) -> dict[str, float]:
     wanted = trace["pose_cmd"][first - 1 : last - 1, i, 2]  # commanded at t_k for t_(k+1)
     reached = trace["pose_act"][first:last, i, 2]
     lags = range(-2, min(60, len(wanted) // 3))
-    products = [float(np.dot(wanted[max(0, -n) : len(wanted) - max(0, n)], reached[max(0, n) : len(reached) + min(0, n)])) for n in lags]
+    products = [
+        float(
+            np.dot(
+                wanted[max(0, -n) : len(wanted) - max(0, n)],
+                reached[max(0, n) : len(reached) + min(0, n)],
+            )
+        )
+        for n in lags
+    ]
     error = wanted - reached
     return {
         "J1": 1e3 * lags[int(np.argmax(products))] * result.loop.model.tick,
@@ -159,42 +229,68 @@ def _tracking(result: Bounce, i: int) -> dict[str, float]:
 
 
 def measure_random(contender: Contender, rigs: Sequence[Contact]) -> list[dict[str, Any]]:
-    """One record per rig; ``twist_error``: relative error of a body's change of velocity, linear or angular, the larger of both bodies'."""
+    """One record per rig; ``twist_error``: relative error of a body's change of velocity, linear or
+    angular, the larger of both bodies'.
+    """
     scenarios = [r.scenario(contender.force(r)) for r in rigs]
     result = bounce(scenarios, THREADS)
     reference = bounce([reference_scenario(s) for s in scenarios], THREADS)
     records = []
     for i, rig in enumerate(rigs):
-        record = _record(contender, rig, result, reference, i) | {"random_rig": i, "w_tau": effective_contact(rig)}
-        change = np.linalg.norm((reference.velocity[i] - reference.start[i]).reshape(2, 2, 3), axis=2)
-        error = np.linalg.norm((result.velocity[i] - reference.velocity[i]).reshape(2, 2, 3), axis=2)
+        record = _record(contender, rig, result, reference, i) | {
+            "random_rig": i,
+            "w_tau": effective_contact(rig),
+        }
+        change = np.linalg.norm(
+            (reference.velocity[i] - reference.start[i]).reshape(2, 2, 3), axis=2
+        )
+        error = np.linalg.norm(
+            (result.velocity[i] - reference.velocity[i]).reshape(2, 2, 3), axis=2
+        )
         worst = float((error / change).max())
         records.append(record | {"twist_error": worst if np.isfinite(worst) else None})
     return records
 
 
 def statistics_of(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Method to mean, sd and max of |ln e/e_ref| and of the twist error over the random rigs, and the number that rebounded in time."""
+    """Method to mean, sd and max of |ln e/e_ref| and of the twist error over the random rigs, and
+    the number that rebounded in time.
+    """
     out = {}
     for name in dict.fromkeys(r["method"] for r in records):
         mine = [r for r in records if r["method"] == name]
-        out[name] = {"rigs": len(mine), "rebounded": sum(r["cor_log_error"] is not None for r in mine)}
+        out[name] = {
+            "rigs": len(mine),
+            "rebounded": sum(r["cor_log_error"] is not None for r in mine),
+        }
         for key in ("cor_log_error", "twist_error"):
             values = [abs(r[key]) for r in mine if r[key] is not None]
             if values:
-                out[name][key] = {"mean": statistics.fmean(values), "sd": statistics.pstdev(values), "max": max(values)}
+                out[name][key] = {
+                    "mean": statistics.fmean(values),
+                    "sd": statistics.pstdev(values),
+                    "max": max(values),
+                }
     return out
 
 
 def stability_boundary(points: int) -> dict[str, Any]:
-    """e over a fine grid of frequency and delay, for the methods in :data:`BOUNDARY`, at a damping ratio of 0.05."""
+    """e over a fine grid of frequency and delay, for the methods in :data:`BOUNDARY`, at a damping
+    ratio of 0.05.
+    """
     contacts = _boundary(points)
-    frequencies, delays = (list(dict.fromkeys(getattr(c, key) for c in contacts)) for key in ("frequency", "delay"))
+    frequencies, delays = (
+        list(dict.fromkeys(getattr(c, key) for c in contacts)) for key in ("frequency", "delay")
+    )
     out: dict[str, Any] = {"frequency": frequencies, "delay": delays, "damping_ratio": 0.05}
     for name in BOUNDARY:
         contender = next(m for m in CONTENDERS if m.name == name and m.contact == "first")
         figures = bounce([c.scenario(contender.force(c)) for c in contacts], THREADS).figures
-        out[name] = np.array([np.nan if f.cor is None else f.cor for f in figures]).reshape(points, points).tolist()
+        out[name] = (
+            np.array([np.nan if f.cor is None else f.cor for f in figures])
+            .reshape(points, points)
+            .tolist()
+        )
     return out
 
 
@@ -211,7 +307,9 @@ def _costly() -> list[Contact]:
 
 
 def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
-    """Microseconds per sim-tick of the method, in addition to the numerical model, in a batch of 64 runs in contact."""
+    """Microseconds per sim-tick of the method, in addition to the numerical model, in a batch of 64
+    runs in contact.
+    """
     loop = Loop([c.scenario(contender.force(c)) for c in _costly()])
     craft, plant = loop.model, loop.plant
     assert isinstance(plant, Plant)  # the simulated side
@@ -235,25 +333,38 @@ def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
     return max(0.0, 1e6 * statistics.median(times) / COST_RUNS)
 
 
-def leaderboard(records: Sequence[dict[str, Any]], costs: dict[tuple[str, str], float | None]) -> list[dict[str, Any]]:
-    """One row per method and knowledge of the contact, best first; a method with a run that never rebounded ranks last."""
+def leaderboard(
+    records: Sequence[dict[str, Any]], costs: dict[tuple[str, str], float | None]
+) -> list[dict[str, Any]]:
+    """One row per method and knowledge of the contact, best first; a method with a run that never
+    rebounded ranks last.
+    """
     rows = []
     for name, contact in dict.fromkeys((r["method"], r["contact"]) for r in records):
         mine = [r for r in records if (r["method"], r["contact"]) == (name, contact)]
         exact = [r for r in mine if r["delay_knowledge"] == "exact" and r["tracking"] == "ideal"]
         groups = {"largest_log_error": exact}
-        groups |= {f"to_w_tau_{limit:.2f}": [r for r in exact if r["w_tau"] <= limit + 0.01] for limit in (0.25, 0.5, 1.0)}
+        groups |= {
+            f"to_w_tau_{limit:.2f}": [r for r in exact if r["w_tau"] <= limit + 0.01]
+            for limit in (0.25, 0.5, 1.0)
+        }
         groups["servo"] = [r for r in mine if r["tracking"] == "servo"]
         groups["delay_off"] = [r for r in mine if r["delay_knowledge"] == "off"]
         groups["delay_jitter"] = [r for r in mine if r["delay_knowledge"] == "jitter"]
-        row: dict[str, Any] = {"method": name, "contact": contact, "runs": {key: len(group) for key, group in groups.items()}}
+        row: dict[str, Any] = {
+            "method": name,
+            "contact": contact,
+            "runs": {key: len(group) for key, group in groups.items()},
+        }
         row |= {key: _largest(group) for key, group in groups.items()}
         row["energy_created"] = max(r["energy_generated"] / r["energy_of_approach"] for r in exact)
         row["peak_force_error"] = max(abs(r["peak_force_error"]) for r in exact)
         row["stable"] = sum(r["stable"] for r in exact) / len(exact)
         row["cost"] = costs[name, contact]
         rows.append(row)
-    return sorted(rows, key=lambda r: np.inf if r["largest_log_error"] is None else r["largest_log_error"])
+    return sorted(
+        rows, key=lambda r: np.inf if r["largest_log_error"] is None else r["largest_log_error"]
+    )
 
 
 def _largest(records: Sequence[dict[str, Any]]) -> float | None:

@@ -19,7 +19,8 @@ COLUMNS = (
     ("delay_off", "delay off 20 %"),
     ("delay_jitter", "delay jitter"),
 )
-GRID = (("frequency", 1.0), ("delay", 1e3), ("damping_ratio", 1.0))  # keys of a record, with the factor to the displayed unit
+# keys of a record, with the factor to the displayed unit
+GRID = (("frequency", 1.0), ("delay", 1e3), ("damping_ratio", 1.0))
 SMALLEST, LARGEST = 1e-3, 1.0  # |ln e/e_ref| at the ends of the colour scale
 NOTHING = 5e-4  # errors that round to 0.000 are shown as zero
 COLORS = "RdBu_r"
@@ -31,23 +32,29 @@ def cor_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Re
     board = summary["leaderboard"]
     first = next(row for row in board if row["contact"] == "first")
     report.lead(
-        f"For a first contact, about which nothing is known, {first['method']} achieves |ln(e/e_ref)| <= {first['largest_log_error']:.4f} "
+        f"For a first contact, about which nothing is known, {first['method']} achieves "
+        f"|ln(e/e_ref)| <= {first['largest_log_error']:.4f} "
         "over the whole grid."
     )
     for name, error in summary["failed"].items():
         report.text(f"{name} is left out; it ended with: {error}")
     _leaderboard(report, board)
     report.heading("Errors over the grid")
-    report.figure(_heat_maps(records), "ln(e/e_ref) with ideal tracking and known delay; the largest over the damping ratios.")
+    report.figure(
+        _heat_maps(records),
+        "ln(e/e_ref) with ideal tracking and known delay; the largest over the damping ratios.",
+    )
     report.text(_grid(records))
     report.heading("Boundary to an active contact")
     report.figure(
         _boundary(summary["boundary"]),
-        "ln e over delay and contact frequency f, with k = mu (2 pi f)^2, at a damping ratio of 0.05; black: e = 1. No "
+        "ln e over delay and contact frequency f, with k = mu (2 pi f)^2, at a damping ratio of "
+        "0.05; black: e = 1. No "
         "compensation, the usual one and the default; plugins are in the table and the maps above.",
     )
     report.text(
-        "Orange, the same in each map: the delay at which a closed contact becomes unstable without compensation, "
+        "Orange, the same in each map: the delay at which a closed contact becomes unstable "
+        "without compensation, "
         "tau = atan(c w_c/k)/w_c with "
         "w_c^2 = (c^2 + sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2); to first order a bounce has e = 1 there."
     )
@@ -59,35 +66,59 @@ def _grid(records: Sequence[dict[str, Any]]) -> str:
     """The varied quantities, in words."""
     exact = [r for r in records if r["delay_knowledge"] == "exact" and r["tracking"] == "ideal"]
     each = len({(r["frequency"], r["delay"], r["damping_ratio"]) for r in exact})
-    frequencies, delays, ratios = (", ".join(f"{v:g}" for v in sorted({f * r[key] for r in exact})) for key, f in GRID)
-    return f"{each} contacts per method: frequencies {frequencies} Hz, delays {delays} ms, damping ratios {ratios}."
+    frequencies, delays, ratios = (
+        ", ".join(f"{v:g}" for v in sorted({f * r[key] for r in exact})) for key, f in GRID
+    )
+    return (
+        f"{each} contacts per method: frequencies {frequencies} Hz, delays {delays} ms, "
+        f"damping ratios {ratios}."
+    )
 
 
 def _leaderboard(report: Report, board: Sequence[dict[str, Any]]) -> None:
-    header = ["method", "contact", *(title for _, title in COLUMNS), "energy / approach", "peak force", "e <= 1", "\N{MICRO SIGN}s/tick"]
+    header = [
+        "method",
+        "contact",
+        *(title for _, title in COLUMNS),
+        "energy / approach",
+        "peak force",
+        "e <= 1",
+        "\N{MICRO SIGN}s/tick",
+    ]
     rows = []
     for row in board:
         cells = [_error(row, key) for key, _ in COLUMNS]
-        rest = [f"{row['energy_created']:+.3f}", f"{100 * row['peak_force_error']:.1f} %", f"{100 * row['stable']:.0f} %"]
+        rest = [
+            f"{row['energy_created']:+.3f}",
+            f"{100 * row['peak_force_error']:.1f} %",
+            f"{100 * row['stable']:.0f} %",
+        ]
         rows.append([row["method"], row["contact"], *cells, *rest, f"{row['cost']:.1f}"])
     report.table(
         header,
         rows,
-        "Largest |ln(e/e_ref)| over the grid. Ideal tracking and known delay unless the column says otherwise; a dash: not measured; "
-        "lost: some contact of the grid gave no rebound. e <= 1: share of the contacts whose rebound is no faster than the approach. "
-        "Energy: the largest energy created by the rig over the energy of approach. Peak force: its largest error. "
+        "Largest |ln(e/e_ref)| over the grid. Ideal tracking and known delay unless the column "
+        "says otherwise; a dash: not measured; "
+        "lost: some contact of the grid gave no rebound. e <= 1: share of the contacts whose "
+        "rebound is no faster than the approach. "
+        "Energy: the largest energy created by the rig over the energy of approach. Peak force: "
+        "its largest error. "
         "Time: per tick of one run in a batch, in addition to the numerical model.",
     )
 
 
 def _error(row: dict[str, Any], key: str) -> str:
-    """The largest error; a dash if nothing was measured under the condition, `lost` if a run gave no rebound."""
+    """The largest error; a dash if nothing was measured under the condition, `lost` if a run gave
+    no rebound.
+    """
     value = row[key]
     return f"{value:.4f}" if value is not None else "lost" if row["runs"][key] else "-"
 
 
 def _heat_maps(records: Sequence[dict[str, Any]]):
-    """One map per method, on a common colour scale: cells show the number, and are white if it rounds to zero."""
+    """One map per method, on a common colour scale: cells show the number, and are white if it
+    rounds to zero.
+    """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import SymLogNorm
 
@@ -104,13 +135,21 @@ def _heat_maps(records: Sequence[dict[str, Any]]):
         mine = [r for r in exact if (r["method"], r["contact"]) == (name, contact)]
         _heat_map(axis, worst_errors(mine, frequencies, delays), norm, frequencies, delays)
         axis.set_title(f"{name}, {contact}", fontsize=9)
-    bar = figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, extend="both", shrink=0.6, aspect=40)
-    bar.set_label("ln(e/e_ref); red: rebound too fast, blue: too slow; grey: no rebound", fontsize=8)
+    bar = figure.colorbar(
+        ScalarMappable(norm, COLORS), ax=axes, extend="both", shrink=0.6, aspect=40
+    )
+    bar.set_label(
+        "ln(e/e_ref); red: rebound too fast, blue: too slow; grey: no rebound", fontsize=8
+    )
     return figure
 
 
-def worst_errors(records: Sequence[dict[str, Any]], frequencies: Sequence[float], delays: Sequence[float]) -> np.ndarray:
-    """``(frequencies, delays)`` error of largest magnitude over the damping ratios; NaN if a contact gave no rebound."""
+def worst_errors(
+    records: Sequence[dict[str, Any]], frequencies: Sequence[float], delays: Sequence[float]
+) -> np.ndarray:
+    """``(frequencies, delays)`` error of largest magnitude over the damping ratios; NaN if a
+    contact gave no rebound.
+    """
     values = np.zeros((len(frequencies), len(delays)))
     for r in records:
         i, j = frequencies.index(r["frequency"]), delays.index(r["delay"])
@@ -121,12 +160,28 @@ def worst_errors(records: Sequence[dict[str, Any]], frequencies: Sequence[float]
     return values
 
 
-def _heat_map(axis, values: np.ndarray, norm: Any, frequencies: Sequence[float], delays: Sequence[float]) -> None:
-    axis.imshow(np.where(np.abs(values) < NOTHING, 0.0, values), norm=norm, cmap=COLORS, origin="lower", aspect="auto")
+def _heat_map(
+    axis, values: np.ndarray, norm: Any, frequencies: Sequence[float], delays: Sequence[float]
+) -> None:
+    axis.imshow(
+        np.where(np.abs(values) < NOTHING, 0.0, values),
+        norm=norm,
+        cmap=COLORS,
+        origin="lower",
+        aspect="auto",
+    )
     axis.set_facecolor("#c8ced4")
     for (i, j), value in np.ndenumerate(values):
         strong = not np.isnan(value) and abs(value) > 0.05
-        axis.text(j, i, cell_text(value), ha="center", va="center", fontsize=7, color="white" if strong else "black")
+        axis.text(
+            j,
+            i,
+            cell_text(value),
+            ha="center",
+            va="center",
+            fontsize=7,
+            color="white" if strong else "black",
+        )
     axis.set_xticks(range(len(delays)), [f"{1e3 * d:g}" for d in delays], fontsize=7)
     axis.set_yticks(range(len(frequencies)), [f"{f:g}" for f in frequencies], fontsize=7)
     axis.set_xlabel("delay [ms]", fontsize=7)
@@ -148,11 +203,19 @@ def _boundary(boundary: dict[str, Any]):
     limit = [1e3 * closed_contact_delay(w_i**2, 2.0 * z * w_i, 1.0) for w_i in w]  # for a unit mass
     for axis, name in zip(axes, names, strict=True):
         e = np.array(boundary[name])
-        mesh = axis.pcolormesh(frequency, delay, np.log(e).T, cmap="RdBu_r", vmin=-1.0, vmax=1.0, shading="gouraud")
+        mesh = axis.pcolormesh(
+            frequency, delay, np.log(e).T, cmap="RdBu_r", vmin=-1.0, vmax=1.0, shading="gouraud"
+        )
         if (e > 1.0).any() and (e < 1.0).any():
             axis.contour(frequency, delay, e.T, levels=[1.0], colors="black")
         axis.plot(frequency, limit, color="tab:orange", linestyle="--", linewidth=2)
-        axis.set(xscale="log", yscale="log", xlabel="contact frequency [Hz]", title=name, ylim=(delay[0], delay[-1]))
+        axis.set(
+            xscale="log",
+            yscale="log",
+            xlabel="contact frequency [Hz]",
+            title=name,
+            ylim=(delay[0], delay[-1]),
+        )
         axis.set_xticks([1, 2, 4, 8], ["1", "2", "4", "8"])
         axis.set_yticks([1, 2, 5, 10, 20, 30], ["1", "2", "5", "10", "20", "30"])
         axis.minorticks_off()
@@ -169,13 +232,28 @@ def _random_rigs(report: Report, results: dict[str, dict[str, Any]]) -> None:
         cells = []
         for key in ("cor_log_error", "twist_error"):
             figures = result.get(key)
-            cells += ["-"] * 3 if figures is None else [f"{figures[k]:.4f}" for k in ("mean", "sd", "max")]
+            cells += (
+                ["-"] * 3
+                if figures is None
+                else [f"{figures[k]:.4f}" for k in ("mean", "sd", "max")]
+            )
         rows.append([name, f"{result['rebounded']} of {result['rigs']}", *cells])
-    header = ["method", "rebounded", "|ln e/e_ref| mean", "sd", "max", "twist error mean", "sd", "max"]
+    header = [
+        "method",
+        "rebounded",
+        "|ln e/e_ref| mean",
+        "sd",
+        "max",
+        "twist error mean",
+        "sd",
+        "max",
+    ]
     report.table(
         header,
         rows,
-        "First contact with the platform's servo: masses of 0.3 to 100 t, 1 to 6 Hz, 2 to 20 ms, hits up to 0.1 m off the axis, "
-        "tilted, rotating and sliding with friction. Twist error: error of a body's change of velocity relative to that change, the worst "
+        "First contact with the platform's servo: masses of 0.3 to 100 t, 1 to 6 Hz, 2 to 20 ms, "
+        "hits up to 0.1 m off the axis, "
+        "tilted, rotating and sliding with friction. Twist error: error of a body's change of "
+        "velocity relative to that change, the worst "
         "of both bodies, linear and angular.",
     )

@@ -1,8 +1,10 @@
-"""How often a hidden cause is found: data sets of an independent rig with random effects, sizes, rigs and seeds.
+"""How often a hidden cause is found: data sets of an independent rig with random effects, sizes,
+rigs and seeds.
 
-Single effects, pairs and triples, effects with a look-alike, healthy rigs, and effects outside the vocabulary; the
-same in dockings, with probe and cone, friction, tilt and spin, on a mount, latched; with non-white noise; on facilities that
-divide and stamp their ticks in other ways; then each effect at decreasing sizes, until it is missed.
+Single effects, pairs and triples, effects with a look-alike, healthy rigs, and effects outside the
+vocabulary; the same in dockings, with probe and cone, friction, tilt and spin, on a mount, latched;
+with non-white noise; on facilities that divide and stamp their ticks in other ways; then each
+effect at decreasing sizes, until it is missed.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ from hiltestbed.errors import HiltestbedError
 from hiltestbed.kernels import cores
 from hiltestbed.workers import end_pool, new_pool
 
-MOST_TOGETHER = 3  # largest set of indistinguishable causes, the true one included, that counts as right
+# largest set of indistinguishable causes, the true one included, that counts as right
+MOST_TOGETHER = 3
 POLL = 1.0  # [s]
 
 
@@ -41,19 +44,30 @@ def diagnosis(
     workers: int | None = None,
     keep: Path | None = None,
 ) -> BenchResult:
-    """The benchmark, its sets in random order, so that those done when the time is up represent all.
+    """The benchmark, its sets in random order, so that those done when the time is up represent
+    all.
 
     Args:
         quick: few sets, without the smallest sizes.
-        noise, docking, computing: only these parts; see :func:`~hiltestbed.bench.diagnosis_sets.plan`.
+        noise, docking, computing: only these parts; see
+            :func:`~hiltestbed.bench.diagnosis_sets.plan`.
         minutes: time limit, at which sets in progress are abandoned; None: until all are done.
-        workers: processes, by default one per core. keep: file to which records are saved as they arrive, to resume from.
+        workers: processes, by default one per core. keep: file to which records are saved as they
+            arrive, to resume from.
     """
-    parts = [name for name, asked in (("docking", docking), ("noise", noise), ("computing", computing)) if asked]
+    parts = [
+        name
+        for name, asked in (("docking", docking), ("noise", noise), ("computing", computing))
+        if asked
+    ]
     todo = plan(quick, parts)
     kept = Kept(keep, lambda record: (record["seed"], record["scale"]))
     until = time.monotonic() + 60.0 * minutes if minutes is not None else math.inf
-    waiting = [todo[i] for i in np.random.default_rng(0).permutation(len(todo)) if _key(todo[i]) not in kept.records]
+    waiting = [
+        todo[i]
+        for i in np.random.default_rng(0).permutation(len(todo))
+        if _key(todo[i]) not in kept.records
+    ]
     for left, record in _diagnosed(waiting, workers or cores(), until):
         if record is not None:
             kept.add(record)
@@ -63,11 +77,17 @@ def diagnosis(
     if len(records) == len(todo):
         kept.done()
     summary = summarise(records) | {"planned": len(todo), "done": len(records)}
-    return BenchResult("diagnosis", records, summary, diagnosis_report(records, summary), summary_lines(summary))
+    return BenchResult(
+        "diagnosis", records, summary, diagnosis_report(records, summary), summary_lines(summary)
+    )
 
 
-def _diagnosed(waiting: list[Task], workers: int, until: float) -> Iterator[tuple[int, dict[str, Any] | None]]:
-    """Number of sets left, and the record of each that ends, or None at a poll without one. Sets in progress at ``until`` are abandoned."""
+def _diagnosed(
+    waiting: list[Task], workers: int, until: float
+) -> Iterator[tuple[int, dict[str, Any] | None]]:
+    """Number of sets left, and the record of each that ends, or None at a poll without one. Sets in
+    progress at ``until`` are abandoned.
+    """
     pool, running = new_pool(workers), set[Future[dict[str, Any]]]()
     try:
         while (waiting or running) and time.monotonic() < until:
@@ -80,7 +100,8 @@ def _diagnosed(waiting: list[Task], workers: int, until: float) -> Iterator[tupl
                 yield len(waiting) + len(running), None
     except BrokenProcessPool:
         raise HiltestbedError(
-            "bench diagnosis: a worker process died (killed, or out of memory); the same command with the same --out resumes it; "
+            "bench diagnosis: a worker process died (killed, or out of memory); the same command "
+            "with the same --out resumes it; "
             "--workers 1 needs less memory"
         ) from None
     finally:
@@ -111,58 +132,96 @@ def one_set(task: Task) -> dict[str, Any]:
     right = judged_right(task.kind, truth, list(hidden.links), verdict.verdict, verdict.link, sets)
     held, asked = coverage(hidden.effects, causes)
     return {
-        "seed": task.seed, "kind": task.kind, "design": task.design, "scale": task.scale, "hidden": hidden.effects,
-        "noise": list(task.noise) if task.noise else None, "computing": task.computing,
+        "seed": task.seed,
+        "kind": task.kind,
+        "design": task.design,
+        "scale": task.scale,
+        "hidden": hidden.effects,
+        "noise": list(task.noise) if task.noise else None,
+        "computing": task.computing,
         "strengths": list(hidden.strengths),
-        "verdict": verdict.verdict, "link": verdict.link, "right": right, "intervals_held": held, "intervals": asked,
+        "verdict": verdict.verdict,
+        "link": verdict.link,
+        "right": right,
+        "intervals_held": held,
+        "intervals": asked,
         "causes": [
-            {"effect": c.effect, "indistinguishable_from": list(c.indistinguishable_from), "probability": c.probability} for c in causes
+            {
+                "effect": c.effect,
+                "indistinguishable_from": list(c.indistinguishable_from),
+                "probability": c.probability,
+            }
+            for c in causes
         ],
         "alarm": alarm_figures(findings),
-        "cpu": time.process_time() - start, "gain": gain.reduction if gain else None,
-        "gain_true": true_gain(findings, verdict, hidden.effects) if right and task.kind == "single" else None,
-    }  # fmt: skip
+        "cpu": time.process_time() - start,
+        "gain": gain.reduction if gain else None,
+        "gain_true": true_gain(findings, verdict, hidden.effects)
+        if right and task.kind == "single"
+        else None,
+    }
 
 
 def alarm_figures(findings: Any) -> dict[str, float]:
-    """How close the links are to an alarm: penalised chi-square reduction by the best single cause, and the excess over noise."""
+    """How close the links are to an alarm: penalised chi-square reduction by the best single cause,
+    and the excess over noise.
+    """
     from hiltestbed.diagnosis.fit import inflation
 
     found = list(findings.explanations.values())
-    best = [(e.null.chi2 - e.singles[0].score) / inflation(e.singles[0]) for e in found if e.singles]
+    best = [
+        (e.null.chi2 - e.singles[0].score) / inflation(e.singles[0]) for e in found if e.singles
+    ]
     excess = [left.excess for e in found for left in e.before.values()]
     return {"taken_off": max(best, default=0.0), "excess": max(excess, default=0.0)}
 
 
 def judged_right(
-    kind: str, truth: Sequence[str], links: Sequence[str], verdict: str, link: str | None, sets: Sequence[Sequence[str]]
+    kind: str,
+    truth: Sequence[str],
+    links: Sequence[str],
+    verdict: str,
+    link: str | None,
+    sets: Sequence[Sequence[str]],
 ) -> bool:
-    """Whether a verdict is right: no discrepancy if healthy, unknown with its link or inconclusive if foreign, otherwise each hidden
-    effect in a set of its own."""
+    """Whether a verdict is right: no discrepancy if healthy, unknown with its link or inconclusive
+    if foreign, otherwise each hidden effect in a set of its own.
+    """
     if kind == "healthy":
         return verdict == "no_discrepancy"
     if kind == "foreign":  # contact and sensor are one link to the data
         if verdict == "inconclusive":
             return True
         return verdict == "unknown" and (link in links or {link, *links} <= {"contact", "sensor"})
-    if verdict not in ("named", "ambiguous") or len(sets) != len(truth) or any(len(s) > MOST_TOGETHER for s in sets):
+    if (
+        verdict not in ("named", "ambiguous")
+        or len(sets) != len(truth)
+        or any(len(s) > MOST_TOGETHER for s in sets)
+    ):
         return False
     return all(any(name in s for s in sets) for name in truth)
 
 
 def coverage(hidden: Sequence[dict[str, Any]], causes: Sequence[Any]) -> tuple[int, int]:
-    """Number of true parameters within their intervals, and number of parameters estimated for correctly named effects."""
+    """Number of true parameters within their intervals, and number of parameters estimated for
+    correctly named effects.
+    """
     held = asked = 0
     for effect in hidden:
         for cause in causes:
             if cause.effect != effect["kind"] or any(
-                isinstance(p.estimate, str) and p.estimate != effect.get(n) for n, p in cause.parameters.items()
+                isinstance(p.estimate, str) and p.estimate != effect.get(n)
+                for n, p in cause.parameters.items()
             ):
                 continue
             for name, p in cause.parameters.items():
                 if name not in effect:  # at its default in the drawn set
                     continue
-                pairs = zip(effect[name], p.ci95, strict=True) if isinstance(p.estimate, tuple) else [(effect.get(name), p.ci95)]
+                pairs = (
+                    zip(effect[name], p.ci95, strict=True)
+                    if isinstance(p.estimate, tuple)
+                    else [(effect.get(name), p.ci95)]
+                )
                 for true, ends in pairs:
                     if ends is not None and isinstance(true, (int, float)) and ends[0] != ends[1]:
                         asked += 1
@@ -179,9 +238,18 @@ def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> 
         return None
     residual, fitted = findings.explanations[cause.link].residual, cause.fit.effects()[cause.index]
     true = {name: value for name, value in hidden[0].items() if name != "kind"}
-    if any(isinstance(value, str) and value != true.get(name) for name, value in fitted.parameters().items()):
+    if any(
+        isinstance(value, str) and value != true.get(name)
+        for name, value in fitted.parameters().items()
+    ):
         return None
-    values = {name: tuple(value) if isinstance(value, list) else value for name, value in (fitted.parameters() | true).items()}
+    values = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in (fitted.parameters() | true).items()
+    }
     effect = type(fitted).hypothesis(fitted.variant, **values)
-    before, after = ([heldout.mean_square(residual, i, effects) for i in residual.runs] for effects in ((), (effect,)))
+    before, after = (
+        [heldout.mean_square(residual, i, effects) for i in residual.runs]
+        for effects in ((), (effect,))
+    )
     return 1.0 - float(np.sqrt(sum(after) / sum(before))) if sum(before) > 0 else None

@@ -18,13 +18,21 @@ QUICK = {"single": 8, "pair": 3, "healthy": 3, "foreign": 3}
 DOCKING_FULL = {"single": 60, "pair": 20, "healthy": 60, "foreign": 20}
 DOCKING_QUICK = {"single": 3, "pair": 1, "healthy": 2, "foreign": 1}
 DOCKINGS = ("docking", "docking", "mounted", "held")  # cycled through
-NOISE_FULL, NOISE_QUICK = {"healthy": 60, "single": 10}, {"healthy": 1}  # sets of each kind of noise at each strength
+# sets of each kind of noise at each strength
+NOISE_FULL, NOISE_QUICK = {"healthy": 60, "single": 10}, {"healthy": 1}
 OF_COMPUTING = (  # effects that depend most on how a tick is divided and stamped
-    "platform.friction", "platform.backlash", "platform.mode", "platform.lag", "frame.compliance", "sensor.delay",
-)  # fmt: skip
+    "platform.friction",
+    "platform.backlash",
+    "platform.mode",
+    "platform.lag",
+    "frame.compliance",
+    "sensor.delay",
+)
 WAYS: tuple[Computing, ...] = ("divided", "clocks")
-COMPUTING_FULL, COMPUTING_QUICK = {"single": 60, "healthy": 20}, {"single": 2, "healthy": 1}  # sets of each way of computing
-SMALLER = (0.3, 0.1, 0.03, 0.01)  # fractions of the drawn size, to find the smallest detectable size
+# sets of each way of computing
+COMPUTING_FULL, COMPUTING_QUICK = {"single": 60, "healthy": 20}, {"single": 2, "healthy": 1}
+# fractions of the drawn size, to find the smallest detectable size
+SMALLER = (0.3, 0.1, 0.03, 0.01)
 UNSCALED = {"dynamics.integrator", "dynamics.step_delay"}  # effects without a size
 
 
@@ -34,8 +42,8 @@ class Task:
 
     Attributes:
         kind, names, scale, design, noise: see :func:`~hiltestbed.bench.independent_rig.draw_set`.
-        computing: plain | divided (a tick with any number of sub-steps, the force at any lever) | clocks (divided, with instants and
-            stamps offset as well).
+        computing: plain | divided (a tick with any number of sub-steps, the force at any lever) |
+            clocks (divided, with instants and stamps offset as well).
     """
 
     seed: int
@@ -52,9 +60,14 @@ class Task:
 
         options: dict[str, Any] = {"names": self.names} if self.names else {}
         return draw_set(
-            np.random.default_rng(self.seed), self.kind, scale=self.scale, design=self.design, noise=self.noise,  # type: ignore[arg-type]
-            nuisances=self._nuisances(), **options,
-        )  # fmt: skip
+            np.random.default_rng(self.seed),
+            self.kind,
+            scale=self.scale,
+            design=self.design,
+            noise=self.noise,  # type: ignore[arg-type]
+            nuisances=self._nuisances(),
+            **options,
+        )
 
     def _nuisances(self) -> Any:
         from hiltestbed.bench.independent_rig import Nuisances, draw_nuisances
@@ -62,20 +75,35 @@ class Task:
         if self.computing == "plain":
             return None
         drawn = draw_nuisances(np.random.default_rng([self.seed, 1]))
-        return drawn if self.computing == "clocks" else replace(Nuisances(), substeps=drawn.substeps, lever=drawn.lever)
+        return (
+            drawn
+            if self.computing == "clocks"
+            else replace(Nuisances(), substeps=drawn.substeps, lever=drawn.lever)
+        )
 
 
 def tasks(counts: Mapping[str, int], ladder: bool) -> list[Task]:
-    """The sets of a bumper; singles cycle through the vocabulary; with ``ladder`` also each effect at decreasing sizes."""
+    """The sets of a bumper; singles cycle through the vocabulary; with ``ladder`` also each effect
+    at decreasing sizes.
+    """
     from hiltestbed.bench.independent_rig import SIZES
 
     out: list[Task] = []
     ids = [name for name in EFFECTS if name in SIZES]  # learned laws are not drawn
     for kind, count in counts.items():
         for i in range(count):
-            out.append(Task(SEED + len(out), kind, (ids[(i * 7) % len(ids)],) if kind == "single" else None))
+            out.append(
+                Task(
+                    SEED + len(out), kind, (ids[(i * 7) % len(ids)],) if kind == "single" else None
+                )
+            )
     if ladder:
-        out += [Task(SEED + 5000 + i, "single", (name,), scale) for scale in SMALLER for i, name in enumerate(ids) if name not in UNSCALED]
+        out += [
+            Task(SEED + 5000 + i, "single", (name,), scale)
+            for scale in SMALLER
+            for i, name in enumerate(ids)
+            if name not in UNSCALED
+        ]
     return out
 
 
@@ -98,21 +126,34 @@ def noise_tasks(counts: Mapping[str, int]) -> list[Task]:
     from hiltestbed.bench.independent_rig import NOISE_KINDS
 
     noises = [(name, strength) for name, kind in NOISE_KINDS.items() for strength in kind.strengths]
-    each = [(kind, noise) for kind, count in counts.items() for noise in noises for _ in range(count)]
+    each = [
+        (kind, noise) for kind, count in counts.items() for noise in noises for _ in range(count)
+    ]
     return [Task(NOISE_SEED + i, kind, noise=noise) for i, (kind, noise) in enumerate(each)]
 
 
 def computing_tasks(counts: Mapping[str, int]) -> list[Task]:
-    """Sets of a bumper whose facility divides its ticks, samples and stamps in randomly drawn ways."""
-    each: list[tuple[Computing, str, int]] = [(way, kind, i) for way in WAYS for kind, count in counts.items() for i in range(count)]
+    """Sets of a bumper whose facility divides its ticks, samples and stamps in randomly drawn
+    ways.
+    """
+    each: list[tuple[Computing, str, int]] = [
+        (way, kind, i) for way in WAYS for kind, count in counts.items() for i in range(count)
+    ]
     return [
-        Task(COMPUTING_SEED + n, kind, (OF_COMPUTING[i % len(OF_COMPUTING)],) if kind == "single" else None, computing=way)
+        Task(
+            COMPUTING_SEED + n,
+            kind,
+            (OF_COMPUTING[i % len(OF_COMPUTING)],) if kind == "single" else None,
+            computing=way,
+        )
         for n, (way, kind, i) in enumerate(each)
-    ]  # fmt: skip
+    ]
 
 
 def plan(quick: bool, parts: Sequence[str] = ()) -> list[Task]:
-    """The sets of the given ``parts`` (docking, noise, computing), by default those of the bumper and of dockings."""
+    """The sets of the given ``parts`` (docking, noise, computing), by default those of the bumper
+    and of dockings.
+    """
     out = [] if parts else tasks(QUICK if quick else FULL, not quick)
     if not parts or "docking" in parts:
         out += docking_tasks(DOCKING_QUICK if quick else DOCKING_FULL)

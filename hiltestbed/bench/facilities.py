@@ -1,7 +1,9 @@
-"""The same contacts and the same docking on every facility: uncompensated, with the field's usual compensation, and with the default.
+"""The same contacts and the same docking on every facility: uncompensated, with the field's usual
+compensation, and with the default.
 
-A bounce of 500 kg on 2000 kg with a sensor delay of 2 ms, compared with the contact of both free bodies; a probe that slides into its cone
-and is captured. Facilities with freely moving bodies run both without compensation.
+A bounce of 500 kg on 2000 kg with a sensor delay of 2 ms, compared with the contact of both free
+bodies; a probe that slides into its cone and is captured. Facilities with freely moving bodies run
+both without compensation.
 """
 
 from __future__ import annotations
@@ -52,41 +54,74 @@ def facilities(quick: bool = False, progress: Progress | None = None) -> BenchRe
 
 
 def facilities_entered() -> dict[str, dict[str, Any]]:
-    """Name to `rig.platform` of all that take part: every kind of platform, also of plugins, in its variants."""
-    return {name: dict(settings) for platform in PLATFORMS.values() for name, settings in platform.contest().items()}
+    """Name to `rig.platform` of all that take part: every kind of platform, also of plugins, in its
+    variants.
+    """
+    return {
+        name: dict(settings)
+        for platform in PLATFORMS.values()
+        for name, settings in platform.contest().items()
+    }
 
 
 def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:
-    """A contact of a bumper with the given stiffness [N/m] between two free bodies, within reach of every facility."""
+    """A contact of a bumper with the given stiffness [N/m] between two free bodies, within reach of
+    every facility.
+    """
     base = load_scenario(shipped("scenarios") / "18-stewart.yaml")
     damping = 2.0 * RATIO * math.sqrt(stiffness * effective_mass(base))
     keys = {"mechanism.contact.stiffness": stiffness, "mechanism.contact.damping": damping}
-    keys |= {"sensor": {"delay": DELAY}, "rig.platform": platform, "approach.gap": 0.005, "duration": 2.0, "identification.kind": "none"}
+    keys |= {
+        "sensor": {"delay": DELAY},
+        "rig.platform": platform,
+        "approach.gap": 0.005,
+        "duration": 2.0,
+        "identification.kind": "none",
+    }
     return load_scenario(shipped("scenarios") / "18-stewart.yaml", set=keys)
 
 
 def docking(platform: dict[str, Any]) -> Scenario:
-    """A probe that meets its cone 30 mm off the axis, in a plane in which every facility can move."""
-    keys = {"rig.platform": platform, "approach.offset": [0.03, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0], "duration": 4.0}
+    """A probe that meets its cone 30 mm off the axis, in a plane in which every facility can
+    move.
+    """
+    keys = {
+        "rig.platform": platform,
+        "approach.offset": [0.03, 0.0],
+        "approach.attitude_deg": [0.0, 0.0, 0.0],
+        "duration": 4.0,
+    }
     return load_scenario(
-        shipped("scenarios") / "19-serial-arm.yaml", set=keys | {"sensor": {"delay": DELAY}, "identification.kind": "none"}
+        shipped("scenarios") / "19-serial-arm.yaml",
+        set=keys | {"sensor": {"delay": DELAY}, "identification.kind": "none"},
     )
 
 
-def treated(scenario: Scenario, compensation: dict[str, Any], identification: str = "none") -> Scenario:
+def treated(
+    scenario: Scenario, compensation: dict[str, Any], identification: str = "none"
+) -> Scenario:
     """A scenario with another compensation."""
     from hiltestbed.scenario import resolved, scenario_from
 
-    return scenario_from(resolved(scenario) | {"compensation": compensation, "identification": {"kind": identification}})
+    return scenario_from(
+        resolved(scenario)
+        | {"compensation": compensation, "identification": {"kind": identification}}
+    )
 
 
 def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
-    """Name to compensation and identification; for freely moving bodies only the uncompensated case."""
+    """Name to compensation and identification; for freely moving bodies only the uncompensated
+    case.
+    """
     platform = scenario.rig.platform
     if platform.physical:
         return {"as it is": (NONE, "none")}
     judged = stability(treated(scenario, NONE | {"motion": {"kind": "feedforward"}}))
-    lost = scenario.mechanism.contact.damping - judged["net_damping"] if judged else scenario.mechanism.contact.stiffness * DELAY
+    lost = (
+        scenario.mechanism.contact.damping - judged["net_damping"]
+        if judged
+        else scenario.mechanism.contact.stiffness * DELAY
+    )
     method, cure = platform.cure(max(lost, 0.0))
     return {"uncompensated": (NONE, "none"), method: (cure, "none"), "default": ({}, "rls")}
 
@@ -103,27 +138,39 @@ def _bounces(contacts: list[Scenario]) -> list[dict[str, Any]]:
         start = time.perf_counter()
         batch = simulate(runs, until_parted=True)
         wall = time.perf_counter() - start
-        for i, (run, figures, reference) in enumerate(zip(runs, batch.figures, references, strict=True)):
+        for i, (run, figures, reference) in enumerate(
+            zip(runs, batch.figures, references, strict=True)
+        ):
             judged = stability(run)
             bare = judged and (judged if judged["stable"] is not None else judged["uncompensated"])
             out.append(
                 {
-                    "case": "bounce", "treatment": name, "stiffness": run.mechanism.contact.stiffness, "cor": figures.cor,
-                    "cor_reference": reference.cor, "cor_log_error": log_error(figures.cor, reference.cor),
-                    "peak_force_error": figures.peak_force / reference.peak_force - 1.0, "energy_generated": figures.energy_generated,
-                    "net_damping": bare["net_damping"] if bare else None, "largest_delay": bare["largest_delay"] if bare else None,
-                    "largest_stiffness": bare["largest_stiffness"] if bare else None, "status": batch.trouble.get(i, (0, "completed"))[1],
-                    "passive": figures.cor is not None and figures.cor <= 1.0, "wall": wall / len(runs),
+                    "case": "bounce",
+                    "treatment": name,
+                    "stiffness": run.mechanism.contact.stiffness,
+                    "cor": figures.cor,
+                    "cor_reference": reference.cor,
+                    "cor_log_error": log_error(figures.cor, reference.cor),
+                    "peak_force_error": figures.peak_force / reference.peak_force - 1.0,
+                    "energy_generated": figures.energy_generated,
+                    "net_damping": bare["net_damping"] if bare else None,
+                    "largest_delay": bare["largest_delay"] if bare else None,
+                    "largest_stiffness": bare["largest_stiffness"] if bare else None,
+                    "status": batch.trouble.get(i, (0, "completed"))[1],
+                    "passive": figures.cor is not None and figures.cor <= 1.0,
+                    "wall": wall / len(runs),
                 }
-            )  # fmt: skip
+            )
     return out
 
 
 def tuned(runs: list[Scenario], wanted: list[float | None]) -> list[Scenario]:
-    """The same bounces with the virtual damper b tuned by one trial of each: ln e falls by pi/(2 m w) for each N s/m of it.
+    """The same bounces with the virtual damper b tuned by one trial of each: ln e falls by pi/(2 m
+    w) for each N s/m of it.
 
-    The damping from the sinusoidal response is not exact: the damper also acts on a delayed pose, so that only b cos(phi) damps, and
-    the half swing of a bounce has a transient, with no force at first and some after separation, of the order (w tau)^2.
+    The damping from the sinusoidal response is not exact: the damper also acts on a delayed pose,
+    so that only b cos(phi) damps, and the half swing of a bounce has a transient, with no force at
+    first and some after separation, of the order (w tau)^2.
     """
     trial = simulate(runs, until_parted=True)
     out = []
@@ -133,12 +180,18 @@ def tuned(runs: list[Scenario], wanted: list[float | None]) -> list[Scenario]:
             mass = effective_mass(run)
             each = math.pi / (2.0 * mass * math.sqrt(run.mechanism.contact.stiffness / mass))
             settings["damping"] = max(0.0, settings["damping"] + math.log(figures.cor / cor) / each)
-        out.append(treated(run, {"force": settings, "motion": run.compensation.motion.model_dump(mode="json")}))
+        out.append(
+            treated(
+                run, {"force": settings, "motion": run.compensation.motion.model_dump(mode="json")}
+            )
+        )
     return out
 
 
 def _dockings(platform: dict[str, Any]) -> list[dict[str, Any]]:
-    """Records of the docking with the default compensation and without, with the capture time of the reference."""
+    """Records of the docking with the default compensation and without, with the capture time of
+    the reference.
+    """
     scenario = docking(platform)
     reference = simulate([reference_scenario(scenario)]).outcomes[0]
     out = []
@@ -148,11 +201,16 @@ def _dockings(platform: dict[str, Any]) -> list[dict[str, Any]]:
         outcome = batch.outcomes[0]
         out.append(
             {
-                "case": "docking", "treatment": name, "outcome": outcome["outcome"], "captured_at": outcome["captured_at"],
-                "captured_at_reference": reference["captured_at"], "peak_force": batch.figures[0].peak_force,
-                "energy_generated": batch.figures[0].energy_generated, "status": batch.trouble.get(0, (0, "completed"))[1],
+                "case": "docking",
+                "treatment": name,
+                "outcome": outcome["outcome"],
+                "captured_at": outcome["captured_at"],
+                "captured_at_reference": reference["captured_at"],
+                "peak_force": batch.figures[0].peak_force,
+                "energy_generated": batch.figures[0].energy_generated,
+                "status": batch.trouble.get(0, (0, "completed"))[1],
             }
-        )  # fmt: skip
+        )
     return out
 
 
@@ -161,9 +219,15 @@ def _rig(name: str, scenario: Scenario, stretches: int) -> dict[str, Any]:
     platform, facility = scenario.rig.platform, facility_of(scenario)
     cost = side_by_side(scenario, 16, 1, stretches)
     out = {
-        "facility": name, "distorts": platform.distorts, "cost": cost["ratio"], "real_time_factor": cost["real_time_factor"],
-        "reach": None, "turn": None, "delay": None, "compliance": None,
-    }  # fmt: skip
+        "facility": name,
+        "distorts": platform.distorts,
+        "cost": cost["ratio"],
+        "real_time_factor": cost["real_time_factor"],
+        "reach": None,
+        "turn": None,
+        "delay": None,
+        "compliance": None,
+    }
     if platform.physical:
         return out
     reach = workspace(facility)
@@ -180,20 +244,40 @@ def _rig(name: str, scenario: Scenario, stretches: int) -> dict[str, Any]:
 def _worst(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The largest errors over the contacts, for each facility and compensation."""
     out: list[dict[str, Any]] = []
-    for facility, treatment in dict.fromkeys((r["facility"], r["treatment"]) for r in records if r["case"] == "bounce"):
-        rows = [r for r in records if (r["facility"], r["treatment"], r["case"]) == (facility, treatment, "bounce")]
+    for facility, treatment in dict.fromkeys(
+        (r["facility"], r["treatment"]) for r in records if r["case"] == "bounce"
+    ):
+        rows = [
+            r
+            for r in records
+            if (r["facility"], r["treatment"], r["case"]) == (facility, treatment, "bounce")
+        ]
         errors = [abs(r["cor_log_error"]) for r in rows if r["cor_log_error"] is not None]
         out.append(
             {
-                "facility": facility, "treatment": treatment, "lost": len(rows) - len(errors), "cor_log_error": max(errors, default=None),
-                "peak_force_error": max(abs(r["peak_force_error"]) for r in rows), "passive": all(r["passive"] for r in rows),
-                "net_damping": min((r["net_damping"] for r in rows if r["net_damping"] is not None), default=None),
-                "largest_delay": min((r["largest_delay"] for r in rows if r["largest_delay"] is not None), default=None),
+                "facility": facility,
+                "treatment": treatment,
+                "lost": len(rows) - len(errors),
+                "cor_log_error": max(errors, default=None),
+                "peak_force_error": max(abs(r["peak_force_error"]) for r in rows),
+                "passive": all(r["passive"] for r in rows),
+                "net_damping": min(
+                    (r["net_damping"] for r in rows if r["net_damping"] is not None), default=None
+                ),
+                "largest_delay": min(
+                    (r["largest_delay"] for r in rows if r["largest_delay"] is not None),
+                    default=None,
+                ),
             }
-        )  # fmt: skip
+        )
     return out
 
 
 def _line(w: dict[str, Any]) -> str:
-    error = "no rebound" if w["cor_log_error"] is None else f"|ln e/e_ref| <= {w['cor_log_error']:.4f}"
-    return f"{error}, peak force error {100.0 * w['peak_force_error']:.1f} %{'' if w['passive'] else ', active'}"
+    error = (
+        "no rebound" if w["cor_log_error"] is None else f"|ln e/e_ref| <= {w['cor_log_error']:.4f}"
+    )
+    return (
+        f"{error}, peak force error {100.0 * w['peak_force_error']:.1f} "
+        f"%{'' if w['passive'] else ', active'}"
+    )

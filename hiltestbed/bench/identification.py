@@ -1,7 +1,9 @@
-"""Stiffness and damping from one contact: every method of identification over frequency, delay, damping ratio and noise.
+"""Stiffness and damping from one contact: every method of identification over frequency, delay,
+damping ratio and noise.
 
-The loop runs with the resynchronised prediction, so that each method is applied to the same contact. Reported are relative errors, the
-median over seeds, with the 95 % spread, and the share of seeds whose reported 95 % interval contains the true value.
+The loop runs with the resynchronised prediction, so that each method is applied to the same
+contact. Reported are relative errors, the median over seeds, with the 95 % spread, and the share of
+seeds whose reported 95 % interval contains the true value.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ CALIBRATION = Contact(4.0, 0.01, 0.05)
 
 
 def identification(quick: bool = False, progress: Progress | None = None) -> BenchResult:
-    """All methods on the whole grid at 0.2 % noise, and on its corners at other noise levels; ``quick``: only corners at 0.2 % noise."""
+    """All methods on the whole grid at 0.2 % noise, and on its corners at other noise levels;
+    ``quick``: only corners at 0.2 % noise.
+    """
     seeds = 4 if quick else 16
     noises = (0.002,) if quick else NOISES
     at = [(m, n) for m in METHODS for n in noises]
@@ -54,15 +58,34 @@ def identification(quick: bool = False, progress: Progress | None = None) -> Ben
         progress(work, work)
     board = leaderboard(records)
     summary = {"leaderboard": board, "intervals": intervals, "best": board[0]["method"]}
-    lines = [(row["method"], f"k within {_percent(row['stiffness_error'])}, c within {_percent(row['damping_error'])}") for row in board]
-    lines.append(("95 % intervals that contain k, c", f"{100 * intervals['stiffness']:.1f} %, {100 * intervals['damping']:.1f} %"))
-    return BenchResult("identification", records, summary, identification_report(records, summary), lines)
+    lines = [
+        (
+            row["method"],
+            f"k within {_percent(row['stiffness_error'])}, c within "
+            f"{_percent(row['damping_error'])}",
+        )
+        for row in board
+    ]
+    lines.append(
+        (
+            "95 % intervals that contain k, c",
+            f"{100 * intervals['stiffness']:.1f} %, {100 * intervals['damping']:.1f} %",
+        )
+    )
+    return BenchResult(
+        "identification", records, summary, identification_report(records, summary), lines
+    )
 
 
-def measure(method: str, contacts: Sequence[Contact], noise: float, seeds: int) -> list[dict[str, Any]]:
+def measure(
+    method: str, contacts: Sequence[Contact], noise: float, seeds: int
+) -> list[dict[str, Any]]:
     """One record per contact: median and 95 % spread over the seeds."""
-    off = METHODS[method].get("delay") == "estimate"  # the nominal delay is then 20 % off the one to be estimated
-    runs = [_again(c, noise, seed, "off" if off else "exact") for c in contacts for seed in range(seeds)]
+    # the nominal delay is then 20 % off the one to be estimated
+    off = METHODS[method].get("delay") == "estimate"
+    runs = [
+        _again(c, noise, seed, "off" if off else "exact") for c in contacts for seed in range(seeds)
+    ]
     result = bounce([c.scenario(FORCE, METHODS[method]) for c in runs], THREADS)
     stiffness, damping = _axial(result)
     records = []
@@ -85,7 +108,9 @@ def measure(method: str, contacts: Sequence[Contact], noise: float, seeds: int) 
 
 
 def _again(contact: Contact, noise: float, seed: int, knowledge: str) -> Contact:
-    return Contact(contact.frequency, contact.delay, contact.damping_ratio, knowledge, noise=noise, seed=seed)
+    return Contact(
+        contact.frequency, contact.delay, contact.damping_ratio, knowledge, noise=noise, seed=seed
+    )
 
 
 def _axial(result: Bounce) -> tuple[np.ndarray, np.ndarray]:
@@ -116,7 +141,9 @@ def interval_coverage(seeds: int) -> dict[str, float]:
 
 
 def leaderboard(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row per method, by its largest error of c at 0.2 % noise; methods that gave no estimate in some contact rank last."""
+    """One row per method, by its largest error of c at 0.2 % noise; methods that gave no estimate
+    in some contact rank last.
+    """
     rows = []
     for method in dict.fromkeys(r["method"] for r in records):
         mine = [r for r in records if r["method"] == method and r["noise"] == 0.002]
@@ -128,7 +155,13 @@ def leaderboard(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         if any("delay_error" in r for r in mine):
             row["delay_error"] = max(r["delay_error"] for r in mine)
         rows.append(row)
-    return sorted(rows, key=lambda r: (r["damping_error_missing"], np.inf if r["damping_error"] is None else r["damping_error"]))
+    return sorted(
+        rows,
+        key=lambda r: (
+            r["damping_error_missing"],
+            np.inf if r["damping_error"] is None else r["damping_error"],
+        ),
+    )
 
 
 def _percent(value: float | None) -> str:

@@ -15,7 +15,8 @@ def identification_report(records: Sequence[dict[str, Any]], summary: dict[str, 
     report = Report("Identification of stiffness and damping")
     best = summary["leaderboard"][0]
     report.lead(
-        f"{best['method']} finds k within {100 * best['stiffness_error']:.2f} % and c within {100 * best['damping_error']:.2f} % from one "
+        f"{best['method']} finds k within {100 * best['stiffness_error']:.2f} % and c within "
+        f"{100 * best['damping_error']:.2f} % from one "
         "contact at 0.2 % noise, over the whole grid (median over seeds)."
     )
     rows = []
@@ -26,19 +27,29 @@ def identification_report(records: Sequence[dict[str, Any]], summary: dict[str, 
     report.table(
         ["method", "k", "c", "contacts without an estimate", "delay, worst seed"],
         rows,
-        "Largest error over the grid at 0.2 % noise, median over seeds. rls_delay_estimated starts from a nominal delay that is 20 % off.",
+        "Largest error over the grid at 0.2 % noise, median over seeds. rls_delay_estimated "
+        "starts from a nominal delay that is 20 % off.",
     )
-    report.figure(_heat_maps(records), "Error of c at 0.2 % noise [%], the largest over the damping ratios.")
+    report.figure(
+        _heat_maps(records), "Error of c at 0.2 % noise [%], the largest over the damping ratios."
+    )
     if len({r["noise"] for r in records}) > 1:
-        report.figure(_noise(records), "Half the 95 % spread of k and c as a function of the noise: 8 Hz, 20 ms, damping ratio 0.2.")
+        report.figure(
+            _noise(records),
+            "Half the 95 % spread of k and c as a function of the noise: 8 Hz, 20 ms, damping "
+            "ratio 0.2.",
+        )
     held = summary["intervals"]
     report.text(
-        f"Reported 95 % intervals contained the true value in {100 * held['stiffness']:.1f} % (k) and {100 * held['damping']:.1f} % (c) of "
+        f"Reported 95 % intervals contained the true value in {100 * held['stiffness']:.1f} % (k) "
+        f"and {100 * held['damping']:.1f} % (c) of "
         f"{held['seeds']:.0f} seeds at 4 Hz, 10 ms, damping ratio 0.05."
     )
     report.text(
-        "An unknown delay can be determined only from the instant of touch: during contact, an error of the delay is absorbed by c. This "
-        "requires a touch point known to within speed times the error, and a force that rises by more than its noise within a tick."
+        "An unknown delay can be determined only from the instant of touch: during contact, an "
+        "error of the delay is absorbed by c. This "
+        "requires a touch point known to within speed times the error, and a force that rises by "
+        "more than its noise within a tick."
     )
     return report
 
@@ -60,11 +71,28 @@ def _heat_maps(records: Sequence[dict[str, Any]]):
         values = np.full((len(frequencies), len(delays)), np.nan)
         for r in some:
             i, j = frequencies.index(r["frequency"]), delays.index(r["delay"])
-            if r["method"] == method and r["damping_error"] is not None and not abs(values[i, j]) > 100 * abs(r["damping_error"]):
+            if (
+                r["method"] == method
+                and r["damping_error"] is not None
+                and not abs(values[i, j]) > 100 * abs(r["damping_error"])
+            ):
                 values[i, j] = 100 * r["damping_error"]
-        axis.imshow(values, norm=SymLogNorm(0.1, vmin=-300, vmax=300), cmap="RdBu_r", origin="lower", aspect="auto")
+        axis.imshow(
+            values,
+            norm=SymLogNorm(0.1, vmin=-300, vmax=300),
+            cmap="RdBu_r",
+            origin="lower",
+            aspect="auto",
+        )
         for (i, j), value in np.ndenumerate(values):
-            axis.text(j, i, "-" if np.isnan(value) else f"{value:.3g}", ha="center", va="center", fontsize=7)
+            axis.text(
+                j,
+                i,
+                "-" if np.isnan(value) else f"{value:.3g}",
+                ha="center",
+                va="center",
+                fontsize=7,
+            )
         axis.set_xticks(range(len(delays)), [f"{1e3 * d:g} ms" for d in delays], fontsize=7)
         axis.set_yticks(range(len(frequencies)), [f"{f:g} Hz" for f in frequencies], fontsize=7)
         axis.set_title(method, fontsize=9)
@@ -78,7 +106,9 @@ def _noise(records: Sequence[dict[str, Any]]):
             line = [
                 r
                 for r in records
-                if (r["method"], r["frequency"], r["delay"], r["damping_ratio"]) == (method, 8.0, 0.02, 0.2) and r[f"{name}_spread"]
+                if (r["method"], r["frequency"], r["delay"], r["damping_ratio"])
+                == (method, 8.0, 0.02, 0.2)
+                and r[f"{name}_spread"]
             ]
             spread = [50 * (r[f"{name}_spread"][1] - r[f"{name}_spread"][0]) for r in line]
             if line:

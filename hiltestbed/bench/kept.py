@@ -1,4 +1,6 @@
-"""Records of a long benchmark, saved to disk as they arrive, so that the same command resumes an interrupted benchmark."""
+"""Records of a long benchmark, saved to disk as they arrive, so that the same command resumes an
+interrupted benchmark.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from hiltestbed.versions import versions
 
 
 def made_by() -> str:
-    """SHA-256 of the program that makes a record: every module of the package, and the versions of its dependencies."""
+    """SHA-256 of the program that makes a record: every module of the package, and the versions of
+    its dependencies.
+    """
     package = Path(hiltestbed.__file__).parent
     seen = sha256(json.dumps(versions(), sort_keys=True).encode())
     for file in sorted(package.rglob("*.py")):
@@ -23,7 +27,8 @@ def made_by() -> str:
 
 
 class Kept:
-    """Records by key in a file of one JSON object per line, the first of which identifies the program that made them.
+    """Records by key in a file of one JSON object per line, the first of which identifies the
+    program that made them.
 
     Records of another program are discarded, and so is a truncated last line.
     """
@@ -37,14 +42,23 @@ class Kept:
         lines = path.read_text(encoding="utf-8").split("\n")[:-1] if path.is_file() else []
         program = {"made_by": made_by()}
         if lines and _parsed(lines[0]) == program:
-            self.records = {key_of(record): record for line in lines[1:] if (record := _parsed(line)) is not None}
+            self.records = {
+                key_of(record): record
+                for line in lines[1:]
+                if (record := _parsed(line)) is not None
+            }
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             beside = path.with_name(path.name + ".new")
-            beside.write_text("".join(json.dumps(one) + "\n" for one in (program, *self.records.values())), encoding="utf-8")
+            beside.write_text(
+                "".join(json.dumps(one) + "\n" for one in (program, *self.records.values())),
+                encoding="utf-8",
+            )
             beside.replace(path)
         except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
+            raise InputError(
+                f"{path}: cannot be written ({error.strerror}); choose another --out"
+            ) from None
 
     def add(self, record: dict[str, Any]) -> None:
         """Add a record, and save it."""

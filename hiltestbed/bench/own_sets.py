@@ -1,7 +1,9 @@
-"""Data sets recorded by the simulation itself: every shipped scenario, healthy and with a hidden effect.
+"""Data sets recorded by the simulation itself: every shipped scenario, healthy and with a hidden
+effect.
 
-The diagnosis must be able to judge every scenario that the simulation can run. The records are those of the loop, so that differences
-between the models of loop and replay become visible; the independent rig covers facilities that compute differently.
+The diagnosis must be able to judge every scenario that the simulation can run. The records are
+those of the loop, so that differences between the models of loop and replay become visible; the
+independent rig covers facilities that compute differently.
 """
 
 from __future__ import annotations
@@ -17,9 +19,11 @@ from hiltestbed.scenario import Scenario, dump_scenario, load_scenario, resolved
 from hiltestbed.simulation import simulate
 from hiltestbed.yaml_source import dump_yaml
 
-SPEEDS_AND_SPRINGS = ((1.0, 1.0), (0.75, 1.0), (1.25, 1.0), (1.0, 0.6), (1.0, 1.6))  # factors on both, one pair per run
+# factors on both, one pair per run
+SPEEDS_AND_SPRINGS = ((1.0, 1.0), (0.75, 1.0), (1.25, 1.0), (1.0, 0.6), (1.0, 1.6))
 LONG = 10.0  # [s] duration above which a scenario's campaign has only three runs
-SENSIBLE_NOISE = 1e-3  # noise added to a scenario without noise, relative to the force that stops the approach
+# noise added to a scenario without noise, relative to the force that stops the approach
+SENSIBLE_NOISE = 1e-3
 
 HIDDEN: dict[str, dict[str, Any]] = {
     "sensor.delay": {"delay": 0.003},
@@ -34,7 +38,9 @@ HIDDEN: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class OwnSet:
-    """A set to record: a scenario's file, changed keys, hidden effects, and whether as one run or as a campaign."""
+    """A set to record: a scenario's file, changed keys, hidden effects, and whether as one run or
+    as a campaign.
+    """
 
     scenario: str
     effects: tuple[Mapping[str, Any], ...] = ()
@@ -45,10 +51,14 @@ class OwnSet:
 
 def nominal_of(own: OwnSet) -> Scenario:
     """The nominal scenario, with sensor noise added if it has none and the set asks for noise."""
-    scenario = load_scenario(shipped("scenarios") / f"{own.scenario}.yaml", set=dict(own.changes or {}))
+    scenario = load_scenario(
+        shipped("scenarios") / f"{own.scenario}.yaml", set=dict(own.changes or {})
+    )
     if own.noise and scenario.sensor.noise == 0.0:
         level = SENSIBLE_NOISE * expected_force(scenario)
-        scenario = scenario_from(resolved(scenario), set={"sensor.noise": level, "sensor.torque_noise": 0.1 * level})
+        scenario = scenario_from(
+            resolved(scenario), set={"sensor.noise": level, "sensor.torque_noise": 0.1 * level}
+        )
     return scenario
 
 
@@ -73,7 +83,9 @@ def hidden_effect(kind: str, scenario: Scenario) -> dict[str, Any]:
 
 
 def campaign(scenario: Scenario) -> list[dict[str, Any]]:
-    """The runs of a test campaign: changed keys for several speeds and known springs; slower runs last longer."""
+    """The runs of a test campaign: changed keys for several speeds and known springs; slower runs
+    last longer.
+    """
     out = []
     steps = SPEEDS_AND_SPRINGS[:3] if scenario.duration > LONG else SPEEDS_AND_SPRINGS
     for speed, spring in steps:
@@ -91,15 +103,22 @@ def campaign(scenario: Scenario) -> list[dict[str, Any]]:
 
 
 def record_set(own: OwnSet, folder: Path) -> Path:
-    """Simulate a set and write its traces, nominal scenario and dataset file. Returns the dataset file."""
+    """Simulate a set and write its traces, nominal scenario and dataset file. Returns the dataset
+    file.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     nominal = nominal_of(own)
     runs: Sequence[dict[str, Any]] = [{}] if own.single else campaign(nominal)
     for i, changes in enumerate(runs):
-        hidden = scenario_from(resolved(nominal) | {"effects": list(own.effects), "seed": nominal.seed + 100 * i}, set=changes)
+        hidden = scenario_from(
+            resolved(nominal) | {"effects": list(own.effects), "seed": nominal.seed + 100 * i},
+            set=changes,
+        )
         trace = simulate([hidden], trace=True).trace
         write_trace(trace.run(0), folder / f"run_{i}.parquet")  # type: ignore[union-attr]
     (folder / "nominal.yaml").write_text(dump_scenario(nominal), encoding="utf-8")
     entries = [{"file": f"run_{i}.parquet", "set": changes} for i, changes in enumerate(runs)]
-    (folder / "dataset.yaml").write_text(dump_yaml({"scenario": "nominal.yaml", "runs": entries}), encoding="utf-8")
+    (folder / "dataset.yaml").write_text(
+        dump_yaml({"scenario": "nominal.yaml", "runs": entries}), encoding="utf-8"
+    )
     return folder / "dataset.yaml"

@@ -1,4 +1,6 @@
-"""`bench realtime`: latency, jitter and missed deadlines of the cycle on this machine, bare and with a device on the loopback address."""
+"""`bench realtime`: latency, jitter and missed deadlines of the cycle on this machine, bare and
+with a device on the loopback address.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,12 @@ class Case:
     device: bool
 
 
-def realtime(quick: bool = False, progress: Callable[[int, int], None] | None = None) -> BenchResult:
-    """Measure the cycle at several rates; half the time is spent on 1 kHz with a device, the case closest to a real run."""
+def realtime(
+    quick: bool = False, progress: Callable[[int, int], None] | None = None
+) -> BenchResult:
+    """Measure the cycle at several rates; half the time is spent on 1 kHz with a device, the case
+    closest to a real run.
+    """
     cases = [Case(rate, device) for rate in RATES for device in (False, True)]
     total = QUICK if quick else SECONDS
     main = Case(1000.0, True)
@@ -43,8 +49,13 @@ def realtime(quick: bool = False, progress: Callable[[int, int], None] | None = 
         "stolen": worst.stolen,
     }
     lines = [(_label(m), _figures(m)) for m in measured]
-    lines += [("granted", ", ".join(worst.granted) or "nothing"), *((f"refused: {name}", why) for name, why in worst.refused.items())]
-    return BenchResult("realtime", [m.record() for m in measured], summary, _report(measured, lines), lines)
+    lines += [
+        ("granted", ", ".join(worst.granted) or "nothing"),
+        *((f"refused: {name}", why) for name, why in worst.refused.items()),
+    ]
+    return BenchResult(
+        "realtime", [m.record() for m in measured], summary, _report(measured, lines), lines
+    )
 
 
 def _label(m: Steadiness) -> str:
@@ -52,12 +63,19 @@ def _label(m: Steadiness) -> str:
 
 
 def _figures(m: Steadiness) -> str:
-    trip = f", round trip 99.9 % {1e6 * m.round_trip.percentiles['99.9']:.0f} us" if m.round_trip else ""
+    trip = (
+        f", round trip 99.9 % {1e6 * m.round_trip.percentiles['99.9']:.0f} us"
+        if m.round_trip
+        else ""
+    )
     wake = m.wake_up
     late = (
-        f"wake-up median {1e6 * wake.percentiles['50']:.0f}, 99.9 % {1e6 * wake.percentiles['99.9']:.0f}, worst {1e6 * wake.worst:.0f} us"
+        f"wake-up median {1e6 * wake.percentiles['50']:.0f}, 99.9 % "
+        f"{1e6 * wake.percentiles['99.9']:.0f}, worst {1e6 * wake.worst:.0f} us"
     )
-    taken = f", {100.0 * m.stolen:.2g} % of the processors taken by the hypervisor" if m.stolen else ""
+    taken = (
+        f", {100.0 * m.stolen:.2g} % of the processors taken by the hypervisor" if m.stolen else ""
+    )
     return f"{m.missed} of {m.cycles} missed, {late}{trip}{taken}"
 
 
@@ -67,18 +85,31 @@ def _report(measured: list[Steadiness], lines: list[tuple[str, str]]) -> Report:
 
     report = Report("The cycle in real time on this machine")
     main = max((m for m in measured if m.device and m.rate == 1000.0), key=lambda m: m.cycles)
-    report.lead(f"At 1 kHz with a device on the loopback address {main.missed} of {main.cycles} cycles missed their deadline.")
+    report.lead(
+        f"At 1 kHz with a device on the loopback address {main.missed} of {main.cycles} cycles "
+        f"missed their deadline."
+    )
     report.table(["measurement", "result"], lines)
     figure, axes = new_figure(9.0, 4.5)
     for m in measured:
         counts = np.array(m.wake_up.histogram, dtype=float)
-        axes.step(1e6 * m.wake_up.bin_width * np.arange(len(counts)), np.maximum(counts / counts.sum(), 1e-9), label=_label(m))
-    axes.set(xlabel="wake-up latency [us]; the last bin holds all longer ones", ylabel="fraction of the cycles", yscale="log")
+        axes.step(
+            1e6 * m.wake_up.bin_width * np.arange(len(counts)),
+            np.maximum(counts / counts.sum(), 1e-9),
+            label=_label(m),
+        )
+    axes.set(
+        xlabel="wake-up latency [us]; the last bin holds all longer ones",
+        ylabel="fraction of the cycles",
+        yscale="log",
+    )
     axes.legend()
     report.figure(figure, "Latency of the start of a cycle.")
     report.text(
-        "A cycle misses its deadline if its work, or the device's response, is not complete when the next one is due. Measure on the "
-        "machine and under the load of its later use; results on an idle machine are not valid for a busy one. Processor time taken by a "
+        "A cycle misses its deadline if its work, or the device's response, is not complete when "
+        "the next one is due. Measure on the "
+        "machine and under the load of its later use; results on an idle machine are not valid "
+        "for a busy one. Processor time taken by a "
         "hypervisor (steal time) cannot be recovered by any setting of this system."
     )
     return report

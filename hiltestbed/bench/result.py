@@ -27,7 +27,8 @@ class BenchResult:
         summary: its overall results.
         report: the HTML page.
         lines: (label, value) pairs to print.
-        failed: methods of the user that could not be measured, with the reason; the command then ends with an error.
+        failed: methods of the user that could not be measured, with the reason; the command then
+            ends with an error.
     """
 
     name: str
@@ -38,16 +39,34 @@ class BenchResult:
     failed: Mapping[str, str] = field(default_factory=dict)
 
 
-def write_bench(result: BenchResult, path: str | Path, options: Mapping[str, object] | None = None) -> Path:
-    """Write the folder of a benchmark and return its path; ``options``: options of the call, by their command-line names."""
+def write_bench(
+    result: BenchResult, path: str | Path, options: Mapping[str, object] | None = None
+) -> Path:
+    """Write the folder of a benchmark and return its path; ``options``: options of the call, by
+    their command-line names.
+    """
     path, options = Path(path), dict(options or {})
     made = {"options": options, "versions": versions(), "plugins": plugins.loaded()}
     content = {"name": result.name, **made, "records": result.records, "summary": result.summary}
     page = deepcopy(result.report)
     page.heading("How it was made")
-    called = " ".join(["bench", result.name, *(f"--{name}" if value is True else f"--{name} {value}" for name, value in options.items())])
-    page.table(("item", "version, or start of the SHA-256"), [("command", called), *provenance(made["versions"], made["plugins"])])
+    called = " ".join(
+        [
+            "bench",
+            result.name,
+            *(
+                f"--{name}" if value is True else f"--{name} {value}"
+                for name, value in options.items()
+            ),
+        ]
+    )
+    page.table(
+        ("item", "version, or start of the SHA-256"),
+        [("command", called), *provenance(made["versions"], made["plugins"])],
+    )
     with whole_folder(path, mark=BENCH) as folder:
-        (folder / BENCH).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        (folder / BENCH).write_text(
+            json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
         page.write(folder / REPORT)
     return path

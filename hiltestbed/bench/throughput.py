@@ -1,7 +1,8 @@
 """Speed: cost of the loop relative to the bare physics steps that it contains.
 
-Ratios are measured side by side: intervals of the loop and of bare steps of the same plant in the same state alternate within one
-process, so that speed drift of the machine affects both. The loop writes its trace while it is timed.
+Ratios are measured side by side: intervals of the loop and of bare steps of the same plant in the
+same state alternate within one process, so that speed drift of the machine affects both. The loop
+writes its trace while it is timed.
 """
 
 from __future__ import annotations
@@ -34,9 +35,15 @@ Progress = Callable[[int, int], None]
 
 
 def throughput(quick: bool = False, progress: Progress | None = None) -> BenchResult:
-    """Loop against bare steps for batches of 1 to 512 runs on one and two threads; recording; scaling with cases and ticks."""
+    """Loop against bare steps for batches of 1 to 512 runs on one and two threads; recording;
+    scaling with cases and ticks.
+    """
     scenario = load_scenario(shipped("scenarios") / "reference-bumper.yaml")
-    sizes = [(1, 1), (64, 1), (64, 2)] if quick else [(n, t) for t in (1, 2) for n in (1, 4, 16, 64, 256, 512)]
+    sizes = (
+        [(1, 1), (64, 1), (64, 2)]
+        if quick
+        else [(n, t) for t in (1, 2) for n in (1, 4, 16, 64, 256, 512)]
+    )
     records = []
     for done, (n, threads) in enumerate(sizes):
         if progress:
@@ -75,7 +82,9 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
 
 
 def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> dict[str, Any]:
-    """The loop and the bare steps of an identical plant, alternating over one scenario; medians over the intervals."""
+    """The loop and the bare steps of an identical plant, alternating over one scenario; medians
+    over the intervals.
+    """
     loop, bare = Loop([scenario] * n, threads), Loop([scenario] * n, threads).plant
     assert isinstance(bare, Plant)  # the simulated side
     trace = Trace(scenario.ticks, n, scenario.rate, loop.plant.units)
@@ -84,7 +93,12 @@ def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> di
     bare.bare_steps(m)
     start = time.perf_counter()
     loop.step(trace)
-    ticks = max(4, min(scenario.ticks // (2 * stretches), int(STRETCH / max(time.perf_counter() - start, 1e-6))))
+    ticks = max(
+        4,
+        min(
+            scenario.ticks // (2 * stretches), int(STRETCH / max(time.perf_counter() - start, 1e-6))
+        ),
+    )
     skip = int(0.3 * scenario.rate)  # the intervals are around the contact
     ratios, passes = [], []
     for s in range(stretches):
@@ -116,12 +130,19 @@ def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> di
 def docking_ratios(n: int, stretches: int) -> dict[str, float]:
     """Cost of a tick of ``n`` runs with probe and cone relative to the bumper on the same rig.
 
-    The cone is the shipped one, whose profile is recovered (with the passive side fixed, and on the upper platform), and one of 1024
-    segments that is 2 % wider along y than along x, so that its 96,256 triangles are searched. Median of processor times measured
-    alternately, two thirds of them in contact, at the bottom of the socket, where most triangles are at almost the same distance.
+    The cone is the shipped one, whose profile is recovered (with the passive side fixed, and on the
+    upper platform), and one of 1024 segments that is 2 % wider along y than along x, so that its
+    96,256 triangles are searched. Median of processor times measured alternately, two thirds of
+    them in contact, at the bottom of the socket, where most triangles are at almost the same
+    distance.
     """
     path = shipped("scenarios") / "09-docking.yaml"
-    docking: dict[str, Any] = {"approach.gap": 0.01, "approach.velocity.2": 0.06, "approach.offset": [0.0, 0.0], "mechanism.latch": None}
+    docking: dict[str, Any] = {
+        "approach.gap": 0.01,
+        "approach.velocity.2": 0.06,
+        "approach.offset": [0.0, 0.0],
+        "mechanism.latch": None,
+    }
     bumper: dict[str, Any] = {"mechanism.kind": "bumper", "mechanism.contact.friction": 0.0}
     with tempfile.TemporaryDirectory() as folder:
         cases: dict[str, dict[str, Any]] = {
@@ -138,18 +159,27 @@ def docking_ratios(n: int, stretches: int) -> dict[str, float]:
             for _ in range(DOCKING_TICKS // stretches):
                 loop.step()
             taken.append(time.thread_time() - start)
-    medians = [statistics.median(taken[1:]) for taken in times]  # the first interval may include compilation
-    return {name: taken / medians[0] for name, taken in zip(cases, medians, strict=True) if name != "bumper"}
+    # the first interval may include compilation
+    medians = [statistics.median(taken[1:]) for taken in times]
+    return {
+        name: taken / medians[0]
+        for name, taken in zip(cases, medians, strict=True)
+        if name != "bumper"
+    }
 
 
 def _oval_cone(folder: Path) -> dict[str, str]:
-    """The shipped probe, and its cone as a mesh that is not a surface of revolution, written to ``folder``: keys of a scenario."""
+    """The shipped probe, and its cone as a mesh that is not a surface of revolution, written to
+    ``folder``: keys of a scenario.
+    """
     models = shipped("models") / "probe_cone"
     shape = runpy.run_path(str(models / "turn_cone.py"))
     vertices, faces = turn(polyline(shape["PROFILE"], shape["ARC_STEP"]), 1024)
     for name in ("active.xml", "passive.xml"):
         shutil.copy(models / name, folder / name)
-    (folder / "cone.obj").write_text(obj_text(vertices * [1.0, 1.02, 1.0], faces, "Cone, 2 % wider along y"))
+    (folder / "cone.obj").write_text(
+        obj_text(vertices * [1.0, 1.02, 1.0], faces, "Cone, 2 % wider along y")
+    )
     return {f"mechanism.{side}": str(folder / f"{side}.xml") for side in ("active", "passive")}
 
 
@@ -168,11 +198,15 @@ def per_block(scenario: Scenario, n: int) -> dict[str, float]:
         "compensation and numerical model": lambda: drive.advance(loop.measurement),
         "figures": lambda: loop.tally.update(loop.k, rig, drive.pose, (drive.wrench, drive.twist)),
         "trace": lambda: row(loop.k),
-        "platform, mechanisms, contact": lambda: plant.advance(drive.pose, loop.motion.twist, loop.motion.acceleration),
+        "platform, mechanisms, contact": lambda: plant.advance(
+            drive.pose, loop.motion.twist, loop.motion.acceleration
+        ),
     }
     if loop.identification:
         identification = loop.identification
-        calls["identification"] = lambda: identification.update(loop.sensor.reading, plant.pose_act, plant.twist_act)
+        calls["identification"] = lambda: identification.update(
+            loop.sensor.reading, plant.pose_act, plant.twist_act
+        )
     out = {}
     for name, call in calls.items():
         start = time.perf_counter()
@@ -186,35 +220,64 @@ def seconds_per_1e5_ticks(scenario: Scenario) -> float:
     """Time to write the recording of a run of 1e5 ticks."""
     from hiltestbed.viewer import write_recording
 
-    slow = {"duration": 1.0e5 / scenario.rate, "approach.velocity": [0.0, 0.0, 0.005]}  # stays within the platform's stroke
+    # stays within the platform's stroke
+    slow = {"duration": 1.0e5 / scenario.rate, "approach.velocity": [0.0, 0.0, 0.005]}
     result = run(load_scenario(shipped("scenarios") / "reference-bumper.yaml", set=slow))
     if result.trace is None or len(result.trace.t) != 100_000:
-        raise HiltestbedError(f"the run to be recorded ended early: {result.summary['stop_reason']}")
+        raise HiltestbedError(
+            f"the run to be recorded ended early: {result.summary['stop_reason']}"
+        )
     with tempfile.TemporaryDirectory() as folder:
-        write_recording(Path(folder) / "first.rrd", run(scenario))  # not timed: imports and compiles
+        # not timed: imports and compiles
+        write_recording(Path(folder) / "first.rrd", run(scenario))
         start = time.perf_counter()
         write_recording(Path(folder) / "recording.rrd", result)
         return time.perf_counter() - start
 
 
-def _report(records: list[dict[str, Any]], summary: dict[str, Any], blocks: dict[int, dict[str, float]]) -> Report:
+def _report(
+    records: list[dict[str, Any]], summary: dict[str, Any], blocks: dict[int, dict[str, float]]
+) -> Report:
     report = Report("Throughput")
     report.lead(
-        f"One pass of the loop costs {summary['single_run_ratio']:.2f} times its bare physics steps for one run and "
-        f"{summary['batch_ratio']:.2f} times for 64 runs on two threads; one run goes {summary['real_time_factor']:.1f} times real time."
+        f"One pass of the loop costs {summary['single_run_ratio']:.2f} times its bare physics "
+        f"steps for one run and "
+        f"{summary['batch_ratio']:.2f} times for 64 runs on two threads; one run goes "
+        f"{summary['real_time_factor']:.1f} times real time."
     )
     header = ["runs", "threads", "loop / bare steps", "lowest", "highest", "sim-ticks per second"]
     keys = ("ratio", "ratio_low", "ratio_high")
-    rows = [[r["runs"], r["threads"], *(f"{r[k]:.2f}" for k in keys), f"{r['sim_ticks_per_second']:.3g}"] for r in records]
-    report.table(header, rows, "Intervals of the loop and of bare steps of the same plant alternated; the ratio is the median over them.")
+    rows = [
+        [
+            r["runs"],
+            r["threads"],
+            *(f"{r[k]:.2f}" for k in keys),
+            f"{r['sim_ticks_per_second']:.3g}",
+        ]
+        for r in records
+    ]
+    report.table(
+        header,
+        rows,
+        "Intervals of the loop and of bare steps of the same plant alternated; the ratio is the "
+        "median over them.",
+    )
     figure, axes = new_figure(8, 3.4)
     for threads in sorted({r["threads"] for r in records}):
         line = [r for r in records if r["threads"] == threads]
-        axes.plot([r["runs"] for r in line], [r["sim_ticks_per_second"] for r in line], "o-", label=f"{threads} thread(s)")
+        axes.plot(
+            [r["runs"] for r in line],
+            [r["sim_ticks_per_second"] for r in line],
+            "o-",
+            label=f"{threads} thread(s)",
+        )
     axes.set(xscale="log", xlabel="runs in the batch", ylabel="sim-ticks per second")
     axes.legend()
     report.figure(figure, "Simulated ticks per second against the size of the batch.")
     report.heading("Time of a tick by block")
     names = list(blocks[1])
-    report.table(["block", *(f"{n} run(s) [us]" for n in blocks)], [[name, *(f"{blocks[n][name]:.1f}" for n in blocks)] for name in names])
+    report.table(
+        ["block", *(f"{n} run(s) [us]" for n in blocks)],
+        [[name, *(f"{blocks[n][name]:.1f}" for n in blocks)] for name in names],
+    )
     return report

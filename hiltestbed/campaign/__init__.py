@@ -1,1 +1,3 @@
-"""Campaigns: a design over scenario keys, run in chunks on one machine or many; finished chunks survive any interruption."""
+"""Campaigns: a design over scenario keys, run in chunks on one machine or many; finished chunks
+survive any interruption.
+"""

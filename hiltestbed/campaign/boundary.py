@@ -1,12 +1,15 @@
-"""The boundary beyond which the rig adds energy to the contact: closed forms for a linear contact felt with a pure delay.
+"""The boundary beyond which the rig adds energy to the contact: closed forms for a linear contact
+felt with a pure delay.
 
-In units of the contact (w = sqrt(k/mu), zeta = c/(2 sqrt(k mu)), speeds in approach speeds) the relative motion obeys
-x'' = -f(t - w tau), f = x + 2 zeta x', x(0) = 0, x'(0) = 1. By Laplace transform, exactly,
+In units of the contact (w = sqrt(k/mu), zeta = c/(2 sqrt(k mu)), speeds in approach speeds) the
+relative motion obeys x'' = -f(t - w tau), f = x + 2 zeta x', x(0) = 0, x'(0) = 1. By Laplace
+transform, exactly,
 
     x(t) = sum_n (-1)^n sum_j C(n, j) (2 zeta)^j (t - n w tau)_+^(2n + 1 - j)/(2n + 1 - j)!
 
-The ports separate where the force would become a pull, f = 0; the delayed force does not yet include this before then. A delay preserves
-the impulse, so that e = integral of f up to separation, minus one. For zeta = 0 this is the series of one undamped bounce.
+The ports separate where the force would become a pull, f = 0; the delayed force does not yet
+include this before then. A delay preserves the impulse, so that e = integral of f up to separation,
+minus one. For zeta = 0 this is the series of one undamped bounce.
 """
 
 from __future__ import annotations
@@ -25,21 +28,25 @@ from hiltestbed.sensor.parameters import SensorParameters
 TERMS = 28  # of the sum over n: the rest is below 1e-16 for t <= 6
 LONGEST = 6.0  # in units of 1/w; an undamped bounce takes pi
 _STEPS = 61
-HIGHEST_DAMPING = 0.6  # damping ratio up to which these formulas have been compared with simulations
+# damping ratio up to which these formulas have been compared with simulations
+HIGHEST_DAMPING = 0.6
 
 
 def closed_contact_delay(stiffness: float, damping: float, mass: float) -> float:
     """The delay [s] beyond which a closed contact oscillates with growing amplitude.
 
-    For stiffness [N/m], damping [N s/m], reduced mass [kg]: tau = atan(c w/k)/w with w^2 = (c^2 + sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2).
-    atan(c w/k) is the phase lead of the damper, which the delay uses up.
+    For stiffness [N/m], damping [N s/m], reduced mass [kg]: tau = atan(c w/k)/w with w^2 = (c^2 +
+    sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2). atan(c w/k) is the phase lead of the damper, which the delay
+    uses up.
     """
     w = math.sqrt((damping**2 + math.sqrt(damping**4 + 4 * mass**2 * stiffness**2)) / (2 * mass**2))
     return math.atan(damping * w / stiffness) / w
 
 
 def bounce_delay(stiffness: float, damping: float, mass: float) -> float:
-    """The delay [s] at which one bounce of a contact that cannot pull rebounds with its approach speed, e = 1."""
+    """The delay [s] at which one bounce of a contact that cannot pull rebounds with its approach
+    speed, e = 1.
+    """
     zeta = damping / (2 * math.sqrt(stiffness * mass))
     if zeta > HIGHEST_DAMPING:
         raise ValueError(f"damping ratio {zeta:g}; known up to {HIGHEST_DAMPING:g}")
@@ -61,7 +68,11 @@ def neutral(zeta: float) -> float:
 
     if zeta == 0.0:
         return 0.0
-    return float(brentq(lambda w_tau: bounce_cor(zeta, w_tau) - 1.0, 0.5 * zeta, 2.0 * zeta + 0.01, xtol=1e-10))  # type: ignore[arg-type]
+    return float(
+        brentq(
+            lambda w_tau: bounce_cor(zeta, w_tau) - 1.0, 0.5 * zeta, 2.0 * zeta + 0.01, xtol=1e-10
+        )
+    )  # type: ignore[arg-type]
 
 
 def bounce_cor(zeta: float, w_tau: float, pulls: bool = False) -> float:
@@ -85,7 +96,9 @@ def bounce_cor(zeta: float, w_tau: float, pulls: bool = False) -> float:
 
 
 def motion(times: Array, zeta: float, w_tau: float) -> tuple[Array, Array, Array]:
-    """Position, speed and integral of the position at `times` (units of 1/w) during the contact; each with the shape of `times`."""
+    """Position, speed and integral of the position at `times` (units of 1/w) during the contact;
+    each with the shape of `times`.
+    """
     position, speed, integral = (np.zeros_like(times) for _ in range(3))
     for n in range(TERMS):
         late = np.maximum(times - n * w_tau, 0.0)
@@ -102,7 +115,9 @@ def motion(times: Array, zeta: float, w_tau: float) -> tuple[Array, Array, Array
 
 
 def applies(scenario: Scenario) -> bool:
-    """Whether the closed forms describe the scenario: a linear contact, a pure delay, no compensation, ideal tracking."""
+    """Whether the closed forms describe the scenario: a linear contact, a pure delay, no
+    compensation, ideal tracking.
+    """
     sensor = scenario.sensor
     return (
         scenario.mechanism.flat
@@ -111,13 +126,22 @@ def applies(scenario: Scenario) -> bool:
         and sensor.lowpass is None
         and sensor.time_constant is None
         and not any(scenario.approach.offset)
-        and all(effect.kind in ("sensor.delay", "contact.stiffness", "contact.damping") for effect in scenario.effects)
+        and all(
+            effect.kind in ("sensor.delay", "contact.stiffness", "contact.damping")
+            for effect in scenario.effects
+        )
     )
 
 
 def margin(scenario: Scenario) -> tuple[float, float]:
-    """The scenario's delay minus the limits of the closed contact and of the bounce [s]; positive: the rig adds energy."""
+    """The scenario's delay minus the limits of the closed contact and of the bounce [s]; positive:
+    the rig adds energy.
+    """
     contact = ContactParameters.believed(scenario.mechanism.contact).with_effects(scenario.effects)
-    delay = SensorParameters.believed(scenario.sensor, scenario.tick).with_effects(scenario.effects).delay
+    delay = (
+        SensorParameters.believed(scenario.sensor, scenario.tick)
+        .with_effects(scenario.effects)
+        .delay
+    )
     law = (contact.stiffness, contact.damping, effective_mass(scenario))
     return delay - closed_contact_delay(*law), delay - bounce_delay(*law)

@@ -1,4 +1,6 @@
-"""The categorical keys of a campaign (those that select alternatives rather than vary a number), and the results of each choice."""
+"""The categorical keys of a campaign (those that select alternatives rather than vary a number),
+and the results of each choice.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +33,12 @@ class Result:
     """The result of a choice.
 
     Attributes:
-        cases, completed, active: number of cases, of those that completed, and of those that rebounded faster than they approached.
-        median, worst: median and 95 % quantile of the figure's magnitude over the completed cases; None if none has the figure.
-        best: whether it has the largest share of completed cases and, among choices with that share, the smallest worst figure.
+        cases, completed, active: number of cases, of those that completed, and of those that
+            rebounded faster than they approached.
+        median, worst: median and 95 % quantile of the figure's magnitude over the completed cases;
+            None if none has the figure.
+        best: whether it has the largest share of completed cases and, among choices with that
+            share, the smallest worst figure.
     """
 
     label: str
@@ -46,20 +51,26 @@ class Result:
 
 
 def choices_of(campaign: LoadedCampaign, table: Any) -> list[Choice]:
-    """Every combination of the campaign's choices that occurs in its cases; a single one without a label if there are no choices."""
+    """Every combination of the campaign's choices that occurs in its cases; a single one without a
+    label if there are no choices.
+    """
     keys = [key for key, variation in campaign.spec.vary.items() if not is_numeric(variation)]
     if not keys:
         return [Choice("", np.ones(table.num_rows, dtype=bool))]
     columns = [table[key].to_pylist() for key in keys]
     combinations = list(zip(*columns, strict=True))
     return [
-        Choice(", ".join(map(in_words, values)), np.array([case == values for case in combinations]))
+        Choice(
+            ", ".join(map(in_words, values)), np.array([case == values for case in combinations])
+        )
         for values in dict.fromkeys(combinations)
     ]
 
 
 def in_words(cell: str) -> str:
-    """A value from the table as text without JSON syntax: `{"kind": "phase_lead", "lag": 0.001}` as `phase_lead (lag 0.001)`."""
+    """A value from the table as text without JSON syntax: `{"kind": "phase_lead", "lag": 0.001}` as
+    `phase_lead (lag 0.001)`.
+    """
     try:
         value = json.loads(cell)
     except (json.JSONDecodeError, TypeError):
@@ -70,15 +81,28 @@ def in_words(cell: str) -> str:
     return f"{value['kind']} ({rest})" if rest else str(value["kind"])
 
 
-def results(choices: Sequence[Choice], statuses: np.ndarray, cor: Array, figure: Array) -> list[Result]:
+def results(
+    choices: Sequence[Choice], statuses: np.ndarray, cor: Array, figure: Array
+) -> list[Result]:
     """The results of each choice, best first. statuses: ``(n,)`` text; cor, figure: ``(n,)``."""
     out = []
     for choice in choices:
         good = choice.cases & (statuses == "completed") & np.isfinite(figure)
         size = np.abs(figure[good])
-        median, worst = (float(v) for v in np.quantile(size, [0.5, 0.95])) if size.size else (None, None)
+        median, worst = (
+            (float(v) for v in np.quantile(size, [0.5, 0.95])) if size.size else (None, None)
+        )
         completed = int((choice.cases & (statuses == "completed")).sum())
-        out.append(Result(choice.label, int(choice.cases.sum()), completed, int((cor[choice.cases] > 1.0).sum()), median, worst))
+        out.append(
+            Result(
+                choice.label,
+                int(choice.cases.sum()),
+                completed,
+                int((cor[choice.cases] > 1.0).sum()),
+                median,
+                worst,
+            )
+        )
     out.sort(key=lambda r: (-r.completed / r.cases, np.inf if r.worst is None else r.worst))
     if out[0].worst is not None and len(out) > 1:
         out[0] = Result(**(vars(out[0]) | {"best": True}))

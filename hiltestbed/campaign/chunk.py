@@ -1,4 +1,6 @@
-"""One chunk of cases: from case numbers to table rows. A worker runs this, on this machine or on another."""
+"""One chunk of cases: from case numbers to table rows. A worker runs this, on this machine or on
+another.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ ROWS_LIMIT = 400_000  # rows of trace in memory at a time (0.25 GB), if traces a
 
 @dataclass
 class ChunkResult:
-    """Result of a chunk: one row per case, the files that are kept (path below `cases/`, to bytes), the wall time [s]."""
+    """Result of a chunk: one row per case, the files that are kept (path below `cases/`, to bytes),
+    the wall time [s].
+    """
 
     cases: tuple[int, ...]
     rows: list[dict[str, Any]]
@@ -30,7 +34,9 @@ class ChunkResult:
 
 
 def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
-    """Runs the cases, those of the same structure in lockstep. The row of a case that cannot be run has the reason."""
+    """Runs the cases, those of the same structure in lockstep. The row of a case that cannot be run
+    has the reason.
+    """
     start = time.perf_counter()
     result = ChunkResult(tuple(cases), [])
     values = dict(zip(cases, case_values(campaign.spec, cases), strict=True))
@@ -47,16 +53,27 @@ def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
 
 
 def _has_rows(campaign: LoadedCampaign, scenario: Scenario) -> bool:
-    """Whether the rows of the trace are needed: to keep them, or because `log.*` effects act on the complete record."""
-    return campaign.spec.keep != "summary" or any(effect.link == "log" for effect in scenario.effects)
+    """Whether the rows of the trace are needed: to keep them, or because `log.*` effects act on the
+    complete record.
+    """
+    return campaign.spec.keep != "summary" or any(
+        effect.link == "log" for effect in scenario.effects
+    )
 
 
 def _group_size(campaign: LoadedCampaign, scenarios: list[tuple[int, Scenario]]) -> int:
-    longest = max((scenario.ticks for _, scenario in scenarios if _has_rows(campaign, scenario)), default=0)
+    longest = max(
+        (scenario.ticks for _, scenario in scenarios if _has_rows(campaign, scenario)), default=0
+    )
     return max(1, ROWS_LIMIT // longest) if longest else max(len(scenarios), 1)
 
 
-def _run_group(campaign: LoadedCampaign, group: list[tuple[int, Scenario]], values: dict[int, dict], result: ChunkResult) -> None:
+def _run_group(
+    campaign: LoadedCampaign,
+    group: list[tuple[int, Scenario]],
+    values: dict[int, dict],
+    result: ChunkResult,
+) -> None:
     from hiltestbed.campaign.digest import TraceDigest, trace_sha256
     from hiltestbed.simulation import run_batch
 
@@ -68,8 +85,12 @@ def _run_group(campaign: LoadedCampaign, group: list[tuple[int, Scenario]], valu
 
     keep = campaign.spec.keep
     try:
-        runs = run_batch([scenario for _, scenario in group], trace=True if _has_rows(campaign, group[0][1]) else digest)
-    except HiltestbedError as error:  # the rig rejects this scenario: the others of the group run without it
+        runs = run_batch(
+            [scenario for _, scenario in group],
+            trace=True if _has_rows(campaign, group[0][1]) else digest,
+        )
+    # the rig rejects this scenario: the others of the group run without it
+    except HiltestbedError as error:
         if len(group) == 1:
             case = group[0][0]
             result.rows.append(row(campaign.spec, case, values[case], None, str(error), None))
@@ -100,4 +121,7 @@ def _kept_files(case: int, run: Any, recording: bool) -> dict[str, bytes]:
         else:
             folder.mkdir()
             write_trace(run.trace, folder / TRACE)
-        return {f"{case_folder(case)}/{file.name}": file.read_bytes() for file in sorted(folder.iterdir())}
+        return {
+            f"{case_folder(case)}/{file.name}": file.read_bytes()
+            for file in sorted(folder.iterdir())
+        }

@@ -1,4 +1,6 @@
-"""The columns of cases.parquet. They depend on the campaign alone, so that all its chunks have the same columns."""
+"""The columns of cases.parquet. They depend on the campaign alone, so that all its chunks have the
+same columns.
+"""
 
 from __future__ import annotations
 
@@ -33,15 +35,22 @@ _FIGURES = (
     "tracking_compliance",
 )
 SCALARS = (*_TEXT, *_COUNTS, *_FIGURES)
-ESTIMATES = tuple(f"identification.{axis}.{quantity}" for axis in AXES for quantity in ("stiffness", "damping"))
+ESTIMATES = tuple(
+    f"identification.{axis}.{quantity}" for axis in AXES for quantity in ("stiffness", "damping")
+)
 
 
 def schema(campaign: Campaign):
-    """The pyarrow schema: the case, each varied key, the scalars of the summary, the error, the hash of the trace."""
+    """The pyarrow schema: the case, each varied key, the scalars of the summary, the error, the
+    hash of the trace.
+    """
     import pyarrow as pa
 
     fields = [pa.field("case", pa.int64())]
-    fields += [pa.field(key, pa.float64() if is_numeric(variation) else pa.string()) for key, variation in campaign.vary.items()]
+    fields += [
+        pa.field(key, pa.float64() if is_numeric(variation) else pa.string())
+        for key, variation in campaign.vary.items()
+    ]
     taken = {field.name for field in fields}
     columns = [(name, pa.string()) for name in _TEXT] + [(name, pa.int64()) for name in _COUNTS]
     columns += [(name, pa.float64()) for name in (*_FIGURES, "delay_total", *ESTIMATES)]
@@ -52,7 +61,9 @@ def schema(campaign: Campaign):
 
 def is_numeric(variation: Variation) -> bool:
     """Whether a key's values are numbers."""
-    return variation.values is None or all(isinstance(v, int | float) and not isinstance(v, bool) for v in variation.values)
+    return variation.values is None or all(
+        isinstance(v, int | float) and not isinstance(v, bool) for v in variation.values
+    )
 
 
 def cell(variation: Variation, value: Any) -> float | str:
@@ -63,10 +74,21 @@ def cell(variation: Variation, value: Any) -> float | str:
 
 
 def row(
-    campaign: Campaign, case: int, values: dict[str, Any], summary: dict[str, Any] | None, error: str | None, trace: str | None
+    campaign: Campaign,
+    case: int,
+    values: dict[str, Any],
+    summary: dict[str, Any] | None,
+    error: str | None,
+    trace: str | None,
 ) -> dict:
     """One case as column name to value; null for figures that the case lacks."""
-    cells: dict[str, Any] = {"case": case, "seed": values["seed"], "error": error, "trace_sha256": trace, "status": "invalid"}
+    cells: dict[str, Any] = {
+        "case": case,
+        "seed": values["seed"],
+        "error": error,
+        "trace_sha256": trace,
+        "status": "invalid",
+    }
     if summary is not None:
         cells |= {name: summary[name] for name in SCALARS}
         cells["error"] = error if error is not None else summary["stop_reason"]
@@ -86,5 +108,9 @@ def table(campaign: Campaign, rows: list[dict[str, Any]]):
     layout = schema(campaign)
     ordered = sorted(rows, key=lambda cells: cells["case"])
     return pa.table(
-        {name: pa.array([cells.get(name) for cells in ordered], layout.field(name).type) for name in layout.names}, schema=layout
+        {
+            name: pa.array([cells.get(name) for cells in ordered], layout.field(name).type)
+            for name in layout.names
+        },
+        schema=layout,
     )

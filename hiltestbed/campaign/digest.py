@@ -17,10 +17,11 @@ BLOCK = 128  # rows between two updates of the hashes: 64 runs take 5 MB
 
 
 class TraceDigest:
-    """Replaces a Trace: takes the same rows, a block at a time, and gives `sha256(i)` of run i instead of the rows.
+    """Replaces a Trace: takes the same rows, a block at a time, and gives `sha256(i)` of run i
+    instead of the rows.
 
-    The hash covers every column except `t`, row by row in the order of the trace file, as little-endian float64. A run that ended
-    early is hashed up to its last row.
+    The hash covers every column except `t`, row by row in the order of the trace file, as
+    little-endian float64. A run that ended early is hashed up to its last row.
     """
 
     def __init__(self, loop: Loop) -> None:
@@ -29,7 +30,10 @@ class TraceDigest:
         self._hashes = [hashlib.sha256() for _ in range(n)]
         self._done = 0
         self.length = np.zeros(n, dtype=int)  # set by the simulation when it ends
-        self.data = {group.name: np.zeros((BLOCK, n, len(group.parts))) for group in groups(loop.plant.units).values()}
+        self.data = {
+            group.name: np.zeros((BLOCK, n, len(group.parts)))
+            for group in groups(loop.plant.units).values()
+        }
         self.contact = np.zeros((BLOCK, n), dtype=bool)
 
     def filled(self, ticks: int) -> None:
@@ -58,7 +62,11 @@ class TraceDigest:
 
 
 def _matrix(parts: list[Array], contact: Array) -> bytes:
-    return np.concatenate([*parts, contact[:, None].astype(float)], axis=1).astype("<f8", copy=False).tobytes()
+    return (
+        np.concatenate([*parts, contact[:, None].astype(float)], axis=1)
+        .astype("<f8", copy=False)
+        .tobytes()
+    )
 
 
 def trace_sha256(trace: RunTrace) -> str:

@@ -1,4 +1,5 @@
-"""Three engines with one interface: this process, worker processes, a Dask cluster. Each yields chunks as they finish, in any order.
+"""Three engines with one interface: this process, worker processes, a Dask cluster. Each yields
+chunks as they finish, in any order.
 
 None holds more than a few chunks at a time: a new chunk is submitted when a result arrives.
 """
@@ -46,16 +47,22 @@ def processes(workers: int) -> Engine:
                 attempts[chunk] = attempts.get(chunk, 0) + 1
                 if attempts[chunk] >= ATTEMPTS:
                     raise HiltestbedError(
-                        f"cases {min(chunk)} to {max(chunk)}: the worker process died {ATTEMPTS} times (killed, or out of memory); "
-                        "the same command resumes where it stopped, with fewer --workers or a smaller --chunk"
+                        f"cases {min(chunk)} to {max(chunk)}: the worker process died {ATTEMPTS} "
+                        f"times (killed, or out of memory); "
+                        "the same command resumes where it stopped, with fewer --workers or a "
+                        "smaller --chunk"
                     )
             again = list(lost)
 
     return engine
 
 
-def _until_broken(campaign: LoadedCampaign, waiting: Iterator[Chunk], again: list[Chunk], workers: int):
-    """Yields results until all chunks are done or a worker dies; returns the chunks that were in progress then."""
+def _until_broken(
+    campaign: LoadedCampaign, waiting: Iterator[Chunk], again: list[Chunk], workers: int
+):
+    """Yields results until all chunks are done or a worker dies; returns the chunks that were in
+    progress then.
+    """
     pool = new_pool(workers)
     running: dict[Future[ChunkResult], Chunk] = {}
     next_up = list(again)
@@ -78,7 +85,8 @@ def _until_broken(campaign: LoadedCampaign, waiting: Iterator[Chunk], again: lis
 
 
 def dask(address: str) -> Engine:
-    """The engine of a Dask cluster whose scheduler is at `address` (`tcp://host:8786`, `tls://...` with Dask's own TLS settings).
+    """The engine of a Dask cluster whose scheduler is at `address` (`tcp://host:8786`, `tls://...`
+    with Dask's own TLS settings).
 
     Raises InputError if the scheduler does not answer.
     """
@@ -94,16 +102,25 @@ def dask(address: str) -> Engine:
 
 
 def _connect(address: str):
-    if not re.fullmatch(r"((tcp|tls|ws|wss|ucx)://)?(\[[0-9a-fA-F:]+\]|[^\s:/\[\]]+):\d{1,5}", address):
-        raise InputError(f"--scheduler {address}: is no address of a scheduler; write it as tcp://HOST:8786 or tls://HOST:8786")
+    if not re.fullmatch(
+        r"((tcp|tls|ws|wss|ucx)://)?(\[[0-9a-fA-F:]+\]|[^\s:/\[\]]+):\d{1,5}", address
+    ):
+        raise InputError(
+            f"--scheduler {address}: is no address of a scheduler; write it as tcp://HOST:8786 or "
+            f"tls://HOST:8786"
+        )
     try:
         from distributed import Client
         from distributed.security import Security
     except ImportError:
         raise MissingExtra("--scheduler", "cluster") from None
-    if address.startswith("tls://") and Security().get_connection_args("client").get("ssl_context") is None:
+    if (
+        address.startswith("tls://")
+        and Security().get_connection_args("client").get("ssl_context") is None
+    ):
         raise InputError(
-            f"--scheduler {address}: TLS has no certificates; give them to Dask, as DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
+            f"--scheduler {address}: TLS has no certificates; give them to Dask, as "
+            f"DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
             "..._TLS__CLIENT__CERT and ..._TLS__CLIENT__KEY in the environment"
         )
     try:
@@ -111,11 +128,14 @@ def _connect(address: str):
     except (OSError, TimeoutError, ValueError, TypeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(
-            f"--scheduler {address}: does not answer within {ANSWER:.0f} s ({reason}); start one with `dask scheduler` and give its address"
+            f"--scheduler {address}: does not answer within {ANSWER:.0f} s ({reason}); start one "
+            f"with `dask scheduler` and give its address"
         ) from None
 
 
-def _on_cluster(client, campaign: LoadedCampaign, waiting: Iterator[Chunk]) -> Iterator[ChunkResult]:
+def _on_cluster(
+    client, campaign: LoadedCampaign, waiting: Iterator[Chunk]
+) -> Iterator[ChunkResult]:
     from concurrent.futures import CancelledError
 
     from distributed import KilledWorker, as_completed
@@ -127,7 +147,10 @@ def _on_cluster(client, campaign: LoadedCampaign, waiting: Iterator[Chunk]) -> I
     while True:
         threads = sum(client.nthreads().values())
         if not threads and not warned:
-            sys.stderr.write("the scheduler has no workers yet; waiting for them (start some with `dask worker ADDRESS --nthreads 1`)\n")
+            sys.stderr.write(
+                "the scheduler has no workers yet; waiting for them (start some with `dask worker "
+                "ADDRESS --nthreads 1`)\n"
+            )
             warned = True
         for chunk in islice(waiting, max(0, 2 * max(threads, 1) - running.count())):
             running.add(client.submit(run_chunk_of, campaign, tuple(chunk), versions(), pure=False))
@@ -136,17 +159,30 @@ def _on_cluster(client, campaign: LoadedCampaign, waiting: Iterator[Chunk]) -> I
         try:
             yield next(running).result()
         except KilledWorker as error:
-            raise HiltestbedError(f"a chunk has killed every worker that took it ({error}); the same command tries again") from None
+            raise HiltestbedError(
+                f"a chunk has killed every worker that took it ({error}); the same command tries "
+                f"again"
+            ) from None
         except CancelledError:
-            raise HiltestbedError("the scheduler was lost; the same command resumes where it stopped") from None
+            raise HiltestbedError(
+                "the scheduler was lost; the same command resumes where it stopped"
+            ) from None
 
 
 def run_chunk_of(campaign: LoadedCampaign, chunk: Chunk, expected: dict[str, str]) -> ChunkResult:
-    """`run_chunk` on a remote worker, which must have the package versions with which the campaign was started."""
+    """`run_chunk` on a remote worker, which must have the package versions with which the campaign
+    was started.
+    """
     from hiltestbed.versions import versions
 
     if versions() != expected:
-        differ = {name: version for name, version in versions().items() if expected.get(name) != version}
-        other = [f"{name} {version} (expected {expected.get(name)})" for name, version in differ.items()]
-        raise HiltestbedError(f"a worker has other versions, whose numbers may differ: {', '.join(other)}")
+        differ = {
+            name: version for name, version in versions().items() if expected.get(name) != version
+        }
+        other = [
+            f"{name} {version} (expected {expected.get(name)})" for name, version in differ.items()
+        ]
+        raise HiltestbedError(
+            f"a worker has other versions, whose numbers may differ: {', '.join(other)}"
+        )
     return run_chunk(campaign, chunk)

@@ -1,4 +1,6 @@
-"""Figures of a campaign: the response over two keys with the stability boundary, and distributions."""
+"""Figures of a campaign: the response over two keys with the stability boundary, and
+distributions.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,18 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.validation import description_of
 from hiltestbed.yaml_source import key_path
 
-HARMLESS = ("approach.gap", "approach.velocity", "sensor.noise", "sensor.torque_noise", "identification", "seed", "duration", "name")
-LINEAR_BELOW = 0.01  # |ln(e/e_ref)| up to which the colour scale is linear: 1 % of the rebound speed
+HARMLESS = (
+    "approach.gap",
+    "approach.velocity",
+    "sensor.noise",
+    "sensor.torque_noise",
+    "identification",
+    "seed",
+    "duration",
+    "name",
+)
+# |ln(e/e_ref)| up to which the colour scale is linear: 1 % of the rebound speed
+LINEAR_BELOW = 0.01
 MESH = 24  # points per side at which the boundary is evaluated
 BANDS = 16  # parts of a key over which a band is drawn
 MARGINAL_CHOICES = 6  # lines that can be distinguished in one figure
@@ -38,18 +50,27 @@ def heat_maps(
     choices: Sequence[Choice],
     worst: bool = False,
 ):
-    """Figure `name` over two keys, `(n,)` each, one map per choice, on one colour scale: (matplotlib figure, boundary drawn).
+    """Figure `name` over two keys, `(n,)` each, one map per choice, on one colour scale:
+    (matplotlib figure, boundary drawn).
 
-    A cell shows the mean of its cases, or with ``worst`` the value of largest magnitude. The boundary is drawn where it applies.
+    A cell shows the mean of its cases, or with ``worst`` the value of largest magnitude. The
+    boundary is drawn where it applies.
     """
     columns = 2 if len(choices) == 4 else min(3, len(choices))
     lines = -(-len(choices) // columns)
     size = (8.0, 5.2) if len(choices) == 1 else (3.6 * columns + 1.0, 3.1 * lines)
-    picture, axes = new_figure(*size, nrows=lines, ncols=columns, squeeze=False, sharex=True, sharey=True)
-    spans = [_edges(campaign.spec.vary[key], values) for key, values in zip(keys, inputs, strict=True)]
+    picture, axes = new_figure(
+        *size, nrows=lines, ncols=columns, squeeze=False, sharex=True, sharey=True
+    )
+    spans = [
+        _edges(campaign.spec.vary[key], values) for key, values in zip(keys, inputs, strict=True)
+    ]
     (x_edges, x_log), (y_edges, y_log) = spans
     edges = (x_edges, y_edges)
-    cells = [_cells((inputs[0][c.cases], inputs[1][c.cases]), edges, figures[name][c.cases], worst) for c in choices]
+    cells = [
+        _cells((inputs[0][c.cases], inputs[1][c.cases]), edges, figures[name][c.cases], worst)
+        for c in choices
+    ]
     filled = np.concatenate([np.abs(cell.compressed()) for cell in cells])
     limit = (float(np.quantile(filled, 0.98)) if filled.size else 0.0) or 1.0
     lowest = min((float(cell.min()) for cell in cells if cell.count()), default=0.0)
@@ -58,7 +79,10 @@ def heat_maps(
         from matplotlib.colors import SymLogNorm
 
         limit = max(limit, 2.0 * LINEAR_BELOW)
-        scale = {"norm": SymLogNorm(LINEAR_BELOW, vmin=-limit, vmax=limit, base=10), "cmap": "RdBu_r"}
+        scale = {
+            "norm": SymLogNorm(LINEAR_BELOW, vmin=-limit, vmax=limit, base=10),
+            "cmap": "RdBu_r",
+        }
     boundary = _boundary(campaign, keys, edges, (x_log, y_log))
     for axis, choice, cell in zip(axes.flat, choices, cells, strict=False):
         mesh = axis.pcolormesh(x_edges, y_edges, cell.T, **scale)
@@ -69,37 +93,73 @@ def heat_maps(
         if boundary is not None:
             _draw_boundary(axis, *boundary)
             _draw_neutral(
-                axis, edges, _cells((inputs[0][choice.cases], inputs[1][choice.cases]), edges, figures["cor"][choice.cases], False)
+                axis,
+                edges,
+                _cells(
+                    (inputs[0][choice.cases], inputs[1][choice.cases]),
+                    edges,
+                    figures["cor"][choice.cases],
+                    False,
+                ),
             )
     for axis in list(axes.flat)[len(choices) :]:
         axis.set_visible(False)
-    for axis in list(axes.flat)[max(0, len(choices) - columns) : len(choices)]:  # the lowest map of each column
+    # the lowest map of each column
+    for axis in list(axes.flat)[max(0, len(choices) - columns) : len(choices)]:
         axis.set_xlabel(with_unit(keys[0], campaign))
         axis.tick_params(labelbottom=True)
     for axis in axes[:, 0]:
         axis.set_ylabel(with_unit(keys[1], campaign))
     if boundary is not None:
         axes[0, 0].legend(loc="upper right", title="the rig adds energy beyond", fontsize=8)
-    picture.colorbar(mesh, ax=axes, label=with_unit(name), extend="both" if filled.size and filled.max() > limit else "neither")
+    picture.colorbar(
+        mesh,
+        ax=axes,
+        label=with_unit(name),
+        extend="both" if filled.size and filled.max() > limit else "neither",
+    )
     return picture, boundary is not None
 
 
-def marginals(campaign: LoadedCampaign, inputs: dict[str, Array], figure: Array, name: str, choices: Sequence[Choice]):
+def marginals(
+    campaign: LoadedCampaign,
+    inputs: dict[str, Array],
+    figure: Array,
+    name: str,
+    choices: Sequence[Choice],
+):
     """Median and 5 to 95 % band of a figure ``(n,)`` over each key alone, one line per choice."""
     columns = min(3, len(inputs))
     lines = -(-len(inputs) // columns)
-    picture, axes = new_figure(3.6 * columns + 0.6, 2.9 * lines, nrows=lines, ncols=columns, squeeze=False, sharey=True)
+    picture, axes = new_figure(
+        3.6 * columns + 0.6, 2.9 * lines, nrows=lines, ncols=columns, squeeze=False, sharey=True
+    )
     for axis, (key, values) in zip(axes.flat, inputs.items(), strict=False):
         edges, log = _edges(campaign.spec.vary[key], values, BANDS)
         for i, choice in enumerate(choices):
             good = choice.cases & np.isfinite(figure)
-            cell = np.clip(np.searchsorted(edges, values[good], side="right") - 1, 0, len(edges) - 2)
+            cell = np.clip(
+                np.searchsorted(edges, values[good], side="right") - 1, 0, len(edges) - 2
+            )
             parts = [(k, figure[good][cell == k]) for k in range(len(edges) - 1)]
-            filled = [(float(np.median(values[good][cell == k])), *np.quantile(part, [0.05, 0.5, 0.95])) for k, part in parts if part.size]
+            filled = [
+                (float(np.median(values[good][cell == k])), *np.quantile(part, [0.05, 0.5, 0.95]))
+                for k, part in parts
+                if part.size
+            ]
             if filled:
                 at, low, middle, high = np.array(filled).T
-                axis.fill_between(at, low, high, color=PALETTE[i % len(PALETTE)], alpha=0.15, linewidth=0)
-                axis.plot(at, middle, color=PALETTE[i % len(PALETTE)], marker="o", markersize=2.5, label=choice.label)
+                axis.fill_between(
+                    at, low, high, color=PALETTE[i % len(PALETTE)], alpha=0.15, linewidth=0
+                )
+                axis.plot(
+                    at,
+                    middle,
+                    color=PALETTE[i % len(PALETTE)],
+                    marker="o",
+                    markersize=2.5,
+                    label=choice.label,
+                )
         _scale(axis.xaxis, log, edges)
         axis.set(xlabel=with_unit(key, campaign))
         axis.axhline(0.0, color="#8894a0", linewidth=0.8) if name == "cor_log_error" else None
@@ -108,28 +168,46 @@ def marginals(campaign: LoadedCampaign, inputs: dict[str, Array], figure: Array,
     for axis in axes[:, 0]:
         axis.set_ylabel(with_unit(name))
     if len(choices) > 1:
-        picture.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
+        picture.legend(
+            *axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8
+        )
     return picture
 
 
 def _scale(axis: Any, log: bool, edges: Array) -> None:
-    """A linear scale with few ticks, or a logarithmic one with denser ticks if it spans less than a decade."""
+    """A linear scale with few ticks, or a logarithmic one with denser ticks if it spans less than a
+    decade.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     if not log:
         axis.set_major_locator(MaxNLocator(6))
         return
     getattr(axis.axes, f"set_{axis.axis_name}scale")("log")
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if edges[-1] > 8.0 * edges[0] else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+    axis.set_major_locator(
+        LogLocator(
+            subs=(1.0, 2.0, 5.0) if edges[-1] > 8.0 * edges[0] else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+        )
+    )
     axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e4 else f"{value:.0e}".replace("e+0", "e")))
+    axis.set_major_formatter(
+        FuncFormatter(
+            lambda value, _: (
+                f"{value:g}" if 1e-3 <= value < 1e4 else f"{value:.0e}".replace("e+0", "e")
+            )
+        )
+    )
 
 
 def with_unit(name: str, campaign: LoadedCampaign | None = None) -> str:
     """A figure, or a scenario key of a campaign, with its unit, if any, in brackets."""
     unit = UNITS.get(name, "")
     if not unit and campaign is not None:
-        unit = description_of(Scenario, resolved(campaign.nominal), key_path(name)).partition("[")[2].partition("]")[0]
+        unit = (
+            description_of(Scenario, resolved(campaign.nominal), key_path(name))
+            .partition("[")[2]
+            .partition("]")[0]
+        )
     return f"{name} [{unit}]" if unit and unit != "-" else name
 
 
@@ -138,14 +216,20 @@ def _cells(inputs: tuple[Array, Array], edges: tuple[Array, Array], figure: Arra
     good = np.isfinite(figure)
     places = [values[good] for values in inputs]
     if worst:
-        at = [np.clip(np.searchsorted(e, p, side="right") - 1, 0, len(e) - 2) for e, p in zip(edges, places, strict=True)]
+        at = [
+            np.clip(np.searchsorted(e, p, side="right") - 1, 0, len(e) - 2)
+            for e, p in zip(edges, places, strict=True)
+        ]
         cells = np.full((len(edges[0]) - 1, len(edges[1]) - 1), np.nan)
         order = np.argsort(np.abs(figure[good]), kind="stable")
-        cells[at[0][order], at[1][order]] = figure[good][order]  # of several in one cell the last assignment wins: the largest
+        # of several in one cell the last assignment wins: the largest
+        cells[at[0][order], at[1][order]] = figure[good][order]
         return np.ma.masked_invalid(cells)
     counts = np.histogram2d(*places, bins=edges)[0]
     sums = np.histogram2d(*places, bins=edges, weights=figure[good])[0]
-    return np.ma.masked_invalid(np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0))
+    return np.ma.masked_invalid(
+        np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
+    )
 
 
 def _draw_neutral(axes: Any, edges: tuple[Array, Array], cor: Any) -> None:
@@ -157,9 +241,13 @@ def _draw_neutral(axes: Any, edges: tuple[Array, Array], cor: Any) -> None:
 
 
 def _edges(variation: Variation, values: Array, most: int = 64) -> tuple[Array, bool]:
-    """Edges of the cells along a key, from its lowest to its highest value, and whether they are spaced logarithmically."""
+    """Edges of the cells along a key, from its lowest to its highest value, and whether they are
+    spaced logarithmically.
+    """
     levels = np.unique(values)
-    log = variation.log_uniform is not None or bool(levels[0] > 0 and levels.size > 2 and np.ptp(np.diff(np.log(levels))) < 1e-6)
+    log = variation.log_uniform is not None or bool(
+        levels[0] > 0 and levels.size > 2 and np.ptp(np.diff(np.log(levels))) < 1e-6
+    )
     if levels.size == 1:
         return levels[0] + np.array([-0.5, 0.5]) * (abs(levels[0]) or 1.0), False
     if levels.size <= most:
@@ -168,21 +256,35 @@ def _edges(variation: Variation, values: Array, most: int = 64) -> tuple[Array, 
         inner = np.exp(middles) if log else middles
         return np.concatenate([levels[:1], inner, levels[-1:]]), log
     cells = int(np.clip(np.sqrt(values.size) / 3, 8, min(40, most)))
-    return (np.geomspace if log else np.linspace)(levels[0], levels[-1] * (1 + 1e-12), cells + 1), log
+    return (np.geomspace if log else np.linspace)(
+        levels[0], levels[-1] * (1 + 1e-12), cells + 1
+    ), log
 
 
-def _boundary(campaign: LoadedCampaign, keys: tuple[str, str], edges: tuple[Array, Array], logs: tuple[bool, bool]):
-    """(x, y, margins (2, MESH, MESH)) of the closed forms, zero where the rig starts to add energy; other keys as in the campaign's
-    scenario. None if they do not apply or no boundary lies within the edges."""
+def _boundary(
+    campaign: LoadedCampaign,
+    keys: tuple[str, str],
+    edges: tuple[Array, Array],
+    logs: tuple[bool, bool],
+):
+    """(x, y, margins (2, MESH, MESH)) of the closed forms, zero where the rig starts to add energy;
+    other keys as in the campaign's scenario. None if they do not apply or no boundary lies within
+    the edges.
+    """
     others = [key for key in campaign.spec.vary if key not in keys]
     if not applies(campaign.nominal) or not all(key.startswith(HARMLESS) for key in others):
         return None
-    x, y = ((np.geomspace if log else np.linspace)(e[0], e[-1], MESH) for e, log in zip(edges, logs, strict=True))
+    x, y = (
+        (np.geomspace if log else np.linspace)(e[0], e[-1], MESH)
+        for e, log in zip(edges, logs, strict=True)
+    )
     margins = np.full((2, MESH, MESH), np.nan)
     for i, first in enumerate(x):
         for j, second in enumerate(y):
             try:
-                scenario = scenario_from(campaign.source, {keys[0]: float(first), keys[1]: float(second)})
+                scenario = scenario_from(
+                    campaign.source, {keys[0]: float(first), keys[1]: float(second)}
+                )
                 margins[:, j, i] = margin(scenario) if applies(scenario) else np.nan
             except (InputError, ValueError):
                 continue
@@ -190,19 +292,28 @@ def _boundary(campaign: LoadedCampaign, keys: tuple[str, str], edges: tuple[Arra
 
 
 def _draw_boundary(axes: Any, x: Array, y: Array, margins: Array) -> None:
-    for level, style, label in zip(margins, ("-", "--"), ("contact that stays closed", "one bounce, e = 1"), strict=True):
+    for level, style, label in zip(
+        margins, ("-", "--"), ("contact that stays closed", "one bounce, e = 1"), strict=True
+    ):
         axes.contour(x, y, level, levels=[0.0], colors="black", linestyles=style, linewidths=1.6)
         axes.plot([], [], "k" + style, label=label)
 
 
 def distributions(figures: dict[str, Array]):
     """Histograms of the named figures, each `(n,)`, the middle 99 % of each."""
-    picture, axes = new_figure(9.0, 2.6 * ((len(figures) + 2) // 3), nrows=(len(figures) + 2) // 3, ncols=3, squeeze=False)
+    picture, axes = new_figure(
+        9.0, 2.6 * ((len(figures) + 2) // 3), nrows=(len(figures) + 2) // 3, ncols=3, squeeze=False
+    )
     for axis, (name, values) in zip(axes.flat, figures.items(), strict=False):
         good = values[np.isfinite(values)]
         if good.size:
             low, high = np.quantile(good, [0.005, 0.995])
-            axis.hist(good, bins=40, range=(low, high if high > low else low + 1e-9 + abs(low)), color="#0b6e99")
+            axis.hist(
+                good,
+                bins=40,
+                range=(low, high if high > low else low + 1e-9 + abs(low)),
+                color="#0b6e99",
+            )
         axis.set(xlabel=with_unit(name), yticks=[])
     for axis in list(axes.flat)[len(figures) :]:
         axis.set_visible(False)

@@ -1,4 +1,6 @@
-"""The schema of a campaign: its scenario, the varied keys and their ranges, the design, and what is kept of each case."""
+"""The schema of a campaign: its scenario, the varied keys and their ranges, the design, and what is
+kept of each case.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,17 @@ from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.validation import Problem, Strictly, Vector2, refuse, validate
 from hiltestbed.yaml_source import Source, key_path, read_source, referenced_source
 
-FIGURES = ("cor", "cor_log_error", "energy_generated", "peak_force", "contact_duration", "tracking_error")  # shown in a report
-CASE_LIMIT = 10_000_000  # a day on a thousand cores; a larger number is assumed to be a typing error
+# shown in a report
+FIGURES = (
+    "cor",
+    "cor_log_error",
+    "energy_generated",
+    "peak_force",
+    "contact_duration",
+    "tracking_error",
+)
+# a day on a thousand cores; a larger number is assumed to be a typing error
+CASE_LIMIT = 10_000_000
 
 
 class Variation(Strictly):
@@ -26,7 +37,9 @@ class Variation(Strictly):
         default=None, description="these values, with equal probability"
     )
     uniform: Vector2 | None = Field(default=None, description="[low, high]")
-    log_uniform: Vector2 | None = Field(default=None, description="[low, high], uniform in the logarithm")
+    log_uniform: Vector2 | None = Field(
+        default=None, description="[low, high], uniform in the logarithm"
+    )
     normal: Vector2 | None = Field(default=None, description="[mean, standard deviation]")
     points: Annotated[int, Field(ge=1)] | None = Field(
         default=None, description="number of points of a range in a grid, both ends included"
@@ -35,7 +48,11 @@ class Variation(Strictly):
     @property
     def kind(self) -> str:
         """Which of the four is given."""
-        return next(name for name in ("values", "uniform", "log_uniform", "normal") if getattr(self, name) is not None)
+        return next(
+            name
+            for name in ("values", "uniform", "log_uniform", "normal")
+            if getattr(self, name) is not None
+        )
 
     @model_validator(mode="after")
     def _is_one(self) -> Variation:
@@ -58,7 +75,9 @@ class Variation(Strictly):
         return NormalDist(mean, sigma).inv_cdf(min(max(u, 1e-12), 1.0 - 1e-12))
 
     def grid(self) -> list[Any]:
-        """The values of a grid along this key: those listed, or `points` values of the range including both ends."""
+        """The values of a grid along this key: those listed, or `points` values of the range
+        including both ends.
+        """
         if self.values is not None:
             return list(self.values)
         low, high = self.uniform or self.log_uniform or (0.0, 0.0)
@@ -68,67 +87,119 @@ class Variation(Strictly):
 
 
 def _variation_problems(variation: Variation) -> Iterator[Problem]:
-    given = [name for name in ("values", "uniform", "log_uniform", "normal") if getattr(variation, name) is not None]
+    given = [
+        name
+        for name in ("values", "uniform", "log_uniform", "normal")
+        if getattr(variation, name) is not None
+    ]
     if len(given) != 1:
         got = ", ".join(given) or "none"
-        yield (), f"needs one way to vary (got {got}); allowed is exactly one of values, uniform, log_uniform, normal"
+        yield (
+            (),
+            f"needs one way to vary (got {got}); allowed is exactly one of values, uniform, "
+            f"log_uniform, normal",
+        )
         return
     kind, limits = given[0], getattr(variation, given[0])
     if kind in ("uniform", "log_uniform") and not limits[0] < limits[1]:
-        yield (kind,), f"is an empty range (got {list(limits)}); allowed is [low, high] with low < high"
+        yield (
+            (kind,),
+            f"is an empty range (got {list(limits)}); allowed is [low, high] with low < high",
+        )
     if kind == "log_uniform" and limits[0] <= 0:
         yield (kind,), f"is out of range (got {list(limits)}); allowed are limits > 0"
     if kind == "normal" and limits[1] <= 0:
-        yield (kind,), f"has no spread (got {list(limits)}); allowed is [mean, standard deviation > 0]"
+        yield (
+            (kind,),
+            f"has no spread (got {list(limits)}); allowed is [mean, standard deviation > 0]",
+        )
 
 
 class Grid(Strictly):
     """Every combination of the values; the last key varies fastest."""
 
-    kind: Literal["grid"] = Field(default="grid", description="Design. grid: every combination of the values")
+    kind: Literal["grid"] = Field(
+        default="grid", description="Design. grid: every combination of the values"
+    )
     seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Seed; not used by a grid")
 
 
 class Sobol(Strictly):
     """Scrambled Sobol points: low discrepancy, best with a power of two of cases."""
 
-    kind: Literal["sobol"] = Field(default="sobol", description="Design. sobol: scrambled Sobol points")
+    kind: Literal["sobol"] = Field(
+        default="sobol", description="Design. sobol: scrambled Sobol points"
+    )
     cases: Annotated[int, Field(ge=1)] = Field(description="Number of cases")
-    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Seed of the points; the same seed, the same points")
+    seed: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="Seed of the points; the same seed, the same points"
+    )
 
 
 class Random(Strictly):
     """Independent random points."""
 
-    kind: Literal["random"] = Field(default="random", description="Design. random: independent random points")
+    kind: Literal["random"] = Field(
+        default="random", description="Design. random: independent random points"
+    )
     cases: Annotated[int, Field(ge=1)] = Field(description="Number of cases")
-    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Seed of the points; the same seed, the same points")
+    seed: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="Seed of the points; the same seed, the same points"
+    )
 
 
 class Campaign(Strictly):
     """Many runs of one scenario with some of its keys varied."""
 
-    name: str = Field(default="", description="Name of the campaign, used for its results folder; left out: the file's")
-    description: str = Field(default="", description="The question that the campaign answers, in a sentence or two")
-    scenario: Annotated[str, Field(min_length=1)] = Field(description="scenario file, relative to the campaign's folder, or a shipped name")
-    set: dict[str, Any] = Field(default={}, description="scenario keys that are set in every case: dotted key to value")
-    vary: Annotated[dict[str, Variation], Field(min_length=1)] = Field(description="dotted scenario key, and how it varies")
-    design: Annotated[Grid | Sobol | Random, Field(discriminator="kind")] = Field(description="How the cases are laid out")
+    name: str = Field(
+        default="",
+        description="Name of the campaign, used for its results folder; left out: the file's",
+    )
+    description: str = Field(
+        default="", description="The question that the campaign answers, in a sentence or two"
+    )
+    scenario: Annotated[str, Field(min_length=1)] = Field(
+        description="scenario file, relative to the campaign's folder, or a shipped name"
+    )
+    set: dict[str, Any] = Field(
+        default={}, description="scenario keys that are set in every case: dotted key to value"
+    )
+    vary: Annotated[dict[str, Variation], Field(min_length=1)] = Field(
+        description="dotted scenario key, and how it varies"
+    )
+    design: Annotated[Grid | Sobol | Random, Field(discriminator="kind")] = Field(
+        description="How the cases are laid out"
+    )
     keep: Literal["summary", "trace", "all"] = Field(
         default="summary",
-        description="What is kept of each case. summary: its row; trace: also its trace; all: its run folder without report.html",
+        description="What is kept of each case. summary: its row; trace: also its trace; all: its "
+        "run folder without report.html",
     )
 
-    criterion: Literal["cor", "cor_log_error", "energy_generated", "peak_force", "contact_duration", "tracking_error"] | None = Field(
+    criterion: (
+        Literal[
+            "cor",
+            "cor_log_error",
+            "energy_generated",
+            "peak_force",
+            "contact_duration",
+            "tracking_error",
+        ]
+        | None
+    ) = Field(
         default=None,
-        description="figure by which the report ranks choices, smallest magnitude first; null: cor_log_error, or peak_force",
+        description="figure by which the report ranks choices, smallest magnitude first; null: "
+        "cor_log_error, or peak_force",
     )
 
     @property
     def cases(self) -> int:
         """Number of cases."""
         if isinstance(self.design, Grid):
-            return math.prod(len(variation.values) if variation.values else variation.points or 1 for variation in self.vary.values())
+            return math.prod(
+                len(variation.values) if variation.values else variation.points or 1
+                for variation in self.vary.values()
+            )
         return self.design.cases
 
     @model_validator(mode="after")
@@ -141,9 +212,16 @@ def _design_problems(campaign: Campaign) -> Iterator[Problem]:
     grid = isinstance(campaign.design, Grid)
     for key, variation in campaign.vary.items():
         if not grid and variation.points is not None:
-            yield ("vary", key, "points"), f"has no meaning in a {campaign.design.kind} design; allowed in a grid alone"
+            yield (
+                ("vary", key, "points"),
+                f"has no meaning in a {campaign.design.kind} design; allowed in a grid alone",
+            )
         elif grid and variation.kind == "normal":
-            yield ("vary", key, "normal"), "has no ends to lay a grid between; allowed in a grid: values, uniform, log_uniform"
+            yield (
+                ("vary", key, "normal"),
+                "has no ends to lay a grid between; allowed in a grid: values, uniform, "
+                "log_uniform",
+            )
         elif grid and variation.values is None and variation.points is None:
             yield ("vary", key), "needs points: N to be laid out in a grid"
     if campaign.cases > CASE_LIMIT:
@@ -157,12 +235,17 @@ def _overlap_problems(campaign: Campaign) -> Iterator[Problem]:
     for key, path in paths.items():
         for other, above in paths.items():
             if key != other and path[: len(above)] == above:
-                yield ("vary", key), f"is a part of {other}, which varies too; allowed is one of the two"
+                yield (
+                    ("vary", key),
+                    f"is a part of {other}, which varies too; allowed is one of the two",
+                )
 
 
 @dataclass(frozen=True)
 class LoadedCampaign:
-    """A campaign whose scenario and keys are valid. `source` is the scenario's data with the campaign's `set` applied."""
+    """A campaign whose scenario and keys are valid. `source` is the scenario's data with the
+    campaign's `set` applied.
+    """
 
     spec: Campaign
     path: Path
@@ -171,7 +254,9 @@ class LoadedCampaign:
 
 
 def load_campaign(path: str | Path, set: Mapping[str, Any] | None = None) -> LoadedCampaign:
-    """The campaign in a YAML file; `set` overrides keys of the campaign. Raises InputError with every fault."""
+    """The campaign in a YAML file; `set` overrides keys of the campaign. Raises InputError with
+    every fault.
+    """
     return campaign_from(read_source(path).with_set(set))
 
 
@@ -179,7 +264,11 @@ def campaign_from(source: Source) -> LoadedCampaign:
     """The campaign in a source that has been read already. Raises InputError with every fault."""
     if "vary" not in source.data and "design" not in source.data:
         raise InputError(
-            source.fault((), "is no campaign (got neither vary nor design); a campaign names a scenario and what varies in it")
+            source.fault(
+                (),
+                "is no campaign (got neither vary nor design); a campaign names a scenario and "
+                "what varies in it",
+            )
         )
     spec = validate(Campaign, source)
     base = referenced_source(source)
@@ -188,21 +277,31 @@ def campaign_from(source: Source) -> LoadedCampaign:
         nominal = scenario_from(base)
     except InputError as error:
         raise InputError([source.relocated(fault, ("set",)) for fault in error.faults]) from None
-    faults = [fault for key, variation in spec.vary.items() for fault in _key_faults(source, base, key, variation)]
+    faults = [
+        fault
+        for key, variation in spec.vary.items()
+        for fault in _key_faults(source, base, key, variation)
+    ]
     if faults:
         raise InputError(faults)
     return LoadedCampaign(spec, Path(source.file), base, nominal)
 
 
 def _key_faults(source: Source, base: Source, key: str, variation: Variation) -> Iterator[Fault]:
-    """Tests every listed value, or both ends of a range, alone in the scenario. Combinations are validated per case, when they run."""
+    """Tests every listed value, or both ends of a range, alone in the scenario. Combinations are
+    validated per case, when they run.
+    """
     for index, value in enumerate(_probes(variation)):
         try:
             scenario_from(base, {key: value})
         except InputError as error:
             below = (variation.kind, index) if variation.kind != "normal" else (variation.kind,)
             for fault in error.faults:
-                path = ("vary", key) if "unknown key" in fault.message or "has no keys" in fault.message else ("vary", key, *below)
+                path = (
+                    ("vary", key)
+                    if "unknown key" in fault.message or "has no keys" in fault.message
+                    else ("vary", key, *below)
+                )
                 message = fault.message if fault.key == key else f"{fault.key}: {fault.message}"
                 yield source.fault(path, message)
             if "unknown key" in str(error):

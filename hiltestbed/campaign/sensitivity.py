@@ -1,9 +1,12 @@
-"""Influence of each key on a figure: first-order and total Sobol indices from existing cases of any design.
+"""Influence of each key on a figure: first-order and total Sobol indices from existing cases of any
+design.
 
-The figure is expanded in polynomials of the keys (polynomial chaos; B. Sudret, Reliab. Eng. Syst. Saf. 93, 2008): per key a basis that
-is orthonormal over the cases, products of at most two keys, fitted by least squares. The variance is the sum of the squared
-coefficients: those of a key alone give its first-order index, all that contain the key its total index. The quality of the expansion is
-the share of the variance of left-out cases that it explains, in closed form from the hat matrix.
+The figure is expanded in polynomials of the keys (polynomial chaos; B. Sudret, Reliab. Eng. Syst.
+Saf. 93, 2008): per key a basis that is orthonormal over the cases, products of at most two keys,
+fitted by least squares. The variance is the sum of the squared
+coefficients: those of a key alone give its first-order index, all that contain the key its total
+index. The quality of the expansion is the share of the variance of left-out cases that it explains,
+in closed form from the hat matrix.
 """
 
 from __future__ import annotations
@@ -24,7 +27,9 @@ CASES_A_TERM = 3  # cases per coefficient, at least: with fewer the fit follows 
 
 @dataclass(frozen=True)
 class Index:
-    """A key's share of a figure's variance: alone (first order), and with all interactions that it takes part in (total)."""
+    """A key's share of a figure's variance: alone (first order), and with all interactions that it
+    takes part in (total).
+    """
 
     key: str
     first_order: float
@@ -33,20 +38,27 @@ class Index:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Indices of every key, in their order, and the share of the variance of left-out cases that the expansion explains."""
+    """Indices of every key, in their order, and the share of the variance of left-out cases that
+    the expansion explains.
+    """
 
     indices: tuple[Index, ...]
     explained: float
 
 
-def sensitivity(keys: Sequence[str], inputs: Array, figure: Array, choices: Sequence[bool], seed: int = 0) -> Sensitivity | None:
+def sensitivity(
+    keys: Sequence[str], inputs: Array, figure: Array, choices: Sequence[bool], seed: int = 0
+) -> Sensitivity | None:
     """Sobol indices of a figure; None if there are too few cases or the figure does not vary.
 
     Args:
-        keys: names of the columns. inputs: ``(n, keys)``. figure: ``(n,)``; cases whose figure is not finite are left out.
+        keys: names of the columns. inputs: ``(n, keys)``. figure: ``(n,)``; cases whose figure is
+            not finite are left out.
         choices: for each key, whether its numbers are only labels of categorical values.
     """
-    usable = np.random.default_rng(seed).permutation(np.flatnonzero(np.isfinite(figure)))[:MOST_CASES]
+    usable = np.random.default_rng(seed).permutation(np.flatnonzero(np.isfinite(figure)))[
+        :MOST_CASES
+    ]
     y = figure[usable]
     if usable.size < FEWEST_CASES or np.ptp(y) == 0.0:
         return None
@@ -65,7 +77,9 @@ def sensitivity(keys: Sequence[str], inputs: Array, figure: Array, choices: Sequ
 
 
 def _basis(values: Array, degree: int, choice: bool) -> list[tuple[int, Array]]:
-    """Functions of one key with mean 0 and variance 1 over the cases, orthogonal to each other: (degree, ``(n,)``)."""
+    """Functions of one key with mean 0 and variance 1 over the cases, orthogonal to each other:
+    (degree, ``(n,)``).
+    """
     levels = np.unique(values)
     if levels.size < 2:
         return []
@@ -73,7 +87,10 @@ def _basis(values: Array, degree: int, choice: bool) -> list[tuple[int, Array]]:
         raw = [(values == level).astype(float) for level in levels[1:]]
         degrees = [1] * len(raw)
     else:
-        at = 2.0 * np.argsort(np.argsort(values, kind="stable"), kind="stable") / (values.size - 1) - 1.0
+        at = (
+            2.0 * np.argsort(np.argsort(values, kind="stable"), kind="stable") / (values.size - 1)
+            - 1.0
+        )
         if levels.size <= 64:  # cases with equal values are evaluated once
             place = np.array([at[values == level].mean() for level in levels])
             at = place[np.searchsorted(levels, values)]
@@ -83,8 +100,12 @@ def _basis(values: Array, degree: int, choice: bool) -> list[tuple[int, Array]]:
     return [(d, column * np.sqrt(values.size)) for d, column in zip(degrees, q.T, strict=True)]
 
 
-def _terms(bases: Sequence[Sequence[tuple[int, Array]]], degree: int) -> tuple[list[tuple[int, ...]], list[Array]]:
-    """Products of one or two keys up to a total degree: the keys of each product, and its column ``(n,)``."""
+def _terms(
+    bases: Sequence[Sequence[tuple[int, Array]]], degree: int
+) -> tuple[list[tuple[int, ...]], list[Array]]:
+    """Products of one or two keys up to a total degree: the keys of each product, and its column
+    ``(n,)``.
+    """
     owners: list[tuple[int, ...]] = []
     columns = []
     for j, basis in enumerate(bases):
@@ -100,7 +121,9 @@ def _terms(bases: Sequence[Sequence[tuple[int, Array]]], degree: int) -> tuple[l
     return owners, columns
 
 
-def _fit(keys: Sequence[str], owners: Sequence[tuple[int, ...]], columns: Sequence[Array], y: Array) -> Sensitivity:
+def _fit(
+    keys: Sequence[str], owners: Sequence[tuple[int, ...]], columns: Sequence[Array], y: Array
+) -> Sensitivity:
     matrix = np.column_stack([np.ones(y.size), *columns])
     q = np.linalg.qr(matrix)[0]
     left = np.clip(1.0 - np.einsum("ij,ij->i", q, q), 1e-9, None)
@@ -108,20 +131,34 @@ def _fit(keys: Sequence[str], owners: Sequence[tuple[int, ...]], columns: Sequen
     error = (y - matrix @ coefficients) / left  # of each case when it is left out
     variance = coefficients[1:] ** 2
     total = float(variance.sum()) or 1.0
-    alone = [float(sum(v for v, owner in zip(variance, owners, strict=True) if owner == (j,))) / total for j in range(len(keys))]
-    joint = [float(sum(v for v, owner in zip(variance, owners, strict=True) if j in owner)) / total for j in range(len(keys))]
+    alone = [
+        float(sum(v for v, owner in zip(variance, owners, strict=True) if owner == (j,))) / total
+        for j in range(len(keys))
+    ]
+    joint = [
+        float(sum(v for v, owner in zip(variance, owners, strict=True) if j in owner)) / total
+        for j in range(len(keys))
+    ]
     indices = tuple(Index(key, a, b) for key, a, b in zip(keys, alone, joint, strict=True))
     return Sensitivity(indices, max(0.0, 1.0 - float(np.mean(error**2))))
 
 
 def explained_share(values: Array, figure: Array, bins: int = 16) -> float:
-    """Variance of the figure's conditional mean over the values of a key (in at most ``bins`` bins), divided by its total variance."""
+    """Variance of the figure's conditional mean over the values of a key (in at most ``bins``
+    bins), divided by its total variance.
+    """
     good = np.isfinite(figure)
     if good.sum() < 2 * bins or np.ptp(figure[good]) == 0.0:
         return 0.0
     x, y = values[good], figure[good]
     levels = np.unique(x)
-    parts = [y[x == level] for level in levels] if levels.size <= bins else np.array_split(y[np.argsort(x, kind="stable")], bins)
+    parts = (
+        [y[x == level] for level in levels]
+        if levels.size <= bins
+        else np.array_split(y[np.argsort(x, kind="stable")], bins)
+    )
     sizes = np.array([part.size for part in parts], dtype=float)
     means = np.array([part.mean() for part in parts])
-    return float(np.average((means - np.average(means, weights=sizes)) ** 2, weights=sizes) / np.var(y))
+    return float(
+        np.average((means - np.average(means, weights=sizes)) ** 2, weights=sizes) / np.var(y)
+    )

@@ -1,4 +1,5 @@
-"""The results folder of a campaign while it runs: a chunk counts as finished once its complete file has its final name.
+"""The results folder of a campaign while it runs: a chunk counts as finished once its complete file
+has its final name.
 
 campaign.json      the campaign that the folder belongs to, its progress, wall times
 chunks/N.parquet   finished cases, N the first of them; deleted when cases.parquet is complete
@@ -37,10 +38,16 @@ _WALL = b"wall"
 
 
 def campaign_sha256(campaign: LoadedCampaign) -> str:
-    """Hash of everything that determines the results: the resolved scenario, how it varies, and what is kept."""
+    """Hash of everything that determines the results: the resolved scenario, how it varies, and
+    what is kept.
+    """
     spec = campaign.spec.model_dump(mode="json")
-    identity = {"scenario": resolved(campaign.nominal)} | {key: spec[key] for key in ("vary", "design", "keep")}
-    return hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    identity = {"scenario": resolved(campaign.nominal)} | {
+        key: spec[key] for key in ("vary", "design", "keep")
+    }
+    return hashlib.sha256(
+        json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()
+    ).hexdigest()
 
 
 class Store:
@@ -53,19 +60,26 @@ class Store:
     @classmethod
     @contextmanager
     def opened(cls, folder: Path, campaign: LoadedCampaign) -> Iterator[Store]:
-        """The store in `folder`, new or resumed. Raises InputError if it is another campaign's, in use, or cannot be written."""
+        """The store in `folder`, new or resumed. Raises InputError if it is another campaign's, in
+        use, or cannot be written.
+        """
         refuse_another(folder, campaign)
         store = cls(folder, campaign)
         try:
             store.chunks.mkdir(parents=True, exist_ok=True)
             lock = (folder / LOCK).open("w")
         except OSError as error:
-            raise InputError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
+            raise InputError(
+                f"{folder}: cannot be written ({error.strerror}); choose another --out"
+            ) from None
         with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
-                raise InputError(f"{folder}: another sweep is at work in it; wait for its end or choose another --out") from None
+                raise InputError(
+                    f"{folder}: another sweep is at work in it; wait for its end or choose "
+                    f"another --out"
+                ) from None
             for leftover in folder.rglob("*.partial"):
                 shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
             if not (folder / ABOUT).exists():
@@ -74,7 +88,9 @@ class Store:
             yield store
 
     def write_files(self) -> None:
-        """campaign.yaml and scenario.yaml with every override included, so that `--case` works wherever the folder is copied."""
+        """campaign.yaml and scenario.yaml with every override included, so that `--case` works
+        wherever the folder is copied.
+        """
         spec = self.campaign.spec.model_dump(mode="json", exclude_none=True)
         spec |= {"name": spec["name"] or self.campaign.path.stem, "scenario": SCENARIO, "set": {}}
         write_whole(self.folder / SCENARIO, dump_yaml(self.campaign.source.data).encode())
@@ -93,10 +109,14 @@ class Store:
 
     def is_complete(self) -> bool:
         """Whether every case is in cases.parquet and nothing is left to do."""
-        return (self.folder / CASES).is_file() and read_about(self.folder).get("status") == "complete"
+        return (self.folder / CASES).is_file() and read_about(self.folder).get(
+            "status"
+        ) == "complete"
 
     def done(self) -> np.ndarray:
-        """For each case, whether it is on disk. A chunk that cannot be read (corrupted by the disk) is removed and does not count."""
+        """For each case, whether it is on disk. A chunk that cannot be read (corrupted by the disk)
+        is removed and does not count.
+        """
         flags = np.zeros(self.campaign.spec.cases, dtype=bool)
         for file in self.chunks.glob("*.parquet"):
             try:
@@ -111,17 +131,27 @@ class Store:
             path = self.folder / KEPT / name
             path.parent.mkdir(parents=True, exist_ok=True)
             write_whole(path, content)
-        rows = table(self.campaign.spec, result.rows).replace_schema_metadata({_WALL: repr(result.wall).encode()})
+        rows = table(self.campaign.spec, result.rows).replace_schema_metadata(
+            {_WALL: repr(result.wall).encode()}
+        )
         buffer = pa.BufferOutputStream()
         pq.write_table(rows, buffer, compression="zstd")
-        write_whole(self.chunks / f"{min(result.cases):08d}.parquet", buffer.getvalue().to_pybytes())
+        write_whole(
+            self.chunks / f"{min(result.cases):08d}.parquet", buffer.getvalue().to_pybytes()
+        )
 
     def walls(self) -> list[dict[str, Any]]:
         """First case, number of cases and wall time [s] of every chunk on disk."""
         found = []
         for file in sorted(self.chunks.glob("*.parquet")):
             metadata = pq.read_schema(file).metadata or {}
-            found.append({"first": int(file.stem), "cases": pq.read_metadata(file).num_rows, "wall": float(metadata.get(_WALL, b"0"))})
+            found.append(
+                {
+                    "first": int(file.stem),
+                    "cases": pq.read_metadata(file).num_rows,
+                    "wall": float(metadata.get(_WALL, b"0")),
+                }
+            )
         return found
 
     def merge(self) -> None:
@@ -130,7 +160,9 @@ class Store:
         partial = self.folder / f"{CASES}.partial"
         with pq.ParquetWriter(partial, schema(self.campaign.spec), compression="zstd") as writer:
             for start in range(0, self.campaign.spec.cases, ROW_GROUP):
-                writer.write_table(_window(files, start, start + ROW_GROUP), row_group_size=ROW_GROUP)
+                writer.write_table(
+                    _window(files, start, start + ROW_GROUP), row_group_size=ROW_GROUP
+                )
         _sync(partial)
         partial.replace(self.folder / CASES)
         _sync(self.folder)
@@ -156,25 +188,40 @@ def _window(files: list[tuple[Path, np.ndarray]], start: int, end: int) -> pa.Ta
 
 
 def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
-    """Raises InputError if `folder` contains anything other than this campaign with these versions; the folder is not changed."""
+    """Raises InputError if `folder` contains anything other than this campaign with these versions;
+    the folder is not changed.
+    """
     if not folder.exists() and not folder.is_symlink():
         return
     if not folder.is_dir():
-        raise InputError(f"{folder}: is not a folder; allowed is a new folder or this campaign's own; choose another --out")
+        raise InputError(
+            f"{folder}: is not a folder; allowed is a new folder or this campaign's own; choose "
+            f"another --out"
+        )
     if not (folder / ABOUT).is_file():
         if any(folder.iterdir()):
-            raise InputError(f"{folder}: is a folder with other things in it; allowed is a new folder or this campaign's own")
+            raise InputError(
+                f"{folder}: is a folder with other things in it; allowed is a new folder or this "
+                f"campaign's own"
+            )
         return
     about = read_about(folder)
     if about.get("campaign_sha256") != campaign_sha256(campaign):
         raise InputError(
-            f"{folder}: belongs to another campaign (got {about.get('name')!r} from {about.get('campaign')}, with another scenario, vary, "
+            f"{folder}: belongs to another campaign (got {about.get('name')!r} from "
+            f"{about.get('campaign')}, with another scenario, vary, "
             "design or keep); allowed is a new folder or this campaign's own; choose another --out"
         )
     if about.get("versions") != versions():
         before = about.get("versions") or {}
-        changed = ", ".join(name for name, version in versions().items() if before.get(name) != version) or "its packages"
-        raise InputError(f"{folder}: was begun with other versions of {changed}, whose numbers may differ; choose another --out")
+        changed = (
+            ", ".join(name for name, version in versions().items() if before.get(name) != version)
+            or "its packages"
+        )
+        raise InputError(
+            f"{folder}: was begun with other versions of {changed}, whose numbers may differ; "
+            f"choose another --out"
+        )
 
 
 def read_about(folder: Path) -> dict[str, Any]:

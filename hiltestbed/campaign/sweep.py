@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 CHUNK = 64
 CHUNK_LIMIT = 1024
 LOOKED_AT = 16  # cases of a campaign that are checked for varied keys without effect
-Progress = Callable[[int, int, Mapping[str, int]], None]  # cases done, cases in total, number of cases per status
+# cases done, cases in total, number of cases per status
+Progress = Callable[[int, int, Mapping[str, int]], None]
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,10 +44,17 @@ class Sweep:
     about: dict[str, Any]
 
     def __repr__(self) -> str:
-        return f"Sweep({self.about['name']}: {self.about['cases']} cases, {self.about['status']}, in {self.folder})"
+        return (
+            f"Sweep({self.about['name']}: {self.about['cases']} cases, "
+            f"{self.about['status']}, in {self.folder})"
+        )
 
     def _repr_html_(self) -> str:
-        rows = [("cases", self.about["cases"]), *self.about.get("counts", {}).items(), ("folder", self.folder)]
+        rows = [
+            ("cases", self.about["cases"]),
+            *self.about.get("counts", {}).items(),
+            ("folder", self.folder),
+        ]
         return html_table(f"{self.about['name']}: {self.about['status']}", (), rows)
 
     def to_pandas(self) -> Any:
@@ -58,14 +66,18 @@ class Sweep:
         return pd.read_parquet(self.folder / CASES)
 
     def plot(self, x: str, y: str, color: str | None = None, axes: Axes | None = None) -> Axes:
-        """One point per case over two columns of cases.parquet, coloured by a third; returns the Matplotlib axes.
+        """One point per case over two columns of cases.parquet, coloured by a third; returns the
+        Matplotlib axes.
 
         Raises InputError for an unknown column.
         """
         table = self.cases()
         for name in filter(None, (x, y, color)):
             if name not in table.column_names:
-                raise InputError(f"plot: no column {name!r}{nearest(name, table.column_names)}; see cases().column_names")
+                raise InputError(
+                    f"plot: no column {name!r}{nearest(name, table.column_names)}; see "
+                    f"cases().column_names"
+                )
         if axes is None:
             import matplotlib.pyplot as plt
 
@@ -74,10 +86,23 @@ class Sweep:
         if values is not None and isinstance(values[0], str):
             for i, value in enumerate(dict.fromkeys(values)):
                 mine = [j for j, other in enumerate(values) if other == value]
-                axes.plot(table[x].take(mine), table[y].take(mine), "o", color=PALETTE[i % len(PALETTE)], markersize=3.5, label=value)
+                axes.plot(
+                    table[x].take(mine),
+                    table[y].take(mine),
+                    "o",
+                    color=PALETTE[i % len(PALETTE)],
+                    markersize=3.5,
+                    label=value,
+                )
             axes.legend(fontsize=8)
         else:
-            drawn = axes.scatter(table[x], table[y], c=values if values is not None else PALETTE[0], s=12, cmap="cividis")
+            drawn = axes.scatter(
+                table[x],
+                table[y],
+                c=values if values is not None else PALETTE[0],
+                s=12,
+                cmap="cividis",
+            )
             if values is not None:
                 axes.figure.colorbar(drawn, ax=axes, label=color)
         axes.set(xlabel=x, ylabel=y)
@@ -99,9 +124,11 @@ def sweep(
     chunk: int = CHUNK,
     progress: Progress | None = None,
 ) -> Sweep:
-    """Runs every case that `out` (left out: results/NAME) does not contain yet, then writes cases.parquet, report.html and campaign.json.
+    """Runs every case that `out` (left out: results/NAME) does not contain yet, then writes
+    cases.parquet, report.html and campaign.json.
 
-    Raises InputError for a bad campaign, a folder that belongs to something else, or a scheduler that does not answer.
+    Raises InputError for a bad campaign, a folder that belongs to something else, or a scheduler
+    that does not answer.
     """
     if not isinstance(campaign, LoadedCampaign):
         campaign = load_campaign(campaign)
@@ -116,7 +143,11 @@ def sweep(
     if scheduler:
         engine, name = engines.dask(scheduler), scheduler
     else:
-        engine, name = (engines.processes(workers), f"{workers} processes") if workers > 1 else (engines.serial, "this process")
+        engine, name = (
+            (engines.processes(workers), f"{workers} processes")
+            if workers > 1
+            else (engines.serial, "this process")
+        )
     with Store.opened(folder, campaign) as store:
         counts = _run(store, engine, chunk, progress)
         _finish(store, name, chunk, *counts)
@@ -128,14 +159,18 @@ def default_folder(campaign: LoadedCampaign) -> Path:
     return Path("results") / safe_name(campaign.spec.name or campaign.path.stem)
 
 
-def _run(store: Store, engine: engines.Engine, chunk: int, progress: Progress | None) -> tuple[int, float]:
+def _run(
+    store: Store, engine: engines.Engine, chunk: int, progress: Progress | None
+) -> tuple[int, float]:
     """Runs the remaining cases; returns their number and the wall time [s]."""
     done = store.done()
     missing = int(done.size - done.sum())
     start = time.perf_counter()
     statuses: Counter[str] = Counter()
     finished = 0
-    with closing(engine(store.campaign, planned_chunks(store.campaign, np.flatnonzero(~done), chunk))) as results:
+    with closing(
+        engine(store.campaign, planned_chunks(store.campaign, np.flatnonzero(~done), chunk))
+    ) as results:
         for result in results:
             store.add(result)
             finished += len(result.cases)
@@ -145,7 +180,9 @@ def _run(store: Store, engine: engines.Engine, chunk: int, progress: Progress | 
     return missing, time.perf_counter() - start
 
 
-def planned_chunks(campaign: LoadedCampaign, cases: np.ndarray, size: int) -> Iterator[tuple[int, ...]]:
+def planned_chunks(
+    campaign: LoadedCampaign, cases: np.ndarray, size: int
+) -> Iterator[tuple[int, ...]]:
     """The cases divided into chunks, cases of one structure together and in order."""
     keys = structural_keys(campaign)
     if not keys:
@@ -173,35 +210,56 @@ def _finish(store: Store, engine: str, chunk: int, ran: int, wall: float) -> Non
     walls = store.walls()
     store.merge()
     write_report(store.folder, store.campaign)
-    statuses = pq.read_table(store.folder / CASES, columns=["status"])["status"].value_counts().to_pylist()
+    statuses = (
+        pq.read_table(store.folder / CASES, columns=["status"])["status"].value_counts().to_pylist()
+    )
     store.write_about(
         {
             "status": "complete",
             "counts": {entry["values"]: entry["counts"] for entry in statuses},
             "engine": engine,
             "chunk": chunk,
-            "wall": {"last_session": wall, "last_session_cases": ran, "work": sum(entry["wall"] for entry in walls), "chunks": walls},
+            "wall": {
+                "last_session": wall,
+                "last_session_cases": ran,
+                "work": sum(entry["wall"] for entry in walls),
+                "chunks": walls,
+            },
         }
     )
     store.remove_chunks()
 
 
-def case_scenario(campaign: LoadedCampaign, case: int, overrides: Mapping[str, Any] | None = None) -> Scenario:
-    """The scenario of case number `case`, with keys overridden. Raises InputError if there is no such case or its scenario is invalid."""
+def case_scenario(
+    campaign: LoadedCampaign, case: int, overrides: Mapping[str, Any] | None = None
+) -> Scenario:
+    """The scenario of case number `case`, with keys overridden. Raises InputError if there is no
+    such case or its scenario is invalid.
+    """
     if not 0 <= case < campaign.spec.cases:
-        raise InputError(f"--case {case}: is no case of {campaign.path}; allowed are 0 to {campaign.spec.cases - 1}")
+        raise InputError(
+            f"--case {case}: is no case of {campaign.path}; allowed are 0 to "
+            f"{campaign.spec.cases - 1}"
+        )
     return scenario_from(campaign.source.with_set(case_values(campaign.spec, [case])[0]), overrides)
 
 
 def varied_in_vain(campaign: LoadedCampaign) -> tuple[str, ...]:
     """A sentence for each varied key that has no effect in any of up to :data:`LOOKED_AT` cases."""
-    cases = sorted({round(i * (campaign.spec.cases - 1) / (LOOKED_AT - 1)) for i in range(LOOKED_AT)})
+    cases = sorted(
+        {round(i * (campaign.spec.cases - 1) / (LOOKED_AT - 1)) for i in range(LOOKED_AT)}
+    )
     found: dict[str, str] = {}
     for n, case in enumerate(cases):
-        idle = [(tuple(map(str, path)), why) for path, why in idle_keys(case_scenario(campaign, case))]
+        idle = [
+            (tuple(map(str, path)), why) for path, why in idle_keys(case_scenario(campaign, case))
+        ]
         here = {
-            key: why for key in campaign.spec.vary for path, why in idle if tuple(map(str, key_path(key)))[: len(path)] == path
-        }  # fmt: skip
+            key: why
+            for key in campaign.spec.vary
+            for path, why in idle
+            if tuple(map(str, key_path(key)))[: len(path)] == path
+        }
         found = here if n == 0 else {key: why for key, why in found.items() if key in here}
     return tuple(f"vary.{key}: has no effect: {why}" for key, why in found.items())
 

@@ -1,7 +1,9 @@
-"""The command line: `hiltestbed run | check | rig | view | compare | new | doctor | schema | bench | sweep | diagnose | live | ...`.
+"""The command line: `hiltestbed run | check | rig | view | compare | new | doctor | schema | bench
+| sweep | diagnose | live | ...`.
 
-Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 any other failure. Results go to
-standard output, progress and messages to standard error. A command imports what it needs when it runs, so that --help is fast.
+Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 any
+other failure. Results go to standard output, progress and messages to standard error. A command
+imports what it needs when it runs, so that --help is fast.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
-NEW_OBJECTS = 50_000  # between two looks for garbage: at Python's 700, a tenth of all imports is spent on looking, and there is none
+# between two looks for garbage: at Python's 700, a tenth of all imports is spent on looking, and
+# there is none
+NEW_OBJECTS = 50_000
 
 
 def main() -> None:

@@ -1,4 +1,6 @@
-"""The commands against real devices and other simulators: `hiltestbed live | emulate | commission | fmu`."""
+"""The commands against real devices and other simulators: `hiltestbed live | emulate | commission |
+fmu`.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,39 @@ if TYPE_CHECKING:
     from hiltestbed.devices.session import Observed
     from hiltestbed.scenario import Scenario
 
-File = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")]
-Sensor = Annotated[str, typer.Option("--sensor", metavar="URL", help="Force sensor: rdt://, rtde://, udp://, shm:// and its options.")]
-Platform = Annotated[str, typer.Option("--platform", metavar="URL", help="Motion platform: rsi://, rtde://, udp://, shm://, and options.")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME-live.")]
-Cpu = Annotated[int | None, typer.Option("--cpu", metavar="N", help="Processor for the cycle, preferably one that nothing else uses.")]
-Arm = Annotated[bool, typer.Option("--arm", help="Let the platform move. Left out, the devices are only watched.")]
+File = Annotated[
+    Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")
+]
+Sensor = Annotated[
+    str,
+    typer.Option(
+        "--sensor",
+        metavar="URL",
+        help="Force sensor: rdt://, rtde://, udp://, shm:// and its options.",
+    ),
+]
+Platform = Annotated[
+    str,
+    typer.Option(
+        "--platform",
+        metavar="URL",
+        help="Motion platform: rsi://, rtde://, udp://, shm://, and options.",
+    ),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME-live."),
+]
+Cpu = Annotated[
+    int | None,
+    typer.Option(
+        "--cpu", metavar="N", help="Processor for the cycle, preferably one that nothing else uses."
+    ),
+]
+Arm = Annotated[
+    bool,
+    typer.Option("--arm", help="Let the platform move. Left out, the devices are only watched."),
+]
 
 app = typer.Typer()
 
@@ -32,14 +61,18 @@ def live(
     sensor: Sensor,
     platform: Platform,
     arm: Arm = False,
-    seconds: Annotated[float | None, typer.Option("--for", metavar="SECONDS", help="Duration of the run.")] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--for", metavar="SECONDS", help="Duration of the run.")
+    ] = None,
     out: Out = None,
     sets: Sets = None,
     no_rerun: Annotated[bool, typer.Option("--no-rerun", help="Leave recording.rrd out.")] = False,
     cpu: Cpu = None,
     as_json: Json = False,
 ) -> None:
-    """Run the loop in real time against a real sensor and a real platform; nothing moves without --arm. See docs/safety.md."""
+    """Run the loop in real time against a real sensor and a real platform; nothing moves without
+    --arm. See docs/safety.md.
+    """
     from hiltestbed.devices.live import Observed, Options
     from hiltestbed.devices.live import live as run_live
     from hiltestbed.devices.recorder import discard
@@ -50,7 +83,8 @@ def live(
     folder = out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-live"))
     refuse_foreign(folder)
     _end_like_ctrl_c()
-    rows = folder.with_name(folder.name + ".rows.f64")  # remains if the process dies; deleted once the run is written
+    # remains if the process dies; deleted once the run is written
+    rows = folder.with_name(folder.name + ".rows.f64")
     result = run_live(spec, Options(sensor, platform, armed=arm, cpu=cpu, record=rows, say=_say))
     if isinstance(result, Observed):
         _print_observed(result, spec, as_json)
@@ -60,7 +94,11 @@ def live(
     discard(rows)
     _print_live(result.summary, folder, whole and not no_rerun, as_json)
     if result.summary["status"] != "completed":
-        print(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; the run is in {folder}", file=sys.stderr)
+        print(
+            f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; the run "
+            f"is in {folder}",
+            file=sys.stderr,
+        )
         raise typer.Exit(3)
 
 
@@ -69,7 +107,10 @@ def emulate(
     scenario: File,
     sensor: Sensor,
     platform: Platform,
-    seconds: Annotated[float | None, typer.Option("--for", metavar="SECONDS", help="How long; left out: until Ctrl-C.")] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option("--for", metavar="SECONDS", help="How long; left out: until Ctrl-C."),
+    ] = None,
     sets: Sets = None,
     cpu: Cpu = None,
     as_json: Json = False,
@@ -79,12 +120,19 @@ def emulate(
 
     _end_like_ctrl_c()
     spec = read_scenario(scenario, sets)
-    ready = lambda: print(f"{spec.name}: sensor {sensor}, platform {platform}, {spec.rate:g} Hz", file=sys.stderr, flush=True)  # noqa: E731
+
+    def ready() -> None:
+        line = f"{spec.name}: sensor {sensor}, platform {platform}, {spec.rate:g} Hz"
+        print(line, file=sys.stderr, flush=True)
+
     result = run_emulation(spec, sensor, platform, seconds, cpu, ready)
     if as_json:
         print(json.dumps(result.record()))
     else:
-        print(f"{result.cycles} cycles, {result.missed} without a command in time, {result.skipped} skipped; {result.ended}")
+        print(
+            f"{result.cycles} cycles, {result.missed} without a command in time, {result.skipped} "
+            f"skipped; {result.ended}"
+        )
 
 
 @app.command()
@@ -93,13 +141,22 @@ def commission(
     sensor: Sensor,
     platform: Platform,
     arm: Arm = False,
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME-commission.")] = None,
-    force: Annotated[float, typer.Option("--force", metavar="N", help="Force of the presses [N].")] = 100.0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", help="Folder to write; left out: runs/NAME-commission."
+        ),
+    ] = None,
+    force: Annotated[
+        float, typer.Option("--force", metavar="N", help="Force of the presses [N].")
+    ] = 100.0,
     sets: Sets = None,
     cpu: Cpu = None,
     as_json: Json = False,
 ) -> None:
-    """Measure sensor and platform of a live facility by small known motions: its nominal scenario, and a dataset for `diagnose`."""
+    """Measure sensor and platform of a live facility by small known motions: its nominal scenario,
+    and a dataset for `diagnose`.
+    """
     from hiltestbed.devices.commission.folder import RESULT, figures, write_commission
     from hiltestbed.devices.commission.procedure import commission as run_commission
     from hiltestbed.devices.session import Options
@@ -108,11 +165,15 @@ def commission(
     from hiltestbed.recording import refuse_foreign
 
     spec = read_scenario(scenario, sets)
-    folder = out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-commission"))
+    folder = (
+        out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-commission"))
+    )
     refuse_foreign(folder, RESULT)
     _end_like_ctrl_c()
     with step_line(spec.name) as progress:
-        result = run_commission(spec, Options(sensor, platform, armed=arm, cpu=cpu, say=_say), force, progress)
+        result = run_commission(
+            spec, Options(sensor, platform, armed=arm, cpu=cpu, say=_say), force, progress
+        )
     write_commission(result, folder)
     found = figures(result)
     if as_json:
@@ -124,11 +185,15 @@ def commission(
 @app.command()
 def fmu(
     scenario: File,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write Rig.fmu into.")] = Path(),
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder to write Rig.fmu into.")
+    ] = Path(),
     name: Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the FMU.")] = "Rig",
     sets: Sets = None,
 ) -> None:
-    """Pack the physical side of a scenario (rig, mechanism and force sensor) as an FMU of FMI 3.0 for co-simulation."""
+    """Pack the physical side of a scenario (rig, mechanism and force sensor) as an FMU of FMI 3.0
+    for co-simulation.
+    """
     import tempfile
 
     from hiltestbed.devices.fmu import pack
@@ -139,27 +204,46 @@ def fmu(
         file = Path(folder) / "scenario.yaml"
         file.write_text(dump_scenario(spec), encoding="utf-8")
         out.mkdir(parents=True, exist_ok=True)
-        packed = pack("hiltestbed.devices.physical:from_file", file, out, name, spec.description or spec.name)
-    print(f"{packed}: pose_cmd in, pose_act and wrench_meas out; communication step {spec.tick:g} s or a whole multiple")
+        packed = pack(
+            "hiltestbed.devices.physical:from_file", file, out, name, spec.description or spec.name
+        )
+    print(
+        f"{packed}: pose_cmd in, pose_act and wrench_meas out; communication step {spec.tick:g} s "
+        f"or a whole multiple"
+    )
 
 
 def _for_seconds(file: Path, sets: list[str] | None, seconds: float | None) -> Scenario:
     """The scenario in a file, with its duration replaced by ``seconds`` if given."""
-    return read_scenario(file, [*(sets or []), *([f"duration={seconds!r}"] if seconds is not None else [])])
+    return read_scenario(
+        file, [*(sets or []), *([f"duration={seconds!r}"] if seconds is not None else [])]
+    )
 
 
 def _print_commission(found: dict[str, Any], folder: Path) -> None:
     sensor, platform = found["sensor"], found["platform"]
     angles = ", ".join(f"{value:.3f}" for value in sensor["attitude_deg"])
-    print(f"sensor: sign {sensor['sign']:+d}, attitude in P {angles} deg, delay {1e3 * sensor['delay']:.3f} ms")
+    print(
+        f"sensor: sign {sensor['sign']:+d}, attitude in P {angles} deg, delay "
+        f"{1e3 * sensor['delay']:.3f} ms"
+    )
     for n in sensor["gains_and_crosstalk"]:
-        what = f"gain {n['axis']}" if n["source"] == n["axis"] else f"crosstalk {n['source']} to {n['axis']}"
+        what = (
+            f"gain {n['axis']}"
+            if n["source"] == n["axis"]
+            else f"crosstalk {n['source']} to {n['axis']}"
+        )
         print(f"  {what}: {n['value']:.4f} +- {n['ci95']:.4f}")
     print("  noise: " + ", ".join(f"{axis} {value:.3g}" for axis, value in found["noise"].items()))
     scale = ", ".join(f"{value:.4f}" for value in platform["scale"] or ()) or "not measured"
     gives = ", ".join(f"{1e9 * value:.3g}" for value in platform["compliance"])
-    print(f"platform: delay {1e3 * platform['delay']:.3f} ms, scale {scale}, compliance {gives} nm/N")
-    print(f"{folder}: nominal.yaml, believed.yaml, dataset.yaml; next: hiltestbed diagnose {folder / 'dataset.yaml'}")
+    print(
+        f"platform: delay {1e3 * platform['delay']:.3f} ms, scale {scale}, compliance {gives} nm/N"
+    )
+    print(
+        f"{folder}: nominal.yaml, believed.yaml, dataset.yaml; next: hiltestbed diagnose "
+        f"{folder / 'dataset.yaml'}"
+    )
 
 
 def _say(step: str) -> None:
@@ -183,11 +267,17 @@ def _print_observed(observed: Observed, scenario: Scenario, as_json: bool) -> No
     if as_json:
         print(json.dumps(figures))
         return
-    print(f"not armed: nothing was commanded; {observed.rate:.1f} ticks a second, the scenario asks for {scenario.rate:g}")
+    print(
+        f"not armed: nothing was commanded; {observed.rate:.1f} ticks a second, the scenario asks "
+        f"for {scenario.rate:g}"
+    )
     for name in ("pose", "wrench", "noise"):
         print(f"  {name:7s}" + " ".join(f"{value:11.5g}" for value in figures[name]))
     for name, counts in observed.counts.items():
-        print(f"  {name}: " + ", ".join(f"{event} {count}" for event, count in counts.items() if count))
+        print(
+            f"  {name}: "
+            + ", ".join(f"{event} {count}" for event, count in counts.items() if count)
+        )
     print("give --arm to let the platform move; read docs/safety.md first")
 
 
@@ -201,4 +291,7 @@ def _print_live(summary: dict[str, Any], folder: Path, recording: bool, as_json:
     cycles, jitter, busy = (summary["live"][name] for name in ("cycles", "jitter", "busy"))
     print(f"{cycles} cycles, {summary['live']['missed']} missed; clock: {summary['live']['clock']}")
     for name, times in (("jitter", jitter), ("from record to command", busy)):
-        print(f"{name}: median {1e6 * times['median']:.0f}, 99 % {1e6 * times['p99']:.0f}, worst {1e6 * times['worst']:.0f} us")
+        print(
+            f"{name}: median {1e6 * times['median']:.0f}, 99 % {1e6 * times['p99']:.0f}, worst "
+            f"{1e6 * times['worst']:.0f} us"
+        )

@@ -12,19 +12,32 @@ from hiltestbed.errors import InputError
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME.")]
-Sets = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key: approach.velocity.2=0.05 (repeatable).")
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, and nothing else there.")]
+Sets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Override a key: approach.velocity.2=0.05 (repeatable)."
+    ),
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="One JSON object on standard output, and nothing else there.")
+]
 
 
 def complete(incomplete: str) -> list[str]:
-    """Shell completion: shipped scenarios and campaigns, and files, that begin with ``incomplete``."""
+    """Shell completion: shipped scenarios and campaigns, and files, that begin with
+    ``incomplete``.
+    """
     from hiltestbed.gallery import campaign_names, scenario_names
 
     files = [str(path) for path in Path().glob("*.yaml")]
-    return [name for name in (*files, *scenario_names(), *campaign_names()) if name.startswith(incomplete)]
+    return [
+        name
+        for name in (*files, *scenario_names(), *campaign_names())
+        if name.startswith(incomplete)
+    ]
 
 
 def overrides(sets: list[str] | None) -> dict[str, Any]:
@@ -33,13 +46,18 @@ def overrides(sets: list[str] | None) -> dict[str, Any]:
     for item in sets or []:
         key, sign, value = item.partition("=")
         if not sign or not key.strip():
-            raise InputError(f"--set {item}: is not KEY=VALUE (got {item!r}); write for example --set sensor.delay=0.005")
+            raise InputError(
+                f"--set {item}: is not KEY=VALUE (got {item!r}); write for example --set "
+                f"sensor.delay=0.005"
+            )
         result[key.strip()] = value
     return result
 
 
 def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -> Scenario:
-    """The scenario in a file, or one case of the campaign in it. Raises InputError that names the kind of any other file."""
+    """The scenario in a file, or one case of the campaign in it. Raises InputError that names the
+    kind of any other file.
+    """
     from hiltestbed.check import file_kind
     from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown, scenario_names
     from hiltestbed.kernels import tell_of_compiling
@@ -58,6 +76,15 @@ def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -
     if case is not None:
         raise InputError(source.fault((), f"is a {kind} (got its keys); --case is for campaigns"))
     if kind != "scenario":
-        other = {"campaign": "sweep FILE` or `hiltestbed run FILE --case N", "dataset": "diagnose FILE"}[kind]
-        raise InputError(source.fault((), f"is a {kind} (got its keys); a scenario is expected here; for a {kind}: `hiltestbed {other}`"))
+        other = {
+            "campaign": "sweep FILE` or `hiltestbed run FILE --case N",
+            "dataset": "diagnose FILE",
+        }[kind]
+        raise InputError(
+            source.fault(
+                (),
+                f"is a {kind} (got its keys); a scenario is expected here; for a {kind}: "
+                f"`hiltestbed {other}`",
+            )
+        )
     return scenario_from(source, overrides(sets))

@@ -32,17 +32,25 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
     plugin: Annotated[
         list[str] | None,
         typer.Option(
             "--plugin",
             metavar="MODULE",
-            help="Load your own effects, methods, mechanisms or platforms: a module, or a .py file (repeatable, with every command).",
+            help="Load your own effects, methods, mechanisms or platforms: a module, or a .py "
+            "file (repeatable, with every command).",
         ),
     ] = None,
     figures: Annotated[
-        bool, typer.Option("--figures", help="Also write the figures of reports as PNG and SVG files beside them (with every command).")
+        bool,
+        typer.Option(
+            "--figures",
+            help="Also write the figures of reports as PNG and SVG files beside them (with every "
+            "command).",
+        ),
     ] = False,
 ) -> None:
     FIGURES_APART.set(figures)
@@ -54,15 +62,21 @@ def _root(
 
 for group in (scenarios, studies, devices):
     for command in group.app.registered_commands:
-        command.epilog = "With every command: --plugin MODULE, --figures (explained by hiltestbed --help)."
+        command.epilog = (
+            "With every command: --plugin MODULE, --figures (explained by hiltestbed --help)."
+        )
     app.add_typer(group.app)
 
 
 def _fail(error: BaseException, text: str, status: int) -> int:
-    """Print an error to standard error, and with --json also to standard output, as the only object there; returns ``status``."""
+    """Print an error to standard error, and with --json also to standard output, as the only object
+    there; returns ``status``.
+    """
     if "--json" in sys.argv:
         faults = [vars(fault) for fault in error.faults] if isinstance(error, InputError) else []
-        print(json.dumps({"status": "error", "exit_status": status, "error": text, "faults": faults}))
+        print(
+            json.dumps({"status": "error", "exit_status": status, "error": text, "faults": faults})
+        )
     print(printable(text), file=sys.stderr)
     return status
 
@@ -70,26 +84,33 @@ def _fail(error: BaseException, text: str, status: int) -> int:
 def main() -> None:
     """Entry point: runs a command and turns errors into a message and an exit status."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 gets a replacement mark for other characters
+        # a terminal without UTF-8 gets a replacement mark for other characters
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
         status = _run()
         sys.stdout.flush()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the interpreter flushes once more at exit
+        # the interpreter flushes once more at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
     sys.exit(status)
 
 
 def _common_first(arguments: list[str]) -> list[str]:
-    """The arguments with ``--figures`` and every ``--plugin MODULE`` moved to the front, where the program expects them."""
+    """The arguments with ``--figures`` and every ``--plugin MODULE`` moved to the front, where the
+    program expects them.
+    """
     ahead, rest = [], []
     waiting = iter(arguments)
     for argument in waiting:
         if argument == "--":
             rest += [argument, *waiting]
         elif argument == "--plugin":
-            ahead += [argument, *([following] if (following := next(waiting, None)) is not None else [])]
+            ahead += [
+                argument,
+                *([following] if (following := next(waiting, None)) is not None else []),
+            ]
         elif argument == "--figures" or argument.startswith("--plugin="):
             ahead.append(argument)
         else:

@@ -1,4 +1,6 @@
-"""The commands on one scenario, its files and its run: `hiltestbed run | check | rig | view | compare | new | doctor | schema`."""
+"""The commands on one scenario, its files and its run: `hiltestbed run | check | rig | view |
+compare | new | doctor | schema`.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,20 @@ app = typer.Typer()
 @app.command()
 def run(
     scenario: Annotated[
-        Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.", autocompletion=complete)
+        Path,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="Scenario file, or the name of a shipped one.",
+            autocompletion=complete,
+        ),
     ],
     out: Out = None,
     sets: Sets = None,
     no_rerun: Annotated[bool, typer.Option("--no-rerun", help="Leave recording.rrd out.")] = False,
     as_json: Json = False,
-    case: Annotated[int | None, typer.Option("--case", metavar="N", help="Run case N of a campaign in full.")] = None,
+    case: Annotated[
+        int | None, typer.Option("--case", metavar="N", help="Run case N of a campaign in full.")
+    ] = None,
 ) -> None:
     """Run one scenario, or one case of a campaign, and write its run folder.
 
@@ -50,7 +59,12 @@ def run(
     from hiltestbed.budget import refuse_beyond, run_budget
     from hiltestbed.sense import warnings
 
-    refuse_beyond(run_budget([spec]), spec.name, "a shorter duration, a lower rate or shorter delays need less", folder)
+    refuse_beyond(
+        run_budget([spec]),
+        spec.name,
+        "a shorter duration, a lower rate or shorter delays need less",
+        folder,
+    )
     for warning in warnings(spec):
         print(printable(f"{spec.name}: warning: {warning}"), file=sys.stderr)
 
@@ -65,7 +79,10 @@ def run(
         print_run(result.summary, folder, not no_rerun, time.monotonic() - start)
     if result.summary["status"] != "completed":
         print(
-            printable(f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its state is in {folder}"),
+            printable(
+                f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its "
+                f"state is in {folder}"
+            ),
             file=sys.stderr,
         )
         raise typer.Exit(3)
@@ -73,11 +90,17 @@ def run(
 
 @app.command()
 def check(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE ...", help="Scenarios, campaigns and datasets.", autocompletion=complete)],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE ...", help="Scenarios, campaigns and datasets.", autocompletion=complete
+        ),
+    ],
     sets: Sets = None,
     as_json: Json = False,
 ) -> None:
-    """Validate files and report all faults at once, with file, line and column. The data of a dataset are read and checked, too.
+    """Validate files and report all faults at once, with file, line and column. The data of a
+    dataset are read and checked, too.
 
     hiltestbed check my-rig.yaml --set sensor.delay=0.010
     """
@@ -97,15 +120,23 @@ def check(
     if as_json:
         rows = [
             {
-                "file": str(file), "kind": one.kind, "faults": [vars(fault) for fault in one.faults], "remarks": list(one.remarks),
+                "file": str(file),
+                "kind": one.kind,
+                "faults": [vars(fault) for fault in one.faults],
+                "remarks": list(one.remarks),
                 "budget": vars(one.budget) if one.budget else None,
-            } | ({"stability": judged} if judged else {})
+            }
+            | ({"stability": judged} if judged else {})
             for (file, one), judged in zip(found, stable, strict=True)
-        ]  # fmt: skip
+        ]
         print(json.dumps({"valid": not any(one.faults for _, one in found), "files": rows}))
     else:
         for (file, one), judged in zip(found, stable, strict=True):
-            print("\n".join(str(fault) for fault in one.faults) if one.faults else f"{file}: {one.kind}: no faults")
+            print(
+                "\n".join(str(fault) for fault in one.faults)
+                if one.faults
+                else f"{file}: {one.kind}: no faults"
+            )
             print(printable("".join(f"{file}: {remark}\n" for remark in one.remarks)), end="")
             print(f"{file}: needs {one.budget}\n" if one.budget and not one.faults else "", end="")
             print(f"{file}: {judged['verdict']}\n" if judged else "", end="")
@@ -115,12 +146,17 @@ def check(
 
 @app.command()
 def rig(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")],
+    scenario: Annotated[
+        Path,
+        typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one."),
+    ],
     out: Out = None,
     sets: Sets = None,
     as_json: Json = False,
 ) -> None:
-    """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic stiffness; as figures and a JSON file."""
+    """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic
+    stiffness; as figures and a JSON file.
+    """
     from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
     from hiltestbed.progress import count_bar
     from hiltestbed.recording import refuse_foreign
@@ -140,7 +176,9 @@ def rig(
 
 
 @app.command()
-def view(run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or a recording.")]) -> None:
+def view(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or a recording.")],
+) -> None:
     """Open a run in the rerun viewer."""
     from hiltestbed.viewer import view as show
 
@@ -150,7 +188,10 @@ def view(run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, 
 @app.command()
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN ...", help="Run folders.")],
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Also write the comparison as an HTML page.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="Also write the comparison as an HTML page."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Compare runs: the differences between their scenarios, and their effect on the results.
@@ -164,7 +205,16 @@ def compare(
     if out is not None:
         write_comparison(result, out)
     if as_json:
-        print(json.dumps({"runs": list(result.names), "differences": result.differences, "figures": result.figures}, allow_nan=False))
+        print(
+            json.dumps(
+                {
+                    "runs": list(result.names),
+                    "differences": result.differences,
+                    "figures": result.figures,
+                },
+                allow_nan=False,
+            )
+        )
     else:
         from hiltestbed.table import print_comparison
 
@@ -173,7 +223,9 @@ def compare(
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the scenario; NAME.yaml is written.")],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Name of the scenario; NAME.yaml is written.")
+    ],
     as_json: Json = False,
 ) -> None:
     """Write a commented scenario to start from."""
@@ -188,12 +240,21 @@ def new(
 
 @app.command()
 def doctor(as_json: Json = False) -> None:
-    """List what this installation has: versions, extras, cores, viewer, compiled kernels. Status 1 if something required is missing."""
+    """List what this installation has: versions, extras, cores, viewer, compiled kernels. Status 1
+    if something required is missing.
+    """
     from hiltestbed.doctor import examine
 
     found = examine()
     if as_json:
-        print(json.dumps({"healthy": all(f.good for f in found if f.needed), "findings": [vars(f) for f in found]}))
+        print(
+            json.dumps(
+                {
+                    "healthy": all(f.good for f in found if f.needed),
+                    "findings": [vars(f) for f in found],
+                }
+            )
+        )
     else:
         from hiltestbed.table import print_doctor
 
@@ -205,13 +266,24 @@ def doctor(as_json: Json = False) -> None:
 @app.command()
 def schema(
     what: Annotated[
-        str, typer.Argument(metavar="[scenario|campaign|dataset|KEY]", help="A kind of file, or a key such as rig.platform.")
+        str,
+        typer.Argument(
+            metavar="[scenario|campaign|dataset|KEY]",
+            help="A kind of file, or a key such as rig.platform.",
+        ),
     ] = "scenario",
-    search: Annotated[str | None, typer.Option("--search", metavar="WORDS", help="List the keys that mention all of these words.")] = None,
+    search: Annotated[
+        str | None,
+        typer.Option(
+            "--search", metavar="WORDS", help="List the keys that mention all of these words."
+        ),
+    ] = None,
 ) -> None:
-    """Print the JSON Schema of a kind of file; or what a key takes and means, and the keys directly below it.
+    """Print the JSON Schema of a kind of file; or what a key takes and means, and the keys directly
+    below it.
 
-    hiltestbed schema rig.platform; hiltestbed schema dataset.channels; hiltestbed schema --search bandwidth
+    hiltestbed schema rig.platform; hiltestbed schema dataset.channels; hiltestbed schema --search
+    bandwidth
     """
     from hiltestbed.check import KINDS, json_schema
     from hiltestbed.keys import at, keys_of
@@ -226,5 +298,8 @@ def schema(
     found = at(keys, key) if key else keys
     found = found if search is None else search_keys(found, search)
     if not found:
-        raise InputError(f"schema: no key of a {kind} mentions {search!r}; fewer words, or a part of one, find more")
+        raise InputError(
+            f"schema: no key of a {kind} mentions {search!r}; fewer words, or a part of one, find "
+            f"more"
+        )
     print(printable("\n".join(map(str, dict.fromkeys(found)))))

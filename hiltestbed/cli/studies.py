@@ -23,7 +23,8 @@ BENCHES = {  # name of a benchmark, and the module with its function of the same
     "robustness": "hiltestbed.bench.robustness.run",
     "throughput": "hiltestbed.bench.throughput",
 }
-LASTING = {"diagnosis": ".sets.jsonl", "robustness": ".trials.jsonl"}  # benchmarks with a time limit: suffix of the file of what is done
+# benchmarks with a time limit: suffix of the file of what is done
+LASTING = {"diagnosis": ".sets.jsonl", "robustness": ".trials.jsonl"}
 LONG = ", ".join(LASTING)
 
 
@@ -32,30 +33,55 @@ def bench(
     name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
     out: Out = None,
     quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
-    noise: Annotated[bool, typer.Option("--noise", help="diagnosis: only sets with noise that is not white.")] = False,
-    docking: Annotated[bool, typer.Option("--docking", help="diagnosis: only the docking sets.")] = False,
-    computing: Annotated[
-        bool, typer.Option("--computing", help="diagnosis: only facilities with other sub-steps, sampling instants and time stamps.")
+    noise: Annotated[
+        bool, typer.Option("--noise", help="diagnosis: only sets with noise that is not white.")
     ] = False,
-    minutes: Annotated[float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help=f"{LONG}: duration.")] = None,
-    workers: Annotated[int | None, typer.Option("--workers", min=1, help=f"{LONG}: processes; left out: one per core.")] = None,
+    docking: Annotated[
+        bool, typer.Option("--docking", help="diagnosis: only the docking sets.")
+    ] = False,
+    computing: Annotated[
+        bool,
+        typer.Option(
+            "--computing",
+            help="diagnosis: only facilities with other sub-steps, sampling instants and time "
+            "stamps.",
+        ),
+    ] = False,
+    minutes: Annotated[
+        float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help=f"{LONG}: duration.")
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", min=1, help=f"{LONG}: processes; left out: one per core."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html.
 
     hiltestbed bench cor --quick --plugin my_method.py
 
-    hiltestbed bench diagnosis --noise --for 60 --out runs/noise      (repeat the command to continue)
+    hiltestbed bench diagnosis --noise --for 60 --out runs/noise      (repeat the command to
+    continue)
     """
     from importlib import import_module
 
     if name not in BENCHES:
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
-    chosen = {option: True for option, given in (("noise", noise), ("docking", docking), ("computing", computing)) if given}
+    chosen = {
+        option: True
+        for option, given in (("noise", noise), ("docking", docking), ("computing", computing))
+        if given
+    }
     if chosen and name != "diagnosis":
-        raise InputError(f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis only; leave it out")
+        raise InputError(
+            f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis only; leave it "
+            f"out"
+        )
     if (minutes is not None or workers is not None) and name not in LASTING:
-        raise InputError(f"bench {name}: --for and --workers are options of bench {' and '.join(LASTING)} only; leave them out")
+        raise InputError(
+            f"bench {name}: --for and --workers are options of bench {' and '.join(LASTING)} "
+            f"only; leave them out"
+        )
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.kernels import tell_of_compiling
     from hiltestbed.progress import count_bar
@@ -64,36 +90,68 @@ def bench(
     folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
     refuse_foreign(folder, BENCH)
     tell_of_compiling()
-    more: dict[str, Any] = {k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None}
+    more: dict[str, Any] = {
+        k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None
+    }
     keep = {"keep": folder.with_name(folder.name + LASTING[name])} if name in LASTING else {}
     try:
         with count_bar(f"bench {name}") as progress:
-            result = getattr(import_module(BENCHES[name]), name)(quick=quick, progress=progress, **chosen, **more, **keep)
+            result = getattr(import_module(BENCHES[name]), name)(
+                quick=quick, progress=progress, **chosen, **more, **keep
+            )
     except KeyboardInterrupt:
         if not keep:
             raise
-        raise HiltestbedError(f"interrupted; the same command with --out {folder} goes on from {keep['keep']}") from None
+        raise HiltestbedError(
+            f"interrupted; the same command with --out {folder} goes on from {keep['keep']}"
+        ) from None
     called = {"quick": True} if quick else {}
-    write_bench(result, folder, called | chosen | {"for" if k == "minutes" else k: v for k, v in more.items()})
+    write_bench(
+        result,
+        folder,
+        called | chosen | {"for" if k == "minutes" else k: v for k, v in more.items()},
+    )
     if as_json:
-        print(json.dumps({"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False))
+        print(
+            json.dumps(
+                {"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False
+            )
+        )
     else:
         from hiltestbed.table import print_lines
 
         print_lines(f"bench {name}", result.lines, folder)
     if result.failed:
         why = "; ".join(f"{own} ended with: {error}" for own, error in result.failed.items())
-        raise HiltestbedError(f"bench {name}: left out: {why}; everything else was measured ({folder})")
+        raise HiltestbedError(
+            f"bench {name}: left out: {why}; everything else was measured ({folder})"
+        )
 
 
 @app.command()
 def sweep(
     campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="Campaign file.")],
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of the results; left out: results/NAME.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder of the results; left out: results/NAME."),
+    ] = None,
     sets: Sets = None,
-    workers: Annotated[int | None, typer.Option("--workers", metavar="N", help="Processes on this machine; default: one per core.")] = None,
-    scheduler: Annotated[str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")] = None,
-    chunk: Annotated[int, typer.Option("--chunk", metavar="N", help="Cases that run in lockstep and are written together.")] = 64,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", metavar="N", help="Processes on this machine; default: one per core."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://host:8786."),
+    ] = None,
+    chunk: Annotated[
+        int,
+        typer.Option(
+            "--chunk", metavar="N", help="Cases that run in lockstep and are written together."
+        ),
+    ] = 64,
     as_json: Json = False,
 ) -> None:
     """Run a campaign; run again with the same --out, it resumes where it stopped.
@@ -110,7 +168,9 @@ def sweep(
     from hiltestbed.progress import case_bar
 
     if workers is not None and scheduler is not None:
-        raise InputError("--workers is for this machine and --scheduler for a cluster; allowed is one of the two")
+        raise InputError(
+            "--workers is for this machine and --scheduler for a cluster; allowed is one of the two"
+        )
     refuse_unknown(campaign, campaign_names())
     tell_of_compiling()
     spec = load_campaign(find_scenario(campaign), overrides(sets))
@@ -119,12 +179,21 @@ def sweep(
     from hiltestbed.budget import campaign_budget, refuse_beyond
 
     budget = campaign_budget(spec, max(workers, 1), max(chunk, 1))
-    refuse_beyond(budget, str(campaign), "fewer cases, keep: summary, fewer --workers or a smaller --chunk need less", folder)
+    refuse_beyond(
+        budget,
+        str(campaign),
+        "fewer cases, keep: summary, fewer --workers or a smaller --chunk need less",
+        folder,
+    )
     try:
         with case_bar() as progress:
-            result = run_sweep(spec, folder, workers=workers, scheduler=scheduler, chunk=chunk, progress=progress)
+            result = run_sweep(
+                spec, folder, workers=workers, scheduler=scheduler, chunk=chunk, progress=progress
+            )
     except KeyboardInterrupt:
-        raise HiltestbedError(f"interrupted; finished cases are in {folder}, the same command resumes from there") from None
+        raise HiltestbedError(
+            f"interrupted; finished cases are in {folder}, the same command resumes from there"
+        ) from None
     if as_json:
         print(json.dumps(result.about | {"folder": str(folder)}, allow_nan=False))
     else:
@@ -135,11 +204,20 @@ def sweep(
 
 @app.command()
 def diagnose(
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Dataset file: a scenario and the measured runs.")],
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/diagnosis-NAME.")] = None,
+    dataset: Annotated[
+        Path,
+        typer.Argument(metavar="DATASET", help="Dataset file: a scenario and the measured runs."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", help="Folder to write; left out: runs/diagnosis-NAME."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Compare measured data with the simulation: where they deviate, the cause, and the gain of an extended model.
+    """Compare measured data with the simulation: where they deviate, the cause, and the gain of an
+    extended model.
 
     hiltestbed check dataset.yaml && hiltestbed diagnose dataset.yaml --out results/mine
     """

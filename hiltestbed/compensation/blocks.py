@@ -1,8 +1,10 @@
-"""Interfaces of a compensation in the loop, between the measured wrench and the commanded motion of the rig.
+"""Interfaces of a compensation in the loop, between the measured wrench and the commanded motion of
+the rig.
 
-A *drive* turns the measurements at t_k into the motion that the rig is to reach at t_(k+1). Most methods correct the wrench and drive the
-numerical model with it: they are a :class:`ForceBlock` called by :class:`ForceDrive`. A method that drives the model in another way (by a
-delayed model and a predictor) is a drive itself.
+A *drive* turns the measurements at t_k into the motion that the rig is to reach at t_(k+1). Most
+methods correct the wrench and drive the
+numerical model with it: they are a :class:`ForceBlock` called by :class:`ForceDrive`. A method that
+drives the model in another way (by a delayed model and a predictor) is a drive itself.
 """
 
 from __future__ import annotations
@@ -60,7 +62,13 @@ class PoseBlock(Protocol):
 
     rate: Array | None
 
-    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
+    def command(
+        self,
+        pose: Array,
+        derivatives: tuple[Array, Array, Array],
+        measurement: Measurement,
+        out: Array,
+    ) -> None:
         """Write to ``out`` (n, 7) the pose commanded to the platform.
 
         Args:
@@ -75,7 +83,9 @@ class ForceDrive:
     """Corrects the wrench, drives the numerical model with it and commands the model's motion."""
 
     def __init__(self, model: NumericalModel, method: ForceBlock, gate: Gate | None = None) -> None:
-        """``gate``: of the contacts in which the force is corrected for the platform's tracking error; None: it is not."""
+        """``gate``: of the contacts in which the force is corrected for the platform's tracking
+        error; None: it is not.
+        """
         self.model = model
         self.method = method
         self._gate = gate
@@ -88,7 +98,8 @@ class ForceDrive:
         """``(n, 6)`` the checked output of a method from outside this package.
 
         Raises:
-            InputError: it raised an exception (the message gives file and line), or did not return one finite wrench per run.
+            InputError: it raised an exception (the message gives file and line), or did not return
+                one finite wrench per run.
         """
         name = f"compensation.force: {type(self.method).__name__}.compensate"
         try:
@@ -97,16 +108,31 @@ class ForceDrive:
             raise
         except Exception as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
-            raise InputError(f"{name}: {last.filename}:{last.lineno}: {type(error).__name__}: {error}") from error
+            raise InputError(
+                f"{name}: {last.filename}:{last.lineno}: {type(error).__name__}: {error}"
+            ) from error
         if getattr(given, "shape", None) != self.wrench.shape:
-            what = f"an array {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
-            raise InputError(f"{name}: gave {what}; allowed is an array {self.wrench.shape}, one wrench per run; return that")
-        if not np.isfinite(given).all() and np.isfinite(measurement.wrench).all() and np.isfinite(self.pose).all():
-            raise InputError(f"{name}: gave NaN or infinity for readings that are finite; look for 0/0 in it")
+            what = (
+                f"an array {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
+            )
+            raise InputError(
+                f"{name}: gave {what}; allowed is an array {self.wrench.shape}, one wrench per "
+                f"run; return that"
+            )
+        if (
+            not np.isfinite(given).all()
+            and np.isfinite(measurement.wrench).all()
+            and np.isfinite(self.pose).all()
+        ):
+            raise InputError(
+                f"{name}: gave NaN or infinity for readings that are finite; look for 0/0 in it"
+            )
         return given
 
     def advance(self, measurement: Measurement) -> None:
-        self.wrench[:] = self._looked_at(measurement) if self._foreign else self.method.compensate(measurement)
+        self.wrench[:] = (
+            self._looked_at(measurement) if self._foreign else self.method.compensate(measurement)
+        )
         if self._gate is not None:
             correct_for_platform(measurement, self.pose, self.twist, self._gate, self.wrench)
         self.model.advance(self.wrench)

@@ -11,7 +11,9 @@ from hiltestbed.jit import njit
 
 
 class History:
-    """The last values of an array ``(n, m)``, one per tick, interpolated between ticks; before the first tick the first value holds."""
+    """The last values of an array ``(n, m)``, one per tick, interpolated between ticks; before the
+    first tick the first value holds.
+    """
 
     def __init__(self, width: int, longest: Array) -> None:
         """``longest`` (n,): longest delay of each run [ticks]."""

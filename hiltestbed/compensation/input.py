@@ -21,8 +21,9 @@ PLACES = {"before": COMPONENTS, "magnitude": MAGNITUDE, "after": AFTER}
 
 @dataclass
 class InputParameters:
-    """The dead zone of one run. width: [N], 0 for none. where: "before" the compensation on each axis, before it on the force's
-    "magnitude", or "after" the compensation on each axis."""
+    """The dead zone of one run. width: [N], 0 for none. where: "before" the compensation on each
+    axis, before it on the force's "magnitude", or "after" the compensation on each axis.
+    """
 
     width: float = 0.0
     where: str = "before"
@@ -41,24 +42,33 @@ class InputDeadZone:
     """The dead zone between reading and compensation, for ``n`` runs.
 
     Attributes:
-        active: whether any run has a dead zone. wrench: ``(n, 6)`` the last reading after the dead zone.
+        active: whether any run has a dead zone. wrench: ``(n, 6)`` the last reading after the dead
+            zone.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], parameters: Sequence[InputParameters] | None = None) -> None:
+    def __init__(
+        self, scenarios: Sequence[Scenario], parameters: Sequence[InputParameters] | None = None
+    ) -> None:
         """``parameters``: of each run, by default those of its effects."""
-        found = [InputParameters.of(s.effects) for s in scenarios] if parameters is None else parameters
+        found = (
+            [InputParameters.of(s.effects) for s in scenarios] if parameters is None else parameters
+        )
         self._width = np.array([p.width for p in found])
         self._where = np.array([PLACES[p.where] for p in found])
         self.active = bool(self._width.any())
         self.wrench = np.zeros((len(found), 6))
 
     def update(self, reading: Array) -> Array:
-        """Apply the dead zone to a reading ``(n, 6)``: a force below the width is zero; torques pass, except with "magnitude"."""
+        """Apply the dead zone to a reading ``(n, 6)``: a force below the width is zero; torques
+        pass, except with "magnitude".
+        """
         _dead(reading, self._width, self._where, False, self.wrench)
         return self.wrench
 
     def after(self, wrench: Array) -> None:
-        """Zero small forces of the compensated ``wrench`` (n, 6), in place, for runs whose dead zone lies after the compensation."""
+        """Zero small forces of the compensated ``wrench`` (n, 6), in place, for runs whose dead
+        zone lies after the compensation.
+        """
         _dead(wrench, self._width, self._where, True, wrench)
 
 
@@ -70,5 +80,7 @@ def _dead(reading, width, where, behind, out):
         if where[i] == MAGNITUDE and not behind:
             small = reading[i, 0] ** 2 + reading[i, 1] ** 2 + reading[i, 2] ** 2 < w * w
         for j in range(6):
-            cut = small if where[i] == MAGNITUDE and not behind else j < 3 and abs(reading[i, j]) < w
+            cut = (
+                small if where[i] == MAGNITUDE and not behind else j < 3 and abs(reading[i, j]) < w
+            )
             out[i, j] = 0.0 if cut else reading[i, j]

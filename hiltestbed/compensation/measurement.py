@@ -12,7 +12,8 @@ from hiltestbed.frames import Array
 
 @dataclass
 class Measurement:
-    """The measurements at t_k, for ``n`` runs. The arrays belong to other blocks and are reused: read them, do not store or modify them.
+    """The measurements at t_k, for ``n`` runs. The arrays belong to other blocks and are reused:
+    read them, do not store or modify them.
 
     Attributes:
         wrench: ``(n, 6)`` the sensor's reading.
@@ -21,7 +22,8 @@ class Measurement:
         stiffness: ``(n, 6)`` stiffness identified so far, NaN before the first estimate.
         damping: ``(n, 6)`` damping identified so far, likewise.
         captured: ``(n,)`` bool, whether the mechanism is captured.
-        lever: ``(n, 3)`` [m] from A, in A, to the reference point of the latch, to which the six identified axes refer; 0: A itself.
+        lever: ``(n, 3)`` [m] from A, in A, to the reference point of the latch, to which the six
+            identified axes refer; 0: A itself.
     """
 
     wrench: Array

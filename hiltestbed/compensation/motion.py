@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 class MotionCommand:
     """Pose, velocity and acceleration references of the platform for ``n`` runs.
 
-    With ``compensation.motion: feedforward`` (and with an admittance, which includes it) the servo receives the velocity and acceleration
-    of the coming tick as feed-forward; otherwise it receives the pose alone, changed by the method if any, and follows with its own lag.
+    With ``compensation.motion: feedforward`` (and with an admittance, which includes it) the servo
+        receives the velocity and acceleration of the coming tick as feed-forward; otherwise it
+        receives the pose alone, changed by the method if any, and follows with its own lag.
 
     Attributes:
         pose: ``(n, 7)`` pose reference for the end of the tick.
@@ -39,19 +40,34 @@ class MotionCommand:
         self.acceleration = np.zeros((n, 6))
         self._previous = np.zeros((n, 6))
         self._rate_before, self._still = np.zeros((n, 6)), np.zeros((n, 6))
-        self._velocity, self._accel, self._jerk = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
+        self._velocity, self._accel, self._jerk = (
+            np.zeros((n, 6)),
+            np.zeros((n, 6)),
+            np.zeros((n, 6)),
+        )
 
         self._pass_pose = Call(
-            _pass_pose, GIVEN, GIVEN, self.pose, self._still, self._rate, self._feed, self._previous, self._rate_before, self.twist,
+            _pass_pose,
+            GIVEN,
+            GIVEN,
+            self.pose,
+            self._still,
+            self._rate,
+            self._feed,
+            self._previous,
+            self._rate_before,
+            self.twist,
             self.acceleration,
-        )  # fmt: skip
+        )
 
     def start(self, twist: Array) -> None:
         """The twist ``(n, 6)`` before the first tick."""
         self._previous[:] = twist
 
     def update(self, pose: Array, twist: Array, measurement: Measurement) -> None:
-        """Set the references from the pose ``(n, 7)`` and twist ``(n, 6)`` commanded for the coming tick."""
+        """Set the references from the pose ``(n, 7)`` and twist ``(n, 6)`` commanded for the coming
+        tick.
+        """
         if self._method is None:
             self._pass_pose.on(pose, twist)()
             return
@@ -59,7 +75,16 @@ class MotionCommand:
         _differentiate(twist, self._previous, self._rate, *derivatives)
         self._method.command(pose, derivatives, measurement, self.pose)
         yielding = self._still if self._method.rate is None else self._method.rate
-        _refer(twist, yielding, self._rate, self._feed, self._previous, self._rate_before, self.twist, self.acceleration)
+        _refer(
+            twist,
+            yielding,
+            self._rate,
+            self._feed,
+            self._previous,
+            self._rate_before,
+            self.twist,
+            self.acceleration,
+        )
 
 
 @njit(cache=True)
@@ -73,7 +98,9 @@ def _pass_pose(pose, twist, commanded, *references):
 
 @njit(cache=True)
 def _refer(twist, yielding, rate, feed, previous, rate_before, velocity, acceleration):
-    """Velocity and acceleration references of the tick; ``yielding`` (n, 6) is the velocity that an admittance adds."""
+    """Velocity and acceleration references of the tick; ``yielding`` (n, 6) is the velocity that an
+    admittance adds.
+    """
     for i in range(twist.shape[0]):
         for j in range(6):
             change = twist[i, j] - previous[i, j] + yielding[i, j] - rate_before[i, j]
@@ -84,7 +111,9 @@ def _refer(twist, yielding, rate, feed, previous, rate_before, velocity, acceler
 
 @njit(cache=True)
 def _differentiate(twist, previous, rate, velocity, acceleration, jerk):
-    """The semi-implicit velocity is that at the middle of its tick: half a tick of acceleration extrapolates it to the end."""
+    """The semi-implicit velocity is that at the middle of its tick: half a tick of acceleration
+    extrapolates it to the end.
+    """
     for i in range(twist.shape[0]):
         for j in range(6):
             change = rate * (twist[i, j] - previous[i, j])

@@ -1,4 +1,6 @@
-"""The compensation section of a scenario: methods against the delays in the loop, one class per method."""
+"""The compensation section of a scenario: methods against the delays in the loop, one class per
+method.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +15,20 @@ if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
     from hiltestbed.scenario import Scenario
 
-# What a method may read at t_k: the measured wrench; the pose and twist that the rig reached; the stiffness and damping identified so far;
-# whether the mechanism is captured; the pose and twist of the numerical model that it drives.
+# What a method may read at t_k: the measured wrench; the pose and twist that the rig reached; the
+# stiffness and damping identified so far; whether the mechanism is captured; the pose and twist of
+# the numerical model that it drives.
 Input = Literal["wrench", "pose", "twist", "identified", "captured", "model"]
 INPUTS: frozenset[str] = frozenset(get_args(Input))
 
 
 class ForceMethod(Strictly):
-    """Base of every force compensation. A class needs a docstring and the parts named in :data:`PARTS`.
+    """Base of every force compensation. A class needs a docstring and the parts named in
+    :data:`PARTS`.
 
     Attributes:
-        reads: its inputs at t_k. corrects_platform: whether it corrects the force for the platform's tracking error.
+        reads: its inputs at t_k. corrects_platform: whether it corrects the force for the
+            platform's tracking error.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "reads", "start")
@@ -31,17 +36,22 @@ class ForceMethod(Strictly):
 
     kind: str
     reads: ClassVar[frozenset[Input]] = None  # type: ignore[assignment]
-    adds_force: ClassVar[bool] = False  # whether it adds a force that is not derived from the measured one
+    # whether it adds a force that is not derived from the measured one
+    adds_force: ClassVar[bool] = False
     corrects_platform: ClassVar[bool] = False
 
     @classmethod
     @placeholder
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock | Drive:
-        """The method for ``n`` runs: a block that corrects the wrench, or a drive that steps ``model`` itself."""
+        """The method for ``n`` runs: a block that corrects the wrench, or a drive that steps
+        ``model`` itself.
+        """
         raise NotImplementedError
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        """Name to the delay [s] that it removes from the loop at low frequency, once any contact model it needs is identified."""
+        """Name to the delay [s] that it removes from the loop at low frequency, once any contact
+        model it needs is identified.
+        """
         return {}
 
     def memory(self) -> float:
@@ -50,21 +60,25 @@ class ForceMethod(Strictly):
 
     @classmethod
     def contest(cls, stiffness: float, damping: float, delay: float) -> Mapping[str, Any]:
-        """Keys of its scenario section for a contact of `bench cor`, given the true stiffness [N/m] and damping [N s/m] and the nominal
-        delay [s].
+        """Keys of its scenario section for a contact of `bench cor`, given the true stiffness [N/m]
+        and damping [N s/m] and the nominal delay [s].
 
-        A method that needs no knowledge of the contact does not override this, and is benchmarked with its defaults.
+        A method that needs no knowledge of the contact does not override this, and is benchmarked
+        with its defaults.
         """
         return {}
 
 
 class MotionMethod(Strictly):
-    """Base of every motion compensation. A class needs a docstring and the parts named in :data:`PARTS`.
+    """Base of every motion compensation. A class needs a docstring and the parts named in
+    :data:`PARTS`.
 
     Attributes:
-        reads: its inputs at t_k. feeds: whether the servo receives velocity and acceleration feed-forward.
+        reads: its inputs at t_k. feeds: whether the servo receives velocity and acceleration
+            feed-forward.
         tells_model_pose: whether the command is the numerical model's pose itself.
-        corrects_force: whether it corrects the force for the platform's tracking error, instead of the command.
+        corrects_force: whether it corrects the force for the platform's tracking error, instead of
+            the command.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "reads")
@@ -78,16 +92,26 @@ class MotionMethod(Strictly):
 
     @property
     def open_loop(self) -> bool:
-        """Whether it changes the command without measurements, so that it is part of the rig's response to that command."""
+        """Whether it changes the command without measurements, so that it is part of the rig's
+        response to that command.
+        """
         return not (self.reads or self.tells_model_pose or self.feeds)
 
     def of_the_rig(self) -> dict[str, Any]:
-        """The section with which the rig is simulated alone: what acts without measurements, feed-forward or the method itself."""
-        return self.model_dump(mode="json") if self.open_loop else {"kind": "feedforward" if self.feeds else "none"}
+        """The section with which the rig is simulated alone: what acts without measurements,
+        feed-forward or the method itself.
+        """
+        return (
+            self.model_dump(mode="json")
+            if self.open_loop
+            else {"kind": "feedforward" if self.feeds else "none"}
+        )
 
     @property
     def depends_on_measurements(self) -> bool:
-        """Whether it changes the command by measurements, which the rig's response to its command does not contain."""
+        """Whether it changes the command by measurements, which the rig's response to its command
+        does not contain.
+        """
         return bool(self.reads) and not self.corrects_force
 
     @classmethod
@@ -97,9 +121,13 @@ class MotionMethod(Strictly):
 
 
 FORCE_METHODS: Registry[ForceMethod] = Registry(
-    "force compensation", ForceMethod, ("hiltestbed.compensation.force_methods", "hiltestbed.compensation.resynchronised.settings")
+    "force compensation",
+    ForceMethod,
+    ("hiltestbed.compensation.force_methods", "hiltestbed.compensation.resynchronised.settings"),
 )
-MOTION_METHODS: Registry[MotionMethod] = Registry("motion compensation", MotionMethod, ("hiltestbed.compensation.motion_methods",))
+MOTION_METHODS: Registry[MotionMethod] = Registry(
+    "motion compensation", MotionMethod, ("hiltestbed.compensation.motion_methods",)
+)
 AnyForceMethod = Annotated[ForceMethod, OneOf(FORCE_METHODS)]
 AnyMotionMethod = Annotated[MotionMethod, OneOf(MOTION_METHODS)]
 
@@ -109,12 +137,16 @@ Motion = TypeVar("Motion", bound=MotionMethod)
 
 
 def force_of(scenarios: Sequence[Scenario], method: type[Force]) -> list[Force]:
-    """``compensation.force`` of each scenario, all of class ``method``. Raises TypeError for another class."""
+    """``compensation.force`` of each scenario, all of class ``method``. Raises TypeError for
+    another class.
+    """
     return _all_of(method, [s.compensation.force for s in scenarios])
 
 
 def motion_of(scenarios: Sequence[Scenario], method: type[Motion]) -> list[Motion]:
-    """``compensation.motion`` of each scenario, all of class ``method``. Raises TypeError for another class."""
+    """``compensation.motion`` of each scenario, all of class ``method``. Raises TypeError for
+    another class.
+    """
     return _all_of(method, [s.compensation.motion for s in scenarios])
 
 

@@ -1,7 +1,9 @@
-"""Inserts both sides of a mechanism into a rig's MJCF, with everything that MuJoCo needs for contacts and latches.
+"""Inserts both sides of a mechanism into a rig's MJCF, with everything that MuJoCo needs for
+contacts and latches.
 
-Names in the composed model begin with ``active_`` and ``passive_``. The sites ``active_A`` and ``passive_P`` are the ports. Every contact
-is an explicit pair, ``facet_<k>`` or ``native_<k>``; a latch is a weld or ball-joint (``connect``) equality that is switched on.
+Names in the composed model begin with ``active_`` and ``passive_``. The sites ``active_A`` and
+``passive_P`` are the ports. Every contact is an explicit pair, ``facet_<k>`` or ``native_<k>``; a
+latch is a weld or ball-joint (``connect``) equality that is switched on.
 """
 
 from __future__ import annotations
@@ -24,21 +26,29 @@ if TYPE_CHECKING:
 ACTIVE, PASSIVE = "active_", "passive_"
 FLANGE = ACTIVE + "flange"  # the body that carries the active side
 LATCH = "latch"
-# Contact that is a spring and a damper in N/m and N s/m (hiltestbed.contact.solref) needs a small, constant impedance.
+# Contact that is a spring and a damper in N/m and N s/m (hiltestbed.contact.solref) needs a small,
+# constant impedance.
 IMPEDANCE = 1e-4
 INVERSE_WEIGHT = 1.0  # [1/kg], [1/(kg m^2)] of the active side, as used by contacts and latches
 CONTACT_SOLIMP = (IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 1.0)
-FACET = (0.2, 0.2, 0.25)  # [m] half sizes, so large that the facet's face is nearest even to a ball deeper than its radius
+# [m] half sizes, so large that the facet's face is nearest even to a ball deeper than its radius
+FACET = (0.2, 0.2, 0.25)
 AWAY = 1e3  # [m] position at which an unused facet is parked
 ORIGIN = np.zeros(3)
-PROXY = np.array([0.0, 0.0, -0.1])  # any position but the body's origin, where MuJoCo would short-cut the geom's kinematics
+# any position but the body's origin, where MuJoCo would short-cut the geom's kinematics
+PROXY = np.array([0.0, 0.0, -0.1])
 _UNALIGNED = (0.9, 0.1, 0.2, 0.3)  # likewise any attitude but the body's
-# Readings of the sensor of a native pair: number of points; of the deepest point distance, position, normal, velocity in its frame.
+# Readings of the sensor of a native pair: number of points; of the deepest point distance,
+# position, normal, velocity in its frame.
 _READ = (
-    mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_DIST, mujoco.mjtConDataField.mjCONDATA_POS,
-    mujoco.mjtConDataField.mjCONDATA_NORMAL, mujoco.mjtConDataField.mjCONDATA_LINVEL,
-)  # fmt: skip
-FOUND, DIST, POS, NORMAL, LINVEL, READ = 0, 1, 2, 5, 8, 11  # offset of each in the reading, and the reading's length
+    mujoco.mjtConDataField.mjCONDATA_FOUND,
+    mujoco.mjtConDataField.mjCONDATA_DIST,
+    mujoco.mjtConDataField.mjCONDATA_POS,
+    mujoco.mjtConDataField.mjCONDATA_NORMAL,
+    mujoco.mjtConDataField.mjCONDATA_LINVEL,
+)
+# offset of each in the reading, and the reading's length
+FOUND, DIST, POS, NORMAL, LINVEL, READ = 0, 1, 2, 5, 8, 11
 IMMOVABLE = 1e8  # [kg], [kg m^2] armature that keeps a joint from moving
 DEEPEST = 1  # the sensor's reduction "mindist"
 _UNSEEN = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 5}
@@ -46,13 +56,15 @@ _UNSEEN = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 5}
 
 @dataclass(frozen=True)
 class Structure:
-    """The structure of a rig's model as given by the mechanism, apart from numerical parameters: runs of one structure go in lockstep.
+    """The structure of a rig's model as given by the mechanism, apart from numerical parameters:
+    runs of one structure go in lockstep.
 
     Attributes:
         shape: of the mechanism. mounted: whether the passive side is on a compliant mount.
-        constant: whether all contacts are springs and dampers without friction, which MuJoCo's own collision computes exactly: nothing is
-            written between steps.
-        rubs: whether there is friction. latched: whether the sides may be latched. touches: whether the sides touch; otherwise an external
+        constant: whether all contacts are springs and dampers without friction, which MuJoCo's own
+            collision computes exactly: nothing is written between steps.
+        rubs: whether there is friction. latched: whether the sides may be latched. touches: whether
+            the sides touch; otherwise an external
             wrench is applied. held: whether moving parts are kept fixed to their side.
         mechanism: one of this shape.
     """
@@ -76,26 +88,43 @@ def structure_of(mechanism: Mechanism, departs: bool, rubs: bool) -> Structure:
     """The structure of a mechanism's model.
 
     Args:
-        departs: whether effects change the law. rubs: whether friction acts, from the mechanism's settings or an effect.
+        departs: whether effects change the law. rubs: whether friction acts, from the mechanism's
+            settings or an effect.
     """
     mounted = mechanism.mount is not None
     latched = mechanism.captured or mechanism.latch is not None
-    constant = not (departs or rubs or mounted or latched or mechanism.phases()) and sides_of(mechanism).exact
+    constant = (
+        not (departs or rubs or mounted or latched or mechanism.phases())
+        and sides_of(mechanism).exact
+    )
     return Structure(mechanism.shape(), mounted, constant, rubs, latched, mechanism)
 
 
 def drawn(mechanism: Mechanism) -> Structure:
     """A mechanism on a rigid mount without contacts, for drawing or weighing."""
-    return Structure(mechanism.shape(), mounted=False, constant=True, rubs=False, latched=False, mechanism=mechanism, touches=False)
+    return Structure(
+        mechanism.shape(),
+        mounted=False,
+        constant=True,
+        rubs=False,
+        latched=False,
+        mechanism=mechanism,
+        touches=False,
+    )
 
 
-def add_active(spec: mujoco.MjSpec, structure: Structure, body: mujoco.MjsBody, plane: Array, height: Array) -> None:
-    """Attach the active side to ``body`` with A at ``plane`` + ``height`` (3,) [m] in it, axes along the body's."""
+def add_active(
+    spec: mujoco.MjSpec, structure: Structure, body: mujoco.MjsBody, plane: Array, height: Array
+) -> None:
+    """Attach the active side to ``body`` with A at ``plane`` + ``height`` (3,) [m] in it, axes
+    along the body's.
+    """
     add_side(spec, structure.mechanism, ACTIVE, body, plane, height)
 
 
 def add_passive(spec: mujoco.MjSpec, structure: Structure, carrier: mujoco.MjsBody) -> None:
-    """Attach the passive side, with its compliant mount if any, and the six-axis force sensor to ``carrier``; P at the carrier's origin.
+    """Attach the passive side, with its compliant mount if any, and the six-axis force sensor to
+    ``carrier``; P at the carrier's origin.
 
     The carrier gets the site ``P_nominal``, at which the sensor is.
     """
@@ -105,8 +134,13 @@ def add_passive(spec: mujoco.MjSpec, structure: Structure, carrier: mujoco.MjsBo
         body = carrier.add_body(name=mount.MOUNTED)
         mount.add_joints(body)
     add_side(spec, structure.mechanism, PASSIVE, body)
-    for sensor, name in ((mujoco.mjtSensor.mjSENS_FORCE, "force"), (mujoco.mjtSensor.mjSENS_TORQUE, "torque")):
-        spec.add_sensor(name=name, type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="P_nominal")
+    for sensor, name in (
+        (mujoco.mjtSensor.mjSENS_FORCE, "force"),
+        (mujoco.mjtSensor.mjSENS_TORQUE, "torque"),
+    ):
+        spec.add_sensor(
+            name=name, type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="P_nominal"
+        )
 
 
 def add_contact(spec: mujoco.MjSpec, structure: Structure) -> None:
@@ -130,24 +164,38 @@ def add_contact(spec: mujoco.MjSpec, structure: Structure) -> None:
 
 
 def add_side(
-    spec: mujoco.MjSpec, mechanism: Mechanism, prefix: str, body: mujoco.MjsBody, plane: Array = ORIGIN, height: Array = ORIGIN
+    spec: mujoco.MjSpec,
+    mechanism: Mechanism,
+    prefix: str,
+    body: mujoco.MjsBody,
+    plane: Array = ORIGIN,
+    height: Array = ORIGIN,
 ) -> None:
-    """Attach the side given by ``prefix`` to ``body``, with its port at ``plane`` + ``height`` (3,) [m] and axes along the body's."""
+    """Attach the side given by ``prefix`` to ``body``, with its port at ``plane`` + ``height`` (3,)
+    [m] and axes along the body's.
+    """
     which = (ACTIVE, PASSIVE).index(prefix)
     port = sides_of(mechanism).ports[which]
     back, offset = quat_to_mujoco(port[3:7] * [-1.0, -1.0, -1.0, 1.0]), np.zeros(3)
     mujoco.mju_rotVecQuat(offset, port[:3], back)
-    spec.attach(mechanism.sides()[which], prefix=prefix, frame=body.add_frame(pos=plane + (height - offset), quat=back))
+    spec.attach(
+        mechanism.sides()[which],
+        prefix=prefix,
+        frame=body.add_frame(pos=plane + (height - offset), quat=back),
+    )
 
 
 def weigh_contact(model: mujoco.MjModel, carrier: str, held: bool = False) -> None:
-    """Make contacts and latches of a compiled ``model`` exert K x + C v, whatever the acceleration of the active side's ``carrier``.
+    """Make contacts and latches of a compiled ``model`` exert K x + C v, whatever the acceleration
+    of the active side's ``carrier``.
 
-    MuJoCo's soft force is f = (a_ref - a)/R with R = A (1 - d)/d. A is the sum of both bodies' ``body_invweight0``, a the acceleration at
-    the contact: f is d a/A less than K x + C v. If A is MuJoCo's estimate of y, the carrier's acceleration per newton, the error is a
-    fraction d of the force along the normal, and several times that across it. Here A is set to 1/kg, so that the fraction is d y, 3e-7
-    on a platform of 334 kg. Only contacts and latches use this weight: the carrier is a separate body, to which no joint or loop of the
-    rig is attached.
+    MuJoCo's soft force is f = (a_ref - a)/R with R = A (1 - d)/d. A is the sum of both bodies'
+    ``body_invweight0``, a the acceleration at
+    the contact: f is d a/A less than K x + C v. If A is MuJoCo's estimate of y, the carrier's
+        acceleration per newton, the error is a fraction d of the force along the normal, and
+        several times that across it. Here A is set to 1/kg, so that the fraction is d y, 3e-7 on a
+        platform of 334 kg. Only contacts and latches use this weight: the carrier is a separate
+        body, to which no joint or loop of the rig is attached.
 
     ``held``: parts that move on the carrier are kept fixed.
     """
@@ -157,7 +205,9 @@ def weigh_contact(model: mujoco.MjModel, carrier: str, held: bool = False) -> No
 
 
 def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int]]:
-    """Numbers of the bodies that are fixed to the ``carrier``, including itself, and of those that move on it."""
+    """Numbers of the bodies that are fixed to the ``carrier``, including itself, and of those that
+    move on it.
+    """
     body = model.body(carrier).id
     fixed, parts = [body], []
     for other in range(body + 1, model.nbody):
@@ -169,9 +219,11 @@ def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int
 
 
 def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
-    """Set the inverse weights of the ``parts`` (for friction, limits and contacts) as if their carrier were fixed.
+    """Set the inverse weights of the ``parts`` (for friction, limits and contacts) as if their
+    carrier were fixed.
 
-    MuJoCo's own inverse weights include the joints of the rig, which would make a sticking joint's friction creep.
+    MuJoCo's own inverse weights include the joints of the rig, which would make a sticking joint's
+    friction creep.
     """
     dofs = np.flatnonzero(np.isin(model.dof_bodyid, parts))
     if not dofs.size:
@@ -186,48 +238,74 @@ def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
     for body in parts:
         mujoco.mj_jacBodyCom(model, data, jac[:3], jac[3:], body)
         moved = np.diag(jac[:, dofs] @ yields @ jac[:, dofs].T).reshape(2, 3).mean(axis=1)
-        _put(model.body_invweight0, body, np.where(moved > mujoco.mjMINVAL, moved, INVERSE_WEIGHT))  # else it cannot move in that way
+        # else it cannot move in that way
+        _put(model.body_invweight0, body, np.where(moved > mujoco.mjMINVAL, moved, INVERSE_WEIGHT))
     if held:
         model.dof_armature[dofs] = IMMOVABLE
 
 
 def _put(weights: Array, at: NDArray[np.int_] | int, value: Array | float) -> None:
-    """Write ``value`` where MuJoCo's own differs by more than 1e-6; the motion of a prescribed, very heavy carrier is less than that."""
+    """Write ``value`` where MuJoCo's own differs by more than 1e-6; the motion of a prescribed,
+    very heavy carrier is less than that.
+    """
     weights[at] = np.where(np.isclose(weights[at], value, rtol=1e-6, atol=0.0), weights[at], value)
 
 
 def inverse_mass(model: mujoco.MjModel, bodies: NDArray[np.int_]) -> Array:
     """``(k,)`` factor of a stiffness [N/m] between ``bodies`` (2, k) in a direct solref [1/kg].
 
-    A - d w: A the sum of both inverse weights, w that of the active side (:func:`weigh_contact`), compared with which its true mobility
-    is small. A moving part has MuJoCo's inverse weight, close to its true mobility: the resulting error, d of the force, is not corrected.
+    A - d w: A the sum of both inverse weights, w that of the active side (:func:`weigh_contact`),
+    compared with which its true mobility is small. A moving part has MuJoCo's inverse weight, close
+    to its true mobility: the resulting error, d of the force, is not corrected.
     """
     weight = model.body_invweight0[bodies, 0]
-    carries = model.body_weldid[bodies] == model.body_weldid[model.site_bodyid[model.site(ACTIVE + "A").id]]
+    carries = (
+        model.body_weldid[bodies]
+        == model.body_weldid[model.site_bodyid[model.site(ACTIVE + "A").id]]
+    )
     return np.asarray(weight.sum(axis=0) - IMPEDANCE * np.where(carries, weight, 0.0).sum(axis=0))
 
 
 def _pair(spec: mujoco.MjSpec, name: str, active: str, passive: str, rubs: bool) -> None:
-    spec.add_pair(name=name, geomname1=active, geomname2=passive, condim=3 if rubs else 1, solimp=CONTACT_SOLIMP)
+    spec.add_pair(
+        name=name,
+        geomname1=active,
+        geomname2=passive,
+        condim=3 if rubs else 1,
+        solimp=CONTACT_SOLIMP,
+    )
 
 
 def _facet(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
-    """Add a box to the body of the surface, and to that of the round a ball, which for a rod is placed at its nearest point."""
+    """Add a box to the body of the surface, and to that of the round a ball, which for a rod is
+    placed at its nearest point.
+    """
     one, other = spec.geom(ACTIVE + pair.active), spec.geom(PASSIVE + pair.passive)
     round_, surface = (other, one) if pair.swapped else (one, other)
     box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
-    surface.parent.add_geom(name=f"facet_{k}", type=box, size=FACET, pos=[0.0, 0.0, AWAY], quat=_UNALIGNED, **_UNSEEN)
-    round_.parent.add_geom(name=f"ball_{k}", type=ball, size=[round_.size[0], 0.0, 0.0], pos=PROXY, **_UNSEEN)
+    surface.parent.add_geom(
+        name=f"facet_{k}", type=box, size=FACET, pos=[0.0, 0.0, AWAY], quat=_UNALIGNED, **_UNSEEN
+    )
+    round_.parent.add_geom(
+        name=f"ball_{k}", type=ball, size=[round_.size[0], 0.0, 0.0], pos=PROXY, **_UNSEEN
+    )
     _pair(spec, f"facet_{k}", f"ball_{k}", f"facet_{k}", rubs)
 
 
 def _native(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
-    """Add a pair for MuJoCo's own collision detection, and a sensor of its number of points and its deepest point."""
+    """Add a pair for MuJoCo's own collision detection, and a sensor of its number of points and its
+    deepest point.
+    """
     active, passive = ACTIVE + pair.active, PASSIVE + pair.passive
     _pair(spec, f"native_{k}", active, passive, rubs)
     geom = mujoco.mjtObj.mjOBJ_GEOM
     sensor = spec.add_sensor(
-        name=f"native_{k}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=geom, objname=active, reftype=geom, refname=passive
+        name=f"native_{k}",
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=geom,
+        objname=active,
+        reftype=geom,
+        refname=passive,
     )
     sensor.intprm = [sum(1 << int(part) for part in _READ), DEEPEST, 1]
 
@@ -235,10 +313,22 @@ def _native(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
 def _latches(spec: mujoco.MjSpec, structure: Structure) -> None:
     """Add an equality between the bodies that carry the sites of each closure; none is active."""
     closures = [(LATCH, "weld", "A", "P")] if structure.latched else []
-    closures += [(p.name, p.close.kind, p.close.active, p.close.passive) for p in structure.mechanism.phases() if p.close is not None]
+    closures += [
+        (p.name, p.close.kind, p.close.active, p.close.passive)
+        for p in structure.mechanism.phases()
+        if p.close is not None
+    ]
     for name, kind, active, passive in closures:
-        bodies = [site.parent.name for site in (spec.site(PASSIVE + passive), spec.site(ACTIVE + active))]
+        bodies = [
+            site.parent.name for site in (spec.site(PASSIVE + passive), spec.site(ACTIVE + active))
+        ]
         type_ = mujoco.mjtEq.mjEQ_WELD if kind == "weld" else mujoco.mjtEq.mjEQ_CONNECT
         spec.add_equality(
-            name=name, type=type_, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=bodies[0], name2=bodies[1], active=False, solimp=CONTACT_SOLIMP
-        )  # fmt: skip
+            name=name,
+            type=type_,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=bodies[0],
+            name2=bodies[1],
+            active=False,
+            solimp=CONTACT_SOLIMP,
+        )

@@ -1,4 +1,6 @@
-"""All interaction between the two sides of `n` rigs, for the plants that move them: contacts, latch, mount, applied wrenches."""
+"""All interaction between the two sides of `n` rigs, for the plants that move them: contacts,
+latch, mount, applied wrenches.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ class Contacts:
     """The sides of `n` runs.
 
     Attributes:
-        written: whether :meth:`meet` must be called at every instant; otherwise MuJoCo computes the contacts alone.
+        written: whether :meth:`meet` must be called at every instant; otherwise MuJoCo computes the
+            contacts alone.
         stage: up to which MuJoCo must have computed the forward dynamics before that.
         looking: the calls of :meth:`look`.
         touching: (n,) bool, whether they touch; latched: (n,) bool. mount: of the passive side.
@@ -43,7 +46,9 @@ class Contacts:
         least_creep: float,
         force: AppliedForce | None,
     ) -> None:
-        """``dt``, ``least_creep``: see :class:`Engagement`. ``force``: applied instead of the contacts."""
+        """``dt``, ``least_creep``: see :class:`Engagement`. ``force``: applied instead of the
+        contacts.
+        """
         n, model = len(scenarios), batch.model
         self._force, self._engagement = force, None
         if structure.touches and structure.constant:
@@ -51,13 +56,19 @@ class Contacts:
         elif structure.touches:
             self._engagement = Engagement(batch, scenarios, structure, dt, least_creep)
         engagement = self._engagement
-        tilt = engagement.tilt if engagement else np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
+        tilt = (
+            engagement.tilt if engagement else np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
+        )
         self.mount = Mount(batch, scenarios, tilt)
         self.written = engagement is not None or force is not None or self.mount.moves
         self.stage = engagement.stage if engagement else int(mujoco.mjtStage.mjSTAGE_NONE)
         self.touching = engagement.touching if engagement else np.zeros(n, dtype=bool)
         self.latched = engagement.latched if engagement else np.zeros(n, dtype=bool)
-        self._ncon, self._qpos, self._qvel = batch.bind("ncon"), batch.bind("qpos"), batch.bind("qvel")
+        self._ncon, self._qpos, self._qvel = (
+            batch.bind("ncon"),
+            batch.bind("qpos"),
+            batch.bind("qvel"),
+        )
         self._applied = batch.bind("xfrc_applied").reshape(n, -1, 6)
         self._pulls = force is not None or (engagement is not None and engagement.pulls)
         self._pull = engagement.pull if engagement else np.zeros((n, 6))
@@ -67,13 +78,20 @@ class Contacts:
         rotate_back(site.quat[[1, 2, 3, 0]], model.body_ipos[self._active] - site.pos, self._arm)
         self._centre, self._load = np.zeros((n, 3)), np.zeros((n, 6))
         itself = engagement is None and force is None
-        self.looking: list[Callable[[], None]] = [bound(_count, self._ncon, self.touching)] if itself else []
+        self.looking: list[Callable[[], None]] = (
+            [bound(_count, self._ncon, self.touching)] if itself else []
+        )
 
     @property
     def engagement(self) -> Engagement:
-        """The contacts' geometry and forces. Raises InputError if MuJoCo's own collision computes them."""
+        """The contacts' geometry and forces. Raises InputError if MuJoCo's own collision computes
+        them.
+        """
         if self._engagement is None:
-            raise InputError("a spring and damper without friction, mount or effects is MuJoCo's own contact: only its force is available")
+            raise InputError(
+                "a spring and damper without friction, mount or effects is MuJoCo's own contact: "
+                "only its force is available"
+            )
         return self._engagement
 
     def reset(self) -> None:
@@ -82,15 +100,21 @@ class Contacts:
             self._engagement.reset()
 
     def balance(self) -> None:
-        """Balance the weight on the mount with nothing latched, wherever the sides are; undone by :meth:`reset`."""
+        """Balance the weight on the mount with nothing latched, wherever the sides are; undone by
+        :meth:`reset`.
+        """
         if self._engagement is not None:
             self._engagement.latches.open(captured=False)
         load_body(1.0, self.mount.balance, self.mount.body, self.mount.centre, self._applied)
 
-    def meet(self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None) -> None:
-        """Make MuJoCo exert the forces for the state: pose (n, 7) and twist (n, 6) of A in W, and that of the mount's joints.
+    def meet(
+        self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None
+    ) -> None:
+        """Make MuJoCo exert the forces for the state: pose (n, 7) and twist (n, 6) of A in W, and
+        that of the mount's joints.
 
-        place, motion: (n, 7), (n, 6) pose and twist of P if the passive side moves; otherwise it is fixed in W.
+        place, motion: (n, 7), (n, 6) pose and twist of P if the passive side moves; otherwise it is
+            fixed in W.
         """
         mount = self.mount
         if place is None or motion is None:
@@ -110,8 +134,12 @@ class Contacts:
             np.add(self._pull, mount.balance, out=self._load)
             load_body(1.0, self._load, mount.body, mount.centre, self._applied)
 
-    def meeting(self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None) -> list[Callable[[], None]]:
-        """The calls of :meth:`meet`, in order, bound to arrays that are reused; none if they are not all compiled."""
+    def meeting(
+        self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None
+    ) -> list[Callable[[], None]]:
+        """The calls of :meth:`meet`, in order, bound to arrays that are reused; none if they are
+        not all compiled.
+        """
         mount = self.mount
         if self._engagement is None or self._pulls or mount.moves:
             return []
@@ -132,7 +160,9 @@ def _count(contacts, touching):
 
 @njit(cache=True)
 def _into_world(place, wrench):
-    """Transform wrenches (n, 6), in place, from P at P's origin to W at W's origin; P at ``place`` (n, 7)."""
+    """Transform wrenches (n, 6), in place, from P at P's origin to W at W's origin; P at ``place``
+    (n, 7).
+    """
     local = np.empty(6)
     for i in range(wrench.shape[0]):
         local[:] = wrench[i]

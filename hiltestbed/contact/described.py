@@ -1,4 +1,6 @@
-"""Mechanisms with a description file: classes of geom pairs that may touch, and phases of capture."""
+"""Mechanisms with a description file: classes of geom pairs that may touch, and phases of
+capture.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from hiltestbed.models import models_folder
 
 
 class Described(Mechanism):
-    """Base of the mechanisms whose folder in ``models`` holds active.xml, passive.xml and mechanism.yaml.
+    """Base of the mechanisms whose folder in ``models`` holds active.xml, passive.xml and
+    mechanism.yaml.
 
     Attributes:
         folder: its name in ``models``.
@@ -24,8 +27,10 @@ class Described(Mechanism):
 
     folder: ClassVar[str] = ""
     contact: Contact = Field(
-        default_factory=lambda: Contact(stiffness=1.0),  # never used: the validator below fills it in
-        description="Stiffness, damping and friction of the first class of pairs; omitted: the values in the mechanism's own description",
+        # never used: the validator below fills it in
+        default_factory=lambda: Contact(stiffness=1.0),
+        description="Stiffness, damping and friction of the first class of pairs; omitted: the "
+        "values in the mechanism's own description",
     )
 
     @model_validator(mode="before")
@@ -60,7 +65,9 @@ class Described(Mechanism):
 
 
 def _numbers(touching: Touching) -> Contact:
-    return Contact(stiffness=touching.stiffness, damping=touching.damping, friction=touching.friction)
+    return Contact(
+        stiffness=touching.stiffness, damping=touching.damping, friction=touching.friction
+    )
 
 
 @lru_cache(maxsize=32)

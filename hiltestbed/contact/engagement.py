@@ -1,16 +1,19 @@
 """The contacts of `n` runs in MuJoCo: facets, pairs and latches, updated before each step.
 
-A MuJoCo step evaluates F = K x + C v at its start, with K and C from the pair's ``solref``. Before each step, therefore,
+A MuJoCo step evaluates F = K x + C v at its start, with K and C from the pair's ``solref``. Before
+each step, therefore,
 
-- the box of a facet is re-posed to the tangent plane at the point of the surface that is nearest to the ball or the rod;
-- a linear law is written as (-K g, -C g), any other as (-F g/x, -0), g = A for bodies that yield (:mod:`hiltestbed.contact.solref`);
-- friction is written as its secant: the pair's ``solreffriction`` is (-0, -mu |F|/sqrt(v^2 + v_0^2) g), with a cone ten times as wide,
-  which never acts;
+- the box of a facet is re-posed to the tangent plane at the point of the surface that is nearest to
+  the ball or the rod;
+- a linear law is written as (-K g, -C g), any other as (-F g/x, -0), g = A for bodies that yield
+  (:mod:`hiltestbed.contact.solref`);
+- friction is written as its secant: the pair's ``solreffriction`` is (-0, -mu |F|/sqrt(v^2 + v_0^2)
+  g), with a cone ten times as wide, which never acts;
 - a native pair of c points gets 1/c of these per point;
 - the anchors of closed latches are updated (:mod:`hiltestbed.contact.latches`).
 
-MuJoCo's contacts cannot pull, as adhesion and the frame's mode may without a latch: that part of the force is :attr:`pull`, to be
-applied as an external wrench.
+MuJoCo's contacts cannot pull, as adhesion and the frame's mode may without a latch: that part of
+the force is :attr:`pull`, to be applied as an external wrench.
 """
 
 from __future__ import annotations
@@ -40,7 +43,15 @@ from hiltestbed.contact.composition import (
 )  # fmt: skip
 from hiltestbed.contact.facets import DRAG, MET, NORM, POINT, PUSH, outwards, pose_facet, spring
 from hiltestbed.contact.geometry import ACTIVE as A
-from hiltestbed.contact.geometry import FRAMES, RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES
+from hiltestbed.contact.geometry import (
+    FRAMES,
+    RADIUS,
+    ROUND_FRAME,
+    ROW,
+    SIDE,
+    SURFACE_FRAME,
+    VALUES,
+)
 from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.latches import Latches
 from hiltestbed.contact.law import STATES
@@ -71,19 +82,31 @@ class Engagement:
     """The contacts of `n` runs.
 
     Attributes:
-        met: (n, T, MET) of each facet and each native pair: penetration [m], negative while apart, and its rate [m/s]; point of
-            application of the force [m], direction of the force on the passive side and slip of the active side [m/s], all (3,) in W;
-            normal force [N] and friction coefficient [N s/m].
-        linear: (n, T) whether only a linear spring and damper act along the normal; parameters: (n, T + 1, PARAMETERS) of the laws, the
-            latch's last. touching: (n,) bool. latched: (n,) bool, whether any latch is closed. latches: all of them.
-        pull: (n, 6) the part of the wrench on the passive side that MuJoCo's contacts do not exert, in W at W's origin; pulls: whether
-            there can be any. stage: up to which MuJoCo must have computed the forward dynamics before :meth:`update`.
+        met: (n, T, MET) of each facet and each native pair: penetration [m], negative while apart,
+            and its rate [m/s]; point of application of the force [m], direction of the force on the
+            passive side and slip of the active side [m/s], all (3,) in W; normal force [N] and
+            friction coefficient [N s/m].
+        linear: (n, T) whether only a linear spring and damper act along the normal; parameters: (n,
+            T + 1, PARAMETERS) of the laws, the latch's last. touching: (n,) bool. latched: (n,)
+            bool, whether any latch is closed. latches: all of them.
+        pull: (n, 6) the part of the wrench on the passive side that MuJoCo's contacts do not exert,
+            in W at W's origin; pulls: whether
+            there can be any. stage: up to which MuJoCo must have computed the forward dynamics
+                before :meth:`update`.
         tilt: (n, 7) pose of S in its nominal frame.
     """
 
-    def __init__(self, batch: Batch, scenarios: Sequence[Scenario], structure: Structure, dt: float, least_creep: float) -> None:
-        """``dt`` [s] between two instants; ``least_creep`` [m/s per N] limits the slope of friction to what one step can resolve,
-        v_0 >= least_creep mu |F|."""
+    def __init__(
+        self,
+        batch: Batch,
+        scenarios: Sequence[Scenario],
+        structure: Structure,
+        dt: float,
+        least_creep: float,
+    ) -> None:
+        """``dt`` [s] between two instants; ``least_creep`` [m/s per N] limits the slope of friction
+        to what one step can resolve, v_0 >= least_creep mu |F|.
+        """
         n, sides = len(scenarios), structure.sides
         self._geometry, self._facets = sides.geometry, len(sides.facets)
         pairs = (*sides.facets, *sides.native)
@@ -95,8 +118,15 @@ class Engagement:
         self._pairs = _Pairs(batch, structure, self.parameters)
         self.state = np.zeros((n, len(pairs) + 1, STATES))
         self.met = np.zeros((n, len(pairs), MET))
-        self.wrench, self.pull, self.touching = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n, dtype=bool)
-        self.pulls = bool((self.parameters[:, :-1, ADHESION] > 0.0).any() or (self.parameters[:, :-1, MODE] > 0.0).any())
+        self.wrench, self.pull, self.touching = (
+            np.zeros((n, 6)),
+            np.zeros((n, 6)),
+            np.zeros(n, dtype=bool),
+        )
+        self.pulls = bool(
+            (self.parameters[:, :-1, ADHESION] > 0.0).any()
+            or (self.parameters[:, :-1, MODE] > 0.0).any()
+        )
         self.latches = Latches(batch, structure, self.parameters[:, -1])
         self._captured = scenarios[0].mechanism.captured
         self.latched = np.zeros(n, dtype=bool)
@@ -109,7 +139,9 @@ class Engagement:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the start: unlatched, or latched with A at P for a mechanism captured from the start."""
+        """Return to the start: unlatched, or latched with A at P for a mechanism captured from the
+        start.
+        """
         self.state[:] = 0.0
         self.latched[:] = self._captured
         self._live[:] = True
@@ -124,14 +156,41 @@ class Engagement:
         if self._facets:
             found = [
                 bound(
-                    _touch_facets, *self._geometry, p.ids, dt, least_creep, *rows, b.frames, b.motions, b.carry, self.state, self.met,
-                    p.geom_pos, p.geom_quat, *felt[1:],
+                    _touch_facets,
+                    *self._geometry,
+                    p.ids,
+                    dt,
+                    least_creep,
+                    *rows,
+                    b.frames,
+                    b.motions,
+                    b.carry,
+                    self.state,
+                    self.met,
+                    p.geom_pos,
+                    p.geom_quat,
+                    *felt[1:],
                 )
-            ]  # fmt: skip
+            ]
         if p.reading.shape[1]:
-            found.append(bound(_touch_natively, self._facets, p.ids, dt, least_creep, *rows, self.state, p.reading, *felt))
+            found.append(
+                bound(
+                    _touch_natively,
+                    self._facets,
+                    p.ids,
+                    dt,
+                    least_creep,
+                    *rows,
+                    self.state,
+                    p.reading,
+                    *felt,
+                )
+            )
         if self.latches.closures:
-            found += [self.latches.holding(dt, b.frames, b.motions, b.carry), bound(_or, self.touching, self.latched)]
+            found += [
+                self.latches.holding(dt, b.frames, b.motions, b.carry),
+                bound(_or, self.touching, self.latched),
+            ]
         return found
 
     @property
@@ -145,15 +204,25 @@ class Engagement:
         return self._bodies.motions
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
-        """Update MuJoCo's contacts for the state: pose (n, 7) and twist (n, 6) of A in W, and those of S; once per instant."""
+        """Update MuJoCo's contacts for the state: pose (n, 7) and twist (n, 6) of A in W, and those
+        of S; once per instant.
+        """
         self._updated.on(pose, twist, place, motion)()
 
-    def updating(self, pose: Array, twist: Array, place: Array, motion: Array) -> list[Callable[[], None]]:
+    def updating(
+        self, pose: Array, twist: Array, place: Array, motion: Array
+    ) -> list[Callable[[], None]]:
         """The calls of :meth:`update`, in order, bound to arrays that are reused."""
-        return [self._bodies.standing(pose, twist, place, motion), *self._bodies.moving, *self._touching]
+        return [
+            self._bodies.standing(pose, twist, place, motion),
+            *self._bodies.moving,
+            *self._touching,
+        ]
 
     def capture(self, which: NDArray[np.bool_]) -> None:
-        """Latch the runs ``which`` (n,) at their present pose and force, from the next instant on; their contacts are switched off."""
+        """Latch the runs ``which`` (n,) at their present pose and force, from the next instant on;
+        their contacts are switched off.
+        """
         new = which & ~self.latched
         if not new.any():
             return
@@ -165,7 +234,9 @@ class Engagement:
         self._live[new] = False
 
     def close(self, k: int, which: NDArray[np.bool_], force: Array) -> None:
-        """Close closure ``k`` in the runs ``which`` (n,); its springs carry the ``force`` (n, 3), in the passive site's frame."""
+        """Close closure ``k`` in the runs ``which`` (n,); its springs carry the ``force`` (n, 3),
+        in the passive site's frame.
+        """
         self.latches.close(k, which, force)
         self.latched |= which
 
@@ -174,9 +245,13 @@ class Engagement:
         self._live[np.ix_(which, contacts)] = False
 
     def relative(self) -> tuple[Array, Array]:
-        """Pose (n, 7) and twist (n, 6) of A in S at the last update, for a mechanism with a latch."""
+        """Pose (n, 7) and twist (n, 6) of A in S at the last update, for a mechanism with a
+        latch.
+        """
         if self._relative is None:
-            raise InputError("this mechanism has no latch between A and S; allowed are mechanisms that have one")
+            raise InputError(
+                "this mechanism has no latch between A and S; allowed are mechanisms that have one"
+            )
         return self._relative
 
 
@@ -196,14 +271,17 @@ class _Bodies:
     """The frames to which geoms and sites are fixed.
 
     Attributes:
-        frames, motions: (n, F, 7), (n, F, 6) poses and twists in W of A, S and moving parts. carry: (n, F, 7) pose of each frame in the
-        MuJoCo body that carries it.
+        frames, motions: (n, F, 7), (n, F, 6) poses and twists in W of A, S and moving parts. carry:
+            (n, F, 7) pose of each frame in the MuJoCo body that carries it.
     """
 
     def __init__(self, batch: Batch, structure: Structure, tilt: Array) -> None:
         n, m = len(tilt), batch.model
         names = structure.sides.frames
-        self.frames, self.motions = np.zeros((n, FRAMES + len(names), 7)), np.zeros((n, FRAMES + len(names), 6))
+        self.frames, self.motions = (
+            np.zeros((n, FRAMES + len(names), 7)),
+            np.zeros((n, FRAMES + len(names), 6)),
+        )
         self.carry = np.zeros((n, FRAMES + len(names), 7))
         self.carry[..., 6] = 1.0
         for f, (prefix, port) in enumerate(((ACTIVE, "A"), (PASSIVE, "P"))):
@@ -215,18 +293,38 @@ class _Bodies:
             quat_mul(self.carry[i, S, 3:7], tilt[i, 3:7], q)
             self.carry[i, S, 3:7] = q
         prefixes = {"A": ACTIVE, "P": PASSIVE}
-        self._ids = np.array([m.body(prefixes[side] + body).id for side, body in names], dtype=np.int64)
+        self._ids = np.array(
+            [m.body(prefixes[side] + body).id for side, body in names], dtype=np.int64
+        )
         self.moving: list[Callable[[], None]] = []
         if names:
             self._root = m.body_rootid[self._ids].astype(np.int64)
             bind = batch.bind
-            self._xpos, self._xquat = bind("xpos").reshape(n, -1, 3), bind("xquat").reshape(n, -1, 4)
-            self._cvel, self._com = bind("cvel").reshape(n, -1, 6), bind("subtree_com").reshape(n, -1, 3)
+            self._xpos, self._xquat = (
+                bind("xpos").reshape(n, -1, 3),
+                bind("xquat").reshape(n, -1, 4),
+            )
+            self._cvel, self._com = (
+                bind("cvel").reshape(n, -1, 6),
+                bind("subtree_com").reshape(n, -1, 3),
+            )
             self.moving.append(
-                bound(_parts, self._ids, self._root, self._xpos, self._xquat, self._cvel, self._com, self.frames, self.motions)
+                bound(
+                    _parts,
+                    self._ids,
+                    self._root,
+                    self._xpos,
+                    self._xquat,
+                    self._cvel,
+                    self._com,
+                    self.frames,
+                    self.motions,
+                )
             )
 
-    def standing(self, pose: Array, twist: Array, place: Array, motion: Array) -> Callable[[], None]:
+    def standing(
+        self, pose: Array, twist: Array, place: Array, motion: Array
+    ) -> Callable[[], None]:
         """The call that updates the frames A and S; ``moving`` holds those for moving parts."""
         return bound(_stand, pose, twist, place, motion, self.frames, self.motions)
 
@@ -236,22 +334,38 @@ class _Pairs:
 
     Attributes:
         ids: (T, 3) numbers of each contact's pair, facet and ball; -1: none. gain: (n, T) g [1/kg].
-        geom_pos, geom_quat, solref, friction: MuJoCo's arrays, per run. reading: (n, READ native pairs) of their sensors.
+        geom_pos, geom_quat, solref, friction: MuJoCo's arrays, per run. reading: (n, READ native
+            pairs) of their sensors.
     """
 
     def __init__(self, batch: Batch, structure: Structure, parameters: Array) -> None:
         m, sides = batch.model, structure.sides
-        names = [f"facet_{k}" for k in range(len(sides.facets))] + [f"native_{k}" for k in range(len(sides.native))]
+        names = [f"facet_{k}" for k in range(len(sides.facets))] + [
+            f"native_{k}" for k in range(len(sides.native))
+        ]
         pairs = [m.pair(name).id for name in names]
-        facets = [(m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in range(len(sides.facets))] + [(-1, -1)] * len(sides.native)
-        self.ids = np.array([(p, *f) for p, f in zip(pairs, facets, strict=True)], dtype=np.int64).reshape(len(pairs), 3)
-        bodies = m.geom_bodyid[np.stack([m.pair_geom1[pairs], m.pair_geom2[pairs]])] if pairs else np.zeros((2, 0), dtype=int)
+        facets = [
+            (m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in range(len(sides.facets))
+        ] + [(-1, -1)] * len(sides.native)
+        self.ids = np.array(
+            [(p, *f) for p, f in zip(pairs, facets, strict=True)], dtype=np.int64
+        ).reshape(len(pairs), 3)
+        bodies = (
+            m.geom_bodyid[np.stack([m.pair_geom1[pairs], m.pair_geom2[pairs]])]
+            if pairs
+            else np.zeros((2, 0), dtype=int)
+        )
         self.gain = np.tile(inverse_mass(m, bodies), (len(parameters), 1))
         self.geom_pos, self.geom_quat = batch.expand("geom_pos"), batch.expand("geom_quat")
-        self.solref, self.friction = batch.expand("pair_solref"), batch.expand("pair_solreffriction")
+        self.solref, self.friction = (
+            batch.expand("pair_solref"),
+            batch.expand("pair_solreffriction"),
+        )
         self.friction[:] = 2.0 * NO_DAMPING
         if structure.rubs:
-            batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(parameters[:, :-1, FRICTION, None], 1e-4)
+            batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(
+                parameters[:, :-1, FRICTION, None], 1e-4
+            )
         if (parameters[:, :-1, OFFSET] < 0.0).any() and sides.native:
             batch.expand("pair_margin")[:, pairs] = np.maximum(-parameters[:, :-1, OFFSET], 0.0)
         reading = batch.bind("sensordata")
@@ -285,7 +399,9 @@ def _stand(pose, twist, place, motion, frames, motions):
 
 @njit(cache=True)
 def _parts(ids, roots, xpos, xquat, cvel, com, frames, motions):
-    """Poses and twists of MuJoCo's bodies; ``cvel`` is that of the body at the centre of mass of its tree, angular first."""
+    """Poses and twists of MuJoCo's bodies; ``cvel`` is that of the body at the centre of mass of
+    its tree, angular first.
+    """
     for i in range(frames.shape[0]):
         for k in range(ids.shape[0]):
             b, at = ids[k], com[i, roots[k]]
@@ -303,9 +419,28 @@ def _parts(ids, roots, xpos, xquat, cvel, com, frames, motions):
 
 @njit(cache=True)
 def _touch_facets(
-    index, values, ids, dt, least_creep, p, linear, live, gain, frames, motions, carry, state, met, geom_pos, geom_quat, solref, friction,
-    wrench, pull, touching,
-):  # fmt: skip
+    index,
+    values,
+    ids,
+    dt,
+    least_creep,
+    p,
+    linear,
+    live,
+    gain,
+    frames,
+    motions,
+    carry,
+    state,
+    met,
+    geom_pos,
+    geom_quat,
+    solref,
+    friction,
+    wrench,
+    pull,
+    touching,
+):
     """Facets, springs and friction of each run from the poses of its sides."""
     count = index[-1]
     depth, rate = np.empty(count), np.empty(count)
@@ -329,24 +464,62 @@ def _touch_facets(
             out[PUSH], out[DRAG] = push, drag
             surface, side = index[c * ROW + SURFACE_FRAME], index[c * ROW + SIDE]
             outwards(point[c], normal[c], slip[c], frames[i, surface], side, out)
-            add_contact(push, drag, point[c], normal[c], slip[c], frames[i, surface], side, f, wrench[i])
+            add_contact(
+                push, drag, point[c], normal[c], slip[c], frames[i, surface], side, f, wrench[i]
+            )
             if push < 0.0:
-                add_contact(push, drag, point[c], normal[c], slip[c], frames[i, surface], side, f, pull[i])
+                add_contact(
+                    push, drag, point[c], normal[c], slip[c], frames[i, surface], side, f, pull[i]
+                )
             if push < 0.0:
                 geom_pos[i, ids[c, 1], 2] = AWAY
                 continue
             show = max(depth[c] - row[OFFSET], LEAST)
             pose_facet(
-                point[c], normal[c], show, values[c * VALUES + RADIUS], frames[i], carry[i], surface, index[c * ROW + ROUND_FRAME],
-                ids[c], geom_pos[i], geom_quat[i], work,
-            )  # fmt: skip
-            spring(linear[i, c], row, push, drag, show, gain[i, c], solref[i, ids[c, 0]], friction[i, ids[c, 0]])
+                point[c],
+                normal[c],
+                show,
+                values[c * VALUES + RADIUS],
+                frames[i],
+                carry[i],
+                surface,
+                index[c * ROW + ROUND_FRAME],
+                ids[c],
+                geom_pos[i],
+                geom_quat[i],
+                work,
+            )
+            spring(
+                linear[i, c],
+                row,
+                push,
+                drag,
+                show,
+                gain[i, c],
+                solref[i, ids[c, 0]],
+                friction[i, ids[c, 0]],
+            )
 
 
 @njit(cache=True)
 def _touch_natively(
-    facets, ids, dt, least_creep, p, linear, live, gain, state, reading, met, solref, friction, wrench, pull, touching
-):  # fmt: skip
+    facets,
+    ids,
+    dt,
+    least_creep,
+    p,
+    linear,
+    live,
+    gain,
+    state,
+    reading,
+    met,
+    solref,
+    friction,
+    wrench,
+    pull,
+    touching,
+):
     """Springs and friction of native pairs, from their sensors' readings of the deepest points."""
     f, slip = np.empty(6), np.zeros(3)
     for i in range(met.shape[0]):
@@ -362,10 +535,23 @@ def _touch_natively(
                 continue
             depth, out[1] = out[0], -said[LINVEL]
             slip[0], slip[1] = said[LINVEL + 1], said[LINVEL + 2]
-            push, drag = law_of(dt, least_creep, row, state[i, c], depth, out[1], slip) if live[i, c] else (0.0, 0.0)
+            push, drag = (
+                law_of(dt, least_creep, row, state[i, c], depth, out[1], slip)
+                if live[i, c]
+                else (0.0, 0.0)
+            )
             show = max(depth + max(-row[OFFSET], 0.0), LEAST)
             share, k = gain[i, c] / points, ids[c, 0]
-            spring(linear[i, c] and live[i, c], row, max(push, 0.0), drag, show, share, solref[i, k], friction[i, k])
+            spring(
+                linear[i, c] and live[i, c],
+                row,
+                max(push, 0.0),
+                drag,
+                show,
+                share,
+                solref[i, k],
+                friction[i, k],
+            )
             if push == 0.0 and depth <= 0.0:
                 continue
             touching[i] |= live[i, c]

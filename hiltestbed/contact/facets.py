@@ -1,4 +1,6 @@
-"""MuJoCo's inputs for one contact: stiffness and damping in ``solref``, and the poses of a facet and its ball."""
+"""MuJoCo's inputs for one contact: stiffness and damping in ``solref``, and the poses of a facet
+and its ball.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +12,16 @@ from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.frames import quat_mul, rotate, rotate_back
 from hiltestbed.jit import njit
 
-POINT, NORM, SLIP, PUSH, DRAG, MET = 2, 5, 8, 11, 12, 13  # columns of a contact's results; the first two are penetration and rate
+# columns of a contact's results; the first two are penetration and rate
+POINT, NORM, SLIP, PUSH, DRAG, MET = 2, 5, 8, 11, 12, 13
 NO_FRICTION = -1e-9  # [1/s^2] tangential stiffness over A: practically none
 
 
 @njit(cache=True)
 def spring(linear, row, push, drag, show, g, solref, friction):
-    """MuJoCo's solref for a contact that it sees ``show`` [m] deep, for a normal force ``push`` [N] and friction ``drag`` [N s/m]."""
+    """MuJoCo's solref for a contact that it sees ``show`` [m] deep, for a normal force ``push`` [N]
+    and friction ``drag`` [N s/m].
+    """
     if linear:
         solref[0] = -row[STIFFNESS] * g
         solref[1] = min(-row[DAMPING] * g, NO_DAMPING)
@@ -29,7 +34,9 @@ def spring(linear, row, push, drag, show, g, solref, friction):
 
 @njit(cache=True)
 def outwards(point, normal, slip, place, side, out):
-    """Point, normal and slip in W, with the normal as the direction of the force on the passive side, the slip that of the active side."""
+    """Point, normal and slip in W, with the normal as the direction of the force on the passive
+    side, the slip that of the active side.
+    """
     rotate(place[3:7], point, out[POINT : POINT + 3])
     rotate(place[3:7], normal, out[NORM : NORM + 3])
     rotate(place[3:7], slip, out[SLIP : SLIP + 3])
@@ -40,15 +47,20 @@ def outwards(point, normal, slip, place, side, out):
 
 
 @njit(cache=True)
-def pose_facet(point, normal, show, radius, frames, carry, surface, round_, ids, geom_pos, geom_quat, work):
-    """Place the facet in the tangent plane and the ball ``show`` [m] into it, so that MuJoCo's contact is at ``point`` (3,)."""
+def pose_facet(
+    point, normal, show, radius, frames, carry, surface, round_, ids, geom_pos, geom_quat, work
+):
+    """Place the facet in the tangent plane and the ball ``show`` [m] into it, so that MuJoCo's
+    contact is at ``point`` (3,).
+    """
     at, turn = work[0], work[1]
     for j in range(3):
         at[j] = point[j] + normal[j] * (FACET[2] - 0.5 * show)
     rotate(carry[surface, 3:7], at[0:3], at[0:3])
     for j in range(3):
         geom_pos[ids[1], j] = at[j] + carry[surface, j]
-    turn[0], turn[1], turn[2], turn[3] = normal[1], -normal[0], 0.0, 1.0 - normal[2]  # turns z to -normal
+    # turns z to -normal
+    turn[0], turn[1], turn[2], turn[3] = normal[1], -normal[0], 0.0, 1.0 - normal[2]
     length = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[3] ** 2)
     if length > 1e-9:
         turn[0], turn[1], turn[3] = turn[0] / length, turn[1] / length, turn[3] / length

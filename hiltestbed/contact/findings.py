@@ -27,7 +27,9 @@ LISTED = 6
 
 
 def faults(scenario: Scenario) -> Iterator[str]:
-    """Reasons why the mechanism cannot run: its files, its phases, geoms that overlap at A's initial pose."""
+    """Reasons why the mechanism cannot run: its files, its phases, geoms that overlap at A's
+    initial pose.
+    """
     mechanism = scenario.mechanism
     try:
         sides = sides_of(mechanism)
@@ -43,23 +45,36 @@ def faults(scenario: Scenario) -> Iterator[str]:
                 yield str(error)
         lost = [pattern for pattern in phase.drop_contacts if not dropped_by(sides, [pattern]).size]
         if lost:
-            yield f"phase {phase.name!r}: no geom of the active side that may touch is called {', '.join(lost)}"
+            yield (
+                f"phase {phase.name!r}: no geom of the active side that may touch is "
+                f"called {', '.join(lost)}"
+            )
     if scenario.approach.gap > 0.0 and not mechanism.captured:
         yield from _overlaps(scenario, sides, model)
 
 
 def _overlaps(scenario: Scenario, sides: Sides, model: mujoco.MjModel) -> Iterator[str]:
     approach = scenario.approach
-    pose = np.array([*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)])
+    pose = np.array(
+        [*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]
+    )
     deep = [(depth, pair) for depth, pair in _penetrations(sides, model, pose) if depth > OVERLAP]
     if deep:
         deep.sort(key=lambda item: -item[0])
-        named = "; ".join(f"{pair.active} and {pair.passive} by {1e3 * depth:.3g} mm" for depth, pair in deep[:LISTED])
-        yield f"geoms overlap at the start: {named}; start farther away (approach.gap), or leave the pair out"
+        named = "; ".join(
+            f"{pair.active} and {pair.passive} by {1e3 * depth:.3g} mm"
+            for depth, pair in deep[:LISTED]
+        )
+        yield (
+            f"geoms overlap at the start: {named}; start farther away (approach.gap), or "
+            f"leave the pair out"
+        )
 
 
 def _penetrations(sides: Sides, model: mujoco.MjModel, pose: Array) -> Iterator[tuple[float, Pair]]:
-    """Penetration [m] of each pair with A at ``pose`` (7,) in P; moving parts are in the positions of their files."""
+    """Penetration [m] of each pair with A at ``pose`` (7,) in P; moving parts are in the positions
+    of their files.
+    """
     data = mujoco.MjData(model)
     at = int(model.joint("A_joint").qposadr[0])
     data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = pose[:3], quat_to_mujoco(pose[3:7])
@@ -73,12 +88,23 @@ def _penetrations(sides: Sides, model: mujoco.MjModel, pose: Array) -> Iterator[
             frames[2 + k] = [*body.xpos, *body.xquat[[1, 2, 3, 0]]]
         depth, rate = np.empty(count), np.empty(count)
         meet_all(
-            *sides.geometry, np.ones((count, PARAMETERS)), frames, np.zeros((len(frames), 6)), np.empty((9, 7)), depth, rate,
-            np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)),
-        )  # fmt: skip
+            *sides.geometry,
+            np.ones((count, PARAMETERS)),
+            frames,
+            np.zeros((len(frames), 6)),
+            np.empty((9, 7)),
+            depth,
+            rate,
+            np.empty((count, 3)),
+            np.empty((count, 3)),
+            np.empty((count, 3)),
+        )
         yield from zip(map(float, depth), sides.facets, strict=True)
     for pair in sides.native:
-        ends = [model.geom(prefix + name).id for prefix, name in ((ACTIVE, pair.active), (PASSIVE, pair.passive))]
+        ends = [
+            model.geom(prefix + name).id
+            for prefix, name in ((ACTIVE, pair.active), (PASSIVE, pair.passive))
+        ]
         yield -mujoco.mj_geomDistance(model, data, *ends, 0.1, None), pair
 
 
@@ -92,31 +118,42 @@ def _compiled(structure: Structure, stamps: tuple[tuple[int, ...], ...]) -> mujo
     """Both sides alone, the active one on a free body. Raises InputError."""
     spec = mujoco.MjSpec()
     add_side(spec, structure.mechanism, PASSIVE, spec.worldbody.add_body(name="P_body"))
-    body = spec.worldbody.add_body(name="A_body", mass=1.0, inertia=[1.0, 1.0, 1.0], explicitinertial=True)
+    body = spec.worldbody.add_body(
+        name="A_body", mass=1.0, inertia=[1.0, 1.0, 1.0], explicitinertial=True
+    )
     body.add_freejoint(name="A_joint")
     add_side(spec, structure.mechanism, ACTIVE, body)
     try:
         return spec.compile()
     except ValueError as error:
-        raise InputError(f"{', '.join(map(str, structure.mechanism.files()))}: MuJoCo cannot compile both sides: {error}") from error
+        raise InputError(
+            f"{', '.join(map(str, structure.mechanism.files()))}: MuJoCo cannot compile both "
+            f"sides: {error}"
+        ) from error
 
 
 def remarks(mechanism: Mechanism) -> list[str]:
-    """Remarks on a mechanism's contacts: which geoms may touch and how, pairs that divide their stiffness among points, meshes."""
+    """Remarks on a mechanism's contacts: which geoms may touch and how, pairs that divide their
+    stiffness among points, meshes.
+    """
     sides = sides_of(mechanism)
     contacts, out = mechanism.contacts(), []
     for what, pairs in (("nearest point", sides.facets), ("MuJoCo's own collision", sides.native)):
         for k, contact in enumerate(contacts):
             found = [f"{p.active} - {p.passive}" for p in pairs if p.rule == k]
             if found:
-                shown = ", ".join(found[:LISTED]) + (f" and {len(found) - LISTED} more" if len(found) > LISTED else "")
+                shown = ", ".join(found[:LISTED]) + (
+                    f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
+                )
                 out.append(
-                    f"can meet ({what}; {contact.stiffness:g} N/m, {contact.damping:g} N s/m, friction {contact.friction:g}): {shown}"
+                    f"can meet ({what}; {contact.stiffness:g} N/m, {contact.damping:g} N s/m, "
+                    f"friction {contact.friction:g}): {shown}"
                 )
     shared = [p for p in sides.native if not p.single]
     if shared:
         out.append(
-            f"{len(shared)} pairs of flat or convex parts divide their stiffness among the points that MuJoCo finds: exact if all have the "
+            f"{len(shared)} pairs of flat or convex parts divide their stiffness among the points "
+            f"that MuJoCo finds: exact if all have the "
             "same penetration, up to 8 % too stiff if parts roll on an edge"
         )
     out += [f"mesh of the geom {name!r}: {finding.message}" for name, finding in sides.findings]

@@ -1,8 +1,11 @@
-"""Contact geometry of a ball or rod and a surface: penetration, its rate, the contact point and the normal.
+"""Contact geometry of a ball or rod and a surface: penetration, its rate, the contact point and the
+normal.
 
-Dimensions come from the MJCF (:mod:`hiltestbed.contact.sides`). All surfaces of a mechanism are stored in two flat arrays, so that one
-compiled kernel serves every mechanism: ``index``, for each of C candidates a row of ROW integers, then the links of the trees; ``values``,
-for each a row of VALUES numbers, then profiles, triangles and boxes.
+Dimensions come from the MJCF (:mod:`hiltestbed.contact.sides`). All surfaces of a mechanism are
+stored in two flat arrays, so that one
+compiled kernel serves every mechanism: ``index``, for each of C candidates a row of ROW integers,
+then the links of the trees; ``values``, for each a row of VALUES numbers, then profiles, triangles
+and boxes.
 """
 
 from __future__ import annotations
@@ -16,22 +19,45 @@ from numpy.typing import NDArray
 
 from hiltestbed.contact.surfaces.mesh import Tree
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, beyond, profile_distance
-from hiltestbed.contact.surfaces.surface import Surface, bounds, segment_beyond, segment_distance, signed_distance
+from hiltestbed.contact.surfaces.surface import (
+    Surface,
+    bounds,
+    segment_beyond,
+    segment_distance,
+    signed_distance,
+)
 from hiltestbed.frames import Array, rotate, rotate_back
 from hiltestbed.jit import njit
 
-# Columns of a row of `index`: frames of the round (ball or rod) and of the surface; 1 if the surface is on the passive side, else -1; kind
-# of the surface; start and length of its parts.
-ROUND_FRAME, SURFACE_FRAME, SIDE, KIND, PROFILE, PROFILE_ROWS, CORNERS, FACES, NORMALS, BOXES, NODES, LINKS, ROW = range(13)
-# Columns of a row of `values`: radius of the round, both ends of its axis in its frame, pose of the surface in its frame, sizes of the
-# surface, centre of its bounding sphere, in its own frame, and the sphere's radius.
+# Columns of a row of `index`: frames of the round (ball or rod) and of the surface; 1 if the
+# surface is on the passive side, else -1; kind of the surface; start and length of its parts.
+(
+    ROUND_FRAME,
+    SURFACE_FRAME,
+    SIDE,
+    KIND,
+    PROFILE,
+    PROFILE_ROWS,
+    CORNERS,
+    FACES,
+    NORMALS,
+    BOXES,
+    NODES,
+    LINKS,
+    ROW,
+) = range(13)
+# Columns of a row of `values`: radius of the round, both ends of its axis in its frame, pose of the
+# surface in its frame, sizes of the surface, centre of its bounding sphere, in its own frame, and
+# the sphere's radius.
 RADIUS, END_0, END_1, PLACE, SIZES, CENTRE, BOUND, VALUES = 0, 1, 4, 7, 14, 17, 20, 21
 ACTIVE, PASSIVE, FRAMES = 0, 1, 2  # numbers of the frames A and S; those of moving parts follow
 DEEPEST = 0.1  # [m] depth inside a mesh up to which the nearest point is searched
 
 
 class Geometry(NamedTuple):
-    """The candidates of a mechanism as arrays for the kernels: ``index`` int64, ``values`` float64, both flat."""
+    """The candidates of a mechanism as arrays for the kernels: ``index`` int64, ``values`` float64,
+    both flat.
+    """
 
     index: NDArray[np.int64]
     values: Array
@@ -43,7 +69,9 @@ class Geometry(NamedTuple):
 
 
 class Round(NamedTuple):
-    """A ball or a rod: radius [m], both ends (2, 3) of its axis [m] in the frame number ``frame``; the ends of a ball are equal."""
+    """A ball or a rod: radius [m], both ends (2, 3) of its axis [m] in the frame number ``frame``;
+    the ends of a ball are equal.
+    """
 
     radius: float
     ends: Array
@@ -51,7 +79,9 @@ class Round(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A surface at the pose ``place`` (7,) in the frame number ``frame``, on the passive side or on the active one."""
+    """A surface at the pose ``place`` (7,) in the frame number ``frame``, on the passive side or on
+    the active one.
+    """
 
     surface: Surface
     place: Array
@@ -70,19 +100,32 @@ def packed(candidates: Sequence[tuple[Round, Placed]]) -> Geometry:
         surface = placed.surface
         key = id(surface)
         if key not in stored:
-            parts = (surface.profile, surface.tree.corners, surface.tree.normals, surface.tree.boxes)
+            parts = (
+                surface.profile,
+                surface.tree.corners,
+                surface.tree.normals,
+                surface.tree.boxes,
+            )
             starts = at + np.concatenate([[0], np.cumsum([p.size for p in parts])])
             values += [p.ravel() for p in parts]
             links.append(surface.tree.links.ravel())
             stored[key] = (
-                starts[0], len(surface.profile), starts[1], len(surface.tree.corners), starts[2], starts[3], len(surface.tree.boxes),
+                starts[0],
+                len(surface.profile),
+                starts[1],
+                len(surface.tree.corners),
+                starts[2],
+                starts[3],
+                len(surface.tree.boxes),
                 at_link,
-            )  # fmt: skip
+            )
             at, at_link = int(starts[-1]), at_link + links[-1].size
         rows[c, :KIND] = round_.frame, placed.frame, 1 if placed.passive else -1
         rows[c, KIND], rows[c, PROFILE:] = surface.kind, stored[key]
         centre, bound = bounds(surface)
-        numbers[c] = np.concatenate([[round_.radius], round_.ends.ravel(), placed.place, surface.sizes, centre, [bound]])
+        numbers[c] = np.concatenate(
+            [[round_.radius], round_.ends.ravel(), placed.place, surface.sizes, centre, [bound]]
+        )
     index = np.concatenate([rows.ravel(), *links, [count]]).astype(np.int64)
     return Geometry(index, np.concatenate([numbers.ravel(), *values]))
 
@@ -111,17 +154,24 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
     """One candidate of one run; returns penetration [m], negative while apart, and its rate [m/s].
 
     Args:
-        pose, twist: (7,), (6,) of the round's frame in the surface's. lever: point of application of the force within the overlap, 0 at
-            the undeformed surface, 1 at the tip. blunt: 1 if a ball touches, 0 if its foremost point does. ahead: [m] largest distance
-            at which the (negative) penetration is exact, not a bound.
+        pose, twist: (7,), (6,) of the round's frame in the surface's. lever: point of application
+            of the force within the overlap, 0 at
+            the undeformed surface, 1 at the tip. blunt: 1 if a ball touches, 0 if its foremost
+            point does. ahead: [m] largest distance at which the (negative) penetration is exact,
+            not a bound.
         work: (5, 3) scratch.
-        point, normal, slip: (3,) point of application of the force [m], direction of the force on the surface, and tangential velocity
-            of the round [m/s], in the surface's frame. If the two are farther apart than ``ahead``, the penetration is only an upper
-            bound, at most -``ahead``, and these are zero.
+        point, normal, slip: (3,) point of application of the force [m], direction of the force on
+            the surface, and tangential velocity of the round [m/s], in the surface's frame. If the
+            two are farther apart than ``ahead``, the penetration is only an upper bound, at most
+            -``ahead``, and these are zero.
     """
     row = values[c * VALUES : (c + 1) * VALUES]
     start, end, free, nearest, v = work[0], work[1], work[2], work[3], work[4]
-    ball = row[END_0] == row[END_1] and row[END_0 + 1] == row[END_1 + 1] and row[END_0 + 2] == row[END_1 + 2]
+    ball = (
+        row[END_0] == row[END_1]
+        and row[END_0 + 1] == row[END_1 + 1]
+        and row[END_0 + 2] == row[END_1 + 2]
+    )
     radius = row[RADIUS]
     rotate(pose[3:7], row[END_0 : END_0 + 3], start)
     if ball and blunt != 1.0:
@@ -159,7 +209,9 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
         else:
             distance = segment_beyond(_surface(index, values, c), start, end, radius + ahead)
         if distance < radius + ahead:
-            distance = segment_distance(_surface(index, values, c), start, end, radius + ahead, free, nearest)
+            distance = segment_distance(
+                _surface(index, values, c), start, end, radius + ahead, free, nearest
+            )
         if distance >= radius + ahead:
             return _apart(radius - distance, point, normal, slip)
     x = radius - distance
@@ -181,7 +233,9 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
 
 @njit(cache=True, inline="always")
 def _apart(bound, point, normal, slip):
-    """Return only a bound of the penetration; clear point, normal and slip, which may be left from another run."""
+    """Return only a bound of the penetration; clear point, normal and slip, which may be left from
+    another run.
+    """
     for j in range(3):
         point[j] = normal[j] = slip[j] = 0.0
     return bound, 0.0
@@ -189,7 +243,9 @@ def _apart(bound, point, normal, slip):
 
 @njit(cache=True)
 def _beyond(row, start, end, ball):
-    """Lower bound of the distance [m] of the axis from the surface, from its bounding sphere; 0 or less if that gives no bound."""
+    """Lower bound of the distance [m] of the axis from the surface, from its bounding sphere; 0 or
+    less if that gives no bound.
+    """
     bound = row[BOUND]
     if not bound < math.inf:
         return 0.0
@@ -208,5 +264,7 @@ def arm(values, count):
     for c in range(count):
         row = values[c * VALUES : (c + 1) * VALUES]
         for e in (END_0, END_1):
-            longest = max(longest, row[RADIUS] + math.sqrt(row[e] ** 2 + row[e + 1] ** 2 + row[e + 2] ** 2))
+            longest = max(
+                longest, row[RADIUS] + math.sqrt(row[e] ** 2 + row[e + 1] ** 2 + row[e + 2] ** 2)
+            )
     return longest

@@ -1,12 +1,15 @@
 """Stiffness and damping of a mechanism captured in phases, from the model's Jacobians at its state.
 
-The springs and dampers between the sides are the closed latches, the geom pairs in contact, and within a side the joints of moving parts.
-A spring k whose stretch changes by J = [J_x J_q] per displacement of the active side (x) and of the joints (q) adds k J^T J. At frequencies
-well below those of the parts the joints follow by q = -K_qq^-1 K_qx x, and with
-T = [1; -K_qq^-1 K_qx] stiffness and damping are T^T K T and T^T C T (static condensation, R. J. Guyan, AIAA Journal 3, 1965).
+The springs and dampers between the sides are the closed latches, the geom pairs in contact, and
+within a side the joints of moving parts. A spring k whose stretch changes by J = [J_x J_q] per
+displacement of the active side (x) and of the joints (q) adds k J^T J. At frequencies well below
+those of the parts the joints follow by q = -K_qq^-1 K_qx x, and with T = [1; -K_qq^-1 K_qx]
+stiffness and damping are T^T K T and T^T C T (static condensation, R. J. Guyan, AIAA Journal 3,
+1965).
 
-A joint at an end of its range is fixed. Neglected are friction, which is not a linear damper, and the geometric stiffness of the loads (a
-force over the radius on which its point of application moves): 4 % of a clamped gripper, below 1 % of the other shipped mechanisms.
+A joint at an end of its range is fixed. Neglected are friction, which is not a linear damper, and
+the geometric stiffness of the loads (a force over the radius on which its point of application
+moves): 4 % of a clamped gripper, below 1 % of the other shipped mechanisms.
 """
 
 from __future__ import annotations
@@ -32,7 +35,9 @@ PREFIX = {"A": composition.ACTIVE, "P": composition.PASSIVE}
 
 
 class _Spring(NamedTuple):
-    """Springs along ``axes`` (3, m) in W, at a point ``place`` (3,) in W, between two frames; ``turns``: rotational, about the axes."""
+    """Springs along ``axes`` (3, m) in W, at a point ``place`` (3,) in W, between two frames;
+    ``turns``: rotational, about the axes.
+    """
 
     frames: tuple[int, int]
     place: Array
@@ -42,11 +47,15 @@ class _Spring(NamedTuple):
     turns: bool = False
 
 
-def held_pair(engagement: Engagement, batch: Batch, structure: Structure, i: int) -> tuple[Array, Array] | None:
-    """Stiffness and damping (6, 6) of run ``i``, for translation and rotation of the active side about the latch's reference point, in P.
+def held_pair(
+    engagement: Engagement, batch: Batch, structure: Structure, i: int
+) -> tuple[Array, Array] | None:
+    """Stiffness and damping (6, 6) of run ``i``, for translation and rotation of the active side
+    about the latch's reference point, in P.
 
-    The point is that of :mod:`hiltestbed.identification.held`. Units N/m and N s/m, rotational N m/rad and N m s/rad. None if no latch
-    is closed, if a contact with a non-linear law pushes, and on a compliant mount.
+    The point is that of :mod:`hiltestbed.identification.held`. Units N/m and N s/m, rotational N
+    m/rad and N m s/rad. None if no latch is closed, if a contact with a non-linear law pushes, and
+    on a compliant mount.
     """
     closed = np.flatnonzero(engagement.latches.closed[i])
     if not closed.size or structure.mounted:
@@ -55,22 +64,33 @@ def held_pair(engagement: Engagement, batch: Batch, structure: Structure, i: int
     if springs is None:
         return None
     frames, last = engagement.frames[i], engagement.latches.closures[closed[-1]]
-    still = [_in_world(frames[f], at)[:3] for f, at in zip(last.frames, last.places, strict=True) if f in (ACTIVE, PASSIVE)]
+    still = [
+        _in_world(frames[f], at)[:3]
+        for f, at in zip(last.frames, last.places, strict=True)
+        if f in (ACTIVE, PASSIVE)
+    ]
     place = still[0] if still else frames[ACTIVE, :3]
     axes = rotation_matrix(frames[PASSIVE, 3:7])
     joints = _Joints(batch, structure, i, frames[[ACTIVE, PASSIVE]])
-    stiffness, damping = np.diag(np.concatenate([np.zeros(6), joints.stiffness])), np.diag(np.concatenate([np.zeros(6), joints.damping]))
+    stiffness, damping = (
+        np.diag(np.concatenate([np.zeros(6), joints.stiffness])),
+        np.diag(np.concatenate([np.zeros(6), joints.damping])),
+    )
     for spring in springs:
         stretch = _stretch(spring, place, axes, joints)
         stiffness += spring.stiffness * stretch.T @ stretch
         damping += spring.damping * stretch.T @ stretch
     if not joints.count:
         return stiffness, damping
-    follow = np.vstack([np.eye(6), -np.linalg.lstsq(stiffness[6:, 6:], stiffness[6:, :6], rcond=None)[0]])
+    follow = np.vstack(
+        [np.eye(6), -np.linalg.lstsq(stiffness[6:, 6:], stiffness[6:, :6], rcond=None)[0]]
+    )
     return follow.T @ stiffness @ follow, follow.T @ damping @ follow
 
 
-def _springs(engagement: Engagement, structure: Structure, model: mujoco.MjModel, i: int) -> list[_Spring] | None:
+def _springs(
+    engagement: Engagement, structure: Structure, model: mujoco.MjModel, i: int
+) -> list[_Spring] | None:
     frames, latches, out = engagement.frames[i], engagement.latches, []
     for k in np.flatnonzero(latches.closed[i]):
         closure, (stiffness, damping, radius) = latches.closures[k], latches.springs[i, k]
@@ -78,17 +98,36 @@ def _springs(engagement: Engagement, structure: Structure, model: mujoco.MjModel
         turn = rotation_matrix(_in_world(frames[closure.frames[1]], closure.places[1])[3:7])
         out.append(_Spring(closure.frames, at[:3], turn, stiffness, damping))
         if closure.turns:
-            out.append(_Spring(closure.frames, at[:3], turn, stiffness * radius**2, damping * radius**2, turns=True))
+            out.append(
+                _Spring(
+                    closure.frames,
+                    at[:3],
+                    turn,
+                    stiffness * radius**2,
+                    damping * radius**2,
+                    turns=True,
+                )
+            )
     for c in np.flatnonzero(engagement.met[i, :, PUSH] > 0.0):
         if not engagement.linear[i, c]:
             return None
         met, law = engagement.met[i, c], engagement.parameters[i, c]
         between = _frames_of(engagement, structure, model, int(c))
-        out.append(_Spring(between, met[POINT : POINT + 3], met[NORM : NORM + 3, None], law[STIFFNESS], law[DAMPING]))
+        out.append(
+            _Spring(
+                between,
+                met[POINT : POINT + 3],
+                met[NORM : NORM + 3, None],
+                law[STIFFNESS],
+                law[DAMPING],
+            )
+        )
     return out
 
 
-def _frames_of(engagement: Engagement, structure: Structure, model: mujoco.MjModel, c: int) -> tuple[int, int]:
+def _frames_of(
+    engagement: Engagement, structure: Structure, model: mujoco.MjModel, c: int
+) -> tuple[int, int]:
     """The frames to which the geoms of a pair are fixed."""
     sides = structure.sides
     if c < len(sides.facets):
@@ -96,12 +135,17 @@ def _frames_of(engagement: Engagement, structure: Structure, model: mujoco.MjMod
         return int(index[c * ROW + ROUND_FRAME]), int(index[c * ROW + SURFACE_FRAME])
     pair, moving = sides.native[c - len(sides.facets)], _moving(structure, model)
     bodies = [("A", _carrier("A", pair.active, model)), ("P", _carrier("P", pair.passive, model))]
-    first, second = (FRAMES + moving.index(b) if b in moving else {"A": ACTIVE, "P": PASSIVE}[b[0]] for b in bodies)
+    first, second = (
+        FRAMES + moving.index(b) if b in moving else {"A": ACTIVE, "P": PASSIVE}[b[0]]
+        for b in bodies
+    )
     return first, second
 
 
 def _moving(structure: Structure, model: mujoco.MjModel) -> list[tuple[str, str]]:
-    """Port and body of each frame beyond A and S: those of the sides, and moving parts with geoms in native pairs."""
+    """Port and body of each frame beyond A and S: those of the sides, and moving parts with geoms
+    in native pairs.
+    """
     sides = structure.sides
     native = [("A", _carrier("A", pair.active, model)) for pair in sides.native]
     native += [("P", _carrier("P", pair.passive, model)) for pair in sides.native]
@@ -109,7 +153,9 @@ def _moving(structure: Structure, model: mujoco.MjModel) -> list[tuple[str, str]
 
 
 def _carrier(port: str, geom: str, model: mujoco.MjModel) -> str:
-    """Name of the moving body that carries a geom of a side; empty if the geom is fixed to the side."""
+    """Name of the moving body that carries a geom of a side; empty if the geom is fixed to the
+    side.
+    """
     body = model.body(int(model.geom(PREFIX[port] + geom).bodyid[0]))
     while body.name.startswith(PREFIX[port]):
         if body.jntnum[0]:
@@ -119,7 +165,9 @@ def _carrier(port: str, geom: str, model: mujoco.MjModel) -> str:
 
 
 def _stretch(spring: _Spring, place: Array, axes: Array, joints: _Joints) -> Array:
-    """(m, 6 + joints) change of the springs' stretch per displacement of the active side, in P, and per motion of the joints."""
+    """(m, 6 + joints) change of the springs' stretch per displacement of the active side, in P, and
+    per motion of the joints.
+    """
     a, p = spring.frames
     rigid = np.zeros((3, 6))
     if spring.turns:
@@ -127,8 +175,18 @@ def _stretch(spring: _Spring, place: Array, axes: Array, joints: _Joints) -> Arr
     else:
         rigid[:, :3] = axes
         rigid[:, 3:] = np.cross(axes.T, spring.place - place).T
-    active = np.hstack([rigid if joints.side(a) == "A" else 0.0 * rigid, joints.motion(a, spring.place, spring.turns)])
-    passive = np.hstack([rigid if joints.side(p) == "A" else 0.0 * rigid, joints.motion(p, spring.place, spring.turns)])
+    active = np.hstack(
+        [
+            rigid if joints.side(a) == "A" else 0.0 * rigid,
+            joints.motion(a, spring.place, spring.turns),
+        ]
+    )
+    passive = np.hstack(
+        [
+            rigid if joints.side(p) == "A" else 0.0 * rigid,
+            joints.motion(p, spring.place, spring.turns),
+        ]
+    )
     return spring.axes.T @ (active - passive)
 
 
@@ -158,10 +216,16 @@ class _Joints:
 
     def side(self, frame: int) -> str:
         """Port of the side to which a frame belongs."""
-        return {ACTIVE: "A", PASSIVE: "P"}[frame] if frame < FRAMES else self._frames[frame - FRAMES][0]
+        return (
+            {ACTIVE: "A", PASSIVE: "P"}[frame]
+            if frame < FRAMES
+            else self._frames[frame - FRAMES][0]
+        )
 
     def motion(self, frame: int, place: Array, turns: bool) -> Array:
-        """(3, count) velocity in W of the point ``place`` (3,) of a frame, or its angular velocity, per unit speed of each joint."""
+        """(3, count) velocity in W of the point ``place`` (3,) of a frame, or its angular velocity,
+        per unit speed of each joint.
+        """
         out = np.zeros((3, self.count))
         chain: list[int] = self._chains[frame - FRAMES] if frame >= FRAMES else []
         for k, j in enumerate(self._free):
@@ -170,12 +234,16 @@ class _Joints:
             if self._slides[j]:
                 out[:, k] = 0.0 if turns else self._axis[j]
             else:
-                out[:, k] = self._axis[j] if turns else np.cross(self._axis[j], place - self._anchor[j])
+                out[:, k] = (
+                    self._axis[j] if turns else np.cross(self._axis[j], place - self._anchor[j])
+                )
         return out
 
 
 def _in_place(batch: Batch, i: int, places: Array) -> tuple[Array, Array]:
-    """(J, 3) anchors and axes in W of all joints, with the port of each side at its pose in ``places`` (2, 7)."""
+    """(J, 3) anchors and axes in W of all joints, with the port of each side at its pose in
+    ``places`` (2, 7).
+    """
     m = batch.model
     data = mujoco.MjData(m)
     data.qpos[:] = batch.bind("qpos")[i]
@@ -200,17 +268,28 @@ def _chain(m: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _held(batch: Batch, i: int, j: int) -> bool:
-    """Whether a joint is at an end of its range. Joint friction does not count: MuJoCo's friction creeps like a damper."""
+    """Whether a joint is at an end of its range. Joint friction does not count: MuJoCo's friction
+    creeps like a damper.
+    """
     m = batch.model
-    return bool(m.jnt_limited[j]) and not m.jnt_range[j, 0] < batch.bind("qpos")[i, m.jnt_qposadr[j]] < m.jnt_range[j, 1]
+    return (
+        bool(m.jnt_limited[j])
+        and not m.jnt_range[j, 0] < batch.bind("qpos")[i, m.jnt_qposadr[j]] < m.jnt_range[j, 1]
+    )
 
 
 def _driven(batch: Batch, i: int, j: int) -> tuple[float, float]:
     """Stiffness and damping of the actuators of a joint, except those at their force limit."""
     m, spring, damper = batch.model, 0.0, 0.0
-    q, v = float(batch.bind("qpos")[i, m.jnt_qposadr[j]]), float(batch.bind("qvel")[i, m.jnt_dofadr[j]])
+    q, v = (
+        float(batch.bind("qpos")[i, m.jnt_qposadr[j]]),
+        float(batch.bind("qvel")[i, m.jnt_dofadr[j]]),
+    )
     for u in range(m.nu):
-        if int(m.actuator_trntype[u]) != int(mujoco.mjtTrn.mjTRN_JOINT) or m.actuator_trnid[u, 0] != j:
+        if (
+            int(m.actuator_trntype[u]) != int(mujoco.mjtTrn.mjTRN_JOINT)
+            or m.actuator_trnid[u, 0] != j
+        ):
             continue
         if int(m.actuator_biastype[u]) != int(mujoco.mjtBias.mjBIAS_AFFINE):
             continue

@@ -17,11 +17,14 @@ if TYPE_CHECKING:
 
 
 def latch_limits(scenarios: Sequence[Scenario]) -> Array:
-    """``(n, 3)`` limits at which latches close: depth [m] (pz >= -depth), least cosine between the axes, highest speed [m/s]; without a
-    latch they are never met."""
+    """``(n, 3)`` limits at which latches close: depth [m] (pz >= -depth), least cosine between the
+    axes, highest speed [m/s]; without a latch they are never met.
+    """
     latches = [s.mechanism.latch for s in scenarios]
     never = (-np.inf, 2.0, 0.0)
-    return np.array([(la.depth, np.cos(np.radians(la.angle_deg)), la.speed) if la else never for la in latches])
+    return np.array(
+        [(la.depth, np.cos(np.radians(la.angle_deg)), la.speed) if la else never for la in latches]
+    )
 
 
 class LatchCondition:
@@ -40,7 +43,9 @@ class LatchCondition:
 
 @njit(cache=True)
 def closes(pose, twist, limits):
-    """Whether a latch closes at a pose (7,) and twist (6,) of A in S; ``limits`` (3,) as in :func:`latch_limits`."""
+    """Whether a latch closes at a pose (7,) and twist (6,) of A in S; ``limits`` (3,) as in
+    :func:`latch_limits`.
+    """
     aligned = 1.0 - 2.0 * (pose[3] ** 2 + pose[4] ** 2)  # cosine between the axes
     speed2 = twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2
     return pose[2] >= -limits[0] and aligned >= limits[1] and speed2 <= limits[2] ** 2

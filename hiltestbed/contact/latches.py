@@ -1,9 +1,12 @@
-"""Latches between the sides: MuJoCo's weld and connect equalities, made to exert the forces of springs, dampers and the contact law.
+"""Latches between the sides: MuJoCo's weld and connect equalities, made to exert the forces of
+springs, dampers and the contact law.
 
-A closure holds a site of the active side at a pose in a site of the passive one. Its force in the passive site's frame is K (r - r_hold)
-+ C r', along z that of the contact's law if the closure is the contact itself; its torque is K radius^2 times the rotation vector, plus the
-corresponding damping. MuJoCo's equality takes spring and damper from its ``solref``; its two anchors are placed before each step, 1/STIFFER
-of the deflection apart, so that force and reaction act along one line and any force law can be exerted.
+A closure holds a site of the active side at a pose in a site of the passive one. Its force in the
+passive site's frame is K (r - r_hold) + C r', along z that of the contact's law if the closure is
+the contact itself; its torque is K radius^2 times the rotation vector, plus the corresponding
+damping. MuJoCo's equality takes spring and damper from its ``solref``; its two anchors are placed
+before each step, 1/STIFFER of the deflection apart, so that force and reaction act along one line
+and any force law can be exerted.
 """
 
 from __future__ import annotations
@@ -25,7 +28,9 @@ from hiltestbed.contact.wrench import LATCH_RADIUS, relate_one
 from hiltestbed.frames import Array, quat_exp, quat_mul, quat_mul_conj, rotate, rotation_vector
 from hiltestbed.jit import njit
 
-STIFFER = 1e4  # stiffness of MuJoCo's spring over that of the closure; the distance of the anchors is smaller by the same factor
+# stiffness of MuJoCo's spring over that of the closure; the distance of the anchors is smaller by
+# the same factor
+STIFFER = 1e4
 SITE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
@@ -34,9 +39,11 @@ class Closure:
     """One of a mechanism's closures.
 
     Attributes:
-        name: of MuJoCo's equality. turns: whether it resists rotation. law: whether the contact's law acts along z. together: whether it
-        makes the sites coincide; otherwise it holds the relative pose at which it closes. stiffness [N/m], damping [N s/m] and radius [m];
-        None: those of the contact. frames: of the active and of the passive site; places: (2, 7) poses of the sites in them.
+        name: of MuJoCo's equality. turns: whether it resists rotation. law: whether the contact's
+            law acts along z. together: whether it makes the sites coincide; otherwise it holds the
+            relative pose at which it closes. stiffness [N/m], damping [N s/m] and radius [m];
+        None: those of the contact. frames: of the active and of the passive site; places: (2, 7)
+            poses of the sites in them.
     """
 
     name: str
@@ -53,7 +60,19 @@ class Closure:
 def closures_of(structure: Structure) -> list[Closure]:
     """The closures of a mechanism."""
     found = (
-        [Closure(LATCH, True, True, False, None, None, LATCH_RADIUS, (ACTIVE, PASSIVE), np.array([SITE, SITE]))]
+        [
+            Closure(
+                LATCH,
+                True,
+                True,
+                False,
+                None,
+                None,
+                LATCH_RADIUS,
+                (ACTIVE, PASSIVE),
+                np.array([SITE, SITE]),
+            )
+        ]
         if structure.latched
         else []
     )
@@ -63,10 +82,17 @@ def closures_of(structure: Structure) -> list[Closure]:
             (a, at_a), (p, at_p) = sites["A", close.active], sites["P", close.passive]
             found.append(
                 Closure(
-                    phase.name, close.kind == "weld", False, close.hold == "together", close.stiffness, close.damping, close.radius or 0.0,
-                    (a, p), np.array([at_a, at_p]),
+                    phase.name,
+                    close.kind == "weld",
+                    False,
+                    close.hold == "together",
+                    close.stiffness,
+                    close.damping,
+                    close.radius or 0.0,
+                    (a, p),
+                    np.array([at_a, at_p]),
                 )
-            )  # fmt: skip
+            )
     return found
 
 
@@ -74,7 +100,8 @@ class Latches:
     """The closures of `n` runs.
 
     Attributes:
-        closed: (n, K) bool. springs: (n, K, 3) stiffness [N/m], damping [N s/m] and radius [m] of each.
+        closed: (n, K) bool. springs: (n, K, 3) stiffness [N/m], damping [N s/m] and radius [m] of
+            each.
         hold: (n, K, 7) the held pose of each, of the active site in the passive one.
     """
 
@@ -95,8 +122,9 @@ class Latches:
         solref[:, self._ids, 1] = np.minimum(-self.springs[..., 1] * gain, NO_DAMPING)
         turning = 2.0 * self.springs[..., 2] * np.sqrt(weight[:, 1] / weight[:, 0])
         self._turns, self._law, self._together = (
-            np.array([getattr(c, name) for c in self.closures], dtype=bool) for name in ("turns", "law", "together")
-        )  # fmt: skip
+            np.array([getattr(c, name) for c in self.closures], dtype=bool)
+            for name in ("turns", "law", "together")
+        )
         self._data[:, self._ids[self._turns], 10] = turning[:, self._turns]
         self._frames = np.array([c.frames for c in self.closures], dtype=np.int64).reshape(count, 2)
         self._places = np.array([c.places for c in self.closures]).reshape(count, 2, 7)
@@ -119,7 +147,8 @@ class Latches:
         return [c.name for c in self.closures].index(name)
 
     def close(self, k: int, which: NDArray[np.bool_], force: Array) -> None:
-        """Close closure ``k`` at the present pose of its sites, in the runs ``which`` (n,), from the next update on.
+        """Close closure ``k`` at the present pose of its sites, in the runs ``which`` (n,), from
+        the next update on.
 
         Its springs carry the ``force`` (n, 3) on the passive side, in the passive site's frame.
         """
@@ -129,16 +158,54 @@ class Latches:
         self.closed[which, k] = self._closing[which, k] = True
 
     def holding(self, dt: float, frames: Array, motions: Array, carry: Array) -> Callable[[], None]:
-        """A call, once per instant, that updates the sites' relative poses and the anchors of closed closures; its arrays are reused."""
+        """A call, once per instant, that updates the sites' relative poses and the anchors of
+        closed closures; its arrays are reused.
+        """
         return bound(
-            _hold, dt, self._rows, self.springs, self._law, self._turns, self._frames, self._places, self._ids, frames, motions, carry,
-            self.closed, self._closing, self._active, self.hold, self.state, self.pose, self.twist, self._data,
-        )  # fmt: skip
+            _hold,
+            dt,
+            self._rows,
+            self.springs,
+            self._law,
+            self._turns,
+            self._frames,
+            self._places,
+            self._ids,
+            frames,
+            motions,
+            carry,
+            self.closed,
+            self._closing,
+            self._active,
+            self.hold,
+            self.state,
+            self.pose,
+            self.twist,
+            self._data,
+        )
 
 
 @njit(cache=True)
 def _hold(
-    dt, rows, spring, law, turns, pairs, places, ids, frames, motions, carry, closed, closing, active, hold, state, pose, twist, data
+    dt,
+    rows,
+    spring,
+    law,
+    turns,
+    pairs,
+    places,
+    ids,
+    frames,
+    motions,
+    carry,
+    closed,
+    closing,
+    active,
+    hold,
+    state,
+    pose,
+    twist,
+    data,
 ):
     """Relative pose and twist of the sites of each closure, and the anchors of closed closures."""
     site = np.empty((2, 7))
@@ -147,7 +214,13 @@ def _hold(
     for i in range(pose.shape[0]):
         for k in range(ids.shape[0]):
             for side in range(2):
-                site_state(frames[i, pairs[k, side]], motions[i, pairs[k, side]], places[k, side], site[side], velocity[side])
+                site_state(
+                    frames[i, pairs[k, side]],
+                    motions[i, pairs[k, side]],
+                    places[k, side],
+                    site[side],
+                    velocity[side],
+                )
             at, rate = pose[i, k], twist[i, k]
             if closing[i, k]:
                 active[i, ids[k]], closing[i, k] = True, False
@@ -158,9 +231,13 @@ def _hold(
             for j in range(3):
                 f[j] = stiffness * (at[j] - hold[i, k, j])
             if law[k]:
-                f[2] = contact_force(at[2] - hold[i, k, 2], rate[2], dt, rows[i], state[i], True) - damping * rate[2]
+                f[2] = (
+                    contact_force(at[2] - hold[i, k, 2], rate[2], dt, rows[i], state[i], True)
+                    - damping * rate[2]
+                )
             carrier, passive = carry[i, pairs[k, 0]], carry[i, pairs[k, 1]]
-            first, second = (0, 3) if turns[k] else (3, 0)  # positions in eq_data of the anchors of the active and the passive body
+            # positions in eq_data of the anchors of the active and the passive body
+            first, second = (0, 3) if turns[k] else (3, 0)
             _anchor(carrier, places[k, 0], 0.0 * f, out[first : first + 3], r)
             for j in range(3):
                 f[j] = at[j] - f[j] / (STIFFER * stiffness)
@@ -186,7 +263,9 @@ def site_state(frame, motion, place, pose, twist):
 
 @njit(cache=True)
 def _anchor(carry, place, at, out, scratch):
-    """``out`` (3,): a point ``at`` (3,) of a site, in a body's frame; site at ``place`` (7,) in a frame at ``carry`` (7,) in the body."""
+    """``out`` (3,): a point ``at`` (3,) of a site, in a body's frame; site at ``place`` (7,) in a
+    frame at ``carry`` (7,) in the body.
+    """
     v = scratch[0:3]
     rotate(place[3:7], at, v)
     for j in range(3):
@@ -198,7 +277,9 @@ def _anchor(carry, place, at, out, scratch):
 
 @njit(cache=True)
 def _less(now, hold, turn, out):
-    """``out`` (4,): the attitude from which ``now`` (4,) is rotated by 1/STIFFER of its rotation from ``hold`` (4,)."""
+    """``out`` (4,): the attitude from which ``now`` (4,) is rotated by 1/STIFFER of its rotation
+    from ``hold`` (4,).
+    """
     q = np.empty(4)
     quat_mul_conj(now, hold, q)
     rotation_vector(q, turn)
@@ -210,8 +291,9 @@ def _less(now, hold, turn, out):
 
 @njit(cache=True)
 def _attitude(active, passive, places, hold, r, out):
-    """``out`` (4,), w first: attitude of the active body in the passive one if the active site has the attitude ``hold`` (4,) in the
-    passive site."""
+    """``out`` (4,), w first: attitude of the active body in the passive one if the active site has
+    the attitude ``hold`` (4,) in the passive site.
+    """
     q = np.empty(4)
     quat_mul(passive[3:7], places[1, 3:7], q)
     quat_mul(q, hold, r)

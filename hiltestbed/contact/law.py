@@ -1,10 +1,12 @@
 """The force law of the contact: k x + c v and everything that a real buffer or frame adds to it.
 
-One contact's law is a row of parameters (:mod:`hiltestbed.contact.parameters`) and a row of states. Order: the frame deflects, the touch
-offset and the play are subtracted, then elastic force, damping, friction, preload, hard stop and relaxation are summed, and the sum is
-limited to pushing. Elastic dry friction is a spring in series with a slider: any play lies between the port and that spring, and moves with
-the slider; the frame's deflection does not act on it. Learned curves are added: over the penetration beyond the play, over the rate, and
-over the stretch of a slider of their own, on which play does not act; others change the elastic force by a fraction that depends on
+One contact's law is a row of parameters (:mod:`hiltestbed.contact.parameters`) and a row of states.
+Order: the frame deflects, the touch offset and the play are subtracted, then elastic force,
+damping, friction, preload, hard stop and relaxation are summed, and the sum is limited to pushing.
+Elastic dry friction is a spring in series with a slider: any play lies between the port and that
+spring, and moves with the slider; the frame's deflection does not act on it. Learned curves are
+added: over the penetration beyond the play, over the rate, and over the stretch of a slider of
+their own, on which play does not act; others change the elastic force by a fraction that depends on
 penetration and rate.
 """
 
@@ -49,16 +51,23 @@ MODE_STEP = 0.05  # [rad] largest phase advance of the frame's mode in one inner
 
 @njit(cache=True, inline="always")
 def _law(x, v, branch, p, held):
-    """Force [N] at penetration x [m] and rate v [m/s]; `branch` [N]: of Maxwell branch and sliders; `held`: it may pull."""
+    """Force [N] at penetration x [m] and rate v [m/s]; `branch` [N]: of Maxwell branch and sliders;
+    `held`: it may pull.
+    """
     if held:
         half = 0.5 * p[PLAY]
         if abs(x) <= half and half > 0.0:
-            return branch if p[DRAG] > 0.0 or p[OVER_STRETCH] > 0.0 else 0.0  # play that moves with the slider is already in branch
+            # play that moves with the slider is already in branch
+            return branch if p[DRAG] > 0.0 or p[OVER_STRETCH] > 0.0 else 0.0
         x = x - half if x > 0.0 else x + half
     elif x <= 0.0:
         return 0.0
     depth = abs(x)
-    elastic = p[POWER_STIFFNESS] * depth ** p[EXPONENT] if p[POWER_STIFFNESS] > 0.0 else p[STIFFNESS] * depth
+    elastic = (
+        p[POWER_STIFFNESS] * depth ** p[EXPONENT]
+        if p[POWER_STIFFNESS] > 0.0
+        else p[STIFFNESS] * depth
+    )
     if x < 0.0:
         elastic = -elastic
     if p[SPRING_OVER_PENETRATION] > 0.0 or p[SPRING_OVER_RATE] > 0.0:
@@ -89,7 +98,9 @@ def _of_spring(x, v, p):
 
 @njit(cache=True)
 def _behind_frame(rigid, x, v, branch, p, held):
-    """The force with the frame's spring in series, at the total rate v: the root of F = law(x - F/k_frame); ``rigid``: without it."""
+    """The force with the frame's spring in series, at the total rate v: the root of F = law(x -
+    F/k_frame); ``rigid``: without it.
+    """
     low, high = min(rigid, 0.0), max(rigid, 0.0)
     force = rigid
     for _ in range(60):  # the law increases with x: one root between 0 and the rigid force
@@ -98,7 +109,10 @@ def _behind_frame(rigid, x, v, branch, p, held):
             low = force
         else:
             high = force
-        slope = (_law(x - force / p[FRAME] + 1e-9, v, branch, p, held) - _law(x - force / p[FRAME], v, branch, p, held)) / 1e-9
+        slope = (
+            _law(x - force / p[FRAME] + 1e-9, v, branch, p, held)
+            - _law(x - force / p[FRAME], v, branch, p, held)
+        ) / 1e-9
         step = gap / (1.0 + max(slope, 0.0) / p[FRAME])
         force += step
         if not low <= force <= high:
@@ -113,8 +127,10 @@ def contact_force(x, v, dt, p, state, held):
     """The contact force [N] at an instant.
 
     Args:
-        x: geometric penetration [m], v: its rate [m/s], both at the instant. dt: time since the last instant [s].
-        p: (PARAMETERS,). state: (STATES,), changed in place; zero at the start. held: whether the mechanism pulls as well as pushes.
+        x: geometric penetration [m], v: its rate [m/s], both at the instant. dt: time since the
+            last instant [s].
+        p: (PARAMETERS,). state: (STATES,), changed in place; zero at the start. held: whether the
+            mechanism pulls as well as pushes.
     """
     memory = (state[BRANCH], state[TOUCHING], state[SLIDER], state[LEARNED_SLIDER])
     if p[MODE] > 0.0:
@@ -129,10 +145,11 @@ def contact_force(x, v, dt, p, state, held):
 
 @njit(cache=True, inline="always")
 def _at_rest(x, v, dt, p, memory, held):
-    """The force without the frame's mode, and the new memory: force of the Maxwell branch, whether it touches, both sliders.
+    """The force without the frame's mode, and the new memory: force of the Maxwell branch, whether
+    it touches, both sliders.
 
-    The memory is passed by value and the function is inlined: the frame's mode takes many steps an instant, which then need not write to
-    an array, and read the parameters only once.
+    The memory is passed by value and the function is inlined: the frame's mode takes many steps an
+    instant, which then need not write to an array, and read the parameters only once.
     """
     branch, touched, slider, learned_slider = memory
     touching = x > 0.0 or held
@@ -154,19 +171,24 @@ def _at_rest(x, v, dt, p, memory, held):
             slider = 0.0
     if p[OVER_STRETCH] > 0.0:
         if touching:
-            over_stretch, learned_slider = _over_stretch(x, p[OVER_STRETCH : OVER_STRETCH + PACKED], learned_slider)
+            over_stretch, learned_slider = _over_stretch(
+                x, p[OVER_STRETCH : OVER_STRETCH + PACKED], learned_slider
+            )
             carried += over_stretch
         else:
             learned_slider = 0.0
     rigid = _law(x, v, carried, p, held)
-    force = rigid if p[FRAME] <= 0.0 or rigid == 0.0 else _behind_frame(rigid, x, v, carried, p, held)
+    force = (
+        rigid if p[FRAME] <= 0.0 or rigid == 0.0 else _behind_frame(rigid, x, v, carried, p, held)
+    )
     return force, (branch, 1.0 if touching else 0.0, slider, learned_slider)
 
 
 @njit(cache=True, inline="always")
 def _dragged(x, p, slider, held):
-    """Friction [N] of a slider behind a spring and the play of a captured mechanism: within the play, sticking, or slipping; and the
-    slider's new place [m]."""
+    """Friction [N] of a slider behind a spring and the play of a captured mechanism: within the
+    play, sticking, or slipping; and the slider's new place [m].
+    """
     half = 0.5 * p[PLAY] if held else 0.0
     reach = half + p[DRY] / p[DRAG]
     stretch = x - slider
@@ -178,8 +200,9 @@ def _dragged(x, p, slider, held):
 
 @njit(cache=True)
 def _over_stretch(x, curve, slider):
-    """Force [N] of a curve over the stretch of a slider, which sticks until the stretch would leave the curve's range; and the slider's
-    new place [m]."""
+    """Force [N] of a curve over the stretch of a slider, which sticks until the stretch would leave
+    the curve's range; and the slider's new place [m].
+    """
     low, high = curve[1], curve[int(curve[0])]
     stretch = min(max(x - slider, low), high)
     return along(curve, stretch), x - stretch
@@ -187,12 +210,16 @@ def _over_stretch(x, curve, slider):
 
 @njit(cache=True)
 def _ringing(x, v, dt, p, memory, q, rate, held):
-    """Integrate the frame's mode in steps of at most MODE_STEP, drift-kick-drift (second order), under the contact force.
+    """Integrate the frame's mode in steps of at most MODE_STEP, drift-kick-drift (second order),
+    under the contact force.
 
-    q, rate: deflection of the frame [m] and its rate [m/s]. Returns the force, and the new ``memory``, q and rate.
+    q, rate: deflection of the frame [m] and its rate [m/s]. Returns the force, and the new
+        ``memory``, q and rate.
     """
     springs = p[STIFFNESS] + p[STOP_STIFFNESS] + p[BRANCH_STIFFNESS]
-    springs += steepest(p[OVER_PENETRATION : OVER_PENETRATION + PACKED]) + steepest(p[OVER_STRETCH : OVER_STRETCH + PACKED])
+    springs += steepest(p[OVER_PENETRATION : OVER_PENETRATION + PACKED]) + steepest(
+        p[OVER_STRETCH : OVER_STRETCH + PACKED]
+    )
     stiffest = math.sqrt(p[MODE] ** 2 + springs / p[MODE_MASS])
     steps = max(1, math.ceil(stiffest * dt / MODE_STEP))
     inner = dt / steps
@@ -200,11 +227,21 @@ def _ringing(x, v, dt, p, memory, q, rate, held):
         q += 0.5 * inner * rate
         moved = x - v * (dt - (s + 0.5) * inner)
         force, memory = _at_rest(moved - q - p[OFFSET], v - rate, inner, p, memory, held)
-        acceleration = force / p[MODE_MASS] - p[MODE] ** 2 * q - 2.0 * p[MODE_DAMPING] * p[MODE] * rate
-        loss = 2.0 * p[MODE_DAMPING] * p[MODE] + (p[DAMPING] / p[MODE_MASS] if force != 0.0 else 0.0)
-        rate += acceleration * inner / (1.0 + 0.5 * inner * loss)  # trapezoidal in the dampers: stable for any c/m
+        acceleration = (
+            force / p[MODE_MASS] - p[MODE] ** 2 * q - 2.0 * p[MODE_DAMPING] * p[MODE] * rate
+        )
+        loss = 2.0 * p[MODE_DAMPING] * p[MODE] + (
+            p[DAMPING] / p[MODE_MASS] if force != 0.0 else 0.0
+        )
+        # trapezoidal in the dampers: stable for any c/m
+        rate += acceleration * inner / (1.0 + 0.5 * inner * loss)
         q += 0.5 * inner * rate
     if p[REACTION] > 0.0:
-        return p[MODE_MASS] * (p[MODE] ** 2 * q + 2.0 * p[MODE_DAMPING] * p[MODE] * rate), memory, q, rate
+        return (
+            p[MODE_MASS] * (p[MODE] ** 2 * q + 2.0 * p[MODE_DAMPING] * p[MODE] * rate),
+            memory,
+            q,
+            rate,
+        )
     force, memory = _at_rest(x - q - p[OFFSET], v - rate, 0.0, p, memory, held)
     return force, memory, q, rate

@@ -1,8 +1,10 @@
-"""The passive side on its compliant mount: pose of its frame S from the six joints between mechanism and sensor.
+"""The passive side on its compliant mount: pose of its frame S from the six joints between
+mechanism and sensor.
 
-Three slides x, y, z and three hinges rx, ry, rz in this order, all through P's origin; each has the stiffness and damping of its axis.
-A constant force at the centre of mass balances the weight of the moving parts, as gravity is offloaded on a real rig: otherwise the sag of
-the springs, and the weight's changing lever arm at the sensor, would appear in the torque readings.
+Three slides x, y, z and three hinges rx, ry, rz in this order, all through P's origin; each has the
+stiffness and damping of its axis. A constant force at the centre of mass balances the weight of the
+moving parts, as gravity is offloaded on a real rig: otherwise the sag of the springs, and the
+weight's changing lever arm at the sensor, would appear in the torque readings.
 """
 
 from __future__ import annotations
@@ -22,27 +24,35 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-CARRIER, MOUNTED = "passive_carrier", "passive_mount"  # bodies: the carrier of the force sensor, and the passive side on its mount
+# bodies: the carrier of the force sensor, and the passive side on its mount
+CARRIER, MOUNTED = "passive_carrier", "passive_mount"
 
 
 def add_joints(body: mujoco.MjsBody) -> None:
     """Add the mount's joints to ``body``, which carries the passive side with P at its origin."""
     for k, axis in enumerate(AXES):
         kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
-        body.add_joint(name=f"mount_{axis}", type=kind, axis=np.eye(3)[k % 3], stiffness=1.0, damping=1.0)
+        body.add_joint(
+            name=f"mount_{axis}", type=kind, axis=np.eye(3)[k % 3], stiffness=1.0, damping=1.0
+        )
 
 
 class Mount:
     """The mounts of `n` runs.
 
     Attributes:
-        place: (n, 7) pose of S in W; motion: (n, 6) its twist in W. On a rigid mount ``tilt``, without motion.
-        body: number of the body that carries the passive side; centre: (n, 3) its centre of mass in W [m], as in MuJoCo.
-        balance: (n, 6) constant force that balances the total weight, in W at W's origin; 0 on a rigid mount.
+        place: (n, 7) pose of S in W; motion: (n, 6) its twist in W. On a rigid mount ``tilt``,
+            without motion.
+        body: number of the body that carries the passive side; centre: (n, 3) its centre of mass in
+            W [m], as in MuJoCo.
+        balance: (n, 6) constant force that balances the total weight, in W at W's origin; 0 on a
+            rigid mount.
     """
 
     def __init__(self, batch: Batch, scenarios: Sequence[Scenario], tilt: Array) -> None:
-        """``tilt``: (n, 7) pose of S in its nominal frame: the identity, except for a misaligned port."""
+        """``tilt``: (n, 7) pose of S in its nominal frame: the identity, except for a misaligned
+        port.
+        """
         n = len(scenarios)
         model = batch.model
         self.tilt = tilt
@@ -51,7 +61,9 @@ class Mount:
         self.body = model.body(MOUNTED if self.moves else CARRIER).id
         self._offset = np.array(model.body_ipos[self.body])
         self.centre, self.balance = np.tile(self._offset, (n, 1)), np.zeros((n, 6))
-        self._ridden = Call(_ride, GIVEN, GIVEN, tilt, self._offset, self.place, self.motion, self.centre)
+        self._ridden = Call(
+            _ride, GIVEN, GIVEN, tilt, self._offset, self.place, self.motion, self.centre
+        )
         if not self.moves:
             return
         self._middle, mass = centre_of(model, self.body)
@@ -59,7 +71,17 @@ class Mount:
         joints = [model.joint(f"mount_{axis}") for axis in AXES]
         self._adr = np.array([joints[0].qposadr[0], joints[0].dofadr[0]])
         self._seen = Call(
-            _observe, GIVEN, GIVEN, self._adr, tilt, self._offset, self._middle, self.place, self.motion, self.centre, self.balance
+            _observe,
+            GIVEN,
+            GIVEN,
+            self._adr,
+            tilt,
+            self._offset,
+            self._middle,
+            self.place,
+            self.motion,
+            self.centre,
+            self.balance,
         )
         stiffness, damping = batch.expand("jnt_stiffness"), batch.expand("dof_damping")
         for i, s in enumerate(scenarios):
@@ -68,12 +90,16 @@ class Mount:
             damping[i, self._adr[1] : self._adr[1] + 6] = s.mechanism.mount.damping
 
     def observe(self, qpos: Array, qvel: Array) -> None:
-        """Set ``place`` and ``motion`` from the joints of the model; on a rigid mount they do not change."""
+        """Set ``place`` and ``motion`` from the joints of the model; on a rigid mount they do not
+        change.
+        """
         if self.moves:
             self._seen.on(qpos, qvel)()
 
     def ride(self, place: Array, motion: Array) -> None:
-        """Set the pose of a rigidly mounted passive side: P at ``place`` (n, 7), moving with ``motion`` (n, 6)."""
+        """Set the pose of a rigidly mounted passive side: P at ``place`` (n, 7), moving with
+        ``motion`` (n, 6).
+        """
         self.riding(place, motion)()
 
     def riding(self, place: Array, motion: Array) -> Callable[[], None]:
@@ -85,7 +111,9 @@ class Mount:
 def _observe(qpos, qvel, adr, tilt, offset, middle, place, motion, centre, balance):
     at = np.empty(3)
     for i in range(place.shape[0]):
-        mount_place(qpos[i, adr[0] : adr[0] + 6], qvel[i, adr[1] : adr[1] + 6], tilt[i], place[i], motion[i])
+        mount_place(
+            qpos[i, adr[0] : adr[0] + 6], qvel[i, adr[1] : adr[1] + 6], tilt[i], place[i], motion[i]
+        )
         _centre(qpos[i, adr[0] : adr[0] + 6], offset, centre[i])
         _centre(qpos[i, adr[0] : adr[0] + 6], middle, at)
         for j in range(3):
@@ -106,7 +134,9 @@ def _ride(carrier, speed, tilt, offset, place, motion, centre):
 
 @njit(cache=True)
 def _turned(q):
-    """Sines and cosines of half the first two hinges' angles in ``q`` (6,), and the attitude of all three."""
+    """Sines and cosines of half the first two hinges' angles in ``q`` (6,), and the attitude of all
+    three.
+    """
     (s0, c0), (s1, c1), (s2, c2) = sin_cos(0.5 * q[3]), sin_cos(0.5 * q[4]), sin_cos(0.5 * q[5])
     x, y, z, w = s0 * c1, c0 * s1, s0 * s1, c0 * c1  # of the first two
     return (s0, c0, s1, c1), (x * c2 + y * s2, y * c2 - x * s2, z * c2 + w * s2, w * c2 - z * s2)
@@ -114,8 +144,17 @@ def _turned(q):
 
 @njit(cache=True)
 def mount_place(q, qd, tilt, place, motion):
-    """One mount: ``place`` (7,) and ``motion`` (6,) of S in W from the joints ``q`` (6,) and their rates ``qd`` (6,); ``tilt`` (7,)."""
-    place[0], place[1], place[2], motion[0], motion[1], motion[2] = q[0], q[1], q[2], qd[0], qd[1], qd[2]
+    """One mount: ``place`` (7,) and ``motion`` (6,) of S in W from the joints ``q`` (6,) and their
+    rates ``qd`` (6,); ``tilt`` (7,).
+    """
+    place[0], place[1], place[2], motion[0], motion[1], motion[2] = (
+        q[0],
+        q[1],
+        q[2],
+        qd[0],
+        qd[1],
+        qd[2],
+    )
     (s0, c0, s1, c1), (x, y, z, w) = _turned(q)
     # Axes of the hinges, rotated by those before: (1, 0, 0), (0, cosine, sine) and the third
     sine, cosine, across = 2.0 * s0 * c0, 1.0 - 2.0 * s0 * s0, 1.0 - 2.0 * s1 * s1
@@ -138,7 +177,11 @@ def _centre(q, offset, centre):
 
 
 def centre_of(model: mujoco.MjModel, body: int) -> tuple[Array, float]:
-    """Centre of mass (3,) of a body and everything that it carries, in its frame [m], and their mass [kg]."""
+    """Centre of mass (3,) of a body and everything that it carries, in its frame [m], and their
+    mass [kg].
+    """
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    return data.xmat[body].reshape(3, 3).T @ (data.subtree_com[body] - data.xpos[body]), float(model.body_subtreemass[body])
+    return data.xmat[body].reshape(3, 3).T @ (data.subtree_com[body] - data.xpos[body]), float(
+        model.body_subtreemass[body]
+    )

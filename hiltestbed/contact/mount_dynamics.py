@@ -1,4 +1,6 @@
-"""A compliant mount in closed form, integrated as MuJoCo does: for a replay, which does not step the rig."""
+"""A compliant mount in closed form, integrated as MuJoCo does: for a replay, which does not step
+the rig.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MountDynamics:
-    """The mounts of R runs, integrated as in MuJoCo: six joints and one rigid body whose weight is balanced at its centre of mass.
+    """The mounts of R runs, integrated as in MuJoCo: six joints and one rigid body whose weight is
+    balanced at its centre of mass.
 
     Attributes:
         stiffness, damping: (R, 6) [N/m, N m/rad; N s/m, N m s/rad].
-        body: (BODY,) mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2] about P's origin, in the passive mechanism's axes.
+        body: (BODY,) mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2] about P's
+            origin, in the passive mechanism's axes.
     """
 
     stiffness: Array
@@ -43,16 +47,22 @@ class MountDynamics:
         spec = mujoco.MjSpec()
         add_side(spec, scenarios[0].mechanism, PASSIVE, spec.worldbody.add_body(name=MOUNTED))
         body = carried(spec.compile(), MOUNTED)
-        return cls(np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), body)
+        return cls(
+            np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), body
+        )
 
     @cached_property
     def mobility(self) -> tuple[float, float]:
-        """Upper bound of the acceleration of the body's origin by a force [1/kg], and of its rotation by a moment [1/(kg m^2)]."""
+        """Upper bound of the acceleration of the body's origin by a force [1/kg], and of its
+        rotation by a moment [1/(kg m^2)].
+        """
         inverse = np.linalg.inv(_inertia(self.body))
         return float(np.linalg.norm(inverse[:3, :3], 2)), float(np.linalg.norm(inverse[3:, 3:], 2))
 
     def slowest(self) -> float:
-        """[s] time constant of the slowest mode of small motion: M q'' + C q' + K q = 0, of all runs; inf without damping."""
+        """[s] time constant of the slowest mode of small motion: M q'' + C q' + K q = 0, of all
+        runs; inf without damping.
+        """
         m, out = _inertia(self.body), 0.0
         for stiffness, damping in zip(self.stiffness, self.damping, strict=True):
             rates = np.linalg.solve(m, np.hstack([-np.diag(stiffness), -np.diag(damping)]))
@@ -62,15 +72,21 @@ class MountDynamics:
 
 
 def borne(scenario: Scenario, reading: Array) -> Array:
-    """``(N, 6)`` contact wrench for a ``reading`` (N, 6) of the sensor behind the mount, both in P at P's origin.
+    """``(N, 6)`` contact wrench for a ``reading`` (N, 6) of the sensor behind the mount, both in P
+    at P's origin.
 
-    The body on the mount has inertia: w = r + M q'' with r = K q + C q', to first order in the mount's motion q.
-    Without a compliant mount they are equal.
+    The body on the mount has inertia: w = r + M q'' with r = K q + C q', to first order in the
+        mount's motion q. Without a compliant mount they are equal.
     """
     dynamics = MountDynamics.of([scenario])
     if dynamics is None:
         return reading
-    stiffness, damping, body, h = dynamics.stiffness[0], dynamics.damping[0], dynamics.body, scenario.tick
+    stiffness, damping, body, h = (
+        dynamics.stiffness[0],
+        dynamics.damping[0],
+        dynamics.body,
+        scenario.tick,
+    )
     rate = np.empty_like(reading)
     for j in range(6):
         if damping[j] > 0.0:  # q' = (r - K q)/C, r linear over a tick
@@ -84,7 +100,9 @@ def borne(scenario: Scenario, reading: Array) -> Array:
 
 
 def _inertia(body: Array) -> Array:
-    """``(6, 6)`` inertia of a body (BODY,) about P's origin: from the rate of a twist (linear, then angular) to force and moment."""
+    """``(6, 6)`` inertia of a body (BODY,) about P's origin: from the rate of a twist (linear, then
+    angular) to force and moment.
+    """
     m, c = body[MASS], body[CENTRE : CENTRE + 3]
     cross = np.array([[0.0, -c[2], c[1]], [c[2], 0.0, -c[0]], [-c[1], c[0], 0.0]])
     return np.block([[m * np.eye(3), -m * cross], [m * cross, body[INERTIA:BODY].reshape(3, 3)]])
@@ -94,7 +112,9 @@ MASS, CENTRE, INERTIA, BODY = 0, 1, 4, 13  # start of each part of a body row, a
 
 
 def carried(model: mujoco.MjModel, body: str) -> Array:
-    """``(BODY,)`` a body and everything that it carries, as one rigid body, about the body's origin in its axes."""
+    """``(BODY,)`` a body and everything that it carries, as one rigid body, about the body's origin
+    in its axes.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     root = model.body(body).id
@@ -110,69 +130,153 @@ def carried(model: mujoco.MjModel, body: str) -> Array:
         own = axes.T @ data.ximat[b].reshape(3, 3)
         mass += m
         moment += m * r
-        inertia += own @ np.diag(model.body_inertia[b]) @ own.T + m * (r @ r * np.eye(3) - np.outer(r, r))
+        inertia += own @ np.diag(model.body_inertia[b]) @ own.T + m * (
+            r @ r * np.eye(3) - np.outer(r, r)
+        )
     return np.concatenate([[mass], moment / mass if mass > 0.0 else moment, inertia.ravel()])
 
 
 @njit(cache=True)
 def mount_step(stiffness, damping, body, kick, drift, leapfrog, wrench, q, qd):
-    """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates first, by ``kick`` [s], then ``drift`` [s]
-    of the joints with them. As in MuJoCo, both are the step, and dampers are implicit.
+    """One step of one mount under ``wrench`` (6,) on the passive side, in W at W's origin: rates
+    first, by ``kick`` [s], then ``drift`` [s] of the joints with them. As in MuJoCo, both are the
+    step, and dampers are implicit.
 
-    ``leapfrog``: the rates are those of the middle of the steps before and after, and dampers take their mean: second order (L. Verlet,
-    Phys. Rev. 159, 1967) instead of first.
-    Newton-Euler equations of the body about the point that the slides carry, projected onto the joints (R. Featherstone, Rigid Body
-    Dynamics Algorithms, 2008, chapter 3). ``q``, ``qd`` (6,) are updated. Scalars throughout, which stay in registers.
+    ``leapfrog``: the rates are those of the middle of the steps before and after, and dampers take
+        their mean: second order (L. Verlet, Phys. Rev. 159, 1967) instead of first. Newton-Euler
+        equations of the body about the point that the slides carry, projected onto the joints (R.
+        Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 3). ``q``, ``qd`` (6,) are
+        updated. Scalars throughout, which stay in registers.
     """
     m, q0, q1, q2 = body[MASS], q[0], q[1], q[2]
-    ahead = 0.5 * kick if leapfrog else kick  # [s] by which the dampers' rate is that after the step
+    # [s] by which the dampers' rate is that after the step
+    ahead = 0.5 * kick if leapfrog else kick
     v0, v1, v2, r0, r1, r2 = qd[0], qd[1], qd[2], qd[3], qd[4], qd[5]
     (s0, c0), (s1, c1), (s2, c2) = sin_cos(q[3]), sin_cos(q[4]), sin_cos(q[5])
-    # Axes of the hinges, rotated by those before: (1, 0, 0), (0, c0, s0) and (zx, zy, zz); the attitude; the angular velocity
+    # Axes of the hinges, rotated by those before: (1, 0, 0), (0, c0, s0) and (zx, zy, zz); the
+    # attitude; the angular velocity
     zx, zy, zz = s1, -s0 * c1, c0 * c1
     t00, t01, t10, t11 = c1 * c2, -c1 * s2, c0 * s2 + s0 * s1 * c2, c0 * c2 - s0 * s1 * s2
     t20, t21 = s0 * s2 - c0 * s1 * c2, s0 * c2 + c0 * s1 * s2
     ux, uy, uz = r0, r1 * c0, r1 * s0  # of the second hinge's frame
     wx, wy, wz = ux + r2 * zx, uy + r2 * zy, uz + r2 * zz
     x, y, z = body[CENTRE], body[CENTRE + 1], body[CENTRE + 2]
-    cx, cy, cz = t00 * x + t01 * y + zx * z, t10 * x + t11 * y + zy * z, t20 * x + t21 * y + zz * z  # centre of mass from the hinges' point
+    # centre of mass from the hinges' point
+    cx, cy, cz = t00 * x + t01 * y + zx * z, t10 * x + t11 * y + zy * z, t20 * x + t21 * y + zz * z
     i00, i01, i02, i10, i11, i12, i20, i21, i22 = (
-        body[INERTIA], body[INERTIA + 1], body[INERTIA + 2], body[INERTIA + 3], body[INERTIA + 4], body[INERTIA + 5], body[INERTIA + 6],
-        body[INERTIA + 7], body[INERTIA + 8],
-    )  # fmt: skip
-    h00, h01, h02 = t00 * i00 + t01 * i10 + zx * i20, t00 * i01 + t01 * i11 + zx * i21, t00 * i02 + t01 * i12 + zx * i22
-    h10, h11, h12 = t10 * i00 + t11 * i10 + zy * i20, t10 * i01 + t11 * i11 + zy * i21, t10 * i02 + t11 * i12 + zy * i22
-    h20, h21, h22 = t20 * i00 + t21 * i10 + zz * i20, t20 * i01 + t21 * i11 + zz * i21, t20 * i02 + t21 * i12 + zz * i22
-    xx, xy, xz = h00 * t00 + h01 * t01 + h02 * zx, h00 * t10 + h01 * t11 + h02 * zy, h00 * t20 + h01 * t21 + h02 * zz
-    yy, yz, izz = h10 * t10 + h11 * t11 + h12 * zy, h10 * t20 + h11 * t21 + h12 * zz, h20 * t20 + h21 * t21 + h22 * zz
+        body[INERTIA],
+        body[INERTIA + 1],
+        body[INERTIA + 2],
+        body[INERTIA + 3],
+        body[INERTIA + 4],
+        body[INERTIA + 5],
+        body[INERTIA + 6],
+        body[INERTIA + 7],
+        body[INERTIA + 8],
+    )
+    h00, h01, h02 = (
+        t00 * i00 + t01 * i10 + zx * i20,
+        t00 * i01 + t01 * i11 + zx * i21,
+        t00 * i02 + t01 * i12 + zx * i22,
+    )
+    h10, h11, h12 = (
+        t10 * i00 + t11 * i10 + zy * i20,
+        t10 * i01 + t11 * i11 + zy * i21,
+        t10 * i02 + t11 * i12 + zy * i22,
+    )
+    h20, h21, h22 = (
+        t20 * i00 + t21 * i10 + zz * i20,
+        t20 * i01 + t21 * i11 + zz * i21,
+        t20 * i02 + t21 * i12 + zz * i22,
+    )
+    xx, xy, xz = (
+        h00 * t00 + h01 * t01 + h02 * zx,
+        h00 * t10 + h01 * t11 + h02 * zy,
+        h00 * t20 + h01 * t21 + h02 * zz,
+    )
+    yy, yz, izz = (
+        h10 * t10 + h11 * t11 + h12 * zy,
+        h10 * t20 + h11 * t21 + h12 * zz,
+        h20 * t20 + h21 * t21 + h22 * zz,
+    )
     # Velocity-dependent part of the angular acceleration, from the rotation of the hinges' axes
-    bx, by, bz = r2 * (uy * zz - uz * zy), r2 * (uz * zx - ux * zz) - r0 * r1 * s0, r2 * (ux * zy - uy * zx) + r0 * r1 * c0
-    lx, ly, lz = xx * wx + xy * wy + xz * wz, xy * wx + yy * wy + yz * wz, xz * wx + yz * wy + izz * wz
+    bx, by, bz = (
+        r2 * (uy * zz - uz * zy),
+        r2 * (uz * zx - ux * zz) - r0 * r1 * s0,
+        r2 * (ux * zy - uy * zx) + r0 * r1 * c0,
+    )
+    lx, ly, lz = (
+        xx * wx + xy * wy + xz * wz,
+        xy * wx + yy * wy + yz * wz,
+        xz * wx + yz * wy + izz * wz,
+    )
     w0, w1, w2 = wrench[0], wrench[1], wrench[2]
     tx = wrench[3] - (q1 * w2 - q2 * w1) - (wy * lz - wz * ly) - (xx * bx + xy * by + xz * bz)
     ty = wrench[4] - (q2 * w0 - q0 * w2) - (wz * lx - wx * lz) - (xy * bx + yy * by + yz * bz)
     tz = wrench[5] - (q0 * w1 - q1 * w0) - (wx * ly - wy * lx) - (xz * bx + yz * by + izz * bz)
     along, square = wx * cx + wy * cy + wz * cz, wx * wx + wy * wy + wz * wz
-    fx = w0 - m * (by * cz - bz * cy + wx * along - cx * square) - stiffness[0] * q0 - damping[0] * v0
-    fy = w1 - m * (bz * cx - bx * cz + wy * along - cy * square) - stiffness[1] * q1 - damping[1] * v1
-    fz = w2 - m * (bx * cy - by * cx + wz * along - cz * square) - stiffness[2] * q2 - damping[2] * v2
-    # (M + ahead C)^-1 times force and torque: the slides, of a diagonal block, are eliminated; p: forces that a hinge's acceleration needs
-    ix, iy, iz = 1.0 / (m + ahead * damping[0]), 1.0 / (m + ahead * damping[1]), 1.0 / (m + ahead * damping[2])
+    fx = (
+        w0
+        - m * (by * cz - bz * cy + wx * along - cx * square)
+        - stiffness[0] * q0
+        - damping[0] * v0
+    )
+    fy = (
+        w1
+        - m * (bz * cx - bx * cz + wy * along - cy * square)
+        - stiffness[1] * q1
+        - damping[1] * v1
+    )
+    fz = (
+        w2
+        - m * (bx * cy - by * cx + wz * along - cz * square)
+        - stiffness[2] * q2
+        - damping[2] * v2
+    )
+    # (M + ahead C)^-1 times force and torque: the slides, of a diagonal block, are eliminated; p:
+    # forces that a hinge's acceleration needs
+    ix, iy, iz = (
+        1.0 / (m + ahead * damping[0]),
+        1.0 / (m + ahead * damping[1]),
+        1.0 / (m + ahead * damping[2]),
+    )
     p01, p02 = -m * cz, m * cy
     p10, p11, p12 = m * (c0 * cz - s0 * cy), m * s0 * cx, -m * c0 * cx
     p20, p21, p22 = m * (zy * cz - zz * cy), m * (zz * cx - zx * cz), m * (zx * cy - zy * cx)
     gx, gy, gz = ix * fx, iy * fy, iz * fz
     a0 = tx - stiffness[3] * q[3] - damping[3] * r0 - p01 * gy - p02 * gz
     a1 = c0 * ty + s0 * tz - stiffness[4] * q[4] - damping[4] * r1 - p10 * gx - p11 * gy - p12 * gz
-    a2 = zx * tx + zy * ty + zz * tz - stiffness[5] * q[5] - damping[5] * r2 - p20 * gx - p21 * gy - p22 * gz
-    jx, jy, jz = xy * c0 + xz * s0, yy * c0 + yz * s0, yz * c0 + izz * s0  # inertia times the second axis, and the third
-    kx, ky, kz = xx * zx + xy * zy + xz * zz, xy * zx + yy * zy + yz * zz, xz * zx + yz * zy + izz * zz
+    a2 = (
+        zx * tx
+        + zy * ty
+        + zz * tz
+        - stiffness[5] * q[5]
+        - damping[5] * r2
+        - p20 * gx
+        - p21 * gy
+        - p22 * gz
+    )
+    # inertia times the second axis, and the third
+    jx, jy, jz = xy * c0 + xz * s0, yy * c0 + yz * s0, yz * c0 + izz * s0
+    kx, ky, kz = (
+        xx * zx + xy * zy + xz * zz,
+        xy * zx + yy * zy + yz * zz,
+        xz * zx + yz * zy + izz * zz,
+    )
     d00 = xx - (p01 * iy * p01 + p02 * iz * p02) + ahead * damping[3]
     d01 = jx - (p01 * iy * p11 + p02 * iz * p12)
     d02 = kx - (p01 * iy * p21 + p02 * iz * p22)
-    d11 = c0 * jy + s0 * jz - (p10 * ix * p10 + p11 * iy * p11 + p12 * iz * p12) + ahead * damping[4]
+    d11 = (
+        c0 * jy + s0 * jz - (p10 * ix * p10 + p11 * iy * p11 + p12 * iz * p12) + ahead * damping[4]
+    )
     d12 = c0 * ky + s0 * kz - (p10 * ix * p20 + p11 * iy * p21 + p12 * iz * p22)
-    d22 = zx * kx + zy * ky + zz * kz - (p20 * ix * p20 + p21 * iy * p21 + p22 * iz * p22) + ahead * damping[5]
+    d22 = (
+        zx * kx
+        + zy * ky
+        + zz * kz
+        - (p20 * ix * p20 + p21 * iy * p21 + p22 * iz * p22)
+        + ahead * damping[5]
+    )
     a0, a1, a2 = _solved(d00, d01, d02, d11, d12, d22, a0, a1, a2)
     qd[0] = v0 + kick * ix * (fx - (a1 * p10 + a2 * p20))
     qd[1] = v1 + kick * iy * (fy - (a0 * p01 + a1 * p11 + a2 * p21))
@@ -186,18 +290,25 @@ def mount_step(stiffness, damping, body, kick, drift, leapfrog, wrench, q, qd):
 
 @njit(cache=True)
 def _solved(a, b, c, d, e, f, u, v, w):
-    """Solution of a symmetric positive definite matrix (a b c; b d e; c e f) for the right-hand side (u, v, w)."""
+    """Solution of a symmetric positive definite matrix (a b c; b d e; c e f) for the right-hand
+    side (u, v, w).
+    """
     aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
     dd, de, ff = a * f - c * c, b * c - a * e, a * d - b * b
     scale = 1.0 / (a * aa + b * ab + c * ac)
-    return scale * (aa * u + ab * v + ac * w), scale * (ab * u + dd * v + de * w), scale * (ac * u + de * v + ff * w)
+    return (
+        scale * (aa * u + ab * v + ac * w),
+        scale * (ab * u + dd * v + de * w),
+        scale * (ac * u + de * v + ff * w),
+    )
 
 
 @njit(cache=True)
 def mount_reading(stiffness, damping, q, qd, out):
     """``out`` (6,): the wrench that the mount transmits to the sensor, in W at W's origin.
 
-    A hinge's torque is the moment's component along its axis; the moment is solved from the three axes, which are not orthogonal.
+    A hinge's torque is the moment's component along its axis; the moment is solved from the three
+    axes, which are not orthogonal.
     """
     for j in range(6):
         out[j] = stiffness[j] * q[j] + damping[j] * qd[j]

@@ -27,17 +27,25 @@ class ContactParameters:
         alpha: [s/m] of Hunt-Crossley damping, in place of the linear damper if not negative.
         dry: [N] dry friction; drag: [N/m] of the spring in series with its slider, 0: rigid.
         preload: [N]. stop [m], stop_stiffness [N/m]: a second spring beyond a penetration.
-        branch_stiffness [N/m], branch_time [s]: of a Maxwell branch. adhesion: [N] largest pulling force.
-        frame: [N/m] of the sensor's frame in series; 0: rigid. offset: [m] by which the touch comes later.
+            branch_stiffness [N/m], branch_time [s]: of a Maxwell branch. adhesion: [N] largest
+            pulling force.
+        frame: [N/m] of the sensor's frame in series; 0: rigid. offset: [m] by which the touch comes
+            later.
         captured: 1 if the mechanism pulls as well as pushes. play: [m] in a captured mechanism.
-        mode [rad/s], mode_damping [-], mode_mass [kg]: of the frame's mode; reaction: 1 if the sensor reads the frame's reaction.
-        tilt_x, tilt_y: [rad] of the passive port. lever: point of application of the force, 0 at the undeformed surface, 1 at the tip.
-        side_stiffness, side_damping: [-] of a captured mechanism across the insertion and about each axis, relative to those along it.
+            mode [rad/s], mode_damping [-], mode_mass [kg]: of the frame's mode; reaction: 1 if the
+            sensor reads the frame's reaction.
+        tilt_x, tilt_y: [rad] of the passive port. lever: point of application of the force, 0 at
+            the undeformed surface, 1 at the tip.
+        side_stiffness, side_damping: [-] of a captured mechanism across the insertion and about
+            each axis, relative to those along it.
         ring: [-] radius at which a latch resists rotation, over LATCH_RADIUS; 0: it does not.
-        blunt: 1 if the ball of the tip touches; 0 if its foremost point does (this differs on a tilted plane).
-        over_penetration, over_rate, over_stretch: (PACKED,) curves of an added force [N] over penetration [m], its rate [m/s] and the
-            stretch [m] of a slider, which slips where the stretch would leave the curve's range.
-        spring_over_penetration, spring_over_rate: (PACKED,) curves of a fraction [-] of the elastic force that is added.
+        blunt: 1 if the ball of the tip touches; 0 if its foremost point does (this differs on a
+            tilted plane).
+        over_penetration, over_rate, over_stretch: (PACKED,) curves of an added force [N] over
+            penetration [m], its rate [m/s] and the stretch [m] of a slider, which slips where the
+            stretch would leave the curve's range.
+        spring_over_penetration, spring_over_rate: (PACKED,) curves of a fraction [-] of the elastic
+        force that is added.
     """
 
     stiffness: float
@@ -78,19 +86,29 @@ class ContactParameters:
     @classmethod
     def believed(cls, contact: Contact, captured: bool = False) -> ContactParameters:
         """The nominal contact: the settings of a scenario, without effects."""
-        return cls(contact.stiffness, contact.damping, friction=contact.friction, captured=float(captured))
+        return cls(
+            contact.stiffness, contact.damping, friction=contact.friction, captured=float(captured)
+        )
 
     def with_effects(self, effects: Iterable[Effect]) -> ContactParameters:
-        """Apply those of ``effects`` that act on the contact, in place, and return the same object."""
+        """Apply those of ``effects`` that act on the contact, in place, and return the same
+        object.
+        """
         for effect in effects:
             if effect.link == "contact":
                 effect.apply(self)
         return self
 
     def after_capture(self) -> ContactParameters:
-        """Adapt it, in place, to a latch that closed during a run: no touch offset, preload, hard stop or curve over penetration."""
+        """Adapt it, in place, to a latch that closed during a run: no touch offset, preload, hard
+        stop or curve over penetration.
+        """
         self.offset = self.preload = self.stop_stiffness = 0.0
-        self.stop, self.over_penetration, self.spring_over_penetration = np.inf, packed(()), packed(())
+        self.stop, self.over_penetration, self.spring_over_penetration = (
+            np.inf,
+            packed(()),
+            packed(()),
+        )
         return self
 
     def row(self) -> Array:
@@ -105,28 +123,83 @@ def believed_contacts(mechanism: Mechanism) -> list[ContactParameters]:
     return [*found, ContactParameters.believed(mechanism.latch_contact(), mechanism.captured)]
 
 
-def contact_rows(contacts: Sequence[ContactParameters], rules: Sequence[int], captured: bool) -> Array:
-    """``(T + 1, PARAMETERS)`` rows of each pair, which belongs to one of the ``rules`` (T,), and last of the latch.
+def contact_rows(
+    contacts: Sequence[ContactParameters], rules: Sequence[int], captured: bool
+) -> Array:
+    """``(T + 1, PARAMETERS)`` rows of each pair, which belongs to one of the ``rules`` (T,), and
+    last of the latch.
 
-    ``contacts``: of each rule and of the latch, effects included. captured: whether the latch is closed from the start.
+    ``contacts``: of each rule and of the latch, effects included. captured: whether the latch is
+        closed from the start.
     """
     latch = contacts[-1] if captured else copy(contacts[-1]).after_capture()
     rows = np.array([c.row() for c in (*contacts[:-1], latch)])
     return rows[[*rules, len(rows) - 1]]
 
 
-# The columns of a row, named after the fields; a curve takes PACKED columns, the first of which is its number of knots.
+# The columns of a row, named after the fields; a curve takes PACKED columns, the first of which is
+# its number of knots.
 NAMES = tuple(f.name for f in fields(ContactParameters))
-CURVES = ("over_penetration", "over_rate", "over_stretch", "spring_over_penetration", "spring_over_rate")  # the last ones
+# the last ones
+CURVES = (
+    "over_penetration",
+    "over_rate",
+    "over_stretch",
+    "spring_over_penetration",
+    "spring_over_rate",
+)
 NUMBERS = NAMES[: -len(CURVES)]
 (
-    STIFFNESS, DAMPING, POWER_STIFFNESS, EXPONENT, ALPHA, DRY, PRELOAD, STOP, STOP_STIFFNESS, BRANCH_STIFFNESS, BRANCH_TIME,
-    ADHESION, FRAME, OFFSET, CAPTURED, PLAY, MODE, MODE_DAMPING, MODE_MASS, FRICTION, TILT_X, TILT_Y, LEVER, REACTION, DRAG, BLUNT,
-    SIDE_STIFFNESS, SIDE_DAMPING, RING, OVER_PENETRATION,
-) = range(len(NUMBERS) + 1)  # fmt: skip
-OVER_RATE, OVER_STRETCH, SPRING_OVER_PENETRATION, SPRING_OVER_RATE, PARAMETERS = (OVER_PENETRATION + i * PACKED for i in range(1, 6))
+    STIFFNESS,
+    DAMPING,
+    POWER_STIFFNESS,
+    EXPONENT,
+    ALPHA,
+    DRY,
+    PRELOAD,
+    STOP,
+    STOP_STIFFNESS,
+    BRANCH_STIFFNESS,
+    BRANCH_TIME,
+    ADHESION,
+    FRAME,
+    OFFSET,
+    CAPTURED,
+    PLAY,
+    MODE,
+    MODE_DAMPING,
+    MODE_MASS,
+    FRICTION,
+    TILT_X,
+    TILT_Y,
+    LEVER,
+    REACTION,
+    DRAG,
+    BLUNT,
+    SIDE_STIFFNESS,
+    SIDE_DAMPING,
+    RING,
+    OVER_PENETRATION,
+) = range(len(NUMBERS) + 1)
+OVER_RATE, OVER_STRETCH, SPRING_OVER_PENETRATION, SPRING_OVER_RATE, PARAMETERS = (
+    OVER_PENETRATION + i * PACKED for i in range(1, 6)
+)
 # Those that are neutral if only a linear spring and damper act along the normal.
 LINEAR = [
-    POWER_STIFFNESS, ALPHA, DRY, PRELOAD, STOP, BRANCH_STIFFNESS, ADHESION, FRAME, OFFSET, PLAY, MODE, OVER_PENETRATION, OVER_RATE,
-    OVER_STRETCH, SPRING_OVER_PENETRATION, SPRING_OVER_RATE,
-]  # fmt: skip
+    POWER_STIFFNESS,
+    ALPHA,
+    DRY,
+    PRELOAD,
+    STOP,
+    BRANCH_STIFFNESS,
+    ADHESION,
+    FRAME,
+    OFFSET,
+    PLAY,
+    MODE,
+    OVER_PENETRATION,
+    OVER_RATE,
+    OVER_STRETCH,
+    SPRING_OVER_PENETRATION,
+    SPRING_OVER_RATE,
+]

@@ -1,7 +1,9 @@
 """The phases of capture: when each begins, and what it does.
 
-They are evaluated once per tick, at the state for which the contacts were last evaluated. A phase begins when its condition has held for
-the required time and the previous phase has begun: its latch closes, its actuators get their commands, its geoms no longer touch.
+They are evaluated once per tick, at the state for which the contacts were last evaluated. A phase
+begins when its condition has held for
+the required time and the previous phase has begun: its latch closes, its actuators get their
+commands, its geoms no longer touch.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ from hiltestbed.jit import njit
 
 
 class _Condition(NamedTuple):
-    """A condition as arrays: frames (Q, 2) and poses (Q, 2, 7) of its pairs of sites, number of pairs needed, and the limits."""
+    """A condition as arrays: frames (Q, 2) and poses (Q, 2, 7) of its pairs of sites, number of
+    pairs needed, and the limits.
+    """
 
     frames: NDArray[np.int64]
     places: Array
@@ -41,11 +45,14 @@ class Phases:
     """The progress of capture of `n` runs.
 
     Attributes:
-        begun: (n,) int64, number of phases begun. since: (n, K) tick at which each began, -1 before. names: of the phases.
+        begun: (n,) int64, number of phases begun. since: (n, K) tick at which each began, -1
+            before. names: of the phases.
     """
 
     def __init__(self, batch: Batch, structure: Structure, tick: float, n: int) -> None:
-        """``tick`` [s] between two evaluations. Raises InputError if a phase names a joint or an actuator that does not exist."""
+        """``tick`` [s] between two evaluations. Raises InputError if a phase names a joint or an
+        actuator that does not exist.
+        """
         self._phases = structure.mechanism.phases()
         self.names = [p.name for p in self._phases]
         self._tick, model = tick, batch.model
@@ -54,7 +61,10 @@ class Phases:
         self._commands = [actuators_of(phase, model) for phase in self._phases]
         self._dropped = [dropped_by(sides, phase.drop_contacts) for phase in self._phases]
         self._ctrl, self._qpos = batch.bind("ctrl"), batch.bind("qpos")
-        self.begun, self.since = np.zeros(n, dtype=np.int64), np.full((n, len(self._phases)), -1, dtype=np.int64)
+        self.begun, self.since = (
+            np.zeros(n, dtype=np.int64),
+            np.full((n, len(self._phases)), -1, dtype=np.int64),
+        )
         self._held, self._due = np.zeros(n), np.zeros(n, dtype=bool)
         self._ticks = np.zeros(1, dtype=np.int64)
 
@@ -66,14 +76,28 @@ class Phases:
         """Begin the phases whose conditions hold; call once per tick."""
         self._ticks[0] += 1
         frames, motions = engagement.frames, engagement.motions
-        for k in range(len(self._phases) - 1, -1, -1):  # from the last phase down, so that a run begins at most one phase per tick
+        # from the last phase down, so that a run begins at most one phase per tick
+        for k in range(len(self._phases) - 1, -1, -1):
             if not (self.begun == k).any():
                 continue
             c = self._conditions[k]
             _look(
-                k, self.begun, c.frames, c.places, c.needed, c.limits, c.joints, c.ranges, c.lasting, self._tick, self._qpos, frames,
-                motions, self._held, self._due,
-            )  # fmt: skip
+                k,
+                self.begun,
+                c.frames,
+                c.places,
+                c.needed,
+                c.limits,
+                c.joints,
+                c.ranges,
+                c.lasting,
+                self._tick,
+                self._qpos,
+                frames,
+                motions,
+                self._held,
+                self._due,
+            )
             if self._due.any():
                 self._begin(k, engagement)
 
@@ -90,44 +114,78 @@ class Phases:
         self._held[due] = 0.0
 
 
-def _condition(phase: Phase, sites: dict[tuple[str, str], tuple[int, Array]], model: mujoco.MjModel) -> _Condition:
+def _condition(
+    phase: Phase, sites: dict[tuple[str, str], tuple[int, Array]], model: mujoco.MjModel
+) -> _Condition:
     when = phase.when
     pairs = [(sites["A", a], sites["P", p]) for a, p in when.pairs]
     return _Condition(
-        np.array([[a[0], p[0]] for a, p in pairs], dtype=np.int64), np.array([[a[1], p[1]] for a, p in pairs]),
-        when.count or len(pairs), np.array([when.within, np.cos(np.radians(when.angle_deg)), when.speed]),
-        joints_of(phase, model), np.array(list(when.joints.values())).reshape(-1, 2), when.lasting,
-    )  # fmt: skip
+        np.array([[a[0], p[0]] for a, p in pairs], dtype=np.int64),
+        np.array([[a[1], p[1]] for a, p in pairs]),
+        when.count or len(pairs),
+        np.array([when.within, np.cos(np.radians(when.angle_deg)), when.speed]),
+        joints_of(phase, model),
+        np.array(list(when.joints.values())).reshape(-1, 2),
+        when.lasting,
+    )
 
 
 def joints_of(phase: Phase, model: mujoco.MjModel) -> NDArray[np.int64]:
     """Indices in qpos of the joints of a phase's condition. Raises InputError."""
     names = [model.joint(i).name for i in range(model.njnt)]
-    return np.array([model.jnt_qposadr[_index(name, names, phase, "joint")] for name in phase.when.joints], dtype=np.int64)
+    return np.array(
+        [model.jnt_qposadr[_index(name, names, phase, "joint")] for name in phase.when.joints],
+        dtype=np.int64,
+    )
 
 
 def actuators_of(phase: Phase, model: mujoco.MjModel) -> list[tuple[int, float]]:
     """Numbers of the actuators that a phase commands, and their commands. Raises InputError."""
     names = [model.actuator(i).name for i in range(model.nu)]
-    return [(_index(name, names, phase, "actuator"), value) for name, value in phase.command.items()]
+    return [
+        (_index(name, names, phase, "actuator"), value) for name, value in phase.command.items()
+    ]
 
 
 def dropped_by(sides: Sides, patterns: Sequence[str]) -> NDArray[np.int64]:
     """Numbers of the pairs whose active geom matches one of the ``patterns``."""
     pairs = (*sides.facets, *sides.native)
-    return np.array([k for k, pair in enumerate(pairs) if any(matching(p, [pair.active]) for p in patterns)], dtype=np.int64)
+    return np.array(
+        [k for k, pair in enumerate(pairs) if any(matching(p, [pair.active]) for p in patterns)],
+        dtype=np.int64,
+    )
 
 
 def _index(name: str, names: list[str], phase: Phase, what: str) -> int:
     if ACTIVE + name not in names:
         have = ", ".join(n.removeprefix(ACTIVE) for n in names if n.startswith(ACTIVE)) or "none"
-        raise InputError(f"phase {phase.name!r}: the active side has no {what} {name!r}; its {what}s are {have}")
+        raise InputError(
+            f"phase {phase.name!r}: the active side has no {what} {name!r}; its {what}s are {have}"
+        )
     return names.index(ACTIVE + name)
 
 
 @njit(cache=True)
-def _look(k, begun, pairs, places, needed, limits, joints, ranges, lasting, tick, qpos, frames, motions, held, due):
-    """Mark in ``due`` (n,) the runs in which phase ``k`` begins now; ``held`` (n,) [s]: time for which its condition has held."""
+def _look(
+    k,
+    begun,
+    pairs,
+    places,
+    needed,
+    limits,
+    joints,
+    ranges,
+    lasting,
+    tick,
+    qpos,
+    frames,
+    motions,
+    held,
+    due,
+):
+    """Mark in ``due`` (n,) the runs in which phase ``k`` begins now; ``held`` (n,) [s]: time for
+    which its condition has held.
+    """
     site, velocity = np.empty((2, 7)), np.empty((2, 6))
     at, rate, work = np.empty(7), np.empty(6), np.empty((1, 3))
     for i in range(begun.shape[0]):

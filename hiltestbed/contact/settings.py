@@ -20,41 +20,58 @@ if TYPE_CHECKING:
 
 
 class Contact(Strictly):
-    """Contact of the mechanism's surfaces: F = stiffness x + damping v; in a bumper or a cone never negative (no pulling)."""
+    """Contact of the mechanism's surfaces: F = stiffness x + damping v; in a bumper or a cone never
+    negative (no pulling).
+    """
 
     stiffness: Positive = Field(description="Contact stiffness [N/m]")
     damping: NotNegative = Field(default=0.0, description="Contact damping [N s/m]")
-    friction: Annotated[float, Field(ge=0, le=2)] = Field(default=0.0, description="Coulomb friction coefficient between the surfaces [-]")
+    friction: Annotated[float, Field(ge=0, le=2)] = Field(
+        default=0.0, description="Coulomb friction coefficient between the surfaces [-]"
+    )
 
 
 class Mount(Strictly):
-    """Compliant mount of the passive side, between mechanism and sensor; axes x, y, z, rx, ry, rz."""
+    """Compliant mount of the passive side, between mechanism and sensor; axes x, y, z, rx, ry,
+    rz.
+    """
 
-    stiffness: Annotated[tuple[Positive, ...], Field(strict=False, min_length=6, max_length=6)] = Field(
-        description="Stiffness of each axis, 3 x [N/m] and 3 x [N m/rad]"
+    stiffness: Annotated[tuple[Positive, ...], Field(strict=False, min_length=6, max_length=6)] = (
+        Field(description="Stiffness of each axis, 3 x [N/m] and 3 x [N m/rad]")
     )
-    damping: Annotated[tuple[NotNegative, ...], Field(strict=False, min_length=6, max_length=6)] = Field(
-        default=(0.0,) * 6, description="Damping of each axis, 3 x [N s/m] and 3 x [N m s/rad]"
+    damping: Annotated[tuple[NotNegative, ...], Field(strict=False, min_length=6, max_length=6)] = (
+        Field(
+            default=(0.0,) * 6, description="Damping of each axis, 3 x [N s/m] and 3 x [N m s/rad]"
+        )
     )
 
 
 class Latch(Strictly):
-    """Condition for the latches of a probe in its cone to close: all three limits hold at once. From then on the mechanism can pull."""
+    """Condition for the latches of a probe in its cone to close: all three limits hold at once.
+    From then on the mechanism can pull.
+    """
 
     depth: Annotated[float, Field(ge=0, le=0.1)] = Field(
-        default=0.004, description="Largest distance of the tip before the nominal touch at which the latches close [m]: pz >= -depth"
+        default=0.004,
+        description="Largest distance of the tip before the nominal touch at which the latches "
+        "close [m]: pz >= -depth",
     )
     angle_deg: Annotated[float, Field(gt=0, le=30)] = Field(
-        default=5.0, description="Largest angle between the z axes of A and P at which the latches close [deg]"
+        default=5.0,
+        description="Largest angle between the z axes of A and P at which the latches close [deg]",
     )
-    speed: Positive = Field(default=0.02, description="Highest relative speed of A's origin at which the latches close [m/s]")
+    speed: Positive = Field(
+        default=0.02,
+        description="Highest relative speed of A's origin at which the latches close [m/s]",
+    )
 
 
 class Mechanism(Strictly):
     """The docking mechanism: its two sides and their contacts. Base of every kind.
 
     Attributes:
-        captured: whether it is captured from the start. flat: whether the passive surface is the plane z = 0 of P.
+        captured: whether it is captured from the start. flat: whether the passive surface is the
+            plane z = 0 of P.
         latches: whether a latch may close during a run.
     """
 
@@ -62,15 +79,24 @@ class Mechanism(Strictly):
 
     kind: str
     contact: Contact = Field(description="Stiffness, damping and friction of the contact")
-    mount: Mount | None = Field(default=None, description="Compliant mount between the passive mechanism and the sensor; null: rigid")
-    latch: Latch | None = Field(default=None, description="Condition for the latches to close; null: no latches")
+    mount: Mount | None = Field(
+        default=None,
+        description="Compliant mount between the passive mechanism and the sensor; null: rigid",
+    )
+    latch: Latch | None = Field(
+        default=None, description="Condition for the latches to close; null: no latches"
+    )
     captured: ClassVar[bool] = False
     flat: ClassVar[bool] = False
     latches: ClassVar[bool] = False
 
     def idle(self, scenario: Scenario) -> Iterable[Problem]:
         if self.captured and self.contact.friction > 0.0:
-            yield ("contact", "friction"), f"a mechanism of kind {self.kind} is captured from the start, nothing slides in it; leave it out"
+            yield (
+                ("contact", "friction"),
+                f"a mechanism of kind {self.kind} is captured from the start, nothing slides in "
+                f"it; leave it out",
+            )
 
     @placeholder
     def files(self) -> tuple[Path, Path]:
@@ -78,7 +104,9 @@ class Mechanism(Strictly):
         raise NotImplementedError
 
     def fingerprint(self) -> dict[str, str]:
-        """Keys of the section that name a user's file, with the SHA-256 of the file's whole content."""
+        """Keys of the section that name a user's file, with the SHA-256 of the file's whole
+        content.
+        """
         return {}
 
     def sides(self) -> tuple[MjSpec, MjSpec]:
@@ -89,7 +117,9 @@ class Mechanism(Strictly):
         return named(active), named(passive)
 
     def rules(self) -> tuple[Rule, ...]:
-        """Which geoms may touch; by default one rule without names: all geoms that MuJoCo would let collide."""
+        """Which geoms may touch; by default one rule without names: all geoms that MuJoCo would let
+        collide.
+        """
         from hiltestbed.contact.sides import Rule
 
         return (Rule(),)
@@ -107,16 +137,33 @@ class Mechanism(Strictly):
         return ()
 
     def shape(self) -> Hashable:
-        """What its MuJoCo model depends on, apart from numerical parameters: runs of the same shape are simulated in lockstep."""
-        return (self.kind, *map(str, self.files()), self.rules(), tuple(p.model_dump_json() for p in self.phases()))
+        """What its MuJoCo model depends on, apart from numerical parameters: runs of the same shape
+        are simulated in lockstep.
+        """
+        return (
+            self.kind,
+            *map(str, self.files()),
+            self.rules(),
+            tuple(p.model_dump_json() for p in self.phases()),
+        )
 
     @model_validator(mode="after")
     def _may_latch(self) -> Mechanism:
         if self.latch is not None and not self.latches:
             able = ", ".join(kind for kind, cls in MECHANISMS.items() if cls.latches)
-            refuse([(("latch",), f"belongs to a mechanism that captures (got kind {self.kind!r}); allowed: null, or kind {able}")])
+            refuse(
+                [
+                    (
+                        ("latch",),
+                        f"belongs to a mechanism that captures (got kind {self.kind!r}); allowed: "
+                        f"null, or kind {able}",
+                    )
+                ]
+            )
         return self
 
 
-MECHANISMS: Registry[Mechanism] = Registry("mechanism", Mechanism, ("hiltestbed.contact.mechanisms",))
+MECHANISMS: Registry[Mechanism] = Registry(
+    "mechanism", Mechanism, ("hiltestbed.contact.mechanisms",)
+)
 AnyMechanism = Annotated[Mechanism, OneOf(MECHANISMS, default="bumper")]

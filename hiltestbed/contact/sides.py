@@ -1,12 +1,15 @@
 """Both sides of a mechanism, from their MJCF: which geoms may touch, and the contact geometry.
 
-A rule of the mechanism names geoms of both sides; without rules a geom may touch if MuJoCo would let it collide (``contype`` and
-``conaffinity`` not both 0). A pair of geoms that may touch is one of two kinds:
+A rule of the mechanism names geoms of both sides; without rules a geom may touch if MuJoCo would
+let it collide (``contype`` and ``conaffinity`` not both 0). A pair of geoms that may touch is one
+of two kinds:
 
-- *facet*: a ball against any surface, a rod (capsule) against a cylinder, an ellipsoid or a mesh. The nearest point of the surface is
-  computed (for a mesh of revolution exactly from its profile, for any other mesh from its triangles), and MuJoCo gets a facet
-  in the tangent plane there (:mod:`hiltestbed.contact.engagement`);
-- *native*: any other pair. MuJoCo's own collision detection is used, and the stiffness is divided among the points that it finds.
+- *facet*: a ball against any surface, a rod (capsule) against a cylinder, an ellipsoid or a mesh.
+  The nearest point of the surface is computed (for a mesh of revolution exactly from its profile,
+  for any other mesh from its triangles), and MuJoCo gets a facet in the tangent plane there
+  (:mod:`hiltestbed.contact.engagement`);
+- *native*: any other pair. MuJoCo's own collision detection is used, and the stiffness is divided
+  among the points that it finds.
 """
 
 from __future__ import annotations
@@ -34,18 +37,29 @@ if TYPE_CHECKING:
 
 _G = mujoco.mjtGeom
 SPHERE, CAPSULE, CYLINDER, ELLIPSOID, MESH = (
-    int(g) for g in (_G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_CYLINDER, _G.mjGEOM_ELLIPSOID, _G.mjGEOM_MESH)
+    int(g)
+    for g in (
+        _G.mjGEOM_SPHERE,
+        _G.mjGEOM_CAPSULE,
+        _G.mjGEOM_CYLINDER,
+        _G.mjGEOM_ELLIPSOID,
+        _G.mjGEOM_MESH,
+    )
 )
-ROD_FACETS = (CYLINDER, ELLIPSOID, MESH)  # on a plane or a box a rod touches at both ends, which MuJoCo handles
-EXACT = tuple(int(g) for g in (_G.mjGEOM_PLANE, _G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_BOX))  # closed form against a ball
+# on a plane or a box a rod touches at both ends, which MuJoCo handles
+ROD_FACETS = (CYLINDER, ELLIPSOID, MESH)
+# closed form against a ball
+EXACT = tuple(int(g) for g in (_G.mjGEOM_PLANE, _G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_BOX))
 MOST_PAIRS = 4000
 
 
 class Rule(NamedTuple):
-    """Geoms of both sides that may touch, by name (``*``: any characters); both None: those that MuJoCo would let collide.
+    """Geoms of both sides that may touch, by name (``*``: any characters); both None: those that
+    MuJoCo would let collide.
 
     Attributes:
-        reach: [m] pairs with a larger lateral distance, ports aligned, are excluded; None: no limit.
+        reach: [m] pairs with a larger lateral distance, ports aligned, are excluded; None: no
+            limit.
     """
 
     active: str | None = None
@@ -58,7 +72,8 @@ class Pair:
     """Two geoms that may touch.
 
     Attributes:
-        active, passive: their names. rule: number of their rule. swapped: whether the round is on the passive side.
+        active, passive: their names. rule: number of their rule. swapped: whether the round is on
+            the passive side.
         single: whether they touch at one point at most.
     """
 
@@ -74,12 +89,16 @@ class Sides:
     """The contents of a mechanism's MJCF.
 
     Attributes:
-        facets: pairs with facets; geometry: theirs, in the same order. native: pairs for which MuJoCo's collision detection is used.
+        facets: pairs with facets; geometry: theirs, in the same order. native: pairs for which
+            MuJoCo's collision detection is used.
         frames: of each frame beyond A and S, the port of its side and the name of its body.
-        sites: of each site in a phase of capture, by port and name, the number of its frame and its pose (7,) in it.
-        exact: whether MuJoCo's own collision detection has a closed form and one point for every pair, including those with facets.
+        sites: of each site in a phase of capture, by port and name, the number of its frame and its
+            pose (7,) in it.
+        exact: whether MuJoCo's own collision detection has a closed form and one point for every
+            pair, including those with facets.
         ports: (2, 7) pose of A in the file of the active side, of P in that of the passive one.
-        moving: whether a side has joints. findings: on the meshes that may touch, with the name of the geom.
+        moving: whether a side has joints. findings: on the meshes that may touch, with the name of
+            the geom.
     """
 
     facets: tuple[Pair, ...]
@@ -99,7 +118,9 @@ class Sides:
 
     @property
     def rigid(self) -> bool:
-        """Whether all contacts are facets on geoms fixed to their side: the wrench then follows from the pose of A in S."""
+        """Whether all contacts are facets on geoms fixed to their side: the wrench then follows
+        from the pose of A in S.
+        """
         return not self.native and not self.frames and not self.moving
 
 
@@ -112,15 +133,25 @@ def sides_of(mechanism: Mechanism) -> Sides:
 
 @lru_cache(maxsize=32)
 def _sides(
-    stamps: tuple[tuple[str, tuple[int, ...]], ...], rules: tuple[Rule, ...], sites: tuple[tuple[str, str], ...], captured: bool
-) -> Sides:  # fmt: skip
-    active, passive = (_Side(file, site) for (file, _), site in zip(stamps, ("A", "P"), strict=True))
-    pairs = [] if captured else [(a, p, k) for k, rule in enumerate(rules) for a, p in _meeting(active, passive, rule)]
+    stamps: tuple[tuple[str, tuple[int, ...]], ...],
+    rules: tuple[Rule, ...],
+    sites: tuple[tuple[str, str], ...],
+    captured: bool,
+) -> Sides:
+    active, passive = (
+        _Side(file, site) for (file, _), site in zip(stamps, ("A", "P"), strict=True)
+    )
+    pairs = (
+        []
+        if captured
+        else [(a, p, k) for k, rule in enumerate(rules) for a, p in _meeting(active, passive, rule)]
+    )
     if not pairs and not captured:
         raise InputError(_nothing_touches(active, passive, rules))
     if len(pairs) > MOST_PAIRS:
         raise InputError(
-            f"{active.file}, {passive.file}: {len(pairs)} pairs of geoms may touch (at most {MOST_PAIRS}); name only those that do, "
+            f"{active.file}, {passive.file}: {len(pairs)} pairs of geoms may touch (at most "
+            f"{MOST_PAIRS}); name only those that do, "
             "or give a class of pairs a reach"
         )
     facets, native, candidates, frames = [], [], [], _Frames()
@@ -134,31 +165,47 @@ def _sides(
             candidates.append(_candidate(passive, p, active, a, frames))
         else:
             native.append(Pair(*names, k))
-    placed = {(port, name): (active if port == "A" else passive).site(name, frames) for port, name in sites}
+    placed = {
+        (port, name): (active if port == "A" else passive).site(name, frames)
+        for port, name in sites
+    }
     exact = not native and all(
-        SPHERE in types and set(types) <= set(EXACT) for types in ((active.type(a), passive.type(p)) for a, p, _ in pairs)
+        SPHERE in types and set(types) <= set(EXACT)
+        for types in ((active.type(a), passive.type(p)) for a, p, _ in pairs)
     )
     moving = bool(active.model.njnt or passive.model.njnt)
     findings = (*active.findings.items(), *passive.findings.items())
     return Sides(
-        tuple(facets), packed(candidates), tuple(native), tuple(frames.names), placed, exact and not moving,
-        np.array([active.pose(), passive.pose()]), moving,
+        tuple(facets),
+        packed(candidates),
+        tuple(native),
+        tuple(frames.names),
+        placed,
+        exact and not moving,
+        np.array([active.pose(), passive.pose()]),
+        moving,
         tuple((name, f) for name, found in findings for f in found),
-    )  # fmt: skip
+    )
 
 
 def _facets(round_: int, surface: int) -> bool:
-    return (round_ == SPHERE and (surface in KINDS or surface == MESH)) or (round_ == CAPSULE and surface in ROD_FACETS)
+    return (round_ == SPHERE and (surface in KINDS or surface == MESH)) or (
+        round_ == CAPSULE and surface in ROD_FACETS
+    )
 
 
-def _candidate(one: _Side, round_: int, other: _Side, surface: int, frames: _Frames) -> tuple[Round, Placed]:
+def _candidate(
+    one: _Side, round_: int, other: _Side, surface: int, frames: _Frames
+) -> tuple[Round, Placed]:
     frame_a, ends = one.in_frame(round_, frames)
     half = one.model.geom_size[round_, 1] if one.type(round_) == CAPSULE else 0.0
     along = ends[1][:, 2] * half
     places = np.array([ends[0] + along, ends[0] - along])
     frame_p, (position, turn) = other.in_frame(surface, frames)
     place = np.concatenate([position, _quaternion(turn)])
-    return Round(float(one.model.geom_size[round_, 0]), places, frame_a), Placed(other.surface(surface), place, frame_p, other.port == "P")
+    return Round(float(one.model.geom_size[round_, 0]), places, frame_a), Placed(
+        other.surface(surface), place, frame_p, other.port == "P"
+    )
 
 
 class _Frames:
@@ -185,11 +232,18 @@ class _Side:
         if found < 0:
             have = ", ".join(m.site(i).name for i in range(m.nsite)) or "none"
             raise InputError(
-                f"{file}: has no site {site!r} (sites: {have}); the port's frame is a site of that name, its +z along the insertion"
+                f"{file}: has no site {site!r} (sites: {have}); the port's frame is a site of "
+                f"that name, its +z along the insertion"
             )
         if m.body_weldid[m.site_bodyid[found]] != 0:
-            raise InputError(f"{file}: the site {site!r} is on a part that moves; the port's frame must be fixed to its side")
-        self.origin, self.axes = self.data.site_xpos[found].copy(), self.data.site_xmat[found].reshape(3, 3).copy()
+            raise InputError(
+                f"{file}: the site {site!r} is on a part that moves; the port's frame must be "
+                f"fixed to its side"
+            )
+        self.origin, self.axes = (
+            self.data.site_xpos[found].copy(),
+            self.data.site_xmat[found].reshape(3, 3).copy(),
+        )
         self.findings: dict[str, list[Finding]] = {}
         self._surfaces: dict[int, Surface] = {}
 
@@ -212,30 +266,51 @@ class _Side:
         return [g for g in range(m.ngeom) if m.geom_contype[g] or m.geom_conaffinity[g]]
 
     def in_frame(self, geom: int, frames: _Frames) -> tuple[int, tuple[Array, Array]]:
-        """Number of the frame to which a geom is fixed, and its position (3,) and axes (3, 3) in it."""
+        """Number of the frame to which a geom is fixed, and its position (3,) and axes (3, 3) in
+        it.
+        """
         d = self.data
-        return self._in_frame(self.model.geom_bodyid[geom], d.geom_xpos[geom], d.geom_xmat[geom].reshape(3, 3), frames)
+        return self._in_frame(
+            self.model.geom_bodyid[geom], d.geom_xpos[geom], d.geom_xmat[geom].reshape(3, 3), frames
+        )
 
-    def _in_frame(self, body: int, place: Array, turn: Array, frames: _Frames) -> tuple[int, tuple[Array, Array]]:
+    def _in_frame(
+        self, body: int, place: Array, turn: Array, frames: _Frames
+    ) -> tuple[int, tuple[Array, Array]]:
         m, d = self.model, self.data
         root = int(m.body_weldid[body])
         if root == 0:
-            return (ACTIVE if self.port == "A" else PASSIVE), ((place - self.origin) @ self.axes, self.axes.T @ turn)
+            return (ACTIVE if self.port == "A" else PASSIVE), (
+                (place - self.origin) @ self.axes,
+                self.axes.T @ turn,
+            )
         axes = d.xmat[root].reshape(3, 3)
-        return frames.number(self.port, m.body(root).name), ((place - d.xpos[root]) @ axes, axes.T @ turn)
+        return frames.number(self.port, m.body(root).name), (
+            (place - d.xpos[root]) @ axes,
+            axes.T @ turn,
+        )
 
     def site(self, name: str, frames: _Frames) -> tuple[int, Array]:
-        """Number of the frame to which a site is fixed, and its pose (7,) in it. Raises InputError if there is no such site."""
+        """Number of the frame to which a site is fixed, and its pose (7,) in it. Raises InputError
+        if there is no such site.
+        """
         m, d = self.model, self.data
         found = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SITE, name)
         if found < 0:
             have = ", ".join(m.site(i).name for i in range(m.nsite))
-            raise InputError(f"{self.file}: has no site {name!r}, which a phase of capture names; its sites are {have}")
-        frame, (place, turn) = self._in_frame(m.site_bodyid[found], d.site_xpos[found], d.site_xmat[found].reshape(3, 3), frames)
+            raise InputError(
+                f"{self.file}: has no site {name!r}, which a phase of capture names; its sites "
+                f"are {have}"
+            )
+        frame, (place, turn) = self._in_frame(
+            m.site_bodyid[found], d.site_xpos[found], d.site_xmat[found].reshape(3, 3), frames
+        )
         return frame, np.concatenate([place, _quaternion(turn)])
 
     def surface(self, geom: int) -> Surface:
-        """The surface on which a facet is placed. Raises InputError for a mesh that cannot be used."""
+        """The surface on which a facet is placed. Raises InputError for a mesh that cannot be
+        used.
+        """
         m = self.model
         if m.geom_type[geom] != MESH:
             return of_geom(int(m.geom_type[geom]), m.geom_size[geom])
@@ -243,7 +318,9 @@ class _Side:
         if mesh in self._surfaces:
             return self._surfaces[mesh]
         vertices = m.mesh_vert[m.mesh_vertadr[mesh] :][: m.mesh_vertnum[mesh]].astype(float)
-        found, self.findings[self.name(geom)] = of_mesh(vertices, m.mesh_face[m.mesh_faceadr[mesh] :][: m.mesh_facenum[mesh]])
+        found, self.findings[self.name(geom)] = of_mesh(
+            vertices, m.mesh_face[m.mesh_faceadr[mesh] :][: m.mesh_facenum[mesh]]
+        )
         if found is None:
             raise InputError(
                 f"{self.file}: mesh of the geom {self.name(geom)!r}: "
@@ -253,7 +330,9 @@ class _Side:
         return found
 
     def ends(self, geom: int) -> Array:
-        """``(k, 2)`` lateral positions [m], in the port's axes, of points along a rod, or of the centre of any other geom."""
+        """``(k, 2)`` lateral positions [m], in the port's axes, of points along a rod, or of the
+        centre of any other geom.
+        """
         half = self.model.geom_size[geom, 1] if self.type(geom) == CAPSULE else 0.0
         along = self.data.geom_xmat[geom].reshape(3, 3)[:, 2] * half
         points = self.data.geom_xpos[geom] + np.linspace(-1.0, 1.0, 9)[:, None] * along
@@ -269,7 +348,10 @@ def _meeting(active: _Side, passive: _Side, rule: Rule) -> list[tuple[int, int]]
         else:
             names = side.names()
             if not matching(pattern, names):
-                raise InputError(f"{side.file}: no geom is called {pattern!r}; its geoms are {', '.join(names[:20])}")
+                raise InputError(
+                    f"{side.file}: no geom is called {pattern!r}; its geoms are "
+                    f"{', '.join(names[:20])}"
+                )
             chosen.append([names.index(name) for name in matching(pattern, names)])
     pairs = [(a, p) for a in chosen[0] for p in chosen[1]]
     if rule.reach is None:
@@ -283,9 +365,13 @@ def _apart(a: Array, p: Array) -> float:
 
 def _nothing_touches(active: _Side, passive: _Side, rules: Sequence[Rule]) -> str:
     if any(rule.active for rule in rules):
-        return f"{active.file}, {passive.file}: no pair of geoms is within the reach of its class; give a longer reach"
+        return (
+            f"{active.file}, {passive.file}: no pair of geoms is within the reach of its "
+            f"class; give a longer reach"
+        )
     return (
-        f"{active.file}, {passive.file}: no geom of one can touch one of the other; a geom may touch if contype and conaffinity are not 0: "
+        f"{active.file}, {passive.file}: no geom of one can touch one of the other; a geom may "
+        f"touch if contype and conaffinity are not 0: "
         'give at least one geom of each side contype="1" conaffinity="1"'
     )
 
@@ -300,13 +386,17 @@ def compiled(file: Path) -> mujoco.MjModel:
 
 
 def named(file: Path) -> mujoco.MjSpec:
-    """The MJCF of one side; geoms and bodies without a name get their number as a name. Raises InputError."""
+    """The MJCF of one side; geoms and bodies without a name get their number as a name. Raises
+    InputError.
+    """
     if not is_file(Path(file)):
         raise InputError(f"{file}: no such file")
     try:
         spec = mujoco.MjSpec.from_file(str(file))
     except ValueError as error:
-        raise InputError(f"{file}: not an MJCF file that MuJoCo can read: {_first_line(error)}") from error
+        raise InputError(
+            f"{file}: not an MJCF file that MuJoCo can read: {_first_line(error)}"
+        ) from error
     for what, things in (("geom", spec.geoms), ("body", spec.bodies)):
         for i, thing in enumerate(things):
             if not thing.name:

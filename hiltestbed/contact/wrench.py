@@ -1,10 +1,11 @@
 """The contact wrench at an instant, from the contact geometry and the force law.
 
-Normal force by the law (:mod:`hiltestbed.contact.law`); friction mu |F| v/sqrt(v^2 + v_0^2) with v_0 = 1e-4 m/s, or larger with a servo, so
-that one physics step can resolve it. A latch holds A at a pose in S by a spring and a damper on each of six axes, along z by the law.
+Normal force by the law (:mod:`hiltestbed.contact.law`); friction mu |F| v/sqrt(v^2 + v_0^2) with
+v_0 = 1e-4 m/s, or larger with a servo, so that one physics step can resolve it. A latch holds A at
+a pose in S by a spring and a damper on each of six axes, along z by the law.
 
-The kernels serve the loop, where MuJoCo exerts the force that they compute (:mod:`hiltestbed.contact.engagement`), and the replay, which
-needs only the wrench.
+The kernels serve the loop, where MuJoCo exerts the force that they compute
+(:mod:`hiltestbed.contact.engagement`), and the replay, which needs only the wrench.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ LATCH_RADIUS = 0.15  # [m] of the ring of latches: the rotational stiffness is k
 
 
 def tilts(parameters: Array) -> Array:
-    """``(n, 7)`` pose of the passive port in its nominal frame, for contacts with the ``parameters`` (n, PARAMETERS): R_y R_x."""
+    """``(n, 7)`` pose of the passive port in its nominal frame, for contacts with the
+    ``parameters`` (n, PARAMETERS): R_y R_x.
+    """
     x, y = 0.5 * parameters[:, TILT_X], 0.5 * parameters[:, TILT_Y]
     out = np.zeros((len(parameters), 7))
     out[:, 3], out[:, 4] = np.sin(x) * np.cos(y), np.cos(x) * np.sin(y)
@@ -46,7 +49,9 @@ def tilts(parameters: Array) -> Array:
 
 @njit(cache=True)
 def relate_one(pose, twist, place, motion, pose_out, twist_out, work):
-    """One run: pose and twist of A relative to the moving frame S, expressed in S. ``work`` (1, 3): scratch."""
+    """One run: pose and twist of A relative to the moving frame S, expressed in S. ``work`` (1, 3):
+    scratch.
+    """
     v = work[0]
     pose_between(place, pose, pose_out)
     ax, ay, az = pose[0] - place[0], pose[1] - place[1], pose[2] - place[2]
@@ -75,8 +80,9 @@ def meet_all(index, values, p, frames, motions, work, depth, rate, point, normal
     Args:
         frames, motions: (F, 7), (F, 6) poses and twists of the frames in W. work: (9, 7) scratch.
         depth, rate: (C,) penetration [m], negative while apart, and its rate [m/s].
-        point, normal, slip: (C, 3) in the frame of the surface: point of application of the force [m], direction of the force on the
-            surface, and tangential velocity of the body that touches it [m/s].
+        point, normal, slip: (C, 3) in the frame of the surface: point of application of the force
+            [m], direction of the force on the surface, and tangential velocity of the body that
+            touches it [m/s].
     """
     pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
     a, s = -1, -1
@@ -86,13 +92,26 @@ def meet_all(index, values, p, frames, motions, work, depth, rate, point, normal
             a, s = frame_a, frame_s
             relate_one(frames[a], motions[a], frames[s], motions[s], pose, twist, scratch)
         depth[c], rate[c] = meet(
-            index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], max(0.0, -p[c, OFFSET]), scratch, point[c], normal[c], slip[c]
-        )  # fmt: skip
+            index,
+            values,
+            c,
+            pose,
+            twist,
+            p[c, LEVER],
+            p[c, BLUNT],
+            max(0.0, -p[c, OFFSET]),
+            scratch,
+            point[c],
+            normal[c],
+            slip[c],
+        )
 
 
 @njit(cache=True)
 def law_of(dt, least_creep, p, state, depth, rate, slip):
-    """Normal force [N] of a contact and friction coefficient [N s/m]: the tangential force is that times the ``slip`` (3,)."""
+    """Normal force [N] of a contact and friction coefficient [N s/m]: the tangential force is that
+    times the ``slip`` (3,).
+    """
     push = contact_force(depth, rate, dt, p, state, False)
     if push == 0.0 or p[FRICTION] == 0.0:
         return push, 0.0
@@ -103,7 +122,8 @@ def law_of(dt, least_creep, p, state, depth, rate, slip):
 
 @njit(cache=True)
 def add_contact(push, drag, point, normal, slip, place, side, f, wrench):
-    """Add to ``wrench`` (6,), in W at W's origin on the passive side, a contact on a surface whose frame is at ``place`` (7,).
+    """Add to ``wrench`` (6,), in W at W's origin on the passive side, a contact on a surface whose
+    frame is at ``place`` (7,).
 
     ``side``: 1 if the surface is on the passive side, else -1. ``f`` (6,) is scratch.
     """
@@ -120,29 +140,62 @@ def add_contact(push, drag, point, normal, slip, place, side, f, wrench):
 
 @njit(cache=True)
 def contact_wrench(
-    index, values, dt, least_creep, p, frames, motions, latched, hold, state, depth, rate, point, normal, slip, work, wrench
-):  # fmt: skip
-    """The contacts of one run at an instant: ``wrench`` (6,) on the passive side, in W at W's origin. Returns whether they touch.
+    index,
+    values,
+    dt,
+    least_creep,
+    p,
+    frames,
+    motions,
+    latched,
+    hold,
+    state,
+    depth,
+    rate,
+    point,
+    normal,
+    slip,
+    work,
+    wrench,
+):
+    """The contacts of one run at an instant: ``wrench`` (6,) on the passive side, in W at W's
+    origin. Returns whether they touch.
 
     Args:
-        dt: time since the last instant [s]. p: (C + 1, PARAMETERS), of each candidate and of the latch. frames, motions: (F, 7), (F, 6).
-        state: (C + 1, STATES) of the laws, updated. depth ... slip: see :func:`meet_all`. work: (9, 7) scratch.
+        dt: time since the last instant [s]. p: (C + 1, PARAMETERS), of each candidate and of the
+            latch. frames, motions: (F, 7), (F, 6).
+        state: (C + 1, STATES) of the laws, updated. depth ... slip: see :func:`meet_all`. work: (9,
+            7) scratch.
     """
     wrench[:] = 0.0
     count = depth.shape[0]
     if latched:
         pose, twist = work[5], work[6][:6]
-        relate_one(frames[ACTIVE], motions[ACTIVE], frames[PASSIVE], motions[PASSIVE], pose, twist, work[:5, :3])
+        relate_one(
+            frames[ACTIVE],
+            motions[ACTIVE],
+            frames[PASSIVE],
+            motions[PASSIVE],
+            pose,
+            twist,
+            work[:5, :3],
+        )
         latch_wrench(p[count], dt, pose, twist, hold, state[count], work[:4], work[7][:6])
         to_frame(frames[PASSIVE], work[7], wrench)
         return True
     meet_all(index, values, p, frames, motions, work, depth, rate, point, normal, slip)
-    return surface_wrench(index, dt, least_creep, p, frames, state, depth, rate, point, normal, slip, work[7], wrench)
+    return surface_wrench(
+        index, dt, least_creep, p, frames, state, depth, rate, point, normal, slip, work[7], wrench
+    )
 
 
 @njit(cache=True)
-def surface_wrench(index, dt, least_creep, p, frames, state, depth, rate, point, normal, slip, f, wrench):
-    """Add to ``wrench`` (6,) the forces of the laws for a contact geometry; returns whether surfaces touch. ``f`` (6,) is scratch."""
+def surface_wrench(
+    index, dt, least_creep, p, frames, state, depth, rate, point, normal, slip, f, wrench
+):
+    """Add to ``wrench`` (6,) the forces of the laws for a contact geometry; returns whether
+    surfaces touch. ``f`` (6,) is scratch.
+    """
     touching = False
     for c in range(depth.shape[0]):
         push, drag = law_of(dt, least_creep, p[c], state[c], depth[c], rate[c], slip[c])
@@ -155,7 +208,9 @@ def surface_wrench(index, dt, least_creep, p, frames, state, depth, rate, point,
 
 @njit(cache=True)
 def to_frame(place, local, wrench):
-    """Transform a wrench ``local`` (6,), in S at S's origin, to ``wrench`` (6,) in W at W's origin; S at ``place`` (7,) in W."""
+    """Transform a wrench ``local`` (6,), in S at S's origin, to ``wrench`` (6,) in W at W's origin;
+    S at ``place`` (7,) in W.
+    """
     rotate(place[3:7], local[0:3], wrench[0:3])
     rotate(place[3:7], local[3:6], wrench[3:6])
     fx, fy, fz = wrench[0], wrench[1], wrench[2]
@@ -176,7 +231,8 @@ def add_at(point, f, wrench):
 
 @njit(cache=True)
 def latch_wrench(p, dt, pose, twist, hold, state, work, local):
-    """``local`` (6,) in S at S's origin: springs and dampers between A and its held pose ``hold`` in S, at A's origin; along z the law.
+    """``local`` (6,) in S at S's origin: springs and dampers between A and its held pose ``hold``
+    in S, at A's origin; along z the law.
 
     ``work`` (4, >= 4): scratch.
     """
@@ -198,7 +254,9 @@ def latch_wrench(p, dt, pose, twist, hold, state, work, local):
 
 @njit(cache=True)
 def held_at(pose, wrench, place, p, hold):
-    """``hold`` (7,): held pose of a latch that closes at ``pose`` (7,), such that its springs carry the force of ``wrench`` (6,) in W."""
+    """``hold`` (7,): held pose of a latch that closes at ``pose`` (7,), such that its springs carry
+    the force of ``wrench`` (6,) in W.
+    """
     f = np.empty(3)
     rotate_back(place[3:7], wrench[0:3], f)
     hold[:] = pose
@@ -208,9 +266,11 @@ def held_at(pose, wrench, place, p, hold):
 
 @njit(cache=True)
 def load_body(sign, wrench, body, centre, xfrc):
-    """Write ``sign`` times the wrench (n, 6), in W at W's origin, to ``xfrc`` (n, nbody, 6) of a body.
+    """Write ``sign`` times the wrench (n, 6), in W at W's origin, to ``xfrc`` (n, nbody, 6) of a
+    body.
 
-    MuJoCo's ``xfrc_applied`` is force and torque at the body's centre of mass, ``centre`` (n, 3) in W.
+    MuJoCo's ``xfrc_applied`` is force and torque at the body's centre of mass, ``centre`` (n, 3) in
+    W.
     """
     for i in range(wrench.shape[0]):
         c, f, out = centre[i], wrench[i], xfrc[i, body]

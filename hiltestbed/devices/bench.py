@@ -1,8 +1,10 @@
-"""Latency, jitter and deadline misses of the cycle on this machine, with and without a device on the loopback address.
+"""Latency, jitter and deadline misses of the cycle on this machine, with and without a device on
+the loopback address.
 
-The device is an emulated platform (plain records over UDP) in a separate process of the same priority, since a real device does not depend
-on this machine's load: each cycle sends a pose and waits for its echo. A cycle misses its deadline if its work ends after the next one
-is due, or if the echo has not arrived by then.
+The device is an emulated platform (plain records over UDP) in a separate process of the same
+priority, since a real device does not depend on this machine's load: each cycle sends a pose and
+waits for its echo. A cycle misses its deadline if its work ends after the next one is due, or if
+the echo has not arrived by then.
 """
 
 from __future__ import annotations
@@ -28,13 +30,16 @@ from hiltestbed.devices.url import LOOPBACK
 from hiltestbed.errors import InputError
 
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99)
-BIN, BINS = 5e-6, 200  # bin width [s] and number of bins of the histogram: up to 1 ms, plus one bin for longer times
+# bin width [s] and number of bins of the histogram: up to 1 ms, plus one bin for longer times
+BIN, BINS = 5e-6, 200
 PATIENCE = 20.0  # [s] to wait for the device's process
 
 
 @dataclass(frozen=True)
 class Times:
-    """Statistics of a time over all cycles [s]: percentiles by name, the maximum, and a histogram whose last bin holds all longer times."""
+    """Statistics of a time over all cycles [s]: percentiles by name, the maximum, and a histogram
+    whose last bin holds all longer times.
+    """
 
     percentiles: dict[str, float]
     worst: float
@@ -48,10 +53,13 @@ class Steadiness:
 
     Attributes:
         device: whether a device was in the cycle.
-        cycles, skipped, missed: number of cycles begun, skipped because of overruns, and with a missed deadline.
-        wake_up: from due time to start of a cycle. round_trip: from command to echo, None without a device.
+        cycles, skipped, missed: number of cycles begun, skipped because of overruns, and with a
+            missed deadline.
+        wake_up: from due time to start of a cycle. round_trip: from command to echo, None without a
+            device.
         granted, refused: of the real-time settings requested.
-        stolen: fraction of the processors' time that the hypervisor gave to other virtual machines; None if the system does not report it.
+        stolen: fraction of the processors' time that the hypervisor gave to other virtual machines;
+            None if the system does not report it.
     """
 
     rate: float
@@ -79,9 +87,14 @@ def measure(
     priority: int | None = PRIORITY,
     work: Callable[[], None] | None = None,
 ) -> Steadiness:
-    """Run cycles at ``rate`` [Hz] for ``seconds``; ``work`` is called in each, for example a step of the loop. Raises InputError."""
+    """Run cycles at ``rate`` [Hz] for ``seconds``; ``work`` is called in each, for example a step
+    of the loop. Raises InputError.
+    """
     if not 0.0 < seconds <= 86_400.0 or not 1.0 <= rate <= 20_000.0:
-        raise InputError(f"the measurement cannot be made (got {rate:g} Hz for {seconds:g} s); allowed are 1 to 20000 Hz and up to a day")
+        raise InputError(
+            f"the measurement cannot be made (got {rate:g} Hz for {seconds:g} s); allowed are 1 "
+            f"to 20000 Hz and up to a day"
+        )
     cycles = max(round(rate * seconds), 2)
     clock = CycleClock(rate, cycles)
     round_trips = np.zeros(cycles)
@@ -109,7 +122,11 @@ def measure(
 
 
 def _run(
-    clock: CycleClock, cycles: int, round_trips: NDArray[np.float64], client: PlatformClient | None, work: Callable[[], None] | None
+    clock: CycleClock,
+    cycles: int,
+    round_trips: NDArray[np.float64],
+    client: PlatformClient | None,
+    work: Callable[[], None] | None,
 ) -> int:
     """Run all cycles; returns the number of missed deadlines."""
     missed = 0
@@ -133,7 +150,9 @@ def _run(
 
 
 def _processors() -> list[int] | None:
-    """Times of all processors since the start, in the columns of the ``cpu`` line of /proc/stat (proc_stat(5)); None without it."""
+    """Times of all processors since the start, in the columns of the ``cpu`` line of /proc/stat
+    (proc_stat(5)); None without it.
+    """
     try:
         with open("/proc/stat", encoding="ascii") as file:
             columns = file.readline().split()[1:9]
@@ -152,7 +171,9 @@ def _stolen(before: list[int] | None, after: list[int] | None) -> float | None:
 
 def _times(values: NDArray[np.float64]) -> Times:
     if not len(values):
-        return Times({f"{p:g}": float("inf") for p in PERCENTILES}, float("inf"), BIN, [0] * (BINS + 1))
+        return Times(
+            {f"{p:g}": float("inf") for p in PERCENTILES}, float("inf"), BIN, [0] * (BINS + 1)
+        )
     histogram = np.bincount(np.minimum((values / BIN).astype(int), BINS), minlength=BINS + 1)
     levels = np.percentile(values, PERCENTILES)
     named = {f"{p:g}": float(level) for p, level in zip(PERCENTILES, levels, strict=True)}
@@ -166,7 +187,13 @@ class _Echo:
         here, there = _free_ports(2)
         url = f"udp://{LOOPBACK}:{there}"
         options = f"rate={rate:.6f}&clock=host&connect={PATIENCE:g}"
-        command = [sys.executable, "-m", "hiltestbed.devices.bench", f"{url}?peer={LOOPBACK}:{here}", str(os.getpid())]
+        command = [
+            sys.executable,
+            "-m",
+            "hiltestbed.devices.bench",
+            f"{url}?peer={LOOPBACK}:{here}",
+            str(os.getpid()),
+        ]
         command += [str(priority)] if priority else []
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
         self.client = platform_client(f"{url}?listen={LOOPBACK}:{here}&{options}")
@@ -199,11 +226,18 @@ def _free_ports(count: int) -> list[int]:
 
 
 def main() -> int:
-    """Entry point of the device's process: echoes every pose until it is stopped or its parent dies."""
+    """Entry point of the device's process: echoes every pose until it is stopped or its parent
+    dies.
+    """
     parser = argparse.ArgumentParser()
     parser.add_argument("url")
     parser.add_argument("parent", type=int)
-    parser.add_argument("priority", type=int, nargs="?", help="of SCHED_FIFO: a real device does not wait for this machine's other work")
+    parser.add_argument(
+        "priority",
+        type=int,
+        nargs="?",
+        help="of SCHED_FIFO: a real device does not wait for this machine's other work",
+    )
     arguments = parser.parse_args()
     ordinary()
     with prepared(priority=arguments.priority), platform_server(arguments.url) as server:

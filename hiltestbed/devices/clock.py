@@ -1,7 +1,9 @@
-"""The cycle clock of a loop that is not paced by a device: due times, wake-up latencies and run times of the cycles.
+"""The cycle clock of a loop that is not paced by a device: due times, wake-up latencies and run
+times of the cycles.
 
-Cycle k is due at ``start + k period`` on the monotonic clock, however long the cycles before it took: there is no drift. The wait sleeps
-until shortly before that and then spins. Cycles that an overrun has passed completely are skipped and counted, not caught up with.
+Cycle k is due at ``start + k period`` on the monotonic clock, however long the cycles before it
+took: there is no drift. The wait sleeps until shortly before that and then spins. Cycles that an
+overrun has passed completely are skipped and counted, not caught up with.
 """
 
 from __future__ import annotations
@@ -23,15 +25,18 @@ class CycleClock:
     Attributes:
         cycles: number of cycles begun.
         skipped: number of cycles skipped because those before took too long.
-        due, began, ended: (capacity,) [ns] on the monotonic clock, of each cycle; ``began - due`` is its wake-up latency. Only the
-            last ``capacity`` cycles are kept.
+        due, began, ended: (capacity,) [ns] on the monotonic clock, of each cycle; ``began - due``
+            is its wake-up latency. Only the last ``capacity`` cycles are kept.
     """
 
     def __init__(self, rate: float, capacity: int, spin: float = SPIN) -> None:
-        """``rate`` [Hz] of the cycles; times of the last ``capacity`` are kept; ``spin`` [s] of each wait is busy."""
+        """``rate`` [Hz] of the cycles; times of the last ``capacity`` are kept; ``spin`` [s] of
+        each wait is busy.
+        """
         if not 0.1 <= rate <= 1e5 or capacity < 1:
             raise InputError(
-                f"rate: cannot be paced (got {rate:g} Hz for {capacity} cycles); allowed are 0.1 to 1e5 Hz and at least one cycle"
+                f"rate: cannot be paced (got {rate:g} Hz for {capacity} cycles); allowed are 0.1 "
+                f"to 1e5 Hz and at least one cycle"
             )
         self.period = 1.0 / rate
         self.cycles = self.skipped = 0
@@ -75,7 +80,9 @@ class CycleClock:
 
     def left(self) -> float:
         """Time until the next cycle is due [s]; negative if it is overdue."""
-        return (self._start + round(self._next * SECOND / self._rate) - time.monotonic_ns()) / SECOND
+        return (
+            self._start + round(self._next * SECOND / self._rate) - time.monotonic_ns()
+        ) / SECOND
 
     def latency(self) -> NDArray[np.float64]:
         """(cycles,) wake-up latency of each kept cycle [s], in order."""

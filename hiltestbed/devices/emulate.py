@@ -1,8 +1,8 @@
 """The simulated physical side of a scenario behind the protocols of real devices, in real time.
 
-In each cycle the rig moves to the pose that the controller has commanded since the last cycle, and pose and wrench are
-published. A command that has not arrived in time counts as missed, and the platform keeps the last one. The rig stands still until the
-first command.
+In each cycle the rig moves to the pose that the controller has commanded since the last cycle, and
+pose and wrench are published. A command that has not arrived in time counts as missed, and the
+platform keeps the last one. The rig stands still until the first command.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ RATE_ERROR = 1e-6
 
 @dataclass
 class Emulated:
-    """Result of an emulation: cycles, those without a command in time, why it ended, and the events of both connections."""
+    """Result of an emulation: cycles, those without a command in time, why it ended, and the events
+    of both connections.
+    """
 
     cycles: int
     missed: int
@@ -51,8 +53,12 @@ class Emulator:
     def __init__(self, scenario: Scenario, sensor_url: str, platform_url: str) -> None:
         """Raises InputError if a URL is wrong or its rate is not the scenario's."""
         self.scenario = scenario
-        self.sensor: SensorServer = sensor_server(with_rate(sensor_url, scenario, "--sensor"), "--sensor")
-        self.platform: PlatformServer = platform_server(with_rate(platform_url, scenario, "--platform"), "--platform")
+        self.sensor: SensorServer = sensor_server(
+            with_rate(sensor_url, scenario, "--sensor"), "--sensor"
+        )
+        self.platform: PlatformServer = platform_server(
+            with_rate(platform_url, scenario, "--platform"), "--platform"
+        )
         self.mounting = Mounting(scenario.devices)
         warm = SimulatedRig(scenario)
         for _ in range(WARM_UP):
@@ -98,7 +104,9 @@ class Emulator:
 
     def result(self, ended: str, skipped: int = 0) -> Emulated:
         """The result so far."""
-        return Emulated(self.cycles, self.missed, skipped, ended, said(self.sensor), said(self.platform))
+        return Emulated(
+            self.cycles, self.missed, skipped, ended, said(self.sensor), said(self.platform)
+        )
 
 
 def emulate(
@@ -109,7 +117,8 @@ def emulate(
     cpu: int | None = None,
     ready: Callable[[], None] | None = None,
 ) -> Emulated:
-    """Emulate the devices for ``seconds``, or until the controller stops the platform, or until Ctrl-C.
+    """Emulate the devices for ``seconds``, or until the controller stops the platform, or until
+    Ctrl-C.
 
     Args:
         ready: called when both devices are open.
@@ -152,7 +161,8 @@ def with_rate(url: str, scenario: Scenario, place: str) -> str:
         period = 1e-3 * parse(url, settings, place).period_ms  # type: ignore[attr-defined]
         if abs(period * scenario.rate - 1.0) > RATE_ERROR:
             message = (
-                f"is {1e3 * period:g} ms, the scenario's tick {1e3 * scenario.tick:g} ms; set rate to {1.0 / period:g} (--set rate=...)"
+                f"is {1e3 * period:g} ms, the scenario's tick {1e3 * scenario.tick:g} "
+                f"ms; set rate to {1.0 / period:g} (--set rate=...)"
             )
             raise InputError(Fault(f"{place} {url}", None, None, "period_ms", message))
     return url

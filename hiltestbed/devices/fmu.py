@@ -1,11 +1,13 @@
-"""FMI 3.0 for co-simulation: the physical side packed as an FMU, and a user's FMU stepped from Python.
+"""FMI 3.0 for co-simulation: the physical side packed as an FMU, and a user's FMU stepped from
+Python.
 
-Modelica Association, "Functional Mock-up Interface Specification", version 3.0, sections 2 and 4. Packing is done by PythonFMU3, reading
-and stepping by FMPy; both come with the extra ``fmi``. A packed FMU holds neither Python nor hiltestbed: the tool that loads it must be
-able to load a Python in which hiltestbed is installed (on Linux, with its libpython among the global symbols).
+Modelica Association, "Functional Mock-up Interface Specification", version 3.0, sections 2 and 4.
+Packing is done by PythonFMU3, reading and stepping by FMPy; both come with the extra ``fmi``. A
+packed FMU holds neither Python nor hiltestbed: the tool that loads it must be able to load a Python
+in which hiltestbed is installed (on Linux, with its libpython among the global symbols).
 
-Inputs are held over a communication step, outputs are those at its end. A tool that exchanges them once per step therefore adds up to one
-communication step of delay to the loop.
+Inputs are held over a communication step, outputs are those at its end. A tool that exchanges them
+once per step therefore adds up to one communication step of delay to the loop.
 """
 
 from __future__ import annotations
@@ -82,10 +84,15 @@ class PackedSide:
         self._register(slave)
 
     def advance(self, step: float) -> str:
-        """Advance by a communication step [s]; returns an error message or "", since an exception would end the tool that steps the FMU."""
+        """Advance by a communication step [s]; returns an error message or "", since an exception
+        would end the tool that steps the FMU.
+        """
         ticks = round(step / self.side.period)
         if ticks < 1 or abs(step / self.side.period - ticks) > WHOLE:
-            return f"the communication step is not a whole number of ticks (got {step:g} s); allowed: multiples of {self.side.period:g} s"
+            return (
+                f"the communication step is not a whole number of ticks (got {step:g} "
+                f"s); allowed: multiples of {self.side.period:g} s"
+            )
         try:
             for _ in range(ticks):
                 self.side.step(self._command)
@@ -97,7 +104,9 @@ class PackedSide:
         from pythonfmu3 import Float64, Fmi3Causality
 
         self.time = 0.0
-        slave.register_variable(Float64("time", causality=Fmi3Causality.independent, getter=lambda: self.time))
+        slave.register_variable(
+            Float64("time", causality=Fmi3Causality.independent, getter=lambda: self.time)
+        )
         groups: list[tuple[str, Sequence[str], Callable[[], Array], bool]] = [
             ("pose_cmd", POSE, lambda: self._command, True),
             ("pose_act", POSE, lambda: self.side.pose, False),
@@ -108,7 +117,13 @@ class PackedSide:
                 causality = Fmi3Causality.input if settable else Fmi3Causality.output
                 setter = _setter(values, i) if settable else None
                 slave.register_variable(
-                    Float64(f"{group}.{name}", causality=causality, getter=_getter(values, i), setter=setter), nested=False
+                    Float64(
+                        f"{group}.{name}",
+                        causality=causality,
+                        getter=_getter(values, i),
+                        setter=setter,
+                    ),
+                    nested=False,
                 )
 
 
@@ -126,14 +141,23 @@ def _made(factory: str) -> Callable[[Path], PhysicalSide]:
     try:
         return getattr(import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(f"physical side: {factory!r} names no function ({error}); give it as module:function") from None
+        raise InputError(
+            f"physical side: {factory!r} names no function ({error}); give it as module:function"
+        ) from None
 
 
-def pack(factory: str, scenario: Path, folder: Path, name: str = "Rig", description: str = "hardware-in-the-loop contact rig") -> Path:
+def pack(
+    factory: str,
+    scenario: Path,
+    folder: Path,
+    name: str = "Rig",
+    description: str = "hardware-in-the-loop contact rig",
+) -> Path:
     """Write ``folder/name.fmu``; returns its path.
 
     Args:
-        factory: ``module:function``, called inside the FMU with the path of its copy of the scenario; returns a
+        factory: ``module:function``, called inside the FMU with the path of its copy of the
+            scenario; returns a
             :class:`PhysicalSide`.
 
     Raises:
@@ -144,11 +168,16 @@ def pack(factory: str, scenario: Path, folder: Path, name: str = "Rig", descript
     from pythonfmu3.builder import FmuBuilder
 
     if not name.isidentifier() or not name.isascii():
-        raise InputError(f"name: is no name of an FMU (got {name!r}); allowed: letters, digits and _, beginning with a letter")
+        raise InputError(
+            f"name: is no name of an FMU (got {name!r}); allowed: letters, digits and _, "
+            f"beginning with a letter"
+        )
     _made(factory)
     with tempfile.TemporaryDirectory() as work:
         script = Path(work) / f"{name.lower()}_slave.py"
-        text = _SCRIPT.format(name=name, factory=factory, scenario=SCENARIO, description=description.replace('"', "'"))
+        text = _SCRIPT.format(
+            name=name, factory=factory, scenario=SCENARIO, description=description.replace('"', "'")
+        )
         script.write_text(text, encoding="utf-8")
         copied = Path(work) / SCENARIO
         shutil.copyfile(scenario, copied)
@@ -159,7 +188,9 @@ class CoSimulation:
     """An FMU that is stepped from Python: ``open``, then ``step`` by ``step``, then ``close``."""
 
     def __init__(self, path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """``inputs`` and ``outputs``: names of Float64 variables of the FMU. Raises MissingExtra; InputError with every fault."""
+        """``inputs`` and ``outputs``: names of Float64 variables of the FMU. Raises MissingExtra;
+        InputError with every fault.
+        """
         if find_spec("fmpy") is None:
             raise MissingExtra("stepping an FMU", "fmi")
         self.path = path
@@ -180,7 +211,10 @@ class CoSimulation:
         self._time = 0.0
         try:
             self._slave = FMU3Slave(
-                guid=self._description.guid, unzipDirectory=self._unpacked, modelIdentifier=identifier, instanceName=identifier
+                guid=self._description.guid,
+                unzipDirectory=self._unpacked,
+                modelIdentifier=identifier,
+                instanceName=identifier,
             )
             self._slave.instantiate(logMessage=_silent)
             self._slave.enterInitializationMode(startTime=0.0)
@@ -188,10 +222,15 @@ class CoSimulation:
         except Exception as error:  # FMPy raises no narrower class
             self._slave = None
             self.close()
-            raise DeviceError(f"{self.path}: the FMU does not start ({error}); check what its exporting tool requires") from error
+            raise DeviceError(
+                f"{self.path}: the FMU does not start ({error}); check what its exporting tool "
+                f"requires"
+            ) from error
 
     def step(self, values: Array, period: float) -> Array:
-        """Set the inputs, step by ``period`` [s], and return the outputs at its end. Raises DeviceError if the FMU fails."""
+        """Set the inputs, step by ``period`` [s], and return the outputs at its end. Raises
+        DeviceError if the FMU fails.
+        """
         from fmpy.fmi1 import FMICallException
 
         if self._slave is None:
@@ -201,11 +240,16 @@ class CoSimulation:
             self._slave.doStep(self._time, period)
             outputs = np.array(self._slave.getFloat64(self._outputs))
         except FMICallException as error:
-            self._slave = None  # after an error the FMU must not be called again, not even to terminate it
-            raise DeviceError(f"{self.path}: the FMU failed at t = {self._time:.6f} s ({error})") from None
+            # after an error the FMU must not be called again, not even to terminate it
+            self._slave = None
+            raise DeviceError(
+                f"{self.path}: the FMU failed at t = {self._time:.6f} s ({error})"
+            ) from None
         self._time += period
         if not all(map(math.isfinite, outputs)):
-            raise DeviceError(f"{self.path}: the FMU gave a value that is not finite at t = {self._time:.6f} s")
+            raise DeviceError(
+                f"{self.path}: the FMU gave a value that is not finite at t = {self._time:.6f} s"
+            )
         return outputs
 
     def outputs(self) -> Array:
@@ -232,11 +276,18 @@ class CoSimulation:
         self.close()
 
     def _references(self, names: Sequence[str], causality: str) -> list[int]:
-        known = {v.name: v for v in self._description.modelVariables if v.causality == causality and v.type == "Float64"}
+        known = {
+            v.name: v
+            for v in self._description.modelVariables
+            if v.causality == causality and v.type == "Float64"
+        }
         faults = []
         for name in names:
             if name not in known:
-                message = f"is no {causality} of type Float64{nearest(name, known)}; allowed: {', '.join(known) or 'none'}"
+                message = (
+                    f"is no {causality} of type Float64{nearest(name, known)}; "
+                    f"allowed: {', '.join(known) or 'none'}"
+                )
                 faults.append(Fault(str(self.path), None, None, name, message))
         if faults:
             raise InputError(faults)
@@ -248,20 +299,43 @@ def _silent(*_: object) -> None:
 
 
 def _described(path: Path) -> Any:
-    """The description of an FMU that can be stepped here. Raises InputError with every problem that FMPy finds."""
+    """The description of an FMU that can be stepped here. Raises InputError with every problem that
+    FMPy finds.
+    """
     import fmpy
     from fmpy.validation import validate_fmu
 
     if not is_file(path) or not zipfile.is_zipfile(path):
-        raise InputError(Fault(str(path), None, None, "", "is not an FMU; give a file that a simulation tool has exported"))
+        raise InputError(
+            Fault(
+                str(path),
+                None,
+                None,
+                "",
+                "is not an FMU; give a file that a simulation tool has exported",
+            )
+        )
     problems = validate_fmu(str(path))
     if problems:
-        raise InputError([Fault(str(path), None, None, "modelDescription", str(problem)) for problem in problems])
+        raise InputError(
+            [Fault(str(path), None, None, "modelDescription", str(problem)) for problem in problems]
+        )
     description: Any = fmpy.read_model_description(str(path), validate=False)
     if description.fmiVersion != "3.0" or description.coSimulation is None:
-        message = f"is not an FMU of FMI 3.0 for co-simulation (got FMI {description.fmiVersion}); export it as one"
+        message = (
+            f"is not an FMU of FMI 3.0 for co-simulation (got FMI "
+            f"{description.fmiVersion}); export it as one"
+        )
         raise InputError(Fault(str(path), None, None, "", message))
     if fmpy.platform not in fmpy.supported_platforms(str(path)):
         have = ", ".join(fmpy.supported_platforms(str(path))) or "none"
-        raise InputError(Fault(str(path), None, None, "", f"has no binary for {fmpy.platform} (got {have}); export it for this platform"))
+        raise InputError(
+            Fault(
+                str(path),
+                None,
+                None,
+                "",
+                f"has no binary for {fmpy.platform} (got {have}); export it for this platform",
+            )
+        )
     return description

@@ -1,4 +1,6 @@
-"""The last check of a pose before it is sent: finite, and within the limits of position, speed and acceleration."""
+"""The last check of a pose before it is sent: finite, and within the limits of position, speed and
+acceleration.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ _SAID = (
 
 
 class Guard:
-    """Checks each commanded pose (7,) of A in P against the limits, one per tick of ``tick`` [s]."""
+    """Checks each commanded pose (7,) of A in P against the limits, one per tick of ``tick``
+    [s].
+    """
 
     def __init__(self, limits: MotionLimits, tick: float) -> None:
         self._tick = tick
@@ -43,7 +47,10 @@ class Guard:
             return f"a pose that is not finite was commanded ({pose})"
         i = int(np.argmax(self._quantities > self._limits))
         name, text, unit = _SAID[i]
-        return f"{text.format(value=self._quantities[i])}; devices.limits.{name} is {self._limits[i]:g} {unit}"
+        return (
+            f"{text.format(value=self._quantities[i])}; devices.limits.{name} is "
+            f"{self._limits[i]:g} {unit}"
+        )
 
 
 @njit(cache=True)
@@ -55,7 +62,12 @@ def _within(pose, before, twist, tick, limits, q):
     q[1] = math.degrees(math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2))
     q[2] = math.sqrt(slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2)
     q[3] = math.degrees(math.sqrt(slope[3] ** 2 + slope[4] ** 2 + slope[5] ** 2))
-    q[4] = math.sqrt((slope[0] - twist[0]) ** 2 + (slope[1] - twist[1]) ** 2 + (slope[2] - twist[2]) ** 2) / tick
+    q[4] = (
+        math.sqrt(
+            (slope[0] - twist[0]) ** 2 + (slope[1] - twist[1]) ** 2 + (slope[2] - twist[2]) ** 2
+        )
+        / tick
+    )
     for i in range(q.shape[0]):
         if not q[i] <= limits[i]:  # true for NaN as well
             return False

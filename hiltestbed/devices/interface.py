@@ -1,11 +1,14 @@
 """The interface of a device: sensor and platform, client and server side.
 
-A *client* is the loop's side of the connection to a real device; a *server* is the device's side of the same protocol, for an emulated
-one. All values are SI: wrench (6,) [N, N m] in the sensor's own frame at its own origin, pose (7,) [m, quaternion x y z w] in the
-platform's own base frame. The caller knows the poses of these frames in the rig.
+A *client* is the loop's side of the connection to a real device; a *server* is the device's side of
+the same protocol, for an emulated
+one. All values are SI: wrench (6,) [N, N m] in the sensor's own frame at its own origin, pose (7,)
+[m, quaternion x y z w] in the platform's own base frame. The caller knows the poses of these frames
+in the rig.
 
-A client processes what has arrived with :meth:`Link.poll` or :meth:`Link.wait` and keeps the newest good sample. A datagram that is
-malformed, from an unexpected sender, repeated or older than the newest does not change the sample; it is counted in ``counts``, by
+A client processes what has arrived with :meth:`Link.poll` or :meth:`Link.wait` and keeps the newest
+good sample. A datagram that is malformed, from an unexpected sender, repeated or older than the
+newest does not change the sample; it is counted in ``counts``, by
 :class:`Event`, as are gaps in the sequence numbers.
 """
 
@@ -29,7 +32,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SPIN = 150e-6  # [s] of busy waiting around an instant; an ordinary kernel oversleeps by about as much
+# [s] of busy waiting around an instant; an ordinary kernel oversleeps by about as much
+SPIN = 150e-6
 LONGEST_DRAIN = 256  # datagrams processed per poll: a flood must not stall the loop
 
 
@@ -53,7 +57,9 @@ class Event(IntEnum):
 
 
 class Clock(StrEnum):
-    """Who paces the cycle: ``device`` sends at its own rate and expects the answer within the period; ``host`` is paced by the loop."""
+    """Who paces the cycle: ``device`` sends at its own rate and expects the answer within the
+    period; ``host`` is paced by the loop.
+    """
 
     DEVICE = "device"
     HOST = "host"
@@ -115,7 +121,9 @@ class Link(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Connect. Raises InputError if the address cannot be used, DeviceError if the device does not answer."""
+        """Connect. Raises InputError if the address cannot be used, DeviceError if the device does
+        not answer.
+        """
 
     @abstractmethod
     def close(self) -> None:
@@ -128,10 +136,15 @@ class Link(ABC):
     def wait(self, timeout: float, expected: float = math.inf) -> bool:
         """As :meth:`poll`, but wait up to ``timeout`` [s] for a new record.
 
-        Around the time at which one is ``expected`` ([s] from now) the wait is busy, since a sleeping thread wakes up late.
+        Around the time at which one is ``expected`` ([s] from now) the wait is busy, since a
+        sleeping thread wakes up late.
         """
         begin = time.monotonic()
-        until, busy_from, busy_to = begin + timeout, begin + expected - SPIN, begin + expected + SPIN
+        until, busy_from, busy_to = (
+            begin + timeout,
+            begin + expected - SPIN,
+            begin + expected + SPIN,
+        )
         while not self.poll():
             now = time.monotonic()
             if now >= until or self.fileno() < 0:
@@ -165,8 +178,12 @@ class SensorClient(Link):
         return self.reading
 
     def bias(self) -> None:
-        """Tare the sensor at its present load. Raises DeviceError if the protocol has no such request."""
-        raise DeviceError(f"{self.where}: this protocol cannot tare the sensor; tare in the loop instead")
+        """Tare the sensor at its present load. Raises DeviceError if the protocol has no such
+        request.
+        """
+        raise DeviceError(
+            f"{self.where}: this protocol cannot tare the sensor; tare in the loop instead"
+        )
 
 
 class PlatformClient(Link):
@@ -191,7 +208,9 @@ class PlatformClient(Link):
 
     @abstractmethod
     def command(self, pose: Array) -> None:
-        """Send the pose (7,) to be reached by the end of the cycle. If it is not finite, hold and raise DeviceError."""
+        """Send the pose (7,) to be reached by the end of the cycle. If it is not finite, hold and
+        raise DeviceError.
+        """
 
     @abstractmethod
     def hold(self) -> None:
@@ -204,7 +223,10 @@ class PlatformClient(Link):
     def _check(self, pose: Array) -> None:
         if not np.isfinite(pose).all():
             self.hold()
-            raise DeviceError(f"{self.where}: a pose that is not finite was commanded ({pose}); the platform holds its last pose")
+            raise DeviceError(
+                f"{self.where}: a pose that is not finite was commanded ({pose}); the platform "
+                f"holds its last pose"
+            )
 
 
 class SensorServer(Link):
@@ -212,7 +234,9 @@ class SensorServer(Link):
 
     @abstractmethod
     def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
-        """Send the wrench (6,) of this instant with the device's time [s] and status (0: no error)."""
+        """Send the wrench (6,) of this instant with the device's time [s] and status (0: no
+        error).
+        """
 
 
 class PlatformServer(Link):
@@ -232,11 +256,15 @@ class PlatformServer(Link):
 
     @abstractmethod
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        """Begin a cycle: send the pose (7,) reached at this instant with the device's time [s] and status (0: no error)."""
+        """Begin a cycle: send the pose (7,) reached at this instant with the device's time [s] and
+        status (0: no error).
+        """
 
 
 class Keeper(ABC):
-    """Holds or stops a platform from the watchdog's process when the loop's process no longer responds."""
+    """Holds or stops a platform from the watchdog's process when the loop's process no longer
+    responds.
+    """
 
     def __init__(self, settings: DeviceSettings, fileno: int) -> None:
         self.settings = settings
@@ -248,7 +276,9 @@ class Keeper(ABC):
 
     @abstractmethod
     def stop(self, held: Array) -> None:
-        """Send one stop message, or nothing if silence stops the platform; called once per period."""
+        """Send one stop message, or nothing if silence stops the platform; called once per
+        period.
+        """
 
 
 @dataclass(frozen=True)

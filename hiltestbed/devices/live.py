@@ -1,4 +1,6 @@
-"""The loop with real devices, for the command `live`. The sequence of a run is in :mod:`hiltestbed.devices.session`."""
+"""The loop with real devices, for the command `live`. The sequence of a run is in
+:mod:`hiltestbed.devices.session`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ def live(scenario: Scenario, options: Options) -> Run | Observed:
     """Run ``scenario`` with devices; unarmed, only observe them.
 
     Raises:
-        InputError, DeviceError: the devices cannot be connected, or their rate is not the scenario's. Later faults end in the run.
+        InputError, DeviceError: the devices cannot be connected, or their rate is not the
+            scenario's. Later faults end in the run.
     """
     rehearse(scenario)
     session = Session(scenario, options)

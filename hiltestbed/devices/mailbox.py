@@ -1,8 +1,10 @@
-"""A mailbox in shared memory: the newest message of one process for another, complete or not at all.
+"""A mailbox in shared memory: the newest message of one process for another, complete or not at
+all.
 
-128 bytes that one process writes and one reads: a magic number, a sequence lock (the count is odd while the writer is active; as in
-the Linux kernel), the number of the message, its time, a flag, seven numbers and their CRC-32. The CRC detects incomplete messages on
-machines that reorder stores, and foreign writes.
+128 bytes that one process writes and one reads: a magic number, a sequence lock (the count is odd
+while the writer is active; as in the Linux kernel), the number of the message, its time, a flag,
+seven numbers and their CRC-32. The CRC detects incomplete messages on machines that reorder stores,
+and foreign writes.
 """
 
 from __future__ import annotations
@@ -50,7 +52,9 @@ class Mailbox:
 
     def write(self, values: Array, number: int, time: float, flag: int) -> None:
         """Write a message of at most seven values."""
-        lock = (int(self._words[1]) | 1) if int(self._words[1]) & 1 == 0 else int(self._words[1]) + 2
+        lock = (
+            (int(self._words[1]) | 1) if int(self._words[1]) & 1 == 0 else int(self._words[1]) + 2
+        )
         self._words[1] = lock & 0xFFFFFFFFFFFFFFFF
         self._words[2], self._words[3] = number, flag
         self._numbers[0] = time
@@ -60,7 +64,9 @@ class Mailbox:
         self._words[1] = (lock + 1) & 0xFFFFFFFFFFFFFFFF
 
     def read(self) -> bool | None:
-        """True for a new message; False for none, or while the writer is active; None for a damaged one."""
+        """True for a new message; False for none, or while the writer is active; None for a damaged
+        one.
+        """
         if int(self._words[2]) == self.number:
             return False
         damaged = False
@@ -68,7 +74,8 @@ class Mailbox:
             before = int(self._words[1])
             number, flag, crc = int(self._words[2]), int(self._words[3]), int(self._words[4])
             copy = self._numbers.copy()
-            damaged = before & 1 == 0 and int(self._words[1]) == before  # no write was active: complete, unless the CRC differs
+            # no write was active: complete, unless the CRC differs
+            damaged = before & 1 == 0 and int(self._words[1]) == before
             if not damaged:
                 continue
             if crc != self._crc(number, flag, copy) or not np.isfinite(copy).all():
@@ -93,11 +100,16 @@ class Mailbox:
 
 
 def make(name: str, where: str) -> Mailbox:
-    """Create a mailbox; ``where``: the device, for the message. Raises InputError if the name is taken."""
+    """Create a mailbox; ``where``: the device, for the message. Raises InputError if the name is
+    taken.
+    """
     try:
         return Mailbox(shared_memory.SharedMemory(name, create=True, size=SIZE), owner=True)
     except FileExistsError:
-        message = f"the shared memory {name} is there already; stop the other device, remove what one has left, or give another name"
+        message = (
+            f"the shared memory {name} is there already; stop the other device, "
+            f"remove what one has left, or give another name"
+        )
         raise InputError(Fault(where, None, None, "", message)) from None
     except OSError as error:
         message = f"the shared memory {name} cannot be made ({error.strerror})"

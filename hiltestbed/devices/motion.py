@@ -1,7 +1,8 @@
-"""Motions of the platform before and after a run: to its start, from rest to the approach velocity, from any velocity to rest.
+"""Motions of the platform before and after a run: to its start, from rest to the approach velocity,
+from any velocity to rest.
 
-All follow the fifth-order polynomial whose velocity and acceleration vanish at both ends (T. Flash, N. Hogan, J. Neurosci. 5, 1985:
-minimum jerk).
+All follow the fifth-order polynomial whose velocity and acceleration vanish at both ends (T. Flash,
+N. Hogan, J. Neurosci. 5, 1985: minimum jerk).
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ def blend_integral(x: float) -> float:
 
 
 def travel(start: Array, goal: Array, tick: float, speed: float, rate: float) -> Iterator[Array]:
-    """Poses (7,), one per tick, from rest at ``start`` to rest at ``goal``, no faster than ``speed`` [m/s] and ``rate`` [rad/s]."""
+    """Poses (7,), one per tick, from rest at ``start`` to rest at ``goal``, no faster than
+    ``speed`` [m/s] and ``rate`` [rad/s].
+    """
     way = np.empty(6)
     twist_between(start, goal, 1.0, way)
     longest = max(float(np.linalg.norm(way[:3])) / speed, float(np.linalg.norm(way[3:])) / rate)
@@ -37,7 +40,9 @@ def travel(start: Array, goal: Array, tick: float, speed: float, rate: float) ->
 
 
 def run_up(pose: Array, twist: Array, tick: float, duration: float) -> Iterator[Array]:
-    """Poses (7,) from rest to ``pose`` with ``twist`` (6,), accelerating over ``duration`` [s]; the first is the pose at rest."""
+    """Poses (7,) from rest to ``pose`` with ``twist`` (6,), accelerating over ``duration`` [s]; the
+    first is the pose at rest.
+    """
     ticks = max(math.ceil(duration / tick), 1)
     for k in range(ticks + 1):
         yield _stepped(pose, twist, ticks * tick * (blend_integral(k / ticks) - 0.5))

@@ -31,7 +31,9 @@ def inverted(pose: Array) -> Array:
 
 
 class Mounting:
-    """Conversions for one sensor and one platform; all arrays are one-dimensional, results are written to ``out``."""
+    """Conversions for one sensor and one platform; all arrays are one-dimensional, results are
+    written to ``out``.
+    """
 
     def __init__(self, devices: Devices) -> None:
         sensor, platform = devices.sensor, devices.platform
@@ -53,7 +55,9 @@ class Mounting:
         out *= self._sign
 
     def wrench_shown(self, wrench_P: Array, out: Array) -> None:
-        """Convert a wrench in P at P's origin to the sensor's reading (6,); the inverse of :meth:`wrench_in_P`."""
+        """Convert a wrench in P at P's origin to the sensor's reading (6,); the inverse of
+        :meth:`wrench_in_P`.
+        """
         wrench_moved(self._pose_SP, wrench_P, out)
         out *= self._sign
 
@@ -63,6 +67,8 @@ class Mounting:
         pose_compose(self._pose, self._pose_TA, out)
 
     def command_of(self, pose_PA: Array, out: Array) -> None:
-        """The pose (7,) to command to the platform for A to be at ``pose_PA``; the inverse of :meth:`pose_in_P`."""
+        """The pose (7,) to command to the platform for A to be at ``pose_PA``; the inverse of
+        :meth:`pose_in_P`.
+        """
         pose_compose(self._pose_BP, pose_PA, self._pose)
         pose_compose(self._pose, self._pose_AT, out)

@@ -1,4 +1,6 @@
-"""Common parts of the protocols that send one numbered pose per cycle: plain records over UDP, and shared memory."""
+"""Common parts of the protocols that send one numbered pose per cycle: plain records over UDP, and
+shared memory.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ class Paced(Protocol):
 
 
 class NumberedClient(PlatformClient):
-    """Sends one pose per cycle, numbered from 1 after :meth:`open`; a hold repeats the last pose, a stop is the last pose with a flag."""
+    """Sends one pose per cycle, numbered from 1 after :meth:`open`; a hold repeats the last pose, a
+    stop is the last pose with a flag.
+    """
 
     def __init__(self, settings: Paced) -> None:
         super().__init__(settings.where)
@@ -60,7 +64,9 @@ class NumberedClient(PlatformClient):
 
 
 class NumberedServer(PlatformServer):
-    """Accepts such poses until the stop flag arrives, and numbers the poses that it reports from 1."""
+    """Accepts such poses until the stop flag arrives, and numbers the poses that it reports from
+    1.
+    """
 
     def __init__(self, settings: Paced) -> None:
         super().__init__(settings.where)
@@ -91,7 +97,9 @@ class NumberedServer(PlatformServer):
 
 
 class NumberedKeeper(Keeper):
-    """Repeats the last pose, or sends it with the stop flag; the numbering continues from the last command."""
+    """Repeats the last pose, or sends it with the stop flag; the numbering continues from the last
+    command.
+    """
 
     def __init__(self, settings: DeviceSettings, fileno: int) -> None:
         super().__init__(settings, fileno)

@@ -1,8 +1,10 @@
-"""Pacing of the loop: each tick waits for a record of the device that sets the clock, or for the loop's own clock.
+"""Pacing of the loop: each tick waits for a record of the device that sets the clock, or for the
+loop's own clock.
 
-A tick is assigned to a record by the device's own record number, not by the time of arrival. A lost or late record affects only its tick,
-not the time base: half a period after it was due the tick begins without it, and if several records have arrived at once, the loop
-catches up.
+A tick is assigned to a record by the device's own record number, not by the time of arrival. A lost
+or late record affects only its tick,
+not the time base: half a period after it was due the tick begins without it, and if several records
+have arrived at once, the loop catches up.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ class Pace(Protocol):
         ...
 
     def wait(self) -> int:
-        """Wait for the next tick; returns the number of ticks that have begun since the last call, at least 1."""
+        """Wait for the next tick; returns the number of ticks that have begun since the last call,
+        at least 1.
+        """
         ...
 
 
@@ -95,19 +99,26 @@ class HostPace:
 
 
 def pace_of(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace:
-    """The platform sets the clock if its protocol does so; otherwise a streaming sensor; otherwise the loop.
+    """The platform sets the clock if its protocol does so; otherwise a streaming sensor; otherwise
+    the loop.
 
     Raises:
-        DeviceError: the rate of the device that sets the clock is not a whole multiple of the loop's.
+        DeviceError: the rate of the device that sets the clock is not a whole multiple of the
+            loop's.
     """
-    for link, sets in ((platform, platform.clock is Clock.DEVICE), (sensor, math.isfinite(sensor.period))):
+    for link, sets in (
+        (platform, platform.clock is Clock.DEVICE),
+        (sensor, math.isfinite(sensor.period)),
+    ):
         if not sets:
             continue
         records = max(round(tick / link.period), 1)
         if abs(records * link.period / tick - 1.0) > RATE_ERROR:
             raise DeviceError(
-                f"{link.where}: sets the clock at {1.0 / link.period:g} Hz, which is not a whole multiple of the scenario's rate of "
-                f"{1.0 / tick:g} Hz; set rate to {1.0 / link.period:g}, or to that divided by a whole number"
+                f"{link.where}: sets the clock at {1.0 / link.period:g} Hz, which is not a whole "
+                f"multiple of the scenario's rate of "
+                f"{1.0 / tick:g} Hz; set rate to {1.0 / link.period:g}, or to that divided by a "
+                f"whole number"
             )
         return DevicePace(link, tick, records)
     return HostPace(tick)

@@ -1,4 +1,6 @@
-"""The physical side of a scenario alone: rig, mechanism and force sensor, in the order of the loop, without the numerical model."""
+"""The physical side of a scenario alone: rig, mechanism and force sensor, in the order of the loop,
+without the numerical model.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +16,24 @@ from hiltestbed.scenario import Scenario, load_scenario
 
 
 class SimulatedRig:
-    """The simulated rig, commanded with poses only: if the scenario uses feed-forward, it derives velocity and acceleration from them.
+    """The simulated rig, commanded with poses only: if the scenario uses feed-forward, it derives
+    velocity and acceleration from them.
 
     Attributes:
         period: of a tick [s].
-        pose: (7,) of A in P, reached at t_k. wrench: (6,) that the sensor reads at t_k, in P at P's origin.
+        pose: (7,) of A in P, reached at t_k. wrench: (6,) that the sensor reads at t_k, in P at P's
+            origin.
     """
 
     def __init__(self, scenario: Scenario, moving: bool = False) -> None:
-        """``moving``: start with a uniform approach, as a run does; otherwise at rest in the start pose."""
+        """``moving``: start with a uniform approach, as a run does; otherwise at rest in the start
+        pose.
+        """
         self.scenario, self.period = scenario, scenario.tick
         self._sensor, self._plant, _ = simulated([scenario], 1)
         state = approach_state(scenario)
-        self._felt = self._plant.wrench_sub[:, -1]  # one view for all ticks: the sensor's kernels are bound to it
+        # one view for all ticks: the sensor's kernels are bound to it
+        self._felt = self._plant.wrench_sub[:, -1]
         self.pose: Array = self._plant.pose_act[0]
         self.wrench: Array = np.zeros(6)
         self._feed = float(scenario.compensation.motion.feeds)
@@ -52,7 +59,10 @@ class SimulatedRig:
         self._sensor.feel(self._k, self._felt)
         self._plant.finish()
         if self._plant.diverged[0]:
-            raise HiltestbedError(f"the rig diverged at t = {self._k * self.period:.6f} s: {self._plant.divergence(0)}")
+            raise HiltestbedError(
+                f"the rig diverged at t = {self._k * self.period:.6f} s: "
+                f"{self._plant.divergence(0)}"
+            )
         self._k += 1
         self._read()
 

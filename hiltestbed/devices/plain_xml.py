@@ -1,6 +1,7 @@
 """Small XML messages from the network: elements, attributes and text only.
 
-Document types, entities, processing instructions and messages beyond the limits of size and depth are refused.
+Document types, entities, processing instructions and messages beyond the limits of size and depth
+are refused.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ from xml.parsers import expat
 
 DEPTH = 4
 ELEMENTS = 256
-ENCODINGS = ("utf-8", "us-ascii", "ascii", "iso-8859-1", "windows-1252")  # all read as UTF-8: the messages are plain ASCII
+# all read as UTF-8: the messages are plain ASCII
+ENCODINGS = ("utf-8", "us-ascii", "ascii", "iso-8859-1", "windows-1252")
 
 
 class NotPlain(Exception):
@@ -19,7 +21,9 @@ class NotPlain(Exception):
 
 @dataclass
 class Message:
-    """The root's name, and attributes and text of each element below it; of several with the same name the first."""
+    """The root's name, and attributes and text of each element below it; of several with the same
+    name the first.
+    """
 
     root: str = ""
     attributes: dict[str, dict[str, str]] = field(default_factory=dict)

@@ -1,8 +1,8 @@
 """Poses in the conventions of robot manufacturers.
 
-KUKA: X Y Z [mm] and A B C [deg], rotations about z, the new y, and the new x: R = Rz(A) Ry(B) Rx(C) (KUKA System Software
-operating and programming instructions, "coordinate systems"). Universal Robots: x y z [m] and the rotation vector rx ry rz [rad]
-(URScript manual, "pose").
+KUKA: X Y Z [mm] and A B C [deg], rotations about z, the new y, and the new x: R = Rz(A) Ry(B) Rx(C)
+(KUKA System Software operating and programming instructions, "coordinate systems"). Universal
+Robots: x y z [m] and the rotation vector rx ry rz [rad] (URScript manual, "pose").
 """
 
 from __future__ import annotations
@@ -27,11 +27,15 @@ MILLIMETRE = 1e-3  # [m]
 def pose_from_kuka(frame: Array) -> Array:
     """Pose (7,) of X Y Z A B C (6,) [mm, deg]."""
     x, y, z, a, b, c = map(float, frame)
-    return np.array([x * MILLIMETRE, y * MILLIMETRE, z * MILLIMETRE, *quat_from_attitude_deg([c, b, a])])
+    return np.array(
+        [x * MILLIMETRE, y * MILLIMETRE, z * MILLIMETRE, *quat_from_attitude_deg([c, b, a])]
+    )
 
 
 def kuka_from_pose(pose: Array) -> Array:
-    """X Y Z A B C (6,) [mm, deg] of a pose (7,); at B = +-90 deg C is 0 and A is the whole rotation."""
+    """X Y Z A B C (6,) [mm, deg] of a pose (7,); at B = +-90 deg C is 0 and A is the whole
+    rotation.
+    """
     position = [float(value) / MILLIMETRE for value in pose[:3]]
     return np.array([*position, *attitude_deg_from_quat(pose[3:7])[::-1]])
 
@@ -53,7 +57,9 @@ def rotation_vector_from_pose(pose: Array) -> Array:
 
 
 def offset_in_base(start: Array, pose: Array) -> Array:
-    """The offset (7,) from ``start`` to ``pose``: translation in base axes, rotation about base axes through the moved point."""
+    """The offset (7,) from ``start`` to ``pose``: translation in base axes, rotation about base
+    axes through the moved point.
+    """
     offset = np.empty(7)
     offset[:3] = pose[:3] - start[:3]
     quat_mul_conj(pose[3:7], start[3:7], offset[3:7])
@@ -69,7 +75,9 @@ def add_in_base(start: Array, offset: Array) -> Array:
 
 
 def offset_in_tool(start: Array, pose: Array) -> Array:
-    """The offset (7,) from ``start`` to ``pose``, translation and rotation in the axes of ``start``."""
+    """The offset (7,) from ``start`` to ``pose``, translation and rotation in the axes of
+    ``start``.
+    """
     offset = np.empty(7)
     pose_between(start, pose, offset)
     return offset

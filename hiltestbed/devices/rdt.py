@@ -1,12 +1,14 @@
 """``rdt://``: the force sensors of ATI, Net F/T and Axia, by Raw Data Transfer over UDP.
 
-ATI Industrial Automation, "Network Force/Torque Sensor System (Net F/T) Installation and Operation Manual", document 9620-05-NET FT,
-section 10 "UDP Interface Using RDT" and section 9 "netftapi2.xml"; "F/T Sensor, Ethernet Axia", document 9620-05-C-Ethernet Axia,
-section 12. All numbers are big-endian. A request has 8 bytes: 0x1234, a command, a count of records (0: unlimited). A record has 36:
-the number of the record (from 1 for each request), the number of the sensor's own sample, a status word, three forces and three
-torques in counts. Counts per unit, the units and the rates are on the device's page netftapi2.xml. A device serves one client, the
-one that sent the last request; a request may be lost and is repeated until the first record arrives. In buffered streaming a datagram
-contains several records, and the client uses the last.
+ATI Industrial Automation, "Network Force/Torque Sensor System (Net F/T) Installation and Operation
+Manual", document 9620-05-NET FT, section 10 "UDP Interface Using RDT" and section 9
+"netftapi2.xml"; "F/T Sensor, Ethernet Axia", document 9620-05-C-Ethernet Axia, section 12. All
+numbers are big-endian. A request has 8 bytes: 0x1234, a command, a count of records (0: unlimited).
+A record has 36: the number of the record (from 1 for each request), the number of the sensor's own
+sample, a status word, three forces and three torques in counts. Counts per unit, the units and the
+rates are on the device's page netftapi2.xml. A device serves one client, the one that sent the last
+request; a request may be lost and is repeated until the first record arrives. In buffered streaming
+a datagram contains several records, and the client uses the last.
 """
 
 from __future__ import annotations
@@ -19,7 +21,15 @@ import numpy as np
 from pydantic import Field
 
 from hiltestbed.devices import rdt_page, sockets
-from hiltestbed.devices.interface import LONGEST_DRAIN, Array, DeviceError, Event, Protocol, SensorClient, SensorServer
+from hiltestbed.devices.interface import (
+    LONGEST_DRAIN,
+    Array,
+    DeviceError,
+    Event,
+    Protocol,
+    SensorClient,
+    SensorServer,
+)
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings, Port
 from hiltestbed.errors import InputError
@@ -31,36 +41,62 @@ HEADER = 0x1234
 STOP, SINGLE, REALTIME, BUFFERED = 0, 1, 2, 3  # 1 only on an Axia, where it equals 2
 RESET_LATCH, BIAS = 0x41, 0x42
 MOST_RECORDS = 40  # largest number of records in one datagram
-MONITOR_CONDITION = 1 << 16  # of the status word: a threshold was exceeded; latched until it is reset
+# of the status word: a threshold was exceeded; latched until it is reset
+MONITOR_CONDITION = 1 << 16
 ERROR = 1 << 31  # of the status word: set with any other bit
-TRIES, PATIENCE = 10, 0.1  # requests before giving up, and the wait [s] for the first record after each
+# requests before giving up, and the wait [s] for the first record after each
+TRIES, PATIENCE = 10, 0.1
 
 
 class RdtSettings(DeviceSettings):
-    """Options of ``rdt://``. Options that are not given are read from the device's page; without a page they must be given."""
+    """Options of ``rdt://``. Options that are not given are read from the device's page; without a
+    page they must be given.
+    """
 
     default_port: ClassVar[int] = 49152
 
     kind: Literal["rdt"] = "rdt"
     counts_per_force: Positive | None = Field(default=None, description="counts per unit of force")
-    counts_per_torque: Positive | None = Field(default=None, description="counts per unit of torque")
-    force_unit: Literal["N", "kN", "lbf", "klbf", "kgf"] = Field(default="N", description="unit of force to which counts_per_force refers")
+    counts_per_torque: Positive | None = Field(
+        default=None, description="counts per unit of torque"
+    )
+    force_unit: Literal["N", "kN", "lbf", "klbf", "kgf"] = Field(
+        default="N", description="unit of force to which counts_per_force refers"
+    )
     torque_unit: Literal["N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kgf-cm"] = Field(
         "N-m", description="unit of torque to which counts_per_torque refers"
     )
     rate: Positive | None = Field(default=None, description="rate of the records [Hz]")
-    internal_rate: Positive | None = Field(default=None, description="internal sampling rate, at which the sensor's own counter runs [Hz]")
-    mode: Literal["realtime", "buffered"] = Field(default="realtime", description="one record per datagram, or several")
-    buffer: int = Field(default=10, ge=1, le=MOST_RECORDS, description="records per datagram of an emulated sensor in buffered mode")
-    http: Port | None = Field(default=None, description="port of the configuration page; 80 for a client, none for an emulated sensor")
+    internal_rate: Positive | None = Field(
+        default=None,
+        description="internal sampling rate, at which the sensor's own counter runs [Hz]",
+    )
+    mode: Literal["realtime", "buffered"] = Field(
+        default="realtime", description="one record per datagram, or several"
+    )
+    buffer: int = Field(
+        default=10,
+        ge=1,
+        le=MOST_RECORDS,
+        description="records per datagram of an emulated sensor in buffered mode",
+    )
+    http: Port | None = Field(
+        default=None,
+        description="port of the configuration page; 80 for a client, none for an emulated sensor",
+    )
     ignore_status: int = Field(
-        default=0, ge=0, le=0xFFFFFFFF, description="bits of the status word that are not errors, such as 0x80010000: a threshold"
+        default=0,
+        ge=0,
+        le=0xFFFFFFFF,
+        description="bits of the status word that are not errors, such as 0x80010000: a threshold",
     )
 
     @property
     def device_tells_rate(self) -> bool:
         """Whether the configuration page is read, which gives the rate."""
-        return self.http is not None or self.counts_per_force is None or self.counts_per_torque is None
+        return (
+            self.http is not None or self.counts_per_force is None or self.counts_per_torque is None
+        )
 
 
 class RdtClient(SensorClient):
@@ -73,7 +109,9 @@ class RdtClient(SensorClient):
         self._scale = np.ones(6)
         self._internal_period = float("nan")
         self._buffer = bytearray(RECORD.size * MOST_RECORDS + 1)
-        self._records = [np.frombuffer(self._buffer, ">i4", 6, i * RECORD.size + 12) for i in range(MOST_RECORDS)]
+        self._records = [
+            np.frombuffer(self._buffer, ">i4", 6, i * RECORD.size + 12) for i in range(MOST_RECORDS)
+        ]
         self._sequence = Sequence(self.counts)
         self._sample = -1
         self._socket = None
@@ -95,8 +133,10 @@ class RdtClient(SensorClient):
                 return
         self.close()
         raise DeviceError(
-            f"{self.where}: no good record in {TRIES * PATIENCE:g} s after {TRIES} requests; check the address, that RDT is enabled on the "
-            "device's communication page, its status word, and that no other client has taken the stream"
+            f"{self.where}: no good record in {TRIES * PATIENCE:g} s after {TRIES} requests; "
+            f"check the address, that RDT is enabled on the "
+            "device's communication page, its status word, and that no other client has taken the "
+            "stream"
         )
 
     def close(self) -> None:
@@ -168,7 +208,9 @@ class RdtClient(SensorClient):
 
 
 class RdtServer(SensorServer):
-    """An emulated sensor: sends a record for each wrench published, once a client has requested them."""
+    """An emulated sensor: sends a record for each wrench published, once a client has requested
+    them.
+    """
 
     def __init__(self, settings: RdtSettings) -> None:
         super().__init__(settings.where)
@@ -192,7 +234,9 @@ class RdtServer(SensorServer):
         self.address = self._socket.getsockname()
         if self.settings.http is not None:
             try:
-                self.http = rdt_page.PageServer((address[0], self.settings.http), self.page, self.where)
+                self.http = rdt_page.PageServer(
+                    (address[0], self.settings.http), self.page, self.where
+                )
             except InputError:
                 self.close()
                 raise
@@ -250,7 +294,9 @@ class RdtServer(SensorServer):
         self._number = (self._number + 1) & 0xFFFFFFFF
         sample = round(device_time * self.page.internal_rate) & 0xFFFFFFFF
         counts = np.clip(np.rint((self._load - self._bias) * self._scale), -(2**31), 2**31 - 1)
-        self._pending += RECORD.pack(self._number, sample, status | ERROR if status else 0, *counts.astype(int).tolist())
+        self._pending += RECORD.pack(
+            self._number, sample, status | ERROR if status else 0, *counts.astype(int).tolist()
+        )
         self._left -= self._left > 0
         if self._left == 0 or len(self._pending) >= self._per_datagram * RECORD.size:
             try:

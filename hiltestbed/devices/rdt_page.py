@@ -1,8 +1,9 @@
 """The configuration page of ATI's sensors, netftapi2.xml: counts per unit and rates.
 
-ATI Industrial Automation, document 9620-05-NET FT, section 9.1 "System and Configuration Information (netftapi2.xml)": elements below
-``netft``, among them ``cfgcpf`` and ``cfgcpt`` (counts per force and per torque), ``scfgfu`` and ``scfgtu`` (their units), ``comrdte``
-(whether RDT is enabled), ``comrdtrate`` (its rate [Hz]), ``runrate`` (the sensor's internal rate [Hz]).
+ATI Industrial Automation, document 9620-05-NET FT, section 9.1 "System and Configuration
+Information (netftapi2.xml)": elements below ``netft``, among them ``cfgcpf`` and ``cfgcpt`` (counts
+per force and per torque), ``scfgfu`` and ``scfgtu`` (their units), ``comrdte`` (whether RDT is
+enabled), ``comrdtrate`` (its rate [Hz]), ``runrate`` (the sensor's internal rate [Hz]).
 """
 
 from __future__ import annotations
@@ -35,12 +36,15 @@ PATH = "/netftapi2.xml"
 LARGEST = 65536  # [byte]
 PATIENCE = 2.0  # [s]
 HTTP_PORT = 80
-RATE, INTERNAL_RATE = 1000.0, 7000.0  # [Hz] defaults of an emulated sensor; 7 kHz is the internal rate of a Net F/T
+# [Hz] defaults of an emulated sensor; 7 kHz is the internal rate of a Net F/T
+RATE, INTERNAL_RATE = 1000.0, 7000.0
 
 
 @dataclass(frozen=True)
 class Page:
-    """Counts per unit of force and torque, these units [N, N m], the rate of records and of the sensor's own samples [Hz]."""
+    """Counts per unit of force and torque, these units [N, N m], the rate of records and of the
+    sensor's own samples [Hz].
+    """
 
     counts_per_force: float = 1.0e6
     counts_per_torque: float = 1.0e6
@@ -59,7 +63,9 @@ class Page:
 
 
 def from_options(settings: RdtSettings, counts: float, host: str | None) -> Page:
-    """The page from the URL's options, completed from the device at ``host``, or (None) with ``counts`` per unit. Raises DeviceError."""
+    """The page from the URL's options, completed from the device at ``host``, or (None) with
+    ``counts`` per unit. Raises DeviceError.
+    """
     scaled = settings.counts_per_force is not None and settings.counts_per_torque is not None
     whole = scaled and settings.rate is not None and settings.internal_rate is not None
     if host is None or whole or (scaled and settings.http is None):
@@ -85,7 +91,10 @@ def fetch(host: str, port: int, where: str) -> Page:
         with opener.open(address, timeout=PATIENCE) as response:
             data = response.read(LARGEST + 1)
     except (OSError, ValueError) as error:
-        raise DeviceError(f"{where}: the configuration page {address} cannot be read ({error}); check the address, {hint}") from None
+        raise DeviceError(
+            f"{where}: the configuration page {address} cannot be read ({error}); check the "
+            f"address, {hint}"
+        ) from None
     return _understand(data, where, hint)
 
 
@@ -93,7 +102,10 @@ def _understand(data: bytes, where: str, hint: str) -> Page:
     try:
         text = plain_xml.read(data, LARGEST).text
     except plain_xml.NotPlain:
-        raise DeviceError(f"{where}: the configuration page is not the XML of a Net F/T; check the address, {hint}") from None
+        raise DeviceError(
+            f"{where}: the configuration page is not the XML of a Net F/T; check the address, "
+            f"{hint}"
+        ) from None
     if text.get("comrdte", "Enabled").strip() in ("0", "Disabled"):
         raise DeviceError(f"{where}: RDT is disabled; enable it on the device's communication page")
 
@@ -105,13 +117,19 @@ def _understand(data: bytes, where: str, hint: str) -> Page:
         except ValueError:
             value = 0.0
         if not 0.0 < value < 1e12:
-            raise DeviceError(f"{where}: the configuration page gives no {element} (got {text.get(element)!r}); check the device, {hint}")
+            raise DeviceError(
+                f"{where}: the configuration page gives no {element} (got {text.get(element)!r}); "
+                f"check the device, {hint}"
+            )
         return value
 
     def unit(element: str, known: dict[str, float]) -> str:
         value = text.get(element, "").strip()
         if value not in known:
-            raise DeviceError(f"{where}: the configuration page gives {element} = {value!r}; known: {', '.join(known)}; {hint}")
+            raise DeviceError(
+                f"{where}: the configuration page gives {element} = {value!r}; known: "
+                f"{', '.join(known)}; {hint}"
+            )
         return value
 
     return Page(
@@ -159,11 +177,16 @@ class PageServer:
         try:
             self._server = ThreadingHTTPServer(address, Handler)
         except OSError as error:
-            message = f"TCP {address[0]}:{address[1]} of the configuration page cannot be opened ({error.strerror}); give another http port"
+            message = (
+                f"TCP {address[0]}:{address[1]} of the configuration page cannot be "
+                f"opened ({error.strerror}); give another http port"
+            )
             raise InputError(Fault(where, None, None, "http", message)) from None
         self._server.daemon_threads = True
         self.port = self._server.server_address[1]
-        self._thread = threading.Thread(target=self._server.serve_forever, name="rdt-page", daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, name="rdt-page", daemon=True
+        )
         self._thread.start()
 
     def close(self) -> None:

@@ -1,7 +1,8 @@
 """Real-time preparation of the calling thread and of the interpreter, and what was granted.
 
-Inside :func:`prepared` the garbage collector is disabled and existing objects are frozen, memory is locked, the timer slack is minimal
-and, where permitted, the calling thread is pinned to one processor and scheduled with SCHED_FIFO. All of it is undone afterwards. Entering
+Inside :func:`prepared` the garbage collector is disabled and existing objects are frozen, memory is
+locked, the timer slack is minimal and, where permitted, the calling thread is pinned to one
+processor and scheduled with SCHED_FIFO. All of it is undone afterwards. Entering
 takes some 0.1 s (the last collection): do it before connections are opened.
 """
 
@@ -17,7 +18,8 @@ from dataclasses import dataclass, field
 
 from hiltestbed.errors import InputError
 
-PRIORITY = 49  # of SCHED_FIFO, 1 to 99: above ordinary processes, below the kernel's interrupt threads (50)
+# of SCHED_FIFO, 1 to 99: above ordinary processes, below the kernel's interrupt threads (50)
+PRIORITY = 49
 _SET_TIMER_SLACK = 29  # prctl: PR_SET_TIMERSLACK
 _GET_TIMER_SLACK = 30
 _LOCK_ALL = 1 | 2  # mlockall: MCL_CURRENT | MCL_FUTURE
@@ -47,7 +49,9 @@ def prepared(cpu: int | None = None, priority: int | None = PRIORITY) -> Iterato
         raise InputError(f"priority: is out of range (got {priority}); allowed is 1 to 99")
     if cpu is not None and hasattr(os, "sched_getaffinity") and cpu not in os.sched_getaffinity(0):
         free = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
-        raise InputError(f"cpu: is not one that this process may run on (got {cpu}); allowed: {free}")
+        raise InputError(
+            f"cpu: is not one that this process may run on (got {cpu}); allowed: {free}"
+        )
     result = Granted()
     with ExitStack() as undo:
         _memory_and_slack(result, undo)
@@ -60,7 +64,9 @@ def prepared(cpu: int | None = None, priority: int | None = PRIORITY) -> Iterato
 
 
 def ordinary() -> None:
-    """Undo the settings that a child process inherits from a prepared parent: use all processors and ordinary scheduling."""
+    """Undo the settings that a child process inherits from a prepared parent: use all processors
+    and ordinary scheduling.
+    """
     if sys.platform == "linux":
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

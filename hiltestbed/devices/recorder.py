@@ -1,10 +1,12 @@
-"""Recording in a separate process, which reads the loop's rows from a ring and writes them to a file: the loop never waits for a disk.
+"""Recording in a separate process, which reads the loop's rows from a ring and writes them to a
+file: the loop never waits for a disk.
 
     recorder = Recorder(columns=80, rows=20_000, path=folder / "rows.f64")
     recorder.push(row)                       # in the loop
     rows = recorder.finish()                 # (k, 80); the process has ended
 
-The file holds 64-bit floats, row by row. If the loop's process dies, everything it has pushed is still written.
+The file holds 64-bit floats, row by row. If the loop's process dies, everything it has pushed is
+still written.
 """
 
 from __future__ import annotations
@@ -38,12 +40,26 @@ class Recorder:
     """
 
     def __init__(self, columns: int, rows: int, path: Path) -> None:
-        """Start the process and wait until it is ready. Raises HiltestbedError if it does not start."""
+        """Start the process and wait until it is ready. Raises HiltestbedError if it does not
+        start.
+        """
         self.path = path
         self.ring = Ring(columns, rows)
-        command = [sys.executable, "-m", "hiltestbed.devices.recorder", self.ring.name, str(path), str(os.getpid())]
-        self._process = subprocess.Popen(  # Ctrl-C must reach only the loop: its rows still have to be written
-            command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, start_new_session=True
+        command = [
+            sys.executable,
+            "-m",
+            "hiltestbed.devices.recorder",
+            self.ring.name,
+            str(path),
+            str(os.getpid()),
+        ]
+        # Ctrl-C must reach only the loop: its rows still have to be written
+        self._process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stdin=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
         )
         try:
             line = self._process.stdout.readline() if self._process.stdout else ""
@@ -55,14 +71,19 @@ class Recorder:
         if line.strip() != READY:
             self._process.wait(PATIENCE)
             self.ring.close()
-            raise HiltestbedError(f"{path}: the process that records did not start; check that the folder can be written to")
+            raise HiltestbedError(
+                f"{path}: the process that records did not start; check that the folder can be "
+                f"written to"
+            )
 
     def push(self, row: Array) -> bool:
         """Record a row (columns,); False if it was dropped."""
         return self.ring.push(row)
 
     def finish(self) -> Array:
-        """End the recording and return all rows (k, columns), mapped from the file. Raises HiltestbedError if the process has failed."""
+        """End the recording and return all rows (k, columns), mapped from the file. Raises
+        HiltestbedError if the process has failed.
+        """
         self.ring.finish()
         columns = self.ring.columns
         try:
@@ -74,16 +95,21 @@ class Recorder:
             self._process.stdout.close()
         self.ring.close()
         if status != 0:
-            raise HiltestbedError(f"{self.path}: the process that records has failed (status {status}); the file holds what it had written")
+            raise HiltestbedError(
+                f"{self.path}: the process that records has failed (status {status}); the file "
+                f"holds what it had written"
+            )
         if self.path.stat().st_size == 0:
             return np.zeros((0, columns))
         return np.memmap(self.path, np.float64, "r").reshape(-1, columns)
 
 
 class TraceRecorder:
-    """Writes the rows of a run as they are produced: 64-bit floats in ``path``, and the columns' names in a JSON file next to it.
+    """Writes the rows of a run as they are produced: 64-bit floats in ``path``, and the columns'
+    names in a JSON file next to it.
 
-    If the loop's process dies, ``numpy.fromfile(path).reshape(-1, len(columns))`` is the run up to that point.
+    If the loop's process dies, ``numpy.fromfile(path).reshape(-1, len(columns))`` is the run up to
+    that point.
     """
 
     def __init__(self, trace: Trace, path: Path) -> None:
@@ -119,7 +145,9 @@ def discard(path: Path) -> None:
 
 
 def main() -> int:
-    """Entry point of the process: runs until the ring is finished and empty, or the parent has died."""
+    """Entry point of the process: runs until the ring is finished and empty, or the parent has
+    died.
+    """
     parser = argparse.ArgumentParser()
     parser.add_argument("ring")
     parser.add_argument("path")

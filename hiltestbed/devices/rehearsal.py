@@ -1,4 +1,6 @@
-"""A short run with dummy devices, before real ones are opened, which compiles all kernels that are not compiled yet."""
+"""A short run with dummy devices, before real ones are opened, which compiles all kernels that are
+not compiled yet.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,15 @@ class _Follower(PlatformClient):
 def rehearse(scenario: Scenario) -> None:
     """Make a complete run of :data:`TICKS` ticks."""
     short = scenario.model_copy(update={"duration": TICKS / scenario.rate, "devices": _UNWATCHED})
-    session = Session(short, Options("", "", armed=True, connect=lambda *_: (_PushedSensor("rehearsal"), _Follower("rehearsal"))))
+    session = Session(
+        short,
+        Options(
+            "",
+            "",
+            armed=True,
+            connect=lambda *_: (_PushedSensor("rehearsal"), _Follower("rehearsal")),
+        ),
+    )
     session.devices.sensor.poll()
     session.devices.platform.poll()
     session.observe()

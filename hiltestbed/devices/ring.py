@@ -1,8 +1,9 @@
 """A lock-free single-producer, single-consumer ring of rows in shared memory.
 
-The numbers of rows pushed and taken are two aligned words, each written by one side only, after the rows that it refers to. x86-64
-keeps the order of stores; for machines that do not, each row also begins and ends with its own number, and a row is taken only if both
-match. A full ring drops the row and counts it.
+The numbers of rows pushed and taken are two aligned words, each written by one side only, after the
+rows that it refers to. x86-64 keeps the order of stores; for machines that do not, each row also
+begins and ends with its own number, and a row is taken only if both match. A full ring drops the
+row and counts it.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ class Ring:
         size = HEAD + rows * (columns + 2) * 8
         if columns < 1 or rows < 2 or size > LARGEST:
             raise InputError(
-                f"ring: cannot hold {rows} rows of {columns} numbers; allowed are 2 rows and more, and up to {LARGEST >> 20} MiB"
+                f"ring: cannot hold {rows} rows of {columns} numbers; allowed are 2 rows and "
+                f"more, and up to {LARGEST >> 20} MiB"
             )
         self._memory = shared_memory.SharedMemory(name, create=True, size=size)
         self._owner = True
@@ -116,7 +118,8 @@ class Ring:
 def attached(*names: str) -> Iterator[list[Ring]]:
     """The rings that the parent has created, after printing :data:`READY` on standard output.
 
-    Empty if the parent has died while this process started: its rings, or its end of the pipe, no longer exist.
+    Empty if the parent has died while this process started: its rings, or its end of the pipe, no
+    longer exist.
     """
     rings: list[Ring] = []
     try:

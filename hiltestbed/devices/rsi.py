@@ -1,23 +1,28 @@
 """``rsi://``: KUKA robots by RobotSensorInterface over UDP.
 
-KUKA System Technology, "KUKA.RobotSensorInterface 3.2 for KUKA System Software 8.3" (KST RSI 3.2 V1), objects ETHERNET and POSCORR;
-"KUKA.Ethernet RSI XML 1.1" (KST Ethernet RSI XML 1.1 V1) for the older controllers. The robot's controller initiates: each cycle (4 ms in
-IPO_FAST, 12 ms in IPO) it sends, to the address in its configuration file,
+KUKA System Technology, "KUKA.RobotSensorInterface 3.2 for KUKA System Software 8.3" (KST RSI 3.2
+V1), objects ETHERNET and POSCORR; "KUKA.Ethernet RSI XML 1.1" (KST Ethernet RSI XML 1.1 V1) for the
+older controllers. The robot's controller initiates: each cycle (4 ms in IPO_FAST, 12 ms in IPO) it
+sends, to the address in its configuration file,
 
-    <Rob Type="KUKA"><RIst X="" Y="" Z="" A="" B="" C=""/><RSol .../><Delay D=""/><IPOC>123</IPOC></Rob>
+    <Rob Type="KUKA"><RIst X="" Y="" Z="" A="" B="" C=""/><RSol .../><Delay
+    D=""/><IPOC>123</IPOC></Rob>
 
 and expects, before the next cycle and with the same IPOC,
 
     <Sen Type="ImFree"><RKorr X="" Y="" Z="" A="" B="" C=""/><IPOC>123</IPOC></Sen>
 
-RIst is the pose reached, RSol the set pose [mm, deg, A B C about z, y', x'']. RKorr is the correction by POSCORR: an offset from the
-pose at which the correction began (absolute) or from the last one (relative), in the axes of the base or of the tool. IPOC is the
-controller's clock [ms]. An answer with another IPOC is late; Delay D counts such answers, and above the Timeout of the object ETHERNET
-the controller ends the correction. With HOLDON = 1 the controller keeps the last correction if none arrives in time: in relative mode
-the robot then repeats the last step, which is why absolute is the default here.
+RIst is the pose reached, RSol the set pose [mm, deg, A B C about z, y', x'']. RKorr is the
+correction by POSCORR: an offset from the pose at which the correction began (absolute) or from the
+last one (relative), in the axes of the base or of the tool. IPOC is the controller's clock [ms]. An
+answer with another IPOC is late; Delay D counts such answers, and above the Timeout of the object
+ETHERNET the controller ends the correction. With HOLDON = 1 the controller keeps the last
+correction if none arrives in time: in relative mode the robot then repeats the last step, which is
+why absolute is the default here.
 
-If more than one of A, B, C of a correction is non-zero, the rotation of the tool is assumed to follow the convention of frames: a rotation
-about the axes of the reference system. Check this with small moves on the robot before use.
+If more than one of A, B, C of a correction is non-zero, the rotation of the tool is assumed to
+follow the convention of frames: a rotation about the axes of the reference system. Check this with
+small moves on the robot before use.
 """
 
 from __future__ import annotations
@@ -51,30 +56,56 @@ MILLISECOND = 1e-3  # [s]
 
 
 class RsiSettings(DeviceSettings):
-    """Options of ``rsi://``. The address is the one to which the robot's controller sends: that of this machine in the robot's network."""
+    """Options of ``rsi://``. The address is the one to which the robot's controller sends: that of
+    this machine in the robot's network.
+    """
 
     default_port: ClassVar[int] = 59152
 
     kind: Literal["rsi"] = "rsi"
-    period_ms: Literal[4, 12] = Field(default=4, description="cycle time of the controller [ms]: 4 IPO_FAST, 12 IPO")
+    period_ms: Literal[4, 12] = Field(
+        default=4, description="cycle time of the controller [ms]: 4 IPO_FAST, 12 IPO"
+    )
     correction: Literal["absolute", "relative"] = Field(
-        default="absolute", description="reference of RKorr: the pose at which the correction began, or the last one"
+        default="absolute",
+        description="reference of RKorr: the pose at which the correction began, or the last one",
     )
-    reference: Literal["base", "tool"] = Field(default="base", description="axes of the correction: RefCorrSys of the object POSCORR")
+    reference: Literal["base", "tool"] = Field(
+        default="base", description="axes of the correction: RefCorrSys of the object POSCORR"
+    )
     sentype: str = Field(
-        "ImFree", min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_.-]+$", description="SENTYPE of the configuration file"
+        "ImFree",
+        min_length=1,
+        max_length=40,
+        pattern=r"^[A-Za-z0-9_.-]+$",
+        description="SENTYPE of the configuration file",
     )
-    robot: str | None = Field(default=None, description="address of the controller; by default the first that sends a telegram")
-    connect: Positive = Field(default=30.0, description="time to wait for the controller's first telegram [s]")
+    robot: str | None = Field(
+        default=None,
+        description="address of the controller; by default the first that sends a telegram",
+    )
+    connect: Positive = Field(
+        default=30.0, description="time to wait for the controller's first telegram [s]"
+    )
     late_limit: int = Field(
-        default=100, ge=0, description="number of late answers after which an emulated controller stops: Timeout of the object ETHERNET"
+        default=100,
+        ge=0,
+        description="number of late answers after which an emulated controller stops: Timeout of "
+        "the object ETHERNET",
     )
-    hold: bool = Field(default=True, description="whether an emulated controller keeps the last correction if none arrives: HOLDON")
-    decimals: int = Field(default=6, ge=1, le=12, description="decimals of the numbers in a telegram")
+    hold: bool = Field(
+        default=True,
+        description="whether an emulated controller keeps the last correction if none arrives: "
+        "HOLDON",
+    )
+    decimals: int = Field(
+        default=6, ge=1, le=12, description="decimals of the numbers in a telegram"
+    )
 
 
 class RsiClient(PlatformClient):
-    """Answers the controller's telegrams; the controller sets the clock, and every telegram from the first on requires an answer.
+    """Answers the controller's telegrams; the controller sets the clock, and every telegram from
+    the first on requires an answer.
 
     Attributes:
         start: (7,) reference pose of absolute corrections: the robot's pose at the first telegram.
@@ -95,21 +126,27 @@ class RsiClient(PlatformClient):
         self._robot: sockets.Address | None = None
         self._only: str | None = None
         self._answered, self._unanswered = True, 0
-        self._offset = poses.offset_in_base if settings.reference == "base" else poses.offset_in_tool
+        self._offset = (
+            poses.offset_in_base if settings.reference == "base" else poses.offset_in_tool
+        )
         self._socket: socket.socket | None = None
-        poses.pose_from_kuka(poses.kuka_from_pose(self._offset(self.start, self.start)))  # compile now, not in the first cycle
+        # compile now, not in the first cycle
+        poses.pose_from_kuka(poses.kuka_from_pose(self._offset(self.start, self.start)))
 
     def open(self) -> None:
         settings = self.settings
         if settings.robot is not None:
             self._only = sockets.resolve(settings.robot, 0, self.where)[0]
-        self._socket = sockets.bound_udp(sockets.resolve(settings.host, settings.port, self.where), self.where)
+        self._socket = sockets.bound_udp(
+            sockets.resolve(settings.host, settings.port, self.where), self.where
+        )
         self._robot, self._answered, self._unanswered, self.delay = None, True, 0, -1
         self._sequence.restart()
         if not self.wait(settings.connect):
             self.close()
             raise DeviceError(
-                f"{self.where}: no telegram of a robot in {settings.connect:g} s; check IP_NUMBER and PORT in the controller's "
+                f"{self.where}: no telegram of a robot in {settings.connect:g} s; check IP_NUMBER "
+                f"and PORT in the controller's "
                 "configuration file, and that its program has begun the correction"
             )
         self.start[:] = self._from[:] = self.state.pose
@@ -141,7 +178,9 @@ class RsiClient(PlatformClient):
         return new
 
     def _take(self, data: bytes, sender: sockets.Address) -> bool:
-        if (self._only is not None and sender[0] != self._only) or (self._robot is not None and sender != self._robot):
+        if (self._only is not None and sender[0] != self._only) or (
+            self._robot is not None and sender != self._robot
+        ):
             self.counts[Event.SENDER] += 1
             return False
         read = read_telegram(data, "Rob", "RIst")
@@ -166,7 +205,9 @@ class RsiClient(PlatformClient):
         return True
 
     def _compare(self, delay: int | None) -> None:
-        """Count the answers that the controller reports as late, beyond the telegrams known to be unanswered."""
+        """Count the answers that the controller reports as late, beyond the telegrams known to be
+        unanswered.
+        """
         if delay is None:
             return
         if self.delay < 0:  # what was late before this connection
@@ -199,7 +240,15 @@ class RsiClient(PlatformClient):
         if self._answered:  # one answer per telegram
             return
         try:
-            self._socket.sendto(answer(self.settings.sentype, self._correction, self.state.sequence, self.settings.decimals), self._robot)
+            self._socket.sendto(
+                answer(
+                    self.settings.sentype,
+                    self._correction,
+                    self.state.sequence,
+                    self.settings.decimals,
+                ),
+                self._robot,
+            )
         except OSError:
             self.counts[Event.GONE] += 1
         self._answered = True
@@ -226,7 +275,10 @@ class RsiKeeper(Keeper):
             if read is not None:
                 newest = read[2], sender
         if newest is not None and math.isfinite(float(held.sum())):
-            self._socket.sendto(answer(self._settings.sentype, held[:6], newest[0], self._settings.decimals), newest[1])
+            self._socket.sendto(
+                answer(self._settings.sentype, held[:6], newest[0], self._settings.decimals),
+                newest[1],
+            )
 
     def stop(self, held: Array) -> None:
         """Send nothing: after its Timeout the controller ends the correction."""

@@ -1,4 +1,6 @@
-"""The controller's side of KUKA's RobotSensorInterface, for an emulated robot. Sources: :mod:`hiltestbed.devices.rsi`."""
+"""The controller's side of KUKA's RobotSensorInterface, for an emulated robot. Sources:
+:mod:`hiltestbed.devices.rsi`.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ MILLISECOND = 1e-3  # [s]
 
 
 class RsiServer(PlatformServer):
-    """An emulated controller: :meth:`publish` begins a cycle, :meth:`poll` receives its answer until the next cycle.
+    """An emulated controller: :meth:`publish` begins a cycle, :meth:`poll` receives its answer
+    until the next cycle.
 
     Attributes:
         late: number of late or missing answers.
@@ -38,7 +41,8 @@ class RsiServer(PlatformServer):
         self._step: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         self._add = poses.add_in_base if settings.reference == "base" else poses.add_in_tool
         self._socket: socket.socket | None = None
-        poses.pose_from_kuka(poses.kuka_from_pose(self._add(self._start, self._step)))  # compile now, not in the first cycle
+        # compile now, not in the first cycle
+        poses.pose_from_kuka(poses.kuka_from_pose(self._add(self._start, self._step)))
 
     def open(self) -> None:
         self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)
@@ -65,7 +69,10 @@ class RsiServer(PlatformServer):
         self._answered = False
         reached = frame_element("RIst", poses.kuka_from_pose(pose), self.settings.decimals)
         wanted = frame_element("RSol", poses.kuka_from_pose(self.command), self.settings.decimals)
-        text = f'<Rob Type="KUKA">{reached}{wanted}<Delay D="{self.late}"/><IPOC>{self._ipoc}</IPOC></Rob>'
+        text = (
+            f'<Rob Type="KUKA">{reached}{wanted}<Delay '
+            f'D="{self.late}"/><IPOC>{self._ipoc}</IPOC></Rob>'
+        )
         try:
             self._socket.sendto(text.encode("ascii"), self._towards)
         except OSError:
@@ -81,7 +88,9 @@ class RsiServer(PlatformServer):
             self.command[:] = self._start
         if self.late > self.settings.late_limit:
             self.stopped = (
-                f"{self.late} answers came late or not at all (Timeout {self.settings.late_limit}); the controller ends the correction"
+                f"{self.late} answers came late or not at all (Timeout "
+                f"{self.settings.late_limit}); the controller ends the "
+                f"correction"
             )
 
     def fileno(self) -> int:

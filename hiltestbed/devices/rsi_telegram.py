@@ -1,4 +1,5 @@
-"""The telegrams of KUKA's RobotSensorInterface: a frame as six attributes, and the controller's clock.
+"""The telegrams of KUKA's RobotSensorInterface: a frame as six attributes, and the controller's
+clock.
 
 Sources: :mod:`hiltestbed.devices.rsi`.
 """
@@ -22,7 +23,10 @@ def number(value: float, decimals: int) -> str:
 
 def frame_element(name: str, frame: Array, decimals: int) -> str:
     """``<name X="" ... C=""/>``."""
-    inside = " ".join(f'{axis}="{number(value, decimals)}"' for axis, value in zip(AXES, frame.tolist(), strict=True))
+    inside = " ".join(
+        f'{axis}="{number(value, decimals)}"'
+        for axis, value in zip(AXES, frame.tolist(), strict=True)
+    )
     return f"<{name} {inside}/>"
 
 
@@ -42,7 +46,12 @@ def read_frame(message: plain_xml.Message, name: str) -> Array | None:
     except (KeyError, ValueError):
         return None
     limits = (FARTHEST,) * 3 + (LARGEST_ANGLE,) * 3
-    return frame if all(abs(value) <= limit for value, limit in zip(frame.tolist(), limits, strict=True)) else None  # NaN fails too
+    # NaN fails too
+    return (
+        frame
+        if all(abs(value) <= limit for value, limit in zip(frame.tolist(), limits, strict=True))
+        else None
+    )
 
 
 def read_count(text: str | None) -> int | None:
@@ -51,7 +60,9 @@ def read_count(text: str | None) -> int | None:
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= LONGEST_IPOC else None
 
 
-def read_telegram(data: bytes, root: str, element: str) -> tuple[plain_xml.Message, Array, int] | None:
+def read_telegram(
+    data: bytes, root: str, element: str
+) -> tuple[plain_xml.Message, Array, int] | None:
     """A telegram with ``root``, the frame in ``element`` and its IPOC; None for anything else."""
     try:
         message = plain_xml.read(data, LARGEST)

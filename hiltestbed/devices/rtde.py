@@ -1,21 +1,25 @@
 """``rtde://``: Universal Robots by Real-Time Data Exchange over TCP.
 
-Universal Robots, "Real-Time Data Exchange (RTDE) Guide" (fields, types, set-up, data packages); the framing is in
-:mod:`hiltestbed.devices.rtde_wire`. The controller sends the requested fields at up to 500 Hz (125 Hz on CB3). A pose is commanded
-through six input registers (double, from ``first_register`` on: x y z rx ry rz, m and rad) and one integer register, number
-``first_register``, which counts the commands and is -1 for stop; a program on the robot follows them, for instance
+Universal Robots, "Real-Time Data Exchange (RTDE) Guide" (fields, types, set-up, data packages); the
+framing is in
+:mod:`hiltestbed.devices.rtde_wire`. The controller sends the requested fields at up to 500 Hz (125
+Hz on CB3). A pose is commanded through six input registers (double, from ``first_register`` on: x y
+z rx ry rz, m and rad) and one integer register, number ``first_register``, which counts the
+commands and is -1 for stop; a program on the robot follows them, for instance
 
     while (read_input_integer_register(24) >= 0):
-      servoj(get_inverse_kin(p[read_input_float_register(24), ..., read_input_float_register(29)]), t=0.002, lookahead_time=0.03)
+      servoj(get_inverse_kin(p[read_input_float_register(24), ..., read_input_float_register(29)]),
+      t=0.002, lookahead_time=0.03)
     end
     stopj(10)
 
-with ``rtde_set_watchdog("input_int_register_24", 10, "STOP")`` before it. Registers 24 to 47 are those for external clients.
-``actual_TCP_force`` is in the axes of the base, at the tool centre point, and compensated for the payload; ``ft_raw_wrench`` is the raw
-sensor.
+with ``rtde_set_watchdog("input_int_register_24", 10, "STOP")`` before it. Registers 24 to 47 are
+those for external clients. ``actual_TCP_force`` is in the axes of the base, at the tool centre
+point, and compensated for the payload; ``ft_raw_wrench`` is the raw sensor.
 
-The library ur_rtde is only a client, with its own threads, control script and timing: it cannot emulate the device, nor be read
-without waiting. The part of the protocol needed here is small and implemented here.
+The library ur_rtde is only a client, with its own threads, control script and timing: it cannot
+emulate the device, nor be read without waiting. The part of the protocol needed here is small and
+implemented here.
 """
 
 from __future__ import annotations
@@ -30,13 +34,24 @@ import numpy as np
 from pydantic import Field
 
 from hiltestbed.devices import poses, rtde_wire, sockets
-from hiltestbed.devices.interface import Array, Clock, DeviceError, Event, Keeper, PlatformClient, Protocol, Sample, SensorClient
+from hiltestbed.devices.interface import (
+    Array,
+    Clock,
+    DeviceError,
+    Event,
+    Keeper,
+    PlatformClient,
+    Protocol,
+    Sample,
+    SensorClient,
+)
 from hiltestbed.devices.rtde_controller import RtdePlatformServer, RtdeSensorServer
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
 from hiltestbed.validation import Positive
 
-SAFETY_GOOD, SAFETY_STOPPED = 0b11, 0x7FC  # safety_status_bits: normal or reduced mode; a stop, violation or fault of any kind
+# safety_status_bits: normal or reduced mode; a stop, violation or fault of any kind
+SAFETY_GOOD, SAFETY_STOPPED = 0b11, 0x7FC
 PROGRAM_RUNNING = 0b10  # of robot_status_bits
 NO_SAFE_MODE, NO_PROGRAM = 1 << 30, 1 << 31  # bits of the status word defined here
 STOPPED = -1  # in the counter of commands
@@ -49,14 +64,24 @@ class RtdeSettings(DeviceSettings):
 
     kind: Literal["rtde"] = "rtde"
     rate: Positive = Field(default=500.0, le=500, description="rate of the data packages [Hz]")
-    wrench: Literal["actual_TCP_force", "ft_raw_wrench"] = Field(default="actual_TCP_force", description="field that a sensor reads")
-    first_register: int = Field(default=24, ge=0, le=42, description="first input register of the commanded pose")
-    need_program: bool = Field(default=True, description="whether a robot without a running program is an error")
-    connect: Positive = Field(default=2.0, description="time to wait for each answer while connecting [s]")
+    wrench: Literal["actual_TCP_force", "ft_raw_wrench"] = Field(
+        default="actual_TCP_force", description="field that a sensor reads"
+    )
+    first_register: int = Field(
+        default=24, ge=0, le=42, description="first input register of the commanded pose"
+    )
+    need_program: bool = Field(
+        default=True, description="whether a robot without a running program is an error"
+    )
+    connect: Positive = Field(
+        default=2.0, description="time to wait for each answer while connecting [s]"
+    )
 
 
 def status_of(safety: int, robot: int | None) -> int:
-    """The status word: 0 for a robot in normal or reduced mode, with a running program if ``robot`` status bits are given."""
+    """The status word: 0 for a robot in normal or reduced mode, with a running program if ``robot``
+    status bits are given.
+    """
     status = safety & SAFETY_STOPPED
     if not safety & SAFETY_GOOD:
         status |= NO_SAFE_MODE
@@ -68,8 +93,17 @@ def status_of(safety: int, robot: int | None) -> int:
 class _Session:
     """The set-up of a connection and its data packages, for either client."""
 
-    def __init__(self, settings: RtdeSettings, counts, outputs: list[str], inputs: list[str], take: Callable[[tuple], bool]) -> None:
-        """``take`` is called with the values of each good new data package, without the recipe's number."""
+    def __init__(
+        self,
+        settings: RtdeSettings,
+        counts,
+        outputs: list[str],
+        inputs: list[str],
+        take: Callable[[tuple], bool],
+    ) -> None:
+        """``take`` is called with the values of each good new data package, without the recipe's
+        number.
+        """
         self.settings, self.counts, self.take = settings, counts, take
         self.outputs, self.inputs = outputs, inputs
         self.stream: rtde_wire.Stream | None = None
@@ -83,14 +117,24 @@ class _Session:
     def open(self) -> None:
         settings = self.settings
         address = sockets.resolve(settings.host, settings.port, settings.where)
-        self.stream = rtde_wire.Stream(sockets.connected_tcp(address, settings.where, settings.connect))
+        self.stream = rtde_wire.Stream(
+            sockets.connected_tcp(address, settings.where, settings.connect)
+        )
         self._first_time = math.nan
         self._sequence.restart()
-        self._accepted(rtde_wire.REQUEST_PROTOCOL_VERSION, struct.pack(">H", rtde_wire.PROTOCOL_VERSION), "protocol version 2")
+        self._accepted(
+            rtde_wire.REQUEST_PROTOCOL_VERSION,
+            struct.pack(">H", rtde_wire.PROTOCOL_VERSION),
+            "protocol version 2",
+        )
         names = ",".join(self.outputs).encode()
-        self._output_id, self._layout = self._recipe(rtde_wire.SETUP_OUTPUTS, struct.pack(">d", settings.rate) + names, self.outputs)
+        self._output_id, self._layout = self._recipe(
+            rtde_wire.SETUP_OUTPUTS, struct.pack(">d", settings.rate) + names, self.outputs
+        )
         if self.inputs:
-            self._input_id, self._input_layout = self._recipe(rtde_wire.SETUP_INPUTS, ",".join(self.inputs).encode(), self.inputs)
+            self._input_id, self._input_layout = self._recipe(
+                rtde_wire.SETUP_INPUTS, ",".join(self.inputs).encode(), self.inputs
+            )
         self._accepted(rtde_wire.START, b"", "the start of the exchange")
 
     def close(self) -> None:
@@ -120,7 +164,9 @@ class _Session:
         if self.stream is None:
             return
         try:
-            self.stream.send(rtde_wire.DATA_PACKAGE, self._input_layout.pack(self._input_id, *values))
+            self.stream.send(
+                rtde_wire.DATA_PACKAGE, self._input_layout.pack(self._input_id, *values)
+            )
         except OSError:
             self._lose()
 
@@ -148,7 +194,9 @@ class _Session:
         return self._sequence.judge(elapsed) and self.take(values)
 
     def note(self, sample: Sample, device_time: float, status: int) -> bool:
-        """Copy a package's time and status into ``sample``; if the status is an error, count it and return False."""
+        """Copy a package's time and status into ``sample``; if the status is an error, count it and
+        return False.
+        """
         sample.status = status
         if status:
             self.counts[Event.STATUS] += 1
@@ -175,23 +223,42 @@ class _Session:
                         self.said = rtde_wire.text_of(answer)
         except (OSError, rtde_wire.Broken) as error:
             self.close()
-            raise DeviceError(f"{where}: the connection broke at {what} ({error or 'not RTDE'}); check the address and port") from None
+            raise DeviceError(
+                f"{where}: the connection broke at {what} ({error or 'not RTDE'}); check the "
+                f"address and port"
+            ) from None
         self.close()
-        raise DeviceError(f"{where}: no answer to {what} in {self.settings.connect:g} s; check that this is an RTDE interface")
+        raise DeviceError(
+            f"{where}: no answer to {what} in {self.settings.connect:g} s; check that this is an "
+            f"RTDE interface"
+        )
 
     def _accepted(self, kind: int, payload: bytes, what: str) -> None:
         if self._ask(kind, payload, what)[:1] != b"\x01":
             self.close()
-            raise DeviceError(f"{self.settings.where}: the controller refuses {what} {self.said}".rstrip() + "; check its software version")
+            raise DeviceError(
+                f"{self.settings.where}: the controller refuses {what} {self.said}".rstrip()
+                + "; check its software version"
+            )
 
     def _recipe(self, kind: int, payload: bytes, names: list[str]) -> tuple[int, struct.Struct]:
         answer = self._ask(kind, payload, "the set-up of its fields")
         types = answer[1:].decode("ascii", "replace").split(",")
-        wrong = [f"{name}: {kind}" for name, kind in zip(names, types, strict=False) if kind not in rtde_wire.TYPES]
+        wrong = [
+            f"{name}: {kind}"
+            for name, kind in zip(names, types, strict=False)
+            if kind not in rtde_wire.TYPES
+        ]
         if wrong or len(types) != len(names):
             self.close()
-            hint = f"{rtde_wire.NOT_FOUND}: an older controller; {rtde_wire.IN_USE}: another client has it, give another register"
-            raise DeviceError(f"{self.settings.where}: the controller does not give {', '.join(wrong) or names} ({hint})")
+            hint = (
+                f"{rtde_wire.NOT_FOUND}: an older controller; {rtde_wire.IN_USE}: "
+                f"another client has it, give another register"
+            )
+            raise DeviceError(
+                f"{self.settings.where}: the controller does not give {', '.join(wrong) or names} "
+                f"({hint})"
+            )
         return answer[0], rtde_wire.recipe(types)
 
 
@@ -201,7 +268,13 @@ class RtdeSensorClient(SensorClient):
     def __init__(self, settings: RtdeSettings) -> None:
         super().__init__(settings.where)
         self.period = 1.0 / settings.rate
-        self._session = _Session(settings, self.counts, ["timestamp", settings.wrench, "safety_status_bits"], [], self._take)
+        self._session = _Session(
+            settings,
+            self.counts,
+            ["timestamp", settings.wrench, "safety_status_bits"],
+            [],
+            self._take,
+        )
 
     def open(self) -> None:
         self._session.open()
@@ -224,7 +297,9 @@ class RtdeSensorClient(SensorClient):
 
 def register_names(first: int) -> list[str]:
     """The input registers of a commanded pose: six doubles and the counter."""
-    return [f"input_double_register_{first + i}" for i in range(6)] + [f"input_int_register_{first}"]
+    return [f"input_double_register_{first + i}" for i in range(6)] + [
+        f"input_int_register_{first}"
+    ]
 
 
 class RtdePlatformClient(PlatformClient):
@@ -236,17 +311,23 @@ class RtdePlatformClient(PlatformClient):
         self.clock = Clock.DEVICE
         self.period = 1.0 / settings.rate
         outputs = ["timestamp", "actual_TCP_pose", "safety_status_bits", "robot_status_bits"]
-        self._session = _Session(settings, self.counts, outputs, register_names(settings.first_register), self._take)
+        self._session = _Session(
+            settings, self.counts, outputs, register_names(settings.first_register), self._take
+        )
         self._registers: list[float | int] = [0.0] * 6 + [0]
         self._sent = 0
-        poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.state.pose))  # compile now, not in the first cycle
+        # compile now, not in the first cycle
+        poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.state.pose))
 
     def open(self) -> None:
         self._session.open()
         if not self.wait(self.settings.connect):
             seen = f"; its status is {self.state.status:#x}" if self.state.status else ""
             self.close()
-            raise DeviceError(f"{self.where}: no pose in {self.settings.connect:g} s{seen}; check the robot's mode, and start its program")
+            raise DeviceError(
+                f"{self.where}: no pose in {self.settings.connect:g} s{seen}; check the robot's "
+                f"mode, and start its program"
+            )
         self._sent = 0
         self._registers[:6] = poses.rotation_vector_from_pose(self.state.pose).tolist()
         self.hold()
@@ -284,7 +365,8 @@ class RtdePlatformClient(PlatformClient):
 
 
 class RtdeKeeper(Keeper):
-    """Pauses the exchange on the loop's connection: the controller's own watchdog of its registers then stops the robot.
+    """Pauses the exchange on the loop's connection: the controller's own watchdog of its registers
+    then stops the robot.
 
     To hold, nothing is needed: the registers keep their last values.
     """

@@ -1,6 +1,7 @@
 """The controller's side of Real-Time Data Exchange, for an emulated robot.
 
-It answers the set-up requests of :mod:`hiltestbed.devices.rtde` and other clients, and has the fields that a contact experiment needs:
+It answers the set-up requests of :mod:`hiltestbed.devices.rtde` and other clients, and has the
+fields that a contact experiment needs:
 others are NOT_FOUND. Framing and sources: :mod:`hiltestbed.devices.rtde_wire`.
 """
 
@@ -32,10 +33,14 @@ OUTPUTS = {
     "robot_status_bits": "UINT32",
     "runtime_state": "UINT32",
 }
-INPUTS = {f"input_double_register_{i}": "DOUBLE" for i in range(48)} | {f"input_int_register_{i}": "INT32" for i in range(48)}
-VERSION = struct.pack(">IIII", 5, 15, 0, 0)  # major, minor, bugfix, build reported by the emulated controller
+INPUTS = {f"input_double_register_{i}": "DOUBLE" for i in range(48)} | {
+    f"input_int_register_{i}": "INT32" for i in range(48)
+}
+# major, minor, bugfix, build reported by the emulated controller
+VERSION = struct.pack(">IIII", 5, 15, 0, 0)
 MOST_CLIENTS = 8
-RUNNING = {"safety_status_bits": 0b1, "robot_status_bits": 0b11, "runtime_state": 2}  # normal mode, power on and program running, playing
+# normal mode, power on and program running, playing
+RUNNING = {"safety_status_bits": 0b1, "robot_status_bits": 0b11, "runtime_state": 2}
 
 
 @dataclass
@@ -59,7 +64,9 @@ class Controller:
 
     def __init__(self, settings: RtdeSettings, counts) -> None:
         self.settings, self.counts = settings, counts
-        self.fields: dict[str, list[float]] = {name: [0.0] * 6 for name, kind in OUTPUTS.items() if kind == "VECTOR6D"}
+        self.fields: dict[str, list[float]] = {
+            name: [0.0] * 6 for name, kind in OUTPUTS.items() if kind == "VECTOR6D"
+        }
         self.fields |= {name: [value] for name, value in RUNNING.items()}
         self.registers: dict[str, float | int] = {}
         self.address: sockets.Address = (settings.host, settings.port)
@@ -90,20 +97,28 @@ class Controller:
                 for kind, payload in client.stream.receive():
                     new = self._serve(client, kind, payload) or new
             except (OSError, rtde_wire.Broken) as error:
-                self.counts[Event.MALFORMED if isinstance(error, rtde_wire.Broken) else Event.GONE] += 1
+                self.counts[
+                    Event.MALFORMED if isinstance(error, rtde_wire.Broken) else Event.GONE
+                ] += 1
                 self._drop(client)
         return new
 
     def arrived(self, timeout: float) -> bool:
         """Wait until a client sends something, for at most ``timeout`` [s]."""
         heard = [client.stream.connection for client in self._clients]
-        return self._socket is not None and bool(select.select([self._socket, *heard], [], [], timeout)[0])
+        return self._socket is not None and bool(
+            select.select([self._socket, *heard], [], [], timeout)[0]
+        )
 
     def publish(self, device_time: float) -> None:
         """Send the fields to each client that has started, at the rate that it requested."""
         self.fields["timestamp"] = [device_time]
         for client in self._clients[:]:
-            if not client.started or client.layout is None or device_time < client.due - 0.25 / client.frequency:
+            if (
+                not client.started
+                or client.layout is None
+                or device_time < client.due - 0.25 / client.frequency
+            ):
                 continue
             client.due = max(client.due, device_time) + 1.0 / client.frequency
             values = [value for name in client.outputs for value in self.fields[name]]
@@ -127,7 +142,9 @@ class Controller:
     def _drop(self, client: _Client) -> None:
         client.stream.connection.close()
         self._clients.remove(client)
-        self._claimed = {name: owner for name, owner in self._claimed.items() if owner is not client}
+        self._claimed = {
+            name: owner for name, owner in self._claimed.items() if owner is not client
+        }
 
     def _serve(self, client: _Client, kind: int, payload: bytes) -> bool:
         if kind == rtde_wire.DATA_PACKAGE:
@@ -160,12 +177,19 @@ class Controller:
         types = [OUTPUTS.get(name, rtde_wire.NOT_FOUND) for name in names]
         found = rtde_wire.NOT_FOUND not in types and 0.0 < frequency <= 500.0
         if found:
-            client.outputs, client.layout, client.frequency = names, rtde_wire.recipe(types), frequency
+            client.outputs, client.layout, client.frequency = (
+                names,
+                rtde_wire.recipe(types),
+                frequency,
+            )
         return bytes([found]) + ",".join(types).encode()
 
     def _set_inputs(self, client: _Client, payload: bytes) -> bytes:
         names = _names(payload)
-        types = [rtde_wire.IN_USE if name in self._claimed else INPUTS.get(name, rtde_wire.NOT_FOUND) for name in names]
+        types = [
+            rtde_wire.IN_USE if name in self._claimed else INPUTS.get(name, rtde_wire.NOT_FOUND)
+            for name in names
+        ]
         if any(kind not in rtde_wire.TYPES for kind in types):
             return bytes([0]) + ",".join(types).encode()
         number = len(client.inputs) + 1
@@ -230,7 +254,8 @@ class RtdePlatformServer(PlatformServer):
         self._names = [f"input_double_register_{settings.first_register + i}" for i in range(6)]
         self._counter = f"input_int_register_{settings.first_register}"
         self._started = False
-        poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.command))  # compile now, not in the first cycle
+        # compile now, not in the first cycle
+        poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.command))
 
     def open(self) -> None:
         self.controller.open()
@@ -240,13 +265,17 @@ class RtdePlatformServer(PlatformServer):
 
     def poll(self) -> bool:
         registers = self.controller.registers
-        if not self.controller.poll() or any(name not in registers for name in (*self._names, self._counter)):
+        if not self.controller.poll() or any(
+            name not in registers for name in (*self._names, self._counter)
+        ):
             return False
         if registers[self._counter] < 0:
             self.stopped = "the client asked for a stop"
             return False
         if self.stopped is None:
-            self.command[:] = poses.pose_from_rotation_vector(np.array([registers[name] for name in self._names]))
+            self.command[:] = poses.pose_from_rotation_vector(
+                np.array([registers[name] for name in self._names])
+            )
             self.commanded = True
         return self.stopped is None
 

@@ -1,8 +1,11 @@
-"""The packages of Universal Robots' Real-Time Data Exchange, protocol version 2, and a connection that carries them.
+"""The packages of Universal Robots' Real-Time Data Exchange, protocol version 2, and a connection
+that carries them.
 
-Universal Robots, "Real-Time Data Exchange (RTDE) Guide", sections "Protocol" and "Data types": a package is its size (two bytes, this
-header included), its type (one byte, an ASCII letter) and a payload, big-endian. Each request is answered by a package of the same
-type. A data package begins with the number of its recipe; output recipes have a number and a selectable rate only in protocol version 2.
+Universal Robots, "Real-Time Data Exchange (RTDE) Guide", sections "Protocol" and "Data types": a
+package is its size (two bytes, this header included), its type (one byte, an ASCII letter) and a
+payload, big-endian. Each request is answered by a package of the same type. A data package begins
+with the number of its recipe; output recipes have a number and a selectable rate only in protocol
+version 2.
 """
 
 from __future__ import annotations
@@ -13,7 +16,12 @@ from collections.abc import Iterator
 
 HEADER = struct.Struct(">HB")
 PROTOCOL_VERSION = 2
-REQUEST_PROTOCOL_VERSION, GET_CONTROLLER_VERSION, TEXT_MESSAGE, DATA_PACKAGE = ord("V"), ord("v"), ord("M"), ord("U")
+REQUEST_PROTOCOL_VERSION, GET_CONTROLLER_VERSION, TEXT_MESSAGE, DATA_PACKAGE = (
+    ord("V"),
+    ord("v"),
+    ord("M"),
+    ord("U"),
+)
 SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE = ord("O"), ord("I"), ord("S"), ord("P")
 NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"
 TYPES = {
@@ -33,7 +41,9 @@ AT_ONCE = 65536  # [byte] read from a connection at a time
 
 
 class Broken(Exception):
-    """The received data is not a package: the start of the next one is unknown, and the connection is unusable."""
+    """The received data is not a package: the start of the next one is unknown, and the connection
+    is unusable.
+    """
 
 
 def package(kind: int, payload: bytes = b"") -> bytes:
@@ -41,7 +51,9 @@ def package(kind: int, payload: bytes = b"") -> bytes:
 
 
 def recipe(types: list[str]) -> struct.Struct:
-    """The layout of a data package of fields of these types, its recipe's number first. Raises KeyError for an unknown type."""
+    """The layout of a data package of fields of these types, its recipe's number first. Raises
+    KeyError for an unknown type.
+    """
     return struct.Struct(">B" + "".join(TYPES[name] for name in types))
 
 
@@ -58,7 +70,9 @@ class Stream:
         self.connection.sendall(package(kind, payload))
 
     def receive(self) -> Iterator[tuple[int, bytes]]:
-        """The packages that have arrived completely. Raises Broken, and ConnectionError if the other side has closed."""
+        """The packages that have arrived completely. Raises Broken, and ConnectionError if the
+        other side has closed.
+        """
         try:
             data = self.connection.recv(AT_ONCE)
         except BlockingIOError:
@@ -78,6 +92,8 @@ class Stream:
 
 
 def text_of(payload: bytes) -> str:
-    """The text of a text message of protocol version 2: length and message, length and source, level."""
+    """The text of a text message of protocol version 2: length and message, length and source,
+    level.
+    """
     length = payload[0] if payload else 0
     return payload[1 : 1 + length].decode("ascii", "replace")

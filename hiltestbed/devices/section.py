@@ -1,4 +1,6 @@
-"""The section ``devices`` of a scenario: mounting of a real sensor and a real platform, and their limits."""
+"""The section ``devices`` of a scenario: mounting of a real sensor and a real platform, and their
+limits.
+"""
 
 from __future__ import annotations
 
@@ -16,20 +18,31 @@ class Placed(Strictly):
     """A pose; the key states of which frame, in which frame."""
 
     position: Vector3 = Field(default=_NONE, description="Origin [m]")
-    attitude_deg: Vector3 = Field(default=_NONE, description="Attitude [deg]: rotations about the fixed x, then y, then z axis")
+    attitude_deg: Vector3 = Field(
+        default=_NONE,
+        description="Attitude [deg]: rotations about the fixed x, then y, then z axis",
+    )
 
 
 class SensorDevice(Strictly):
     """Mounting and taring of the force sensor."""
 
-    position: Vector3 = Field(default=_NONE, description="Position of the sensor's own frame in P [m]")
+    position: Vector3 = Field(
+        default=_NONE, description="Position of the sensor's own frame in P [m]"
+    )
     attitude_deg: Vector3 = Field(
-        default=_NONE, description="Attitude of the sensor's own frame in P [deg]: rotations about the fixed x, then y, then z axis"
+        default=_NONE,
+        description="Attitude of the sensor's own frame in P [deg]: rotations about the fixed x, "
+        "then y, then z axis",
     )
     sign: Literal[1, -1] = Field(
-        default=1, description="Sign of the reading. 1: wrench of the active side on the passive side; -1: the reaction"
+        default=1,
+        description="Sign of the reading. 1: wrench of the active side on the passive side; -1: "
+        "the reaction",
     )
-    tare: NotNegative = Field(default=0.25, description="Averaging time of the tare before the start [s]")
+    tare: NotNegative = Field(
+        default=0.25, description="Averaging time of the tare before the start [s]"
+    )
 
 
 class PlatformDevice(Strictly):
@@ -37,21 +50,38 @@ class PlatformDevice(Strictly):
 
     base: Placed = Field(default=Placed(), description="Pose of the platform's base frame in P")
     tool: Placed = Field(default=Placed(), description="Pose of A in the platform's tool frame")
-    travel_speed: Positive = Field(default=0.05, description="Highest speed on the way to the start [m/s]")
-    travel_rate_deg: Positive = Field(default=5.0, description="Highest angular velocity on the way to the start [deg/s]")
+    travel_speed: Positive = Field(
+        default=0.05, description="Highest speed on the way to the start [m/s]"
+    )
+    travel_rate_deg: Positive = Field(
+        default=5.0, description="Highest angular velocity on the way to the start [deg/s]"
+    )
     run_up: Annotated[float, Field(gt=0, le=10)] = Field(
-        default=0.5, description="Time to accelerate to the approach velocity before the start, and to decelerate after the end [s]"
+        default=0.5,
+        description="Time to accelerate to the approach velocity before the start, and to "
+        "decelerate after the end [s]",
     )
 
 
 class MotionLimits(Strictly):
     """Limits on every commanded pose; null: no limit."""
 
-    position: Positive | None = Field(default=0.5, description="Largest distance from the nominal touch, per axis [m]; null: no limit")
-    angle_deg: Positive | None = Field(default=30.0, description="Largest rotation of A in P [deg]; null: no limit")
-    speed: Positive | None = Field(default=0.5, description="Highest speed of A's origin [m/s]; null: no limit")
-    rate_deg: Positive | None = Field(default=45.0, description="Highest angular velocity of A [deg/s]; null: no limit")
-    acceleration: Positive | None = Field(default=20.0, description="Highest acceleration of A's origin [m/s^2]; null: no limit")
+    position: Positive | None = Field(
+        default=0.5,
+        description="Largest distance from the nominal touch, per axis [m]; null: no limit",
+    )
+    angle_deg: Positive | None = Field(
+        default=30.0, description="Largest rotation of A in P [deg]; null: no limit"
+    )
+    speed: Positive | None = Field(
+        default=0.5, description="Highest speed of A's origin [m/s]; null: no limit"
+    )
+    rate_deg: Positive | None = Field(
+        default=45.0, description="Highest angular velocity of A [deg/s]; null: no limit"
+    )
+    acceleration: Positive | None = Field(
+        default=20.0, description="Highest acceleration of A's origin [m/s^2]; null: no limit"
+    )
 
 
 class StopBehaviour(Strictly):
@@ -59,7 +89,8 @@ class StopBehaviour(Strictly):
 
     kind: Literal["hold", "retract", "stop"] = Field(
         default="hold",
-        description="Kind of stop. hold: keeps the last commanded pose; retract: moves back along -z of P; stop: the device's own stop",
+        description="Kind of stop. hold: keeps the last commanded pose; retract: moves back along "
+        "-z of P; stop: the device's own stop",
     )
     distance: Positive = Field(default=0.02, description="Distance of the retraction [m]")
     speed: Positive = Field(default=0.05, description="Highest speed of the retraction [m/s]")
@@ -68,8 +99,12 @@ class StopBehaviour(Strictly):
 class DeviceWatchdog(Strictly):
     """The watchdog process, which holds or stops the platform when the loop no longer responds."""
 
-    timeout: Annotated[float, Field(ge=0.005, le=10.0)] = Field(default=0.1, description="Time without a heartbeat after which it acts [s]")
-    action: Literal["hold", "stop"] = Field(default="hold", description="Command that it sends to the platform")
+    timeout: Annotated[float, Field(ge=0.005, le=10.0)] = Field(
+        default=0.1, description="Time without a heartbeat after which it acts [s]"
+    )
+    action: Literal["hold", "stop"] = Field(
+        default="hold", description="Command that it sends to the platform"
+    )
 
 
 class Devices(Strictly):
@@ -77,9 +112,16 @@ class Devices(Strictly):
 
     sensor: SensorDevice = Field(default=SensorDevice(), description="The force sensor")
     platform: PlatformDevice = Field(default=PlatformDevice(), description="The motion platform")
-    limits: MotionLimits = Field(default=MotionLimits(), description="Limits on every commanded pose")
-    communication: CommunicationLimits = Field(default=CommunicationLimits(), description="Limits on lost, late and faulty records")
-    on_stop: StopBehaviour = Field(default=StopBehaviour(), description="Behaviour of the platform when a run is stopped")
+    limits: MotionLimits = Field(
+        default=MotionLimits(), description="Limits on every commanded pose"
+    )
+    communication: CommunicationLimits = Field(
+        default=CommunicationLimits(), description="Limits on lost, late and faulty records"
+    )
+    on_stop: StopBehaviour = Field(
+        default=StopBehaviour(), description="Behaviour of the platform when a run is stopped"
+    )
     watchdog: DeviceWatchdog | None = Field(
-        default=DeviceWatchdog(), description="Watchdog process, which acts when the loop no longer responds; null: none"
+        default=DeviceWatchdog(),
+        description="Watchdog process, which acts when the loop no longer responds; null: none",
     )

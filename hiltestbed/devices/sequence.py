@@ -14,9 +14,14 @@ class Sequence:
         newest: the number of the newest record, unwrapped; -1 before the first.
     """
 
-    def __init__(self, counts: NDArray, bits: int = 32, step: int = 1, longest_gap: int = 10_000) -> None:
-        """``longest_gap``: number of records that may be missing at once. A larger step is implausible (malformed), unless the next record
-        continues from it: then the reader has paused, or the device has restarted its counter (RFC 3550, appendix A.1)."""
+    def __init__(
+        self, counts: NDArray, bits: int = 32, step: int = 1, longest_gap: int = 10_000
+    ) -> None:
+        """``longest_gap``: number of records that may be missing at once. A larger step is
+        implausible (malformed), unless the next record
+        continues from it: then the reader has paused, or the device has restarted its counter (RFC
+            3550, appendix A.1).
+        """
         self._counts = counts
         self._modulus = 1 << bits
         self._step = step
@@ -50,7 +55,8 @@ class Sequence:
             self._counts[Event.REORDERED] += 1
         elif number == self._resumed:
             if ahead < behind:
-                self._counts[Event.LOST] += ahead // self._step - 2  # the previous record did arrive, but was rejected
+                # the previous record did arrive, but was rejected
+                self._counts[Event.LOST] += ahead // self._step - 2
             self.newest += ahead if ahead < behind else self._step
             self._wrapped = number
             return True

@@ -1,8 +1,10 @@
-"""One run of the loop with two devices: connect, tare, wait, travel to the start, run, stop; the result is a run like any other.
+"""One run of the loop with two devices: connect, tare, wait, travel to the start, run, stop; the
+result is a run like any other.
 
-Nothing moves before it is armed. Any fault from then on ends the run with its reason, and the platform is held, retracted or stopped
-as the scenario specifies. The trace is kept in memory that is allocated before the first cycle, and written after the last; a separate
-process writes its rows as they are produced, in case the loop's process dies.
+Nothing moves before it is armed. Any fault from then on ends the run with its reason, and the
+platform is held, retracted or stopped as the scenario specifies. The trace is kept in memory that
+is allocated before the first cycle, and written after the last; a separate process writes its rows
+as they are produced, in case the loop's process dies.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ class Options:
     Attributes:
         sensor, platform: URLs. armed: whether anything may move. cpu: processor to run on.
         say: called with a message when the platform is about to move.
-        record: file to which the rows are written as they are produced, in case the process dies; None: they stay in memory until the end.
+        record: file to which the rows are written as they are produced, in case the process dies;
+            None: they stay in memory until the end.
         pace: creates the :class:`Pace` from sensor, platform and tick; for tests without a clock.
     """
 
@@ -58,22 +61,28 @@ class Options:
     record: Path | None = None
     pace: MakePace = pace_of
     say: Callable[[str], None] = lambda step: None
-    connect: Callable[[Scenario, Options], tuple[SensorClient, PlatformClient]] = field(default=lambda *a: clients(*a))
+    connect: Callable[[Scenario, Options], tuple[SensorClient, PlatformClient]] = field(
+        default=lambda *a: clients(*a)
+    )
 
 
 def clients(scenario: Scenario, options: Options) -> tuple[SensorClient, PlatformClient]:
     """The loop's sides of both devices, not yet open. Raises InputError."""
     told = settings_of(options.sensor, "--sensor").device_tells_rate
-    sensor = sensor_client(options.sensor if told else with_rate(options.sensor, scenario, "--sensor"))
+    sensor = sensor_client(
+        options.sensor if told else with_rate(options.sensor, scenario, "--sensor")
+    )
     return sensor, platform_client(with_rate(options.platform, scenario, "--platform"))
 
 
 @dataclass
 class Observed:
-    """Observation of the devices while nothing moves: reading and pose in P, standard deviation of the reading, rate, and events so far.
+    """Observation of the devices while nothing moves: reading and pose in P, standard deviation of
+    the reading, rate, and events so far.
 
     Attributes:
-        shown, shown_noise: (6,) mean and standard deviation of the reading in the sensor's own frame.
+        shown, shown_noise: (6,) mean and standard deviation of the reading in the sensor's own
+            frame.
     """
 
     pose: Array
@@ -87,7 +96,9 @@ class Observed:
 
 @dataclass
 class Row:
-    """A tick of a known motion: pose (7,) commanded for its end, pose (7,) of A in P reached, reading (6,) in the sensor's own frame."""
+    """A tick of a known motion: pose (7,) commanded for its end, pose (7,) of A in P reached,
+    reading (6,) in the sensor's own frame.
+    """
 
     command: Array
     pose: Array
@@ -95,7 +106,9 @@ class Row:
 
 
 class Session:
-    """One run with two devices: everything is prepared before they are opened, since some require answers from then on."""
+    """One run with two devices: everything is prepared before they are opened, since some require
+    answers from then on.
+    """
 
     def __init__(self, scenario: Scenario, options: Options) -> None:
         self.scenario, self.options, self.armed = scenario, options, options.armed
@@ -125,14 +138,19 @@ class Session:
             devices.pace = self.options.pace(devices.sensor, devices.platform, self.scenario.tick)
             if self.armed and watchdog is not None:
                 devices.watchdog = Watchdog(
-                    with_rate(self.options.platform, self.scenario, "--platform"), devices.platform, watchdog.timeout, watchdog.action,
+                    with_rate(self.options.platform, self.scenario, "--platform"),
+                    devices.platform,
+                    watchdog.timeout,
+                    watchdog.action,
                     wait=False,
-                )  # fmt: skip
+                )
                 stack.callback(devices.watchdog.close)
             yield
 
     def observe(self) -> Observed:
-        """Observe the devices while the platform is held, tare the sensor, and wait for the watchdog's process."""
+        """Observe the devices while the platform is held, tare the sensor, and wait for the
+        watchdog's process.
+        """
         rig, tare = self.rig, self.scenario.devices.sensor.tare
         ticks = round(max(OBSERVED if not self.armed else 0.0, tare) * self.scenario.rate)
         readings, shown = np.zeros((2, max(ticks, 2), 6))
@@ -147,12 +165,25 @@ class Session:
             rig.tare[:] = wrench
         until = time.monotonic() + READY
         watchdog = self.devices.watchdog
-        while watchdog is not None and not watchdog.ready and time.monotonic() < until and rig.stop is None:
+        while (
+            watchdog is not None
+            and not watchdog.ready
+            and time.monotonic() < until
+            and rig.stop is None
+        ):
             self._hold()
         if watchdog is not None and not watchdog.ready and rig.stop is None:
             rig.stop = f"the watchdog did not start within {READY:g} s"
         spread = readings.std(axis=0)
-        return Observed(rig.pose_act[0].copy(), wrench, spread, shown.mean(axis=0), shown.std(axis=0), rate, self._counts())
+        return Observed(
+            rig.pose_act[0].copy(),
+            wrench,
+            spread,
+            shown.mean(axis=0),
+            shown.std(axis=0),
+            rate,
+            self._counts(),
+        )
 
     def run(self) -> None:
         """Arm, travel, run, stop."""
@@ -161,7 +192,9 @@ class Session:
             self.loop.trouble[0] = (0, "stopped", f"before the start: {self.rig.stop}")
 
     def guarded(self, work: Callable[[], None]) -> None:
-        """Arm, do ``work``, and bring the platform to rest whatever happens; ``rig.stop`` holds the reason of a stop."""
+        """Arm, do ``work``, and bring the platform to rest whatever happens; ``rig.stop`` holds the
+        reason of a stop.
+        """
         rig = self.rig
         try:
             self.options.say("armed: the platform moves from now on")
@@ -169,7 +202,8 @@ class Session:
             work()
         except KeyboardInterrupt:
             rig.stop = "interrupted"
-        except (HiltestbedError, OSError) as error:  # a device that refuses is a reason to stop, not to lose the run
+        # a device that refuses is a reason to stop, not to lose the run
+        except (HiltestbedError, OSError) as error:
             rig.stop = str(error)
         finally:
             reason = rig.stop
@@ -192,18 +226,35 @@ class Session:
             self.wall = time.perf_counter() - began
 
     def _approach(self) -> bool:
-        """Travel to the start of the run-up, and accelerate to the approach velocity; False if stopped."""
+        """Travel to the start of the run-up, and accelerate to the approach velocity; False if
+        stopped.
+        """
         tick, settings = self.rig.tick, self.scenario.devices.platform
         rest = next(run_up(self._pose, self._twist, tick, settings.run_up))
-        way = travel(self.rig.last.copy(), rest, tick, settings.travel_speed, np.radians(settings.travel_rate_deg))
-        return self.follow(way) and self.follow(run_up(self._pose, self._twist, tick, settings.run_up))
+        way = travel(
+            self.rig.last.copy(),
+            rest,
+            tick,
+            settings.travel_speed,
+            np.radians(settings.travel_rate_deg),
+        )
+        return self.follow(way) and self.follow(
+            run_up(self._pose, self._twist, tick, settings.run_up)
+        )
 
     def _end(self) -> None:
-        """Bring the platform to rest: smoothly after a complete run, otherwise as the scenario specifies."""
+        """Bring the platform to rest: smoothly after a complete run, otherwise as the scenario
+        specifies.
+        """
         rig, platform = self.rig, self.devices.platform
         try:
             if rig.stop is None and not self.loop.trouble:
-                down = run_down(rig.last.copy(), self._leaving(), rig.tick, self.scenario.devices.platform.run_up)
+                down = run_down(
+                    rig.last.copy(),
+                    self._leaving(),
+                    rig.tick,
+                    self.scenario.devices.platform.run_up,
+                )
                 if self.follow(down):
                     self._hold()
                 else:
@@ -217,7 +268,9 @@ class Session:
                 self.devices.watchdog.disarm()
 
     def _leaving(self) -> Array:
-        """The twist (6,) from which the platform is brought to rest: zero if no run has moved it."""
+        """The twist (6,) from which the platform is brought to rest: zero if no run has moved
+        it.
+        """
         return self.loop.drive.twist[0].copy() if self.loop.k > 0 else np.zeros(6)
 
     def _stop(self) -> None:
@@ -231,12 +284,17 @@ class Session:
             goal[2] -= settings.distance
             rig.stop = None
             rig.guard.start(rig.last)
-            self.follow(travel(rig.last.copy(), goal, rig.tick, settings.speed, np.radians(5.0)), tolerant=True)
+            self.follow(
+                travel(rig.last.copy(), goal, rig.tick, settings.speed, np.radians(5.0)),
+                tolerant=True,
+            )
         rig.armed = False
         for _ in range(2):
             self._hold()
 
-    def follow(self, poses: Iterable[Array], tolerant: bool = False, rows: list[Row] | None = None) -> bool:
+    def follow(
+        self, poses: Iterable[Array], tolerant: bool = False, rows: list[Row] | None = None
+    ) -> bool:
         """Command ``poses`` (7,), one per tick; False if stopped.
 
         Args:
@@ -249,7 +307,9 @@ class Session:
             if tolerant:
                 rig.stop = None
             if rows is not None:
-                rows.append(Row(pose, rig.pose_act[0].copy(), self.devices.sensor.reading.wrench.copy()))
+                rows.append(
+                    Row(pose, rig.pose_act[0].copy(), self.devices.sensor.reading.wrench.copy())
+                )
             rig.begin(self._to_send, self._zero, self._zero)
             if rig.stop is not None:
                 return False
@@ -289,8 +349,16 @@ class Session:
             "clock": self.devices.pace.source,
             "cycles": rows,
             "missed": int(self.rig.missed),
-            "jitter": {"median": float(np.median(late)), "p99": float(np.percentile(late, 99)), "worst": float(late.max())},
-            "busy": {"median": float(np.median(busy)), "p99": float(np.percentile(busy, 99)), "worst": float(busy.max())},
+            "jitter": {
+                "median": float(np.median(late)),
+                "p99": float(np.percentile(late, 99)),
+                "worst": float(late.max()),
+            },
+            "busy": {
+                "median": float(np.median(busy)),
+                "p99": float(np.percentile(busy, 99)),
+                "worst": float(busy.max()),
+            },
             "tare": [float(v) for v in self.rig.tare],
             "noise": [float(v) for v in observed.noise],
             "events": self._counts(),

@@ -1,7 +1,7 @@
 """``shm://name``: shared memory between two processes of one machine, without the network stack.
 
-A device writes a mailbox (:mod:`hiltestbed.devices.mailbox`) with its wrench or pose; a platform reads a second one with the command. The
-device creates and removes them.
+A device writes a mailbox (:mod:`hiltestbed.devices.mailbox`) with its wrench or pose; a platform
+reads a second one with the command. The device creates and removes them.
 """
 
 from __future__ import annotations
@@ -38,9 +38,15 @@ class ShmSettings(DeviceSettings):
     """Options of ``shm://``; the host part of the URL is the name."""
 
     kind: Literal["shm"] = "shm"
-    host: str = Field(default="hiltestbed", pattern=r"^[a-z0-9][a-z0-9_.-]{0,99}$", description="name of the shared memory")
+    host: str = Field(
+        default="hiltestbed",
+        pattern=r"^[a-z0-9][a-z0-9_.-]{0,99}$",
+        description="name of the shared memory",
+    )
     rate: Positive = Field(default=1000.0, description="rate of the messages [Hz]")
-    clock: Literal["device", "host"] = Field(default="device", description="what paces the cycle: the device's messages, or the loop")
+    clock: Literal["device", "host"] = Field(
+        default="device", description="what paces the cycle: the device's messages, or the loop"
+    )
     connect: Positive = Field(default=2.0, description="time to wait for the device [s]")
 
 
@@ -57,7 +63,10 @@ def _awaited(settings: ShmSettings, part: Part) -> Mailbox:
     name = mailbox_name(settings, part)
     while (box := attach(name)) is None:
         if time.monotonic() > until:
-            raise DeviceError(f"{settings.where}: there is no shared memory {name} after {settings.connect:g} s; start the device first")
+            raise DeviceError(
+                f"{settings.where}: there is no shared memory {name} after {settings.connect:g} "
+                f"s; start the device first"
+            )
         time.sleep(0.01)
     return box
 
@@ -68,7 +77,8 @@ class _Inbox:
     def __init__(self, counts) -> None:
         self.box: Mailbox | None = None
         self.counts = counts
-        self.sequence = Sequence(counts, bits=63, longest_gap=1 << 61)  # no limit: a mailbox keeps only the newest message
+        # no limit: a mailbox keeps only the newest message
+        self.sequence = Sequence(counts, bits=63, longest_gap=1 << 61)
 
     def open(self, box: Mailbox) -> None:
         self.box = box
@@ -96,7 +106,11 @@ class _Inbox:
             self.counts[Event.STATUS] += 1
             return False
         self.counts[Event.RECEIVED] += 1
-        sample.sequence, sample.device_time, sample.arrival = self.box.number, self.box.time, time.monotonic_ns()
+        sample.sequence, sample.device_time, sample.arrival = (
+            self.box.number,
+            self.box.time,
+            time.monotonic_ns(),
+        )
         return True
 
 
@@ -174,7 +188,10 @@ class ShmPlatformClient(NumberedClient):
 def _first(client: ShmSensorClient | ShmPlatformClient, settings: ShmSettings) -> None:
     if not client.wait(settings.connect):
         client.close()
-        raise DeviceError(f"{settings.where}: the device is there, but has sent nothing in {settings.connect:g} s; start its run")
+        raise DeviceError(
+            f"{settings.where}: the device is there, but has sent nothing in {settings.connect:g} "
+            f"s; start its run"
+        )
 
 
 class ShmSensorServer(SensorServer):

@@ -1,10 +1,12 @@
 """The physical side made of real devices, in place of the simulated rig and its sensor.
 
-A tick, at t_k: the wrench and the pose at t_k have arrived; ``begin`` sends the pose for t_(k+1), ``finish`` waits for the records of
-t_(k+1). Every command passes the guard, and after a fault only the stop behaviour is sent. Nothing is commanded before
+A tick, at t_k: the wrench and the pose at t_k have arrived; ``begin`` sends the pose for t_(k+1),
+``finish`` waits for the records of t_(k+1). Every command passes the guard, and after a fault only
+the stop behaviour is sent. Nothing is commanded before
 :meth:`DeviceRig.arm`: until then the platform is held.
 
-None of the protocols transmits the switches of a latch: capture is detected from a pulling force, which a contact alone cannot exert.
+None of the protocols transmits the switches of a latch: capture is detected from a pulling force,
+which a contact alone cannot exert.
 """
 
 from __future__ import annotations
@@ -48,7 +50,8 @@ class CycleLog:
     """Times of the cycles, in arrays allocated before the first.
 
     Attributes:
-        rows: ``(capacity, 4)``, one per tick, as in :data:`hiltestbed.signals.CYCLE`. began: start of the last cycle [ns].
+        rows: ``(capacity, 4)``, one per tick, as in :data:`hiltestbed.signals.CYCLE`. began: start
+            of the last cycle [ns].
     """
 
     def __init__(self, capacity: int) -> None:
@@ -57,7 +60,9 @@ class CycleLog:
         self.began = time.monotonic_ns()
 
     def begin(self, ticks: int, age: float) -> None:
-        """Record the start of a cycle, ``ticks`` ticks after the last one, with a reading of age ``age`` [s]."""
+        """Record the start of a cycle, ``ticks`` ticks after the last one, with a reading of age
+        ``age`` [s].
+        """
         now = time.monotonic_ns()
         self.k += 1
         if self.k < len(self.rows):
@@ -72,7 +77,9 @@ class CycleLog:
 
 
 class DeviceSensor:
-    """The reading as it arrives, in P, less the tare; the signal chain of the scenario is in the device itself."""
+    """The reading as it arrives, in P, less the tare; the signal chain of the scenario is in the
+    device itself.
+    """
 
     def __init__(self) -> None:
         self.reading = np.zeros((1, 6))
@@ -89,12 +96,16 @@ class DeviceRig:
     """Platform and sensor, with the interface of :class:`hiltestbed.platform.plant.Plant`; one run.
 
     Attributes:
-        units: of the platform's joints: empty, since devices do not report them. physical: False, since the bodies do not move freely.
-        stop: why the run has to stop; None while there is no fault. tare: (6,) subtracted from the sensor's wrench in P.
+        units: of the platform's joints: empty, since devices do not report them. physical: False,
+            since the bodies do not move freely.
+        stop: why the run has to stop; None while there is no fault. tare: (6,) subtracted from the
+            sensor's wrench in P.
         last: (7,) the pose of A in P that was sent last.
-        late_work: [J] work of the force with each reading paired with the motion at which it acted, by the scenario's
-            sensor.delay, less that with the motion of the tick at which it was read.
-        missed: ticks that began without the record of the device that sets the clock, or too late for an answer.
+        late_work: [J] work of the force with each reading paired with the motion at which it acted,
+            by the scenario's sensor.delay, less that with the motion of the tick at which it was
+            read.
+        missed: ticks that began without the record of the device that sets the clock, or too late
+            for an answer.
     """
 
     units: tuple[str, ...] = ()
@@ -103,7 +114,10 @@ class DeviceRig:
     def __init__(self, scenario: Scenario, connected: Connected, ticks: int) -> None:
         if scenario.rig.platform.physical:
             kind = scenario.rig.platform.kind
-            raise InputError(f"rig.platform: the bodies of {kind!r} move freely; devices are only for platforms that are commanded")
+            raise InputError(
+                f"rig.platform: the bodies of {kind!r} move freely; devices are only for "
+                f"platforms that are commanded"
+            )
         tick = scenario.tick
         self.scenario, self.connected, self.tick = scenario, connected, tick
         self.mounting = Mounting(scenario.devices)
@@ -124,19 +138,23 @@ class DeviceRig:
         self._slope, self._slope_before = np.zeros(6), np.zeros(6)
         late = scenario.sensor.delay / tick
         self._late, self._part = int(late), late % 1.0
-        self._slopes = np.zeros((self._late + 2, 6))  # of the last ticks: the motion at which the force read now acted
+        # of the last ticks: the motion at which the force read now acted
+        self._slopes = np.zeros((self._late + 2, 6))
         self._taken = 0
         self.late_work = 0.0
         self._held_rate = scenario.rig.platform.prescribed
         self._threshold = max(GATE_SIGMA * scenario.sensor.noise, LEAST_FORCE)
         limit = scenario.safety
-        self._limits = [math.inf if v is None else v for v in (limit.force, limit.torque, limit.tracking_error)]
+        self._limits = [
+            math.inf if v is None else v for v in (limit.force, limit.torque, limit.tracking_error)
+        ]
         self._behind = 0
         self.phases: Phases | None = None  # None: phases of capture are those of the real mechanism
         self.pose_act, self.twist_act = np.zeros((1, 7)), np.zeros((1, 6))
         self.pose_act[:, 6] = 1.0
         self.wrench_sub = np.zeros((1, 1, 6))
-        self._wrench = self.wrench_sub[:, 0]  # one view for all ticks: the monitor's kernels are bound to it
+        # one view for all ticks: the monitor's kernels are bound to it
+        self._wrench = self.wrench_sub[:, 0]
         self.contact, self.captured, self.diverged = (np.zeros(1, dtype=bool) for _ in range(3))
         self.slider_cmd, self.slider_act = np.zeros((1, 0)), np.zeros((1, 0))
         self.upper_cmd, self.upper_act = np.full((1, 3), np.nan), np.full((1, 3), np.nan)
@@ -174,7 +192,9 @@ class DeviceRig:
         self.missed, self.late_work = 0, 0.0
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Send the pose ``(1, 7)`` for the end of the tick; the platform derives its velocity from it."""
+        """Send the pose ``(1, 7)`` for the end of the tick; the platform derives its velocity from
+        it.
+        """
         platform = self.connected.platform
         if self._behind == 0:
             if self.armed and self.stop is None:
@@ -207,7 +227,9 @@ class DeviceRig:
         self.missed += not new
 
     def _take_in(self) -> bool:
-        """Process and check the records that have arrived; returns whether the device that sets the clock had a new one."""
+        """Process and check the records that have arrived; returns whether the device that sets the
+        clock had a new one.
+        """
         sensor, platform = self.connected.sensor, self.connected.platform
         sensor.poll()
         platform.poll()
@@ -226,8 +248,13 @@ class DeviceRig:
         self._slope_before[:] = self._slope
         twist_between(self._before, self.pose_act[0], self.tick, self._slope)
         self._pair()
-        self.twist_act[0] = self._slope if self._held_rate else 1.5 * self._slope - 0.5 * self._slope_before
-        self.contact[0] = math.sqrt(float(self.wrench_sub[0, 0, :3] @ self.wrench_sub[0, 0, :3])) > self._threshold
+        self.twist_act[0] = (
+            self._slope if self._held_rate else 1.5 * self._slope - 0.5 * self._slope_before
+        )
+        self.contact[0] = (
+            math.sqrt(float(self.wrench_sub[0, 0, :3] @ self.wrench_sub[0, 0, :3]))
+            > self._threshold
+        )
         self.monitor.update(self._wrench, self.pose_act, self.twist_act)
         self.captured[0] = not math.isnan(self.monitor.capture[0])
         if self.stop is None:
@@ -238,27 +265,41 @@ class DeviceRig:
         length = len(self._slopes)
         self._slopes[self._taken % length] = self._slope
         newer, older = ((self._taken - self._late - i) % length for i in range(2))
-        work = self._slopes[newer] * (1.0 - self._part) + self._slopes[older] * self._part - self._slope
+        work = (
+            self._slopes[newer] * (1.0 - self._part)
+            + self._slopes[older] * self._part
+            - self._slope
+        )
         self.late_work += self.tick * float(self.wrench_sub[0, 0] @ work)
         self._taken += 1
 
     def _overload(self) -> str | None:
         wrench, tracking = self.wrench_sub[0, 0], math.dist(self.last[:3], self.pose_act[0, :3])
-        force, torque = math.sqrt(float(wrench[:3] @ wrench[:3])), math.sqrt(float(wrench[3:] @ wrench[3:]))
+        force, torque = (
+            math.sqrt(float(wrench[:3] @ wrench[:3])),
+            math.sqrt(float(wrench[3:] @ wrench[3:])),
+        )
         if not force <= self._limits[0]:
             return f"the sensor carries {force:.4g} N; safety.force is {self._limits[0]:g} N"
         if not torque <= self._limits[1]:
             return f"the sensor carries {torque:.4g} N m; safety.torque is {self._limits[1]:g} N m"
         if self.armed and tracking > self._limits[2]:
-            return f"the platform is {tracking:.4g} m from where it was commanded; safety.tracking_error is {self._limits[2]:g} m"
+            return (
+                f"the platform is {tracking:.4g} m from where it was commanded; "
+                f"safety.tracking_error is {self._limits[2]:g} m"
+            )
         watchdog = self.connected.watchdog
         if self.armed and watchdog is not None and watchdog.tripped:
-            return f"the watchdog has acted: the loop was silent for more than {watchdog.timeout:g} s"
+            return (
+                f"the watchdog has acted: the loop was silent for more than {watchdog.timeout:g} s"
+            )
         return None
 
 
 class DeviceWatch:
-    """Stops a run with devices: on a fault of the rig, or if the rig has generated too much energy."""
+    """Stops a run with devices: on a fault of the rig, or if the rig has generated too much
+    energy.
+    """
 
     def __init__(self, scenario: Scenario, rig: DeviceRig) -> None:
         self._rig = rig
@@ -279,7 +320,9 @@ def side_of(rig: DeviceRig) -> MakeSide:
 
     def made(scenarios: Sequence[Scenario], nthread: int) -> Side:
         if len(scenarios) != 1:
-            raise InputError(f"devices play one run at a time (got {len(scenarios)}); give them one scenario")
+            raise InputError(
+                f"devices play one run at a time (got {len(scenarios)}); give them one scenario"
+            )
         return DeviceSensor(), rig, DeviceWatch(scenarios[0], rig)
 
     return made

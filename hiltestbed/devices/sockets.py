@@ -1,4 +1,6 @@
-"""Sockets, and messages for those that cannot be opened. Each is bound to the given address only, never to all interfaces."""
+"""Sockets, and messages for those that cannot be opened. Each is bound to the given address only,
+never to all interfaces.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,10 @@ def resolve(host: str, port: int, where: str) -> Address:
         found = socket.getaddrinfo(host, port, socket.AF_INET)
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or error
-        message = f"is not an address (got {host!r}: {reason}); give an IPv4 address or a name that this machine can look up"
+        message = (
+            f"is not an address (got {host!r}: {reason}); give an IPv4 address or a "
+            f"name that this machine can look up"
+        )
         raise InputError(Fault(where, None, None, "host", message)) from None
     return found[0][4][0], port  # type: ignore[return-value]
 
@@ -38,13 +43,23 @@ def listening_tcp(address: Address, where: str) -> socket.socket:
 
 
 def connected_udp(address: Address, where: str) -> socket.socket:
-    """A non-blocking UDP socket connected to ``address``: the kernel drops datagrams of other senders. Raises InputError."""
+    """A non-blocking UDP socket connected to ``address``: the kernel drops datagrams of other
+    senders. Raises InputError.
+    """
     opened = _new(socket.SOCK_DGRAM)
     try:
         opened.connect(address)
     except OSError as error:
         opened.close()
-        raise InputError(Fault(where, None, None, "", f"cannot be reached ({error.strerror}); check the address and the network")) from None
+        raise InputError(
+            Fault(
+                where,
+                None,
+                None,
+                "",
+                f"cannot be reached ({error.strerror}); check the address and the network",
+            )
+        ) from None
     return opened
 
 
@@ -62,7 +77,10 @@ def connected_tcp(address: Address, where: str, timeout: float) -> socket.socket
         opened = socket.create_connection(address, timeout)
     except OSError as error:
         reason = error.strerror or "no answer"
-        raise DeviceError(f"{where}: no connection ({reason}); check that the device is on and that its interface is enabled") from None
+        raise DeviceError(
+            f"{where}: no connection ({reason}); check that the device is on and that its "
+            f"interface is enabled"
+        ) from None
     opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return opened
 
@@ -95,7 +113,8 @@ _REASONS = {
 def _bound(kind: int, address: Address, where: str) -> socket.socket:
     opened = _new(kind)
     if kind == socket.SOCK_STREAM:
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # reuse a port whose last connection has just ended
+        # reuse a port whose last connection has just ended
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         opened.bind(address)
     except OSError as error:

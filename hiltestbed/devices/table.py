@@ -1,14 +1,21 @@
 """The protocols by URL scheme, and a device from its URL.
 
-A protocol is one module with a :class:`~hiltestbed.devices.interface.Protocol` named ``PROTOCOL``; it is imported when a URL uses it.
-A user's own protocol is added to the table with :func:`register`.
+A protocol is one module with a :class:`~hiltestbed.devices.interface.Protocol` named ``PROTOCOL``;
+it is imported when a URL uses it. A user's own protocol is added to the table with
+:func:`register`.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
 
-from hiltestbed.devices.interface import PlatformClient, PlatformServer, Protocol, SensorClient, SensorServer
+from hiltestbed.devices.interface import (
+    PlatformClient,
+    PlatformServer,
+    Protocol,
+    SensorClient,
+    SensorServer,
+)
 from hiltestbed.devices.url import DeviceSettings, parse, scheme_of
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.validation import nearest
@@ -33,7 +40,10 @@ def find(url: str, place: str) -> Protocol:
     scheme = scheme_of(url, place)
     if scheme not in MODULES and scheme not in _registered:
         known = sorted(MODULES | _registered)
-        message = f"unknown protocol{nearest(scheme, known)} (got {scheme!r}); allowed: {', '.join(known)}"
+        message = (
+            f"unknown protocol{nearest(scheme, known)} (got {scheme!r}); allowed: "
+            f"{', '.join(known)}"
+        )
         raise InputError(Fault(f"{place} {url}", None, None, "", message))
     return _load(scheme)
 
@@ -74,6 +84,9 @@ def _make(url: str, place: str, part: str, what: str):
     made = getattr(protocol, part)
     if made is None:
         able = [name for name, other in protocols().items() if getattr(other, part) is not None]
-        message = f"{protocol.scheme} is not a protocol of {what} ({protocol.summary}); allowed: {', '.join(able)}"
+        message = (
+            f"{protocol.scheme} is not a protocol of {what} ({protocol.summary}); "
+            f"allowed: {', '.join(able)}"
+        )
         raise InputError(Fault(f"{place} {url}", None, None, "", message))
     return made(parse(url, protocol.settings, place))

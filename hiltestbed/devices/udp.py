@@ -2,8 +2,9 @@
 
 Their layout is described in YAML: :mod:`hiltestbed.devices.layout`.
 
-The URL's address is the device's: it receives commands there and sends its records from there. ``listen`` is the address on this machine
-where the records arrive; an emulated device has ``peer`` instead, the controller's address.
+The URL's address is the device's: it receives commands there and sends its records from there.
+``listen`` is the address on this machine where the records arrive; an emulated device has ``peer``
+instead, the controller's address.
 """
 
 from __future__ import annotations
@@ -82,13 +83,20 @@ class UdpPlatformClient(NumberedClient):
 def _open(client: UdpSensorClient | UdpPlatformClient, receiver: Receiver) -> None:
     settings = client.settings
     own = end_of(settings, "listen", "the end of this machine where the device's records arrive")
-    receiver.open(own, sockets.resolve(settings.host, settings.port, settings.where), settings.any_port, settings.where)
+    receiver.open(
+        own,
+        sockets.resolve(settings.host, settings.port, settings.where),
+        settings.any_port,
+        settings.where,
+    )
     if not client.wait(settings.connect):
         counts = client.counts
         client.close()
         raise DeviceError(
-            f"{settings.where}: no good record in {settings.connect:g} s ({counts[Event.MALFORMED]} malformed, {counts[Event.SENDER]} from "
-            f"other senders, {counts[Event.STATUS]} with an error status); check the address that the device sends to, and the layout"
+            f"{settings.where}: no good record in {settings.connect:g} s "
+            f"({counts[Event.MALFORMED]} malformed, {counts[Event.SENDER]} from "
+            f"other senders, {counts[Event.STATUS]} with an error status); check the address that "
+            f"the device sends to, and the layout"
         )
 
 

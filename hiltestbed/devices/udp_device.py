@@ -40,7 +40,9 @@ class UdpSensorServer(SensorServer):
             return
         self._number += 1
         try:
-            self._socket.sendto(self._record.pack(wrench, self._number, device_time, status), self._peer)
+            self._socket.sendto(
+                self._record.pack(wrench, self._number, device_time, status), self._peer
+            )
         except OSError:
             self.counts[Event.GONE] += 1
 

@@ -26,24 +26,41 @@ class UdpSettings(DeviceSettings):
     default_port: ClassVar[int] = 5005
 
     kind: Literal["udp"] = "udp"
-    layout: str | None = Field(default=None, description="YAML file that describes the records; omitted: the default layout")
-    listen: str | int | None = Field(default=None, description="address:port (or port) of this machine where the device's records arrive")
-    peer: str | int | None = Field(default=None, description="address:port (or port) of the controller that an emulated device sends to")
+    layout: str | None = Field(
+        default=None,
+        description="YAML file that describes the records; omitted: the default layout",
+    )
+    listen: str | int | None = Field(
+        default=None,
+        description="address:port (or port) of this machine where the device's records arrive",
+    )
+    peer: str | int | None = Field(
+        default=None,
+        description="address:port (or port) of the controller that an emulated device sends to",
+    )
     rate: Positive = Field(default=1000.0, description="rate of the records [Hz]")
-    clock: Literal["device", "host"] = Field(default="device", description="what paces the cycle: the device's records, or the loop")
-    any_port: bool = Field(default=False, description="whether the device may send from another port than the URL's")
+    clock: Literal["device", "host"] = Field(
+        default="device", description="what paces the cycle: the device's records, or the loop"
+    )
+    any_port: bool = Field(
+        default=False, description="whether the device may send from another port than the URL's"
+    )
     connect: Positive = Field(default=2.0, description="time to wait for the first record [s]")
 
 
 def record_of(settings: UdpSettings, kind: RecordKind) -> Record:
     """The record of ``kind``. Raises InputError if the layout has none."""
-    layout: Layout = read_layout(settings.layout) if settings.layout is not None else default_layout()
+    layout: Layout = (
+        read_layout(settings.layout) if settings.layout is not None else default_layout()
+    )
     if not getattr(layout, kind):
         message = f"the layout {settings.layout} has no {kind} record; describe it there"
         raise InputError(Fault(settings.where, None, None, "layout", message))
     record = Record(layout, kind)
     if record.size > LARGEST:
-        message = f"the {kind} record has {record.size} bytes; at most {LARGEST} go into one datagram"
+        message = (
+            f"the {kind} record has {record.size} bytes; at most {LARGEST} go into one datagram"
+        )
         raise InputError(Fault(settings.where, None, None, "layout", message))
     return record
 
@@ -52,15 +69,27 @@ def end_of(settings: UdpSettings, key: Literal["listen", "peer"], what: str) -> 
     """The address in ``listen`` or ``peer``. Raises InputError."""
     given = getattr(settings, key)
     if given is None:
-        raise InputError(Fault(settings.where, None, None, key, f"is missing; give {what} as {key}=address:port"))
+        raise InputError(
+            Fault(settings.where, None, None, key, f"is missing; give {what} as {key}=address:port")
+        )
     host, _, port = str(given).rpartition(":")
     if not port.isdecimal() or not 0 <= int(port) <= 65535:
-        raise InputError(Fault(settings.where, None, None, key, f"is not address:port (got {given!r}); allowed are ports 0 to 65535"))
+        raise InputError(
+            Fault(
+                settings.where,
+                None,
+                None,
+                key,
+                f"is not address:port (got {given!r}); allowed are ports 0 to 65535",
+            )
+        )
     return sockets.resolve(host or LOOPBACK, int(port), settings.where)
 
 
 class Receiver:
-    """Receives records from one sender; calls ``take`` for each good new one, while ``record`` holds its values."""
+    """Receives records from one sender; calls ``take`` for each good new one, while ``record``
+    holds its values.
+    """
 
     def __init__(self, record: Record, counts, take: Callable[[], bool]) -> None:
         self.record, self.counts, self.take = record, counts, take
@@ -71,7 +100,9 @@ class Receiver:
         self._buffer = bytearray(LARGEST + 1)
         self._view = memoryview(self._buffer)
 
-    def open(self, own: sockets.Address, sender: sockets.Address, any_port: bool, where: str) -> None:
+    def open(
+        self, own: sockets.Address, sender: sockets.Address, any_port: bool, where: str
+    ) -> None:
         self.sender, self.any_port = sender, any_port
         self.sequence.restart()
         self.socket = sockets.bound_udp(own, where)
@@ -106,7 +137,9 @@ class Receiver:
         if not self.record.unpack(self._view[:size]):
             self.counts[Event.MALFORMED] += 1
             return False
-        return (not self.record.sequence_bits or self.sequence.judge(self.record.sequence)) and self.take()
+        return (
+            not self.record.sequence_bits or self.sequence.judge(self.record.sequence)
+        ) and self.take()
 
     def send(self, data: bytes, towards: sockets.Address) -> None:
         if self.socket is None:
@@ -117,13 +150,17 @@ class Receiver:
             self.counts[Event.GONE] += 1
 
     def note(self, sample: Sample) -> bool:
-        """Copy the record's number, time and status into ``sample``; if the status is an error, count it and return False."""
+        """Copy the record's number, time and status into ``sample``; if the status is an error,
+        count it and return False.
+        """
         sample.status = self.record.flag
         if self.record.flag:
             self.counts[Event.STATUS] += 1
             return False
         self.counts[Event.RECEIVED] += 1
-        sample.sequence = self.sequence.newest if self.record.sequence_bits else self.record.sequence
+        sample.sequence = (
+            self.sequence.newest if self.record.sequence_bits else self.record.sequence
+        )
         sample.device_time = self.record.time
         sample.arrival = time.monotonic_ns()
         return True

@@ -1,6 +1,8 @@
-"""A device as the user specifies it: ``scheme://host:port?option=value&...``, checked against its protocol's settings.
+"""A device as the user specifies it: ``scheme://host:port?option=value&...``, checked against its
+protocol's settings.
 
-The default address is the loopback address. An option's value is parsed like a scenario's values, and all faults are reported at once.
+The default address is the loopback address. An option's value is parsed like a scenario's values,
+and all faults are reported at once.
 """
 
 from __future__ import annotations
@@ -27,7 +29,10 @@ class DeviceSettings(Strictly):
     default_port: ClassVar[int] = 0
 
     where: str = Field(default="", description="the URL as given")
-    host: str = Field(default=LOOPBACK, description="address of the device, or of this machine if the device opens the connection")
+    host: str = Field(
+        default=LOOPBACK,
+        description="address of the device, or of this machine if the device opens the connection",
+    )
     port: Port = Field(default=0, description="its port")
 
     @property
@@ -43,7 +48,15 @@ def scheme_of(url: str, place: str) -> str:
     """The scheme of a URL. Raises InputError if there is none."""
     scheme, separator, _ = url.partition("://")
     if not separator or not scheme or len(url) > LONGEST:
-        raise InputError(Fault(place, None, None, "", f"is not a device (got {url[:80]!r}); give it as scheme://host:port?option=value"))
+        raise InputError(
+            Fault(
+                place,
+                None,
+                None,
+                "",
+                f"is not a device (got {url[:80]!r}); give it as scheme://host:port?option=value",
+            )
+        )
     return scheme.lower()
 
 
@@ -68,19 +81,41 @@ def parse(url: str, model: type[Settings], place: str) -> Settings:
         port = parts.port
     except ValueError:
         text = parts.netloc.rpartition(":")[2]
-        raise InputError(Fault(file, None, None, "port", f"is not a port (got {text!r}); allowed is 0 to 65535")) from None
+        raise InputError(
+            Fault(file, None, None, "port", f"is not a port (got {text!r}); allowed is 0 to 65535")
+        ) from None
     data["port"] = port if port is not None else getattr(model, "default_port", 0)
     data["where"] = url
     if parts.path.strip("/") or parts.fragment or parts.username is not None:
-        faults.append(Fault(file, None, None, "", "has a path, a user or a fragment; give it as scheme://host:port?option=value"))
+        faults.append(
+            Fault(
+                file,
+                None,
+                None,
+                "",
+                "has a path, a user or a fragment; give it as scheme://host:port?option=value",
+            )
+        )
     options = [name for name in model.model_fields if name not in _FROM_ADDRESS]
     for key, value in parse_qsl(parts.query, keep_blank_values=True):
         if key in _FROM_ADDRESS:
-            faults.append(Fault(file, None, None, key, "is not an option; the address goes before the question mark"))
+            faults.append(
+                Fault(
+                    file,
+                    None,
+                    None,
+                    key,
+                    "is not an option; the address goes before the question mark",
+                )
+            )
         elif key in data:
-            faults.append(Fault(file, None, None, key, "is given twice; each option may stand once"))
+            faults.append(
+                Fault(file, None, None, key, "is given twice; each option may stand once")
+            )
         elif key not in options:
-            message = f"unknown option{nearest(key, options)}; allowed: {', '.join(options) or 'none'}"
+            message = (
+                f"unknown option{nearest(key, options)}; allowed: {', '.join(options) or 'none'}"
+            )
             faults.append(Fault(file, None, None, key, message))
         else:
             data[key] = _value(value, file, key, faults)
@@ -97,7 +132,15 @@ def _split(url: str, file: str) -> SplitResult:
     try:
         return urlsplit(url)
     except ValueError as error:
-        raise InputError(Fault(file, None, None, "", f"is not a URL ({error}); give it as scheme://host:port?option=value")) from None
+        raise InputError(
+            Fault(
+                file,
+                None,
+                None,
+                "",
+                f"is not a URL ({error}); give it as scheme://host:port?option=value",
+            )
+        ) from None
 
 
 def _value(text: str, file: str, key: str, faults: list[Fault]) -> Any:

@@ -1,8 +1,11 @@
-"""Communication monitoring: once per cycle, the events since the last cycle are compared with limits.
+"""Communication monitoring: once per cycle, the events since the last cycle are compared with
+limits.
 
-A cycle without a new record is a *miss*; so is each record that the sequence numbers show as lost. A rejected record (malformed, from
-another sender, repeated, out of order) is a *disturbance*: it changes nothing, but many of them mean that the connection is unreliable.
-An error status (beyond the allowed number), a closed connection and a sample older than allowed stop the run at once.
+A cycle without a new record is a *miss*; so is each record that the sequence numbers show as lost.
+A rejected record (malformed, from
+another sender, repeated, out of order) is a *disturbance*: it changes nothing, but many of them
+mean that the connection is unreliable. An error status (beyond the allowed number), a closed
+connection and a sample older than allowed stop the run at once.
 """
 
 from __future__ import annotations
@@ -21,12 +24,20 @@ DISTURBANCES = (Event.MALFORMED, Event.SENDER, Event.REPEATED, Event.REORDERED)
 class CommunicationLimits(Strictly):
     """Allowed numbers of communication events; exceeding one stops the run. 0 allows none."""
 
-    misses_in_a_row: int = Field(default=3, ge=0, description="Allowed consecutive misses, without a new record in between")
+    misses_in_a_row: int = Field(
+        default=3, ge=0, description="Allowed consecutive misses, without a new record in between"
+    )
     misses_in_window: int = Field(default=10, ge=0, description="Allowed misses within the window")
-    disturbances_in_window: int = Field(default=10, ge=0, description="Allowed rejected records within the window")
-    window: int = Field(default=1000, ge=1, le=1_000_000, description="Length of the window [cycles]")
+    disturbances_in_window: int = Field(
+        default=10, ge=0, description="Allowed rejected records within the window"
+    )
+    window: int = Field(
+        default=1000, ge=1, le=1_000_000, description="Length of the window [cycles]"
+    )
     stale: Positive = Field(default=0.02, description="Highest age of the newest sample [s]")
-    status_in_a_row: int = Field(default=0, ge=0, description="Allowed consecutive records with an error status")
+    status_in_a_row: int = Field(
+        default=0, ge=0, description="Allowed consecutive records with an error status"
+    )
 
 
 @dataclass(frozen=True)
@@ -44,7 +55,9 @@ class CommunicationWatch:
         stop: the first reason to stop; None while all is within the limits.
     """
 
-    def __init__(self, link: SensorClient | PlatformClient, limits: CommunicationLimits, name: str) -> None:
+    def __init__(
+        self, link: SensorClient | PlatformClient, limits: CommunicationLimits, name: str
+    ) -> None:
         """``name``: the device's role in the messages (``sensor``, ``platform``)."""
         self.link, self.limits = link, limits
         self.stop: Stop | None = None
@@ -63,11 +76,15 @@ class CommunicationWatch:
         """Ignore everything that has happened so far."""
         self._before[:] = self.link.counts
         self._misses[:] = self._disturbances[:] = 0
-        self._cycle = self._in_a_row = self._errors = self._missed = self._disturbed = self._waited = 0
+        self._cycle = self._in_a_row = self._errors = self._missed = self._disturbed = (
+            self._waited
+        ) = 0
         self.stop = None
 
     def check(self, new: bool) -> Stop | None:
-        """Call after the reads of a cycle; ``new``: whether there was a new sample. Returns :attr:`stop`."""
+        """Call after the reads of a cycle; ``new``: whether there was a new sample. Returns
+        :attr:`stop`.
+        """
         self.link.counts[Event.LATE] += not new
         age = self.link.sample.age()
         if age > self.limits.stale:
@@ -105,21 +122,41 @@ class CommunicationWatch:
         limits, name, status = self.limits, self._name, self.link.sample.status
         if self._errors > limits.status_in_a_row:
             return Stop(
-                Event.STATUS, f"{name}: the device reports an error (status {status:#x}; allowed are {limits.status_in_a_row} in a row)"
+                Event.STATUS,
+                f"{name}: the device reports an error (status {status:#x}; allowed are "
+                f"{limits.status_in_a_row} in a row)",
             )
         if self._happened[Event.GONE]:
-            return Stop(Event.GONE, f"{name}: the connection is gone; nothing listens at the device's address any more")
+            return Stop(
+                Event.GONE,
+                f"{name}: the connection is gone; nothing listens at the device's address any more",
+            )
         if age > limits.stale:
-            return Stop(Event.STALE, f"{name}: the newest sample is {1e3 * age:.1f} ms old (limit {1e3 * limits.stale:g} ms)")
+            return Stop(
+                Event.STALE,
+                f"{name}: the newest sample is {1e3 * age:.1f} ms old (limit "
+                f"{1e3 * limits.stale:g} ms)",
+            )
         if self._in_a_row > limits.misses_in_a_row:
-            what = f"{self._in_a_row} misses in a row, the last {self._last_miss.name.lower()} (limit {limits.misses_in_a_row})"
+            what = (
+                f"{self._in_a_row} misses in a row, the last "
+                f"{self._last_miss.name.lower()} (limit {limits.misses_in_a_row})"
+            )
             return Stop(self._last_miss, f"{name}: {what}")
         if self._missed > limits.misses_in_window:
             last = f"the last {self._last_miss.name.lower()} (limit {limits.misses_in_window})"
-            return Stop(self._last_miss, f"{name}: {self._missed} misses in {limits.window} cycles, {last}")
+            return Stop(
+                self._last_miss, f"{name}: {self._missed} misses in {limits.window} cycles, {last}"
+            )
         if self._disturbed > limits.disturbances_in_window:
-            said = f"the last {self._last_disturbance.name.lower()} (limit {limits.disturbances_in_window})"
-            return Stop(self._last_disturbance, f"{name}: {self._disturbed} records rejected in {limits.window} cycles, {said}")
+            said = (
+                f"the last {self._last_disturbance.name.lower()} (limit "
+                f"{limits.disturbances_in_window})"
+            )
+            return Stop(
+                self._last_disturbance,
+                f"{name}: {self._disturbed} records rejected in {limits.window} cycles, {said}",
+            )
         return None
 
 

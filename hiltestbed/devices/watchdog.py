@@ -1,10 +1,14 @@
-"""The watchdog: a separate process that holds or stops the platform when the loop's process no longer responds.
+"""The watchdog: a separate process that holds or stops the platform when the loop's process no
+longer responds.
 
-The loop sends a heartbeat once per cycle: the time and the last command, written to shared memory. After ``timeout`` without one, the
-watchdog trips: through its duplicate of the platform's socket it sends the configured message once per period for ``lasting``. A loop that
-resumes finds :attr:`Watchdog.tripped` set and has to stop as well.
+The loop sends a heartbeat once per cycle: the time and the last command, written to shared memory.
+After ``timeout`` without one, the
+watchdog trips: through its duplicate of the platform's socket it sends the configured message once
+per period for ``lasting``. A loop that resumes finds :attr:`Watchdog.tripped` set and has to stop
+as well.
 
-It covers a loop that hangs or dies, not a failure of the machine or the network. It is not a safety device.
+It covers a loop that hangs or dies, not a failure of the machine or the network. It is not a safety
+device.
 """
 
 from __future__ import annotations
@@ -41,12 +45,22 @@ class Watchdog:
     """
 
     def __init__(
-        self, url: str, platform: PlatformClient, timeout: float, action: Action = "hold", lasting: float = LASTING, *, wait: bool = True
+        self,
+        url: str,
+        platform: PlatformClient,
+        timeout: float,
+        action: Action = "hold",
+        lasting: float = LASTING,
+        *,
+        wait: bool = True,
     ) -> None:
-        """Start the process for the open ``platform`` at ``url``, and ``wait`` until it is ready. Raises InputError, DeviceError."""
+        """Start the process for the open ``platform`` at ``url``, and ``wait`` until it is ready.
+        Raises InputError, DeviceError.
+        """
         if not 0.005 <= timeout <= 10.0 or action not in ACTIONS or lasting <= 0.0:
             raise InputError(
-                f"watchdog: invalid settings (got timeout {timeout:g} s, action {action!r}, lasting {lasting:g} s); allowed are "
+                f"watchdog: invalid settings (got timeout {timeout:g} s, action {action!r}, "
+                f"lasting {lasting:g} s); allowed are "
                 f"0.005 to 10 s, {' or '.join(ACTIONS)}, and more than 0 s"
             )
         self.timeout = timeout
@@ -56,12 +70,31 @@ class Watchdog:
         self._row: Array = np.zeros(COLUMNS)
         self._tripped = False
         fileno = platform.fileno()
-        command = [sys.executable, "-m", "hiltestbed.devices.watchdog", self._ring.name, self._answer.name, url, action, repr(timeout)]
-        command += [repr(lasting), repr(platform.period if math.isfinite(platform.period) else timeout), str(fileno), str(os.getpid())]
-        self._process = subprocess.Popen(  # in a session of its own: Ctrl-C in the loop's terminal must not end it
-            command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, pass_fds=(fileno,) if fileno >= 0 else (),
+        command = [
+            sys.executable,
+            "-m",
+            "hiltestbed.devices.watchdog",
+            self._ring.name,
+            self._answer.name,
+            url,
+            action,
+            repr(timeout),
+        ]
+        command += [
+            repr(lasting),
+            repr(platform.period if math.isfinite(platform.period) else timeout),
+            str(fileno),
+            str(os.getpid()),
+        ]
+        # in a session of its own: Ctrl-C in the loop's terminal must not end it
+        self._process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stdin=subprocess.DEVNULL,
+            text=True,
+            pass_fds=(fileno,) if fileno >= 0 else (),
             start_new_session=True,
-        )  # fmt: skip
+        )
         self._ready = False
         if wait and not self._heard():
             self.close()
@@ -70,7 +103,11 @@ class Watchdog:
     @property
     def ready(self) -> bool:
         """Whether its process is ready."""
-        if not self._ready and self._process.stdout and select.select([self._process.stdout], [], [], 0.0)[0]:
+        if (
+            not self._ready
+            and self._process.stdout
+            and select.select([self._process.stdout], [], [], 0.0)[0]
+        ):
             self._heard()
         return self._ready
 
@@ -80,7 +117,9 @@ class Watchdog:
         return self._ready
 
     def beat(self) -> None:
-        """Send a heartbeat; call once per cycle, after the command. The first one arms the watchdog."""
+        """Send a heartbeat; call once per cycle, after the command. The first one arms the
+        watchdog.
+        """
         self._row[0], self._row[1] = time.monotonic_ns() * 1e-9, 1.0
         self._row[2:] = self._platform.held
         self._ring.push(self._row)
@@ -116,7 +155,16 @@ class Watchdog:
         self._answer.close()
 
 
-def watch(beats: Ring, answer: Ring, keeper: Keeper, action: Action, timeout: float, lasting: float, period: float, parent: int) -> bool:
+def watch(
+    beats: Ring,
+    answer: Ring,
+    keeper: Keeper,
+    action: Action,
+    timeout: float,
+    lasting: float,
+    period: float,
+    parent: int,
+) -> bool:
     """Check the heartbeats until the loop has finished; True if the watchdog has acted."""
     newest: Array | None = None
     while not beats.finished:
@@ -125,7 +173,11 @@ def watch(beats: Ring, answer: Ring, keeper: Keeper, action: Action, timeout: fl
             newest = rows[-1].copy()
         armed = newest is not None and newest[1] > 0.0
         orphaned = os.getppid() != parent
-        if newest is not None and armed and (orphaned or time.monotonic_ns() * 1e-9 - newest[0] > timeout):
+        if (
+            newest is not None
+            and armed
+            and (orphaned or time.monotonic_ns() * 1e-9 - newest[0] > timeout)
+        ):
             answer.push(np.ones(1))
             _act(keeper, action, newest[2:], lasting, period)
             return True
@@ -166,7 +218,8 @@ def main() -> int:
         if not rings:
             return 1
         ordinary()
-        with prepared(priority=PRIORITY + 1):  # above the loop, which may be stuck at its own priority
+        # above the loop, which may be stuck at its own priority
+        with prepared(priority=PRIORITY + 1):
             watch(rings[0], rings[1], keeper, a.action, a.timeout, a.lasting, a.period, a.parent)
     return 0
 

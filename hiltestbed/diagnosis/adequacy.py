@@ -1,7 +1,9 @@
-"""Stage "select": goodness of fit: whether the residual of a hypothesis is noise, channel by channel, in contact and outside it.
+"""Stage "select": goodness of fit: whether the residual of a hypothesis is noise, channel by
+channel, in contact and outside it.
 
-Two statistics a channel, both 1 for white noise at the floor: the variance ratio, and the same for means of blocks of samples, in which a
-smooth misfit far below the noise shows. The samples of a block count once, so that correlated residuals do not count as many samples.
+Two statistics a channel, both 1 for white noise at the floor: the variance ratio, and the same for
+means of blocks of samples, in which a smooth misfit far below the noise shows. The samples of a
+block count once, so that correlated residuals do not count as many samples.
 """
 
 from __future__ import annotations
@@ -17,7 +19,14 @@ from hiltestbed.diagnosis.links import Link, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.settings import ADEQUACY_SIGMA, BLOCK_ROWS, FLOOR_ERROR, FLOOR_ROWS, MIN_FREE_ROWS, MODEL_ERROR
+from hiltestbed.diagnosis.settings import (
+    ADEQUACY_SIGMA,
+    BLOCK_ROWS,
+    FLOOR_ERROR,
+    FLOOR_ROWS,
+    MIN_FREE_ROWS,
+    MODEL_ERROR,
+)
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
@@ -51,15 +60,19 @@ def noise_alone(leftovers: Mapping[str, Leftover]) -> bool:
 
 
 def leftover(residuals: list[Array], tail: float = 2.0, rows: int = FLOOR_ROWS) -> Leftover:
-    """Of one channel; residuals: one array a run (or contact), in units of the noise; tail: variance of the square of a noise sample;
-    rows: from which the noise floor was estimated."""
+    """Of one channel; residuals: one array a run (or contact), in units of the noise; tail:
+    variance of the square of a noise sample;
+    rows: from which the noise floor was estimated.
+    """
     total, squares, sums, blocks = 0, 0.0, 0.0, 0
     level = FLOOR_ERROR * math.sqrt(tail / 2.0 * max(1.0, FLOOR_ROWS / max(rows, 1)))
     for r in residuals:
         total += len(r)
         squares += float(r @ r)
         whole = len(r) // BLOCK_ROWS
-        means = r[: whole * BLOCK_ROWS].reshape(whole, BLOCK_ROWS).sum(axis=1) / math.sqrt(BLOCK_ROWS)
+        means = r[: whole * BLOCK_ROWS].reshape(whole, BLOCK_ROWS).sum(axis=1) / math.sqrt(
+            BLOCK_ROWS
+        )
         sums += float(means @ means)
         blocks += whole
     return Leftover(
@@ -72,8 +85,10 @@ def leftover(residuals: list[Array], tail: float = 2.0, rows: int = FLOOR_ROWS) 
 
 
 def _most(variance: float) -> float:
-    """The mean of squares of noise, of mean 1 and this variance, that is exceeded as rarely as ADEQUACY_SIGMA by a normal deviate: a few
-    squares are skewed (chi-square, by E. B. Wilson, M. M. Hilferty, PNAS 17, 1931)."""
+    """The mean of squares of noise, of mean 1 and this variance, that is exceeded as rarely as
+    ADEQUACY_SIGMA by a normal deviate: a few squares are skewed (chi-square, by E. B. Wilson, M. M.
+    Hilferty, PNAS 17, 1931).
+    """
     part = variance / 9.0
     return (1.0 - part + ADEQUACY_SIGMA * math.sqrt(part)) ** 3
 
@@ -113,15 +128,26 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
             outside[c].append(z[~run.touching & counted, c])
     out = {}
     for name, a, b in zip(link.channels, inside, outside, strict=True):
-        both = [leftover(part, max(r.tail for r in link.runs), _read_from(link)) for part in (a, b) if sum(map(len, part)) > 0]
+        both = [
+            leftover(part, max(r.tail for r in link.runs), _read_from(link))
+            for part in (a, b)
+            if sum(map(len, part)) > 0
+        ]
         if both:
             out[name] = max(both, key=lambda left: left.excess)
     return out
 
 
 def _read_from(link: Link) -> int:
-    """Samples from which the noise floor was estimated: those away from contacts, or all where these are too few. A log that is slower
-    than the loop has fewer of them than rows."""
+    """Samples from which the noise floor was estimated: those away from contacts, or all where
+    these are too few. A log that is slower than the loop has fewer of them than rows.
+    """
     known = [np.asarray(np.isfinite(run.sigma).any(axis=1)) for run in link.runs]
-    free = sum(int(np.count_nonzero(k & ~run.touching)) for k, run in zip(known, link.runs, strict=True))
-    return free if free > MIN_FREE_ROWS * len(link.runs) else sum(int(np.count_nonzero(k)) for k in known)
+    free = sum(
+        int(np.count_nonzero(k & ~run.touching)) for k, run in zip(known, link.runs, strict=True)
+    )
+    return (
+        free
+        if free > MIN_FREE_ROWS * len(link.runs)
+        else sum(int(np.count_nonzero(k)) for k in known)
+    )

@@ -1,7 +1,9 @@
-"""Stage "layout": nuisance terms of each run, such as baseline wander, or hum whose phase differs between runs.
+"""Stage "layout": nuisance terms of each run, such as baseline wander, or hum whose phase differs
+between runs.
 
-Their amplitudes in a run are not known, but how large they are as a rule is: as large as they differ between the runs. Misfits are whitened
-by the covariance of noise and nuisances together, at no cost for each hypothesis. What the runs have in common beyond that remains a
+Their amplitudes in a run are not known, but how large they are as a rule is: as large as they
+differ between the runs. Misfits are whitened by the covariance of noise and nuisances together, at
+no cost for each hypothesis. What the runs have in common beyond that remains a
 misfit: a baseline that wanders by 0.1 N from run to run does not hide a bias of 2 N.
 """
 
@@ -17,22 +19,28 @@ from scipy.stats import f as fisher
 from hiltestbed.diagnosis.settings import DETECTION, SIGNIFICANCE_LEVEL
 from hiltestbed.frames import Array
 
-BASELINE_DEGREE = 5  # chosen: of the polynomials; three quarters of a slow period are a quintic to half a percent
+# chosen: of the polynomials; three quarters of a slow period are a quintic to half a percent
+BASELINE_DEGREE = 5
 MIN_BASELINE_ROWS = 60  # chosen: rows of a run, from which its baseline is estimated
 UNKNOWN = 1e6  # chosen: times the noise: an amplitude of which nothing is known
 
 
 class Aside:
-    """Nuisance terms of one run under the weights (N, C) of its misfits; ``columns`` (N, C, D): each term at one standard deviation.
+    """Nuisance terms of one run under the weights (N, C) of its misfits; ``columns`` (N, C, D):
+    each term at one standard deviation.
 
-    With unit noise and terms U = Q S V^T in units of it, (1 + U U^T)^(-1/2) = 1 - Q (1 - (1 + S^2)^(-1/2)) Q^T whitens the misfits.
+    With unit noise and terms U = Q S V^T in units of it, (1 + U U^T)^(-1/2) = 1 - Q (1 - (1 +
+    S^2)^(-1/2)) Q^T whitens the misfits.
     """
 
     def __init__(self, weight: Array, columns: Array) -> None:
         terms = np.moveaxis(columns * weight[:, :, None], 1, 0)  # (C, N, D)
         q, s, _ = np.linalg.svd(terms, full_matrices=False)
         self._q, self._share = q, 1.0 - 1.0 / np.hypot(1.0, s)
-        self._weight, self._inverse = weight, np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
+        self._weight, self._inverse = (
+            weight,
+            np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0),
+        )
 
     def of(self, left: Array) -> Array:
         """``(N, C)`` part of misfits (N, C) that whitening takes away."""
@@ -46,20 +54,23 @@ def baseline_terms(places: Array, degree: int) -> Array:
 
 
 def wander_between(free: Sequence[tuple[Array, Array]], spread: Array) -> Array | None:
-    """(D, C) standard deviation of the baselines' coefficients between runs; None where their shapes differ by no more than chance.
+    """(D, C) standard deviation of the baselines' coefficients between runs; None where their
+    shapes differ by no more than chance.
 
-    It is larger than that of the coefficients on hand, so far that what the runs share passes for a cause as rarely as noise does, however
+    It is larger than that of the coefficients on hand, so far that what the runs share passes for a
+    cause as rarely as noise does, however
     few they are: F(1, n - 1) and not chi-square is the distribution of its square.
 
     Args:
-        free: of each run, rows (M,) scaled from -1 to 1 and readings there (M, C). spread: (C,) standard deviation of the noise, as it acts
-            on smooth departures.
+        free: of each run, rows (M,) scaled from -1 to 1 and readings there (M, C). spread: (C,)
+            standard deviation of the noise, as it acts on smooth departures.
     """
     found, errors = [], []
     for at, readings in free:
         if len(at) < MIN_BASELINE_ROWS or not (spread > 0.0).all():
             continue
-        q, r = np.linalg.qr(baseline_terms(at, BASELINE_DEGREE))  # stable where rows are close together
+        # stable where rows are close together
+        q, r = np.linalg.qr(baseline_terms(at, BASELINE_DEGREE))
         inverse = np.linalg.inv(r)
         found.append(inverse @ (q.T @ readings))
         errors.append(np.sqrt((inverse**2).sum(axis=1))[:, None] * spread)

@@ -1,4 +1,6 @@
-"""Stage "decide": how well the data determine the estimates of a fit: correlation, cost around each estimate, and bounds that were met."""
+"""Stage "decide": how well the data determine the estimates of a fit: correlation, cost around each
+estimate, and bounds that were met.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +25,17 @@ BOUND_TOLERANCE = 1e-3  # chosen: of a parameter's scale
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The cost of holding one parameter at a value while the others of its fit follow along the valley of chi-square.
+    """The cost of holding one parameter at a value while the others of its fit follow along the
+    valley of chi-square.
 
     Attributes:
-        effect, parameter, unit: of the parameter; a component of a vector is NAME.NUMBER. of: axis or body, where the effect has one.
+        effect, parameter, unit: of the parameter; a component of a vector is NAME.NUMBER. of: axis
+            or body, where the effect has one.
         estimate: of it. ci95: its 95 % interval.
-        bounds: of the search. met: `lowest` or `highest`, the bound at which the estimate stands, or None.
-        values: (n,) ascending. rise: (n,) of chi-square over that of the estimate, in units of the misfit per sample.
+        bounds: of the search. met: `lowest` or `highest`, the bound at which the estimate stands,
+            or None.
+        values: (n,) ascending. rise: (n,) of chi-square over that of the estimate, in units of the
+            misfit per sample.
     """
 
     effect: str
@@ -57,7 +63,8 @@ class Certainty:
     """The uncertainty of the parameters that were fitted together on one link.
 
     Attributes:
-        link: of the loop. profiles: of each parameter. correlation: (P, P) of the estimates, in the order of the profiles.
+        link: of the loop. profiles: of each parameter. correlation: (P, P) of the estimates, in the
+            order of the profiles.
         ends: (P, 2) of the 95 % intervals.
     """
 
@@ -67,7 +74,9 @@ class Certainty:
     ends: Array
 
     def strongest(self) -> tuple[Profile, Profile, float] | None:
-        """The two parameters with the most correlated estimates, and their correlation; None where there is no pair."""
+        """The two parameters with the most correlated estimates, and their correlation; None where
+        there is no pair.
+        """
         size = np.abs(np.nan_to_num(np.triu(self.correlation, 1)))
         if not size.any():
             return None
@@ -77,11 +86,18 @@ class Certainty:
     def to_json(self) -> dict[str, Any]:
         """Plain data: the names of the rows of the correlation, and the profiles."""
         names = [p.label for p in self.profiles]
-        return {"link": self.link, "parameters": names, "correlation": self.correlation, "profiles": [p.to_json() for p in self.profiles]}
+        return {
+            "link": self.link,
+            "parameters": names,
+            "correlation": self.correlation,
+            "profiles": [p.to_json() for p in self.profiles],
+        }
 
 
 class Certainties:
-    """The certainty of each fit of a diagnosis, computed once however many of its causes are named."""
+    """The certainty of each fit of a diagnosis, computed once however many of its causes are
+    named.
+    """
 
     def __init__(self, explanations: Mapping[str, Explanation]) -> None:
         self._explanations = explanations
@@ -91,14 +107,22 @@ class Certainties:
         """The certainty of a fit to the link."""
         if found not in self._known:
             e = self._explanations[link]
-            self._known[found] = certainty(link, e.residual, found, e.candidates, instants_off(self._explanations))
+            self._known[found] = certainty(
+                link, e.residual, found, e.candidates, instants_off(self._explanations)
+            )
         return self._known[found]
 
     def __iter__(self):
         return (c for c in self._known.values() if c.profiles)
 
 
-def certainty(link: str, residual: Residual, found: Fit, candidates: Sequence[Candidate] = (), off: float = 0.0) -> Certainty:
+def certainty(
+    link: str,
+    residual: Residual,
+    found: Fit,
+    candidates: Sequence[Candidate] = (),
+    off: float = 0.0,
+) -> Certainty:
     """The certainty of a fit to the residual of a link.
 
     Args:
@@ -106,52 +130,93 @@ def certainty(link: str, residual: Residual, found: Fit, candidates: Sequence[Ca
         off: [s] by which instants of the facility may be off, which no channel tells from a delay.
     """
     spread = intervals(residual, found)
-    spread = replace(spread, ends=_with_variants(residual, found, _with_timing(residual, found, spread.ends), candidates))
+    spread = replace(
+        spread,
+        ends=_with_variants(
+            residual, found, _with_timing(residual, found, spread.ends), candidates
+        ),
+    )
     if off:
         spread = replace(spread, ends=_with_instants(found, spread.ends, off))
     low, high, log = bounds_of(found.causes)
-    close = BOUND_TOLERANCE * scales(found.theta, low, high, log) if len(found.theta) else np.zeros(0)
+    close = (
+        BOUND_TOLERANCE * scales(found.theta, low, high, log) if len(found.theta) else np.zeros(0)
+    )
     base = square(residual(found.effects()))
     profiles, names = [], [(c, name) for c in found.causes for name in c.names]
     for j, (c, name) in enumerate(names):
         at = float(found.theta[j])
-        met = "lowest" if at - low[j] <= close[j] else "highest" if high[j] - at <= close[j] else None
+        met = (
+            "lowest" if at - low[j] <= close[j] else "highest" if high[j] - at <= close[j] else None
+        )
         values, costs = _profile(residual, found, spread, j)
-        ends, bounds = (float(spread.ends[j, 0]), float(spread.ends[j, 1])), (float(low[j]), float(high[j]))
+        ends, bounds = (
+            (float(spread.ends[j, 0]), float(spread.ends[j, 1])),
+            (float(low[j]), float(high[j])),
+        )
         rise = (costs - base) / spread.misfit
-        unit, of = _unit(c, name.partition(".")[0]), ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str))
+        unit, of = (
+            _unit(c, name.partition(".")[0]),
+            ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str)),
+        )
         profiles.append(Profile(c.kind, name, unit, of, at, ends, bounds, met, values, rise))
     return Certainty(link, tuple(profiles), spread.correlation, spread.ends)
 
 
-def _with_variants(residual: Residual, found: Fit, ends: Array, candidates: Sequence[Candidate]) -> Array:
-    """(P, 2) ends of the intervals, wide enough for those variants of each cause that have a parameter of the facility beside its own.
+def _with_variants(
+    residual: Residual, found: Fit, ends: Array, candidates: Sequence[Candidate]
+) -> Array:
+    """(P, 2) ends of the intervals, wide enough for those variants of each cause that have a
+    parameter of the facility beside its own.
 
-    A response that is integrated step by step answers early by some of a tick: too little to be preferred, and enough to bias an estimate.
-    Other ways of stepping may differ from the variant by as much as it does from none.
+    A response that is integrated step by step answers early by some of a tick: too little to be
+    preferred, and enough to bias an estimate. Other ways of stepping may differ from the variant by
+    as much as it does from none.
     """
     out = ends.copy()
     for i, cause in enumerate(found.causes):
         here = found.place(i)
         for other in candidates:
             beside = [name for name in other.names if name not in cause.names]
-            same = other.kind == cause.kind and other.fixed == cause.fixed and set(cause.names) < set(other.names)
+            same = (
+                other.kind == cause.kind
+                and other.fixed == cause.fixed
+                and set(cause.names) < set(other.names)
+            )
             if not same or any(name in cause.effect.model_fields for name in beside):
                 continue
             known = dict(zip(cause.names, found.part(i), strict=True))
-            start = [known.get(name, value) for name, value in zip(other.names, other.grid[0], strict=True)]
+            start = [
+                known.get(name, value)
+                for name, value in zip(other.names, other.grid[0], strict=True)
+            ]
             causes = (*found.causes[:i], other, *found.causes[i + 1 :])
-            again = fit(residual, causes, [np.concatenate([found.theta[: here.start], start, found.theta[here.stop :]])], tries=1)
+            again = fit(
+                residual,
+                causes,
+                [np.concatenate([found.theta[: here.start], start, found.theta[here.stop :]])],
+                tries=1,
+            )
             own = [here.start + other.names.index(name) for name in cause.names]
-            there, shift = intervals(residual, again).ends[own], np.abs(again.theta[own] - found.theta[here])
-            out[here] = np.column_stack([np.minimum(out[here, 0], there[:, 0] - shift), np.maximum(out[here, 1], there[:, 1] + shift)])
+            there, shift = (
+                intervals(residual, again).ends[own],
+                np.abs(again.theta[own] - found.theta[here]),
+            )
+            out[here] = np.column_stack(
+                [
+                    np.minimum(out[here, 0], there[:, 0] - shift),
+                    np.maximum(out[here, 1], there[:, 1] + shift),
+                ]
+            )
     return out
 
 
 def _with_timing(residual: Residual, found: Fit, ends: Array) -> Array:
-    """(P, 2) ends of the intervals, wide enough for the timing of the link, where that was estimated as well.
+    """(P, 2) ends of the intervals, wide enough for the timing of the link, where that was
+    estimated as well.
 
-    A platform that answers later and one that is stamped later differ little: the bandwidth of a lag is known no better than the stamp.
+    A platform that answers later and one that is stamped later differ little: the bandwidth of a
+    lag is known no better than the stamp.
     """
     shift = timing_found(residual.link)
     if shift is None or not found.causes:
@@ -159,14 +224,18 @@ def _with_timing(residual: Residual, found: Fit, ends: Array) -> Array:
     again = fit_with_timing(residual, found, shift, starts=[np.zeros(len(shift.names))])
     own = slice(0, len(found.theta))
     there, moved = intervals(residual, again).ends[own], np.abs(again.theta[own] - found.theta)
-    return np.column_stack([np.minimum(ends[:, 0], there[:, 0] - moved), np.maximum(ends[:, 1], there[:, 1] + moved)])
+    return np.column_stack(
+        [np.minimum(ends[:, 0], there[:, 0] - moved), np.maximum(ends[:, 1], there[:, 1] + moved)]
+    )
 
 
 def _with_instants(found: Fit, ends: Array, off: float) -> Array:
     """(P, 2) ends of the intervals, those of delays wider by ``off`` [s] on each side."""
     low, high, _ = bounds_of(found.causes)
     names = [(c.kind, name) for c in found.causes for name in c.names]
-    wider = np.array([off if kind in DELAY_EFFECTS and name == "delay" else 0.0 for kind, name in names])
+    wider = np.array(
+        [off if kind in DELAY_EFFECTS and name == "delay" else 0.0 for kind, name in names]
+    )
     return np.clip(ends + wider[:, None] * np.array([-1.0, 1.0]), low[:, None], high[:, None])
 
 
@@ -176,17 +245,25 @@ def _unit(c: Candidate, name: str) -> str:
 
 
 def _profile(residual: Residual, found: Fit, spread: Spread, j: int) -> tuple[Array, Array]:
-    """Values of parameter j around its estimate, and chi-square there, with the other parameters moved by linear regression on it."""
+    """Values of parameter j around its estimate, and chi-square there, with the other parameters
+    moved by linear regression on it.
+    """
     low, high, log = bounds_of(found.causes)
     scale = scales(found.theta, low, high, log)
     reach = np.linspace(-PROFILE_REACH, PROFILE_REACH, PROFILE_POINTS)
-    side = np.where(reach < 0.0, found.theta[j] - spread.ends[j, 0], spread.ends[j, 1] - found.theta[j])
+    side = np.where(
+        reach < 0.0, found.theta[j] - spread.ends[j, 0], spread.ends[j, 1] - found.theta[j]
+    )
     values = np.unique(np.clip(found.theta[j] + reach * side, low[j], high[j]))
     thetas = np.tile(found.theta, (len(values), 1))
     others = np.flatnonzero(spread.determined & (np.arange(len(scale)) != j))
     if len(others) and spread.determined[j]:
-        follow = -np.linalg.lstsq(spread.normal[np.ix_(others, others)], spread.normal[others, j], rcond=None)[0]
+        follow = -np.linalg.lstsq(
+            spread.normal[np.ix_(others, others)], spread.normal[others, j], rcond=None
+        )[0]
         thetas[:, others] += (values - found.theta[j])[:, None] / scale[j] * follow * scale[others]
     thetas[:, j] = values
     thetas = np.clip(thetas, low, high)
-    return values, np.array([square(r) for r in residual.many([effects_at(found.causes, theta) for theta in thetas])])
+    return values, np.array(
+        [square(r) for r in residual.many([effects_at(found.causes, theta) for theta in thetas])]
+    )

@@ -1,7 +1,9 @@
-"""The runs simulated in closed loop, nominal and extended, and the figures that are compared with the measured ones.
+"""The runs simulated in closed loop, nominal and extended, and the figures that are compared with
+the measured ones.
 
-Measured and simulated runs go through the same rule: speeds are slopes of the commanded pose before and after the first contact,
-stiffness and damping a least-squares fit of the reading on pose and rate in contact.
+Measured and simulated runs go through the same rule: speeds are slopes of the commanded pose before
+and after the first contact, stiffness and damping a least-squares fit of the reading on pose and
+rate in contact.
 """
 
 from __future__ import annotations
@@ -25,15 +27,21 @@ from hiltestbed.simulation import simulate
 
 SPEED_WINDOW = 0.1  # chosen: [s] over which a speed is estimated, at most
 MIN_SAMPLES = 8  # of a speed
-QUIET_TIME = 0.03  # chosen: [s] from the end of a contact to the speed, longer than the tail of an unknown delay or lag
-SMOOTHING_PARTS = 15  # chosen: a contact is smoothed over this part of itself before it is differentiated
+# chosen: [s] from the end of a contact to the speed, longer than the tail of an unknown delay or
+# lag
+QUIET_TIME = 0.03
+# chosen: a contact is smoothed over this part of itself before it is differentiated
+SMOOTHING_PARTS = 15
 LOCKSTEP_RUNS = 64  # simulated together
-MIN_FITTED_SHARE = 0.01  # chosen: of the largest penetration, from which samples are fitted: below it the force is clipped
+# chosen: of the largest penetration, from which samples are fitted: below it the force is clipped
+MIN_FITTED_SHARE = 0.01
 
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """One run, simulated: the nominal and the extended trace, None where the simulation could not be run."""
+    """One run, simulated: the nominal and the extended trace, None where the simulation could not
+    be run.
+    """
 
     run: int
     nominal: RunTrace | None
@@ -42,9 +50,11 @@ class SimulatedRun:
 
 @dataclass(frozen=True)
 class Motion:
-    """The signals of a run that the figures need: (N,) each, NaN where not measured; None for a channel that is absent.
+    """The signals of a run that the figures need: (N,) each, NaN where not measured; None for a
+    channel that is absent.
 
-    span: first tick of the first contact, its end, and the end of the stretch after it (the next contact or the last row).
+    span: first tick of the first contact, its end, and the end of the stretch after it (the next
+        contact or the last row).
     """
 
     t: Array
@@ -56,8 +66,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class Bounce:
-    """A contact: before, after: the rows [first, end) from which the speeds are estimated. approach_speed, rebound_speed [m/s]: both
-    positive; None where one cannot be estimated."""
+    """A contact: before, after: the rows [first, end) from which the speeds are estimated.
+    approach_speed, rebound_speed [m/s]: both positive; None where one cannot be estimated.
+    """
 
     before: tuple[int, int]
     after: tuple[int, int]
@@ -65,13 +76,18 @@ class Bounce:
     rebound_speed: float | None
 
 
-def simulate_runs(dataset: MeasuredDataset, causes: Sequence[Cause | Learned]) -> tuple[SimulatedRun, ...]:
+def simulate_runs(
+    dataset: MeasuredDataset, causes: Sequence[Cause | Learned]
+) -> tuple[SimulatedRun, ...]:
     """Simulate every run's scenario as believed, and with the causes."""
     nominal = [r.scenario for r in dataset.runs]
     extended = [with_causes(s, causes) for s in nominal] if causes else []
     traces = traces_of(nominal)
     after = traces_of(extended) if causes else traces
-    return tuple(SimulatedRun(r.record.run, a, b) for r, a, b in zip(dataset.runs, traces, after, strict=True))
+    return tuple(
+        SimulatedRun(r.record.run, a, b)
+        for r, a, b in zip(dataset.runs, traces, after, strict=True)
+    )
 
 
 def with_causes(scenario: Scenario, causes: Sequence[Cause | Learned]) -> Scenario:
@@ -98,17 +114,24 @@ def traces_of(scenarios: Sequence[Scenario]) -> list[RunTrace | None]:
 def closed_loop(dataset: MeasuredDataset, simulated: Sequence[SimulatedRun]) -> ClosedLoop:
     """Figures of every run."""
     rows = [
-        tuple(figures(motion, run.scenario) for motion in (measured_motion(run), trace_motion(p.nominal), trace_motion(p.extended)))
+        tuple(
+            figures(motion, run.scenario)
+            for motion in (measured_motion(run), trace_motion(p.nominal), trace_motion(p.extended))
+        )
         for run, p in zip(dataset.runs, simulated, strict=True)
     ]
-    return ClosedLoop(tuple(p.run for p in simulated), *(tuple(row[i] for row in rows) for i in range(3)))
+    return ClosedLoop(
+        tuple(p.run for p in simulated), *(tuple(row[i] for row in rows) for i in range(3))
+    )
 
 
 def measured_motion(run: MeasuredRun) -> Motion:
     """The motion of a measured run."""
     record, spans = run.record, [(c.start, c.end) for c in run.survey.contacts]
     names = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz")
-    command, reached, force = (record.column(name) if name in record.columns() else None for name in names)
+    command, reached, force = (
+        record.column(name) if name in record.columns() else None for name in names
+    )
     return Motion(record.t, command, reached, force, _first(spans, record.ticks))
 
 
@@ -117,8 +140,12 @@ def trace_motion(trace: RunTrace | None) -> Motion | None:
     if trace is None:
         return None
     edges = np.flatnonzero(np.diff(np.r_[False, trace.contact, False])).reshape(-1, 2)
-    command, reached, force = (np.ascontiguousarray(trace[g][:, 2]) for g in ("pose_cmd", "pose_act", "wrench_meas"))
-    return Motion(trace.t, command, reached, force, _first([(int(a), int(b)) for a, b in edges], len(trace.t)))
+    command, reached, force = (
+        np.ascontiguousarray(trace[g][:, 2]) for g in ("pose_cmd", "pose_act", "wrench_meas")
+    )
+    return Motion(
+        trace.t, command, reached, force, _first([(int(a), int(b)) for a, b in edges], len(trace.t))
+    )
 
 
 def _first(spans: Sequence[tuple[int, int]], ticks: int) -> tuple[int, int, int] | None:
@@ -142,9 +169,11 @@ def figures(motion: Motion | None, scenario: Scenario) -> Figures:
 
 
 def restitution(motion: Motion, scenario: Scenario) -> float | None:
-    """Rebound speed over approach speed of the first contact; None where either cannot be estimated.
+    """Rebound speed over approach speed of the first contact; None where either cannot be
+    estimated.
 
-    From the commanded pose, as the numerical model's; from the reached pose where the command was not recorded.
+    From the commanded pose, as the numerical model's; from the reached pose where the command was
+    not recorded.
     """
     rows = bounce_of(motion, scenario)
     if rows is None or rows.rebound_speed is None or rows.approach_speed is None:
@@ -160,10 +189,16 @@ def bounce_of(motion: Motion, scenario: Scenario) -> Bounce | None:
     start, end, until = motion.span
     window, settle = round(SPEED_WINDOW * scenario.rate), settle_ticks(scenario)
     first = min(end + settle + round(QUIET_TIME * scenario.rate), max(end + settle, until - window))
-    before, after = (max(0, start - 1 - window), start - 1), (first, min(until, len(z), first + window))
+    before, after = (
+        (max(0, start - 1 - window), start - 1),
+        (first, min(until, len(z), first + window)),
+    )
     approach, rebound = _slope(motion.t, z, *before), _slope(motion.t, z, *after)
     return Bounce(
-        before, after, None if approach is None or approach <= 0.0 else approach, None if rebound is None or rebound >= 0.0 else -rebound
+        before,
+        after,
+        None if approach is None or approach <= 0.0 else approach,
+        None if rebound is None or rebound >= 0.0 else -rebound,
     )
 
 
@@ -177,7 +212,8 @@ def _slope(t: Array, z: Array, start: int, end: int) -> float | None:
 
 
 def identified(motion: Motion, scenario: Scenario) -> tuple[float | None, float | None]:
-    """k [N/m] and c [N s/m] of F = k x + c v over the first contact, with the reading shifted back by the sensor's nominal delay.
+    """k [N/m] and c [N s/m] of F = k x + c v over the first contact, with the reading shifted back
+    by the sensor's nominal delay.
 
     Clipped samples at the touch are left out (literature: a window over x > 0 costs 3 to 5 % of c).
     """

@@ -1,7 +1,9 @@
-"""Stage "replay": decimation of a long record of a slow motion: block means of path and reading, as long as the departure is preserved.
+"""Stage "replay": decimation of a long record of a slow motion: block means of path and reading, as
+long as the departure is preserved.
 
-A damper that is moved at 1 Hz and recorded at 1 kHz tells no more with a thousand rows a second than with two hundred, and every row costs
-a step of every hypothesis. A block mean delays path and reading alike, and preserves a linear law between them.
+A damper that is moved at 1 Hz and recorded at 1 kHz tells no more with a thousand rows a second
+than with two hundred, and every row costs a step of every hypothesis. A block mean delays path and
+reading alike, and preserves a linear law between them.
 """
 
 from __future__ import annotations
@@ -16,14 +18,17 @@ from hiltestbed.frames import Array
 from hiltestbed.scenario import resolved, scenario_from
 
 MIN_ROWS = 3000  # chosen: of all runs together, that are always kept
-MAX_LOSS = 0.02  # chosen: share of the departure from the nominal model that may lie between the blocks
+# chosen: share of the departure from the nominal model that may lie between the blocks
+MAX_LOSS = 0.02
 
 
 def decimated(link: WrenchLink) -> WrenchLink:
-    """The same link on means of 2, 4, ... rows; itself where that would lose too much. The noise is not lowered.
+    """The same link on means of 2, 4, ... rows; itself where that would lose too much. The noise is
+    not lowered.
 
-    Links that are simulated or filtered depend on every tick, and are not decimated. The signal lost between the blocks is estimated from
-    whole residual there, less the known share of white noise.
+    Links that are simulated or filtered depend on every tick, and are not decimated. The signal
+    lost between the blocks is estimated from whole residual there, less the known share of white
+    noise.
     """
     rows = sum(len(p) for p in link.paths)
     count = 1
@@ -44,14 +49,21 @@ def decimated(link: WrenchLink) -> WrenchLink:
 
 
 def _rms(link: WrenchLink, modelled: list[Array]) -> float:
-    """Rms of the measured readings less `modelled`, in units of their noise, over all that was measured."""
+    """Rms of the measured readings less `modelled`, in units of their noise, over all that was
+    measured.
+    """
     counted = [np.isfinite(r.sigma) for r in link.runs]
-    left = [((r.measured - m) / r.sigma)[c] for r, m, c in zip(link.runs, modelled, counted, strict=True)]
+    left = [
+        ((r.measured - m) / r.sigma)[c]
+        for r, m, c in zip(link.runs, modelled, counted, strict=True)
+    ]
     return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
 
 
 def _lost(link: WrenchLink, count: int) -> float:
-    """Rms of the signal between blocks of ``count`` rows, in units of the noise, with the share of the noise subtracted."""
+    """Rms of the signal between blocks of ``count`` rows, in units of the noise, with the share of
+    the noise subtracted.
+    """
     between = _rms(link, [_between(r.measured, count) for r in link.runs])
     white = np.eye(8 * count)
     own = float(np.mean(np.sum((white - _between(white, count)) ** 2, axis=1)))
@@ -61,7 +73,9 @@ def _lost(link: WrenchLink, count: int) -> float:
 def _means(values: Array, count: int) -> Array:
     """(N // count, ...) means of blocks of rows."""
     whole = len(values) // count
-    return np.ascontiguousarray(values[: whole * count].reshape(whole, count, *values.shape[1:]).mean(axis=1))
+    return np.ascontiguousarray(
+        values[: whole * count].reshape(whole, count, *values.shape[1:]).mean(axis=1)
+    )
 
 
 def _between(values: Array, count: int) -> Array:

@@ -1,4 +1,6 @@
-"""Stage "decide": a sentence on the residual of an explanation: on which channel, in which phase, and with which quantity it correlates."""
+"""Stage "decide": a sentence on the residual of an explanation: on which channel, in which phase,
+and with which quantity it correlates.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +25,26 @@ def describe(explanation: Explanation, name: str) -> str:
     phases, shape = _phases(residual, effects, column), _shape(residual, effects, column)
     worst = max(phases, key=lambda p: phases[p])
     figures = ", ".join(f"{phase} {value:.2g}" for phase, value in phases.items())
-    along = f"; it correlates with {shape}" if shape else "; it correlates with none of penetration, rate, their product, force or time"
+    along = (
+        f"; it correlates with {shape}"
+        if shape
+        else "; it correlates with none of penetration, rate, their product, force or time"
+    )
     words = " and ".join(explanation.chosen.kinds)
     taken = f"with {words} removed, " if words else ""
-    return f"{name}: {taken}the largest residual is on {channel}, {worst} (times the noise: {figures}){along}"
+    return (
+        f"{name}: {taken}the largest residual is on {channel}, {worst} (times the noise: "
+        f"{figures}){along}"
+    )
 
 
 def _phases(residual: Residual, effects: Effects, column: int) -> dict[str, float]:
-    parts: dict[str, list[Array]] = {"before the touch": [], "while loading": [], "while unloading": [], "after the contact": []}
+    parts: dict[str, list[Array]] = {
+        "before the touch": [],
+        "while loading": [],
+        "while unloading": [],
+        "after the contact": [],
+    }
     for i in residual.runs:
         z, run = residual.of_run(i, effects)[:, column], residual.link.runs[i]
         touched = np.logical_or.accumulate(run.touching)
@@ -48,11 +62,19 @@ def _phases(residual: Residual, effects: Effects, column: int) -> dict[str, floa
 
 def _shape(residual: Residual, effects: Effects, column: int) -> str:
     link = residual.link
-    paths = link.paths if isinstance(link, WrenchLink) else link.commands if isinstance(link, PlatformLink) else None
+    paths = (
+        link.paths
+        if isinstance(link, WrenchLink)
+        else link.commands
+        if isinstance(link, PlatformLink)
+        else None
+    )
     left, columns = [], []
     for i in residual.runs:
         run = link.runs[i]
-        z = np.convolve(residual.of_run(i, effects)[:, column], np.ones(SMOOTHING_ROWS) / SMOOTHING_ROWS, "same")
+        z = np.convolve(
+            residual.of_run(i, effects)[:, column], np.ones(SMOOTHING_ROWS) / SMOOTHING_ROWS, "same"
+        )
         depth = paths[i][:, 2] if paths is not None else np.zeros(len(z))
         rate = np.gradient(depth, run.scenario.tick)
         force = link.shown(i, effects)[:, min(2, len(link.channels) - 1)]
@@ -61,14 +83,35 @@ def _shape(residual: Residual, effects: Effects, column: int) -> str:
         start = t[inside][0]
         left.append(z[inside])
         columns.append(
-            np.column_stack([depth, rate, depth * rate, np.abs(depth) * np.sign(rate), np.sign(rate), depth**3, force, t - start])[inside]
+            np.column_stack(
+                [
+                    depth,
+                    rate,
+                    depth * rate,
+                    np.abs(depth) * np.sign(rate),
+                    np.sign(rate),
+                    depth**3,
+                    force,
+                    t - start,
+                ]
+            )[inside]
         )
     y, x = np.concatenate(left), np.concatenate(columns)
-    names = ("the penetration", "its rate", "penetration times rate", "penetration, with the sign of the rate", "the sign of the rate",
-             "the cube of the penetration", "the force", "the time in contact")  # fmt: skip
+    names = (
+        "the penetration",
+        "its rate",
+        "penetration times rate",
+        "penetration, with the sign of the rate",
+        "the sign of the rate",
+        "the cube of the penetration",
+        "the force",
+        "the time in contact",
+    )
     if len(y) < 20 or np.std(y) == 0:
         return ""
     known = np.std(x, axis=0) > 0
-    match = [abs(float(np.corrcoef(y, x[:, j])[0, 1])) if known[j] else 0.0 for j in range(len(names))]
+    match = [
+        abs(float(np.corrcoef(y, x[:, j])[0, 1])) if known[j] else 0.0 for j in range(len(names))
+    ]
     best = int(np.argmax(match))
     return f"{names[best]} (correlation {match[best]:.2f})" if match[best] > MIN_CORRELATION else ""

@@ -3,11 +3,16 @@
 The stages, in order, with the module in which to read each:
 
 1. layout: which rows, noise floors and scales the links get (:mod:`hiltestbed.diagnosis.layout`);
-2. replay: each link of the loop predicts its output from measured inputs (:mod:`hiltestbed.diagnosis.links`, `residual`);
-3. fit: least squares of a hypothesis, a list of effects, on the residual of a link (:mod:`hiltestbed.diagnosis.fit`);
-4. select: which effects explain a link, down to the noise (:mod:`hiltestbed.diagnosis.search`, link by link in `investigate`);
-5. decide: from the explanations of the links to a verdict and its evidence (:mod:`hiltestbed.diagnosis.verdict`, `find`);
-6. report: both models in closed loop, the next experiment, the folder (:mod:`hiltestbed.diagnosis.report`).
+2. replay: each link of the loop predicts its output from measured inputs
+(:mod:`hiltestbed.diagnosis.links`, `residual`);
+3. fit: least squares of a hypothesis, a list of effects, on the residual of a link
+(:mod:`hiltestbed.diagnosis.fit`);
+4. select: which effects explain a link, down to the noise (:mod:`hiltestbed.diagnosis.search`, link
+by link in `investigate`);
+5. decide: from the explanations of the links to a verdict and its evidence
+(:mod:`hiltestbed.diagnosis.verdict`, `find`);
+6. report: both models in closed loop, the next experiment, the folder
+(:mod:`hiltestbed.diagnosis.report`).
 """
 
 from __future__ import annotations
@@ -26,10 +31,14 @@ from hiltestbed.diagnosis.search import Progress
 from hiltestbed.measured import MeasuredDataset, load_dataset
 
 
-def diagnose(dataset: str | Path | LoadedDataset | MeasuredDataset, progress: Progress | None = None) -> Diagnosis:
-    """The diagnosis of a dataset, or of the dataset in a file; `progress` is called with a line on what is being done.
+def diagnose(
+    dataset: str | Path | LoadedDataset | MeasuredDataset, progress: Progress | None = None
+) -> Diagnosis:
+    """The diagnosis of a dataset, or of the dataset in a file; `progress` is called with a line on
+    what is being done.
 
-    `investigate` runs the stages 1 to 4 of the list above, `find` the fifth and `conclude` the last. No stage changes its input.
+    `investigate` runs the stages 1 to 4 of the list above, `find` the fifth and `conclude` the
+    last. No stage changes its input.
 
     Raises:
         InputError: a file cannot be read, or its data contradict the physics.
@@ -40,7 +49,8 @@ def diagnose(dataset: str | Path | LoadedDataset | MeasuredDataset, progress: Pr
         if progress:
             progress("reading and checking the data")
         dataset = load_dataset(dataset)
-    with np.errstate(all="ignore"):  # hypotheses far from the truth may overflow; their misfit is clipped, and they are not selected
+    # hypotheses far from the truth may overflow; their misfit is clipped, and they are not selected
+    with np.errstate(all="ignore"):
         finding = find(investigate(dataset, progress), progress)
     if progress:
         progress(f"closing step 3 of {CLOSING_STEPS}: nominal and extended runs in closed loop")

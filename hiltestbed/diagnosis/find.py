@@ -1,7 +1,7 @@
 """Stage "decide": from the explanations of the links (`Findings`) to a `Finding`.
 
-A `Finding` holds the verdict, the causes with their intervals, the gain on left-out runs, the ranking of hypotheses, and which effects the
-data can tell apart.
+A `Finding` holds the verdict, the causes with their intervals, the gain on left-out runs, the
+ranking of hypotheses, and which effects the data can tell apart.
 """
 
 from __future__ import annotations
@@ -28,7 +28,15 @@ from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.plain import LINK_NAMES, entry, listed
 from hiltestbed.diagnosis.rebound import with_rebounds
 from hiltestbed.diagnosis.report.evidence import link_series
-from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Interval, Isolable, Parameter, Ranked
+from hiltestbed.diagnosis.result import (
+    Cause,
+    Finding,
+    Heldout,
+    Interval,
+    Isolable,
+    Parameter,
+    Ranked,
+)
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import MIN_HELDOUT_GAIN
 from hiltestbed.diagnosis.verdict import Named, Verdict, decide
@@ -38,7 +46,8 @@ from hiltestbed.effects.table import EFFECTS
 CLOSING_STEPS = 4  # after the links: intervals, smallest sizes, closed loop, report
 MAX_RANKED = 6  # hypotheses of a link that are listed
 MAX_RANKED_HELDOUT = 3  # of them, scored on left-out runs
-MEASURED_LINKS = ("platform", "wrench")  # links whose output is measured: their residual is compared with its noise
+# links whose output is measured: their residual is compared with its noise
+MEASURED_LINKS = ("platform", "wrench")
 
 
 @dataclass(frozen=True)
@@ -46,9 +55,11 @@ class Judged:
     """The verdict on a dataset, before intervals and series are added.
 
     Attributes:
-        findings: the explanations, with the one to which causes were added, if any. verdict: with its causes.
+        findings: the explanations, with the one to which causes were added, if any. verdict: with
+            its causes.
         nearest: the effects that come nearest where the worst link departs and nothing is named.
-        share: of the departure, explained by the causes that are named in part. learned: the law learned beside the causes, if any.
+        share: of the departure, explained by the causes that are named in part. learned: the law
+            learned beside the causes, if any.
         law: the effect by which that law extends the model.
     """
 
@@ -61,11 +72,14 @@ class Judged:
 
 
 def judge(findings: Findings, progress: Progress | None = None) -> Judged:
-    """The verdict; where few effects together do not explain a link, with those causes that hold all the same, or a learned law."""
+    """The verdict; where few effects together do not explain a link, with those causes that hold
+    all the same, or a learned law.
+    """
     findings = with_rebounds(findings)
     verdict = decide(findings)
     findings, nearest = _nearest(findings, verdict, progress)
-    if verdict.verdict == "unknown" and not nearest:  # more causes than were searched together explain it
+    # more causes than were searched together explain it
+    if verdict.verdict == "unknown" and not nearest:
         verdict = decide(findings)
     verdict, share = _in_part(findings, verdict, nearest)
     verdict, share, learned, law = _learned(findings, verdict, share, progress)
@@ -82,7 +96,8 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
     causes = tuple(cause_of(findings, c, certain, verdict.causes) for c in verdict.causes)
     once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a stamp delay shows on two links
     once = {c.effect: c for c in verdict.causes} if law else once
-    effects = [*(c.fit.effects()[c.index] for c in once.values()), *law]  # as the links take them, with their variants
+    # as the links take them, with their variants
+    effects = [*(c.fit.effects()[c.index] for c in once.values()), *law]
     series = [s for link in findings.whole.values() for s in link_series(link, effects)]
     departed = {name: e for name, e in findings.explanations.items() if e.departs}
     left = "; ".join(describe(e, LINK_NAMES[n]) for n, e in departed.items() if not e.adequate)
@@ -92,7 +107,9 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         causes=causes,
         series=series,
         noise=findings.noise,
-        heldout=gain_of(findings, nearest if verdict.verdict == "named_in_part" else verdict.causes),
+        heldout=gain_of(
+            findings, nearest if verdict.verdict == "named_in_part" else verdict.causes
+        ),
         ranking=tuple(r for n, e in departed.items() for r in _ranking(n, e)),
         isolability=_isolability(findings, progress),
         unsized=_unsized(findings),
@@ -102,7 +119,12 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         partial_gain=gain_of(findings, nearest),
         explained=judged.share,
         learned=judged.learned,
-        assumed=(*findings.layout.assumed(), *timing.words(findings.explanations), *findings.weighed, *_left_out(findings)),
+        assumed=(
+            *findings.layout.assumed(),
+            *timing.words(findings.explanations),
+            *findings.weighed,
+            *_left_out(findings),
+        ),
         certainty=tuple(certain),
     )
 
@@ -113,25 +135,45 @@ def _left_out(findings: Findings) -> tuple[str, ...]:
     if not isinstance(link, WrenchLink):
         return ()
     touching = [r.touching(run.rows) for r, run in zip(layout.runs, link.runs, strict=True)]
-    untold = [np.asarray(np.isinf(run.sigma).all(axis=1)) if link.simulated else np.zeros(run.rows, dtype=bool) for run in link.runs]
+    untold = [
+        np.asarray(np.isinf(run.sigma).all(axis=1))
+        if link.simulated
+        else np.zeros(run.rows, dtype=bool)
+        for run in link.runs
+    ]
     beside = [link.beside_jumps(i) for i in range(len(link.runs))]
     whys = (
         (untold, "there the smallest difference decides how the mechanism moves"),
         (beside, "there the platform jumps, and which reading shows a jump is not known"),
     )
     rows = max(sum(int(t.sum()) for t in touching), 1)
-    left = [(sum(int((o & t).sum()) for o, t in zip(out, touching, strict=True)) / rows, why) for out, why in whys]
-    return tuple(f"{share:.0%} of the rows in contact were left out: {why}" for share, why in left if share >= 0.005)
+    left = [
+        (sum(int((o & t).sum()) for o, t in zip(out, touching, strict=True)) / rows, why)
+        for out, why in whys
+    ]
+    return tuple(
+        f"{share:.0%} of the rows in contact were left out: {why}"
+        for share, why in left
+        if share >= 0.005
+    )
 
 
-def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) -> tuple[Findings, tuple[Named, ...]]:
-    """Where a link departs and nothing is named: the effects that come nearest on the worst link, as many as lower its misfit enough.
+def _nearest(
+    findings: Findings, verdict: Verdict, progress: Progress | None
+) -> tuple[Findings, tuple[Named, ...]]:
+    """Where a link departs and nothing is named: the effects that come nearest on the worst link,
+    as many as lower its misfit enough.
 
-    No effects are returned if these leave only noise and each is confirmed; the findings then hold them as the explanation of that link.
+    No effects are returned if these leave only noise and each is confirmed; the findings then hold
+    them as the explanation of that link.
     """
     if verdict.verdict != "unknown":
         return findings, ()
-    open_ = {n: e for n, e in findings.explanations.items() if e.departs and not e.adequate and e.chosen.causes}
+    open_ = {
+        n: e
+        for n, e in findings.explanations.items()
+        if e.departs and not e.adequate and e.chosen.causes
+    }
     if not open_:
         return findings, ()
     name = max(open_, key=lambda n: open_[n].worst)
@@ -148,11 +190,17 @@ def _nearest(findings: Findings, verdict: Verdict, progress: Progress | None) ->
 def _learned(
     findings: Findings, verdict: Verdict, share: float | None, progress: Progress | None
 ) -> tuple[Verdict, float | None, Learned | None, tuple[Effect, ...]]:
-    """The law learned on a link that departs beyond its confirmed causes, and the effect that extends the model.
+    """The law learned on a link that departs beyond its confirmed causes, and the effect that
+    extends the model.
 
-    A cause named in part is dropped if curves alone do as well as curves beside it, with fewer numbers: it was a part of them.
+    A cause named in part is dropped if curves alone do as well as curves beside it, with fewer
+    numbers: it was a part of them.
     """
-    open_ = {n: e for n, e in findings.explanations.items() if n in MEASURED_LINKS and e.departs and not e.adequate}
+    open_ = {
+        n: e
+        for n, e in findings.explanations.items()
+        if n in MEASURED_LINKS and e.departs and not e.adequate
+    }
     if verdict.verdict not in ("unknown", "named_in_part") or not open_:
         return verdict, share, None, ()
     name = max(open_, key=lambda n: (n == verdict.link, n == "wrench"))
@@ -163,9 +211,17 @@ def _learned(
     known = [c.fit.effects()[c.index] for c in causes]
     result = learned_on(found, known)
     alone = learned_on(found, ()) if known and result is not None else None
-    if result is not None and alone is not None and needless(result[0], alone[0], sum(len(c.fit.part(c.index)) for c in causes)):
+    if (
+        result is not None
+        and alone is not None
+        and needless(result[0], alone[0], sum(len(c.fit.part(c.index)) for c in causes))
+    ):
         others = tuple(c for c in verdict.causes if c.link != name)
-        verdict, share, result = Verdict("unknown", verdict.link, others, verdict.not_judged), None, alone
+        verdict, share, result = (
+            Verdict("unknown", verdict.link, others, verdict.not_judged),
+            None,
+            alone,
+        )
     if result is None:
         return verdict, share, None, ()
     learned, effect = result
@@ -173,21 +229,29 @@ def _learned(
 
 
 def needless(beside: Learned, alone: Learned, named: int) -> bool:
-    """Whether curves alone do as well as curves beside ``named`` parameters of causes, with fewer numbers.
+    """Whether curves alone do as well as curves beside ``named`` parameters of causes, with fewer
+    numbers.
 
-    Each left-out run counts alike: a pooled rms is that of the run that departs most, and a cause that acts in the others would be dropped.
+    Each left-out run counts alike: a pooled rms is that of the run that departs most, and a cause
+    that acts in the others would be dropped.
     """
     as_good = _left(alone) < _left(beside) / (1.0 - MIN_HELDOUT_GAIN)
     return alone.carries_over and as_good and alone.numbers < beside.numbers + named
 
 
 def _left(law: Learned) -> float:
-    """The rms that a law leaves of left-out runs, as their geometric mean: that by which laws and causes are selected."""
+    """The rms that a law leaves of left-out runs, as their geometric mean: that by which laws and
+    causes are selected.
+    """
     return float(gmean([after for _, after in law.heldout.per_run.values()]))
 
 
-def _in_part(findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]) -> tuple[Verdict, float | None]:
-    """The verdict with those of the nearest causes that hold, and the share of the departure that they explain; unchanged if none holds."""
+def _in_part(
+    findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]
+) -> tuple[Verdict, float | None]:
+    """The verdict with those of the nearest causes that hold, and the share of the departure that
+    they explain; unchanged if none holds.
+    """
     if not nearest:
         return verdict, None
     e = findings.explanations[nearest[0].link]
@@ -197,7 +261,9 @@ def _in_part(findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]) -
         return verdict, None
     causes = tuple(replace(nearest[i], probability=1.0) for i in kept)
     others = tuple(c for c in verdict.causes if c.effect not in {n.effect for n in causes})
-    return Verdict("named_in_part", verdict.link, (*causes, *others), verdict.not_judged), explained(e)
+    return Verdict(
+        "named_in_part", verdict.link, (*causes, *others), verdict.not_judged
+    ), explained(e)
 
 
 def _grown(e: Explanation, progress: Progress | None) -> Explanation:
@@ -206,8 +272,11 @@ def _grown(e: Explanation, progress: Progress | None) -> Explanation:
     return replace(e, chosen=best, leftovers=contact_leftovers(e.residual, best.effects()))
 
 
-def cause_of(findings: Findings, c: Named, certain: Certainties | None = None, beside: tuple[Named, ...] = ()) -> Cause:
-    """A cause with the 95 % intervals of its parameters; `certain` caches the intervals of each fit.
+def cause_of(
+    findings: Findings, c: Named, certain: Certainties | None = None, beside: tuple[Named, ...] = ()
+) -> Cause:
+    """A cause with the 95 % intervals of its parameters; `certain` caches the intervals of each
+    fit.
 
     beside: all named causes, for the complete explanations that have a rival in place of this one.
     """
@@ -228,7 +297,9 @@ def cause_of(findings: Findings, c: Named, certain: Certainties | None = None, b
         else:
             found[name] = Parameter(value, _interval(ends, names, start, name, value), unit)
     elsewhere = [o.fit.effects()[o.index] for o in beside if o.link != c.link]
-    alternatives = tuple(tuple(entry(e) for e in (*rival.effects(), *elsewhere)) for rival in c.rivals)
+    alternatives = tuple(
+        tuple(entry(e) for e in (*rival.effects(), *elsewhere)) for rival in c.rivals
+    )
     return Cause(c.effect, found, c.probability, tuple(c.indistinguishable_from), alternatives)
 
 
@@ -268,7 +339,9 @@ def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolabl
     for name, e in findings.explanations.items():
         if e.adequate:
             out += isolability(
-                e.residual, e.candidates, labelled(progress, f"closing step 2 of {CLOSING_STEPS}: sizes, {LINK_NAMES[name]}")
+                e.residual,
+                e.candidates,
+                labelled(progress, f"closing step 2 of {CLOSING_STEPS}: sizes, {LINK_NAMES[name]}"),
             )
     return tuple(out)
 
@@ -277,7 +350,8 @@ def _unsized(findings: Findings) -> dict[str, str]:
     """Link to the reason why no sizes can be stated for its effects."""
     why = "what was found there leaves more than noise, in which smaller effects hide"
     return {LINK_NAMES[n]: why for n, e in findings.explanations.items() if not e.adequate} | {
-        LINK_NAMES[name]: f"it was not judged: {reason}" for name, reason in findings.missing.items()
+        LINK_NAMES[name]: f"it was not judged: {reason}"
+        for name, reason in findings.missing.items()
     }
 
 

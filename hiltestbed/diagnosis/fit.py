@@ -1,8 +1,10 @@
-"""Stage "fit": bounded least squares of a hypothesis with few parameters: grid first, then Levenberg-Marquardt from the best starts.
+"""Stage "fit": bounded least squares of a hypothesis with few parameters: grid first, then
+Levenberg-Marquardt from the best starts.
 
-Takes a `Residual`, the causes as `Candidate` and their starts; gives a `Fit`. A trial is a replay of all runs; the trials of a Jacobian, of
-a grid and of a scan share one replay. That is why the descent is written here: :func:`scipy.optimize.least_squares` asks for one point at
-a time and takes three times as long.
+Takes a `Residual`, the causes as `Candidate` and their starts; gives a `Fit`. A trial is a replay
+of all runs; the trials of a Jacobian, of a grid and of a scan share one replay. That is why the
+descent is written here: :func:`scipy.optimize.least_squares` asks for one point at a time and takes
+three times as long.
 """
 
 from __future__ import annotations
@@ -19,18 +21,26 @@ from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
-DIFFERENCE_STEP = 1e-4  # derived: of a parameter's scale, for differences: about the root of a replay's round-off
+# derived: of a parameter's scale, for differences: about the root of a replay's round-off
+DIFFERENCE_STEP = 1e-4
 MAX_ITERATIONS = 25
 CONVERGED_CHI2 = 1e-4  # chosen: change of chi-square below which a fit has converged
 SCAN_POINTS = 21  # chosen: within a tenth of a parameter in which chi-square has jumps
 MIN_SCAN_STEP = 1e-3  # chosen: of such a parameter, at which its search ends
 DAMPINGS_AT_ONCE = 4  # chosen: of the descent, tried in one replay
 BOUND_TOLERANCE = 1e-3  # chosen: of the range of a search
-EXTRAPOLATION_MARGIN = 10.0  # chosen: times the remaining gain by geometric extrapolation; a descent that cannot reach `known` stops
-FIRST_SHARE = 0.25  # chosen: of the departure, in the runs on which a costly link is fitted, or its candidates are rated, first
-FAR_OFF = 10.0  # chosen: chi-square per sample, above which a descent on a costly link stops where two steps have gained little
+# chosen: times the remaining gain by geometric extrapolation; a descent that cannot reach `known`
+# stops
+EXTRAPOLATION_MARGIN = 10.0
+# chosen: of the departure, in the runs on which a costly link is fitted, or its candidates are
+# rated, first
+FIRST_SHARE = 0.25
+# chosen: chi-square per sample, above which a descent on a costly link stops where two steps have
+# gained little
+FAR_OFF = 10.0
 ROUGH_GAIN = 1e-3  # chosen: of chi-square: what is little, 0.05 % of the rms that is left
-MIN_STEPS = 4  # chosen: of a descent; then it also stops if the last two gains, repeated, would not reach `known`
+# chosen: of a descent; then it also stops if the last two gains, repeated, would not reach `known`
+MIN_STEPS = 4
 
 Run = Callable[[Sequence[Array] | Array], Array]  # thetas to residuals (H, M)
 
@@ -40,10 +50,11 @@ class Fit:
     """A hypothesis fitted to a link.
 
     Attributes:
-        causes: the candidates. theta: their parameters, concatenated. chi2: sum of squares in units of the noise.
+        causes: the candidates. theta: their parameters, concatenated. chi2: sum of squares in units
+            of the noise.
         residual: (M,). jacobian: (M, P) of the residual by the scaled parameters.
-        elsewhere: chi-square of what does not show on the link itself, such as the rebound, and what smoothing the noise of a recorded
-            input took off.
+        elsewhere: chi-square of what does not show on the link itself, such as the rebound, and
+            what smoothing the noise of a recorded input took off.
     """
 
     causes: tuple[Candidate, ...]
@@ -56,7 +67,10 @@ class Fit:
     @property
     def penalty(self) -> float:
         """Penalty for the parameters and for the choice among variants, in chi-square."""
-        return sum(len(c.names) * PENALTY + 2.0 * float(np.log(c.choices)) + (len(c.names) == 0) for c in self.causes)
+        return sum(
+            len(c.names) * PENALTY + 2.0 * float(np.log(c.choices)) + (len(c.names) == 0)
+            for c in self.causes
+        )
 
     @property
     def score(self) -> float:
@@ -88,17 +102,30 @@ class Fit:
     def ordered(self, causes: Sequence[Candidate]) -> Fit:
         """The same fit with its ``causes`` in another order."""
         columns = self._columns(causes)
-        return replace(self, causes=tuple(causes), theta=self.theta[columns], jacobian=self.jacobian[:, columns])
+        return replace(
+            self,
+            causes=tuple(causes),
+            theta=self.theta[columns],
+            jacobian=self.jacobian[:, columns],
+        )
 
     def _columns(self, causes: Sequence[Candidate]) -> list[int]:
         """Place in theta of each parameter of the same ``causes`` in another order."""
-        start = dict(zip([c.key for c in self.causes], np.cumsum([0, *(len(c.names) for c in self.causes)]).tolist(), strict=False))
+        start = dict(
+            zip(
+                [c.key for c in self.causes],
+                np.cumsum([0, *(len(c.names) for c in self.causes)]).tolist(),
+                strict=False,
+            )
+        )
         return [start[c.key] + j for c in causes for j in range(len(c.names))]
 
     def without(self, index: int) -> tuple[tuple[Candidate, ...], Array]:
         """The other causes, and their theta."""
         rest = [i for i in range(len(self.causes)) if i != index]
-        return tuple(self.causes[i] for i in rest), np.concatenate([self.part(i) for i in rest]) if rest else np.zeros(0)
+        return tuple(self.causes[i] for i in rest), np.concatenate(
+            [self.part(i) for i in rest]
+        ) if rest else np.zeros(0)
 
 
 def effects_at(causes: Sequence[Candidate], theta: Array) -> list[Effect]:
@@ -117,10 +144,16 @@ def null_fit(residual: Residual) -> Fit:
 
 
 def bounds_of(causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:
-    """Lower and upper bounds, and whether the scale is logarithmic, of all parameters, concatenated."""
+    """Lower and upper bounds, and whether the scale is logarithmic, of all parameters,
+    concatenated.
+    """
     if not causes:
         return np.zeros(0), np.zeros(0), np.zeros(0, bool)
-    return np.concatenate([c.low for c in causes]), np.concatenate([c.high for c in causes]), np.concatenate([c.log for c in causes])
+    return (
+        np.concatenate([c.low for c in causes]),
+        np.concatenate([c.high for c in causes]),
+        np.concatenate([c.log for c in causes]),
+    )
 
 
 def at_bound(cause: Candidate, theta: Array) -> bool:
@@ -132,11 +165,16 @@ def at_bound(cause: Candidate, theta: Array) -> bool:
 
 
 def fit(
-    residual: Residual, causes: Sequence[Candidate], starts: Sequence[Sequence[float] | Array], tries: int = 2, known: float = np.inf
+    residual: Residual,
+    causes: Sequence[Candidate],
+    starts: Sequence[Sequence[float] | Array],
+    tries: int = 2,
+    known: float = np.inf,
 ) -> Fit:
     """The best of several descents from the best of `starts` (each for all causes, concatenated).
 
-    known: chi-square that another hypothesis has reached; a descent that will not come near it is stopped.
+    known: chi-square that another hypothesis has reached; a descent that will not come near it is
+        stopped.
     """
     causes = tuple(causes)
     low, high, log = bounds_of(causes)
@@ -145,12 +183,25 @@ def fit(
     def run(thetas: Sequence[Array] | Array) -> Array:
         return residual.many([effects_at(causes, theta) for theta in thetas])
 
-    if tries > 1 and len(low) and residual.link.costly and len(few := telling(residual, run(thetas[:1])[0])) < len(residual.runs):
+    if (
+        tries > 1
+        and len(low)
+        and residual.link.costly
+        and len(few := telling(residual, run(thetas[:1])[0])) < len(residual.runs)
+    ):
         first = fit(residual.on(few), causes, thetas, tries, known)
         if first.chi2 > known:  # as all the more on all runs
             r = run([first.theta])[0]
-            slopes = differences(run, first.theta, r, scales(first.theta, low, high, log), low, high)
-            return replace(first, chi2=square(r), residual=r, jacobian=slopes, elsewhere=residual.smoothed_away(first.effects()))
+            slopes = differences(
+                run, first.theta, r, scales(first.theta, low, high, log), low, high
+            )
+            return replace(
+                first,
+                chi2=square(r),
+                residual=r,
+                jacobian=slopes,
+                elsewhere=residual.smoothed_away(first.effects()),
+            )
         thetas, tries = [first.theta], 1
     found = run(thetas)
     rated = sorted(((square(r), i) for i, r in enumerate(found)), key=lambda item: item[0])
@@ -160,13 +211,28 @@ def fit(
     descents: list[Fit] = []
     for chi2, i in rated[:tries]:
         reached = min([known, *(f.chi2 for f in descents)])
-        descents.append(_descend(run, causes, thetas[i], found[i], chi2, low, high, log, reached, residual.link.costly))
+        descents.append(
+            _descend(
+                run,
+                causes,
+                thetas[i],
+                found[i],
+                chi2,
+                low,
+                high,
+                log,
+                reached,
+                residual.link.costly,
+            )
+        )
     best = _polish(run, min(descents, key=lambda f: f.chi2), low, high)
     return replace(best, elsewhere=residual.smoothed_away(best.effects()))
 
 
 def telling(residual: Residual, r: Array) -> list[int]:
-    """The runs that depart most a row, with :data:`FIRST_SHARE` of the departure; r: (M,) of all runs under some hypothesis."""
+    """The runs that depart most a row, with :data:`FIRST_SHARE` of the departure; r: (M,) of all
+    runs under some hypothesis.
+    """
     misfit = {i: square(r[part]) for i, part in residual.parts().items()}
     out: list[int] = []
     for i in sorted(misfit, key=lambda i: -misfit[i] / residual.link.runs[i].rows):
@@ -176,24 +242,44 @@ def telling(residual: Residual, r: Array) -> list[int]:
 
 
 def refit(residual: Residual, found: Fit, known: float = np.inf) -> Fit:
-    """The same hypothesis fitted again from its last estimate, with other weights or runs; known: as of :func:`fit`."""
-    return fit(residual, found.causes, [found.theta], tries=1, known=known) if found.causes else null_fit(residual)
+    """The same hypothesis fitted again from its last estimate, with other weights or runs; known:
+    as of :func:`fit`.
+    """
+    return (
+        fit(residual, found.causes, [found.theta], tries=1, known=known)
+        if found.causes
+        else null_fit(residual)
+    )
 
 
 def refit_without(residual: Residual, found: Fit, index: int, known: float = np.inf) -> Fit:
-    """The other causes of a hypothesis, fitted again from where they stand beside that one; known: as of :func:`fit`."""
+    """The other causes of a hypothesis, fitted again from where they stand beside that one; known:
+    as of :func:`fit`.
+    """
     causes, theta = found.without(index)
     return fit(residual, causes, [theta], tries=1, known=known) if causes else null_fit(residual)
 
 
 def scales(theta: Array, low: Array, high: Array, log: np.ndarray) -> Array:
-    """d theta / d scaled parameter: theta itself on a logarithmic scale, else the larger of theta and a hundredth of the range."""
+    """d theta / d scaled parameter: theta itself on a logarithmic scale, else the larger of theta
+    and a hundredth of the range.
+    """
     width = np.where(np.isfinite(high - low), high - low, 1.0)
     return np.where(log, np.abs(theta), np.maximum(np.abs(theta), 0.01 * width))
 
 
-def differences(run: Run, theta: Array, r: Array, scale: Array, low: Array, high: Array, step: float = DIFFERENCE_STEP) -> Array:
-    """(M, P) derivative of the residual by the scaled parameters; a step that would leave the bounds is reversed."""
+def differences(
+    run: Run,
+    theta: Array,
+    r: Array,
+    scale: Array,
+    low: Array,
+    high: Array,
+    step: float = DIFFERENCE_STEP,
+) -> Array:
+    """(M, P) derivative of the residual by the scaled parameters; a step that would leave the
+    bounds is reversed.
+    """
     if len(theta) == 0:
         return np.zeros((len(r), 0))
     moved, widths = [], []
@@ -207,15 +293,28 @@ def differences(run: Run, theta: Array, r: Array, scale: Array, low: Array, high
     return ((run(moved) - r) / np.array(widths)[:, None]).T
 
 
-def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, chi2: float, low: Array, high: Array,
-             log: np.ndarray, known: float, rough: bool) -> Fit:  # fmt: skip
+def _descend(
+    run: Run,
+    causes: tuple[Candidate, ...],
+    theta: Array,
+    r: Array,
+    chi2: float,
+    low: Array,
+    high: Array,
+    log: np.ndarray,
+    known: float,
+    rough: bool,
+) -> Fit:
     """rough: whether a descent also stops where it is far off and two steps have gained little."""
     damping, jacobian, before = 1e-3, np.zeros((len(r), len(theta))), np.inf
     far = FAR_OFF * np.count_nonzero(r)
     for step in range(MAX_ITERATIONS):
         scale = scales(theta, low, high, log)
         jacobian = differences(run, theta, r, scale, low, high)
-        gradient, normal = np.einsum("mi,m->i", jacobian, r), np.einsum("mi,mj->ij", jacobian, jacobian)
+        gradient, normal = (
+            np.einsum("mi,m->i", jacobian, r),
+            np.einsum("mi,mj->ij", jacobian, jacobian),
+        )
         better = _step(run, theta, chi2, damping, gradient, normal, scale, low, high, log)
         if better is None:
             break
@@ -226,21 +325,38 @@ def _descend(run: Run, causes: tuple[Candidate, ...], theta: Array, r: Array, ch
             break
         if step >= MIN_STEPS and chi2 - max(gain, before) * (MAX_ITERATIONS - step) > known:
             break
-        if gain < before < np.inf and chi2 - EXTRAPOLATION_MARGIN * gain * gain / (before - gain) > known:
+        if (
+            gain < before < np.inf
+            and chi2 - EXTRAPOLATION_MARGIN * gain * gain / (before - gain) > known
+        ):
             break
         before = gain
     return Fit(causes, theta, chi2, r, jacobian)
 
 
-def _step(run: Run, theta: Array, chi2: float, damping: float, gradient: Array, normal: Array, scale: Array, low: Array, high: Array,
-          log: np.ndarray) -> tuple[Array, Array, float, float] | None:  # fmt: skip
-    """The first of increasingly damped steps that lowers chi-square: theta, residual, chi-square, next damping; None where none does."""
+def _step(
+    run: Run,
+    theta: Array,
+    chi2: float,
+    damping: float,
+    gradient: Array,
+    normal: Array,
+    scale: Array,
+    low: Array,
+    high: Array,
+    log: np.ndarray,
+) -> tuple[Array, Array, float, float] | None:
+    """The first of increasingly damped steps that lowers chi-square: theta, residual, chi-square,
+    next damping; None where none does.
+    """
     for attempt in range(3):
         tried, dampings = [], []
         for _ in range(1 if attempt == 0 else DAMPINGS_AT_ONCE):
             step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), gradient)
             step = np.clip(step, -1.0, 1.0)
-            tried.append(np.clip(np.where(log, theta * np.exp(step), theta + step * scale), low, high))
+            tried.append(
+                np.clip(np.where(log, theta * np.exp(step), theta + step * scale), low, high)
+            )
             dampings.append(damping)
             damping = max(damping, 1e-4) * 8.0
         for moved, r, used in zip(tried, run(tried), dampings, strict=True):
@@ -251,17 +367,22 @@ def _step(run: Run, theta: Array, chi2: float, damping: float, gradient: Array, 
 
 
 def _resolution(chi2: float, r: Array) -> float:
-    """Change of chi-square below which a fit has converged; it scales with the misfit, like the thresholds on differences of chi-square."""
+    """Change of chi-square below which a fit has converged; it scales with the misfit, like the
+    thresholds on differences of chi-square.
+    """
     return CONVERGED_CHI2 * max(1.0, chi2 / len(r))
 
 
 def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
-    """Scan and pattern search on the parameters in which chi-square has jumps, where a gradient is no guide."""
+    """Scan and pattern search on the parameters in which chi-square has jumps, where a gradient is
+    no guide.
+    """
     jumpy = [c.effect.jumps == name for c in found.causes for name in c.names]
     theta, chi2, r = found.theta, found.chi2, found.residual
     for j in np.flatnonzero(jumpy):
         step = 0.1
-        parts = list(np.linspace(-step, step, SCAN_POINTS))  # a valley between two jumps may be narrower than a step
+        # a valley between two jumps may be narrower than a step
+        parts = list(np.linspace(-step, step, SCAN_POINTS))
         while step > MIN_SCAN_STEP:
             tried = np.tile(theta, (len(parts), 1))
             tried[:, j] = np.clip(theta[j] * (1.0 + np.array(parts)), low[j], high[j])
@@ -277,7 +398,9 @@ def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
 
 
 def inflation(found: Fit) -> float:
-    """Chi-square per sample of a hypothesis, at least 1: thresholds on differences of chi-square scale with it."""
+    """Chi-square per sample of a hypothesis, at least 1: thresholds on differences of chi-square
+    scale with it.
+    """
     return max(1.0, square(found.residual) / max(1, np.count_nonzero(found.residual)))
 
 

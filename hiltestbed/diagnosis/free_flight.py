@@ -1,4 +1,6 @@
-"""Stage "layout": free flight in the recorded force: the rows before the first touch and between contacts, where a sensor reads nothing."""
+"""Stage "layout": free flight in the recorded force: the rows before the first touch and between
+contacts, where a sensor reads nothing.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 
 TOUCH_MARGIN_ROWS = 2  # chosen: before the first touch, that are not counted as free
-RISEN_SIGMA = 8.0  # chosen: robust standard deviations of free flight, from which a force that rises before a contact is one
+# chosen: robust standard deviations of free flight, from which a force that rises before a contact
+# is one
+RISEN_SIGMA = 8.0
 RISING_SIGMA = 2.0  # chosen: down to which it is followed back
 LINE_ROWS = 200  # chosen: to which the line of free flight is fitted
 MIN_LINE_ROWS = 20  # chosen: from which its scatter is known well enough
@@ -22,8 +26,9 @@ RINGING = 7.0  # time constants of a mount after which its swing has fallen to a
 
 
 def first_touch(run: MeasuredRun) -> int:
-    """Rows before the first touch: by the contacts that were found, or by the force where it rises directly before them, since the bodies
-    may meet earlier than believed."""
+    """Rows before the first touch: by the contacts that were found, or by the force where it rises
+    directly before them, since the bodies may meet earlier than believed.
+    """
     if not run.survey.contacts:
         return run.record.ticks
     end = max(0, run.survey.contacts[0].start - TOUCH_MARGIN_ROWS)
@@ -34,7 +39,9 @@ def first_touch(run: MeasuredRun) -> int:
 
 
 def _risen(forces: Array) -> list[int]:
-    """Of each channel of (n, C) the number of last rows that depart from the line of the others, and reach :data:`RISEN_SIGMA`."""
+    """Of each channel of (n, C) the number of last rows that depart from the line of the others,
+    and reach :data:`RISEN_SIGMA`.
+    """
     out, rows = [], np.arange(len(forces), dtype=float)
     for x in forces.T:
         known = np.flatnonzero(np.isfinite(x))
@@ -47,12 +54,18 @@ def _risen(forces: Array) -> list[int]:
         sigma = 1.4826 * float(np.median(far[known]))
         risen = far > RISING_SIGMA * sigma
         count = int(np.argmin(risen[::-1]))
-        out.append(count if count and sigma > 0.0 and far[len(x) - count :].max() > RISEN_SIGMA * sigma else 0)
+        out.append(
+            count
+            if count and sigma > 0.0 and far[len(x) - count :].max() > RISEN_SIGMA * sigma
+            else 0
+        )
     return out
 
 
 def free_readings(run: MeasuredRun) -> Array:
-    """(n, 6) readings before the first touch, without rows in which a measured channel is missing."""
+    """(n, 6) readings before the first touch, without rows in which a measured channel is
+    missing.
+    """
     record = run.record
     if not record.has("wrench_meas"):
         return np.zeros((0, 6))
@@ -68,7 +81,11 @@ def readings_apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Arr
         return np.zeros(0), np.zeros((0, len(columns)))
     values = record.data["wrench_meas"][:, columns]
     mount = MountDynamics.of([run.scenario])
-    settling = run.scenario.sensor.delay + SETTLING_TIME + (0.0 if mount is None else RINGING * mount.slowest())
+    settling = (
+        run.scenario.sensor.delay
+        + SETTLING_TIME
+        + (0.0 if mount is None else RINGING * mount.slowest())
+    )
     apart = ~run.survey.touching(len(values), round(min(settling * run.scenario.rate, len(values))))
     first = first_touch(run)
     apart[first : run.survey.contacts[0].start if run.survey.contacts else first] = False
@@ -77,16 +94,32 @@ def readings_apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Arr
 
 
 def straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[Array], Array]:
-    """Readings less a straight line for each run and channel, of one slope in all runs; and the values of the lines at the start (R, C)."""
+    """Readings less a straight line for each run and channel, of one slope in all runs; and the
+    values of the lines at the start (R, C).
+    """
     rows = [np.arange(len(x), dtype=float) for x in free]
     above = sum(float(np.sum((t - t.mean()) ** 2)) for t in rows if len(t))
-    slope = sum(((t - t.mean())[:, None] * x[:, columns]).sum(axis=0) for t, x in zip(rows, free, strict=True) if len(t)) / above
-    start = np.array(
-        [x[:, columns].mean(axis=0) - slope * t.mean() if len(t) else np.zeros(len(columns)) for t, x in zip(rows, free, strict=True)]
+    slope = (
+        sum(
+            ((t - t.mean())[:, None] * x[:, columns]).sum(axis=0)
+            for t, x in zip(rows, free, strict=True)
+            if len(t)
+        )
+        / above
     )
-    return [x[:, columns] - s - t[:, None] * slope for t, x, s in zip(rows, free, start, strict=True)], start
+    start = np.array(
+        [
+            x[:, columns].mean(axis=0) - slope * t.mean() if len(t) else np.zeros(len(columns))
+            for t, x in zip(rows, free, strict=True)
+        ]
+    )
+    return [
+        x[:, columns] - s - t[:, None] * slope for t, x, s in zip(rows, free, start, strict=True)
+    ], start
 
 
 def shows_noise(free: Sequence[Array], j: int) -> bool:
-    """Whether a channel shows any noise: not if it was not measured, or reads zero below a threshold."""
+    """Whether a channel shows any noise: not if it was not measured, or reads zero below a
+    threshold.
+    """
     return all(np.median(np.abs(np.diff(x[:, j]))) > 0.0 for x in free if len(x) > 10)

@@ -1,4 +1,6 @@
-"""Stage "decide": the gain on left-out runs: each run left out of the fit in turn, compared with a placebo of as many parameters."""
+"""Stage "decide": the gain on left-out runs: each run left out of the fit in turn, compared with a
+placebo of as many parameters.
+"""
 
 from __future__ import annotations
 
@@ -16,29 +18,46 @@ from hiltestbed.diagnosis.settings import RESAMPLES
 
 
 def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) -> Heldout | None:
-    """The residual of a link, rms in units of the noise in contact: with no effects, and with `found` fitted to the other runs."""
+    """The residual of a link, rms in units of the noise in contact: with no effects, and with
+    `found` fitted to the other runs.
+    """
     runs = residual.runs
     if len(runs) < 2 or not found.causes:
         return None
     judged = residual.as_judged()
     before = {i: mean_square(judged, i, ()) for i in runs}
     after = {i: left_out(residual, i, found, judged) for i in runs}
-    wrong = {i: left_out(residual, i, placebo, judged) for i in runs} if placebo is not None else dict(before)
+    wrong = (
+        {i: left_out(residual, i, placebo, judged) for i in runs}
+        if placebo is not None
+        else dict(before)
+    )
     return resampled(runs, before, after, wrong, seed)
 
 
 def resampled(
-    runs: Sequence[int], before: Mapping[int, float], after: Mapping[int, float], wrong: Mapping[int, float], seed: int = 0
+    runs: Sequence[int],
+    before: Mapping[int, float],
+    after: Mapping[int, float],
+    wrong: Mapping[int, float],
+    seed: int = 0,
 ) -> Heldout:
-    """The gain from the mean square of each run before, after, and after a placebo; its interval by bootstrap over runs."""
+    """The gain from the mean square of each run before, after, and after a placebo; its interval by
+    bootstrap over runs.
+    """
     a, b, w = (np.array([x[i] for i in runs]) for x in (before, after, wrong))
     draws = np.random.default_rng(seed).integers(0, len(runs), (RESAMPLES, len(runs)))
     gains = 1.0 - np.sqrt(b[draws].sum(axis=1) / a[draws].sum(axis=1))
     low, high = np.percentile(gains, [2.5, 97.5])
     return Heldout(
-        tuple(runs), _rms(a), _rms(b), 1.0 - _rms(b) / _rms(a), (float(low), float(high)), 1.0 - _rms(w) / _rms(a),
+        tuple(runs),
+        _rms(a),
+        _rms(b),
+        1.0 - _rms(b) / _rms(a),
+        (float(low), float(high)),
+        1.0 - _rms(w) / _rms(a),
         {i: (math.sqrt(before[i]), math.sqrt(after[i])) for i in runs},
-    )  # fmt: skip
+    )
 
 
 def _rms(squares: np.ndarray) -> float:
@@ -46,10 +65,13 @@ def _rms(squares: np.ndarray) -> float:
 
 
 def left_out(residual: Residual, i: int, found: Fit, judged: Residual | None = None) -> float:
-    """Mean square on run i, in units of the noise, of `found` fitted to the other runs; as ``judged``, else in the form that was fitted."""
+    """Mean square on run i, in units of the noise, of `found` fitted to the other runs; as
+    ``judged``, else in the form that was fitted.
+    """
     judged = judged or residual
     others = residual.on([j for j in residual.runs if j != i])
-    smooth = [c for c in found.causes if c.kind != JITTER]  # jitter changes the variance, not the mean
+    # jitter changes the variance, not the mean
+    smooth = [c for c in found.causes if c.kind != JITTER]
     theta = found.theta[: sum(len(c.names) for c in smooth)]
     if not smooth:
         return mean_square(judged, i, ())
@@ -66,10 +88,16 @@ def mean_square(residual: Residual, i: int, effects: Effects) -> float:
 
 
 def placebo_of(fits: Sequence[Fit], found: Fit) -> Fit | None:
-    """A wrong effect with as nearly as many parameters as possible: the worst that was fitted, not the next best."""
+    """A wrong effect with as nearly as many parameters as possible: the worst that was fitted, not
+    the next best.
+    """
     own = set(found.kinds)
     count = sum(len(c.names) for c in found.causes)
-    wrong = [f for f in fits if f.causes and not own & set(f.kinds) and JITTER not in f.kinds and math.isfinite(f.score)]
+    wrong = [
+        f
+        for f in fits
+        if f.causes and not own & set(f.kinds) and JITTER not in f.kinds and math.isfinite(f.score)
+    ]
     if not wrong:
         return None
     return min(wrong, key=lambda f: (abs(sum(len(c.names) for c in f.causes) - count), -f.score))

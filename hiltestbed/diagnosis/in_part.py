@@ -1,8 +1,9 @@
 """Stage "decide": which causes of an explanation hold although more than noise is left.
 
-A stand-in for an effect outside the vocabulary fits only the runs that it was fitted to: its size differs from run to run, it does not
-carry over to left-out runs, it varies with the duration of a run or with the force, it ends at a bound of its search, or other effects do
-as well in its place. None of this is true of a cause.
+A stand-in for an effect outside the vocabulary fits only the runs that it was fitted to: its size
+differs from run to run, it does not carry over to left-out runs, it varies with the duration of a
+run or with the force, it ends at a bound of its search, or other effects do as well in its place.
+None of this is true of a cause.
 """
 
 from __future__ import annotations
@@ -32,22 +33,32 @@ from hiltestbed.frames import Array
 
 MIN_RUNS = 3
 MIN_LONG_RUNS = 2  # of which each holds many independent stretches
-START_SIZES = (1.0, 0.7, 1.4)  # chosen: of a cause, at which its fit to a run alone starts: well beyond what may differ from run to run
+# chosen: of a cause, at which its fit to a run alone starts: well beyond what may differ from run
+# to run
+START_SIZES = (1.0, 0.7, 1.4)
 
 
 def holding(found: Explanation) -> tuple[int, ...]:
-    """Indices of the causes of the chosen fit that hold; none where there are too few runs to decide."""
+    """Indices of the causes of the chosen fit that hold; none where there are too few runs to
+    decide.
+    """
     if not _enough_evidence(found):
         return ()
     alone = in_each_run(found)
-    same = [i for i in range(len(found.chosen.causes)) if _same_size(found, alone, i) and not _varies(found, i)]
+    same = [
+        i
+        for i in range(len(found.chosen.causes))
+        if _same_size(found, alone, i) and not _varies(found, i)
+    ]
     return tuple(i for i in same if _worthwhile_without_rival(found, i))
 
 
 def confirmed(found: Explanation) -> Explanation | None:
-    """The explanation with its rivals, if each cause has the same size in most runs and carries over to left-out runs; else None.
+    """The explanation with its rivals, if each cause has the same size in most runs and carries
+    over to left-out runs; else None.
 
-    An explanation of so many causes can leave only noise by chance, but stand-ins do not pass these tests.
+    An explanation of so many causes can leave only noise by chance, but stand-ins do not pass these
+    tests.
     """
     if not found.adequate or not _enough_evidence(found):
         return None
@@ -63,7 +74,9 @@ def confirmed(found: Explanation) -> Explanation | None:
         if best.score < chosen.score:
             return confirmed(replace(found, chosen=best)) if _leaves_noise(residual, best) else None
         close = [f for f in others if f.score < near]
-        rivals.append(tuple(first_of_each([f for f in close if _leaves_noise(residual, f)], "kinds")))
+        rivals.append(
+            tuple(first_of_each([f for f in close if _leaves_noise(residual, f)], "kinds"))
+        )
         fewer.append(rest)
     known = replace(found, rivals=tuple(rivals), more=(*found.more, *fewer))
     return known.with_the_other_clock(contact_leftovers)
@@ -82,8 +95,9 @@ def _enough_evidence(found: Explanation) -> bool:
 def in_each_run(found: Explanation) -> list[list[Fit]]:
     """For each run alone, the fits of the chosen causes that are as good as the best.
 
-    They start from the chosen sizes, and from smaller and larger ones. The fit to all runs is among them unchanged: in a run that hardly
-    separates two causes each start ends elsewhere in a long valley, and none where it began.
+    They start from the chosen sizes, and from smaller and larger ones. The fit to all runs is among
+    them unchanged: in a run that hardly separates two causes each start ends elsewhere in a long
+    valley, and none where it began.
     """
     out, chosen = [], found.chosen
     for i in found.residual.runs:
@@ -107,7 +121,9 @@ def _resized(chosen: Fit, size: float) -> Array:
 
 def _leading(cause: Candidate) -> list[int]:
     """The indices of a cause's parameters that are its size."""
-    return [j for j, name in enumerate(cause.names) if name.partition(".")[0] == cause.effect.leading] or list(range(len(cause.names)))
+    return [
+        j for j, name in enumerate(cause.names) if name.partition(".")[0] == cause.effect.leading
+    ] or list(range(len(cause.names)))
 
 
 def _neutral(cause: Candidate) -> float:
@@ -116,7 +132,9 @@ def _neutral(cause: Candidate) -> float:
 
 def _same_size(found: Explanation, alone: list[list[Fit]], index: int) -> bool:
     chosen = found.chosen
-    return not at_bound(chosen.causes[index], chosen.part(index)) and same_in_each(chosen, alone, index, _least(found))
+    return not at_bound(chosen.causes[index], chosen.part(index)) and same_in_each(
+        chosen, alone, index, _least(found)
+    )
 
 
 def _varies(found: Explanation, index: int) -> bool:
@@ -129,13 +147,18 @@ def _least(found: Explanation) -> int:
 
 
 def explained(found: Explanation) -> float:
-    """Share of the departure that the chosen fit explains on left-out runs, in mean square beyond the noise."""
-    before, after = (math.exp(2.0 * log_heldout_rms(found.residual, f)) - 1.0 for f in (found.null, found.chosen))
+    """Share of the departure that the chosen fit explains on left-out runs, in mean square beyond
+    the noise.
+    """
+    before, after = (
+        math.exp(2.0 * log_heldout_rms(found.residual, f)) - 1.0 for f in (found.null, found.chosen)
+    )
     return 1.0 - max(after, 0.0) / before if before > 0.0 else 0.0
 
 
 def same_in_each(chosen: Fit, alone: list[list[Fit]], index: int, least: int) -> bool:
-    """Whether most runs alone, and at least ``least``, give a cause the size that it has in all runs.
+    """Whether most runs alone, and at least ``least``, give a cause the size that it has in all
+    runs.
 
     A run that any size fits equally well is not counted.
     """
@@ -145,24 +168,41 @@ def same_in_each(chosen: Fit, alone: list[list[Fit]], index: int, least: int) ->
     scale = float(np.linalg.norm(size))
     if not leading or scale == 0.0:
         return False
-    off = [[float(np.linalg.norm(f.part(index)[leading] - neutral - size)) <= MAX_SIZE_SPREAD * scale for f in fits] for fits in alone]
+    off = [
+        [
+            float(np.linalg.norm(f.part(index)[leading] - neutral - size))
+            <= MAX_SIZE_SPREAD * scale
+            for f in fits
+        ]
+        for fits in alone
+    ]
     same, other = sum(all(near) for near in off), sum(not any(near) for near in off)
     return same >= max(least, MIN_RUN_SHARE * (same + other))
 
 
 def _worthwhile_without_rival(found: Explanation, index: int) -> bool:
-    """Whether a cause carries over to left-out runs beside the others, and no other effect does as well in its place."""
+    """Whether a cause carries over to left-out runs beside the others, and no other effect does as
+    well in its place.
+    """
     residual, chosen = found.residual, found.chosen
     fewer = refit_without(residual, chosen, index)
     if not _improves_heldout(found, fewer):
         return False
     margin = max(AMBIGUITY * inflation(chosen), RIVAL_MARGIN * (fewer.chi2 - chosen.chi2))
-    return not any(rival.score < chosen.score + margin for rival in _replacements(found, residual, fewer, chosen.causes[index].kind))
+    return not any(
+        rival.score < chosen.score + margin
+        for rival in _replacements(found, residual, fewer, chosen.causes[index].kind)
+    )
 
 
 def _improves_heldout(found: Explanation, fewer: Fit) -> bool:
-    """Whether the chosen fit leaves enough less on left-out runs than that with ``fewer`` causes."""
-    return log_heldout_rms(found.residual, fewer) - log_heldout_rms(found.residual, found.chosen) >= MIN_HELDOUT_GAIN_IN_PART
+    """Whether the chosen fit leaves enough less on left-out runs than that with ``fewer``
+    causes.
+    """
+    return (
+        log_heldout_rms(found.residual, fewer) - log_heldout_rms(found.residual, found.chosen)
+        >= MIN_HELDOUT_GAIN_IN_PART
+    )
 
 
 def _replacements(found: Explanation, residual: Residual, fewer: Fit, kind: str) -> list[Fit]:

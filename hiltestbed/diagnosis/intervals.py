@@ -1,8 +1,11 @@
-"""Stage "decide": 95 % intervals with valid coverage: the curvature of chi-square where it is smooth, widened where the runs disagree.
+"""Stage "decide": 95 % intervals with valid coverage: the curvature of chi-square where it is
+smooth, widened where the runs disagree.
 
-An interval by the Jacobian alone assumes that the model is exact. Here the covariance is the sandwich of the runs' gradients (each run,
-that is each contact, is one independent sample) where that is wider, and a lower limit allows for another sub-stepping of the same rig.
-Where the misfits of neighbouring rows are correlated (a position, the double integral of a force), stretches of a run are the samples.
+An interval by the Jacobian alone assumes that the model is exact. Here the covariance is the
+sandwich of the runs' gradients (each run, that is each contact, is one independent sample) where
+that is wider, and a lower limit allows for another sub-stepping of the same rig. Where the misfits
+of neighbouring rows are correlated (a position, the double integral of a force), stretches of a run
+are the samples.
 """
 
 from __future__ import annotations
@@ -17,8 +20,10 @@ from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, sc
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.frames import Array
 
-MIN_RELATIVE_WIDTH = 1e-3  # chosen: of an estimate: half-width that allows for the discretisation of a rig
-NORMAL_95 = 1.96  # derived: standard deviations on each side that hold 95 % of a normal distribution
+# chosen: of an estimate: half-width that allows for the discretisation of a rig
+MIN_RELATIVE_WIDTH = 1e-3
+# derived: standard deviations on each side that hold 95 % of a normal distribution
+NORMAL_95 = 1.96
 CHI2_95 = 3.84  # derived: of chi-square, 95 % of one parameter
 FLAT_CURVATURE = 1e-14  # chosen: of the largest curvature
 WIDE_STEP = 2e-3  # chosen: of the scale, for derivatives that average over the jumps at whole ticks
@@ -29,9 +34,12 @@ class Spread:
     """The uncertainty of the estimates of a fit.
 
     Attributes:
-        ends: (P, 2) lower and upper ends of the 95 % intervals, clipped to the bounds of the search.
-        normal: (P, P) normal matrix J'J in scaled parameters; an undetermined parameter has the row and column of the unit matrix.
-        determined: (P,) whether chi-square changes with a parameter at all, nearby. misfit: chi-square per sample, at least 1.
+        ends: (P, 2) lower and upper ends of the 95 % intervals, clipped to the bounds of the
+            search.
+        normal: (P, P) normal matrix J'J in scaled parameters; an undetermined parameter has the row
+            and column of the unit matrix.
+        determined: (P,) whether chi-square changes with a parameter at all, nearby. misfit:
+            chi-square per sample, at least 1.
     """
 
     ends: Array
@@ -41,7 +49,9 @@ class Spread:
 
     @property
     def correlation(self) -> Array:
-        """(P, P) correlation of the estimates, by the inverse of `normal`; NaN for an undetermined parameter."""
+        """(P, P) correlation of the estimates, by the inverse of `normal`; NaN for an undetermined
+        parameter.
+        """
         covariance = inverted(self.normal)
         root = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         out = np.clip(covariance / np.outer(root, root), -1.0, 1.0)
@@ -51,7 +61,10 @@ class Spread:
 
 def inverted(normal: Array) -> Array:
     """Inverse of a normal matrix, regularised against singularity."""
-    return np.asarray(np.linalg.inv(normal + 1e-12 * np.max(np.diag(normal), initial=0.0) * np.eye(len(normal))), dtype=float)
+    return np.asarray(
+        np.linalg.inv(normal + 1e-12 * np.max(np.diag(normal), initial=0.0) * np.eye(len(normal))),
+        dtype=float,
+    )
 
 
 def intervals(residual: Residual, found: Fit) -> Spread:
@@ -75,23 +88,39 @@ def intervals(residual: Residual, found: Fit) -> Spread:
     determined = np.diag(normal) > FLAT_CURVATURE * max(
         1.0, float(np.max(np.diag(normal)))
     )  # determined: chi-square changes with it, nearby
-    normal[~determined], normal[:, ~determined], middle[~determined], middle[:, ~determined] = 0.0, 0.0, 0.0, 0.0
+    normal[~determined], normal[:, ~determined], middle[~determined], middle[:, ~determined] = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     normal[~determined, ~determined] = 1.0
     inverse = inverted(normal)
     runs = len(residual.runs)
     plain = np.diag(inverse) * misfit
     between = np.diag(inverse @ middle @ inverse) * runs / max(1, runs - 1)
-    spread = np.sqrt(np.maximum(np.maximum(plain, stretch_variance(residual, jacobians, inverse)), 0.0)) * NORMAL_95
+    spread = (
+        np.sqrt(np.maximum(np.maximum(plain, stretch_variance(residual, jacobians, inverse)), 0.0))
+        * NORMAL_95
+    )
     if runs > 2:
-        spread = np.maximum(spread, np.sqrt(np.maximum(between, 0.0)) * min(2.2, float(student.ppf(0.975, runs - 1))))
+        spread = np.maximum(
+            spread,
+            np.sqrt(np.maximum(between, 0.0)) * min(2.2, float(student.ppf(0.975, runs - 1))),
+        )
     half = spread * scale + MIN_RELATIVE_WIDTH * np.abs(theta)
     ends = np.column_stack([np.clip(theta - half, low, high), np.clip(theta + half, low, high)])
     rough = [c.effect.jumps == name for c in causes for name in c.names]
     for j in np.flatnonzero(np.array(rough) | ~determined):
         profile = [
-            _crossing(residual, found, int(j), sign, squares + CHI2_95 * misfit, bound) for sign, bound in ((-1.0, low[j]), (1.0, high[j]))
+            _crossing(residual, found, int(j), sign, squares + CHI2_95 * misfit, bound)
+            for sign, bound in ((-1.0, low[j]), (1.0, high[j]))
         ]
-        ends[j] = (profile[0], profile[1]) if not determined[j] else (min(ends[j, 0], profile[0]), max(ends[j, 1], profile[1]))
+        ends[j] = (
+            (profile[0], profile[1])
+            if not determined[j]
+            else (min(ends[j, 0], profile[0]), max(ends[j, 1], profile[1]))
+        )
     return Spread(ends, normal, determined, misfit)
 
 
@@ -111,11 +140,16 @@ def derivatives_by_run(residual: Residual, found: Fit) -> list[tuple[Array, Arra
     return out
 
 
-def stretch_variance(residual: Residual, jacobians: Sequence[tuple[Array, Array]], inverse: Array) -> Array:
-    """(P,) variance of scaled parameters by how much stretches of the runs disagree; zeros where each row is an independent sample.
+def stretch_variance(
+    residual: Residual, jacobians: Sequence[tuple[Array, Array]], inverse: Array
+) -> Array:
+    """(P,) variance of scaled parameters by how much stretches of the runs disagree; zeros where
+    each row is an independent sample.
 
-    The sandwich of the stretches' gradients; of the link's stretch lengths, the one that gives the most. A few stretches give a poor
-    estimate of their own scatter: the variance is that of the normal distribution whose 95 % interval equals Student's.
+    The sandwich of the stretches' gradients; of the link's stretch lengths, the one that gives the
+    most. A few stretches give a poor
+    estimate of their own scatter: the variance is that of the normal distribution whose 95 %
+        interval equals Student's.
     """
     count = len(inverse)
     out = np.zeros(count)
@@ -128,12 +162,18 @@ def stretch_variance(residual: Residual, jacobians: Sequence[tuple[Array, Array]
             stretches += len(gradients)
         if stretches > count:
             wider = (float(student.ppf(0.975, stretches - count)) / NORMAL_95) ** 2
-            out = np.maximum(out, np.diag(inverse @ middle @ inverse) * stretches / (stretches - count) * wider)
+            out = np.maximum(
+                out, np.diag(inverse @ middle @ inverse) * stretches / (stretches - count) * wider
+            )
     return out
 
 
-def _crossing(residual: Residual, found: Fit, j: int, sign: float, most: float, bound: float) -> float:
-    """Where chi-square exceeds `most` as parameter j moves off its estimate, for one in which chi-square has steps, such as a dead zone."""
+def _crossing(
+    residual: Residual, found: Fit, j: int, sign: float, most: float, bound: float
+) -> float:
+    """Where chi-square exceeds `most` as parameter j moves off its estimate, for one in which
+    chi-square has steps, such as a dead zone.
+    """
     step = MIN_RELATIVE_WIDTH
     theta = found.theta.copy()
     while step < 1.0:

@@ -1,4 +1,5 @@
-"""Stages "replay", "fit" and "select" for every link: from the `Layout` of a dataset to an `Explanation` of each link.
+"""Stages "replay", "fit" and "select" for every link: from the `Layout` of a dataset to an
+`Explanation` of each link.
 
 The order of the links is that in which one link's explanation helps the next.
 """
@@ -14,13 +15,40 @@ import numpy as np
 from hiltestbed.diagnosis import judges
 from hiltestbed.diagnosis.adequacy import noise_alone
 from hiltestbed.diagnosis.all_rows import refit_on_all_rows
-from hiltestbed.diagnosis.driven import AXIS_EFFECTS, DISPLACEMENT_SPAN, axis_link, mass_and_force, simplest_force
+from hiltestbed.diagnosis.driven import (
+    AXIS_EFFECTS,
+    DISPLACEMENT_SPAN,
+    axis_link,
+    mass_and_force,
+    simplest_force,
+)
 from hiltestbed.diagnosis.fit import Fit, null_fit, refit
 from hiltestbed.diagnosis.jitter import jitter_beside
-from hiltestbed.diagnosis.late_record import other_reading_betters, stamped_late, used_readings, without_end
-from hiltestbed.diagnosis.layout import Layout, compensation_link, dynamics_link, lay_out, platform_link, with_noise_beside, with_readings
+from hiltestbed.diagnosis.late_record import (
+    other_reading_betters,
+    stamped_late,
+    used_readings,
+    without_end,
+)
+from hiltestbed.diagnosis.layout import (
+    Layout,
+    compensation_link,
+    dynamics_link,
+    lay_out,
+    platform_link,
+    with_noise_beside,
+    with_readings,
+)
 from hiltestbed.diagnosis.lines import hum_beside, lines
-from hiltestbed.diagnosis.links import AxisLink, CompensationLink, DynamicsLink, Link, PlatformLink, Timing, WrenchLink
+from hiltestbed.diagnosis.links import (
+    AxisLink,
+    CompensationLink,
+    DynamicsLink,
+    Link,
+    PlatformLink,
+    Timing,
+    WrenchLink,
+)
 from hiltestbed.diagnosis.paths import (
     BestPath,
     best_path,
@@ -48,7 +76,13 @@ from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import DETECTION, MIN_COMPARED
-from hiltestbed.diagnosis.stamps import exactly_stamped, least_left, only_late_record, rows_in_common, stamps_known
+from hiltestbed.diagnosis.stamps import (
+    exactly_stamped,
+    least_left,
+    only_late_record,
+    rows_in_common,
+    stamps_known,
+)
 from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.diagnosis.timing import (
     MAX_STAMP_SHIFT_ROWS,
@@ -65,12 +99,18 @@ from hiltestbed.measured import MeasuredDataset
 from hiltestbed.replay import follows_exactly
 from hiltestbed.signals import GROUPS
 
-MAX_RESTART_CHI2 = 0.9  # chosen: of chi-square, below which another estimate of the initial state is taken
-MIN_SKEW_SHARE = 0.25  # chosen: of a skew in the compensation: if contact and sensor show less, wrench_meas is not late
-SHIFT_LOOK_ALIKES = ("sensor.delay", "contact.damping", "contact.stiffness", "sensor.lag")  # look-alikes of a path shifted in time
-LOST_START = 2.0  # chosen: times the noise: a row extrapolated from two by s rows has hypot(1 + s, s) times theirs: 2 for 0.8 rows
+# chosen: of chi-square, below which another estimate of the initial state is taken
+MAX_RESTART_CHI2 = 0.9
+# chosen: of a skew in the compensation: if contact and sensor show less, wrench_meas is not late
+MIN_SKEW_SHARE = 0.25
+# look-alikes of a path shifted in time
+SHIFT_LOOK_ALIKES = ("sensor.delay", "contact.damping", "contact.stiffness", "sensor.lag")
+# chosen: times the noise: a row extrapolated from two by s rows has hypot(1 + s, s) times theirs: 2
+# for 0.8 rows
+LOST_START = 2.0
 ORDER = ("compensation", "dynamics", "platform", "wrench")  # of the links
-WRENCH_LINKS = ("contact", "sensor")  # links of the vocabulary that act between the pose and the reading
+# links of the vocabulary that act between the pose and the reading
+WRENCH_LINKS = ("contact", "sensor")
 
 
 @dataclass(frozen=True)
@@ -78,8 +118,10 @@ class Findings:
     """The explanations, link by link.
 
     Attributes:
-        layout: the data as laid out. explanations: link to its explanation. missing: link to the reason why it was not judged.
-        whole: link on whole runs, for the series of the report. weighed: sentences on rivals that the rebound told apart.
+        layout: the data as laid out. explanations: link to its explanation. missing: link to the
+            reason why it was not judged.
+        whole: link on whole runs, for the series of the report. weighed: sentences on rivals that
+            the rebound told apart.
     """
 
     layout: Layout
@@ -94,22 +136,32 @@ class Findings:
         return dict(self.layout.noise)
 
 
-def investigate(dataset: MeasuredDataset, progress: Progress | None = None, stamps: bool = True) -> Findings:
-    """Explain every link that the dataset's channels allow; stamps: whether a late record may be a matter of its stamps."""
+def investigate(
+    dataset: MeasuredDataset, progress: Progress | None = None, stamps: bool = True
+) -> Findings:
+    """Explain every link that the dataset's channels allow; stamps: whether a late record may be a
+    matter of its stamps.
+    """
     layout = lay_out(dataset)
     found: dict[str, Explanation] = {}
     whole: dict[str, Link] = {}
     if "compensation" not in layout.missing:
         candidates = _candidates(layout.scales, ("compensation", "log"))
-        found["compensation"] = _explain_compensation(layout, compensation_link(layout, layout.rows), candidates, progress, stamps)
+        found["compensation"] = _explain_compensation(
+            layout, compensation_link(layout, layout.rows), candidates, progress, stamps
+        )
     if "dynamics" not in layout.missing:
         found["dynamics"], whole["dynamics"] = _explain_dynamics(layout, found, progress)
     if "compensation" in found:  # whose stamps the numerical model may have shown
-        whole["compensation"] = compensation_link(layout, layout.whole).with_timing(found["compensation"].residual.link.timing)
+        whole["compensation"] = compensation_link(layout, layout.whole).with_timing(
+            found["compensation"].residual.link.timing
+        )
     if "platform" not in layout.missing:
         link = _stamped_platform(layout, found)
         found["platform"] = _explain_platform(layout, link, _begin(progress, layout, "platform"))
-        whole["platform"] = platform_link(layout, layout.whole).with_timing(found["platform"].residual.link.timing)
+        whole["platform"] = platform_link(layout, layout.whole).with_timing(
+            found["platform"].residual.link.timing
+        )
     missing = dict(layout.missing)
     if "wrench" not in missing:
         path = _choose_path(layout, found, whole, progress)
@@ -120,18 +172,33 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None, stam
             layout = _settle_platform(layout, found, whole, progress)
     if stamps and only_late_record(found):  # where nothing else departs, a part of a row counts
         return investigate(dataset, progress, stamps=False)
-    return Findings(layout, {name: found[name] for name in LINK_NAMES if name in found}, missing, whole)
+    return Findings(
+        layout, {name: found[name] for name in LINK_NAMES if name in found}, missing, whole
+    )
 
 
 def _candidates(scales: Scales, links: Sequence[str], rich: bool = False) -> tuple[Candidate, ...]:
-    """The hypotheses of every effect that acts on one of ``links``: of the ``rich`` effects, or of all others."""
-    return tuple(c for effect in EFFECTS.values() if effect.link in links and effect.rich == rich for c in effect.candidates(scales))
+    """The hypotheses of every effect that acts on one of ``links``: of the ``rich`` effects, or of
+    all others.
+    """
+    return tuple(
+        c
+        for effect in EFFECTS.values()
+        if effect.link in links and effect.rich == rich
+        for c in effect.candidates(scales)
+    )
 
 
-def _begin(progress: Progress | None, layout: Layout, link: str, words: str = "") -> Progress | None:
-    """Tell that a link is begun, with its number among those that are judged; the callback for what is done on it."""
+def _begin(
+    progress: Progress | None, layout: Layout, link: str, words: str = ""
+) -> Progress | None:
+    """Tell that a link is begun, with its number among those that are judged; the callback for what
+    is done on it.
+    """
     judged = [name for name in ORDER if name not in layout.missing]
-    told = labelled(progress, f"link {judged.index(link) + 1} of {len(judged)}, {words or LINK_NAMES[link]}")
+    told = labelled(
+        progress, f"link {judged.index(link) + 1} of {len(judged)}, {words or LINK_NAMES[link]}"
+    )
     if told:
         told("replay")
     return told
@@ -155,10 +222,13 @@ def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | N
     return other if placed is found else placed
 
 
-def _explain_dynamics(layout: Layout, found: dict[str, Explanation], progress: Progress | None) -> tuple[Explanation, Link]:
+def _explain_dynamics(
+    layout: Layout, found: dict[str, Explanation], progress: Progress | None
+) -> tuple[Explanation, Link]:
     """The explanation of the numerical model, or of a driven axis; and that link on whole runs.
 
-    found: of the compensation, which may show that stamps are off: then a departure no larger than what interpolation does shows nothing.
+    found: of the compensation, which may show that stamps are off: then a departure no larger than
+        what interpolation does shows nothing.
     """
     if layout.scales.driven is not None:
         return _explain_axis(layout, _begin(progress, layout, "dynamics", "driven axis"))
@@ -167,100 +237,164 @@ def _explain_dynamics(layout: Layout, found: dict[str, Explanation], progress: P
     if not noise_alone(judge(Residual(link), ())):
         link = _with_unknown_start(layout, link)
     search = Search(
-        _candidates(layout.scales, ("dynamics",)), judge, (), _begin(progress, layout, "dynamics"), bounded=timing_departs(found)
+        _candidates(layout.scales, ("dynamics",)),
+        judge,
+        (),
+        _begin(progress, layout, "dynamics"),
+        bounded=timing_departs(found),
     )
     explanation = explain_with_timing(Residual(link), search)
-    return explanation, dynamics_link(layout, layout.whole).with_timing(explanation.residual.link.timing)
+    return explanation, dynamics_link(layout, layout.whole).with_timing(
+        explanation.residual.link.timing
+    )
 
 
 def _stamped_dynamics(layout: Layout, found: dict[str, Explanation]) -> DynamicsLink:
     """The numerical model with the stamps of wrench_comp that the compensation shows.
 
-    Whole rows by which both of its channels are late do not show there: those are taken, for ``found`` as well, with which the model fits
-    best.
+    Whole rows by which both of its channels are late do not show there: those are taken, for
+    ``found`` as well, with which the model fits best.
     """
     link, stamps, tick = dynamics_link(layout, layout.rows), stamps_known(found), layout.scales.tick
     if "wrench_comp" not in stamps:
         return link
     common = rows_in_common(stamps, tick)
     links = [link.stamped(before=-stamps["wrench_comp"] - n * tick) for n in common]
-    best = least_left([_with_unknown_start(layout, other) for other in links]) if len(links) > 1 else 0
+    best = (
+        least_left([_with_unknown_start(layout, other) for other in links]) if len(links) > 1 else 0
+    )
     if common[best]:
-        found["compensation"] = found["compensation"].stamped(delay=common[best] * tick, before=-common[best] * tick)
+        found["compensation"] = found["compensation"].stamped(
+            delay=common[best] * tick, before=-common[best] * tick
+        )
     return links[best]
 
 
 def _with_unknown_start(layout: Layout, link: DynamicsLink) -> DynamicsLink:
     """The numerical model where the wrench that acted first may not be on record."""
-    return link.with_unknown_start(LOST_START * np.array([layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns]))
+    return link.with_unknown_start(
+        LOST_START
+        * np.array([layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns])
+    )
 
 
 def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:
-    """The explanation of a driven axis: its mass and what resists it, sought together from the estimates of a regression."""
+    """The explanation of a driven axis: its mass and what resists it, sought together from the
+    estimates of a regression.
+    """
     link = axis_link(layout.runs)
-    candidates = tuple(c for c in _candidates(layout.scales, ("dynamics",)) if c.kind in AXIS_EFFECTS)
-    search = Search(simplest_force(candidates), judges.of_axis(link), (mass_and_force(candidates),), progress, beside=math.inf)
+    candidates = tuple(
+        c for c in _candidates(layout.scales, ("dynamics",)) if c.kind in AXIS_EFFECTS
+    )
+    search = Search(
+        simplest_force(candidates),
+        judges.of_axis(link),
+        (mass_and_force(candidates),),
+        progress,
+        beside=math.inf,
+    )
     explanation = search.explain(Residual(link.over(DISPLACEMENT_SPAN)))
     if explanation.chosen.causes:
         again = link.restarted(explanation.chosen.effects())
-        if refit(Residual(again.over(DISPLACEMENT_SPAN)), explanation.chosen).chi2 < MAX_RESTART_CHI2 * explanation.chosen.chi2:
+        if (
+            refit(Residual(again.over(DISPLACEMENT_SPAN)), explanation.chosen).chi2
+            < MAX_RESTART_CHI2 * explanation.chosen.chi2
+        ):
             return search.after(explanation).explain(Residual(again.over(DISPLACEMENT_SPAN))), again
     return explanation, link
 
 
 def _explain_compensation(
-    layout: Layout, link: CompensationLink, candidates: Sequence[Candidate], progress: Progress | None, stamps: bool = False
+    layout: Layout,
+    link: CompensationLink,
+    candidates: Sequence[Candidate],
+    progress: Progress | None,
+    stamps: bool = False,
 ) -> Explanation:
     judge = judges.of_compensation(link, layout.noise)
-    approximate = layout.logged is not None or any("wrench_meas" in run.record.bends for run in layout.runs)
-    search = Search(tuple(candidates), judge, (), _begin(progress, layout, "compensation"), bounded=approximate)
+    approximate = layout.logged is not None or any(
+        "wrench_meas" in run.record.bends for run in layout.runs
+    )
+    search = Search(
+        tuple(candidates), judge, (), _begin(progress, layout, "compensation"), bounded=approximate
+    )
     left = null_fit(Residual(link)).residual
-    follows = square(left) < np.count_nonzero(left)  # what a shift would better then are the errors of bridged rows or written digits
+    # what a shift would better then are the errors of bridged rows or written digits
+    follows = square(left) < np.count_nonzero(left)
     if stamps and not follows and (stamped := exactly_stamped(Residual(link), search)):
         return search.explain(stamped)
-    led = [link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0) for name in link.channels]
-    return explain_with_timing(Residual(link), search, weigh=lambda residual: residual.with_noise(np.array(led)))
+    led = [
+        link.noise_gain() * layout.noise.get(name.replace("comp", "meas"), 0.0)
+        for name in link.channels
+    ]
+    return explain_with_timing(
+        Residual(link), search, weigh=lambda residual: residual.with_noise(np.array(led))
+    )
 
 
 def _with_noise_of_residual(layout: Layout, path: BestPath) -> Layout:
-    """The layout with the noise of a latched mechanism's force from what the believed contact on its path leaves of the readings."""
+    """The layout with the noise of a latched mechanism's force from what the believed contact on
+    its path leaves of the readings.
+    """
     if not any(r.scenario.mechanism.captured for r in layout.runs):
         return layout
     link = choose_steps(choose_ring(choose_lever(make_wrench_link(layout, path, layout.whole))))
     shown = link.predict([(i, ()) for i in range(len(link.runs))])
     known = [np.asarray(np.isfinite(run.sigma).any(axis=1)) for run in link.runs]
-    return with_noise_beside(layout, [np.where(k[:, None], s, np.nan) for k, s in zip(known, shown, strict=True)])
+    return with_noise_beside(
+        layout, [np.where(k[:, None], s, np.nan) for k, s in zip(known, shown, strict=True)]
+    )
 
 
 def _investigate_wrench(
-    layout: Layout, path: BestPath, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
+    layout: Layout,
+    path: BestPath,
+    found: dict[str, Explanation],
+    whole: dict[str, Link],
+    progress: Progress | None,
 ) -> str | None:
-    """Contact and sensor, which the data cannot separate into two links; and the compensation again if the record is stamped late.
+    """Contact and sensor, which the data cannot separate into two links; and the compensation again
+    if the record is stamped late.
 
     Returns the reason why the data do not allow it; None where they do.
     """
     if (part := compared_share(layout, path)) < MIN_COMPARED:
         return (
-            f"the smallest difference decides how the mechanism moves after the touch: {part:.0%} of the rows in contact could be replayed"
+            f"the smallest difference decides how the mechanism moves after the touch: "
+            f"{part:.0%} of the rows in contact could be replayed"
         )
     link = make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found)
     link = choose_steps(choose_ring(choose_lever(_as_stamped(link, found))))
     scales = replace(layout.scales, lines=lines(link), jumps=link.jumps is not None)
     unseen = ("platform",) if link.commands else ()  # its response then is in the path
-    candidates = _candidates(scales, (*WRENCH_LINKS, *unseen) if "compensation" in found else (*WRENCH_LINKS, *unseen, "log"))
+    candidates = _candidates(
+        scales,
+        (*WRENCH_LINKS, *unseen) if "compensation" in found else (*WRENCH_LINKS, *unseen, "log"),
+    )
     given = stamped_late(layout, link, found.get("compensation"))
     if given and _by_its_stamp(layout, link, found, whole, given[0], progress):
         given = []
     if given:
-        if given[0].causes[0].names:  # an estimate, which the contact alone cannot tell from a late sensor
+        # an estimate, which the contact alone cannot tell from a late sensor
+        if given[0].causes[0].names:
             candidates = tuple(c for c in candidates if c.kind != "sensor.delay")
         levered = wrench_link_of(lever_under(Residual(link), given[0]))
         if levered is not link:
             link, given = levered, stamped_late(layout, levered, found["compensation"]) or given
     residual = Residual(link)
-    search = Search(candidates, special=(jitter_beside, hum_beside), progress=_begin(progress, layout, "wrench"), reread=reinterpreted)
+    search = Search(
+        candidates,
+        special=(jitter_beside, hum_beside),
+        progress=_begin(progress, layout, "wrench"),
+        reread=reinterpreted,
+    )
     late = given[0] if given else None
-    explanation = explain_with_timing(residual, search, lambda s, there: s.explain(there, late), not given and timing_departs(found))
+    explanation = explain_with_timing(
+        residual,
+        search,
+        lambda s, there: s.explain(there, late),
+        not given and timing_departs(found),
+    )
     if levered := other_lever(explanation):
         residual = Residual(levered)
         given = given and (stamped_late(layout, levered, found["compensation"]) or given)
@@ -299,13 +433,24 @@ def _as_stamped(link: WrenchLink, found: Mapping[str, Explanation]) -> WrenchLin
     return link.stamped(before=stamps["wrench_meas"]) if "wrench_meas" in stamps else link
 
 
-def _choose_path(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> BestPath:
-    """The path that fits contact and sensor best, of those that the platform leaves open; and the platform explained to match it."""
+def _choose_path(
+    layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
+) -> BestPath:
+    """The path that fits contact and sensor best, of those that the platform leaves open; and the
+    platform explained to match it.
+    """
     best = best_path(layout, found.get("platform"))
     if other := path_without_delay(layout, found.get("platform"), best):
-        links = [make_wrench_link(layout, with_clocks_off(layout, path), layout.rows) for path in (best, other)]
+        links = [
+            make_wrench_link(layout, with_clocks_off(layout, path), layout.rows)
+            for path in (best, other)
+        ]
         links = [choose_lever(_as_stamped(link, found)) for link in links]
-        resembling = [c for c in _candidates(layout.scales, WRENCH_LINKS) if c.kind in SHIFT_LOOK_ALIKES and not c.variant]
+        resembling = [
+            c
+            for c in _candidates(layout.scales, WRENCH_LINKS)
+            if c.kind in SHIFT_LOOK_ALIKES and not c.variant
+        ]
         if best_placed(links, resembling):
             best = other
             found["platform"], whole["platform"] = _stamped_elsewhere(layout, found, progress)
@@ -319,40 +464,65 @@ def _stamped_platform(layout: Layout, found: Mapping[str, Explanation]) -> Platf
     return link.stamped(before=-stamps["pose_cmd"]) if "pose_cmd" in stamps else link
 
 
-def _stamped_elsewhere(layout: Layout, found: Mapping[str, Explanation], progress: Progress | None) -> tuple[Explanation, Link]:
+def _stamped_elsewhere(
+    layout: Layout, found: Mapping[str, Explanation], progress: Progress | None
+) -> tuple[Explanation, Link]:
     """The platform, if what little it is late is its stamp: explained again, and on whole runs."""
     platform = found["platform"]
     timing = platform.residual.link.timing
     for effect in platform.chosen.effects():
         if may_be_stamp(effect, platform.residual.link):
             timing = timing.plus(Timing(delay=effect.parameters()["delay"]))
-    again = _explain_platform(layout, _stamped_platform(layout, found).with_timing(timing), _begin(progress, layout, "platform"))
+    again = _explain_platform(
+        layout,
+        _stamped_platform(layout, found).with_timing(timing),
+        _begin(progress, layout, "platform"),
+    )
     return again, platform_link(layout, layout.whole).with_timing(again.residual.link.timing)
 
 
 def _by_its_stamp(
-    layout: Layout, link: WrenchLink, found: dict[str, Explanation], whole: dict[str, Link], late: Fit, progress: Progress | None
+    layout: Layout,
+    link: WrenchLink,
+    found: dict[str, Explanation],
+    whole: dict[str, Link],
+    late: Fit,
+    progress: Progress | None,
 ) -> bool:
-    """Whether wrench_comp is stamped early, and not wrench_meas late: contact and sensor depart more if the record is ``late``.
+    """Whether wrench_comp is stamped early, and not wrench_meas late: contact and sensor depart
+    more if the record is ``late``.
 
     In that case the compensation is explained again.
     """
     skew = log_parameters(found["compensation"].chosen.effects()).skew
     residual = Residual(link)
     told = square(residual([c.at(np.full(len(c.names), skew)) for c in late.causes]))
-    refuted = log_parameters(late.effects()).skew < MIN_SKEW_SHARE * skew or told > null_fit(residual).chi2 + DETECTION
+    refuted = (
+        log_parameters(late.effects()).skew < MIN_SKEW_SHARE * skew
+        or told > null_fit(residual).chi2 + DETECTION
+    )
     if skew > MAX_STAMP_SHIFT_ROWS * layout.scales.tick or not refuted:
         return False
     early = compensation_link(layout, layout.rows).with_timing(Timing(delay=-skew))
-    found["compensation"] = _explain_compensation(layout, early, _candidates(layout.scales, ("compensation",)), progress)
-    whole["compensation"] = compensation_link(layout, layout.whole).with_timing(found["compensation"].residual.link.timing)
+    found["compensation"] = _explain_compensation(
+        layout, early, _candidates(layout.scales, ("compensation",)), progress
+    )
+    whole["compensation"] = compensation_link(layout, layout.whole).with_timing(
+        found["compensation"].residual.link.timing
+    )
     return True
 
 
 def _settle_compensation(
-    layout: Layout, path: BestPath, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
+    layout: Layout,
+    path: BestPath,
+    found: dict[str, Explanation],
+    whole: dict[str, Link],
+    progress: Progress | None,
 ) -> None:
-    """The compensation explained again with the readings that the loop used, if contact and sensor show how late the record is."""
+    """The compensation explained again with the readings that the loop used, if contact and sensor
+    show how late the record is.
+    """
     explanation = found["wrench"]
     effects = explanation.chosen.effects()
     skew = log_parameters(effects).skew
@@ -364,8 +534,14 @@ def _settle_compensation(
     for rows in (layout.rows, layout.whole):
         wrench = make_wrench_link(layout, path, rows).as_interpreted(chosen)
         everything = range(len(wrench.runs))
-        late, prompt = wrench.predict([(i, effects) for i in everything]), wrench.predict([(i, in_time) for i in everything])
-        used = [used_readings(run, a, b, ticks) for run, a, b in zip(wrench.runs, late, prompt, strict=True)]
+        late, prompt = (
+            wrench.predict([(i, effects) for i in everything]),
+            wrench.predict([(i, in_time) for i in everything]),
+        )
+        used = [
+            used_readings(run, a, b, ticks)
+            for run, a, b in zip(wrench.runs, late, prompt, strict=True)
+        ]
         link = compensation_link(layout, rows)
         links.append(link.on_used(used, [without_end(run, ticks) for run in link.runs]))
     late_record = Candidate(
@@ -376,28 +552,46 @@ def _settle_compensation(
     whole["compensation"] = links[1].with_timing(found["compensation"].residual.link.timing)
 
 
-def _settle_platform(layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None) -> Layout:
-    """The platform explained again, if the sensor reads another wrench than the drives bear; and the layout with the latter.
+def _settle_platform(
+    layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
+) -> Layout:
+    """The platform explained again, if the sensor reads another wrench than the drives bear; and
+    the layout with the latter.
 
-    The recorded wrench is corrected by the difference of two replays, with the sensor's effects and without: errors of the replayed contact
-    are the same in both.
+    The recorded wrench is corrected by the difference of two replays, with the sensor's effects and
+    without: errors of the replayed contact are the same in both.
     """
     explanation, platform = found["wrench"], found.get("platform")
     effects = explanation.chosen.effects()
     in_truth = [e for e in effects if e.link not in ("sensor", "log")]
-    if platform is None or not platform.departs or not explanation.adequate or len(in_truth) == len(effects):
+    if (
+        platform is None
+        or not platform.departs
+        or not explanation.adequate
+        or len(in_truth) == len(effects)
+    ):
         return layout
     if all(follows_exactly(r.scenario) for r in layout.runs):
         return layout
     wrench = whole["wrench"]
     everything = range(len(layout.runs))
-    shown, borne = wrench.predict([(i, effects) for i in everything]), wrench.predict([(i, in_truth) for i in everything])
-    readings = [r.record.filled("wrench_meas") + b - s for r, b, s in zip(layout.runs, borne, shown, strict=True)]
+    shown, borne = (
+        wrench.predict([(i, effects) for i in everything]),
+        wrench.predict([(i, in_truth) for i in everything]),
+    )
+    readings = [
+        r.record.filled("wrench_meas") + b - s
+        for r, b, s in zip(layout.runs, borne, shown, strict=True)
+    ]
     again = with_readings(layout, readings)
     if again is None:
         return layout
     found["platform"] = _explain_platform(
-        again, _stamped_platform(again, found), _begin(progress, again, "platform", "platform under the force found")
+        again,
+        _stamped_platform(again, found),
+        _begin(progress, again, "platform", "platform under the force found"),
     )
-    whole["platform"] = platform_link(again, again.whole).with_timing(found["platform"].residual.link.timing)
+    whole["platform"] = platform_link(again, again.whole).with_timing(
+        found["platform"].residual.link.timing
+    )
     return again

@@ -1,4 +1,6 @@
-"""Stage "select": jitter, a delay that varies from sample to sample, as noise in proportion to the rate of the reading; by likelihood."""
+"""Stage "select": jitter, a delay that varies from sample to sample, as noise in proportion to the
+rate of the reading; by likelihood.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,10 @@ from hiltestbed.frames import Array
 
 MAX_SIGMA = 0.02  # chosen: [s] largest standard deviation that is searched
 SIGMAS_TRIED = 40
-MIN_PAIRS = 100  # chosen: of neighbours on a channel, whose correlation then is known to pi / 2 over ten: 0.16
-REFINEMENT_FACTORS = (0.92, 1.0, 1.08)  # chosen: on the first estimate, which treats the noise of a delay as small
+# chosen: of neighbours on a channel, whose correlation then is known to pi / 2 over ten: 0.16
+MIN_PAIRS = 100
+# chosen: on the first estimate, which treats the noise of a delay as small
+REFINEMENT_FACTORS = (0.92, 1.0, 1.08)
 
 
 def jitter_beside(residual: Residual, base: Fit, _known: float = math.inf) -> Fit | None:
@@ -49,16 +53,35 @@ def jitter_beside(residual: Residual, base: Fit, _known: float = math.inf) -> Fi
     best = float(found.x)
     spread = np.sqrt(1.0 + (best * worth) ** 2)
     z = base.residual / spread
-    if not _independent(z, spread > MIN_JITTER_SPREAD, len(link.channels)) or not _centred(z, worth / spread, spread > MIN_JITTER_SPREAD):
+    if not _independent(z, spread > MIN_JITTER_SPREAD, len(link.channels)) or not _centred(
+        z, worth / spread, spread > MIN_JITTER_SPREAD
+    ):
         return None
-    tried = [(best * f, *_likelihood(link, residual, effects, best * f)) for f in REFINEMENT_FACTORS]
+    tried = [
+        (best * f, *_likelihood(link, residual, effects, best * f)) for f in REFINEMENT_FACTORS
+    ]
     sigma, chi2, r = min(tried, key=lambda item: item[1])
-    cause = Candidate(EFFECTS[JITTER], ("sigma",), np.array([0.0]), np.array([MAX_SIGMA]), np.array([False]), ((0.0,),))
-    return Fit((*base.causes, cause), np.append(base.theta, sigma), chi2, r, np.column_stack([base.jacobian, np.zeros(len(r))]))
+    cause = Candidate(
+        EFFECTS[JITTER],
+        ("sigma",),
+        np.array([0.0]),
+        np.array([MAX_SIGMA]),
+        np.array([False]),
+        ((0.0,),),
+    )
+    return Fit(
+        (*base.causes, cause),
+        np.append(base.theta, sigma),
+        chi2,
+        r,
+        np.column_stack([base.jacobian, np.zeros(len(r))]),
+    )
 
 
 def again(residual: Residual, found: Fit, known: float = math.inf) -> Fit:
-    """The same hypothesis fitted again under other weights; known: as of :func:`~hiltestbed.diagnosis.fit.fit`."""
+    """The same hypothesis fitted again under other weights; known: as of
+    :func:`~hiltestbed.diagnosis.fit.fit`.
+    """
     if not found.causes or found.kinds[-1] != JITTER:
         return refit(residual, found, known)
     rest = replace(found, causes=found.causes[:-1], theta=found.theta[:-1])
@@ -66,8 +89,12 @@ def again(residual: Residual, found: Fit, known: float = math.inf) -> Fit:
     return jitter_beside(residual, base) or found
 
 
-def _likelihood(link: WrenchLink, residual: Residual, effects: Effects, sigma: float) -> tuple[float, Array]:
-    """Minus twice the log-likelihood, and the residual in units of noise and spread, for a delay with standard deviation sigma."""
+def _likelihood(
+    link: WrenchLink, residual: Residual, effects: Effects, sigma: float
+) -> tuple[float, Array]:
+    """Minus twice the log-likelihood, and the residual in units of noise and spread, for a delay
+    with standard deviation sigma.
+    """
     total, parts = 0.0, []
     for i in residual.runs:
         mean, spread = link.shaken(i, effects, sigma)
@@ -79,14 +106,19 @@ def _likelihood(link: WrenchLink, residual: Residual, effects: Effects, sigma: f
 
 
 def _independent(z: Array, where: np.ndarray, channels: int) -> bool:
-    """Whether neighbouring samples are independent, as jitter makes them: together, and on each channel with enough of them.
+    """Whether neighbouring samples are independent, as jitter makes them: together, and on each
+    channel with enough of them.
 
-    By their signs, of which a share of asin(r) / pi more than half agree at a correlation of r (W. F. Sheppard, Phil. Trans. A 192, 1899):
-    a few samples that are far off, as at a touch, do not hide that all others follow one another.
+    By their signs, of which a share of asin(r) / pi more than half agree at a correlation of r (W.
+    F. Sheppard, Phil. Trans. A 192, 1899): a few samples that are far off, as at a touch, do not
+    hide that all others follow one another.
     """
     signs, where = np.sign(z).reshape(-1, channels), where.reshape(-1, channels)
     pairs = where[1:] & where[:-1]
-    counts, products = np.sum(pairs, axis=0), np.sum(np.where(pairs, signs[1:] * signs[:-1], 0.0), axis=0)
+    counts, products = (
+        np.sum(pairs, axis=0),
+        np.sum(np.where(pairs, signs[1:] * signs[:-1], 0.0), axis=0),
+    )
     many = counts >= MIN_PAIRS
     most = 2.0 / math.pi * math.asin(MAX_JITTER_CORRELATION)
     alike = abs(float(products.sum())) < most * int(counts.sum())
@@ -94,9 +126,13 @@ def _independent(z: Array, where: np.ndarray, channels: int) -> bool:
 
 
 def _centred(z: Array, worth: Array, where: np.ndarray) -> bool:
-    """Whether the delay varies about the believed one: a constant delay would correlate with the rate of the reading, `worth`."""
+    """Whether the delay varies about the believed one: a constant delay would correlate with the
+    rate of the reading, `worth`.
+    """
     z, worth = z[where], worth[where]
-    return abs(float(np.sum(z * worth))) < MAX_JITTER_CORRELATION * math.sqrt(square(z) * square(worth))
+    return abs(float(np.sum(z * worth))) < MAX_JITTER_CORRELATION * math.sqrt(
+        square(z) * square(worth)
+    )
 
 
 __all__ = ["again", "inflation", "jitter_beside"]

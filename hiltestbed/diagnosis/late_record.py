@@ -1,4 +1,6 @@
-"""Stage "select": a wrench_meas that is stamped late: what the compensation and the contact together show of it."""
+"""Stage "select": a wrench_meas that is stamped late: what the compensation and the contact
+together show of it.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +24,13 @@ from hiltestbed.replay.wrench import shifted
 
 
 def stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | None) -> list[Fit]:
-    """The hypotheses of a record that is stamped late, the likelier first; none where the compensation shows no late record.
+    """The hypotheses of a record that is stamped late, the likelier first; none where the
+    compensation shows no late record.
 
-    The compensation determines the delay to a tick. A contact that does not show it may hide it: a late reading looks like less damping.
-    There is no estimate within the tick if the compensation follows exactly with a row, or if the contact is later still: the record is
-    then as late as the compensation shows, and the sensor may be late as well.
+    The compensation determines the delay to a tick. A contact that does not show it may hide it: a
+    late reading looks like less damping. There is no estimate within the tick if the compensation
+    follows exactly with a row, or if the contact is later still: the record is then as late as the
+    compensation shows, and the sensor may be late as well.
     """
     skew = log_parameters(compensation.chosen.effects()).skew if compensation else 0.0
     if compensation is None or not skew:
@@ -40,11 +44,17 @@ def stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | N
     residual = residual.downweighted(fits[0].effects())
     fits = [refit(residual, f) for f in fits]
     borne_out = null_fit(residual).chi2 - fits[0].chi2 > DETECTION
-    return fits if borne_out or compensation.chosen.chi2 < MAX_SKEW_RESIDUAL * compensation.null.chi2 else []
+    return (
+        fits
+        if borne_out or compensation.chosen.chi2 < MAX_SKEW_RESIDUAL * compensation.null.chi2
+        else []
+    )
 
 
 def other_reading_betters(found: Explanation, other: Fit) -> bool:
-    """Whether the chosen causes, the first of which is a late record, fit better with the interpretation of `other` for it."""
+    """Whether the chosen causes, the first of which is a late record, fit better with the
+    interpretation of `other` for it.
+    """
     causes = (*other.causes, *found.chosen.causes[1:])
     if any(c.kind == JITTER for c in causes):
         return False
@@ -53,10 +63,13 @@ def other_reading_betters(found: Explanation, other: Fit) -> bool:
 
 
 def used_readings(run: LinkRun, modelled: Array, in_time: Array, ticks: int) -> Array:
-    """(N, 6) the readings that the loop used, of which the record, `run.measured`, was stamped so many ticks late.
+    """(N, 6) the readings that the loop used, of which the record, `run.measured`, was stamped so
+    many ticks late.
 
-    modelled: (N, 6) prediction of the record. in_time: of the loop's readings. Only the noise, the difference of record and model, is
-    shifted: across a touch a reading cannot be interpolated from the rows beside it, and a larger difference there is a model error.
+    modelled: (N, 6) prediction of the record. in_time: of the loop's readings. Only the noise, the
+        difference of record and model, is
+    shifted: across a touch a reading cannot be interpolated from the rows beside it, and a larger
+        difference there is a model error.
     """
     most = MAX_NOISE_SIGMA * np.where(np.isfinite(run.sigma), run.sigma, 0.0)
     return in_time + shifted(np.clip(run.measured - modelled, -most, most), float(ticks))

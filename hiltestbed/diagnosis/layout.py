@@ -1,6 +1,8 @@
-"""Stage "layout": a measured dataset as the links need it: inputs and outputs of each link, rows and noise floors.
+"""Stage "layout": a measured dataset as the links need it: inputs and outputs of each link, rows
+and noise floors.
 
-Takes a `MeasuredDataset`, gives a `Layout`; `platform_link`, `wrench_link`, `compensation_link` and `dynamics_link` make the links of it.
+Takes a `MeasuredDataset`, gives a `Layout`; `platform_link`, `wrench_link`, `compensation_link` and
+`dynamics_link` make the links of it.
 """
 
 from __future__ import annotations
@@ -11,11 +13,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hiltestbed.diagnosis.bridged import bridging_noise, interpolation_errors, kink_errors, lost, only_short_gaps, rms_differences
+from hiltestbed.diagnosis.bridged import (
+    bridging_noise,
+    interpolation_errors,
+    kink_errors,
+    lost,
+    only_short_gaps,
+    rms_differences,
+)
 from hiltestbed.diagnosis.driven import regression
 from hiltestbed.diagnosis.floors import floors
 from hiltestbed.diagnosis.lacking import every_run_has, lacking, on_record
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, WrenchLink, flat_pose
+from hiltestbed.diagnosis.links import (
+    CompensationLink,
+    DynamicsLink,
+    LinkRun,
+    PlatformLink,
+    WrenchLink,
+    flat_pose,
+)
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
 from hiltestbed.diagnosis.noise import FEW_STEPS, POSE_PARTS, ForceNoise, few_levels, force_noise
 from hiltestbed.diagnosis.quantised import repetition_factor
@@ -39,10 +55,15 @@ from hiltestbed.replay.compensation import needs
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
-GAP_MEMORY = 0.05  # chosen: [s] for which a missing sample is taken to affect platform, contact and compensation
-UNUSED_END_ROWS = 3  # rows at each end whose command may not be on record: loggers stamp each channel up to two rows early or late
-MAX_RATE_ERROR = 0.1  # chosen: of the computed force, above which a compensation on differentiated poses shows nothing
-CORRELATION_FACTOR = math.sqrt(CORRELATED_ROWS)  # on errors of a computed channel, whose rows are correlated
+# chosen: [s] for which a missing sample is taken to affect platform, contact and compensation
+GAP_MEMORY = 0.05
+# rows at each end whose command may not be on record: loggers stamp each channel up to two rows
+# early or late
+UNUSED_END_ROWS = 3
+# chosen: of the computed force, above which a compensation on differentiated poses shows nothing
+MAX_RATE_ERROR = 0.1
+# on errors of a computed channel, whose rows are correlated
+CORRELATION_FACTOR = math.sqrt(CORRELATED_ROWS)
 ROTATIONS = ("rx", "ry", "rz")
 
 
@@ -51,12 +72,16 @@ class Layout:
     """One dataset as the links see it.
 
     Attributes:
-        runs: as measured. rows: of each run, that the search uses. scales: orders of magnitude of the data. noise: channel to its floor.
+        runs: as measured. rows: of each run, that the search uses. scales: orders of magnitude of
+            the data. noise: channel to its floor.
         force: the noise model of the force, from free flight.
-        engaged: the contact's action along the pose of each run, where only playing the mechanism gives it, see :func:`engagement`.
-        deflection: of each run, departure of the believed rig from its command; None where it cannot be replayed or is not needed.
+        engaged: the contact's action along the pose of each run, where only playing the mechanism
+            gives it, see :func:`engagement`.
+        deflection: of each run, departure of the believed rig from its command; None where it
+            cannot be replayed or is not needed.
         missing: link to the reason why it cannot be replayed.
-        logged: the filter through which the force went to the log but not to the loop; None: there is none.
+        logged: the filter through which the force went to the log but not to the loop; None: there
+            is none.
     """
 
     runs: tuple[MeasuredRun, ...]
@@ -71,7 +96,10 @@ class Layout:
 
     def assumed(self) -> tuple[str, ...]:
         """The assumptions on the recorded force, in sentences."""
-        return (*self.force.words(), *([self.logged.words(1.0 / self.scales.tick)] if self.logged else []))
+        return (
+            *self.force.words(),
+            *([self.logged.words(1.0 / self.scales.tick)] if self.logged else []),
+        )
 
     @property
     def least_force(self) -> float:
@@ -94,31 +122,49 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
     if "platform" not in missing:
         given, lost = _deflections(runs, noise, engaged)
         if lost is not None:
-            missing["platform"] = f"the believed rig cannot follow the command on record in {lost.name}"
-    elif "wrench" not in missing and not every_run_has(runs, "pose_act") and every_run_has(runs, "pose_cmd"):
-        given, lost = _deflections(runs, noise, engaged)  # in place of the pose that was not measured
+            missing["platform"] = (
+                f"the believed rig cannot follow the command on record in {lost.name}"
+            )
+    elif (
+        "wrench" not in missing
+        and not every_run_has(runs, "pose_act")
+        and every_run_has(runs, "pose_cmd")
+    ):
+        # in place of the pose that was not measured
+        given, lost = _deflections(runs, noise, engaged)
         if lost is not None:
-            missing["wrench"] = f"needs pose_act: the believed rig cannot follow the command on record in {lost.name}"
+            missing["wrench"] = (
+                f"needs pose_act: the believed rig cannot follow the command on record in "
+                f"{lost.name}"
+            )
     scales = scales_of(runs, noise)
     if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
         scales = replace(scales, driven=regression(runs))
-    layout = Layout(runs, tuple(_rows(r) for r in runs), scales, noise, force, engaged, given, missing)
+    layout = Layout(
+        runs, tuple(_rows(r) for r in runs), scales, noise, force, engaged, given, missing
+    )
     if "compensation" in missing:
         return layout
     link = compensation_link(layout, layout.whole)
     if _share_of_rates(link) > MAX_RATE_ERROR:
-        why = "needs twist_act in every run: the compensation depends on it more closely than differences of pose_act show it"
+        why = (
+            "needs twist_act in every run: the compensation depends on it more closely "
+            "than differences of pose_act show it"
+        )
         return replace(layout, missing=missing | {"compensation": why})
     logged = _logger_filter(link)
     if logged is None:
         return layout
-    force, white = force_noise(runs, logged), link.noise_gain() * logged.colour  # third differences underestimate filtered noise
+    # third differences underestimate filtered noise
+    force, white = force_noise(runs, logged), link.noise_gain() * logged.colour
     led = {c.replace("comp", "meas"): noise[c] / white for c in link.channels if noise.get(c)}
     return replace(layout, force=force, noise=noise | led | force.levels(), logged=logged)
 
 
 def _share_of_rates(link: CompensationLink) -> float:
-    """Error of the computed force where twist_act is differentiated pose_act, as a share of that force; 0 where twist_act is not needed."""
+    """Error of the computed force where twist_act is differentiated pose_act, as a share of that
+    force; 0 where twist_act is not needed.
+    """
     other = link.with_central_rates()
     if other is None:
         return 0.0
@@ -128,33 +174,53 @@ def _share_of_rates(link: CompensationLink) -> float:
 
 
 def _logger_filter(link: CompensationLink) -> LowPass | None:
-    """The filter through which the force went to the log but not to the loop; None where wrench_comp shows none."""
+    """The filter through which the force went to the log but not to the loop; None where
+    wrench_comp shows none.
+    """
     behind = link.predict([(i, ()) for i in range(len(link.runs))])
     known = [np.asarray(np.isfinite(run.sigma).all(axis=1)) for run in link.runs]
     return low_pass_between([run.measured for run in link.runs], behind, known)
 
 
 def with_readings(layout: Layout, readings: Sequence[Array]) -> Layout | None:
-    """The same if the believed sensor had shown ``readings`` (N, 6) in each run; None where the rig then cannot follow its command."""
+    """The same if the believed sensor had shown ``readings`` (N, 6) in each run; None where the rig
+    then cannot follow its command.
+    """
     given, lost = _deflections(layout.runs, layout.noise, layout.engaged, readings)
     return replace(layout, deflection=given) if lost is None else None
 
 
 def with_noise_beside(layout: Layout, shown: Sequence[Array]) -> Layout:
-    """The same with the noise of a latched mechanism's force beside the readings ``shown`` (N, 6) by the believed contact in each run."""
+    """The same with the noise of a latched mechanism's force beside the readings ``shown`` (N, 6)
+    by the believed contact in each run.
+    """
     force = force_noise(layout.runs, layout.logged, shown)
     before = layout.force.levels()
-    noise = floors(layout.runs) | {c: v for c, v in layout.noise.items() if c not in before} | force.levels()
+    noise = (
+        floors(layout.runs)
+        | {c: v for c, v in layout.noise.items() if c not in before}
+        | force.levels()
+    )
     return replace(layout, force=force, noise=noise)
 
 
 def _deflections(
-    runs: Sequence[MeasuredRun], noise: Mapping[str, float], engaged: Sequence[Engaged | None], readings: Sequence[Array] | None = None
+    runs: Sequence[MeasuredRun],
+    noise: Mapping[str, float],
+    engaged: Sequence[Engaged | None],
+    readings: Sequence[Array] | None = None,
 ) -> tuple[tuple[Deflection, ...] | None, MeasuredRun | None]:
-    """The believed rig's departure from its command in each run, or the first run in which it cannot follow the command."""
+    """The believed rig's departure from its command in each run, or the first run in which it
+    cannot follow the command.
+    """
     found = []
     for i, run in enumerate(runs):
-        one = deflection(run, noise.get("wrench_meas.fz", 0.0), readings[i] if readings is not None else None, engaged[i])
+        one = deflection(
+            run,
+            noise.get("wrench_meas.fz", 0.0),
+            readings[i] if readings is not None else None,
+            engaged[i],
+        )
         if one is None:
             return None, run
         found.append(one)
@@ -167,14 +233,19 @@ def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
     runs, commands, away = [], [], []
     for run, found, n in zip(layout.runs, layout.deflection, rows, strict=True):
         one = _pose_run(run, layout.noise, found.doubt[:n], n)
-        runs.append(replace(one, scenario=_from_where_it_stood(run)) if "wrench" in layout.missing else one)
+        runs.append(
+            replace(one, scenario=_from_where_it_stood(run)) if "wrench" in layout.missing else one
+        )
         commands.append(np.ascontiguousarray(run.record.filled("pose_cmd")[:n]))
         away.append(found.away[:n])
-    return PlatformLink(runs, commands, away).with_rounding(_cut([r.record.unsmoothed() for r in layout.runs], rows))
+    return PlatformLink(runs, commands, away).with_rounding(
+        _cut([r.record.unsmoothed() for r in layout.runs], rows)
+    )
 
 
 def _from_where_it_stood(run: MeasuredRun) -> Scenario:
-    """The scenario of a platform that is moved without an approach: it begins where the record has it, a load's droop off its command.
+    """The scenario of a platform that is moved without an approach: it begins where the record has
+    it, a load's droop off its command.
 
     An axis without a command on record stands still where the replay has it.
     """
@@ -183,49 +254,95 @@ def _from_where_it_stood(run: MeasuredRun) -> Scenario:
     if any(approach.velocity):
         return scenario
     uncommanded = [name in run.record.absent for name in GROUPS["pose_cmd"].columns[:3]]
-    believed = np.where(uncommanded, run.record.filled("pose_cmd")[0, :3], (*approach.offset, -approach.gap))
+    believed = np.where(
+        uncommanded, run.record.filled("pose_cmd")[0, :3], (*approach.offset, -approach.gap)
+    )
     begin = np.where(np.isfinite(first), first, believed)
-    moved = approach.model_copy(update={"offset": (float(begin[0]), float(begin[1])), "gap": -float(begin[2])})
+    moved = approach.model_copy(
+        update={"offset": (float(begin[0]), float(begin[1])), "gap": -float(begin[2])}
+    )
     return scenario.model_copy(update={"approach": moved})
 
 
 def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     """The compensation on the first ``rows`` of each run."""
-    level = COMPENSATION_FLOOR * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6) * math.sqrt(CORRELATED_ROWS)
+    level = (
+        COMPENSATION_FLOOR
+        * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6)
+        * math.sqrt(CORRELATED_ROWS)
+    )
     groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
-    twists = {g.replace("pose", "twist") for g in groups if every_run_has(layout.runs, g.replace("pose", "twist"))}
+    twists = {
+        g.replace("pose", "twist")
+        for g in groups
+        if every_run_has(layout.runs, g.replace("pose", "twist"))
+    }
     pairs = list(zip(layout.runs, rows, strict=True))
-    records = {g: [np.ascontiguousarray(r.record.filled(g)[:n]) for r, n in pairs] for g in groups | twists}
-    runs = [_computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", GAP_MEMORY) for r, n in pairs]
+    records = {
+        g: [np.ascontiguousarray(r.record.filled(g)[:n]) for r, n in pairs] for g in groups | twists
+    }
+    runs = [
+        _computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", GAP_MEMORY)
+        for r, n in pairs
+    ]
     wrenches = [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs]
     link = CompensationLink(runs, wrenches, records)
     memory, gain = link.memory() or GAP_MEMORY, link.noise_gain()
-    runs = [_computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory) for r, n in pairs]
-    written = [np.hypot(r.record.rounding("wrench_comp"), gain * r.record.rounding("wrench_meas"))[:n] for r, n in pairs]
-    runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * w)) for run, w in zip(runs, written, strict=True)]
+    runs = [
+        _computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory)
+        for r, n in pairs
+    ]
+    written = [
+        np.hypot(r.record.rounding("wrench_comp"), gain * r.record.rounding("wrench_meas"))[:n]
+        for r, n in pairs
+    ]
+    runs = [
+        replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * w))
+        for run, w in zip(runs, written, strict=True)
+    ]
     bends = interpolation_errors(layout.runs, "wrench_meas", rows)
     if any(b.any() for b in bends):
         straight = [w - b for w, b in zip(wrenches, bends, strict=True)]
-        missed = rms_differences(CompensationLink(runs, wrenches, records), CompensationLink(runs, straight, records))
-        out = [np.hypot(m, b) for m, b in zip(missed, interpolation_errors(layout.runs, "wrench_comp", rows), strict=True)]
-        runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m)) for run, m in zip(runs, out, strict=True)]
+        missed = rms_differences(
+            CompensationLink(runs, wrenches, records), CompensationLink(runs, straight, records)
+        )
+        out = [
+            np.hypot(m, b)
+            for m, b in zip(
+                missed, interpolation_errors(layout.runs, "wrench_comp", rows), strict=True
+            )
+        ]
+        runs = [
+            replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m))
+            for run, m in zip(runs, out, strict=True)
+        ]
     if layout.logged:
         runs = [_filtered(run, layout.logged) for run in runs]
     link = CompensationLink(runs, wrenches, records)
     if (other := link.with_central_rates()) is not None:
         missed = rms_differences(link, other)
-        runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m)) for run, m in zip(runs, missed, strict=True)]
+        runs = [
+            replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m))
+            for run, m in zip(runs, missed, strict=True)
+        ]
     return CompensationLink(runs, wrenches, records)
 
 
 def _filtered(run: LinkRun, logged: LowPass) -> LinkRun:
     """The computed force filtered like the recorded one it is compared with."""
-    sigma, filtered = np.hypot(run.sigma, CORRELATION_FACTOR * logged.missed(run.measured)), logged(run.measured)
-    return replace(run, measured=filtered, sigma=sigma, nuisances=_late(filtered, logged)[:, :, None])
+    sigma, filtered = (
+        np.hypot(run.sigma, CORRELATION_FACTOR * logged.missed(run.measured)),
+        logged(run.measured),
+    )
+    return replace(
+        run, measured=filtered, sigma=sigma, nuisances=_late(filtered, logged)[:, :, None]
+    )
 
 
 def _late(force: Array, logged: LowPass) -> Array:
-    """(N, C) change of a force (N, C) by the uncertainty of the filter's delay, at one standard deviation."""
+    """(N, C) change of a force (N, C) by the uncertainty of the filter's delay, at one standard
+    deviation.
+    """
     return np.asarray(logged.delay_error * np.gradient(force, axis=0))
 
 
@@ -233,25 +350,40 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     """The numerical model on the first ``rows`` of each run."""
     level = DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS)
     pairs = list(zip(layout.runs, rows, strict=True))
-    gone = {True: 0.0, False: None}  # [s] for which a lost sample matters: to the end of the run, unless its bridge has a known error
+    # [s] for which a lost sample matters: to the end of the run, unless its bridge has a known
+    # error
+    gone = {True: 0.0, False: None}
     bridged = [only_short_gaps(r.record, "wrench_comp") for r in layout.runs]
     runs = [
         _computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n, "wrench_comp", gone[b])
         for (r, n), b in zip(pairs, bridged, strict=True)
     ]
     wrenches = [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in pairs]
-    missing = [lost(r.record, "wrench_comp")[:n] & b for (r, n), b in zip(pairs, bridged, strict=True)]
+    missing = [
+        lost(r.record, "wrench_comp")[:n] & b for (r, n), b in zip(pairs, bridged, strict=True)
+    ]
     bends = interpolation_errors(layout.runs, "wrench_comp", rows)
     floors = np.array([layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns])
-    half_digits = [math.sqrt(3.0) * np.hypot(_pose_rounding(r, "pose_cmd"), _pose_steps(r, "pose_cmd"))[:n] for r, n in pairs]  # at most
+    # at most
+    half_digits = [
+        math.sqrt(3.0) * np.hypot(_pose_rounding(r, "pose_cmd"), _pose_steps(r, "pose_cmd"))[:n]
+        for r, n in pairs
+    ]
     noise = bridging_noise(DynamicsLink(runs, wrenches), wrenches, missing, bends, floors)
     noise = [np.hypot(a, b) for a, b in zip(noise, half_digits, strict=True)]
-    runs = [replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * s)) for run, s in zip(runs, noise, strict=True)]
+    runs = [
+        replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * s))
+        for run, s in zip(runs, noise, strict=True)
+    ]
     if any(b.any() for b in bends):
-        coherent = [w + np.abs(b) for w, b in zip(wrenches, bends, strict=True)]  # interpolation errors may add up in the motion
+        # interpolation errors may add up in the motion
+        coherent = [w + np.abs(b) for w, b in zip(wrenches, bends, strict=True)]
         missed = rms_differences(DynamicsLink(runs, wrenches), DynamicsLink(runs, coherent))
-        lasting = [math.sqrt(len(m)) * np.maximum.accumulate(m, axis=0) for m in missed]  # one error a run, in however many rows
-        runs = [replace(run, sigma=np.hypot(run.sigma, s)) for run, s in zip(runs, lasting, strict=True)]
+        # one error a run, in however many rows
+        lasting = [math.sqrt(len(m)) * np.maximum.accumulate(m, axis=0) for m in missed]
+        runs = [
+            replace(run, sigma=np.hypot(run.sigma, s)) for run, s in zip(runs, lasting, strict=True)
+        ]
     return DynamicsLink(runs, wrenches)
 
 
@@ -265,14 +397,24 @@ def wrench_link(
 ) -> WrenchLink:
     """Contact and sensor on the paths (N, 7) of A in each run; jumps: (N,) [m] of A within a tick.
 
-    rates: (N, 6) twist at t_k, None: the slope of the tick. extra: (N, 6) noise of the reading caused by the path's own noise [N, N m].
+    rates: (N, 6) twist at t_k, None: the slope of the tick. extra: (N, 6) noise of the reading
+        caused by the path's own noise [N, N m].
     """
     least = layout.scales.force * np.array([MIN_FORCE_NOISE] * 3 + [FORCE_ARM_ERROR] * 3)
     runs = []
     for i, (run, n) in enumerate(zip(layout.runs, rows, strict=True)):
         link_run = _force_run(run, layout, i, n, least)
-        runs.append(link_run if extra is None else replace(link_run, sigma=np.hypot(link_run.sigma, extra[i][:n])))
-    return WrenchLink(runs, _cut(paths, rows), None if jumps is None else _cut(jumps, rows), None if rates is None else _cut(rates, rows))
+        runs.append(
+            link_run
+            if extra is None
+            else replace(link_run, sigma=np.hypot(link_run.sigma, extra[i][:n]))
+        )
+    return WrenchLink(
+        runs,
+        _cut(paths, rows),
+        None if jumps is None else _cut(jumps, rows),
+        None if rates is None else _cut(rates, rows),
+    )
 
 
 def _cut(arrays: Sequence[Array], rows: Sequence[int]) -> list[Array]:
@@ -283,15 +425,27 @@ def _rows(run: MeasuredRun) -> int:
     if not run.survey.contacts:
         return run.record.ticks
     end = max(c.end for c in run.survey.contacts)
-    return min(run.record.ticks, end + round((TAIL_TIME + run.scenario.sensor.delay) * run.scenario.rate))
+    return min(
+        run.record.ticks, end + round((TAIL_TIME + run.scenario.sensor.delay) * run.scenario.rate)
+    )
 
 
 def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array) -> LinkRun:
-    """A measured force less the offset of this run, with a noise level that includes its colour and its share of the reading."""
-    level = np.maximum([layout.noise.get(name, 0.0) for name in GROUPS["wrench_meas"].columns], least) * layout.force.colour
+    """A measured force less the offset of this run, with a noise level that includes its colour and
+    its share of the reading.
+    """
+    level = (
+        np.maximum([layout.noise.get(name, 0.0) for name in GROUPS["wrench_meas"].columns], least)
+        * layout.force.colour
+    )
     reading = np.nan_to_num(run.record.data["wrench_meas"][:rows]) - layout.force.offset[i]
-    level = np.hypot(np.hypot(level, layout.force.share * reading), run.record.rounding("wrench_meas")[:rows])
-    level = np.hypot(level * repetition_factor(run, "wrench_meas", rows), kink_errors(run.record, "wrench_meas")[:rows])
+    level = np.hypot(
+        np.hypot(level, layout.force.share * reading), run.record.rounding("wrench_meas")[:rows]
+    )
+    level = np.hypot(
+        level * repetition_factor(run, "wrench_meas", rows),
+        kink_errors(run.record, "wrench_meas")[:rows],
+    )
     sigma = np.where(run.record.valid["wrench_meas"][:rows], level, np.inf)
     sigma[:, [few_levels(run, name) for name in GROUPS["wrench_meas"].columns]] = np.inf
     path = next((g for g in ("pose_act", "pose_cmd") if run.record.has(g)), None)
@@ -301,39 +455,69 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     force = layout.force
     nuisances = force.nuisances(rows, run.record.ticks, np.min(level, axis=0))
     if layout.logged:
-        nuisances = np.concatenate([nuisances, _late(run.record.filled("wrench_meas")[:rows], layout.logged)[:, :, None]], axis=2)
+        nuisances = np.concatenate(
+            [nuisances, _late(run.record.filled("wrench_meas")[:rows], layout.logged)[:, :, None]],
+            axis=2,
+        )
     terms = nuisances if nuisances.shape[2] else None
-    return LinkRun(run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, terms)
+    return LinkRun(
+        run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, terms
+    )
 
 
 def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: int) -> LinkRun:
-    """A measured pose as position and small rotation vector; an attitude counts where all of it was measured.
+    """A measured pose as position and small rotation vector; an attitude counts where all of it was
+    measured.
 
-    An axis that was told to stay within a step or two of its converter, and did, does not count: its quantisation hides such motions. Where
-    drives carry A and not all that acts on them is on record, symmetry leaves the axis of insertion: noise moves the others a little.
+    An axis that was told to stay within a step or two of its converter, and did, does not count:
+    its quantisation hides such motions. Where drives carry A and not all that acts on them is on
+    record, symmetry leaves the axis of insertion: noise moves the others a little.
     """
     valid = run.record.valid["pose_act"][:rows]
-    level = np.maximum([noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)], MIN_POSE_NOISE)
-    counted = np.concatenate([valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1)
-    level = np.hypot(level, _pose_rounding(run, "pose_act")[:rows]) * repetition_factor(run, "pose_act", rows)[:, :6]
+    level = np.maximum(
+        [noise.get(f"pose_act.{part}", 0.0) for part in ("px", "py", "pz", *ROTATIONS)],
+        MIN_POSE_NOISE,
+    )
+    counted = np.concatenate(
+        [valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1
+    )
+    level = (
+        np.hypot(level, _pose_rounding(run, "pose_act")[:rows])
+        * repetition_factor(run, "pose_act", rows)[:, :6]
+    )
     told = _pose_rounding(run, "pose_cmd")[:rows] * repetition_factor(run, "pose_cmd", rows)[:, :6]
     sigma = np.where(counted, np.sqrt(level**2 + told**2 + doubt**2), np.inf)
-    sigma[:, [few_levels(run, f"pose_act.{part}") and _told_to_stay(run, part) for part in POSE_PARTS]] = np.inf
+    sigma[
+        :, [few_levels(run, f"pose_act.{part}") and _told_to_stay(run, part) for part in POSE_PARTS]
+    ] = np.inf
     acting = [g for g in ("pose_cmd", "wrench_meas") if run.record.has(g)]
     if not run.scenario.rig.platform.prescribed and not all(on_record(run, g) for g in acting):
         sigma[:, [0, 1, 3, 4, 5]] = np.inf
     sigma[run.record.unknown("pose_cmd", GAP_MEMORY)[:rows]] = np.inf
-    sigma[:UNUSED_END_ROWS] = sigma[run.record.ticks - UNUSED_END_ROWS :] = np.inf  # row 0 is the start, and stamps may be off by rows
-    return LinkRun(run.scenario, np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])), sigma, run.touching(rows))
+    # row 0 is the start, and stamps may be off by rows
+    sigma[:UNUSED_END_ROWS] = sigma[run.record.ticks - UNUSED_END_ROWS :] = np.inf
+    return LinkRun(
+        run.scenario,
+        np.nan_to_num(flat_pose(run.record.data["pose_act"][:rows])),
+        sigma,
+        run.touching(rows),
+    )
 
 
 def _told_to_stay(run: MeasuredRun, part: str) -> bool:
-    """Whether the command of a pose's part varies by less than what a quantised measurement shows the size of."""
-    return float(np.ptp(run.record.filled("pose_cmd")[:, POSE_PARTS.index(part)])) < FEW_STEPS * run.record.steps[f"pose_act.{part}"]
+    """Whether the command of a pose's part varies by less than what a quantised measurement shows
+    the size of.
+    """
+    return (
+        float(np.ptp(run.record.filled("pose_cmd")[:, POSE_PARTS.index(part)]))
+        < FEW_STEPS * run.record.steps[f"pose_act.{part}"]
+    )
 
 
 def _pose_rounding(run: MeasuredRun, group: str) -> Array:
-    """(ticks, 6) 1 sigma of the rounding error of a written pose, as position and small rotation vector."""
+    """(ticks, 6) 1 sigma of the rounding error of a written pose, as position and small rotation
+    vector.
+    """
     rounding = run.record.rounding(group)
     return np.column_stack([rounding[:, :3], 2.0 * rounding[:, 3:6]])
 
@@ -344,8 +528,12 @@ def _pose_steps(run: MeasuredRun, group: str) -> Array:
     return np.array(steps) * np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]) / math.sqrt(12.0)
 
 
-def _computed_run(run: MeasuredRun, values: Array, level: float, rows: int, given: str, memory: float | None) -> LinkRun:
-    """The run of a computed channel; given: the group from which it is computed; memory: [s], see `Record.unknown`."""
+def _computed_run(
+    run: MeasuredRun, values: Array, level: float, rows: int, given: str, memory: float | None
+) -> LinkRun:
+    """The run of a computed channel; given: the group from which it is computed; memory: [s], see
+    `Record.unknown`.
+    """
     sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
     sigma[run.record.unknown(given, memory)[:rows]] = np.inf
     if given == "wrench_meas":  # axis by axis: an axis that was not measured gives nothing

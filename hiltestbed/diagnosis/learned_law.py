@@ -17,7 +17,8 @@ class LearnedCurve:
     """One curve of a learned law, and the data for it with all other terms subtracted.
 
     Attributes:
-        over: its abscissa, a parameter of the effect. knots: (K, 2). data: (M, 2) samples, thinned. units: of both axes.
+        over: its abscissa, a parameter of the effect. knots: (K, 2). data: (M, 2) samples, thinned.
+            units: of both axes.
     """
 
     over: str
@@ -31,10 +32,13 @@ class Learned:
     """A law that was learned on a link which no named effects explain.
 
     Attributes:
-        effect: id. parameters: as in a scenario. link: that it acts on. numbers: how many were fitted.
-        heldout: its gain on left-out runs, beside the named causes. explained: share of the departure there.
+        effect: id. parameters: as in a scenario. link: that it acts on. numbers: how many were
+            fitted.
+        heldout: its gain on left-out runs, beside the named causes. explained: share of the
+            departure there.
         carries_over: whether the same law holds in all runs, so that the model is extended with it.
-        equation: a short one, or None where none fits. resembles: named effects that remove much the same from the residual.
+        equation: a short one, or None where none fits. resembles: named effects that remove much
+            the same from the residual.
     """
 
     effect: str
@@ -53,9 +57,17 @@ class Learned:
         return {"kind": self.effect, **self.parameters}
 
     def to_json(self) -> dict[str, Any]:
-        """As it stands in diagnosis.json; `gain` is the relative reduction of the residual on left-out runs."""
+        """As it stands in diagnosis.json; `gain` is the relative reduction of the residual on
+        left-out runs.
+        """
         return {
-            "effect": self.effect, "gain": self.heldout.reduction, "resembles": list(self.resembles), "equation": self.equation,
-            "parameters": dict(self.parameters), "numbers": self.numbers, "explained": self.explained, "carries_over": self.carries_over,
+            "effect": self.effect,
+            "gain": self.heldout.reduction,
+            "resembles": list(self.resembles),
+            "equation": self.equation,
+            "parameters": dict(self.parameters),
+            "numbers": self.numbers,
+            "explained": self.explained,
+            "carries_over": self.carries_over,
             "heldout": self.heldout.to_json(),
-        }  # fmt: skip
+        }

@@ -1,7 +1,9 @@
-"""Stage "layout": the low-pass filter that a logger puts before its converter, identified from the force that the loop computed with.
+"""Stage "layout": the low-pass filter that a logger puts before its converter, identified from the
+force that the loop computed with.
 
-Such a filter acts on the record alone: the loop used the unfiltered force. So a linear compensation of the recorded force gives what the
-loop computed, wrench_comp, passed once through that filter. A Butterworth filter is sought that maps the one to the other.
+Such a filter acts on the record alone: the loop used the unfiltered force. So a linear compensation
+of the recorded force gives what the loop computed, wrench_comp, passed once through that filter. A
+Butterworth filter is sought that maps the one to the other.
 """
 
 from __future__ import annotations
@@ -25,9 +27,12 @@ CUTOFFS = (0.01, 0.02, 0.05, 0.12, 0.3)  # chosen: [1/row] at which a search sta
 MIN_CUTOFF, MAX_CUTOFF = 0.004, 0.45  # chosen: [1/row]
 MAX_STAMP_SHIFT_ROWS = 40.0  # chosen: [rows] by which stamps may be off as well
 MAX_STAMP_ROWS = 3  # chosen: of two channels together, by which interpolation may shift one
-MAX_ROUGHNESS_RATIO = 0.5  # chosen: of the variances of second differences, filtered over unfiltered, for a search to begin
-MAX_RMS_RATIO = 0.1  # chosen: of the rms difference, with the filter over without it: 1 % of the variance
-DELAY_ERROR = 0.005  # chosen: share of the delay; twice the error seen on healthy rigs, 0.2 and 0.3 %
+# chosen: of the variances of second differences, filtered over unfiltered, for a search to begin
+MAX_ROUGHNESS_RATIO = 0.5
+# chosen: of the rms difference, with the filter over without it: 1 % of the variance
+MAX_RMS_RATIO = 0.1
+# chosen: share of the delay; twice the error seen on healthy rigs, 0.2 and 0.3 %
+DELAY_ERROR = 0.005
 STARTS_PER_ORDER = 3  # chosen: starts of the search
 NELDER_MEAD_OPTIONS = {"xatol": 1e-3, "fatol": 1e-9, "maxiter": 150}
 RESPONSE_PERIODS = 2.0  # chosen: periods of the cut-off over which the filter responds to a jump
@@ -39,8 +44,8 @@ class LowPass:
     """A Butterworth filter.
 
     Attributes:
-        order: of it. cutoff: [1/row]. prompt: whether the stamps are corrected for its delay at low frequency. part: [rows] of further
-            delay, less than one.
+        order: of it. cutoff: [1/row]. prompt: whether the stamps are corrected for its delay at low
+            frequency. part: [rows] of further delay, less than one.
     """
 
     order: int
@@ -50,10 +55,15 @@ class LowPass:
 
     def __call__(self, values: Array) -> Array:
         """``values`` (N, C), filtered."""
-        (sections, settled), early = self._designed, (self.delay if self.prompt else 0.0) - self.part
+        (sections, settled), early = (
+            self._designed,
+            (self.delay if self.prompt else 0.0) - self.part,
+        )
         ahead = math.ceil(max(early, 0.0)) + 1
         held = np.concatenate([values, np.repeat(values[-1:], ahead, axis=0)])
-        through = np.asarray(signal.sosfilt(sections, held, axis=0, zi=settled[:, :, None] * held[0])[0])
+        through = np.asarray(
+            signal.sosfilt(sections, held, axis=0, zi=settled[:, :, None] * held[0])[0]
+        )
         rows = np.arange(len(values)) + early
         low = np.clip(np.floor(rows).astype(int), 0, len(held) - 2)
         part = np.clip(rows - low, 0.0, 1.0)[:, None]
@@ -61,14 +71,17 @@ class LowPass:
 
     @cached_property
     def _designed(self) -> tuple[Array, Array]:
-        """Its second-order sections, and their state under a constant input of one: once for all runs, since it takes several times as
-        long as to filter a run."""
+        """Its second-order sections, and their state under a constant input of one: once for all
+        runs, since it takes several times as long as to filter a run.
+        """
         sections = np.asarray(signal.butter(self.order, self.cutoff, fs=1.0, output="sos"))
         return sections, np.asarray(signal.sosfilt_zi(sections))
 
     @property
     def delay(self) -> float:
-        """[rows] at low frequency: half the sum of 1/Q of its poles over the tangent of half its cut-off."""
+        """[rows] at low frequency: half the sum of 1/Q of its poles over the tangent of half its
+        cut-off.
+        """
         angles = math.pi * (2.0 * np.arange(self.order) + 1.0) / (2.0 * self.order)
         return float(np.sum(np.sin(angles))) / (2.0 * math.tan(math.pi * self.cutoff))
 
@@ -79,9 +92,14 @@ class LowPass:
 
     @property
     def colour(self) -> float:
-        """Root of the spectral density at low frequency of filtered white noise, over that of white noise of the same variance."""
+        """Root of the spectral density at low frequency of filtered white noise, over that of white
+        noise of the same variance.
+        """
         frequency = np.linspace(0.0, 0.5, 4096, endpoint=False)
-        power = 1.0 / (1.0 + (np.tan(math.pi * frequency) / math.tan(math.pi * self.cutoff)) ** (2 * self.order))
+        power = 1.0 / (
+            1.0
+            + (np.tan(math.pi * frequency) / math.tan(math.pi * self.cutoff)) ** (2 * self.order)
+        )
         return 1.0 / math.sqrt(float(np.mean(power)))
 
     @property
@@ -91,50 +109,83 @@ class LowPass:
 
     def words(self, rate: float) -> str:
         """The filter in a sentence; ``rate`` [Hz] of the rows."""
-        stamps = "with its delay removed from the stamps" if self.prompt else "with its delay in the stamps"
+        stamps = (
+            "with its delay removed from the stamps"
+            if self.prompt
+            else "with its delay in the stamps"
+        )
         return (
-            f"the force went to the log through a low-pass of order {self.order} at {self.cutoff * rate:.3g} Hz that the loop did "
+            f"the force went to the log through a low-pass of order {self.order} at "
+            f"{self.cutoff * rate:.3g} Hz that the loop did "
             f"not have, {stamps}: the predictions are filtered alike"
         )
 
     def missed(self, values: Array) -> Array:
-        """(N, C) uncertainty of the filtered ``values`` (N, C): the difference to a filter of the next order, rms over its response time.
-        Infinite at the end, where the record would have to go on."""
-        width, other = round(RESPONSE_PERIODS / self.cutoff) | 1, replace(self, order=self.order + 1)
-        out = np.sqrt(np.maximum(uniform_filter1d((other(values) - self(values)) ** 2, width, axis=0), 0.0))
+        """(N, C) uncertainty of the filtered ``values`` (N, C): the difference to a filter of the
+        next order, rms over its response time. Infinite at the end, where the record would have to
+        go on.
+        """
+        width, other = (
+            round(RESPONSE_PERIODS / self.cutoff) | 1,
+            replace(self, order=self.order + 1),
+        )
+        out = np.sqrt(
+            np.maximum(uniform_filter1d((other(values) - self(values)) ** 2, width, axis=0), 0.0)
+        )
         if self.prompt:
             out[len(out) - math.ceil(self.delay) :] = np.inf
         return out
 
 
-def low_pass_between(before: Sequence[Array], behind: Sequence[Array], known: Sequence[np.ndarray]) -> LowPass | None:
-    """The filter that turns ``before`` (N, C) into ``behind`` (N, C) in each run, on rows that are ``known`` (N,).
+def low_pass_between(
+    before: Sequence[Array], behind: Sequence[Array], known: Sequence[np.ndarray]
+) -> LowPass | None:
+    """The filter that turns ``before`` (N, C) into ``behind`` (N, C) in each run, on rows that are
+    ``known`` (N,).
 
-    None where no Butterworth filter does, or interpolation between two rows does better: the difference has another origin.
+    None where no Butterworth filter does, or interpolation between two rows does better: the
+    difference has another origin.
     """
-    counted = [k & (np.arange(len(k)) >= END_ROWS) & (np.arange(len(k)) < len(k) - END_ROWS) for k in known]
+    counted = [
+        k & (np.arange(len(k)) >= END_ROWS) & (np.arange(len(k)) < len(k) - END_ROWS) for k in known
+    ]
     if not any(k.any() for k in counted):
         return None
-    size = np.sqrt(np.mean(np.concatenate([b[k] for b, k in zip(before, counted, strict=True)]) ** 2, axis=0))
+    size = np.sqrt(
+        np.mean(np.concatenate([b[k] for b, k in zip(before, counted, strict=True)]) ** 2, axis=0)
+    )
     if not (size > 0.0).any():
         return None
     before = [(b / np.where(size > 0.0, size, np.inf)) for b in before]
     behind = [(b / np.where(size > 0.0, size, np.inf)) for b in behind]
-    rough = [np.concatenate([np.diff(x, 2, axis=0)[k[2:]] for x, k in zip(xs, counted, strict=True)]) for xs in (before, behind)]
+    rough = [
+        np.concatenate([np.diff(x, 2, axis=0)[k[2:]] for x, k in zip(xs, counted, strict=True)])
+        for xs in (before, behind)
+    ]
     if np.sum(rough[1] ** 2) > MAX_ROUGHNESS_RATIO * np.sum(rough[0] ** 2):
         return None
 
     def left(filtered: Sequence[Array]) -> float:
-        return float(sum(np.sum((b - f)[k] ** 2) for b, f, k in zip(behind, filtered, counted, strict=True)))
+        return float(
+            sum(np.sum((b - f)[k] ** 2) for b, f, k in zip(behind, filtered, counted, strict=True))
+        )
 
     def misfit(order: int, x: Array) -> float:
-        one = LowPass(order, _cutoff(x[0]), part=float(np.clip(x[1], -MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS)))
+        one = LowPass(
+            order,
+            _cutoff(x[0]),
+            part=float(np.clip(x[1], -MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS)),
+        )
         return left([one(b) for b in before])
 
     found: tuple[float, int, Array] = (math.inf, 0, np.zeros(2))
     for order in ORDERS:
         cost = partial(misfit, order)
-        starts = [np.array([math.log(c), late]) for c in CUTOFFS for late in (0.0, LowPass(order, c).delay)]
+        starts = [
+            np.array([math.log(c), late])
+            for c in CUTOFFS
+            for late in (0.0, LowPass(order, c).delay)
+        ]
         for start in sorted(starts, key=cost)[:STARTS_PER_ORDER]:
             best: Any = minimize(cost, start, method="Nelder-Mead", options=NELDER_MEAD_OPTIONS)
             if best.fun < found[0]:
@@ -144,16 +195,22 @@ def low_pass_between(before: Sequence[Array], behind: Sequence[Array], known: Se
         return None
     one = LowPass(order, _cutoff(x[0]))
     late = min((float(x[1]), float(x[1]) - one.delay), key=abs)
-    return replace(one, prompt=late == float(x[1]), part=late if abs(late) < 1.0 else 0.0)  # a larger shift is a stamp delay (log.skew)
+    # a larger shift is a stamp delay (log.skew)
+    return replace(one, prompt=late == float(x[1]), part=late if abs(late) < 1.0 else 0.0)
 
 
 def _interpolated(values: Sequence[Array], left: Callable[[Sequence[Array]], float]) -> list[float]:
-    """What is ``left`` by the ``values`` (N, C) where stamps lie between rows, for each whole number of rows by which they may be off."""
+    """What is ``left`` by the ``values`` (N, C) where stamps lie between rows, for each whole
+    number of rows by which they may be off.
+    """
 
     def misfit(late: float) -> float:
         return left([shifted(v, -late, held=False) for v in values])
 
-    each: list[Any] = [minimize_scalar(misfit, bounds=(n, n + 1.0), method="bounded") for n in range(-MAX_STAMP_ROWS, MAX_STAMP_ROWS)]
+    each: list[Any] = [
+        minimize_scalar(misfit, bounds=(n, n + 1.0), method="bounded")
+        for n in range(-MAX_STAMP_ROWS, MAX_STAMP_ROWS)
+    ]
     return [float(found.fun) for found in each]
 
 

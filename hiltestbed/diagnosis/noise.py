@@ -1,9 +1,13 @@
-"""Stage "layout": noise model of the recorded force, from free flight: colour, outliers, offsets, noise in proportion to the reading.
+"""Stage "layout": noise model of the recorded force, from free flight: colour, outliers, offsets,
+noise in proportion to the reading.
 
-The noise is taken for white, of one level, unless free flight, where a sensor reads nothing else, contradicts that beyond chance. A hum,
-a drift and a bias that all runs share stay in the record: they are effects, not noise. A mechanism that is latched from the start never
-flies freely: there the axes that do not move take the place of free flight, less what they share with the axes that do, and less what the
-believed contact makes of their path. In the loop a drift of the sensor moves the numerical model until the springs of the latch balance
+The noise is taken for white, of one level, unless free flight, where a sensor reads nothing else,
+contradicts that beyond chance. A hum,
+a drift and a bias that all runs share stay in the record: they are effects, not noise. A mechanism
+that is latched from the start never
+flies freely: there the axes that do not move take the place of free flight, less what they share
+with the axes that do, and less what the believed contact makes of their path. In the loop a drift
+of the sensor moves the numerical model until the springs of the latch balance
 it: the reading then shows no drift, and the path does.
 """
 
@@ -19,8 +23,19 @@ from scipy.optimize import brentq, nnls
 from scipy.stats import chi2 as chi_square
 from scipy.stats import f as fisher
 
-from hiltestbed.diagnosis.aside import BASELINE_DEGREE, MIN_BASELINE_ROWS, UNKNOWN, baseline_terms, wander_between
-from hiltestbed.diagnosis.free_flight import free_readings, readings_apart, shows_noise, straightened
+from hiltestbed.diagnosis.aside import (
+    BASELINE_DEGREE,
+    MIN_BASELINE_ROWS,
+    UNKNOWN,
+    baseline_terms,
+    wander_between,
+)
+from hiltestbed.diagnosis.free_flight import (
+    free_readings,
+    readings_apart,
+    shows_noise,
+    straightened,
+)
 from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import (
     MIN_NOISE_ROWS,
@@ -38,20 +53,29 @@ from hiltestbed.signals import GROUPS
 
 CHANNELS = GROUPS["wrench_meas"].columns
 POSE_PARTS = ("px", "py", "pz", "qx", "qy", "qz")  # of the axes of CHANNELS
-CONTACT_MARGIN_ROWS = 6  # chosen: after a touch and before its end, whose differences show the touch
+# chosen: after a touch and before its end, whose differences show the touch
+CONTACT_MARGIN_ROWS = 6
 MAX_LAG = 64  # chosen: rows over which a correlation is summed
 SMOOTHED_ROWS = 9  # chosen: of the running mean of a reading in contact
-CLIP_SIGMA = 4.0  # chosen: robust standard deviations at which a sample is clipped before it is correlated
-FEW_STEPS = 2.5  # chosen: range of a channel in steps of its converter, below which it shows the presence of a force and not its size
+# chosen: robust standard deviations at which a sample is clipped before it is correlated
+CLIP_SIGMA = 4.0
+# chosen: range of a channel in steps of its converter, below which it shows the presence of a force
+# and not its size
+FEW_STEPS = 2.5
 SUDDEN_ROWS = 9  # chosen: of a running median, which an outlier leaves as it is
-SUDDEN_SIGMA = 8.0  # chosen: robust standard deviations from it, so few that no sample of normal noise lies beyond
-MIN_DITHER = 1.0  # chosen: noise in steps, above which the quantisation error is independent of the signal and of the row before
+# chosen: robust standard deviations from it, so few that no sample of normal noise lies beyond
+SUDDEN_SIGMA = 8.0
+# chosen: noise in steps, above which the quantisation error is independent of the signal and of the
+# row before
+MIN_DITHER = 1.0
 STEP_TOLERANCE = 1.01  # chosen: relative error of a step that is estimated from a record
-MAX_REST = 0.02  # chosen: share of the largest motion of a latched mechanism, below which an axis counts as at rest
+# chosen: share of the largest motion of a latched mechanism, below which an axis counts as at rest
+MAX_REST = 0.02
 OUTLIER_SIGMA = 4.0  # derived: robust standard deviations, beyond which 6e-5 of normal samples lie
 THIRD_DIFFERENCE_VARIANCE = 20.0  # derived: of third differences of unit white noise: 1 + 9 + 9 + 1
 NORMAL_SQUARE_VARIANCE = 2.0  # derived: of the square of a unit normal sample
-CORRELATED_SQUARES = 2.31  # derived: squares of third differences that count as one: 1 + 2 (15^2 + 6^2 + 1)/20^2
+# derived: squares of third differences that count as one: 1 + 2 (15^2 + 6^2 + 1)/20^2
+CORRELATED_SQUARES = 2.31
 
 
 @dataclass(frozen=True)
@@ -59,15 +83,21 @@ class ForceNoise:
     """The noise of wrench_meas, estimated from free flight.
 
     Attributes:
-        level: (6,) standard deviation [N, N m]; 0 where it was not estimated: the noise floor by third differences is used instead.
-        colour: root of the spectral density at low frequency over that of white noise of the same variance; it scales smooth misfits.
+        level: (6,) standard deviation [N, N m]; 0 where it was not estimated: the noise floor by
+            third differences is used instead.
+        colour: root of the spectral density at low frequency over that of white noise of the same
+            variance; it scales smooth misfits.
         heavy: whether there are more outliers than in normal noise.
-        offset: (6,) of each run [N, N m], subtracted from it: its difference from the offset of all runs.
-        share: noise in proportion to the reading. tail: variance of the square of a softened sample, 2 for normal noise.
-        wander: (D, 6) standard deviation [N, N m] between runs of each coefficient of the baseline, a Legendre polynomial over the run;
-            infinite where it is not known, D = 0 where there is none. tones: [rad] a row, whose phase differs between runs. For both see
+        offset: (6,) of each run [N, N m], subtracted from it: its difference from the offset of all
+            runs.
+        share: noise in proportion to the reading. tail: variance of the square of a softened
+            sample, 2 for normal noise.
+        wander: (D, 6) standard deviation [N, N m] between runs of each coefficient of the baseline,
+            a Legendre polynomial over the run; infinite where it is not known, D = 0 where there is
+            none. tones: [rad] a row, whose phase differs between runs. For both see
             :mod:`hiltestbed.diagnosis.aside`.
-        step: [N] quantisation of the force, where the scenario states a smaller one or none; 0 otherwise, and where noise dithers it.
+        step: [N] quantisation of the force, where the scenario states a smaller one or none; 0
+            otherwise, and where noise dithers it.
     """
 
     level: Array
@@ -85,10 +115,16 @@ class ForceNoise:
         return {c: float(v) for c, v in zip(CHANNELS, self.level, strict=True) if v > 0.0}
 
     def nuisances(self, rows: int, ticks: int, level: Array) -> Array:
-        """(rows, 6, D) nuisance terms of a run of ``ticks``, each at one standard deviation; level: (6,) of the noise."""
+        """(rows, 6, D) nuisance terms of a run of ``ticks``, each at one standard deviation; level:
+        (6,) of the noise.
+        """
         unknown = UNKNOWN * level
         at = np.arange(rows, dtype=float)
-        baseline = baseline_terms(_places(at, ticks), len(self.wander) - 1)[:, None, :] if len(self.wander) else np.zeros((rows, 1, 0))
+        baseline = (
+            baseline_terms(_places(at, ticks), len(self.wander) - 1)[:, None, :]
+            if len(self.wander)
+            else np.zeros((rows, 1, 0))
+        )
         waves = [wave(w * at)[:, None] * unknown for w in self.tones for wave in (np.sin, np.cos)]
         columns = [baseline * np.minimum(self.wander, unknown).T, *(w[:, :, None] for w in waves)]
         return np.concatenate(columns, axis=2)
@@ -97,96 +133,172 @@ class ForceNoise:
         """The assumptions in sentences; none for white noise of one level."""
         out = []
         if self.colour > 1.0:
-            out.append(f"the noise of the force is coloured: smooth departures are compared with {self.colour:.2g} times its level")
+            out.append(
+                f"the noise of the force is coloured: smooth departures are compared with "
+                f"{self.colour:.2g} times its level"
+            )
         if self.heavy:
-            out.append("the noise of the force has outliers: they count by the logarithm of their size")
+            out.append(
+                "the noise of the force has outliers: they count by the logarithm of their size"
+            )
         if len(self.wander) == 1 or any(o.any() for o in self.offset):
             out.append("the force has a different offset in each run: it is subtracted run by run")
         if len(self.wander) > 1:
-            out.append("the baseline of the force wanders differently in each run: what the runs do not share of it is no departure")
+            out.append(
+                "the baseline of the force wanders differently in each run: what the runs do not "
+                "share of it is no departure"
+            )
         if self.tones:
-            out.append("the force has tones whose phase differs from run to run, such as mains hum: they are removed from the residual")
+            out.append(
+                "the force has tones whose phase differs from run to run, such as mains hum: they "
+                "are removed from the residual"
+            )
         if self.share:
-            out.append(f"the noise of the force grows with the reading: {100.0 * self.share:.2g} % of it in addition to its level")
+            out.append(
+                f"the noise of the force grows with the reading: {100.0 * self.share:.2g} % of it "
+                f"in addition to its level"
+            )
         if self.step:
             out.append(
-                f"the force is read in steps of {self.step:.3g} N, which sensor.quantisation does not state: they are treated as noise"
+                f"the force is read in steps of {self.step:.3g} N, which sensor.quantisation does "
+                f"not state: they are treated as noise"
             )
         return tuple(out)
 
 
 def softened(z: Array, heavy: bool) -> Array:
-    """Residuals in units of the noise; for noise with outliers their squares grow logarithmically beyond :data:`OUTLIER_KNEE`."""
+    """Residuals in units of the noise; for noise with outliers their squares grow logarithmically
+    beyond :data:`OUTLIER_KNEE`.
+    """
     return np.sign(z) * OUTLIER_KNEE * np.sqrt(np.log1p((z / OUTLIER_KNEE) ** 2)) if heavy else z
 
 
-def force_noise(runs: Sequence[MeasuredRun], logged: LowPass | None = None, shown: Sequence[Array] | None = None) -> ForceNoise:
+def force_noise(
+    runs: Sequence[MeasuredRun], logged: LowPass | None = None, shown: Sequence[Array] | None = None
+) -> ForceNoise:
     """The noise of the force on record; white where free flight is too short to estimate it.
 
-    logged: the filter of the record, if any. shown: (N, 6) of each run, readings of the believed contact of a latched mechanism on its
-    path, NaN where unknown; None: not known yet, the readings themselves are taken for noise.
+    logged: the filter of the record, if any. shown: (N, 6) of each run, readings of the believed
+        contact of a latched mechanism on its path, NaN where unknown; None: not known yet, the
+        readings themselves are taken for noise.
     """
-    found = _noise(runs, logged, [np.zeros((r.record.ticks, 6)) for r in runs] if shown is None else shown)
-    step = max((run.record.steps[name] for run in runs for name in CHANNELS[:3] if undithered(run, name)), default=0.0)
-    stated = not step or step <= STEP_TOLERANCE * max(run.scenario.sensor.quantisation for run in runs)
+    found = _noise(
+        runs, logged, [np.zeros((r.record.ticks, 6)) for r in runs] if shown is None else shown
+    )
+    step = max(
+        (run.record.steps[name] for run in runs for name in CHANNELS[:3] if undithered(run, name)),
+        default=0.0,
+    )
+    stated = not step or step <= STEP_TOLERANCE * max(
+        run.scenario.sensor.quantisation for run in runs
+    )
     return found if stated else replace(found, step=step)
 
 
-def _noise(runs: Sequence[MeasuredRun], logged: LowPass | None, shown: Sequence[Array]) -> ForceNoise:
+def _noise(
+    runs: Sequence[MeasuredRun], logged: LowPass | None, shown: Sequence[Array]
+) -> ForceNoise:
     """The noise without its quantisation."""
-    still = ForceNoise(np.zeros(6), logged.colour if logged else 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0)
+    still = ForceNoise(
+        np.zeros(6), logged.colour if logged else 1.0, False, tuple(np.zeros(6) for _ in runs), 0.0
+    )
     latched = any(run.scenario.mechanism.captured for run in runs)
     measured = [j for j in range(6) if not any(undithered(run, CHANNELS[j]) for run in runs)]
-    each = [set(moved_axes(run)) for run in runs if latched and run.record.has("wrench_meas")] or [set[int]()]
+    each = [set(moved_axes(run)) for run in runs if latched and run.record.has("wrench_meas")] or [
+        set[int]()
+    ]
     moved, driving = sorted(set.union(*each)), sorted(set.intersection(*each))
-    at_rest = [_at_rest(run, driving, s) for run, s in zip(runs, shown, strict=True)] if latched else []
-    free = [readings for _, readings in at_rest] if latched else [free_readings(run) for run in runs]
+    at_rest = (
+        [_at_rest(run, driving, s) for run, s in zip(runs, shown, strict=True)] if latched else []
+    )
+    free = (
+        [readings for _, readings in at_rest] if latched else [free_readings(run) for run in runs]
+    )
     if sum(len(x) for x in free) < MIN_NOISE_ROWS:
         return still
     columns = [j for j in measured if j not in moved and shows_noise(free, j)]
     if not columns:
         return still
-    apart = [(rows, x[:, columns]) for rows, x in at_rest] if latched else [readings_apart(run, columns) for run in runs]
+    apart = (
+        [(rows, x[:, columns]) for rows, x in at_rest]
+        if latched
+        else [readings_apart(run, columns) for run in runs]
+    )
     flat, start = straightened(free, columns)
     if latched:  # whole runs, over which a baseline wanders more than along a line
         flat = [_without_baseline(x) for x in flat]
-    bent = 1 + BASELINE_DEGREE if latched else 2  # numbers of the baseline, or of the line, of a channel in one run
+    # numbers of the baseline, or of the line, of a channel in one run
+    bent = 1 + BASELINE_DEGREE if latched else 2
     tones = [] if logged else tones_of(flat)  # filtered noise is not flat about a tone
     aside = phases_differ(flat, tones, apart)
     flat = without_tones(flat, tones)
-    scale = np.array([1.4826 * np.median(np.abs(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))])
+    scale = np.array(
+        [
+            1.4826 * np.median(np.abs(np.concatenate([x[:, i] for x in flat])))
+            for i in range(len(columns))
+        ]
+    )
     z = [x / np.where(scale > 0.0, scale, 1.0) for x in flat]
-    heavy = _heavy([x[:: logged.stride] for x in z]) if logged else _heavy(z) or sum(_sudden(x) for _, x in apart if len(x)) > MIN_OUTLIERS
+    heavy = (
+        _heavy([x[:: logged.stride] for x in z])
+        if logged
+        else _heavy(z) or sum(_sudden(x) for _, x in apart if len(x)) > MIN_OUTLIERS
+    )
     colour = logged.colour if logged else _colour(z, bent)
     rows, fitted = sum(map(len, flat)), sum(bent + 2 * len(tones) for x in flat if len(x))
-    lost = math.sqrt(rows / max(rows - fitted, 1))  # of the deviation, by the lines and tones that were fitted
+    # of the deviation, by the lines and tones that were fitted
+    lost = math.sqrt(rows / max(rows - fitted, 1))
     level, tail = np.zeros(6), NORMAL_SQUARE_VARIANCE
     if heavy or colour > 1.0:
-        level[columns] = [lost * _level(np.concatenate([x[:, i] for x in flat]), heavy) for i in range(len(columns))]
+        level[columns] = [
+            lost * _level(np.concatenate([x[:, i] for x in flat]), heavy)
+            for i in range(len(columns))
+        ]
     elif aside:
-        level[columns] = _white_levels(without_tones([x for _, x in apart], aside, [r for r, _ in apart]))
+        level[columns] = _white_levels(
+            without_tones([x for _, x in apart], aside, [r for r, _ in apart])
+        )
     if heavy:
         squares = np.concatenate([softened(x / level[columns], True).ravel() ** 2 for x in flat])
         tail = max(NORMAL_SQUARE_VARIANCE, float(np.var(squares)))
     pressed = columns
-    if latched:  # noise of an axis that moves shows in third differences alone: as much above these as in the other channels
-        white = _white_levels([run.record.data["wrench_meas"] for run in runs if run.record.has("wrench_meas")])
+    # noise of an axis that moves shows in third differences alone: as much above these as in the
+    # other channels
+    if latched:
+        white = _white_levels(
+            [run.record.data["wrench_meas"] for run in runs if run.record.has("wrench_meas")]
+        )
         level[moved] = white[moved] * float(np.median(level[columns] / white[columns]))
         pressed = [j for j in moved if j in measured]
         scale = white[pressed]
     share = _share(runs, pressed, scale)
-    spread = lost * np.array([float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]) * colour
-    wander = wander_between([(_places(r, run.record.ticks), x) for run, (r, x) in zip(runs, apart, strict=True)], spread)
+    spread = (
+        lost
+        * np.array(
+            [float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]
+        )
+        * colour
+    )
+    wander = wander_between(
+        [(_places(r, run.record.ticks), x) for run, (r, x) in zip(runs, apart, strict=True)], spread
+    )
     if wander is not None:
         known = np.full((len(wander), 6), np.inf)
         known[:, columns] = wander
         return ForceNoise(level, colour, heavy, still.offset, share, tail, known, aside)
-    offset, (found, unknown) = [np.zeros(6) for _ in runs], _offsets([len(x) for x in flat], start, spread)
+    offset, (found, unknown) = (
+        [np.zeros(6) for _ in runs],
+        _offsets([len(x) for x in flat], start, spread),
+    )
     if latched and any(f.any() for f in found):  # the offset of an axis that moves is not known
-        return ForceNoise(level, colour, heavy, still.offset, share, tail, np.full((1, 6), np.inf), aside)
+        return ForceNoise(
+            level, colour, heavy, still.offset, share, tail, np.full((1, 6), np.inf), aside
+        )
     for o, f in zip(offset, found, strict=True):
         o[columns] = f
-    return ForceNoise(level, colour, heavy, tuple(offset), share, tail, np.full((int(unknown), 6), np.inf), aside)
+    return ForceNoise(
+        level, colour, heavy, tuple(offset), share, tail, np.full((int(unknown), 6), np.inf), aside
+    )
 
 
 def _white_levels(readings: Sequence[Array]) -> Array:
@@ -197,21 +309,33 @@ def _white_levels(readings: Sequence[Array]) -> Array:
 
 
 def moved_axes(run: MeasuredRun) -> list[int]:
-    """Axes that move: by more than their noise, and by a share of what the one that moves most does [m, rad].
+    """Axes that move: by more than their noise, and by a share of what the one that moves most does
+    [m, rad].
 
     An axis whose pose is not on record may move.
     """
     group = "pose_act" if run.record.has("pose_act") else "pose_cmd"
     names = [f"{group}.{part}" for part in POSE_PARTS]
-    ranges = [float(np.ptp(x[np.isfinite(x)])) if run.record.has(n) and len(x := run.record.column(n)) else math.inf for n in names]
+    ranges = [
+        float(np.ptp(x[np.isfinite(x)]))
+        if run.record.has(n) and len(x := run.record.column(n))
+        else math.inf
+        for n in names
+    ]
     ranges = [r if j < 3 else 2.0 * r for j, r in enumerate(ranges)]
     most = max((r for r in ranges if r < math.inf), default=0.0)
-    return [j for j, r in enumerate(ranges) if r == math.inf or (r > MAX_REST * most and names[j] in run.survey.excited)]
+    return [
+        j
+        for j, r in enumerate(ranges)
+        if r == math.inf or (r > MAX_REST * most and names[j] in run.survey.excited)
+    ]
 
 
 def _at_rest(run: MeasuredRun, driving: Sequence[int], shown: Array) -> tuple[Array, Array]:
-    """Rows (n,) of a latched mechanism, and what the believed contact, which has ``shown`` (N, 6), leaves of the readings (n, 6), less what
-    it shares with the readings of the axes that move in every run, ``driving``, which may reach it a row earlier or later."""
+    """Rows (n,) of a latched mechanism, and what the believed contact, which has ``shown`` (N, 6),
+    leaves of the readings (n, 6), less what it shares with the readings of the axes that move in
+    every run, ``driving``, which may reach it a row earlier or later.
+    """
     record = run.record
     if not record.has("wrench_meas") or len(driving) == len(CHANNELS):
         return np.zeros(0), np.zeros((0, 6))
@@ -221,9 +345,14 @@ def _at_rest(run: MeasuredRun, driving: Sequence[int], shown: Array) -> tuple[Ar
     values, left = (np.where(there, x, 0.0)[rows] for x in (values, values - shown))
     if not driving or len(values) < MIN_NOISE_ROWS:
         return rows.astype(float), left
-    beside = np.concatenate([values[2:, driving], values[1:-1, driving], values[:-2, driving]], axis=1)
-    baseline = baseline_terms(_places(rows[1:-1].astype(float), record.ticks), BASELINE_DEGREE)  # beside it, since baselines look alike
-    part = np.linalg.lstsq(np.concatenate([beside, baseline], axis=1), left[1:-1], rcond=None)[0][: beside.shape[1]]
+    beside = np.concatenate(
+        [values[2:, driving], values[1:-1, driving], values[:-2, driving]], axis=1
+    )
+    # beside it, since baselines look alike
+    baseline = baseline_terms(_places(rows[1:-1].astype(float), record.ticks), BASELINE_DEGREE)
+    part = np.linalg.lstsq(np.concatenate([beside, baseline], axis=1), left[1:-1], rcond=None)[0][
+        : beside.shape[1]
+    ]
     return rows[1:-1].astype(float), left[1:-1] - (beside - beside.mean(axis=0)) @ part
 
 
@@ -233,13 +362,17 @@ def _places(rows: Array, ticks: int) -> Array:
 
 
 def undithered(run: MeasuredRun, name: str) -> bool:
-    """Whether noise does not dither the quantisation of a channel, so that the noise cannot be estimated from it."""
+    """Whether noise does not dither the quantisation of a channel, so that the noise cannot be
+    estimated from it.
+    """
     step = run.record.steps.get(name, 0.0)
     return step > 0.0 and run.survey.noise[name].white < MIN_DITHER * step
 
 
 def few_levels(run: MeasuredRun, name: str) -> bool:
-    """Whether an undithered channel shows three levels at most: the quantisation hides the size of the force."""
+    """Whether an undithered channel shows three levels at most: the quantisation hides the size of
+    the force.
+    """
     if not run.record.has(name) or not undithered(run, name):
         return False
     values = run.record.column(name)
@@ -262,7 +395,9 @@ def _heavy(z: Sequence[Array]) -> bool:
 
 
 def _sudden(x: Array) -> int:
-    """Readings (n, C) that are far from a running median, four times as far as those beside them: what rings is no outlier."""
+    """Readings (n, C) that are far from a running median, four times as far as those beside them:
+    what rings is no outlier.
+    """
     left = np.abs(x - median_filter(x, (SUDDEN_ROWS, 1)))
     beside = np.pad(left, ((1, 1), (0, 0)))
     alone = 4.0 * np.maximum(beside[:-2], beside[2:]) < left
@@ -270,15 +405,18 @@ def _sudden(x: Array) -> int:
 
 
 def _colour(z: Sequence[Array], fitted: int) -> float:
-    """`colour` of :class:`ForceNoise`; 1 unless neighbours are correlated beyond chance. fitted: numbers that were fitted to a channel of
-    a run, which biases each of its correlations."""
+    """`colour` of :class:`ForceNoise`; 1 unless neighbours are correlated beyond chance. fitted:
+    numbers that were fitted to a channel of a run, which biases each of its correlations.
+    """
     clipped = [np.clip(x, -CLIP_SIGMA, CLIP_SIGMA) for x in z]
     square, samples = sum(float(np.sum(x * x)) for x in clipped), sum(x.size for x in clipped)
     chance = 1.0 / math.sqrt(samples)
     taken = fitted * len(z) / max(1, sum(len(x) for x in z))
     total, first = 1.0, 0.0
     for lag in range(1, MAX_LAG):
-        found = sum(float(np.sum(x[lag:] * x[:-lag])) for x in clipped if len(x) > lag) / square + taken
+        found = (
+            sum(float(np.sum(x[lag:] * x[:-lag])) for x in clipped if len(x) > lag) / square + taken
+        )
         first = found if lag == 1 else first
         if found < 2.0 * chance:
             break
@@ -287,16 +425,22 @@ def _colour(z: Sequence[Array], fitted: int) -> float:
 
 
 def _level(x: Array, heavy: bool) -> float:
-    """Standard deviation; with outliers, the unit in which the softened samples have a mean square of 1."""
+    """Standard deviation; with outliers, the unit in which the softened samples have a mean square
+    of 1.
+    """
     rms = float(np.std(x))
     if not heavy or rms == 0.0:
         return rms
-    return float(brentq(lambda s: float(np.mean(softened(x / s, True) ** 2)) - 1.0, 1e-2 * rms, 1e2 * rms))  # type: ignore[arg-type]
+    return float(
+        brentq(lambda s: float(np.mean(softened(x / s, True) ** 2)) - 1.0, 1e-2 * rms, 1e2 * rms)
+    )  # type: ignore[arg-type]
 
 
 def _offsets(counts: Sequence[int], start: Array, spread: Array) -> tuple[Array, bool]:
-    """(R, C) offset to subtract from each run, and whether what they share is not significant beside what they differ by, so that none of
-    it is known. No offset where the runs differ by no more than chance."""
+    """(R, C) offset to subtract from each run, and whether what they share is not significant
+    beside what they differ by, so that none of it is known. No offset where the runs differ by no
+    more than chance.
+    """
     error = np.array([2.0 * spread / math.sqrt(max(n, 1)) for n in counts])
     known = np.array(counts) > 10
     if known.sum() < 2 or not (spread > 0.0).all():
@@ -307,30 +451,45 @@ def _offsets(counts: Sequence[int], start: Array, spread: Array) -> tuple[Array,
     if float(np.sum((apart / error) ** 2)) <= chi_square.isf(SIGNIFICANCE_LEVEL, freedom):
         return np.zeros_like(start), False
     readings, count = start[known] / spread, int(known.sum())
-    between = count * float(np.mean(readings.mean(axis=0) ** 2))  # against their spread: one F test of all channels
-    shared = between > fisher.isf(SIGNIFICANCE_LEVEL, start.shape[1], freedom) * float(np.mean(readings.var(axis=0, ddof=1)))
+    # against their spread: one F test of all channels
+    between = count * float(np.mean(readings.mean(axis=0) ** 2))
+    shared = between > fisher.isf(SIGNIFICANCE_LEVEL, start.shape[1], freedom) * float(
+        np.mean(readings.var(axis=0, ddof=1))
+    )
     return (apart, False) if shared else (np.zeros_like(start), True)
 
 
 def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) -> float:
-    """Noise in contact in proportion to the reading, by third differences, beside a term in proportion to its rate (jitter)."""
+    """Noise in contact in proportion to the reading, by third differences, beside a term in
+    proportion to its rate (jitter).
+    """
     squares, readings, rates = [], [], []
     for run in runs:
-        values = run.record.data["wrench_meas"][:, columns] / scale if run.record.has("wrench_meas") else np.zeros((0, len(columns)))
+        values = (
+            run.record.data["wrench_meas"][:, columns] / scale
+            if run.record.has("wrench_meas")
+            else np.zeros((0, len(columns)))
+        )
         for c in run.survey.contacts:
             x = values[c.start + CONTACT_MARGIN_ROWS : c.end - CONTACT_MARGIN_ROWS]
             x = x[np.isfinite(x).all(axis=1)]
             if len(x) < 20:
                 continue
             squares.append(np.diff(x, 3, axis=0).ravel() ** 2 / THIRD_DIFFERENCE_VARIANCE)
-            smooth = uniform_filter1d(x, SMOOTHED_ROWS, axis=0)  # independent of the noise of the differences
+            # independent of the noise of the differences
+            smooth = uniform_filter1d(x, SMOOTHED_ROWS, axis=0)
             readings.append((0.5 * (smooth[1:-2] + smooth[2:-1])).ravel() ** 2)
             rates.append(((smooth[2:-1] - smooth[1:-2]) ** 2).ravel())
     if not squares or sum(map(len, squares)) < 200:
         return 0.0
     y, basis = (
         np.concatenate(squares),
-        np.column_stack([np.concatenate([np.ones_like(r) for r in readings]), *map(np.concatenate, (readings, rates))]),
+        np.column_stack(
+            [
+                np.concatenate([np.ones_like(r) for r in readings]),
+                *map(np.concatenate, (readings, rates)),
+            ]
+        ),
     )
     found = np.array([1.0, 0.0, 0.0])
     for _ in range(6):
@@ -338,7 +497,14 @@ def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) ->
         y_used = np.minimum(y, 9.0 * expected)
         found, _ = nnls(basis / expected[:, None], y_used / expected)
     expected = np.maximum(basis @ found, 0.1)
-    information = (basis / expected[:, None]).T @ (basis / expected[:, None]) / (2.0 * CORRELATED_SQUARES)  # variance of a square: 2
+    # variance of a square: 2
+    information = (
+        (basis / expected[:, None]).T @ (basis / expected[:, None]) / (2.0 * CORRELATED_SQUARES)
+    )
     error = math.sqrt(float(np.linalg.pinv(information)[1, 1]))
     grown = found[1] * float(np.percentile(basis[:, 1], 95.0))
-    return math.sqrt(found[1]) if found[1] > SIGNIFICANCE_SIGMA * error and grown > MIN_SHARE_VARIANCE * max(found[0], 0.1) else 0.0
+    return (
+        math.sqrt(found[1])
+        if found[1] > SIGNIFICANCE_SIGMA * error and grown > MIN_SHARE_VARIANCE * max(found[0], 0.1)
+        else 0.0
+    )

@@ -1,6 +1,7 @@
 """Stage "replay": the noise that the path of A in P adds to the reading of contact and sensor.
 
-Of a measured pose, of a smoothed one, of a command, and of drives whose deflection is computed: by replays of paths that differ as much.
+Of a measured pose, of a smoothed one, of a command, and of drives whose deflection is computed: by
+replays of paths that differ as much.
 """
 
 from __future__ import annotations
@@ -43,12 +44,16 @@ class Path:
     """The path of A in each run.
 
     Attributes:
-        poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends there.
-        place, rate: white noise of poses [m] and rates [m/s], of an attitude times its lever arm. source: the group it comes from.
-        rates_measured: whether the rates are on record. rounding: (N, 3) of each run, 1 sigma of the rounding error of the positions [m];
-        empty: there is none. unknown: changes of the poses (N, 6) [m, rad] that the data leave open, those of each run, one standard
-        deviation each; empty: there are none. yielded: (N, 6) of each run [m, rad], part of the path by which drives yielded to a force,
-        where only the command is on record.
+        poses: (N, 7) at t_k. rates: (N, 6) twist at t_k; None: the slope of the tick that ends
+            there.
+        place, rate: white noise of poses [m] and rates [m/s], of an attitude times its lever arm.
+            source: the group it comes from.
+        rates_measured: whether the rates are on record. rounding: (N, 3) of each run, 1 sigma of
+            the rounding error of the positions [m];
+        empty: there is none. unknown: changes of the poses (N, 6) [m, rad] that the data leave
+            open, those of each run, one standard deviation each; empty: there are none. yielded:
+            (N, 6) of each run [m, rad], part of the path by which drives yielded to a force, where
+            only the command is on record.
     """
 
     poses: Sequence[Array]
@@ -63,7 +68,9 @@ class Path:
 
 
 def noise_of(layout: Layout, path: Path) -> list[Array]:
-    """(N, 6) noise of the reading of each run that a path adds: by replays of perturbed copies, and by interpolation between samples."""
+    """(N, 6) noise of the reading of each run that a path adds: by replays of perturbed copies, and
+    by interpolation between samples.
+    """
     rng = np.random.default_rng(0)
 
     def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
@@ -84,10 +91,12 @@ def noise_of(layout: Layout, path: Path) -> list[Array]:
 
 
 def rate_noise(layout: Layout, path: Path) -> list[Array] | None:
-    """(N, 6) noise of the reading of each run because how A moved within a tick is not on record: its rate at t_k is known to a tick.
+    """(N, 6) noise of the reading of each run because how A moved within a tick is not on record:
+    its rate at t_k is known to a tick.
 
-    None where the rate is known, or where its effect on the force is one number a run, see :meth:`WrenchLink.with_unknown_rate`. The error
-    is alike over many rows, and counts like noise that is larger by the root of a block.
+    None where the rate is known, or where its effect on the force is one number a run, see
+    :meth:`WrenchLink.with_unknown_rate`. The error is alike over many rows, and counts like noise
+    that is larger by the root of a block.
     """
     if not differentiated(path) or not any(_reacts_sharply(r.scenario) for r in layout.runs):
         return None
@@ -96,17 +105,23 @@ def rate_noise(layout: Layout, path: Path) -> list[Array] | None:
 
 
 def differentiated(path: Path) -> bool:
-    """Whether the rates of a path are differences of its poses, though A does not move uniformly within a tick."""
+    """Whether the rates of a path are differences of its poses, though A does not move uniformly
+    within a tick.
+    """
     return path.rates is not None and not path.rates_measured
 
 
 def _reacts_sharply(scenario: Scenario) -> bool:
-    """Whether a force depends on the rate other than in proportion: by dry friction, or by parts that move."""
+    """Whether a force depends on the rate other than in proportion: by dry friction, or by parts
+    that move.
+    """
     return not sides_of(scenario.mechanism).rigid or scenario.mechanism.contact.friction > 0.0
 
 
 def both(noise: list[Array], other: list[Array] | None) -> list[Array]:
-    """Root of the sum of squares of two noises (N, 6) of each run; the first alone where there is no other."""
+    """Root of the sum of squares of two noises (N, 6) of each run; the first alone where there is
+    no other.
+    """
     return noise if other is None else [np.hypot(a, b) for a, b in zip(noise, other, strict=True)]
 
 
@@ -119,91 +134,142 @@ def _lasting_rms(away: Sequence[Sequence[Array]]) -> list[Array]:
 def _perturbed(
     layout: Layout, path: Path, moved: Callable[[Array, Array | None], tuple[Array, Array | None]]
 ) -> tuple[WrenchLink, list[list[Array]]]:
-    """Contact and sensor on a path, and for each run the changes (N, 6) of its readings on copies of the path, whose poses and
-    rates ``moved`` gives."""
+    """Contact and sensor on a path, and for each run the changes (N, 6) of its readings on copies
+    of the path, whose poses and rates ``moved`` gives.
+    """
     runs = range(len(layout.runs))
     link = wrench_link(layout, path.poses, layout.whole, None, path.rates)
-    copies = [moved(path.poses[i], None if path.rates is None else path.rates[i]) for _ in range(PERTURBED_COPIES) for i in runs]
+    copies = [
+        moved(path.poses[i], None if path.rates is None else path.rates[i])
+        for _ in range(PERTURBED_COPIES)
+        for i in runs
+    ]
     rates = [r for _, r in copies if r is not None]
-    many = WrenchLink([link.runs[i] for _ in range(PERTURBED_COPIES) for i in runs], [p for p, _ in copies], None, rates or None)
-    shown, found = link.predict([(i, ()) for i in runs]), many.predict([(i, ()) for i in range(len(copies))])
-    return link, [[found[n] - shown[i] for n in range(i, len(copies), len(layout.runs))] for i in runs]
+    many = WrenchLink(
+        [link.runs[i] for _ in range(PERTURBED_COPIES) for i in runs],
+        [p for p, _ in copies],
+        None,
+        rates or None,
+    )
+    shown, found = (
+        link.predict([(i, ()) for i in runs]),
+        many.predict([(i, ()) for i in range(len(copies))]),
+    )
+    return link, [
+        [found[n] - shown[i] for n in range(i, len(copies), len(layout.runs))] for i in runs
+    ]
 
 
 def diverged(layout: Layout, path: Path) -> list[np.ndarray]:
-    """(N,) bool of each run: rows at which barely perturbed copies of a path have diverged, and for some time after.
+    """(N,) bool of each run: rows at which barely perturbed copies of a path have diverged, and for
+    some time after.
 
-    Bodies that slide or swing may reverse at the smallest difference: the record took one branch there, each copy takes another, and none
-    of them shows the law.
+    Bodies that slide or swing may reverse at the smallest difference: the record took one branch
+    there, each copy takes another, and none of them shows the law.
     """
     rng = np.random.default_rng(1)
 
     def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
         if rates is not None:
-            return pose, rates + COPY_PERTURBATION * rng.standard_normal(rates.shape) * np.abs(np.gradient(rates, axis=0))
+            return pose, rates + COPY_PERTURBATION * rng.standard_normal(rates.shape) * np.abs(
+                np.gradient(rates, axis=0)
+            )
         out = pose.copy()
         out[:, :3] += (
-            COPY_PERTURBATION * rng.standard_normal((len(pose), 3)) * np.abs(np.gradient(np.gradient(pose[:, :3], axis=0), axis=0))
+            COPY_PERTURBATION
+            * rng.standard_normal((len(pose), 3))
+            * np.abs(np.gradient(np.gradient(pose[:, :3], axis=0), axis=0))
         )
         return out, None
 
     link, away = _perturbed(layout, path, moved)
     level = np.maximum([layout.noise.get(c, 0.0) for c in link.channels], layout.least_force)
-    out = [~np.all([np.abs(d) <= DIVERGENCE_THRESHOLD * level for d in a], axis=(0, 2)) for a in away]
+    out = [
+        ~np.all([np.abs(d) <= DIVERGENCE_THRESHOLD * level for d in a], axis=(0, 2)) for a in away
+    ]
     back = round(DIVERGED_TIME / layout.scales.tick)
-    return [np.asarray(maximum_filter1d(o, back + SMOOTHING_ROWS, origin=(back - SMOOTHING_ROWS) // 2)) for o in out]
+    return [
+        np.asarray(maximum_filter1d(o, back + SMOOTHING_ROWS, origin=(back - SMOOTHING_ROWS) // 2))
+        for o in out
+    ]
 
 
 def command_noise(layout: Layout, path: Path) -> list[Array] | None:
-    """(N, 6) noise of the reading of each run due to a command with few digits, or logged between ticks; None: there is none.
+    """(N, 6) noise of the reading of each run due to a command with few digits, or logged between
+    ticks; None: there is none.
 
-    The largest of its rounding errors counts everywhere: rounding errors of a slow motion are alike over many rows.
+    The largest of its rounding errors counts everywhere: rounding errors of a slow motion are alike
+    over many rows.
     """
     written = max(float(r.record.rounding(path.source)[:, :3].max()) for r in layout.runs)
     if not written and not _interpolated(layout, path):
         return rate_noise(layout, path)
-    return noise_of(layout, replace(path, place=written, rate=math.sqrt(0.5) * written / layout.scales.tick))
+    return noise_of(
+        layout, replace(path, place=written, rate=math.sqrt(0.5) * written / layout.scales.tick)
+    )
 
 
 def _interpolated(layout: Layout, path: Path) -> bool:
-    """Whether a path was interpolated between the rows of a log whose rows are not the ticks of the loop."""
+    """Whether a path was interpolated between the rows of a log whose rows are not the ticks of the
+    loop.
+    """
     return any(b.any() for b in interpolation_errors(layout.runs, path.source, layout.whole))
 
 
 def _between_samples(layout: Layout, path: Path) -> list[Array]:
     """(N, 6) change of the readings of each run with linear interpolation between the samples."""
     bends = interpolation_errors(layout.runs, path.source, layout.whole)
-    straight = [np.column_stack([p[:, :3] - b[:, :3], p[:, 3:]]) for p, b in zip(path.poses, bends, strict=True)]
+    straight = [
+        np.column_stack([p[:, :3] - b[:, :3], p[:, 3:]])
+        for p, b in zip(path.poses, bends, strict=True)
+    ]
     return _apart(layout, path, straight, path.rates and central_rates_of(layout, straight))
 
 
-def _apart(layout: Layout, path: Path, poses: Sequence[Array], rates: Sequence[Array] | None) -> list[Array]:
-    """(N, 6) difference of the readings of each run on a path and on other ``poses`` and ``rates``, rms about each row."""
-    links = [wrench_link(layout, p, layout.whole, None, r) for p, r in ((path.poses, path.rates), (poses, rates))]
+def _apart(
+    layout: Layout, path: Path, poses: Sequence[Array], rates: Sequence[Array] | None
+) -> list[Array]:
+    """(N, 6) difference of the readings of each run on a path and on other ``poses`` and ``rates``,
+    rms about each row.
+    """
+    links = [
+        wrench_link(layout, p, layout.whole, None, r)
+        for p, r in ((path.poses, path.rates), (poses, rates))
+    ]
     return rms_differences(*links)
 
 
 def smoothed(values: Array) -> Array:
-    """(N, ...) values as a noisy pose is smoothed: by cubics (A. Savitzky, M. J. E. Golay, Anal. Chem. 36, 1964)."""
+    """(N, ...) values as a noisy pose is smoothed: by cubics (A. Savitzky, M. J. E. Golay, Anal.
+    Chem. 36, 1964).
+    """
     return np.asarray(savgol_filter(values, SMOOTHING_ROWS, 3, axis=0))
 
 
 def smoothed_noise(layout: Layout, path: Path, commanded: bool) -> list[Array]:
-    """(N, 6) noise of the reading of each run due to a smoothed pose: to its noise, by replays of perturbed copies, and to the bends of a
-    ``commanded`` motion, which smoothing cuts off; a motion that was only measured is taken as smooth.
+    """(N, 6) noise of the reading of each run due to a smoothed pose: to its noise, by replays of
+    perturbed copies, and to the bends of a ``commanded`` motion, which smoothing cuts off; a motion
+    that was only measured is taken as smooth.
 
-    Both errors are alike over the rows whose noise the filter averages, and count like noise that is larger by the root of their number.
+    Both errors are alike over the rows whose noise the filter averages, and count like noise that
+    is larger by the root of their number.
     """
     rng = np.random.default_rng(0)
     place = layout.noise.get("pose_act.pz", 0.0)
 
     def moved(pose: Array, rates: Array | None) -> tuple[Array, Array | None]:
         error = smoothed(place * rng.standard_normal((len(pose), 3)))
-        return _displaced(pose, error), None if rates is None else _displaced(rates, np.gradient(error, layout.scales.tick, axis=0))
+        return _displaced(pose, error), None if rates is None else _displaced(
+            rates, np.gradient(error, layout.scales.tick, axis=0)
+        )
 
     _, away = _perturbed(layout, path, moved)
     noise = _lasting_rms(away)
-    bends = [_cut_off(run, pose) for run, pose in zip(layout.runs, path.poses, strict=True)] if commanded else []
+    bends = (
+        [_cut_off(run, pose) for run, pose in zip(layout.runs, path.poses, strict=True)]
+        if commanded
+        else []
+    )
     if any(b.any() for b in bends):
         bent = [_displaced(p, b) for p, b in zip(path.poses, bends, strict=True)]
         missed = _apart(layout, path, bent, path.rates and central_rates_of(layout, bent))
@@ -218,47 +284,64 @@ def _displaced(values: Array, error: Array) -> Array:
 
 
 def _cut_off(run: MeasuredRun, smooth: Array) -> Array:
-    """(N, 3) what smoothing cut off the measured positions, in rows near which its mean over a block exceeds noise; 0 elsewhere."""
+    """(N, 3) what smoothing cut off the measured positions, in rows near which its mean over a
+    block exceeds noise; 0 elsewhere.
+    """
     off = uniform_filter1d(run.record.filled("pose_act")[:, :3] - smooth[:, :3], BLOCK_ROWS, axis=0)
     bends = np.abs(off) > SIGNIFICANCE_SIGMA * MAD_TO_SIGMA * np.median(np.abs(off), axis=0)
     return np.where(maximum_filter1d(bends, SMOOTHING_ROWS, axis=0), off, 0.0)
 
 
 def deflection_noise(layout: Layout, path: Path) -> list[Array]:
-    """(N, 6) noise of the reading of each run due to the uncertainty of the deflection of drives whose pose was not measured, or was too
-    noisy. What is not known of it varies with the bandwidth of the drives, and so makes the rate uncertain as well."""
+    """(N, 6) noise of the reading of each run due to the uncertainty of the deflection of drives
+    whose pose was not measured, or was too noisy. What is not known of it varies with the bandwidth
+    of the drives, and so makes the rate uncertain as well.
+    """
     assert layout.deflection is not None  # else the link is missing
     off = [np.where(np.isfinite(found.doubt), found.doubt, 0.0) for found in layout.deflection]
     poses = [poses_of(flat_pose(p) + d) for p, d in zip(path.poses, off, strict=True)]
-    bands = [2.0 * math.pi * r.scenario.rig.platform.nearest_bandwidth(r.scenario) for r in layout.runs]
+    bands = [
+        2.0 * math.pi * r.scenario.rig.platform.nearest_bandwidth(r.scenario) for r in layout.runs
+    ]
     rates = path.rates and [r + band * d for r, band, d in zip(path.rates, bands, off, strict=True)]
     return _apart(layout, path, poses, rates)
 
 
 def misread(yielded: Sequence[Array], tick: float) -> list[list[Array]]:
-    """(N, 6) changes of the path of each run, one standard deviation each: for a force that the drives bore earlier, and for a larger one.
+    """(N, 6) changes of the path of each run, one standard deviation each: for a force that the
+    drives bore earlier, and for a larger one.
 
-    yielded: (N, 6) of each run, what the drives yielded to the force of the believed contact: what they made of the recorded force follows
-    its noise, and would explain it.
+    yielded: (N, 6) of each run, what the drives yielded to the force of the believed contact: what
+        they made of the recorded force follows its noise, and would explain it.
     """
     return [[shifted(y, MAX_READING_SHIFT / tick) - y, MAX_GAIN_ERROR * y] for y in yielded]
 
 
 def not_where_unsettled(layout: Layout, noise: Sequence[Array]) -> list[Array]:
-    """The ``noise`` (N, 6) of each run; a contact before the drives' initial state has decayed is not compared."""
+    """The ``noise`` (N, 6) of each run; a contact before the drives' initial state has decayed is
+    not compared.
+    """
     assert layout.deflection is not None  # else the link is missing
     settled = [np.isfinite(found.doubt).all(axis=1) for found in layout.deflection]
-    return [np.where((r.touching(len(n)) & ~s)[:, None], np.inf, n) for r, n, s in zip(layout.runs, noise, settled, strict=True)]
+    return [
+        np.where((r.touching(len(n)) & ~s)[:, None], np.inf, n)
+        for r, n, s in zip(layout.runs, noise, settled, strict=True)
+    ]
 
 
 def central_rates_of(layout: Layout, paths: Sequence[Array]) -> list[Array] | None:
-    """(N, 6) twists at t_k, the mean of the slopes before and after; None where A moves uniformly within a tick."""
+    """(N, 6) twists at t_k, the mean of the slopes before and after; None where A moves uniformly
+    within a tick.
+    """
     if moves_uniformly(layout):
         return None
     return [central_rates(run.scenario, path) for run, path in zip(layout.runs, paths, strict=True)]
 
 
 def moves_uniformly(layout: Layout) -> bool:
-    """Whether A is known to move uniformly within a tick: a facility that was commanded is believed to; of a motion that was only measured
-    nothing is known but that it is smooth."""
-    return any(r.record.has("pose_cmd") for r in layout.runs) and all(moves_linearly(r.scenario) for r in layout.runs)
+    """Whether A is known to move uniformly within a tick: a facility that was commanded is believed
+    to; of a motion that was only measured nothing is known but that it is smooth.
+    """
+    return any(r.record.has("pose_cmd") for r in layout.runs) and all(
+        moves_linearly(r.scenario) for r in layout.runs
+    )

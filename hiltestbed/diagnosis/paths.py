@@ -1,8 +1,9 @@
 """Stage "replay": the path of A in P on which contact and sensor are replayed.
 
-The measured pose is that path, and contains all that the platform did. Differentiated, however, its noise hides the force: 2 um at 1 kHz
-in a damper of 400 N s/m are 1 N. So where it adds more than a share of the force's own noise, the noise-free response of the explained
-platform to its command replaces it; where the platform is not explained, the measured pose is smoothed.
+The measured pose is that path, and contains all that the platform did. Differentiated, however, its
+noise hides the force: 2 um at 1 kHz in a damper of 400 N s/m are 1 N. So where it adds more than a
+share of the force's own noise, the noise-free response of the explained platform to its command
+replaces it; where the platform is not explained, the measured pose is smoothed.
 """
 
 from __future__ import annotations
@@ -54,7 +55,9 @@ from hiltestbed.measured.noise import finest_noise
 from hiltestbed.replay import follows_exactly
 from hiltestbed.signals import GROUPS
 
-CONTACT_ROUNDS = 4  # chosen: of force and yielding in turn: with drives ten times as stiff as the contact, the noise falls by 1000
+# chosen: of force and yielding in turn: with drives ten times as stiff as the contact, the noise
+# falls by 1000
+CONTACT_ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -62,8 +65,9 @@ class BestPath:
     """The path on which contact and sensor are replayed.
 
     Attributes:
-        path_noise: (N, 6) of each run, noise of the reading that is due to the path; None: none. jumps: (N,) of each run, distance by which
-            a platform with stiction jumped [m] in the tick that ends at each row; None: it has no stiction.
+        path_noise: (N, 6) of each run, noise of the reading that is due to the path; None: none.
+            jumps: (N,) of each run, distance by which a platform with stiction jumped [m] in the
+            tick that ends at each row; None: it has no stiction.
         clocks_off: whether channels are stamped, or instants lie, between rows.
     """
 
@@ -75,12 +79,23 @@ class BestPath:
 
 def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     """The path with the least noise that the data allow, with the poses as they are stamped."""
-    explained, follows = platform is not None and platform.adequate, all(follows_exactly(r.scenario) for r in layout.runs)
+    explained, follows = (
+        platform is not None and platform.adequate,
+        all(follows_exactly(r.scenario) for r in layout.runs),
+    )
     measured, path_noise = _least_noisy(layout, _measured(layout))
-    if measured is not None and path_noise is not None and not _replay_is_better(layout, measured, path_noise, explained):
+    if (
+        measured is not None
+        and path_noise is not None
+        and not _replay_is_better(layout, measured, path_noise, explained)
+    ):
         path, extra = measured, path_noise
     elif platform is not None and platform.adequate:
-        poses = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing).paths(platform.chosen.effects())
+        poses = (
+            platform_link(layout, layout.whole)
+            .with_timing(platform.residual.link.timing)
+            .paths(platform.chosen.effects())
+        )
         rounding = [r.record.unsmoothed() for r in layout.runs]
         path = Path(poses, central_rates_of(layout, poses), source="pose_cmd", rounding=rounding)
         extra = command_noise(layout, path)
@@ -88,18 +103,27 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
             extra = both(deflection_noise(layout, path), extra)
     else:
         poses, flattened = _smooth_paths(layout, platform)
-        path = Path(poses, central_rates_of(layout, poses), unknown=[[f] for f in flattened] if any(f.any() for f in flattened) else ())
+        path = Path(
+            poses,
+            central_rates_of(layout, poses),
+            unknown=[[f] for f in flattened] if any(f.any() for f in flattened) else (),
+        )
         noisy = platform is not None or any(r.record.has("pose_act") for r in layout.runs)
         extra = smoothed_noise(layout, path, platform is not None) if noisy else None
         if _only_commanded(layout):
             assert layout.deflection is not None  # else the link is missing
             path = replace(path, yielded=[found.yielded for found in layout.deflection])
         if path.yielded and not follows:
-            extra = not_where_unsettled(layout, both(deflection_noise(layout, path), rate_noise(layout, path)))
+            extra = not_where_unsettled(
+                layout, both(deflection_noise(layout, path), rate_noise(layout, path))
+            )
             path = _under_the_contact(layout, path, extra)
     if not all(sides_of(r.scenario.mechanism).rigid for r in layout.runs):
         extra = extra or [np.zeros((n, 6)) for n in layout.whole]
-        extra = [np.where(parted[:, None], np.inf, e) for parted, e in zip(diverged(layout, path), extra, strict=True)]
+        extra = [
+            np.where(parted[:, None], np.inf, e)
+            for parted, e in zip(diverged(layout, path), extra, strict=True)
+        ]
     return BestPath(path, extra, _jumped(platform, path))
 
 
@@ -107,12 +131,18 @@ def compared_share(layout: Layout, best: BestPath) -> float:
     """Share of the rows in contact whose replay on a path can be compared."""
     if best.path_noise is None:
         return 1.0
-    inside = [np.asarray(np.isfinite(b).all(axis=1))[r.touching(len(b))] for r, b in zip(layout.runs, best.path_noise, strict=True)]
+    inside = [
+        np.asarray(np.isfinite(b).all(axis=1))[r.touching(len(b))]
+        for r, b in zip(layout.runs, best.path_noise, strict=True)
+    ]
     return float(np.mean(np.concatenate(inside)))
 
 
-def path_without_delay(layout: Layout, platform: Explanation | None, best: BestPath) -> BestPath | None:
-    """The path if fractions of a tick between pose_act and its command are only its stamp's; None where there are none.
+def path_without_delay(
+    layout: Layout, platform: Explanation | None, best: BestPath
+) -> BestPath | None:
+    """The path if fractions of a tick between pose_act and its command are only its stamp's; None
+    where there are none.
 
     A path that is resampled between rows is flatter than the one that was taken.
     """
@@ -122,37 +152,65 @@ def path_without_delay(layout: Layout, platform: Explanation | None, best: BestP
     effects = [e for e in platform.chosen.effects() if not may_be_stamp(e, found)]
     if len(effects) == len(platform.chosen.causes) and found.timing == NO_SHIFT:
         return None
-    loop = Timing(obeyed=found.timing.obeyed, before=found.timing.before if "before" in found.known else 0.0)
+    loop = Timing(
+        obeyed=found.timing.obeyed, before=found.timing.before if "before" in found.known else 0.0
+    )
     poses = platform_link(layout, layout.whole).with_timing(loop).paths(effects)
-    path = Path(poses, central_rates_of(layout, poses), source="pose_cmd", rounding=best.path.rounding)
+    path = Path(
+        poses, central_rates_of(layout, poses), source="pose_cmd", rounding=best.path.rounding
+    )
     return BestPath(path, best.path_noise, _jumped(platform, path))
 
 
 def with_clocks_off(layout: Layout, best: BestPath) -> BestPath:
-    """The same path with added noise for channels that are stamped between rows, where a reading is not on record and interpolation smooths
-    the motion. The error is alike over many rows, and counts like noise that is larger by the root of a block. The instant at which a
-    facility takes the rate of the contact is not known either, see :meth:`WrenchLink.with_unknown_rate`."""
-    error = [math.sqrt(BLOCK_ROWS) * MODEL_ERROR * np.abs(np.nan_to_num(r.record.data["wrench_meas"])) for r in layout.runs]
-    noise = [np.hypot(e, b) for e, b in zip(error, best.path_noise or [0.0] * len(error), strict=True)]
+    """The same path with added noise for channels that are stamped between rows, where a reading is
+    not on record and interpolation smooths the motion. The error is alike over many rows, and
+    counts like noise that is larger by the root of a block. The instant at which a facility takes
+    the rate of the contact is not known either, see :meth:`WrenchLink.with_unknown_rate`.
+    """
+    error = [
+        math.sqrt(BLOCK_ROWS) * MODEL_ERROR * np.abs(np.nan_to_num(r.record.data["wrench_meas"]))
+        for r in layout.runs
+    ]
+    noise = [
+        np.hypot(e, b) for e, b in zip(error, best.path_noise or [0.0] * len(error), strict=True)
+    ]
     return replace(best, path_noise=noise, clocks_off=True)
 
 
 def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
-    """The same path with added noise for a logger's filter, which is known to about one order: as smooth as filtered noise."""
+    """The same path with added noise for a logger's filter, which is known to about one order: as
+    smooth as filtered noise.
+    """
     if layout.logged is None:
         return best
-    missed = [layout.logged.colour * layout.logged.missed(r.record.filled("wrench_meas")) for r in layout.runs]
-    return replace(best, path_noise=[np.hypot(m, b) for m, b in zip(missed, best.path_noise or [0.0] * len(missed), strict=True)])
+    missed = [
+        layout.logged.colour * layout.logged.missed(r.record.filled("wrench_meas"))
+        for r in layout.runs
+    ]
+    return replace(
+        best,
+        path_noise=[
+            np.hypot(m, b)
+            for m, b in zip(missed, best.path_noise or [0.0] * len(missed), strict=True)
+        ],
+    )
 
 
 def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
     """`jumps` of :class:`BestPath`."""
-    sticks = platform is not None and platform.adequate and "platform.friction" in platform.chosen.kinds
+    sticks = (
+        platform is not None and platform.adequate and "platform.friction" in platform.chosen.kinds
+    )
     return [_jumps(p) for p in path.poses] if sticks else None
 
 
-def make_wrench_link(layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False) -> WrenchLink:
-    """Contact and sensor on a path; ``decimate``: in fewer rows, where that loses nothing and no other link continues from them."""
+def make_wrench_link(
+    layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False
+) -> WrenchLink:
+    """Contact and sensor on a path; ``decimate``: in fewer rows, where that loses nothing and no
+    other link continues from them.
+    """
     link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise)
     link = link.through(layout.logged).with_rounding(best.path.rounding)
     if best.clocks_off or (differentiated(best.path) and best.jumps is None):
@@ -169,45 +227,66 @@ def _only_commanded(layout: Layout) -> bool:
     return all(r.record.has("pose_cmd") and not r.record.has("pose_act") for r in layout.runs)
 
 
-def path_under(layout: Layout, best: BestPath, link: WrenchLink, effects: Effects) -> BestPath | None:
-    """The commanded path with its yielding to the force that was found: of the contact with ``effects``, read as by ``link``; None where
-    nothing yields, or nothing was found."""
+def path_under(
+    layout: Layout, best: BestPath, link: WrenchLink, effects: Effects
+) -> BestPath | None:
+    """The commanded path with its yielding to the force that was found: of the contact with
+    ``effects``, read as by ``link``; None where nothing yields, or nothing was found.
+    """
     if not effects or not best.path.unknown or not best.path.yielded:
         return None
     assert best.path_noise is not None  # as something yields
     return replace(best, path=_under_the_contact(layout, best.path, best.path_noise, link, effects))
 
 
-def _under_the_contact(layout: Layout, path: Path, noise: Sequence[Array], like: WrenchLink | None = None, effects: Effects = ()) -> Path:
-    """A commanded ``path`` with its yielding to a force, and changes for a force misread: with the force of the contact with ``effects``,
-    where the readings then show no more than with the force of the given path.
+def _under_the_contact(
+    layout: Layout,
+    path: Path,
+    noise: Sequence[Array],
+    like: WrenchLink | None = None,
+    effects: Effects = (),
+) -> Path:
+    """A commanded ``path`` with its yielding to a force, and changes for a force misread: with the
+    force of the contact with ``effects``, where the readings then show no more than with the force
+    of the given path.
 
-    The noise of the recorded force is in a path that yields to it as well as in the readings, and what filters it would explain them. The
-    force and the yielding to it are found in turn, which settles unless the contact is stiffer than the drives.
+    The noise of the recorded force is in a path that yields to it as well as in the readings, and
+    what filters it would explain them. The force and the yielding to it are found in turn, which
+    settles unless the contact is stiffer than the drives.
     """
     assert layout.deflection is not None  # else the link is missing
     level, tick = layout.noise.get("wrench_meas.fz", 0.0), layout.scales.tick
     borne = [e for e in effects if e.link not in ("sensor", "log")]
     out, tried, least = path, path, math.inf
     for _ in range(CONTACT_ROUNDS):
-        link = wrench_link(layout, tried.poses, layout.whole, None, tried.rates, noise).commanded(_followed(layout), tried.yielded)
+        link = wrench_link(layout, tried.poses, layout.whole, None, tried.rates, noise).commanded(
+            _followed(layout), tried.yielded
+        )
         link = link.as_interpreted(like) if like else choose_steps(choose_ring(choose_lever(link)))
         shown = [link.shown(i, borne) for i in range(len(layout.runs))]
-        again = [yielded_under(*each, level) for each in zip(layout.runs, layout.deflection, shown, strict=True)]
+        again = [
+            yielded_under(*each, level)
+            for each in zip(layout.runs, layout.deflection, shown, strict=True)
+        ]
         tried = replace(tried, unknown=misread(again, tick))
         left = square(Residual(link.with_unknown_paths(tried.unknown))(effects))
         if left > least + DETECTION:
             break
         out, least = tried, min(left, least)
-        poses = [poses_of(flat_pose(p) + a - y) for p, a, y in zip(tried.poses, again, tried.yielded, strict=True)]
+        poses = [
+            poses_of(flat_pose(p) + a - y)
+            for p, a, y in zip(tried.poses, again, tried.yielded, strict=True)
+        ]
         tried = replace(tried, poses=poses, rates=central_rates_of(layout, poses), yielded=again)
     return out
 
 
 def _followed(layout: Layout) -> list[Array]:
-    """(N, 7) of each run: the command, moved by what the believed drives make of it without a force; row k is reached at t_(k+1).
+    """(N, 7) of each run: the command, moved by what the believed drives make of it without a
+    force; row k is reached at t_(k+1).
 
-    Effects of the platform act before the drives, which are linear: in either order they give the same path.
+    Effects of the platform act before the drives, which are linear: in either order they give the
+    same path.
     """
     assert layout.deflection is not None  # else the link is missing
     out = []
@@ -220,7 +299,9 @@ def _followed(layout: Layout) -> list[Array]:
 
 
 def _measured(layout: Layout) -> list[Path]:
-    """The measured poses with measured rates, and with rates by differentiation; none where a pose, or an axis that moves, is missing."""
+    """The measured poses with measured rates, and with rates by differentiation; none where a pose,
+    or an axis that moves, is missing.
+    """
     runs, tick = layout.runs, layout.scales.tick
     if not all(r.record.whole("pose_act") and all_axes(r, "pose_act") for r in runs):
         return []
@@ -231,12 +312,23 @@ def _measured(layout: Layout) -> list[Path]:
     out = [Path(poses, central_rates_of(layout, poses), place, math.sqrt(0.5) * place / tick)]
     if all(r.record.whole("twist_act") and all_axes(r, "twist_act") for r in runs):
         twists = [r.record.filled("twist_act") for r in runs]
-        out.insert(0, Path(poses, twists, place, max(_finest(r, "twist_act") for r in runs), rates_measured=True))
+        out.insert(
+            0,
+            Path(
+                poses,
+                twists,
+                place,
+                max(_finest(r, "twist_act") for r in runs),
+                rates_measured=True,
+            ),
+        )
     return out
 
 
 def _least_noisy(layout: Layout, paths: Sequence[Path]) -> tuple[Path | None, list[Array] | None]:
-    """The first path whose noise is small, or else the one with the least; and its noise. None where there is no path."""
+    """The first path whose noise is small, or else the one with the least; and its noise. None
+    where there is no path.
+    """
     best, least, noise = None, math.inf, None
     for path in paths:
         found = noise_of(layout, path)
@@ -248,18 +340,25 @@ def _least_noisy(layout: Layout, paths: Sequence[Path]) -> tuple[Path | None, li
     return best, noise
 
 
-def _replay_is_better(layout: Layout, measured: Path, path_noise: Sequence[Array], explained: bool) -> bool:
-    """Whether the replayed platform has less noise than the measured pose or, where it is not explained, the smoothed pose has."""
+def _replay_is_better(
+    layout: Layout, measured: Path, path_noise: Sequence[Array], explained: bool
+) -> bool:
+    """Whether the replayed platform has less noise than the measured pose or, where it is not
+    explained, the smoothed pose has.
+    """
     share = _noise_ratio(layout, path_noise)
     if share < MAX_PATH_NOISE:
         return False
-    if not explained or layout.deflection is None:  # a simulated mechanism diverges at the smallest difference, on any path
+    # a simulated mechanism diverges at the smallest difference, on any path
+    if not explained or layout.deflection is None:
         return share > 1.0 and all(sides_of(r.scenario.mechanism).rigid for r in layout.runs)
     return max(d.noise for d in layout.deflection) < measured.place
 
 
 def _noise_ratio(layout: Layout, path_noise: Sequence[Array]) -> float:
-    """Noise of the reading due to the path over that of the force, rms in contact, on the force axis where it is largest."""
+    """Noise of the reading due to the path over that of the force, rms in contact, on the force
+    axis where it is largest.
+    """
     inside = [b[r.touching(len(b)), :3] for r, b in zip(layout.runs, path_noise, strict=True)]
     squares = np.mean(np.concatenate(inside) ** 2, axis=0)
     own = max(layout.noise.get("wrench_meas.fz", 0.0), layout.least_force)
@@ -267,7 +366,9 @@ def _noise_ratio(layout: Layout, path_noise: Sequence[Array]) -> float:
 
 
 def _finest(run: MeasuredRun, group: str) -> float:
-    """Noise of a pose [m] or of a twist [m/s]: the largest of its axes, of an attitude times its lever arm."""
+    """Noise of a pose [m] or of a twist [m/s]: the largest of its axes, of an attitude times its
+    lever arm.
+    """
     values = run.record.filled(group)
     levels = [finest_noise(values[:, j]) for j in range(values.shape[1])]
     turned = 2.0 if group.startswith("pose") else 1.0
@@ -275,19 +376,27 @@ def _finest(run: MeasuredRun, group: str) -> float:
 
 
 def _jumps(path: Array) -> Array:
-    """(N,) distance [m] that a tip with stiction moved along path (N, 7) in the tick that ends at each row."""
+    """(N,) distance [m] that a tip with stiction moved along path (N, 7) in the tick that ends at
+    each row.
+    """
     return np.linalg.norm(np.diff(path[:, :3], axis=0, prepend=path[:1, :3]), axis=1)
 
 
 def _smooth_paths(layout: Layout, platform: Explanation | None) -> tuple[list[Array], list[Array]]:
-    """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform where there is one; and (N, 6) what that
-    cut off, roughly: what it cuts off once more (J. W. Tukey, Exploratory Data Analysis, 1977, "twicing").
+    """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform
+    where there is one; and (N, 6) what that
+    cut off, roughly: what it cuts off once more (J. W. Tukey, Exploratory Data Analysis, 1977,
+        "twicing").
 
     Axes that were not measured are those of the explanation, or were commanded.
     """
     near = None
     if platform is not None:
-        near = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing).paths(platform.chosen.effects())
+        near = (
+            platform_link(layout, layout.whole)
+            .with_timing(platform.residual.link.timing)
+            .paths(platform.chosen.effects())
+        )
     out, flattened = [], []
     for i, run in enumerate(layout.runs):
         told = told_pose(run) if run.record.has("pose_cmd") else None

@@ -12,7 +12,12 @@ if TYPE_CHECKING:
     from hiltestbed.diagnosis.result import Cause, Parameter
     from hiltestbed.effects.base import Effect
 
-LINK_NAMES = {"platform": "platform", "wrench": "contact and sensor", "compensation": "compensation", "dynamics": "numerical model"}
+LINK_NAMES = {
+    "platform": "platform",
+    "wrench": "contact and sensor",
+    "compensation": "compensation",
+    "dynamics": "numerical model",
+}
 
 
 def cause_json(cause: Cause) -> dict[str, Any]:
@@ -27,7 +32,9 @@ def cause_json(cause: Cause) -> dict[str, Any]:
 
 
 def finite(value: Any) -> Any:
-    """Plain data for JSON: tuples and arrays as lists, NumPy numbers as Python's, non-finite numbers as None."""
+    """Plain data for JSON: tuples and arrays as lists, NumPy numbers as Python's, non-finite
+    numbers as None.
+    """
     if isinstance(value, Mapping):
         return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
@@ -46,7 +53,9 @@ def plain(value: Any) -> Any:
 
 def entry(effect: Effect) -> dict[str, Any]:
     """An effect as it stands under `effects:` in a scenario."""
-    return {"kind": effect.kind} | {name: plain(value) for name, value in effect.parameters().items() if value is not None}
+    return {"kind": effect.kind} | {
+        name: plain(value) for name, value in effect.parameters().items() if value is not None
+    }
 
 
 def listed(parameters: Mapping[str, Any]) -> str:
@@ -55,7 +64,9 @@ def listed(parameters: Mapping[str, Any]) -> str:
     def text(v: Any) -> str:
         if isinstance(v, float):
             return f"{v:.4g}"
-        return "[" + ", ".join(f"{x:.3g}" for x in v) + "]" if isinstance(v, (list, tuple)) else str(v)
+        return (
+            "[" + ", ".join(f"{x:.3g}" for x in v) + "]" if isinstance(v, (list, tuple)) else str(v)
+        )
 
     return ", ".join(f"{name} {text(v)}" for name, v in parameters.items() if v is not None)
 
@@ -63,6 +74,13 @@ def listed(parameters: Mapping[str, Any]) -> str:
 def estimate_text(parameter: Parameter) -> str:
     """An estimate with its interval, where it is one number."""
     estimate, interval = parameter.estimate, parameter.ci95
-    if not isinstance(estimate, float) or not interval or isinstance(interval[0], tuple) or isinstance(interval[1], tuple):
+    if (
+        not isinstance(estimate, float)
+        or not interval
+        or isinstance(interval[0], tuple)
+        or isinstance(interval[1], tuple)
+    ):
         return str(estimate)
-    return f"{estimate:.4g} ({', '.join('open' if end is None else f'{end:.4g}' for end in interval)})"
+    return (
+        f"{estimate:.4g} ({', '.join('open' if end is None else f'{end:.4g}' for end in interval)})"
+    )

@@ -1,8 +1,10 @@
 """Stage "decide": the rebound as evidence between rivals.
 
-A link is replayed alone, on measured inputs, so that what the closed loop made of a departure does not enter. Rivals that leave the same
-residual may differ in just that: a sensor that is late makes the vehicles part faster, a record that is stamped late does not. The scenario
-extended by each rival is simulated up to the rebound, and its coefficient of restitution compared with that on record.
+A link is replayed alone, on measured inputs, so that what the closed loop made of a departure does
+not enter. Rivals that leave the same
+residual may differ in just that: a sensor that is late makes the vehicles part faster, a record
+that is stamped late does not. The scenario extended by each rival is simulated up to the rebound,
+and its coefficient of restitution compared with that on record.
 """
 
 from __future__ import annotations
@@ -14,7 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.diagnosis.closed_loop import bounce_of, measured_motion, restitution, trace_motion, traces_of
+from hiltestbed.diagnosis.closed_loop import (
+    bounce_of,
+    measured_motion,
+    restitution,
+    trace_motion,
+    traces_of,
+)
 from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.layout import Layout
@@ -29,13 +37,17 @@ from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.momentum import mobility
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 
-MAX_APPROACH_ERROR = 0.05  # chosen: of the approach speed, beyond which the motion on record is not that of the scenario's loop
+# chosen: of the approach speed, beyond which the motion on record is not that of the scenario's
+# loop
+MAX_APPROACH_ERROR = 0.05
 LONGER = 0.25  # chosen: of a bounce, by which it may last longer in a simulation than on record
 
 
 @dataclass(frozen=True)
 class Rebound:
-    """The first bounce of a run on record: coefficient of restitution, its standard error, and the rows to simulate."""
+    """The first bounce of a run on record: coefficient of restitution, its standard error, and the
+    rows to simulate.
+    """
 
     cor: float
     error: float
@@ -43,13 +55,19 @@ class Rebound:
 
 
 def with_rebounds(findings: Findings) -> Findings:
-    """The findings with rivals weighed by the rebound: those that it refutes are dropped, and one that it prefers is chosen."""
+    """The findings with rivals weighed by the rebound: those that it refutes are dropped, and one
+    that it prefers is chosen.
+    """
     layout, explanations = findings.layout, dict(findings.explanations)
-    shifts = delays_not_causes(explanations)  # what is attributed to the timing of the facility needs no decision
+    # what is attributed to the timing of the facility needs no decision
+    shifts = delays_not_causes(explanations)
     open_ = [
         name
         for name, e in explanations.items()
-        if e.departs and e.adequate and any(e.rivals) and not set(e.chosen.kinds) & {*shifts.get(name, ())}
+        if e.departs
+        and e.adequate
+        and any(e.rivals)
+        and not set(e.chosen.kinds) & {*shifts.get(name, ())}
     ]
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))] if open_ else []
     if not any(rebounds):
@@ -62,10 +80,12 @@ def with_rebounds(findings: Findings) -> Findings:
 
 
 def _rebound(layout: Layout, i: int) -> Rebound | None:
-    """The bounce of a run; None where the record has none, or where its approach is not the scenario's: no loop was closed then.
+    """The bounce of a run; None where the record has none, or where its approach is not the
+    scenario's: no loop was closed then.
 
-    The error is that of the speeds by the noise of the pose, and by the noise of the force, whose impulse is a random walk between them.
-    The simulation has noise of its own, and the two differ by :data:`MODEL_ERROR`.
+    The error is that of the speeds by the noise of the pose, and by the noise of the force, whose
+    impulse is a random walk between them. The simulation has noise of its own, and the two differ
+    by :data:`MODEL_ERROR`.
     """
     run = layout.runs[i]
     scenario, motion = run.scenario, measured_motion(run)
@@ -76,15 +96,21 @@ def _rebound(layout: Layout, i: int) -> Rebound | None:
     if cor is None or approach is None or abs(approach - speed) > MAX_APPROACH_ERROR * speed:
         return None
     place = layout.noise.get("pose_cmd.pz" if motion.command is not None else "pose_act.pz", 0.0)
-    before, after = (place * math.sqrt(12.0 / (b - a) ** 3) / scenario.tick for a, b in (rows.before, rows.after))
-    force = math.hypot(layout.noise.get("wrench_meas.fz", 0.0) * layout.force.colour, scenario.sensor.noise)
+    before, after = (
+        place * math.sqrt(12.0 / (b - a) ** 3) / scenario.tick for a, b in (rows.before, rows.after)
+    )
+    force = math.hypot(
+        layout.noise.get("wrench_meas.fz", 0.0) * layout.force.colour, scenario.sensor.noise
+    )
     walk = speed_noise(scenario, force, 0.5 * (sum(rows.after) - sum(rows.before)))
     error = math.hypot(math.hypot(after, cor * before, walk) / approach, MODEL_ERROR * cor)
     return Rebound(cor, error, rows.after[1] + round(LONGER * (rows.after[1] - rows.before[1])))
 
 
 def speed_noise(scenario: Scenario, force: float, rows: float) -> float:
-    """[m/s] standard deviation of the relative speed along z after so many rows of white noise of the ``force`` [N] on free bodies."""
+    """[m/s] standard deviation of the relative speed along z after so many rows of white noise of
+    the ``force`` [N] on free bodies.
+    """
     return force * abs(float(mobility(scenario)[2, 2])) * scenario.tick * math.sqrt(rows)
 
 
@@ -92,46 +118,89 @@ def _others(explanations: Mapping[str, Explanation], name: str) -> list[Effect]:
     """The causes on the other links."""
     known, shifts = set(explanations[name].chosen.kinds), delays_not_causes(explanations)
     others = [(n, e) for n, e in explanations.items() if n != name and e.departs and e.adequate]
-    return [c for n, e in others for c in e.chosen.effects() if c.kind not in known and c.kind not in shifts.get(n, ())]
+    return [
+        c
+        for n, e in others
+        for c in e.chosen.effects()
+        if c.kind not in known and c.kind not in shifts.get(n, ())
+    ]
 
 
 def _weighed(
     found: Explanation, beside: Sequence[Effect], layout: Layout, rebounds: Sequence[Rebound | None]
 ) -> tuple[Explanation, list[str]]:
-    """The explanation with the rebound in the scores of the chosen fit and its rivals; and in a sentence what that decided."""
+    """The explanation with the rebound in the scores of the chosen fit and its rivals; and in a
+    sentence what that decided.
+    """
     fits = [found.chosen, *(f for rivals in found.rivals for f in rivals)]
     shown = _simulated(fits, beside, layout.runs, rebounds)
-    pairs = [(i, r) for i, r in enumerate(rebounds) if r is not None and np.isfinite(shown[:, i]).all()]
+    pairs = [
+        (i, r) for i, r in enumerate(rebounds) if r is not None and np.isfinite(shown[:, i]).all()
+    ]
     if not pairs:
         return found, []
-    known, cor, error = [i for i, _ in pairs], np.array([r.cor for _, r in pairs]), np.array([r.error for _, r in pairs])
+    known, cor, error = (
+        [i for i, _ in pairs],
+        np.array([r.cor for _, r in pairs]),
+        np.array([r.error for _, r in pairs]),
+    )
     chi2 = np.sum(((shown[:, known] - cor) / error) ** 2, axis=1)
-    scale = max(1.0, float(chi2.min()) / len(known)) / inflation(found.chosen)  # something else in the loop spoils the comparison
-    told = {id(f): replace(f, elsewhere=f.elsewhere + float(c - chi2.min()) / scale) for f, c in zip(fits, chi2, strict=True)}
-    weighed = _rechosen(found, told[id(found.chosen)], [[told[id(f)] for f in rivals] for rivals in found.rivals])
-    if sum(map(len, weighed.rivals)) == sum(map(len, found.rivals)) and weighed.chosen.kinds == found.chosen.kinds:
+    # something else in the loop spoils the comparison
+    scale = max(1.0, float(chi2.min()) / len(known)) / inflation(found.chosen)
+    told = {
+        id(f): replace(f, elsewhere=f.elsewhere + float(c - chi2.min()) / scale)
+        for f, c in zip(fits, chi2, strict=True)
+    }
+    weighed = _rechosen(
+        found, told[id(found.chosen)], [[told[id(f)] for f in rivals] for rivals in found.rivals]
+    )
+    if (
+        sum(map(len, weighed.rivals)) == sum(map(len, found.rivals))
+        and weighed.chosen.kinds == found.chosen.kinds
+    ):
         return weighed, []
-    each = ", ".join(f"{' + '.join(f.kinds)} {np.mean(s[known]):.4f}" for f, s in zip(fits, shown, strict=True))
-    words = f"the rebound decides: coefficient of restitution {np.mean(cor):.4f} on record, standard error of a run {np.mean(error):.2g}"
+    each = ", ".join(
+        f"{' + '.join(f.kinds)} {np.mean(s[known]):.4f}" for f, s in zip(fits, shown, strict=True)
+    )
+    words = (
+        f"the rebound decides: coefficient of restitution {np.mean(cor):.4f} on record, "
+        f"standard error of a run {np.mean(error):.2g}"
+    )
     return weighed, [f"{words}; simulated with {each}"]
 
 
 def _rechosen(found: Explanation, chosen: Fit, rivals: Sequence[Sequence[Fit]]) -> Explanation:
-    """The explanation with the best of the fits as the chosen one; its rivals are those of the others that remain."""
-    i, best = min(((i, f) for i, others in enumerate(rivals) for f in (chosen, *others)), key=lambda item: item[1].score)
+    """The explanation with the best of the fits as the chosen one; its rivals are those of the
+    others that remain.
+    """
+    i, best = min(
+        ((i, f) for i, others in enumerate(rivals) for f in (chosen, *others)),
+        key=lambda item: item[1].score,
+    )
     losers: list[list[Fit]] = [list(others) for others in rivals]
     if best is not chosen:
         own = next(c for c in best.causes if c.key not in {c.key for c in chosen.causes})
-        winner, best = best, best.ordered([own if j == i else c for j, c in enumerate(chosen.causes)])
+        winner, best = (
+            best,
+            best.ordered([own if j == i else c for j, c in enumerate(chosen.causes)]),
+        )
         losers = [
-            [chosen, *(f for f in others if f is not winner)] if j == i else [_exchanged(found, best, f, chosen, j) for f in others]
+            [chosen, *(f for f in others if f is not winner)]
+            if j == i
+            else [_exchanged(found, best, f, chosen, j) for f in others]
             for j, others in enumerate(losers)
         ]
     most = AMBIGUITY * inflation(best)
     kept = tuple(tuple(f for f in others if f.score - best.score < most) for others in losers)
-    known = {frozenset(c.key for c in f.causes): f.elsewhere for f in (chosen, best, *(f for others in rivals for f in others))}
+    known = {
+        frozenset(c.key for c in f.causes): f.elsewhere
+        for f in (chosen, best, *(f for others in rivals for f in others))
+    }
     singles, more = (
-        tuple(replace(f, elsewhere=known.get(frozenset(c.key for c in f.causes), f.elsewhere)) for f in fits)
+        tuple(
+            replace(f, elsewhere=known.get(frozenset(c.key for c in f.causes), f.elsewhere))
+            for f in fits
+        )
         for fits in (found.singles, found.more)
     )
     return replace(found, chosen=best, rivals=kept, singles=singles, more=more)
@@ -142,11 +211,18 @@ def _exchanged(found: Explanation, best: Fit, rival: Fit, chosen: Fit, j: int) -
     keys = {c.key for c in chosen.causes}
     index, own = next((n, c) for n, c in enumerate(rival.causes) if c.key not in keys)
     causes = (*best.causes[:j], own, *best.causes[j + 1 :])
-    start = np.concatenate([rival.part(index) if n == j else best.part(n) for n in range(len(causes))])
+    start = np.concatenate(
+        [rival.part(index) if n == j else best.part(n) for n in range(len(causes))]
+    )
     return replace(fit(found.residual, causes, [start], tries=1), elsewhere=rival.elsewhere)
 
 
-def _simulated(fits: Sequence[Fit], beside: Sequence[Effect], runs: Sequence[MeasuredRun], rebounds: Sequence[Rebound | None]) -> Array:
+def _simulated(
+    fits: Sequence[Fit],
+    beside: Sequence[Effect],
+    runs: Sequence[MeasuredRun],
+    rebounds: Sequence[Rebound | None],
+) -> Array:
     """(fits, runs) coefficients of restitution in closed loop; NaN where there is none."""
     out, lanes = np.full((len(fits), len(runs)), np.nan), []
     for n, f in enumerate(fits):
@@ -162,8 +238,12 @@ def _simulated(fits: Sequence[Fit], beside: Sequence[Effect], runs: Sequence[Mea
     return out
 
 
-def _extended(scenario: Scenario, entries: Sequence[Mapping[str, Any]], rows: int) -> Scenario | None:
-    """The scenario with more effects, for so many rows; None where the estimate of an effect is outside what a scenario may have."""
+def _extended(
+    scenario: Scenario, entries: Sequence[Mapping[str, Any]], rows: int
+) -> Scenario | None:
+    """The scenario with more effects, for so many rows; None where the estimate of an effect is
+    outside what a scenario may have.
+    """
     data = resolved(scenario)
     data["effects"] = [*data["effects"], *entries]
     data["duration"] = min(data["duration"], rows * scenario.tick)

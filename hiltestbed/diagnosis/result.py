@@ -1,6 +1,7 @@
 """The result of a diagnosis: the contents of diagnosis.json, as plain records.
 
-`Finding` is what the stage "decide" gives; `Diagnosis` is that with everything that the report derives from it.
+`Finding` is what the stage "decide" gives; `Diagnosis` is that with everything that the report
+derives from it.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ Interval = tuple[float | None, float | None]
 
 @dataclass(frozen=True)
 class Parameter:
-    """An estimate with its 95 % interval, in `unit`; a vector has an interval for each item, a choice (an axis, a body) has none."""
+    """An estimate with its 95 % interval, in `unit`; a vector has an interval for each item, a
+    choice (an axis, a body) has none.
+    """
 
     estimate: float | str | tuple[float, ...]
     ci95: Interval | tuple[Interval, ...] | None
@@ -44,10 +47,11 @@ class Cause:
     """A named effect.
 
     Attributes:
-        effect: id in the vocabulary. parameters: all of them, so that the effect can go into a scenario.
+        effect: id in the vocabulary. parameters: all of them, so that the effect can go into a
+            scenario.
         probability: that it is this effect and not one of `indistinguishable_from`.
-        alternatives: for each of these the whole explanation with it in place of this effect, as under `effects:` in a scenario; the
-            parameters of the other causes may differ in it.
+        alternatives: for each of these the whole explanation with it in place of this effect, as
+            under `effects:` in a scenario; the parameters of the other causes may differ in it.
     """
 
     effect: str
@@ -58,7 +62,9 @@ class Cause:
 
     def entry(self) -> dict[str, Any]:
         """As it stands under `effects:` in a scenario."""
-        return {"kind": self.effect} | {name: plain(p.estimate) for name, p in self.parameters.items()}
+        return {"kind": self.effect} | {
+            name: plain(p.estimate) for name, p in self.parameters.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -66,8 +72,10 @@ class ChannelResidual:
     """The residual of a replayed link on one channel, in the channel's unit.
 
     Attributes:
-        rms, rms_free, rms_contact, rms_after: of measured less nominal: overall, before the first touch, in contact, after it.
-        noise_floor: rms of the noise alone. white: whether the residual of the nominal model passes for white noise at the floor.
+        rms, rms_free, rms_contact, rms_after: of measured less nominal: overall, before the first
+            touch, in contact, after it.
+        noise_floor: rms of the noise alone. white: whether the residual of the nominal model passes
+            for white noise at the floor.
         rms_extended, white_extended: the same with the named effects; None where nothing was named.
     """
 
@@ -88,9 +96,11 @@ class Heldout:
     """The gain on left-out runs.
 
     Attributes:
-        runs: their numbers. rms_before, rms_after: residual of the departing link in units of its noise floor (which is 1).
+        runs: their numbers. rms_before, rms_after: residual of the departing link in units of its
+            noise floor (which is 1).
         reduction: 1 - rms_after/rms_before. ci95: of the reduction, over runs.
-        placebo_reduction: of a wrong effect with as many parameters, fitted and left out in the same way.
+        placebo_reduction: of a wrong effect with as many parameters, fitted and left out in the
+            same way.
         per_run: run to (before, after).
     """
 
@@ -115,7 +125,8 @@ class Heldout:
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of a run along z, by the same rule for measured and simulated runs; None where one cannot be estimated.
+    """Figures of a run along z, by the same rule for measured and simulated runs; None where one
+    cannot be estimated.
 
     Attributes:
         cor: rebound speed / approach speed. peak_force [N]: largest reading along z.
@@ -149,7 +160,9 @@ class ClosedLoop:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A run that would settle what is open: in words, the effects it separates, and the keys to set in each of its runs."""
+    """A run that would settle what is open: in words, the effects it separates, and the keys to set
+    in each of its runs.
+    """
 
     text: str
     separates: tuple[str, ...] = ()
@@ -158,9 +171,11 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A hypothesis that was compared: effects, their parameters in words, score (chi-square and penalty; smaller is better), link.
+    """A hypothesis that was compared: effects, their parameters in words, score (chi-square and
+    penalty; smaller is better), link.
 
-    heldout: rms on left-out runs in units of the noise floor, or None. adequate: whether it leaves only noise.
+    heldout: rms on left-out runs in units of the noise floor, or None. adequate: whether it leaves
+        only noise.
     """
 
     effects: tuple[str, ...]
@@ -173,7 +188,8 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Isolable:
-    """What these data can show of an effect: the smallest size that would be detected, and its look-alikes at that size.
+    """What these data can show of an effect: the smallest size that would be detected, and its
+    look-alikes at that size.
 
     smallest: of `parameter` in `unit`; None where the data do not show it at all.
     """
@@ -188,7 +204,8 @@ class Isolable:
 
 @dataclass(frozen=True)
 class Series:
-    """One channel of one run: measured, and predicted by the nominal and by the extended link from measured inputs; all (N,).
+    """One channel of one run: measured, and predicted by the nominal and by the extended link from
+    measured inputs; all (N,).
 
     sigma: noise, infinite where not counted. touching: in contact, or the sensor still shows it.
     """
@@ -210,14 +227,18 @@ class Finding:
 
     Attributes:
         link: that departs most, or None. causes: strongest first.
-        isolability: of the effects on links whose explanation leaves noise alone. unsized: of every other link the reason why it has none.
+        isolability: of the effects on links whose explanation leaves noise alone. unsized: of every
+            other link the reason why it has none.
         series: every channel of every link and run. noise: channel to its floor.
-        left: residual of the best extension in a sentence (verdict `unknown`): link, phase and shape.
+        left: residual of the best extension in a sentence (verdict `unknown`): link, phase and
+            shape.
         not_judged: link to the reason why it could not be judged.
-        partial: the effects of the vocabulary that come nearest where none leaves only noise; partial_gain: their gain on left-out runs.
+        partial: the effects of the vocabulary that come nearest where none leaves only noise;
+            partial_gain: their gain on left-out runs.
         certainty: the uncertainty of the estimates of each fit that gave a cause.
         learned: the law learned on a link where the vocabulary leaves more than noise.
-        assumed: assumptions on the noise, in sentences. explained: verdict `named_in_part`: share of the departure on left-out runs.
+        assumed: assumptions on the noise, in sentences. explained: verdict `named_in_part`: share
+            of the departure on left-out runs.
     """
 
     verdict: str
@@ -240,7 +261,9 @@ class Finding:
 
     @property
     def names(self) -> bool:
-        """Whether causes extend the model: something is named, and its gain on left-out runs is significant, if it was measured."""
+        """Whether causes extend the model: something is named, and its gain on left-out runs is
+        significant, if it was measured.
+        """
         named = self.verdict in ("named", "ambiguous", "named_in_part") and bool(self.causes)
         return named and (self.heldout is None or self.heldout.significant)
 
@@ -267,8 +290,10 @@ class Diagnosis:
     """The result of `diagnose`: what the folder holds, and the data of its figures.
 
     Attributes:
-        finding: verdict, link, causes, evidence. residuals, closed_loop, experiment: what follows from it.
-        dataset, extended: the data, and the scenario with the named effects (the nominal one where nothing was named).
+        finding: verdict, link, causes, evidence. residuals, closed_loop, experiment: what follows
+            from it.
+        dataset, extended: the data, and the scenario with the named effects (the nominal one where
+            nothing was named).
         simulated: the simulations of each run.
     """
 
@@ -299,20 +324,32 @@ class Diagnosis:
         return html_table(f"{self.name}: {self.verdict}", header, rows, self.next_experiment or "")
 
     def to_pandas(self) -> Any:
-        """A DataFrame, a row a parameter of a cause: estimate, 95 % interval, unit, probability. Raises MissingExtra."""
+        """A DataFrame, a row a parameter of a cause: estimate, 95 % interval, unit, probability.
+        Raises MissingExtra.
+        """
         try:
             import pandas as pd
         except ImportError:
             raise MissingExtra("to_pandas()", "pandas") from None
         rows = [
-            {"cause": c.effect, "parameter": name, "estimate": p.estimate, "ci95": p.ci95, "unit": p.unit, "probability": c.probability}
+            {
+                "cause": c.effect,
+                "parameter": name,
+                "estimate": p.estimate,
+                "ci95": p.ci95,
+                "unit": p.unit,
+                "probability": c.probability,
+            }
             for c in self.causes
             for name, p in c.parameters.items()
         ]
-        return pd.DataFrame(rows, columns=["cause", "parameter", "estimate", "ci95", "unit", "probability"])
+        return pd.DataFrame(
+            rows, columns=["cause", "parameter", "estimate", "ci95", "unit", "probability"]
+        )
 
     def plot(self, channel: str | None = None, axes: Axes | None = None) -> Axes:
-        """A channel as measured and as predicted by its link, nominal and extended, in the run with the largest nominal misfit.
+        """A channel as measured and as predicted by its link, nominal and extended, in the run with
+        the largest nominal misfit.
 
         Args:
             channel: by default the one with the largest misfit.
@@ -342,8 +379,16 @@ class Diagnosis:
 
     @property
     def compared(self) -> str:
-        """Name of the `extended` prediction of the series: the extended model, the best explanation that is not adequate, or none."""
-        return "extended" if self.finding.extends else "best explanation" if self.finding.partial else ""
+        """Name of the `extended` prediction of the series: the extended model, the best explanation
+        that is not adequate, or none.
+        """
+        return (
+            "extended"
+            if self.finding.extends
+            else "best explanation"
+            if self.finding.partial
+            else ""
+        )
 
     @property
     def overridden(self) -> tuple[str, ...]:
@@ -358,7 +403,11 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """The contents of diagnosis.json: plain data without infinities."""
-        from hiltestbed.diagnosis.report.sentence import learned_sentence, partial_sentence, verdict_sentence
+        from hiltestbed.diagnosis.report.sentence import (
+            learned_sentence,
+            partial_sentence,
+            verdict_sentence,
+        )
         from hiltestbed.versions import versions
 
         learned = self.finding.learned
@@ -372,11 +421,15 @@ class Diagnosis:
                 "not_judged": dict(self.finding.not_judged),
                 "left": self.finding.left or None,
                 "explained": self.finding.explained,
-                "learned": learned.to_json() | {"sentence": learned_sentence(learned)} if learned else None,
+                "learned": learned.to_json() | {"sentence": learned_sentence(learned)}
+                if learned
+                else None,
                 "partial": {
                     "sentence": partial_sentence(self.finding.partial, self.finding.partial_gain),
                     "causes": [cause_json(c) for c in self.finding.partial],
-                    "heldout": self.finding.partial_gain.to_json() if self.finding.partial_gain else None,
+                    "heldout": self.finding.partial_gain.to_json()
+                    if self.finding.partial_gain
+                    else None,
                 },
                 "residuals": [vars(r) for r in self.residuals],
                 "heldout": self.heldout.to_json() if self.heldout else None,

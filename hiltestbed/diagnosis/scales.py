@@ -1,4 +1,6 @@
-"""Stage "layout": orders of magnitude of the data (force, depth, speed, time), from which a search takes its starts and bounds."""
+"""Stage "layout": orders of magnitude of the data (force, depth, speed, time), from which a search
+takes its starts and bounds.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,11 @@ def scales_of(runs: Sequence[MeasuredRun], noise: Mapping[str, float]) -> Scales
     force = max([abs(c.peak_force or 0.0) for c in contacts], default=0.0)
     depth = _depth(runs, force / stiffness)
     force = force or stiffness * depth
-    speeds = [abs(v) for r in runs for v in r.scenario.approach.velocity if v] or _commanded_speeds(runs) or [0.01]
+    speeds = (
+        [abs(v) for r in runs for v in r.scenario.approach.velocity if v]
+        or _commanded_speeds(runs)
+        or [0.01]
+    )
     peaks = sorted({round(abs(c.peak_force), 6) for c in contacts if c.peak_force}, reverse=True)
     return Scales(
         force=force,
@@ -31,7 +37,12 @@ def scales_of(runs: Sequence[MeasuredRun], noise: Mapping[str, float]) -> Scales
         duration=min(r.record.ticks * r.scenario.tick for r in runs),
         reading=tuple(peaks[:3]),
         travel=max(
-            (float(np.max(np.ptp(r.record.filled("pose_cmd")[:, :3], axis=0))) for r in runs if r.record.has("pose_cmd")), default=0.0
+            (
+                float(np.max(np.ptp(r.record.filled("pose_cmd")[:, :3], axis=0)))
+                for r in runs
+                if r.record.has("pose_cmd")
+            ),
+            default=0.0,
         ),
         substeps=first.substeps,
         captured=first.mechanism.captured,
@@ -40,7 +51,9 @@ def scales_of(runs: Sequence[MeasuredRun], noise: Mapping[str, float]) -> Scales
 
 
 def _depth(runs: Sequence[MeasuredRun], pressed: float) -> float:
-    """Largest penetration [m]: measured where the passive surface is flat, else derived from the peak force."""
+    """Largest penetration [m]: measured where the passive surface is flat, else derived from the
+    peak force.
+    """
     contacts = [c for r in runs for c in r.survey.contacts]
     if runs[0].scenario.mechanism.flat or runs[0].scenario.mechanism.captured or not pressed:
         return max([c.penetration or 0.0 for c in contacts], default=1e-3) or 1e-3
@@ -51,10 +64,18 @@ def _slides(runs: Sequence[MeasuredRun]) -> bool:
     """Whether the tip moves across the surface."""
     first = runs[0].scenario
     lateral = any(any(r.scenario.approach.velocity[:2]) for r in runs)
-    return lateral or first.mechanism.contact.friction > 0 or not (first.mechanism.flat or first.mechanism.captured)
+    return (
+        lateral
+        or first.mechanism.contact.friction > 0
+        or not (first.mechanism.flat or first.mechanism.captured)
+    )
 
 
 def _commanded_speeds(runs: Sequence[MeasuredRun]) -> list[float]:
     """The largest speed [m/s] that each run commands on any axis."""
-    rates = [np.diff(r.record.filled("pose_cmd")[:, :3], axis=0) / r.scenario.tick for r in runs if r.record.has("pose_cmd")]
+    rates = [
+        np.diff(r.record.filled("pose_cmd")[:, :3], axis=0) / r.scenario.tick
+        for r in runs
+        if r.record.has("pose_cmd")
+    ]
     return [float(np.max(np.abs(v))) for v in rates if v.any()]

@@ -1,4 +1,5 @@
-"""Stage "select": the effects that explain one link: first each alone, then further ones beside the best, while each exceeds its threshold.
+"""Stage "select": the effects that explain one link: first each alone, then further ones beside the
+best, while each exceeds its threshold.
 
 Takes a `Residual` and the candidates; gives an `Explanation`.
 """
@@ -40,8 +41,10 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.progress import Pace, time_left_text
 
 Judge = Callable[[Residual, Effects], dict[str, Leftover]]
-Special = Callable[[Residual, Fit, float], Fit | None]  # a hypothesis from the residual of a fit; chi-square that another has reached
-Reread = Callable[[Residual, Fit], Residual]  # the interpretation of a link that fits better; the residual itself where none does
+# a hypothesis from the residual of a fit; chi-square that another has reached
+Special = Callable[[Residual, Fit, float], Fit | None]
+# the interpretation of a link that fits better; the residual itself where none does
+Reread = Callable[[Residual, Fit], Residual]
 Identity = Literal["kinds", "places", "key"]  # of sets of causes, see `first_of_each`
 Progress = Callable[[str], None]
 
@@ -60,10 +63,13 @@ class Explanation:
 
     Attributes:
         residual: under the weights of the search. candidates: that were compared.
-        null: the null hypothesis. singles, more: fits of one cause and of several, best first; singles contain a given cause beside theirs.
-        chosen: the best fit above the thresholds. adequate: whether it leaves only noise. departs: whether anything departs at all.
+        null: the null hypothesis. singles, more: fits of one cause and of several, best first;
+            singles contain a given cause beside theirs.
+        chosen: the best fit above the thresholds. adequate: whether it leaves only noise. departs:
+            whether anything departs at all.
         leftovers: channel to what the chosen fit leaves. before: channel to what the null leaves.
-        rivals: for each cause of the chosen fit, the fits that differ in that cause only and cannot be told from it.
+        rivals: for each cause of the chosen fit, the fits that differ in that cause only and cannot
+            be told from it.
     """
 
     residual: Residual
@@ -84,14 +90,17 @@ class Explanation:
         return max((left.excess for left in self.leftovers.values()), default=0.0)
 
     def stamped(self, **shifts: float) -> Explanation:
-        """The same explanation of a link with further ``shifts`` [s], see :meth:`Link.stamped`, that do not show on it."""
+        """The same explanation of a link with further ``shifts`` [s], see :meth:`Link.stamped`,
+        that do not show on it.
+        """
         return replace(self, residual=self.residual.through(self.residual.link.stamped(**shifts)))
 
     def with_the_other_clock(self, judge: Judge) -> Explanation:
         """With a late sensor and a late stamp as rivals of each other, where both are hypotheses.
 
-        They are rivals where no channel shows what the loop made of the force: only the facility's interpolation between rows, which is not
-        known, could tell them apart. So the link itself counts as much for the one as for the other.
+        They are rivals where no channel shows what the loop made of the force: only the facility's
+        interpolation between rows, which is not known, could tell them apart. So the link itself
+        counts as much for the one as for the other.
         """
         clocks = [c for c in self.candidates if c.kind in CLOCKS and not c.variant]
         if self.chosen.causes == () or {c.kind for c in clocks} != CLOCKS:
@@ -99,7 +108,11 @@ class Explanation:
         rivals = list(self.rivals or ((),) * len(self.chosen.causes))
         for i, cause in enumerate(self.chosen.causes):
             other = next((c for c in clocks if c.kind != cause.kind), None)
-            if cause.kind not in CLOCKS or other is None or CLOCKS & {*self.chosen.kinds[:i], *self.chosen.kinds[i + 1 :]}:
+            if (
+                cause.kind not in CLOCKS
+                or other is None
+                or CLOCKS & {*self.chosen.kinds[:i], *self.chosen.kinds[i + 1 :]}
+            ):
                 continue
             causes = (*self.chosen.causes[:i], other, *self.chosen.causes[i + 1 :])
             late = fit(self.residual, causes, [self.chosen.theta], tries=1)
@@ -111,42 +124,75 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Search:
-    """How a link is searched: the candidates, the test whether only noise is left, and hypotheses derived from the residual."""
+    """How a link is searched: the candidates, the test whether only noise is left, and hypotheses
+    derived from the residual.
+    """
 
     candidates: tuple[Candidate, ...]
     judge: Judge = contact_leftovers
     special: tuple[Special, ...] = ()
     progress: Progress | None = None
     reread: Reread | None = None  # called with the best cause alone, before further ones are sought
-    bounded: bool = False  # the residual's level is a bound on an error and no noise: what stays below it shows nothing
-    beside: float = SELECTION  # threshold of a further cause where those found leave only noise; infinite: none is sought
-    before: Mapping[frozenset[tuple], Fit] = field(default_factory=dict)  # fits under another timing or interpretation, by their causes
+    # the residual's level is a bound on an error and no noise: what stays below it shows nothing
+    bounded: bool = False
+    # threshold of a further cause where those found leave only noise; infinite: none is sought
+    beside: float = SELECTION
+    # fits under another timing or interpretation, by their causes
+    before: Mapping[frozenset[tuple], Fit] = field(default_factory=dict)
     earlier: Explanation | None = None  # under that timing or interpretation
 
     def after(self, found: Explanation) -> Search:
-        """The same search of a link with another timing or interpretation than in ``found``: from its estimates, where there are any."""
+        """The same search of a link with another timing or interpretation than in ``found``: from
+        its estimates, where there are any.
+        """
         fits = {frozenset(c.key for c in f.causes): f for f in (*found.more, *found.singles)}
         return replace(self, before={**self.before, **fits}, earlier=found)
 
     def _as_far_off(self, residual: Residual) -> Explanation | None:
-        """The earlier explanation of a costly link, fitted again with another timing or interpretation, where each of its fits is far off
-        with that as well: no others are sought then, which would take as long as the first search. None where one comes near."""
+        """The earlier explanation of a costly link, fitted again with another timing or
+        interpretation, where each of its fits is far off
+        with that as well: no others are sought then, which would take as long as the first search.
+            None where one comes near.
+        """
         found = self.earlier
         if found is None or found.adequate or not residual.link.costly:
             return None
-        pool = [found.chosen, *first_of_each(found.singles, "kinds"), *first_of_each(found.more, "kinds")[:MAX_PARTNERS]]
+        pool = [
+            found.chosen,
+            *first_of_each(found.singles, "kinds"),
+            *first_of_each(found.more, "kinds")[:MAX_PARTNERS],
+        ]
         there = residual.downweighted(found.chosen.effects())
-        fits = [null_fit(there), *_reweighted(there, [f for f in pool if f.causes and JITTER not in f.kinds])]
+        fits = [
+            null_fit(there),
+            *_reweighted(there, [f for f in pool if f.causes and JITTER not in f.kinds]),
+        ]
         best = min(fits, key=lambda f: f.score)
         leftovers = self.judge(there, best.effects())
         if max(left.excess for left in leftovers.values()) <= MIN_EXCESS_TO_GROW:
             return None
-        singles, more = ([f for f in sorted(fits, key=_order) if len(f.causes) in counts] for counts in ((1,), (2, 3)))
+        singles, more = (
+            [f for f in sorted(fits, key=_order) if len(f.causes) in counts]
+            for counts in ((1,), (2, 3))
+        )
         before = self.judge(residual, ())
-        return Explanation(there, self.candidates, fits[0], best, False, True, leftovers, before, tuple(singles), tuple(more))
+        return Explanation(
+            there,
+            self.candidates,
+            fits[0],
+            best,
+            False,
+            True,
+            leftovers,
+            before,
+            tuple(singles),
+            tuple(more),
+        )
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
-        """The explanation of a link; given: a fit with the cause that another link has shown, which then is one of its causes."""
+        """The explanation of a link; given: a fit with the cause that another link has shown, which
+        then is one of its causes.
+        """
         if given is None and (same := self._as_far_off(residual)):
             return same
         residual = residual.downweighted(given.effects() if given else ())
@@ -155,17 +201,31 @@ class Search:
         adequate_null = noise_alone(before)
         if self.bounded and adequate_null and not given:
             return Explanation(residual, self.candidates, null, null, True, False, before, before)
-        least = SELECTION if given and adequate_null else DETECTION  # threshold of a cause, in units of the misfit
+        # threshold of a cause, in units of the misfit
+        least = SELECTION if given and adequate_null else DETECTION
         singles = self.extend(residual, null, worth=least if adequate_null else 0.0)
-        if singles and (downweighted := residual.downweighted(singles[0].effects())) is not residual:
+        if (
+            singles
+            and (downweighted := residual.downweighted(singles[0].effects())) is not residual
+        ):
             residual = downweighted
             null = refit(residual, null)
-            singles = _reweighted(residual, _beam(singles, BEAM_WIDTH, variants=not residual.link.costly))
+            singles = _reweighted(
+                residual, _beam(singles, BEAM_WIDTH, variants=not residual.link.costly)
+            )
             before = self.judge(residual, null.effects())
-        counts = singles and (not adequate_null or null.score - singles[0].score > least * inflation(singles[0]))
-        if counts and not given and self.reread and (other := self.reread(residual, singles[0])) is not residual:
+        counts = singles and (
+            not adequate_null or null.score - singles[0].score > least * inflation(singles[0])
+        )
+        if (
+            counts
+            and not given
+            and self.reread
+            and (other := self.reread(residual, singles[0])) is not residual
+        ):
             return replace(self, reread=None, earlier=None).explain(other)
-        singles += [f for make in self.special if (f := make(residual, null, math.inf)) is not None]  # under the weights of the best model
+        # under the weights of the best model
+        singles += [f for make in self.special if (f := make(residual, null, math.inf)) is not None]
         singles.sort(key=_order)
         best = singles[0] if singles else null
         need = least * inflation(best)
@@ -173,13 +233,27 @@ class Search:
         known = (null,) if given else ()
         if not departs:
             return Explanation(
-                residual, self.candidates, null_fit(residual), null, True, given is not None, before, before, (*singles, *known)
+                residual,
+                self.candidates,
+                null_fit(residual),
+                null,
+                True,
+                given is not None,
+                before,
+                before,
+                (*singles, *known),
             )
         chosen = best if null.score - best.score > need else null
         return self._several(residual, chosen, singles, before, known, given is not None)
 
     def _several(
-        self, residual: Residual, chosen: Fit, singles: list[Fit], before: dict[str, Leftover], known: tuple[Fit, ...], given: bool
+        self,
+        residual: Residual,
+        chosen: Fit,
+        singles: list[Fit],
+        before: dict[str, Leftover],
+        known: tuple[Fit, ...],
+        given: bool,
     ) -> Explanation:
         """Further causes beside the best so far, until none exceeds its threshold."""
         leftovers = self.judge(residual, chosen.effects())
@@ -187,14 +261,22 @@ class Search:
         more: list[Fit] = []
         level = singles
         for count in range(1, 1 if given else MAX_CAUSES):
-            if adequate and (count > 1 or math.isinf(self.beside)):  # a third cause would hide in the noise
+            # a third cause would hide in the noise
+            if adequate and (count > 1 or math.isinf(self.beside)):
                 break
             found: list[Fit] = []
             costly = residual.link.costly
             width = 1 if adequate else COSTLY_BEAM_WIDTH if count > 1 and costly else BEAM_WIDTH
             for base in _beam(level, width, variants=not (adequate or costly)):
                 search = self._near(residual, base, found) if count > 1 else self
-                found += search.extend(residual, base, MAX_PARTNERS, self.special, beside=found, worth=self.beside if adequate else 0.0)
+                found += search.extend(
+                    residual,
+                    base,
+                    MAX_PARTNERS,
+                    self.special,
+                    beside=found,
+                    worth=self.beside if adequate else 0.0,
+                )
             found = first_of_each(sorted(found, key=lambda f: f.score), "key")
             if not found:
                 break
@@ -213,13 +295,27 @@ class Search:
             chosen, more, leftovers = fewer, [fewer, *more], self.judge(residual, fewer.effects())
             adequate = noise_alone(leftovers)
         null = null_fit(residual)
-        result = Explanation(residual, self.candidates, null, chosen, adequate, True, leftovers, before, (*singles, *known), tuple(more))
+        result = Explanation(
+            residual,
+            self.candidates,
+            null,
+            chosen,
+            adequate,
+            True,
+            leftovers,
+            before,
+            (*singles, *known),
+            tuple(more),
+        )
         return result if not (adequate and chosen.causes) else with_rivals(result, self.judge)
 
     def needed(self, residual: Residual, chosen: Fit) -> Fit:
-        """``chosen`` without the causes that only led to better estimates of the others: fitted again from where they stand beside them,
-        those do as well. A descent from the starts of a cause alone may end in another valley."""
-        if len(chosen.causes) < 2 or JITTER in chosen.kinds:  # the likelihood of a jitter is no sum of squares
+        """``chosen`` without the causes that only led to better estimates of the others: fitted
+        again from where they stand beside them, those do as well. A descent from the starts of a
+        cause alone may end in another valley.
+        """
+        # the likelihood of a jitter is no sum of squares
+        if len(chosen.causes) < 2 or JITTER in chosen.kinds:
             return chosen
         share = inflation(chosen)
         most = max(self.beside, SELECTION_INADEQUATE) * share
@@ -227,54 +323,80 @@ class Search:
             fewer = refit_without(residual, chosen, index, known=chosen.score + most)
             if fewer.score - chosen.score > most:
                 continue
-            need = self.beside if noise_alone(self.judge(residual, fewer.effects())) else SELECTION_INADEQUATE
+            need = (
+                self.beside
+                if noise_alone(self.judge(residual, fewer.effects()))
+                else SELECTION_INADEQUATE
+            )
             if fewer.score - chosen.score <= need * share:
                 return self.needed(residual, fewer)
         return chosen
 
     def _near(self, residual: Residual, base: Fit, found: Sequence[Fit]) -> Search:
-        """The same search; where the best fit so far leaves only noise, only for causes that make a rival of it out of ``base``."""
+        """The same search; where the best fit so far leaves only noise, only for causes that make a
+        rival of it out of ``base``.
+        """
         best = min(found, key=lambda f: f.score, default=base)
         foreign = set(base.kinds) - set(best.kinds)
         if not foreign:
             return self
-        left = self.judge(residual.downweighted(best.effects()), best.effects())  # as when its turn comes
+        # as when its turn comes
+        left = self.judge(residual.downweighted(best.effects()), best.effects())
         if not noise_alone(left):
             return self
         return replace(self, candidates=tuple(c for c in self.candidates if c.kind in best.kinds))
 
     def extend(
-        self, residual: Residual, base: Fit, most: int = MAX_SINGLES, special: Sequence[Special] = (), beside: Sequence[Fit] = (),
+        self,
+        residual: Residual,
+        base: Fit,
+        most: int = MAX_SINGLES,
+        special: Sequence[Special] = (),
+        beside: Sequence[Fit] = (),
         worth: float = 0.0,
-    ) -> list[Fit]:  # fmt: skip
+    ) -> list[Fit]:
         """Fits of ``base`` with one more cause, best first.
 
-        A descent that will not come near the best of ``beside``, or not lower chi-square by ``worth``, is stopped.
+        A descent that will not come near the best of ``beside``, or not lower chi-square by
+        ``worth``, is stopped.
         """
-        if JITTER in base.kinds:  # its likelihood is no sum of squares: it is added to others, not they to it
+        # its likelihood is no sum of squares: it is added to others, not they to it
+        if JITTER in base.kinds:
             return []
-        wanted = [c for c in self.candidates if not any(_overlap(c, known) for known in base.causes)]
+        wanted = [
+            c for c in self.candidates if not any(_overlap(c, known) for known in base.causes)
+        ]
         rated = rate(residual, base, wanted, most)
         fits: list[Fit] = []
         count: dict[str, int] = {}
-        limit = min(most, sum(min(n, MAX_FITS_PER_EFFECT) for n in Counter(c.kind for _, c, _ in rated).values()))
+        limit = min(
+            most,
+            sum(min(n, MAX_FITS_PER_EFFECT) for n in Counter(c.kind for _, c, _ in rated).values()),
+        )
         pace = Pace()
         for gain, c, starts in rated:
             count[c.kind] = count.get(c.kind, 0) + 1
             if count[c.kind] > MAX_FITS_PER_EFFECT or len(fits) >= most or _beaten(c, base, fits):
                 continue
             near, best = _near_best(base, (*fits, *beside), worth)
-            enough = len({f.causes[-1].kind for f in fits}) >= BEAM_WIDTH or inflation(best) == 1.0  # no beam beside an adequate fit
+            # no beam beside an adequate fit
+            enough = len({f.causes[-1].kind for f in fits}) >= BEAM_WIDTH or inflation(best) == 1.0
             if fits and enough and base.chi2 - LINEAR_GAIN_MARGIN * gain > near:
                 break
             if self.progress:
                 pace.update(len(fits))
                 left = time_left_text(pace.left(limit - len(fits)), "at most in this step")
-                self.progress(f"fit {len(fits) + 1} of at most {limit}{left}: {' + '.join([*base.kinds, c.kind])}")
+                self.progress(
+                    f"fit {len(fits) + 1} of at most {limit}{left}: "
+                    f"{' + '.join([*base.kinds, c.kind])}"
+                )
             causes, together = (*base.causes, c), [np.concatenate([base.theta, s]) for s in starts]
             earlier = self.before.get(frozenset(cause.key for cause in causes))
-            if earlier is not None and (base.causes or c.effect.rich):  # simple effects alone are sought anew: it takes little
-                fits.append(fit(residual, causes, [earlier.of(causes), *together], tries=1, known=near))
+            # simple effects alone are sought anew: it takes little
+            if earlier is not None and (base.causes or c.effect.rich):
+                fits.append(
+                    fit(residual, causes, [earlier.of(causes), *together], tries=1, known=near)
+                )
                 continue
             fits.append(fit(residual, causes, together, tries=2 if base.causes else 3, known=near))
         near, _ = _near_best(base, (*fits, *beside), worth)
@@ -283,29 +405,39 @@ class Search:
 
 
 def _reweighted(residual: Residual, fits: Sequence[Fit]) -> list[Fit]:
-    """The fits, best first, fitted again under other weights; on a costly link those that will not come near the best are left early."""
+    """The fits, best first, fitted again under other weights; on a costly link those that will not
+    come near the best are left early.
+    """
     out: list[Fit] = []
     for f in fits:
         best = min(out, key=lambda other: other.chi2, default=None)
-        near = best.chi2 + CLOSE_CHI2 * inflation(best) if best and residual.link.costly else math.inf
+        near = (
+            best.chi2 + CLOSE_CHI2 * inflation(best) if best and residual.link.costly else math.inf
+        )
         out.append(again(residual, f, near))
     return out
 
 
 def _near_best(base: Fit, fits: Sequence[Fit], worth: float) -> tuple[float, Fit]:
-    """Chi-square that a further fit has to reach, and the best fit; ``worth``: least gain on ``base``."""
+    """Chi-square that a further fit has to reach, and the best fit; ``worth``: least gain on
+    ``base``.
+    """
     best = min(fits, key=lambda f: f.chi2, default=base)
     return min(best.chi2 + CLOSE_CHI2 * inflation(best), base.chi2 - worth), best
 
 
 def _overlap(c: Candidate, other: Candidate) -> bool:
-    """Whether two hypotheses are of one effect, or one of them of an effect rich in numbers, of which the other would be a part."""
+    """Whether two hypotheses are of one effect, or one of them of an effect rich in numbers, of
+    which the other would be a part.
+    """
     parts = [a.kind in b.effect.resembles for a, b in ((c, other), (other, c)) if b.effect.rich]
     return c.kind == other.kind or any(parts)
 
 
 def _beaten(c: Candidate, base: Fit, fits: Sequence[Fit]) -> bool:
-    """Whether another variant of a hypothesis gains so little, compared with the best, that this one need not be tried."""
+    """Whether another variant of a hypothesis gains so little, compared with the best, that this
+    one need not be tried.
+    """
     best = max((base.chi2 - f.chi2 for f in fits), default=0.0)
     twins = [f for f in fits if f.causes[-1].kind == c.kind and f.causes[-1].fixed == c.fixed]
     return any(base.chi2 - f.chi2 < MIN_VARIANT_GAIN * best for f in twins)
@@ -316,31 +448,47 @@ def _order(f: Fit) -> tuple[float, float]:
 
 
 def _boldness(f: Fit) -> float:
-    """Distance of the factors from one: of two equal fits (the mass of either body) the one nearer to the believed model goes first."""
-    return sum(abs(math.log(max(e.parameters()["factor"], 1e-9))) for e in f.effects() if "factor" in e.parameters())
+    """Distance of the factors from one: of two equal fits (the mass of either body) the one nearer
+    to the believed model goes first.
+    """
+    return sum(
+        abs(math.log(max(e.parameters()["factor"], 1e-9)))
+        for e in f.effects()
+        if "factor" in e.parameters()
+    )
 
 
 def _beam(fits: Sequence[Fit], width: int, variants: bool) -> list[Fit]:
-    """The best fits, best first, that are continued: of ``width`` sets of effects, the best of each.
+    """The best fits, best first, that are continued: of ``width`` sets of effects, the best of
+    each.
 
-    variants: also the best set with another variant, if that leaves clearly more: beside a further cause it may be the better one.
+    variants: also the best set with another variant, if that leaves clearly more: beside a further
+        cause it may be the better one.
     """
     if not fits:
         return []
     first = fits[0]
     need = SELECTION_INADEQUATE * inflation(first)
-    alike = [f for f in first_of_each(fits, "key") if _causes(f, "places") == _causes(first, "places")]
+    alike = [
+        f for f in first_of_each(fits, "key") if _causes(f, "places") == _causes(first, "places")
+    ]
     others = [f for f in alike if f.score - first.score > need] if variants else []
     return [first, *others[:1], *first_of_each(fits, "kinds")[1:width]]
 
 
 def _causes(f: Fit, by: Identity) -> tuple[str, ...]:
-    return tuple(sorted(str({"kinds": c.kind, "places": (c.kind, *c.place), "key": c.key}[by]) for c in f.causes))
+    return tuple(
+        sorted(
+            str({"kinds": c.kind, "places": (c.kind, *c.place), "key": c.key}[by]) for c in f.causes
+        )
+    )
 
 
 def first_of_each(fits: Sequence[Fit], by: Identity) -> list[Fit]:
-    """The first fit of each set of causes; ``by``: whether sets with the same ``kinds``, with the same kinds on the same axes and bodies
-    (``places``), or with the same hypotheses (``key``), are one."""
+    """The first fit of each set of causes; ``by``: whether sets with the same ``kinds``, with the
+    same kinds on the same axes and bodies (``places``), or with the same hypotheses (``key``), are
+    one.
+    """
     seen, out = set(), []
     for f in fits:
         causes = _causes(f, by)
@@ -351,9 +499,11 @@ def first_of_each(fits: Sequence[Fit], by: Identity) -> list[Fit]:
 
 
 def _limit_of(residual: Residual, chosen: Fit, index: int, other: Fit) -> bool:
-    """Whether ``other`` has, in place of a cause, one of more parameters at a bound of its range, where it reduces to that cause.
+    """Whether ``other`` has, in place of a cause, one of more parameters at a bound of its range,
+    where it reduces to that cause.
 
-    An estimate that noise has moved off the bound counts as at the bound, if the fit with the parameter held there is as good.
+    An estimate that noise has moved off the bound counts as at the bound, if the fit with the
+    parameter held there is as good.
     """
     own = next((i for i, kind in enumerate(other.kinds) if kind not in chosen.kinds), None)
     if own is None:  # the same effect on another axis or body
@@ -365,8 +515,18 @@ def _limit_of(residual: Residual, chosen: Fit, index: int, other: Fit) -> bool:
     close = np.flatnonzero(np.abs(theta - ends) < NEAR_BOUND * (richer.high - richer.low))
     for j in close:
         rest = np.delete(np.arange(len(theta)), j)
-        causes = (*other.causes[:own], richer.held(int(j), float(ends[j])), *other.causes[own + 1 :])
-        start = np.concatenate([*(other.part(i) for i in range(own)), theta[rest], *(other.part(i) for i in range(own + 1, len(causes)))])
+        causes = (
+            *other.causes[:own],
+            richer.held(int(j), float(ends[j])),
+            *other.causes[own + 1 :],
+        )
+        start = np.concatenate(
+            [
+                *(other.part(i) for i in range(own)),
+                theta[rest],
+                *(other.part(i) for i in range(own + 1, len(causes))),
+            ]
+        )
         if fit(residual, causes, [start], tries=1).chi2 - other.chi2 < AMBIGUITY * inflation(other):
             return True
     return False
@@ -375,22 +535,30 @@ def _limit_of(residual: Residual, chosen: Fit, index: int, other: Fit) -> bool:
 def _only_difference(chosen: Fit, other: Fit) -> int | None:
     """The cause of ``chosen`` that ``other`` does not have; None where there is not exactly one.
 
-    Between fits of the same effects an axis or a body makes a difference; between others it does not.
+    Between fits of the same effects an axis or a body makes a difference; between others it does
+    not.
     """
     same_kinds = sorted(chosen.kinds) == sorted(other.kinds)
-    own, others = ([(c.kind, c.place if same_kinds else ()) for c in f.causes] for f in (chosen, other))
+    own, others = (
+        [(c.kind, c.place if same_kinds else ()) for c in f.causes] for f in (chosen, other)
+    )
     missing = [i for i, cause in enumerate(own) if cause not in others]
     return missing[0] if len(missing) == 1 else None
 
 
 def with_rivals(found: Explanation, judge: Judge) -> Explanation:
-    """The explanation with its rivals: the fits that differ from the chosen one in one cause and cannot be told from it.
+    """The explanation with its rivals: the fits that differ from the chosen one in one cause and
+    cannot be told from it.
 
     The same effect on another axis or body is a rival like any other effect.
     """
     chosen = found.chosen
     pool = [f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)]
-    close = [f for f in pool if f is not chosen and f.score - chosen.score < AMBIGUITY * inflation(chosen)]
+    close = [
+        f
+        for f in pool
+        if f is not chosen and f.score - chosen.score < AMBIGUITY * inflation(chosen)
+    ]
     of_same = [sorted(f.kinds) == sorted(chosen.kinds) for f in close]
     elsewhere = first_of_each([f for f, same in zip(close, of_same, strict=True) if same], "places")
     others = first_of_each([f for f, same in zip(close, of_same, strict=True) if not same], "kinds")

@@ -1,7 +1,9 @@
-"""Stage "select": stamps that computed links show: they have no noise of their own, so that what follows exactly is stamped so.
+"""Stage "select": stamps that computed links show: they have no noise of their own, so that what
+follows exactly is stamped so.
 
-A linear compensation of readings that lie between rows lies between its own rows; the numerical model, whose start is known, drifts from
-its command where its input is late. The links that are measured are then explained under the stamps that these show.
+A linear compensation of readings that lie between rows lies between its own rows; the numerical
+model, whose start is known, drifts from its command where its input is late. The links that are
+measured are then explained under the stamps that these show.
 """
 
 from __future__ import annotations
@@ -30,15 +32,19 @@ from hiltestbed.diagnosis.timing import (
 )
 
 MIN_STAMP_ROWS = 1e-4  # chosen: by which a channel is stamped off: less is round-off
-MAX_EXACT_VARIANCE = 0.5  # derived: of what a computed channel may leave; one that does not follow exactly leaves 1, its own noise, or more
+# derived: of what a computed channel may leave; one that does not follow exactly leaves 1, its own
+# noise, or more
+MAX_EXACT_VARIANCE = 0.5
 
 
 def exactly_stamped(residual: Residual, search: Search) -> Residual | None:
-    """The compensation with stamps of output and input that leave next to nothing; None where there are none, or it is not linear.
+    """The compensation with stamps of output and input that leave next to nothing; None where there
+    are none, or it is not linear.
 
-    What was interpolated between rows follows exactly only with the same interpolation, and a linear compensation commutes with it: no
-    other explanation leaves nothing. Whole rows by which both stamps are off do not show: the smallest stamps are taken, and none where
-    both are whole, since either may be off. An input that is later than stamps may be is `log.skew`.
+    What was interpolated between rows follows exactly only with the same interpolation, and a
+    linear compensation commutes with it: no other explanation leaves nothing. Whole rows by which
+    both stamps are off do not show: the smallest stamps are taken, and none where both are whole,
+    since either may be off. An input that is later than stamps may be is `log.skew`.
     """
     link, tick = residual.link, residual.link.runs[0].scenario.tick
     memory = link.memory() if isinstance(link, CompensationLink) else None
@@ -50,10 +56,16 @@ def exactly_stamped(residual: Residual, search: Search) -> Residual | None:
         return None
     late_input = shift_candidate(link, {"before": EARLY})
     both, alone = _both_stamps(there, null), fit_with_timing(there, null, late_input)
-    late, early, least = (0.0, alone.theta[0] / tick, alone.chi2) if alone.chi2 < both[2] + DETECTION else both
+    late, early, least = (
+        (0.0, alone.theta[0] / tick, alone.chi2) if alone.chi2 < both[2] + DETECTION else both
+    )
     if square(there([Timing(delay=round(late + early) * tick)])) < least + DETECTION:
         return None
-    whole = min((round(late), round(-early)), key=lambda n: max(abs(late - n), abs(early + n))) if late else 0
+    whole = (
+        min((round(late), round(-early)), key=lambda n: max(abs(late - n), abs(early + n)))
+        if late
+        else 0
+    )
     if early + whole < -MAX_UNNAMED_DELAY_ROWS:
         return None
     stamps = Timing(delay=(late - whole) * tick, before=(early + whole) * tick)
@@ -62,8 +74,9 @@ def exactly_stamped(residual: Residual, search: Search) -> Residual | None:
 
 
 def _both_stamps(residual: Residual, null: Fit) -> tuple[float, float, float]:
-    """Rows by which output and input of a link are stamped late and early, and chi-square: whole rows are tried beside what a fit finds,
-    since chi-square has a kink there."""
+    """Rows by which output and input of a link are stamped late and early, and chi-square: whole
+    rows are tried beside what a fit finds, since chi-square has a kink there.
+    """
     link, tick = residual.link, residual.link.runs[0].scenario.tick
     both = shift_candidate(link, {"delay": EITHER, "before": EITHER})
     found = fit_with_timing(residual, null, both)
@@ -77,24 +90,36 @@ def _both_stamps(residual: Residual, null: Fit) -> tuple[float, float, float]:
 
 
 def exact(leftovers: Mapping[str, Leftover]) -> bool:
-    """Whether a computed channel follows exactly from its input: it leaves less than its own noise, which is no part of the input's."""
-    return bool(leftovers) and all(left.variance < MAX_EXACT_VARIANCE for left in leftovers.values())
+    """Whether a computed channel follows exactly from its input: it leaves less than its own noise,
+    which is no part of the input's.
+    """
+    return bool(leftovers) and all(
+        left.variance < MAX_EXACT_VARIANCE for left in leftovers.values()
+    )
 
 
 def only_late_record(explanations: Mapping[str, Explanation]) -> bool:
-    """Whether nothing departs but a part of a row by which wrench_meas is stamped late, as by `log.skew`."""
+    """Whether nothing departs but a part of a row by which wrench_meas is stamped late, as by
+    `log.skew`.
+    """
     links = {name: e.residual.link for name, e in explanations.items()}
     if "compensation" not in links or any(e.departs for e in explanations.values()):
         return False
     others = [link.timing for name, link in links.items() if name not in ("compensation", "wrench")]
     timing = links["compensation"].timing
-    return timing.before < 0.0 and timing == Timing(before=timing.before) and all(other == NO_SHIFT for other in others)
+    return (
+        timing.before < 0.0
+        and timing == Timing(before=timing.before)
+        and all(other == NO_SHIFT for other in others)
+    )
 
 
 def stamps_known(explanations: Mapping[str, Explanation]) -> dict[str, float]:
-    """Channel to the time [s] by which it is stamped late, for those of which links without noise show it; empty where none is off.
+    """Channel to the time [s] by which it is stamped late, for those of which links without noise
+    show it; empty where none is off.
 
-    The compensation shows what its two channels have between them; the numerical model, whose start is known, shows the command's.
+    The compensation shows what its two channels have between them; the numerical model, whose start
+    is known, shows the command's.
     """
     out = {}
     for name, e in explanations.items():
@@ -107,13 +132,19 @@ def stamps_known(explanations: Mapping[str, Explanation]) -> dict[str, float]:
 
 
 def rows_in_common(stamps: Mapping[str, float], tick: float) -> list[int]:
-    """Whole rows, 0 first, by which all channels may be stamped later than by ``stamps`` [s], which show what they have between them."""
+    """Whole rows, 0 first, by which all channels may be stamped later than by ``stamps`` [s], which
+    show what they have between them.
+    """
     most = (MAX_STAMP_ROWS + MIN_STAMP_ROWS) * tick
-    return [0, *(n for n in (1, -1) if all(abs(late + n * tick) <= most for late in stamps.values()))]
+    return [
+        0,
+        *(n for n in (1, -1) if all(abs(late + n * tick) <= most for late in stamps.values())),
+    ]
 
 
 def least_left(links: Sequence[Link]) -> int:
-    """The index of the computed link of which least is left under its best timing: 0 unless another leaves clearly less.
+    """The index of the computed link of which least is left under its best timing: 0 unless another
+    leaves clearly less.
 
     Its output follows exactly, so that less than a single sample's rounding tells them apart.
     """
@@ -121,7 +152,12 @@ def least_left(links: Sequence[Link]) -> int:
     def left(link: Link) -> float:
         residual = without_ends(Residual(link))
         null = null_fit(residual)
-        return min([null.chi2, *(fit_with_timing(residual, null, place).chi2 for place in timing_candidates(link))])
+        return min(
+            [
+                null.chi2,
+                *(fit_with_timing(residual, null, place).chi2 for place in timing_candidates(link)),
+            ]
+        )
 
     chi2 = [left(link) for link in links]
     least = int(np.argmin(chi2))

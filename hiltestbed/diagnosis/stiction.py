@@ -1,11 +1,14 @@
 """Stage "select": starts for the fit of a platform with stiction.
 
-Each jump begins where the last one ended, so that some hundred jumps in a row end in the right place only for a stick that is right to 1e-5
-and for the right instants within a tick: chi-square is rugged. But it has few values: the path changes only where the stick passes the
-length of a jump, and each replay tells how far the next such place is. So all paths are compared for every number of instants a tick, first
-on the beginning of the slowest run, which jumps least; those that fit are followed over more and more rows.
+Each jump begins where the last one ended, so that some hundred jumps in a row end in the right
+place only for a stick that is right to 1e-5
+and for the right instants within a tick: chi-square is rugged. But it has few values: the path
+changes only where the stick passes the length of a jump, and each replay tells how far the next
+such place is. So all paths are compared for every number of instants a tick, first on the beginning
+of the slowest run, which jumps least; those that fit are followed over more and more rows.
 
-Where clocks are off, the jumps tell it: each shows between which rows the command was obeyed that the axis is held at from then on.
+Where clocks are off, the jumps tell it: each shows between which rows the command was obeyed that
+the axis is held at from then on.
 """
 
 from __future__ import annotations
@@ -28,36 +31,55 @@ from hiltestbed.measured.noise import MAD_TO_SIGMA
 from hiltestbed.replay.stiction import all_paths
 
 DEPARTURE_SIGMA = 6.0  # chosen: times the noise: a departure that may be a stick
-MIN_MEAN_SQUARE = 1.5  # chosen: of the departures, over the noise's: a stick of s adds some (s/sigma)^2 / 3; the noise is known to a fifth
+# chosen: of the departures, over the noise's: a stick of s adds some (s/sigma)^2 / 3; the noise is
+# known to a fifth
+MIN_MEAN_SQUARE = 1.5
 INSTANTS = range(2, 201)  # a tick
-SCAN_BUDGET = 1e8  # chosen: rows and jumps that are replayed in a scan: some two seconds; the best are followed first
+# chosen: rows and jumps that are replayed in a scan: some two seconds; the best are followed first
+SCAN_BUDGET = 1e8
 MIN_SCAN_ROWS = 50  # chosen: rows of the first scan
 SCAN_TRAVEL = 6.0  # chosen: of the largest stick: travel of the command in the first scan
-LARGEST = 0.98  # chosen: quantile of the departures that are about a stick: in uniform motion they are even between none and a stick
+# chosen: quantile of the departures that are about a stick: in uniform motion they are even between
+# none and a stick
+LARGEST = 0.98
 ROW_GROWTH = 1.5  # chosen: times as many rows in each next scan
 MAX_SCAN_ROWS = 4000  # chosen: rows of the last scan
-MAX_PATHS, MAX_STRETCHES = 20000, 8  # chosen: with the same instants, in a scan; stretches of sticks that are followed to the next
-MAX_SAMPLE_CHI2 = 25.0  # chosen: chi-square of a sample, so that a jump in the wrong row counts no more however far it goes
-PATH_MARGIN = 2.0 * MAX_SAMPLE_CHI2  # chosen: chi-square above the best with these instants, within which a path is followed,
+# chosen: with the same instants, in a scan; stretches of sticks that are followed to the next
+MAX_PATHS, MAX_STRETCHES = 20000, 8
+# chosen: chi-square of a sample, so that a jump in the wrong row counts no more however far it goes
+MAX_SAMPLE_CHI2 = 25.0
+# chosen: chi-square above the best with these instants, within which a path is followed,
+PATH_MARGIN = 2.0 * MAX_SAMPLE_CHI2
 ROW_MARGIN = 0.1  # chosen: and for each row
-MAX_CHI2_RATIO, RATIO_MARGIN = 1.5, 4.0 * PATH_MARGIN  # chosen: times the best of all paths, and more: the same
+# chosen: times the best of all paths, and more: the same
+MAX_CHI2_RATIO, RATIO_MARGIN = 1.5, 4.0 * PATH_MARGIN
 MAX_SHARE = 0.7  # chosen: of the chi-square without stiction: what no stick betters is none
-MAX_WORSE = 2.0  # chosen: times the least chi-square: starts with other instants that are given, too
-MAX_OTHER_CHI2 = 0.8  # chosen: times the chi-square under the timing of the link, with which another timing is taken
-MAX_STARTS, MAX_INSTANTS = 4, 2  # chosen: sticks for each number of instants; such numbers, beside that of the believed physics
-PHASE_SIGMA, MAX_PHASES = 0.3, 100  # chosen: of the noise: travel of the command between two phases that are tried; such phases
-MAX_OVERESTIMATE = 20.0  # chosen: of the noise by third differences of an axis that jumps; ten times was seen
+# chosen: times the least chi-square: starts with other instants that are given, too
+MAX_WORSE = 2.0
+# chosen: times the chi-square under the timing of the link, with which another timing is taken
+MAX_OTHER_CHI2 = 0.8
+# chosen: sticks for each number of instants; such numbers, beside that of the believed physics
+MAX_STARTS, MAX_INSTANTS = 4, 2
+# chosen: of the noise: travel of the command between two phases that are tried; such phases
+PHASE_SIGMA, MAX_PHASES = 0.3, 100
+# chosen: of the noise by third differences of an axis that jumps; ten times was seen
+MAX_OVERESTIMATE = 20.0
 JUMP_SIGMA = 4.0  # chosen: times the noise: a jump between two rows
-RATE_SIGMA = 2.0 * JUMP_SIGMA  # chosen: times the noise: travel of the command in a row, of which the instant of a jump is taken
+# chosen: times the noise: travel of the command in a row, of which the instant of a jump is taken
+RATE_SIGMA = 2.0 * JUMP_SIGMA
 LATEST = 2.5  # ticks: by which a pose may be stamped early or late, and more than that
-LATE_STEP, LATE_STEPS, LATE_HALVINGS = 0.01, 8, 3  # chosen: ticks; steps to either side, among which the best fit is sought last
+# chosen: ticks; steps to either side, among which the best fit is sought last
+LATE_STEP, LATE_STEPS, LATE_HALVINGS = 0.01, 8, 3
 STICK_SPAN = 1e-4  # chosen: of a stick, to either side: the same
-MIN_JUMPS, AGREEING = 10, 0.99  # chosen: jumps that tell how late a pose is; share of the most that agree
+# chosen: jumps that tell how late a pose is; share of the most that agree
+MIN_JUMPS, AGREEING = 10, 0.99
 
 
 class Instants(NamedTuple):
-    """When a platform may move: ``number`` a tick with a ``phase``, see :class:`hiltestbed.platform.parameters.PlatformParameters`; and by
-    how many ticks the command is ``late`` that it obeys then."""
+    """When a platform may move: ``number`` a tick with a ``phase``, see
+    :class:`hiltestbed.platform.parameters.PlatformParameters`; and by how many ticks the command is
+    ``late`` that it obeys then.
+    """
 
     number: int
     phase: float
@@ -69,7 +91,8 @@ class Paths:
     """P paths that a platform with stiction may take.
 
     Attributes:
-        instants: of a hypothesis. of: (P,) its index for each path. low, high: (P,) [m] the sticks that give the path. chi2: (P,).
+        instants: of a hypothesis. of: (P,) its index for each path. low, high: (P,) [m] the sticks
+            that give the path. chi2: (P,).
     """
 
     instants: Sequence[Instants]
@@ -81,7 +104,10 @@ class Paths:
     def __iter__(self) -> Iterator[tuple[Instants, float, float]]:
         """The instants, a stick [m] and chi-square of each path."""
         middle = 0.5 * (self.low + self.high)
-        return ((self.instants[i], float(s), float(c)) for i, s, c in zip(self.of, middle, self.chi2, strict=True))
+        return (
+            (self.instants[i], float(s), float(c))
+            for i, s, c in zip(self.of, middle, self.chi2, strict=True)
+        )
 
     @classmethod
     def between(cls, instants: Sequence[Instants], low: float, high: float) -> Paths:
@@ -95,7 +121,8 @@ class Sticking:
     """What a platform seems to stick at.
 
     Attributes:
-        starts: instants a tick and their phase to sticks [m]; empty where it does not seem to stick.
+        starts: instants a tick and their phase to sticks [m]; empty where it does not seem to
+            stick.
         timing: of the pose, where it is not the believed one.
     """
 
@@ -118,7 +145,9 @@ def sticking(link: PlatformLink, noise: float, substeps: int) -> Sticking:
         return Sticking(_starts(found, substeps))
     (m, phase, late), stick, _ = next(iter(data.placed(other)))
     whole = math.floor(late)
-    return Sticking({(m, phase): [stick]}, Timing(obeyed=(late - whole) * data.tick, delay=whole * data.tick))
+    return Sticking(
+        {(m, phase): [stick]}, Timing(obeyed=(late - whole) * data.tick, delay=whole * data.tick)
+    )
 
 
 def _starts(found: Paths, believed: int) -> dict[tuple[int, float], list[float]]:
@@ -126,7 +155,9 @@ def _starts(found: Paths, believed: int) -> dict[tuple[int, float], list[float]]
     out: dict[tuple[int, float], list[float]] = {}
     for (m, phase, _), stick, chi2 in found:
         others = sum(number != believed for number, _ in out)
-        if chi2 > MAX_WORSE * found.chi2[0] or ((m, phase) not in out and m != believed and others >= MAX_INSTANTS):
+        if chi2 > MAX_WORSE * found.chi2[0] or (
+            (m, phase) not in out and m != believed and others >= MAX_INSTANTS
+        ):
             continue
         if len(sticks := out.setdefault((m, phase), [])) < MAX_STARTS:
             sticks.append(stick)
@@ -134,7 +165,9 @@ def _starts(found: Paths, believed: int) -> dict[tuple[int, float], list[float]]
 
 
 def _stretches(found: Paths, margin: float) -> Paths:
-    """The stretches of sticks in which paths with the same instants are no worse than the best of these by more than a ``margin``."""
+    """The stretches of sticks in which paths with the same instants are no worse than the best of
+    these by more than a ``margin``.
+    """
     if not len(found.chi2):
         return found
     best = np.full(len(found.instants), np.inf)
@@ -164,18 +197,28 @@ class Data:
     """The runs of a platform, the slowest first, as arrays.
 
     Attributes:
-        order: indices of the runs in the link. tick: [s]. noise: of the pose [m]. commands, goal, sigma: (R, N, 3) [m]; goal: the measured
-        positions, sigma: infinite where none was measured. rows: (R,). start, velocity: (R, 3) of the approach. moves: (R, 3) axes that
-        are commanded to move. whole: rows of the last scan. speed: mean travel of all axes in a row [m].
+        order: indices of the runs in the link. tick: [s]. noise: of the pose [m]. commands, goal,
+            sigma: (R, N, 3) [m]; goal: the measured
+        positions, sigma: infinite where none was measured. rows: (R,). start, velocity: (R, 3) of
+            the approach. moves: (R, 3) axes that
+        are commanded to move. whole: rows of the last scan. speed: mean travel of all axes in a row
+            [m].
     """
 
     def __init__(self, link: PlatformLink, noise: float) -> None:
-        """noise: [m] of the pose; by third differences, which take jumps for noise. Those of an axis that is mostly held do not."""
+        """noise: [m] of the pose; by third differences, which take jumps for noise. Those of an
+        axis that is mostly held do not.
+        """
         self.order = np.argsort([_speed(c) for c in link.commands], kind="stable").tolist()
         order, runs = self.order, [link.runs[i] for i in self.order]
         self.tick = runs[0].scenario.tick
         self.commands = padded([link.commands[i][:, :3] for i in order])
-        self.goal = padded([run.measured[:, :3] - link.deflection[i][:, :3] for i, run in zip(order, runs, strict=True)])
+        self.goal = padded(
+            [
+                run.measured[:, :3] - link.deflection[i][:, :3]
+                for i, run in zip(order, runs, strict=True)
+            ]
+        )
         self.rows = np.array([run.rows for run in runs])
         self.speed = float(np.abs(np.diff(self.commands, axis=1)).sum(axis=2).mean())
         self.whole = min(MAX_SCAN_ROWS, int(self.rows.sum()))
@@ -185,29 +228,40 @@ class Data:
         self.moves = (self.velocity != 0.0) | (self.commands != self.start[:, None]).any(axis=1)
         noise = max(noise, MIN_POSE_NOISE)
         steps = [np.diff(self.goal[r, : self.rows[r], axis]) for r, axis in np.argwhere(self.moves)]
-        held = [float(median_abs_deviation(s)) * MAD_TO_SIGMA / math.sqrt(2.0) for s in steps if len(s)]
+        held = [
+            float(median_abs_deviation(s)) * MAD_TO_SIGMA / math.sqrt(2.0) for s in steps if len(s)
+        ]
         self.noise = max(min([noise, *held]), noise / MAX_OVERESTIMATE)
         sigma = padded([run.sigma[:, :3] for run in runs])
         least = np.min(sigma, axis=(0, 1))
         self.sigma = sigma * np.where(np.isfinite(least), self.noise / least, 1.0)
 
     def departs(self, link: PlatformLink) -> bool:
-        """Whether the slowest run departs from the believed platform by more than its noise and rounding, in one row or in all together."""
+        """Whether the slowest run departs from the believed platform by more than its noise and
+        rounding, in one row or in all together.
+        """
         slowest = self.order[0]
         run = link.runs[slowest]
         sigma = self.sigma[0, 1 : run.rows]
         known = np.isfinite(sigma)
         departed, sigma = np.abs(run.measured - link.shown(slowest))[1:, :3][known], sigma[known]
-        alone = (departed - self.noise > DEPARTURE_SIGMA * self.noise) & (departed > DEPARTURE_SIGMA * sigma)
-        return bool(alone.any()) or square(departed / sigma) / max(1, len(departed)) > MIN_MEAN_SQUARE
+        alone = (departed - self.noise > DEPARTURE_SIGMA * self.noise) & (
+            departed > DEPARTURE_SIGMA * sigma
+        )
+        return (
+            bool(alone.any()) or square(departed / sigma) / max(1, len(departed)) > MIN_MEAN_SQUARE
+        )
 
     def late(self) -> float | None:
-        """Ticks by which the pose follows the command late, from the rows between which an axis jumps to what the command has been.
+        """Ticks by which the pose follows the command late, from the rows between which an axis
+        jumps to what the command has been.
 
-        An axis that is held for two rows at least has jumped there between the row before and the first of these rows. None where too few
-        jumps show it.
+        An axis that is held for two rows at least has jumped there between the row before and the
+        first of these rows. None where too few jumps show it.
         """
-        bounds = np.array([b for r, axis in np.argwhere(self.moves) for b in self._jumps(r, axis)]).reshape(-1, 2)
+        bounds = np.array(
+            [b for r, axis in np.argwhere(self.moves) for b in self._jumps(r, axis)]
+        ).reshape(-1, 2)
         if len(bounds) < MIN_JUMPS:
             return None
         tried = np.arange(-LATEST, LATEST, LATE_STEP)
@@ -215,26 +269,42 @@ class Data:
         return float(tried[agree >= AGREEING * agree.max()].mean())
 
     def _jumps(self, r: int, axis: int) -> Iterable[tuple[float, float]]:
-        """The least and the most by which an axis is late [ticks] according to each of its jumps."""
+        """The least and the most by which an axis is late [ticks] according to each of its
+        jumps.
+        """
         goal = self.goal[r, : self.rows[r], axis]
-        command = np.concatenate([self.start[r, axis, None], self.commands[r, : self.rows[r] - 1, axis]])
+        command = np.concatenate(
+            [self.start[r, axis, None], self.commands[r, : self.rows[r] - 1, axis]]
+        )
         ends = np.flatnonzero(np.abs(np.diff(goal)) > JUMP_SIGMA * self.noise)
         first, last = np.r_[0, ends + 1], np.r_[ends, len(goal) - 1]
         held = np.flatnonzero(last > first)
         for before, after in itertools.pairwise(held):
             start = max(last[before] - math.ceil(LATEST) - 1, 0)
-            away = command[start : first[after] + math.ceil(LATEST) + 2] - goal[first[after] : last[after] + 1].mean()
+            away = (
+                command[start : first[after] + math.ceil(LATEST) + 2]
+                - goal[first[after] : last[after] + 1].mean()
+            )
             passes = np.flatnonzero(away[:-1] * away[1:] <= 0.0)
-            if after - before > 2 or len(passes) != 1 or abs(away[passes[0] + 1] - away[passes[0]]) < RATE_SIGMA * self.noise:
+            if (
+                after - before > 2
+                or len(passes) != 1
+                or abs(away[passes[0] + 1] - away[passes[0]]) < RATE_SIGMA * self.noise
+            ):
                 continue
             k = passes[0]
             at = start + k + away[k] / (away[k] - away[k + 1])
             yield last[before] - at, first[after] - at
 
     def phases(self, late: float) -> list[Instants]:
-        """Every number of instants, with phases between which the command moves by :data:`PHASE_SIGMA`; no more than MAX_PHASES."""
+        """Every number of instants, with phases between which the command moves by
+        :data:`PHASE_SIGMA`; no more than MAX_PHASES.
+        """
         fastest = float(np.abs(np.diff(self.commands, axis=1)).max())
-        count = {m: min(math.ceil(fastest / (m * PHASE_SIGMA * self.noise)), MAX_PHASES) for m in INSTANTS}
+        count = {
+            m: min(math.ceil(fastest / (m * PHASE_SIGMA * self.noise)), MAX_PHASES)
+            for m in INSTANTS
+        }
         return [Instants(m, j / n, late) for m, n in count.items() for j in range(n)]
 
     def paths(self, instants: Sequence[Instants]) -> Paths:
@@ -252,7 +322,9 @@ class Data:
         return self._followed(found, self.whole)
 
     def _unstuck(self, obeyed: Array, rows: int) -> float:
-        """Chi-square of a platform without stiction, which is where its command is that is ``obeyed``, on the first ``rows``."""
+        """Chi-square of a platform without stiction, which is where its command is that is
+        ``obeyed``, on the first ``rows``.
+        """
         compared = np.arange(self.goal.shape[1])[:, None] < self._compared(rows)[:, None, None]
         z = (self.goal - obeyed) / self.sigma
         return float(np.minimum(z * z, MAX_SAMPLE_CHI2)[compared & self.moves[:, None]].sum())
@@ -271,24 +343,54 @@ class Data:
         return np.asarray(nodes[:, low] + part * (nodes[:, low + 1] - nodes[:, low]) + before)
 
     def _sticks(self, obeyed: Array) -> tuple[float, float]:
-        """The range of sticks [m]: the largest departures of the slowest run, but for its ends, are one, within the travel in a tick."""
+        """The range of sticks [m]: the largest departures of the slowest run, but for its ends, are
+        one, within the travel in a tick.
+        """
         rows, noise = self.rows[0], self.noise
         known = np.isfinite(self.sigma[0, :rows]) & self.moves[0]
         away = np.where(known, np.abs(self.goal - obeyed)[0, :rows], 0.0)
         largest = float(np.quantile(away, LARGEST, axis=0).max())
         travel = _speed(self.commands[0])
-        return max(largest - travel - 4.0 * noise, 0.5 * largest, noise), largest / LARGEST + travel + noise
+        return max(
+            largest - travel - 4.0 * noise, 0.5 * largest, noise
+        ), largest / LARGEST + travel + noise
 
     def _followed(self, found: Paths, rows: int, limit: float = math.inf) -> Paths:
-        """The paths with the sticks of ``found`` that fit the first ``rows`` best, best first; limit: chi-square at most."""
+        """The paths with the sticks of ``found`` that fit the first ``rows`` best, best first;
+        limit: chi-square at most.
+        """
         compared = self._compared(rows)
-        margin, out, buffer, budget = PATH_MARGIN + ROW_MARGIN * rows, [], np.empty((MAX_PATHS, 3)), SCAN_BUDGET
-        for h, low, high in zip(found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True):
+        margin, out, buffer, budget = (
+            PATH_MARGIN + ROW_MARGIN * rows,
+            [],
+            np.empty((MAX_PATHS, 3)),
+            SCAN_BUDGET,
+        )
+        for h, low, high in zip(
+            found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True
+        ):
             m, phase, late = found.instants[h]
             count, budget = all_paths(
-                self.commands, self.goal, self.sigma, compared, self.start, self.velocity, self.moves, self.tick, late, m, phase, low, high,
-                MAX_SAMPLE_CHI2, limit, margin, self.speed, budget, buffer,
-            )  # fmt: skip
+                self.commands,
+                self.goal,
+                self.sigma,
+                compared,
+                self.start,
+                self.velocity,
+                self.moves,
+                self.tick,
+                late,
+                m,
+                phase,
+                low,
+                high,
+                MAX_SAMPLE_CHI2,
+                limit,
+                margin,
+                self.speed,
+                budget,
+                buffer,
+            )
             if count:
                 out.append(np.column_stack([np.full(count, float(h)), buffer[:count]]))
                 limit = min(limit, MAX_CHI2_RATIO * float(buffer[:count, 2].min()) + RATIO_MARGIN)
@@ -302,7 +404,11 @@ class Data:
         for halved in range(LATE_HALVINGS):
             (m, phase, late), stick, chi2 = next(iter(found))
             step = LATE_STEP / 2**halved
-            near = [Instants(m, (phase - m * step * (i + j)) % 1.0, late + i * step) for i in steps for j in steps]
+            near = [
+                Instants(m, (phase - m * step * (i + j)) % 1.0, late + i * step)
+                for i in steps
+                for j in steps
+            ]
             about = Paths.between(near, (1.0 - STICK_SPAN) * stick, (1.0 + STICK_SPAN) * stick)
             placed = self._followed(about, self.whole, chi2 + 1.0)
             if len(placed.chi2) and placed.chi2[0] <= chi2:  # else a scan's budget did not suffice

@@ -1,9 +1,11 @@
-"""Stage "select": timing within a tick or a row: when a facility samples, obeys and stamps. No definition states it; it is no departure.
+"""Stage "select": timing within a tick or a row: when a facility samples, obeys and stamps. No
+definition states it; it is no departure.
 
-A channel that is stamped a fraction of a row late makes the link before it too late and the one after it too early, which no rig can be; a
-numerical model that steps with a part of its old twist is a fraction of a tick late. Where a link departs, a shift of its output and input
-in the record is therefore fitted beside the causes; and a delay of less than :data:`MAX_UNNAMED_DELAY_ROWS` rows is a cause only where
-nothing else departs.
+A channel that is stamped a fraction of a row late makes the link before it too late and the one
+after it too early, which no rig can be; a numerical model that steps with a part of its old twist
+is a fraction of a tick late. Where a link departs, a shift of its output and input in the record is
+therefore fitted beside the causes; and a delay of less than :data:`MAX_UNNAMED_DELAY_ROWS` rows is
+a cause only where nothing else departs.
 """
 
 from __future__ import annotations
@@ -28,21 +30,38 @@ from hiltestbed.frames import Array
 Explain = Callable[[Search, Residual], Explanation]
 Weigh = Callable[[Residual], Residual]
 
-MAX_STAMP_SHIFT_ROWS = 2.25  # derived: two channels, each stamped up to a row off; a record with more is refused
+# derived: two channels, each stamped up to a row off; a record with more is refused
+MAX_STAMP_SHIFT_ROWS = 2.25
 MAX_STAMP_ROWS = 1.0  # chosen: by which one channel is stamped off
-MAX_UNNAMED_DELAY_ROWS = 1.05  # chosen: two instants, each up to half a tick off, and the error due to noise
-STARTS, STARTS_TOGETHER = (0.15, 0.4, 1.0, 1.6), (0.4, 1.0)  # chosen: rows: of one shift, and of several together
+# chosen: two instants, each up to half a tick off, and the error due to noise
+MAX_UNNAMED_DELAY_ROWS = 1.05
+# chosen: rows: of one shift, and of several together
+STARTS, STARTS_TOGETHER = (0.15, 0.4, 1.0, 1.6), (0.4, 1.0)
 MAX_ROUNDS = 2  # chosen: explanations of a link, each under the timing found with the last
 MAX_BASES = 4  # chosen: sets of causes beside which the timing is fitted
-HIDDEN_ROWS = 0.05  # chosen: by which a link is early, beyond the error of its fit: its input is stamped late
+# chosen: by which a link is early, beyond the error of its fit: its input is stamped late
+HIDDEN_ROWS = 0.05
 CONVERGED_ROWS = 0.02  # chosen: change of the timing below which a link is not explained again
-INTERPOLATED_LINKS = ("platform", "compensation")  # links whose output is interpolated between rows where their input lies there
-EARLY, EITHER, LATE = (-MAX_STAMP_SHIFT_ROWS, 0.0), (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS), (0.0, MAX_STAMP_SHIFT_ROWS)
-ENCODER, OBEYED = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), (0.0, 0.5)  # rows, ticks; a longer delay is a platform.delay
-STAMPED_ENCODER = (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_ROWS + 0.55)  # rows: its stamp, half a tick of its instant, and the error due to noise
+# links whose output is interpolated between rows where their input lies there
+INTERPOLATED_LINKS = ("platform", "compensation")
+EARLY, EITHER, LATE = (
+    (-MAX_STAMP_SHIFT_ROWS, 0.0),
+    (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS),
+    (0.0, MAX_STAMP_SHIFT_ROWS),
+)
+# rows, ticks; a longer delay is a platform.delay
+ENCODER, OBEYED = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), (0.0, 0.5)
+# rows: its stamp, half a tick of its instant, and the error due to noise
+STAMPED_ENCODER = (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_ROWS + 0.55)
 OLD_TWIST_RANGE = (0.0, 1.0)  # chosen: share of the old twist, instead of rows
-SHIFTS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {  # channels that are shifted together, each with its range [rows]
-    "platform": ({"delay": ENCODER}, {"before": EITHER}, {"obeyed": OBEYED}, {"obeyed": OBEYED, "delay": STAMPED_ENCODER}),
+# channels that are shifted together, each with its range [rows]
+SHIFTS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {
+    "platform": (
+        {"delay": ENCODER},
+        {"before": EITHER},
+        {"obeyed": OBEYED},
+        {"obeyed": OBEYED, "delay": STAMPED_ENCODER},
+    ),
     "wrench": ({"delay": EARLY}, {"before": (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS)}),
     "compensation": ({"delay": LATE}, {"before": LATE}),
     "dynamics": (
@@ -52,11 +71,14 @@ SHIFTS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {  # chann
         {"delay": EITHER, "before": EITHER, "old": OLD_TWIST_RANGE},
     ),
 }
-SHIFTS_AS_STAMPED = ({"delay": (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS)},)  # of wrench_meas, when other links show its stamps
-ONE_CAUSE_LINKS = ("platform", "compensation", "dynamics")  # on which a single cause that leaves only noise is not replaced by a shift
+# of wrench_meas, when other links show its stamps
+SHIFTS_AS_STAMPED = ({"delay": (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS)},)
+# on which a single cause that leaves only noise is not replaced by a shift
+ONE_CAUSE_LINKS = ("platform", "compensation", "dynamics")
 STEP_DELAY = "dynamics.step_delay"
 DELAY_EFFECTS = ("platform.delay", "sensor.delay", "log.skew", STEP_DELAY, "dynamics.integrator")
-TICK_EFFECTS = {STEP_DELAY, "dynamics.integrator"}  # delays in whole ticks: explicit Euler acts as one
+# delays in whole ticks: explicit Euler acts as one
+TICK_EFFECTS = {STEP_DELAY, "dynamics.integrator"}
 LINK_CHANNELS = {
     "platform": ("pose_act", "pose_cmd"),
     "wrench": ("wrench_meas", "pose_act"),
@@ -66,18 +88,27 @@ LINK_CHANNELS = {
 
 
 def explain_with_timing(
-    residual: Residual, search: Search, explain: Explain = Search.explain, off: bool = True, weigh: Weigh = lambda r: r
+    residual: Residual,
+    search: Search,
+    explain: Explain = Search.explain,
+    off: bool = True,
+    weigh: Weigh = lambda r: r,
 ) -> Explanation:
-    """The explanation of a link with the timing under which it explains most; with the believed timing where that is no worse.
+    """The explanation of a link with the timing under which it explains most; with the believed
+    timing where that is no worse.
 
     Args:
         search: of the link. explain: called in place of `Search.explain`, if given.
-        off: whether anything shows that the facility's clocks are off; if not, the believed timing is kept.
-        weigh: weights under which the timing of a computed channel is fitted: rows interpolated between others do not have their noise.
+        off: whether anything shows that the facility's clocks are off; if not, the believed timing
+            is kept.
+        weigh: weights under which the timing of a computed channel is fitted: rows interpolated
+            between others do not have their noise.
     """
     if not off:
         return explain(search, residual)
-    if not noise_alone(search.judge(residual, ())) and (alone := _timing_alone(residual, search, weigh)):
+    if not noise_alone(search.judge(residual, ())) and (
+        alone := _timing_alone(residual, search, weigh)
+    ):
         residual = alone
     found = explain(search, residual)
     for _ in range(MAX_ROUNDS):
@@ -93,29 +124,45 @@ def explain_with_timing(
 
 
 def _timing_alone(residual: Residual, search: Search, weigh: Weigh) -> Residual | None:
-    """The link with the timing that leaves only noise without any cause; None where there is none, or a named delay does as well.
+    """The link with the timing that leaves only noise without any cause; None where there is none,
+    or a named delay does as well.
 
-    Nor where a single cause of the link does better than a shift by more than a row, if no other link shows that stamps are off.
+    Nor where a single cause of the link does better than a shift by more than a row, if no other
+    link shows that stamps are off.
     """
     weighed = weigh(without_ends(residual))
     null = null_fit(weighed)
     cost = _comparable_score(residual.link)
-    best = min((fit_with_timing(weighed, null, place) for place in timing_candidates(residual.link)), key=cost)
-    named = [fit(weighed, (c,), c.grid) for c in search.candidates if c.kind in DELAY_EFFECTS and not c.variant]
+    best = min(
+        (fit_with_timing(weighed, null, place) for place in timing_candidates(residual.link)),
+        key=cost,
+    )
+    named = [
+        fit(weighed, (c,), c.grid)
+        for c in search.candidates
+        if c.kind in DELAY_EFFECTS and not c.variant
+    ]
     need = DETECTION * inflation(best)
     if cost(best) > min(f.score for f in (null, *named)) - need:
         return None
     link = residual.link
-    if link.name in ONE_CAUSE_LINKS and not link.known and np.abs(_in_rows(_fitted_timing(best), link)).max() > MAX_UNNAMED_DELAY_ROWS:
+    if (
+        link.name in ONE_CAUSE_LINKS
+        and not link.known
+        and np.abs(_in_rows(_fitted_timing(best), link)).max() > MAX_UNNAMED_DELAY_ROWS
+    ):
         simple = (c for c in search.candidates if c.kind not in DELAY_EFFECTS and not c.variant)
         if any(fit(weighed, (c,), c.grid).score < cost(best) - need for c in simple):
             return None
-    there = without_ends(Residual(residual.link.with_timing(residual.link.timing.plus(_fitted_timing(best)))))
+    there = without_ends(
+        Residual(residual.link.with_timing(residual.link.timing.plus(_fitted_timing(best))))
+    )
     return there if noise_alone(search.judge(there, ())) else None
 
 
 def timing_under(residual: Residual, best: Fit) -> Residual:
-    """The residual with the timing that fits best beside the ``best`` cause, if that cause leaves more than noise; else itself.
+    """The residual with the timing that fits best beside the ``best`` cause, if that cause leaves
+    more than noise; else itself.
 
     Further causes are sought under that timing: otherwise they would stand in for a shift.
     """
@@ -135,24 +182,32 @@ def _fitted_timing(fit: Fit) -> Timing:
 def _timing_of_explanation(found: Explanation, weigh: Weigh) -> Timing | None:
     """The timing beside the causes that then explain most; None where that is no better."""
     chosen = found.chosen
-    settled = found.adequate and found.residual.link.name in ONE_CAUSE_LINKS and len(chosen.causes) < 2
+    settled = (
+        found.adequate and found.residual.link.name in ONE_CAUSE_LINKS and len(chosen.causes) < 2
+    )
     if not found.departs or settled:
         return None
     return _better_timing(weigh(without_ends(found.residual)), chosen, _bases(found), fewer=True)
 
 
-def _better_timing(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer: bool = False) -> Timing | None:
-    """The timing that explains most beside one of the ``bases``; None where ``chosen`` does as well with the link's own timing.
+def _better_timing(
+    residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer: bool = False
+) -> Timing | None:
+    """The timing that explains most beside one of the ``bases``; None where ``chosen`` does as well
+    with the link's own timing.
 
-    fewer: a shift is preferred to more causes that do as well, since it needs no fault; but a delay alone has a name.
+    fewer: a shift is preferred to more causes that do as well, since it needs no fault; but a delay
+        alone has a name.
     """
     link = residual.link
     here = chosen if JITTER in chosen.kinds else refit(residual, chosen)
     cost = _comparable_score(link)
     best, fits = here, []
-    for base in sorted(bases, key=lambda f: f.chi2):  # the best first, so that those which will not come near are soon left
+    # the best first, so that those which will not come near are soon left
+    for base in sorted(bases, key=lambda f: f.chi2):
         for place in timing_candidates(link):
-            known = cost(best) + 2.0 * DETECTION * inflation(best)  # twice the margin below: interpolation halves chi-square at most
+            # twice the margin below: interpolation halves chi-square at most
+            known = cost(best) + 2.0 * DETECTION * inflation(best)
             shifted = fit_with_timing(residual, base, place, known)
             if within_range(link, shifted):
                 fits.append(shifted)
@@ -164,18 +219,29 @@ def _better_timing(residual: Residual, chosen: Fit, bases: Sequence[Fit], fewer:
     if fewer:
         least = cost(best) + need
         best = min((f for f in fits if cost(f) < least), key=lambda f: (len(f.causes), cost(f)))
-    if fewer and len(best.causes) - 1 < len(chosen.causes) and not set(chosen.kinds) <= set(DELAY_EFFECTS):
-        need = -(AMBIGUITY if best.kinds[:-1] else DETECTION) * inflation(best)  # a cause has to be detected beyond any shift
+    if (
+        fewer
+        and len(best.causes) - 1 < len(chosen.causes)
+        and not set(chosen.kinds) <= set(DELAY_EFFECTS)
+    ):
+        # a cause has to be detected beyond any shift
+        need = -(AMBIGUITY if best.kinds[:-1] else DETECTION) * inflation(best)
     return link.timing.plus(_fitted_timing(best)) if cost(best) < cost(here) - need else None
 
 
 def _comparable_score(link: Link) -> Callable[[Fit], float]:
-    """The score of a fit on ``link``, corrected for the noise that interpolation between rows removes."""
+    """The score of a fit on ``link``, corrected for the noise that interpolation between rows
+    removes.
+    """
 
     def cost(f: Fit) -> float:
         last = f.effects()[-1:]
         timing = link.timing.plus(last[0]) if last and isinstance(last[0], Timing) else link.timing
-        part = timing.before / link.runs[0].scenario.tick % 1.0 if link.name in INTERPOLATED_LINKS else 0.0
+        part = (
+            timing.before / link.runs[0].scenario.tick % 1.0
+            if link.name in INTERPOLATED_LINKS
+            else 0.0
+        )
         return f.chi2 / (part * part + (1.0 - part) ** 2) + f.penalty
 
     return cost
@@ -207,29 +273,62 @@ def shift_candidate(link: Link, way: Mapping[str, tuple[float, float]]) -> Candi
 
 
 def _bases(found: Explanation) -> list[Fit]:
-    """The fits beside which the timing is sought: none, the chosen one, and the best single causes."""
+    """The fits beside which the timing is sought: none, the chosen one, and the best single
+    causes.
+    """
     no_clock = next((f for f in found.singles if not set(f.kinds) & {*DELAY_EFFECTS, JITTER}), None)
-    near = (found.chosen, *first_of_each(found.singles, "kinds")[:MAX_BASES], *found.more[:1], *([no_clock] if no_clock else []))
+    near = (
+        found.chosen,
+        *first_of_each(found.singles, "kinds")[:MAX_BASES],
+        *found.more[:1],
+        *([no_clock] if no_clock else []),
+    )
     once = {tuple(c.key for c in f.causes): f for f in near if f.causes and JITTER not in f.kinds}
     return [null_fit(found.residual), *once.values()]
 
 
 def timing_found(link: Link) -> Candidate | None:
-    """What of the timing of a link was estimated from its own record, as a hypothesis; None where it is as believed or as stamped."""
-    off = {name for name, value in link.timing.parameters().items() if value and name not in link.known}
-    ways = sorted((c for c in timing_candidates(link) if off <= set(c.names)), key=lambda c: len(c.names))
+    """What of the timing of a link was estimated from its own record, as a hypothesis; None where
+    it is as believed or as stamped.
+    """
+    off = {
+        name for name, value in link.timing.parameters().items() if value and name not in link.known
+    }
+    ways = sorted(
+        (c for c in timing_candidates(link) if off <= set(c.names)), key=lambda c: len(c.names)
+    )
     return ways[0] if off and ways else None
 
 
-def fit_with_timing(residual: Residual, base: Fit, later: Candidate, known: float = math.inf, starts: Sequence[Array] | None = None) -> Fit:
-    """``base`` with the timing ``later`` fitted as well, from ``starts``, by default its grid; ``known``: see :func:`fit`."""
+def fit_with_timing(
+    residual: Residual,
+    base: Fit,
+    later: Candidate,
+    known: float = math.inf,
+    starts: Sequence[Array] | None = None,
+) -> Fit:
+    """``base`` with the timing ``later`` fitted as well, from ``starts``, by default its grid;
+    ``known``: see :func:`fit`.
+    """
     begun = later.grid if starts is None else starts
-    return fit(residual, (*base.causes, later), [np.concatenate([base.theta, s]) for s in begun], tries=2, known=known)
+    return fit(
+        residual,
+        (*base.causes, later),
+        [np.concatenate([base.theta, s]) for s in begun],
+        tries=2,
+        known=known,
+    )
 
 
 def within_range(link: Link, found: Fit) -> bool:
-    """Whether the stamps and instants are off by less than the largest shifts: one that would have to be larger is none."""
-    shift, timing, theta = found.causes[-1], link.timing.plus(_fitted_timing(found)), found.part(len(found.causes) - 1)
+    """Whether the stamps and instants are off by less than the largest shifts: one that would have
+    to be larger is none.
+    """
+    shift, timing, theta = (
+        found.causes[-1],
+        link.timing.plus(_fitted_timing(found)),
+        found.part(len(found.causes) - 1),
+    )
     if "old" in shift.names:  # all of an old twist is explicit Euler
         old = shift.names.index("old")
         shift, theta = shift.held(old, theta[old]), np.delete(theta, old)
@@ -239,7 +338,9 @@ def within_range(link: Link, found: Fit) -> bool:
 
 
 def without_ends(residual: Residual, memory: int = 0) -> Residual:
-    """Without the first and the last rows, for which a shifted channel has no data; memory: more of the first rows."""
+    """Without the first and the last rows, for which a shifted channel has no data; memory: more of
+    the first rows.
+    """
     ends = math.ceil(MAX_STAMP_SHIFT_ROWS)
     weight = [w.copy() for w in residual.weight]
     for w in weight:
@@ -253,35 +354,60 @@ def output_shift_rows(explanation: Explanation) -> float:
 
 
 def _stamp_shift_rows(link: Link) -> float:
-    """Rows by which the output of a link is stamped late relative to its input, without what the numerical model's steps add."""
+    """Rows by which the output of a link is stamped late relative to its input, without what the
+    numerical model's steps add.
+    """
     return float(_in_rows(link.timing, link)[:-1].sum())
 
 
 def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict[str, float]]:
-    """Link to those of its delays that are no causes, with their rows: fractions of a tick where something else departs as well, and delays
-    that the opposite shift of another link compensates, as for a channel that is stamped late. Neither is what cannot be told from one."""
+    """Link to those of its delays that are no causes, with their rows: fractions of a tick where
+    something else departs as well, and delays that the opposite shift of another link compensates,
+    as for a channel that is stamped late. Neither is what cannot be told from one.
+    """
     departing = {name: e for name, e in explanations.items() if e.departs}
     places = [output_shift_rows(e) for e in explanations.values()]
-    departures = sum(max(len(e.chosen.causes), int(not e.adequate)) for e in departing.values()) + sum(rows != 0.0 for rows in places)
+    departures = sum(
+        max(len(e.chosen.causes), int(not e.adequate)) for e in departing.values()
+    ) + sum(rows != 0.0 for rows in places)
     if departures < 2:
         return {}
-    taken_back = max(-sum(_stamp_shift_rows(e.residual.link) for e in explanations.values()), 0.0)  # stamps cancel around the loop
+    # stamps cancel around the loop
+    taken_back = max(-sum(_stamp_shift_rows(e.residual.link) for e in explanations.values()), 0.0)
     out: dict[str, dict[str, float]] = {}
     for name, e in departing.items():
         for i, effect in enumerate(e.chosen.effects()):
-            tick, rivals = e.residual.link.runs[0].scenario.tick, e.rivals[i] if e.rivals and effect.kind not in DELAY_EFFECTS else ()
-            for delay in (effect, *(other for f in rivals for other in f.effects() if other.kind not in e.chosen.kinds)):
+            tick, rivals = (
+                e.residual.link.runs[0].scenario.tick,
+                e.rivals[i] if e.rivals and effect.kind not in DELAY_EFFECTS else (),
+            )
+            for delay in (
+                effect,
+                *(
+                    other
+                    for f in rivals
+                    for other in f.effects()
+                    if other.kind not in e.chosen.kinds
+                ),
+            ):
                 rows = _delay_rows(delay, tick)
                 most = taken_back + MAX_UNNAMED_DELAY_ROWS
-                if delay.kind in TICK_EFFECTS:  # whole rows, of which the instants of the platform hide a part
-                    most = max(taken_back + 0.5, math.ceil(taken_back)) if taken_back > HIDDEN_ROWS else 0.0
+                # whole rows, of which the instants of the platform hide a part
+                if delay.kind in TICK_EFFECTS:
+                    most = (
+                        max(taken_back + 0.5, math.ceil(taken_back))
+                        if taken_back > HIDDEN_ROWS
+                        else 0.0
+                    )
                 if rows is not None and rows <= most:
                     out.setdefault(name, {})[effect.kind] = rows
     return out
 
 
 def instants_off(explanations: Mapping[str, Explanation]) -> float:
-    """[s] by which a delay may be off because stamps and instants are; 0 where none is seen to be off the believed ones."""
+    """[s] by which a delay may be off because stamps and instants are; 0 where none is seen to be
+    off the believed ones.
+    """
     links = [e.residual.link for e in explanations.values()]
     off = any(link.timing != NO_SHIFT for link in links) or bool(delays_not_causes(explanations))
     return MAX_UNNAMED_DELAY_ROWS * links[0].runs[0].scenario.tick if off else 0.0
@@ -290,32 +416,49 @@ def instants_off(explanations: Mapping[str, Explanation]) -> float:
 def part_of_a_tick(effect: Effect, tick: float) -> bool:
     """Whether an effect is a delay that the timing of a facility can explain."""
     rows = _delay_rows(effect, tick)
-    return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= MAX_UNNAMED_DELAY_ROWS
+    return (
+        effect.kind not in TICK_EFFECTS
+        and rows is not None
+        and 0.0 < rows <= MAX_UNNAMED_DELAY_ROWS
+    )
 
 
 def may_be_stamp(effect: Effect, link: Link) -> bool:
-    """Whether an effect is a delay that may be the stamp's, of a row more where other links show that stamps are off by rows."""
-    rows, most = _delay_rows(effect, link.runs[0].scenario.tick), MAX_UNNAMED_DELAY_ROWS + (MAX_STAMP_ROWS if link.known else 0.0)
+    """Whether an effect is a delay that may be the stamp's, of a row more where other links show
+    that stamps are off by rows.
+    """
+    rows, most = (
+        _delay_rows(effect, link.runs[0].scenario.tick),
+        MAX_UNNAMED_DELAY_ROWS + (MAX_STAMP_ROWS if link.known else 0.0),
+    )
     return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
 
 
 def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
-    """The index of the link that leaves least under its best timing, with no other cause known: 0 unless another is clearly better.
+    """The index of the link that leaves least under its best timing, with no other cause known: 0
+    unless another is clearly better.
 
-    candidates: causes that look like a shifted input. A link that needs one of them explains no more than the first link does with another
-    size of it.
+    candidates: causes that look like a shifted input. A link that needs one of them explains no
+        more than the first link does with another size of it.
     """
 
     def best(link: Link) -> Fit:
         residual = without_ends(Residual(link))
         null = null_fit(residual)
         placed = [fit_with_timing(residual, null, place) for place in timing_candidates(link)]
-        return min((null, *placed, *(fit(residual, (c,), c.grid) for c in candidates)), key=lambda f: f.score)
+        return min(
+            (null, *placed, *(fit(residual, (c,), c.grid) for c in candidates)),
+            key=lambda f: f.score,
+        )
 
     kinds, fits = {c.kind for c in candidates}, [best(link) for link in links]
     costs = [f.score for f in fits]
     least = int(np.argmin(costs))
-    return least if costs[least] < costs[0] - INTERPRETATION_PENALTY and not kinds & set(fits[least].kinds) else 0
+    return (
+        least
+        if costs[least] < costs[0] - INTERPRETATION_PENALTY and not kinds & set(fits[least].kinds)
+        else 0
+    )
 
 
 def _delay_rows(effect: Effect, tick: float) -> float | None:
@@ -323,7 +466,11 @@ def _delay_rows(effect: Effect, tick: float) -> float | None:
     if effect.kind not in DELAY_EFFECTS:
         return None
     given = effect.parameters()
-    return float(given.get("ticks", 1.0)) if effect.kind in TICK_EFFECTS else float(given["delay"]) / tick
+    return (
+        float(given.get("ticks", 1.0))
+        if effect.kind in TICK_EFFECTS
+        else float(given["delay"]) / tick
+    )
 
 
 def words(explanations: Mapping[str, Explanation]) -> tuple[str, ...]:
@@ -334,24 +481,33 @@ def words(explanations: Mapping[str, Explanation]) -> tuple[str, ...]:
         output, given = LINK_CHANNELS[name]
         if link.timing != NO_SHIFT:
             seconds = rows * link.runs[0].scenario.tick
-            when = f"{abs(rows):.2g} rows ({abs(seconds):.3g} s) {'late' if rows > 0.0 else 'early'}"
-            out.append(f"{output} is {when} relative to {given}: attributed to the timing of the facility, not to a cause")
+            when = (
+                f"{abs(rows):.2g} rows ({abs(seconds):.3g} s) {'late' if rows > 0.0 else 'early'}"
+            )
+            out.append(
+                f"{output} is {when} relative to {given}: attributed to the timing of the "
+                f"facility, not to a cause"
+            )
     for name, clocks in delays_not_causes(explanations).items():
         for kind, rows in clocks.items():
             output, given = LINK_CHANNELS[name]
             seconds = rows * explanations[name].residual.link.runs[0].scenario.tick
             if rows > 0.0:
                 out.append(
-                    f"{output} is {rows:.2g} rows ({seconds:.3g} s) later than {given} predicts ({kind}): attributed to the timing of "
+                    f"{output} is {rows:.2g} rows ({seconds:.3g} s) later than {given} predicts "
+                    f"({kind}): attributed to the timing of "
                     "the facility, not to a cause, since something else departs as well"
                 )
     return tuple(out)
 
 
 def timing_departs(explanations: Mapping[str, Explanation]) -> bool:
-    """Whether a link shows that channels are stamped, or instants lie, fractions of a row from where they are believed to be."""
+    """Whether a link shows that channels are stamped, or instants lie, fractions of a row from
+    where they are believed to be.
+    """
     return any(
-        e.residual.link.timing != NO_SHIFT or any(part_of_a_tick(c, e.residual.link.runs[0].scenario.tick) for c in e.chosen.effects())
+        e.residual.link.timing != NO_SHIFT
+        or any(part_of_a_tick(c, e.residual.link.runs[0].scenario.tick) for c in e.chosen.effects())
         for e in explanations.values()
         if e.departs or e.residual.link.timing != NO_SHIFT
     )

@@ -1,4 +1,6 @@
-"""Stage "decide": from the explanations of the links (`Findings`) to one `Verdict` and its causes."""
+"""Stage "decide": from the explanations of the links (`Findings`) to one `Verdict` and its
+causes.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from hiltestbed.diagnosis.timing import delays_not_causes
 from hiltestbed.effects.table import EFFECTS
 
 LINK_ORDER = ("platform", "wrench", "compensation", "dynamics")
-MIN_FREE_VARIANCE = 1.5  # chosen: of the noise variance: mean square of a residual outside contact, from which a departure shows there
+# chosen: of the noise variance: mean square of a residual outside contact, from which a departure
+# shows there
+MIN_FREE_VARIANCE = 1.5
 
 
 @dataclass(frozen=True)
@@ -23,8 +27,10 @@ class Named:
     """One named cause: its place in a fit, the link, and what it cannot be told from.
 
     Attributes:
-        effect: id. link: whose fit it is in. index: its place in the fit. probability: that it is this effect and not a rival.
-        weight: reduction of chi-square by it, beside the other causes. rivals: fits that differ in this cause only.
+        effect: id. link: whose fit it is in. index: its place in the fit. probability: that it is
+            this effect and not a rival.
+        weight: reduction of chi-square by it, beside the other causes. rivals: fits that differ in
+            this cause only.
     """
 
     effect: str
@@ -37,8 +43,13 @@ class Named:
 
     @property
     def indistinguishable_from(self) -> list[str]:
-        """Effects that explain the data as well; the effect itself where it may be on another axis or body."""
-        return [next((kind for kind in f.kinds if kind not in self.fit.kinds), self.effect) for f in self.rivals]
+        """Effects that explain the data as well; the effect itself where it may be on another axis
+        or body.
+        """
+        return [
+            next((kind for kind in f.kinds if kind not in self.fit.kinds), self.effect)
+            for f in self.rivals
+        ]
 
 
 @dataclass(frozen=True)
@@ -46,7 +57,8 @@ class Verdict:
     """The verdict on a dataset.
 
     Attributes:
-        verdict: no_discrepancy, named, ambiguous, named_in_part, unknown or inconclusive. link: that departs, or None.
+        verdict: no_discrepancy, named, ambiguous, named_in_part, unknown or inconclusive. link:
+            that departs, or None.
         causes: strongest first. not_judged: link to the reason.
     """
 
@@ -72,15 +84,24 @@ def decide(findings: Findings) -> Verdict:
     causes = sorted(_without_repeats(causes), key=lambda c: -c.weight)
     missing = findings.missing
     if unexplained:
-        return Verdict("unknown", _record_alone(findings) or max(unexplained)[1], tuple(causes), missing)
+        return Verdict(
+            "unknown", _record_alone(findings) or max(unexplained)[1], tuple(causes), missing
+        )
     if not causes:
         return Verdict("inconclusive" if missing else "no_discrepancy", None, (), missing)
     ambiguous = any(c.rivals for c in causes)
-    return Verdict("ambiguous" if ambiguous else "named", EFFECTS[causes[0].effect].link, tuple(causes), missing)
+    return Verdict(
+        "ambiguous" if ambiguous else "named",
+        EFFECTS[causes[0].effect].link,
+        tuple(causes),
+        missing,
+    )
 
 
 def _record_alone(findings: Findings) -> str | None:
-    """`log` where both links of the measured force depart, and a stamp delay was found on one: the record departs, not the loop."""
+    """`log` where both links of the measured force depart, and a stamp delay was found on one: the
+    record departs, not the loop.
+    """
     both = [findings.explanations.get(name) for name in ("wrench", "compensation")]
     stamped = any(e is not None and "log.skew" in e.chosen.kinds for e in both)
     return "log" if stamped and all(e is not None and e.departs for e in both) else None
@@ -92,7 +113,17 @@ def _causes(name: str, e: Explanation) -> list[Named]:
     for index, kind in enumerate(e.chosen.kinds):
         rivals = (e.rivals[index] if e.rivals else ())[:MAX_RIVALS]
         odds = [math.exp(-0.5 * max(-50.0, (f.score - e.chosen.score) / share)) for f in rivals]
-        out.append(Named(kind, name, e.chosen, index, 1.0 / (1.0 + sum(odds)), _weight(e, index) / share, tuple(rivals)))
+        out.append(
+            Named(
+                kind,
+                name,
+                e.chosen,
+                index,
+                1.0 / (1.0 + sum(odds)),
+                _weight(e, index) / share,
+                tuple(rivals),
+            )
+        )
     return out
 
 
@@ -106,12 +137,16 @@ def _weight(e: Explanation, index: int) -> float:
 
 
 def _without_repeats(causes: list[Named]) -> list[Named]:
-    """Each effect once: a stamp delay shows on two links; contact and sensor, which come first, determine it more exactly."""
+    """Each effect once: a stamp delay shows on two links; contact and sensor, which come first,
+    determine it more exactly.
+    """
     return [c for i, c in enumerate(causes) if c.effect not in {o.effect for o in causes[:i]}]
 
 
 def _contact_or_sensor(e: Explanation) -> str:
-    """`sensor` where only sensor effects were chosen and the departure shows outside contact too; else `contact`."""
+    """`sensor` where only sensor effects were chosen and the departure shows outside contact too;
+    else `contact`.
+    """
     links = {c.effect.link for c in e.chosen.causes}
     return "sensor" if links == {"sensor"} and _shows_free(e) else "contact"
 
@@ -119,5 +154,7 @@ def _contact_or_sensor(e: Explanation) -> str:
 def _shows_free(e: Explanation) -> bool:
     residual = e.residual
     left = residual.by_run([e.chosen.effects()])[0]
-    free = np.concatenate([r[~residual.link.runs[i].touching] for i, r in zip(residual.runs, left, strict=True)])
+    free = np.concatenate(
+        [r[~residual.link.runs[i].touching] for i, r in zip(residual.runs, left, strict=True)]
+    )
     return bool(len(free)) and float(np.mean(free**2)) > MIN_FREE_VARIANCE

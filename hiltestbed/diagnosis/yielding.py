@@ -1,4 +1,6 @@
-"""Stage "layout": deflection of the believed rig from its command, under the measured force, and its uncertainty."""
+"""Stage "layout": deflection of the believed rig from its command, under the measured force, and
+its uncertainty.
+"""
 
 from __future__ import annotations
 
@@ -16,24 +18,37 @@ from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.numerical_model.bodies import approach_state
-from hiltestbed.replay import Engaged, Simulated, can_carry, follows_exactly, moves_linearly, replay_rig
+from hiltestbed.replay import (
+    Engaged,
+    Simulated,
+    can_carry,
+    follows_exactly,
+    moves_linearly,
+    replay_rig,
+)
 from hiltestbed.replay.compensation import central_rates
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario
 
-MAX_GAIN_ERROR = 0.25  # chosen: of the deflection, due to a wrong reading of the force: the largest gain error that goes unnoticed here
+# chosen: of the deflection, due to a wrong reading of the force: the largest gain error that goes
+# unnoticed here
+MAX_GAIN_ERROR = 0.25
 MAX_READING_SHIFT = 5e-3  # chosen: [s] by which the reading may be later or earlier than believed
-NOISELESS_POSE = 1e-8  # chosen: [m] noise below which the recorded pose is the one a method was given: a servo's own jitter reads as 1e-9
+# chosen: [m] noise below which the recorded pose is the one a method was given: a servo's own
+# jitter reads as 1e-9
+NOISELESS_POSE = 1e-8
 UNREPLAYED_SHARE = 0.01  # chosen: of a departure: what the drives leave of a jump is not replayed
-SETTLING_CONSTANTS = 10.0  # chosen: time constants of the drives, after which their initial state has decayed
+# chosen: time constants of the drives, after which their initial state has decayed
+SETTLING_CONSTANTS = 10.0
 
 
 @dataclass(frozen=True)
 class Deflection:
-    """Of one run: away (N, 6) deflection of the believed rig from its command [m, rad], doubt (N, 6) its uncertainty.
+    """Of one run: away (N, 6) deflection of the believed rig from its command [m, rad], doubt (N,
+    6) its uncertainty.
 
-    yielded: (N, 6) part of it that is due to the force; the rest is the response to the command. noise: [m] of the deflection, due to the
-    noise of the force.
+    yielded: (N, 6) part of it that is due to the force; the rest is the response to the command.
+        noise: [m] of the deflection, due to the noise of the force.
     """
 
     away: Array
@@ -42,12 +57,17 @@ class Deflection:
     noise: float = 0.0
 
 
-def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, engaged: Engaged | None = None) -> Deflection | None:
-    """Deflection of the believed rig from its command in one run; None where it cannot follow the command.
+def deflection(
+    run: MeasuredRun, noise: float, reading: Array | None = None, engaged: Engaged | None = None
+) -> Deflection | None:
+    """Deflection of the believed rig from its command in one run; None where it cannot follow the
+    command.
 
-    Its error has one sign over whole blocks of rows, and counts like white noise that is larger by the root of a block. noise: [N] of the
-    force. reading: (N, 6) of the believed sensor; None: the record. It is shifted earlier by the believed delay of the sensor; where an
-    axis of it that acts was not measured, the pose is not compared once A has reached P. engaged: see :func:`engagement`.
+    Its error has one sign over whole blocks of rows, and counts like white noise that is larger by
+    the root of a block. noise: [N] of the
+    force. reading: (N, 6) of the believed sensor; None: the record. It is shifted earlier by the
+        believed delay of the sensor; where an axis of it that acts was not measured, the pose is
+        not compared once A has reached P. engaged: see :func:`engagement`.
     """
     scenario, command = run.scenario, np.ascontiguousarray(run.record.filled("pose_cmd"))
     if follows_exactly(scenario):
@@ -66,52 +86,98 @@ def deflection(run: MeasuredRun, noise: float, reading: Array | None = None, eng
     shown = flat_pose(run.record.data["pose_act"]) - told if run.record.has("pose_act") else away
     departure = np.nanmax(np.abs(shown - away), axis=0, initial=0.0)
     departure[:3], departure[3:] = departure[:3].max(), departure[3:].max()
-    unloaded = replay_rig(scenario, command, rates, borne(scenario, np.zeros_like(wrench)), recorded, reached)
-    yielded = away if unloaded is None else flat_pose(path) - flat_pose(unloaded)  # the rest is the response to the command, which is known
-    off = [np.abs(shifted(yielded, way * MAX_READING_SHIFT / scenario.tick) - yielded) for way in (-1.0, 1.0)]
-    doubt = math.sqrt(BLOCK_ROWS) * np.sqrt((MAX_GAIN_ERROR * yielded) ** 2 + np.maximum(*off) ** 2 + (UNREPLAYED_SHARE * departure) ** 2)
+    unloaded = replay_rig(
+        scenario, command, rates, borne(scenario, np.zeros_like(wrench)), recorded, reached
+    )
+    # the rest is the response to the command, which is known
+    yielded = away if unloaded is None else flat_pose(path) - flat_pose(unloaded)
+    off = [
+        np.abs(shifted(yielded, way * MAX_READING_SHIFT / scenario.tick) - yielded)
+        for way in (-1.0, 1.0)
+    ]
+    doubt = math.sqrt(BLOCK_ROWS) * np.sqrt(
+        (MAX_GAIN_ERROR * yielded) ** 2
+        + np.maximum(*off) ** 2
+        + (UNREPLAYED_SHARE * departure) ** 2
+    )
     doubt[: math.ceil(_settling(scenario) / scenario.tick)] = np.inf
     if not all_axes(run, "wrench_meas"):
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf
-    if engaged is not None:  # sliding parts reverse within a tick; stiction of the drives retains the effect
-        chattering = replay_rig(scenario, command, rates, borne(scenario, wrench) + taken, recorded, reached, engaged.between)
+    # sliding parts reverse within a tick; stiction of the drives retains the effect
+    if engaged is not None:
+        chattering = replay_rig(
+            scenario,
+            command,
+            rates,
+            borne(scenario, wrench) + taken,
+            recorded,
+            reached,
+            engaged.between,
+        )
         if chattering is not None:
             kept = np.maximum.accumulate(np.abs(flat_pose(chattering) - flat_pose(path)), axis=0)
             doubt = np.hypot(doubt, math.sqrt(BLOCK_ROWS) * kept)
     passed = np.zeros(6)
     if noise > 0.0:
         shaken = wrench.copy()
-        shaken[:, :3] += np.where(touching, noise * np.random.default_rng(0).standard_normal((len(wrench), 3)), 0.0)
-        noisy = replay_rig(scenario, command, rates, borne(scenario, shaken) + taken, recorded, reached)
+        shaken[:, :3] += np.where(
+            touching, noise * np.random.default_rng(0).standard_normal((len(wrench), 3)), 0.0
+        )
+        noisy = replay_rig(
+            scenario, command, rates, borne(scenario, shaken) + taken, recorded, reached
+        )
         passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else passed
         doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
     return Deflection(away, yielded, doubt, float(passed[:3].max()))
 
 
 def yielded_under(run: MeasuredRun, found: Deflection, reading: Array, noise: float) -> Array:
-    """`yielded` of a deflection that was ``found``, under another ``reading`` (N, 6); unchanged where the rig could not follow."""
+    """`yielded` of a deflection that was ``found``, under another ``reading`` (N, 6); unchanged
+    where the rig could not follow.
+    """
     _, wrench = _load(run, reading, noise)
     command, recorded = np.ascontiguousarray(run.record.filled("pose_cmd")), _recorded(run)
-    path = replay_rig(run.scenario, command, _told_rates(run), borne(run.scenario, wrench), recorded, _noiseless_pose(run))
-    return found.yielded if path is None else flat_pose(path) - flat_pose(told_pose(run)) - (found.away - found.yielded)
+    path = replay_rig(
+        run.scenario,
+        command,
+        _told_rates(run),
+        borne(run.scenario, wrench),
+        recorded,
+        _noiseless_pose(run),
+    )
+    return (
+        found.yielded
+        if path is None
+        else flat_pose(path) - flat_pose(told_pose(run)) - (found.away - found.yielded)
+    )
 
 
-def _load(run: MeasuredRun, reading: Array, noise: float, engaged: Engaged | None = None) -> tuple[np.ndarray, Array]:
-    """(N, 1) where there is a contact, outside of which the reading is noise; (N, 6) the wrench that the drives bear.
+def _load(
+    run: MeasuredRun, reading: Array, noise: float, engaged: Engaged | None = None
+) -> tuple[np.ndarray, Array]:
+    """(N, 1) where there is a contact, outside of which the reading is noise; (N, 6) the wrench
+    that the drives bear.
 
-    A mechanism that holds A still acts where its force passes through zero: the survey takes that for a gap, ``engaged`` tells.
+    A mechanism that holds A still acts where its force passes through zero: the survey takes that
+    for a gap, ``engaged`` tells.
     """
     late = run.scenario.sensor.delay / run.scenario.tick
     touching = run.survey.touching(len(reading), round(late), GATE_SIGMA * noise)[:, None]
     if engaged is not None:
         acts = np.flatnonzero(engaged.wrench.any(axis=(1, 2)))
-        touching[np.unique(np.minimum(acts[:, None] + np.arange(round(late) + 1), len(reading) - 1))] = True
+        touching[
+            np.unique(np.minimum(acts[:, None] + np.arange(round(late) + 1), len(reading) - 1))
+        ] = True
     return touching, shifted(np.where(touching, reading, 0.0), late)
 
 
 def _recorded(run: MeasuredRun) -> Array:
     """(N, 6) the measured wrench; zero where none was measured."""
-    return run.record.filled("wrench_meas") if run.record.has("wrench_meas") else np.zeros((run.record.ticks, 6))
+    return (
+        run.record.filled("wrench_meas")
+        if run.record.has("wrench_meas")
+        else np.zeros((run.record.ticks, 6))
+    )
 
 
 def _told_rates(run: MeasuredRun) -> Array | None:
@@ -125,27 +191,44 @@ def told_pose(run: MeasuredRun) -> Array:
 
 
 def engagement(run: MeasuredRun) -> Engaged | None:
-    """The action of the contact along the pose on record, where only playing the mechanism gives it; None where it follows from the pose,
-    or where no such mechanism can have taken that path."""
+    """The action of the contact along the pose on record, where only playing the mechanism gives
+    it; None where it follows from the pose, or where no such mechanism can have taken that path.
+    """
     if sides_of(run.scenario.mechanism).rigid or not can_carry(run.scenario):
         return None
     path = np.ascontiguousarray(run.record.filled("pose_act"))
-    rates = run.record.filled("twist_act") if run.record.whole("twist_act") else central_rates(run.scenario, path)
-    found = Simulated([run.scenario], path[None], None if moves_linearly(run.scenario) else np.ascontiguousarray(rates)[None]).believed(0)
+    rates = (
+        run.record.filled("twist_act")
+        if run.record.whole("twist_act")
+        else central_rates(run.scenario, path)
+    )
+    found = Simulated(
+        [run.scenario],
+        path[None],
+        None if moves_linearly(run.scenario) else np.ascontiguousarray(rates)[None],
+    ).believed(0)
     return found if np.isfinite(found.taken).all() and np.isfinite(found.wrench).all() else None
 
 
 def _noiseless_pose(run: MeasuredRun) -> Array | None:
-    """(N, 7) the pose that a motion compensation was given, where the record holds it without the noise that a log may have added."""
+    """(N, 7) the pose that a motion compensation was given, where the record holds it without the
+    noise that a log may have added.
+    """
     record = run.record
     if "pose" not in run.scenario.compensation.motion.reads or not record.whole("pose_act"):
         return None
-    noisy = max(run.survey.noise[f"pose_act.{axis}"].white for axis in ("px", "py", "pz") if f"pose_act.{axis}" in run.survey.noise)
+    noisy = max(
+        run.survey.noise[f"pose_act.{axis}"].white
+        for axis in ("px", "py", "pz")
+        if f"pose_act.{axis}" in run.survey.noise
+    )
     return record.filled("pose_act") if noisy <= NOISELESS_POSE else None
 
 
 def _memory(scenario: Scenario) -> float:
-    """[s] correlation time of a deflection's noise, which is that of the force, filtered by the drives."""
+    """[s] correlation time of a deflection's noise, which is that of the force, filtered by the
+    drives.
+    """
     return 1.0 / scenario.rig.platform.nearest_bandwidth(scenario)
 
 

@@ -1,4 +1,6 @@
-"""Effects: how a rig may depart from its nominal model. One class per effect, in the package of the link that it acts on."""
+"""Effects: how a rig may depart from its nominal model. One class per effect, in the package of the
+link that it acts on.
+"""
 
 from hiltestbed.effects.base import Effect, quantity
 from hiltestbed.effects.table import EFFECTS, AnyEffect, by_link

@@ -1,8 +1,9 @@
 """What an effect is: a departure of one link of the loop from its nominal model.
 
-An effect changes the parameters of its link's model (:meth:`Effect.apply`), so that the nominal and the departing model are the same
-equations with different numbers. An effect's class holds everything known about it: schema with units and ranges, equation and source,
-search range and starting points, equivalent delay, and the effects that it is easily mistaken for.
+An effect changes the parameters of its link's model (:meth:`Effect.apply`), so that the nominal and
+the departing model are the same equations with different numbers. An effect's class holds
+everything known about it: schema with units and ranges, equation and source, search range and
+starting points, equivalent delay, and the effects that it is easily mistaken for.
 """
 
 from __future__ import annotations
@@ -38,8 +39,10 @@ def quantity(
     """A field of an effect.
 
     Args:
-        unit: "-" for none. meaning: a self-contained description; after a semicolon, what a special value stands for.
-        gt, ge, lt, le: its range. search: the range [unit] that a diagnosis searches, logarithmically if ``ratio``, else linearly.
+        unit: "-" for none. meaning: a self-contained description; after a semicolon, what a special
+            value stands for.
+        gt, ge, lt, le: its range. search: the range [unit] that a diagnosis searches,
+            logarithmically if ``ratio``, else linearly.
     """
     what, sign, note = meaning.partition(";")
     text = f"{what} [{unit}]{sign}{note}"
@@ -52,14 +55,25 @@ class Effect(Strictly):
 
     Attributes:
         kind: its id in the vocabulary, a literal. link: the link of the loop that it acts on.
-        equation: what it does, in discrete form where that matters. reference: source of the equation.
-        resembles: effects that it is easily mistaken for. repeats: whether two of its kind may act together; else a second one is refused.
-        leading: the parameter that sets its size. vanishes: whether the effect becomes smaller as that parameter grows (a limit).
+        equation: what it does, in discrete form where that matters. reference: source of the
+            equation.
+        resembles: effects that it is easily mistaken for. repeats: whether two of its kind may act
+            together; else a second one is refused.
+        leading: the parameter that sets its size. vanishes: whether the effect becomes smaller as
+            that parameter grows (a limit).
         jumps: the parameter on which the prediction depends discontinuously, or "".
-        rich: whether it has so many parameters that it is tried only where effects with fewer leave more than noise.
+        rich: whether it has so many parameters that it is tried only where effects with fewer leave
+            more than noise.
     """
 
-    PARTS: ClassVar[tuple[str, ...]] = ("docstring", "link", "equation", "reference", "apply", "candidates")
+    PARTS: ClassVar[tuple[str, ...]] = (
+        "docstring",
+        "link",
+        "equation",
+        "reference",
+        "apply",
+        "candidates",
+    )
 
     kind: str
     link: ClassVar[Link] = None  # type: ignore[assignment]
@@ -76,29 +90,39 @@ class Effect(Strictly):
 
     @property
     def variant(self) -> Mapping[str, Any]:
-        """Which interpretation of the equation is meant, where it is ambiguous; empty for the one that a scenario simulates."""
+        """Which interpretation of the equation is meant, where it is ambiguous; empty for the one
+        that a scenario simulates.
+        """
         return self._variant
 
     @classmethod
     def hypothesis(cls, variant: Mapping[str, Any], **values: Any) -> Self:
-        """The effect in a variant, with unchecked parameters: a search may leave the range that a scenario allows."""
+        """The effect in a variant, with unchecked parameters: a search may leave the range that a
+        scenario allows.
+        """
         effect = cls.model_construct(**values)
         effect._variant = variant
         return effect
 
     @placeholder
     def apply(self, p: Any) -> None:
-        """Change the parameters ``p`` of the link in one run, an object of the link's ``Parameters`` class, in place."""
+        """Change the parameters ``p`` of the link in one run, an object of the link's
+        ``Parameters`` class, in place.
+        """
         raise NotImplementedError
 
     @classmethod
     @placeholder
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """The hypotheses with which a diagnosis searches for it: free parameters, bounds and starting points, scaled to the data."""
+        """The hypotheses with which a diagnosis searches for it: free parameters, bounds and
+        starting points, scaled to the data.
+        """
         raise NotImplementedError
 
     def worth(self, scenario: Scenario, frequency: float) -> float | None:
-        """Its equivalent delay [s] in a contact of ``frequency`` [rad/s]; None: it does not act as a delay."""
+        """Its equivalent delay [s] in a contact of ``frequency`` [rad/s]; None: it does not act as
+        a delay.
+        """
         return None
 
     def unfit(self, scenario: Scenario) -> str | None:
@@ -111,8 +135,8 @@ class Effect(Strictly):
 
     @classmethod
     def meaning(cls) -> str:
-        """What it is: the first line of its docstring."""
-        return (cls.__doc__ or "").strip().partition("\n")[0]
+        """What it is: the first paragraph of its docstring, on one line."""
+        return " ".join((cls.__doc__ or "").strip().partition("\n\n")[0].split())
 
     @classmethod
     def unit(cls, parameter: str) -> str:
@@ -122,7 +146,9 @@ class Effect(Strictly):
 
     @classmethod
     def searched(cls, parameter: str) -> tuple[float, float, bool]:
-        """The range of a parameter that a diagnosis searches, and whether it is searched logarithmically."""
+        """The range of a parameter that a diagnosis searches, and whether it is searched
+        logarithmically.
+        """
         extra = cls.model_fields[parameter].json_schema_extra
         if not isinstance(extra, dict) or "search" not in extra:
             raise KeyError(f"{cls.__name__}.{parameter} is not searched")

@@ -1,6 +1,8 @@
-"""Hypotheses of a diagnosis: an effect with the parameters to fit, their bounds and starting points.
+"""Hypotheses of a diagnosis: an effect with the parameters to fit, their bounds and starting
+points.
 
-The fit of an effect may be discontinuous at whole ticks, have flat ranges (clipping, dead zone) and several minima, so each candidate
+The fit of an effect may be discontinuous at whole ticks, have flat ranges (clipping, dead zone) and
+several minima, so each candidate
 brings a grid of starting points, scaled to the data: peak force, penetration, rate.
 """
 
@@ -21,11 +23,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DrivenAxis:
-    """Regression of the force on the motion of an axis that a force drives, as the starting point of a search.
+    """Regression of the force on the motion of an axis that a force drives, as the starting point
+    of a search.
 
     Attributes:
-        factor: of the chaser's mass. viscous: [N s/m]. coulomb, offset: [N]. fastest: highest recorded speed [m/s].
-        stamp: [s] by which the log reads the position later than the numerical model outputs it; stamps: [s] searched to each side.
+        factor: of the chaser's mass. viscous: [N s/m]. coulomb, offset: [N]. fastest: highest
+            recorded speed [m/s].
+        stamp: [s] by which the log reads the position later than the numerical model outputs it;
+            stamps: [s] searched to each side.
     """
 
     factor: float
@@ -37,8 +42,10 @@ class DrivenAxis:
     stamps: float
 
 
-LONGEST_DELAY, LONGEST_TICKS = 0.03, 20.0  # [s], ticks: the larger bounds the search for a delay of the reading
-DELAYS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)  # ticks: so dense because F(delay) jumps at whole ticks
+# [s], ticks: the larger bounds the search for a delay of the reading
+LONGEST_DELAY, LONGEST_TICKS = 0.03, 20.0
+# ticks: so dense because F(delay) jumps at whole ticks
+DELAYS = (0.4, 0.8, 1.4, 2.5, 4.5, 8.0, 13.0, 20.0)
 
 
 @dataclass(frozen=True)
@@ -46,13 +53,18 @@ class Scales:
     """Magnitudes in the data that scale starting points and bounds.
 
     Attributes:
-        force: peak force [N]. depth: largest penetration [m]. stiffness: nominal [N/m]. tick: of the loop [s].
-        noise: of a force axis [N]. slow, fast: lowest and highest approach speed [m/s]. duration: of the shortest run [s].
-        reading: the highest force peaks [N]. travel: largest commanded travel [m]. substeps: nominal physics steps per tick.
-        captured: whether the mechanism is captured. slides: whether the tip moves across the surface.
-        lines: force axis to frequency [Hz], amplitude [N] and phase [rad] of the strongest spectral line of the residual.
-        sticks: instants per tick at which a platform may move, and their phase, see `PlatformParameters`, to starting values for its
-            stiction [m], where the data show any.
+        force: peak force [N]. depth: largest penetration [m]. stiffness: nominal [N/m]. tick: of
+            the loop [s].
+        noise: of a force axis [N]. slow, fast: lowest and highest approach speed [m/s]. duration:
+            of the shortest run [s].
+        reading: the highest force peaks [N]. travel: largest commanded travel [m]. substeps:
+            nominal physics steps per tick.
+        captured: whether the mechanism is captured. slides: whether the tip moves across the
+            surface.
+        lines: force axis to frequency [Hz], amplitude [N] and phase [rad] of the strongest spectral
+            line of the residual.
+        sticks: instants per tick at which a platform may move, and their phase, see
+            `PlatformParameters`, to starting values for its stiction [m], where the data show any.
         late: delay of the force record [s], known to within a tick from another link, or None.
         jumps: whether the mechanism moves in jumps, as on a platform that sticks.
         driven: an axis that a force drives, of which only position and force are recorded, or None.
@@ -84,7 +96,9 @@ class Scales:
 
     @property
     def delays(self) -> list[float]:
-        """[s] starting values of a delay of the reading; of what jumps, each tick: a delay that is a tick off fits no better than none."""
+        """[s] starting values of a delay of the reading; of what jumps, each tick: a delay that is
+        a tick off fits no better than none.
+        """
         if self.jumps:
             return [(n + DELAYS[0]) * self.tick for n in range(int(self.longest_delay / self.tick))]
         return [ticks * self.tick for ticks in DELAYS]
@@ -95,11 +109,15 @@ class Candidate:
     """One effect with its free parameters.
 
     Attributes:
-        effect: its class. names: free parameters, "force.0" for an item of a list. low, high: bounds.
-        log: which are searched logarithmically. grid: starting points. fixed: parameters that are chosen, not fitted.
-        variant: an interpretation of the equation where it is ambiguous, or how a facility computes it; name to value, read by
+        effect: its class. names: free parameters, "force.0" for an item of a list. low, high:
+            bounds.
+        log: which are searched logarithmically. grid: starting points. fixed: parameters that are
+            chosen, not fitted.
+        variant: an interpretation of the equation where it is ambiguous, or how a facility computes
+            it; name to value, read by
             :meth:`Effect.apply` from ``effect.variant``.
-        choices: number of candidates that differ only in ``fixed``: choosing among them costs 2 ln(choices) in chi-square.
+        choices: number of candidates that differ only in ``fixed``: choosing among them costs 2
+            ln(choices) in chi-square.
     """
 
     effect: type[Effect]
@@ -119,18 +137,28 @@ class Candidate:
 
     @property
     def vector(self) -> bool:
-        """Whether the parameters are components of a vector: a grid does not cover its directions."""
+        """Whether the parameters are components of a vector: a grid does not cover its
+        directions.
+        """
         return any("." in name for name in self.names)
 
     @property
     def place(self) -> tuple[str, ...]:
         """What the effect is on: the axis, the body."""
-        return tuple(f"{name}={value}" for name, value in sorted(self.fixed.items()) if isinstance(value, str))
+        return tuple(
+            f"{name}={value}"
+            for name, value in sorted(self.fixed.items())
+            if isinstance(value, str)
+        )
 
     @property
     def key(self) -> tuple:
         """Identifies the candidate: kind, free parameters, fixed values and variant."""
-        return (self.kind, *self.names, *sorted((k, str(v)) for k, v in {**self.fixed, **self.variant}.items()))
+        return (
+            self.kind,
+            *self.names,
+            *sorted((k, str(v)) for k, v in {**self.fixed, **self.variant}.items()),
+        )
 
     def held(self, index: int, value: float) -> Candidate:
         """The same effect with one of its free scalar parameters fixed at ``value``."""
@@ -139,10 +167,20 @@ class Candidate:
         grid = tuple(tuple(start[i] for i in rest) for start in self.grid)
         where = "fixed" if self.names[index] in self.effect.model_fields else "variant"
         extended = {where: {**getattr(self, where), self.names[index]: value}}
-        return replace(self, names=names, low=self.low[rest], high=self.high[rest], log=self.log[rest], grid=grid, **extended)
+        return replace(
+            self,
+            names=names,
+            low=self.low[rest],
+            high=self.high[rest],
+            log=self.log[rest],
+            grid=grid,
+            **extended,
+        )
 
     def at(self, theta: Array) -> Effect:
-        """The effect with the free parameters at theta, unchecked: a search may leave the range that a scenario allows."""
+        """The effect with the free parameters at theta, unchecked: a search may leave the range
+        that a scenario allows.
+        """
         values: dict[str, Any] = dict(self.fixed)
         variant = dict(self.variant)
         for name, value in zip(self.names, theta, strict=True):
@@ -169,9 +207,11 @@ def candidate(
     choices: int = 1,
     **fixed: Any,
 ) -> Candidate:
-    """A candidate that starts from all combinations of ``grids`` (or from ``starts``), within ``bounds`` or the effect's search range.
+    """A candidate that starts from all combinations of ``grids`` (or from ``starts``), within
+    ``bounds`` or the effect's search range.
 
-    A name in ``grids`` that is not a field of the effect is a free parameter of the variant; its bounds must be given.
+    A name in ``grids`` that is not a field of the effect is a free parameter of the variant; its
+    bounds must be given.
     """
     low, high, log = [], [], []
     for name in grids:
@@ -186,5 +226,13 @@ def candidate(
         log.append(bool(ratio) and ends[0] > 0)
     grid = tuple(tuple(map(float, s)) for s in (starts or itertools.product(*grids.values())))
     return Candidate(
-        effect, tuple(grids), np.array(low, float), np.array(high, float), np.array(log, bool), grid, fixed, variant or {}, choices
+        effect,
+        tuple(grids),
+        np.array(low, float),
+        np.array(high, float),
+        np.array(log, bool),
+        grid,
+        fixed,
+        variant or {},
+        choices,
     )

@@ -1,14 +1,19 @@
-"""Reference point and reference attitude of a latch, for which the spring and damper of a captured pair decouple into six axes.
+"""Reference point and reference attitude of a latch, for which the spring and damper of a captured
+pair decouple into six axes.
 
-A latch exerts K (r - r_hold) + C r' at the point r where it holds the active side, and a torque K radius^2 times the rotation since it
-closed (:mod:`hiltestbed.contact.latches`). About P's origin the same force has a lever arm, which moves with r; at another point of the
-active side, rotation also causes translation. So pose and wrench are referred to the latch's point before anything is fitted:
+A latch exerts K (r - r_hold) + C r' at the point r where it holds the active side, and a torque K
+radius^2 times the rotation since it closed (:mod:`hiltestbed.contact.latches`). About P's origin
+the same force has a lever arm, which moves with r; at another point of the active side, rotation
+also causes translation. So pose and wrench are referred to the latch's point before anything is
+fitted:
 
-- translation and velocity are those of the latch's site on the active side, rotation is measured from the attitude in which it closed;
+- translation and velocity are those of the latch's site on the active side, rotation is measured
+  from the attitude in which it closed;
 - the torque is about the position of the site when the force acted.
 
-A facility knows all of these: the sites from the mechanism's drawing, the closing from its switches, the pose from its platform. A
-site on a moving part of the active side is taken at its position when the latch closed.
+A facility knows all of these: the sites from the mechanism's drawing, the closing from its
+switches, the pose from its platform. A site on a moving part of the active side is taken at its
+position when the latch closed.
 """
 
 from __future__ import annotations
@@ -28,7 +33,8 @@ from hiltestbed.jit import njit
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-AT_A, ON_ACTIVE, ON_PASSIVE = 0, 1, 2  # reference point of a latch: A itself, a site of the active side, or one of the passive side
+# reference point of a latch: A itself, a site of the active side, or one of the passive side
+AT_A, ON_ACTIVE, ON_PASSIVE = 0, 1, 2
 NONE = -1
 UNTURNED = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -37,8 +43,9 @@ class HeldPlace:
     """The latches' reference points of ``n`` runs.
 
     Attributes:
-        lever: ``(n, 3)`` [m] from A to the reference point, in A; 0 before capture. origin: ``(n, 3)`` [m] in P, from which its translation
-        is measured; reference: ``(n, 4)`` attitude of A in P from which rotation is measured. since: ``(n,)`` ticks since the mechanism
+        lever: ``(n, 3)`` [m] from A to the reference point, in A; 0 before capture. origin: ``(n,
+            3)`` [m] in P, from which its translation is measured; reference: ``(n, 4)`` attitude of
+            A in P from which rotation is measured. since: ``(n,)`` ticks since the mechanism
         last changed (a capture, a release, a phase). changes: ``(n,)`` number of such changes.
     """
 
@@ -46,38 +53,82 @@ class HeldPlace:
         n, mechanism = len(scenarios), scenarios[0].mechanism
         sites = sides_of(mechanism).sites
         closing, self._places, kinds, together = NONE, [], [], []
-        self._acts = []  # the closure that holds, by the number of phases that have begun; NONE for a latch without phases
+        # the closure that holds, by the number of phases that have begun; NONE for a latch without
+        # phases
+        self._acts = []
         for phase in mechanism.phases():
             if phase.close is not None:
                 closing += 1
-                (a, at_a), (p, at_p) = sites["A", phase.close.active], sites["P", phase.close.passive]
+                (a, at_a), (p, at_p) = (
+                    sites["A", phase.close.active],
+                    sites["P", phase.close.passive],
+                )
                 self._places.append((at_a, at_p))
                 kinds.append(ON_ACTIVE if a == ACTIVE else ON_PASSIVE if p == PASSIVE else AT_A)
                 together.append(phase.close.hold == "together" and kinds[-1] != AT_A)
             self._acts.append(closing)
         self._acts = np.array([NONE, *self._acts], dtype=np.int64)
         self._places = np.array(self._places).reshape(len(kinds), 2, 7)
-        self._kinds, self._together = np.array(kinds, dtype=np.int64), np.array(together, dtype=bool)
-        self.lever, self.origin, self.reference = np.zeros((n, 3)), np.zeros((n, 3)), np.tile(UNTURNED, (n, 1))
+        self._kinds, self._together = (
+            np.array(kinds, dtype=np.int64),
+            np.array(together, dtype=bool),
+        )
+        self.lever, self.origin, self.reference = (
+            np.zeros((n, 3)),
+            np.zeros((n, 3)),
+            np.tile(UNTURNED, (n, 1)),
+        )
         self.since, self.changes = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
         self._held = np.array([s.mechanism.captured for s in scenarios])
         self._steps = np.zeros(n, dtype=np.int64)
         self._update = Call(
-            _update, GIVEN, GIVEN, GIVEN, self._acts, self._places, self._kinds, self._together, self._held, self._steps, self.lever,
-            self.origin, self.reference, self.since, self.changes,
-        )  # fmt: skip
+            _update,
+            GIVEN,
+            GIVEN,
+            GIVEN,
+            self._acts,
+            self._places,
+            self._kinds,
+            self._together,
+            self._held,
+            self._steps,
+            self.lever,
+            self.origin,
+            self.reference,
+            self.since,
+            self.changes,
+        )
 
     def update(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> None:
-        """Process the pose ``(n, 7)`` of A in P, whether captured ``(n,)``, and the number of phases begun ``(n,)``; once per tick."""
+        """Process the pose ``(n, 7)`` of A in P, whether captured ``(n,)``, and the number of
+        phases begun ``(n,)``; once per tick.
+        """
         self.updating(pose, captured, steps)()
 
-    def updating(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> Callable[[], None]:
+    def updating(
+        self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]
+    ) -> Callable[[], None]:
         """:meth:`update` bound to arrays that are reused at every tick."""
         return self._update.on(pose, captured, steps)
 
 
 @njit(cache=True)
-def _update(pose, captured, steps, acts, places, kinds, together, held, before, lever, origin, reference, since, changes):
+def _update(
+    pose,
+    captured,
+    steps,
+    acts,
+    places,
+    kinds,
+    together,
+    held,
+    before,
+    lever,
+    origin,
+    reference,
+    since,
+    changes,
+):
     v, q = np.empty(3), np.empty(4)
     for i in range(pose.shape[0]):
         since[i] += 1
@@ -111,7 +162,9 @@ def _update(pose, captured, steps, acts, places, kinds, together, held, before, 
 
 @njit(cache=True)
 def referred(pose, twist, lever, reference, position, velocity):
-    """``position`` (6,) and ``velocity`` (6,) in P of the reference point: its position, and the rotation vector from ``reference``."""
+    """``position`` (6,) and ``velocity`` (6,) in P of the reference point: its position, and the
+    rotation vector from ``reference``.
+    """
     v, q = np.empty(3), np.empty(4)
     rotate(pose[3:7], lever, v)
     for j in range(3):
@@ -126,8 +179,9 @@ def referred(pose, twist, lever, reference, position, velocity):
 
 @njit(cache=True)
 def add_moment(sign, position, wrench):
-    """Add to the torque of a ``wrench`` (6,) ``sign`` times the moment of its force at ``position`` (3,): -1 moves the reference point
-    to ``position``, 1 moves it back."""
+    """Add to the torque of a ``wrench`` (6,) ``sign`` times the moment of its force at ``position``
+    (3,): -1 moves the reference point to ``position``, 1 moves it back.
+    """
     wrench[3] += sign * (position[1] * wrench[2] - position[2] * wrench[1])
     wrench[4] += sign * (position[2] * wrench[0] - position[0] * wrench[2])
     wrench[5] += sign * (position[0] * wrench[1] - position[1] * wrench[0])

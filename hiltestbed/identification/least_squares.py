@@ -1,17 +1,22 @@
 """Recursive least squares of stiffness and damping, with the pose at the time the force acted.
 
-On each axis ``F = k x + c v + b``: the intercept b absorbs the position of the touch; without it an error dx of the touch point causes
-``dk/k ~ -(4/pi) dx/x_max``. The samples are those of :mod:`hiltestbed.identification.samples`: pose and force of the same instant.
+On each axis ``F = k x + c v + b``: the intercept b absorbs the position of the touch; without it an
+error dx of the touch point causes ``dk/k ~ -(4/pi) dx/x_max``. The samples are those of
+:mod:`hiltestbed.identification.samples`: pose and force of the same instant.
 
-The recursion is in information form (L. Ljung, System Identification, 2nd ed. 1999, eq. 11.12): the sums of products are
-updated, and the estimate is solved from them. It is the usual recursion in the limit P0 to infinity, so that no P0 biases the estimate.
+The recursion is in information form (L. Ljung, System Identification, 2nd ed. 1999, eq. 11.12): the
+sums of products are updated, and the estimate is solved from them. It is the usual recursion in the
+limit P0 to infinity, so that no P0 biases the estimate.
 
-A latch that alone carries an axis is a spring and damper there; if a joint away from its reference point couples two axes, the partner axis
-enters as additional regressors (:mod:`hiltestbed.identification.coupled`). Where joints, stops or surfaces with friction share the load,
-the residual of k and c exceeds the sensor's noise, and no estimate is given. Nor is one given where a latched axis hardly moves.
+A latch that alone carries an axis is a spring and damper there; if a joint away from its reference
+point couples two axes, the partner axis enters as additional regressors
+(:mod:`hiltestbed.identification.coupled`). Where joints, stops or surfaces with friction share the
+load, the residual of k and c exceeds the sensor's noise, and no estimate is given. Nor is one given
+where a latched axis hardly moves.
 
-The methods for comparison use other samples: the raw force with the pose of the same tick, or the force after the phase lead (the usual
-method in the literature), for which a delay acts as a damping ``-k tau`` that biases c.
+The methods for comparison use other samples: the raw force with the pose of the same tick, or the
+force after the phase lead (the usual method in the literature), for which a delay acts as a damping
+``-k tau`` that biases c.
 """
 
 from __future__ import annotations
@@ -24,31 +29,50 @@ import numpy as np
 from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.frames import Array
-from hiltestbed.identification.coupled import PAIRS, PARTNERS, PRODUCTS, accumulate_pairs, take_in_partner
+from hiltestbed.identification.coupled import (
+    PAIRS,
+    PARTNERS,
+    PRODUCTS,
+    accumulate_pairs,
+    take_in_partner,
+)
 from hiltestbed.identification.samples import NORMAL, ContactSamples
 from hiltestbed.jit import njit
 
 MINIMUM_SAMPLES = 8
-HELD_REST = 1e-3  # fraction of the force's variance that k x + c v may leave, beyond noise, on an axis of a latch: 3 % of the force
+# fraction of the force's variance that k x + c v may leave, beyond noise, on an axis of a latch: 3
+# % of the force
+HELD_REST = 1e-3
 MINIMUM_TRAVEL = 1e-6  # [m, rad] standard deviation of x below which an axis is not excited
-EXPLAINED = 0.9  # fraction of the force's variance that k x + c v must explain; below it no estimate is given
+# fraction of the force's variance that k x + c v must explain; below it no estimate is given
+EXPLAINED = 0.9
 SUMS = 10  # n, x, v, y, xx, xv, vv, xy, vy, yy
 
 
 class RecursiveLeastSquares:
     """Estimates of stiffness and damping on six axes for ``n`` runs.
 
-    Axes are the components of the relative pose (position of A, rotation vector, both in P) against those of the wrench.
+    Axes are the components of the relative pose (position of A, rotation vector, both in P) against
+    those of the wrench.
 
     Attributes:
-        stiffness, damping: ``(n, 6)`` [N/m, N m/rad; N s/m, N m s/rad], NaN before the first estimate.
-        stiffness_sd, damping_sd: ``(n, 6)`` their standard deviations, from the residual's variance.
+        stiffness, damping: ``(n, 6)`` [N/m, N m/rad; N s/m, N m s/rad], NaN before the first
+            estimate.
+        stiffness_sd, damping_sd: ``(n, 6)`` their standard deviations, from the residual's
+            variance.
         samples: ``(n, 6)`` contact samples used.
         along_normal: ``(n, 5)`` the same five quantities along the contact normal, before capture.
     """
 
-    def __init__(self, source: ContactSamples, forgetting: Sequence[float], lead: PhaseLeadBlock | None = None) -> None:
-        """``source``: of the samples; ``forgetting``: factor of each run per tick; ``lead``: filter that the force passes first."""
+    def __init__(
+        self,
+        source: ContactSamples,
+        forgetting: Sequence[float],
+        lead: PhaseLeadBlock | None = None,
+    ) -> None:
+        """``source``: of the samples; ``forgetting``: factor of each run per tick; ``lead``: filter
+        that the force passes first.
+        """
         n = len(forgetting)
         self.source = source
         self._lead = lead
@@ -57,18 +81,34 @@ class RecursiveLeastSquares:
         self._products = np.zeros((n, PAIRS, PRODUCTS))
         self._found = np.full((4, n, 7), np.nan)
         self._used = np.zeros((n, 7))
-        self.stiffness, self.damping, self.stiffness_sd, self.damping_sd = self._found[:, :, :NORMAL]
+        self.stiffness, self.damping, self.stiffness_sd, self.damping_sd = self._found[
+            :, :, :NORMAL
+        ]
         self.samples = self._used[:, :NORMAL]
         self._changes = np.zeros(n, dtype=np.int64)
         self._noise = source.noise**2
         self._estimated = Call(
-            _estimate, source.held.changes, self._changes, source.ready, source.ready_normal, source.whole, self.forgetting, GIVEN,
-            source.place, self._noise, self._sums, self._products, self._found, self._used,
-        )  # fmt: skip
+            _estimate,
+            source.held.changes,
+            self._changes,
+            source.ready,
+            source.ready_normal,
+            source.whole,
+            self.forgetting,
+            GIVEN,
+            source.place,
+            self._noise,
+            self._sums,
+            self._products,
+            self._found,
+            self._used,
+        )
 
     @property
     def along_normal(self) -> Array:
-        """``(n, 5)`` stiffness, damping, their standard deviations, and number of samples, along the contact normal."""
+        """``(n, 5)`` stiffness, damping, their standard deviations, and number of samples, along
+        the contact normal.
+        """
         return np.column_stack([*self._found[:, :, NORMAL], self._used[:, NORMAL]])
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
@@ -79,7 +119,21 @@ class RecursiveLeastSquares:
 
 
 @njit(cache=True)
-def _estimate(changes, seen, ready, ready_normal, sample, forgetting, captured, place, noise, sums, products, found, used):
+def _estimate(
+    changes,
+    seen,
+    ready,
+    ready_normal,
+    sample,
+    forgetting,
+    captured,
+    place,
+    noise,
+    sums,
+    products,
+    found,
+    used,
+):
     _begin_anew(changes, seen, sums, products, found, used)
     _accumulate(ready, ready_normal, sample, forgetting, captured, sums, products, used)
     _solve(ready, ready_normal, captured, place, noise, sums, products, found)
@@ -87,7 +141,9 @@ def _estimate(changes, seen, ready, ready_normal, sample, forgetting, captured, 
 
 @njit(cache=True)
 def _begin_anew(changes, seen, sums, products, found, used):
-    """Reset the six axes of the runs in which a latch has closed or a phase of capture has begun: the mechanism has changed."""
+    """Reset the six axes of the runs in which a latch has closed or a phase of capture has begun:
+    the mechanism has changed.
+    """
     for i in range(changes.shape[0]):
         if changes[i] == seen[i]:
             continue
@@ -127,7 +183,9 @@ def _add(s, sample, forgetting):
 
 @njit(cache=True)
 def _variance(j, place, noise):
-    """Variance of the sensor noise on an axis, with torques about ``place`` (3,) in P; ``noise`` (2,): variances of force and torque."""
+    """Variance of the sensor noise on an axis, with torques about ``place`` (3,) in P; ``noise``
+    (2,): variances of force and torque.
+    """
     if j < 3:
         return noise[0]
     return noise[1] + noise[0] * (place[0] ** 2 + place[1] ** 2 + place[2] ** 2 - place[j - 3] ** 2)
@@ -137,12 +195,21 @@ def _variance(j, place, noise):
 def _about_means(sums):
     """Number of samples, and sums of x x, x v, v v, x y, v y, y y about the means."""
     n, x, v, y, xx, xv, vv, xy, vy, yy = sums
-    return n, xx - x * x / n, xv - x * v / n, vv - v * v / n, xy - x * y / n, vy - v * y / n, yy - y * y / n
+    return (
+        n,
+        xx - x * x / n,
+        xv - x * v / n,
+        vv - v * v / n,
+        xy - x * y / n,
+        vy - v * y / n,
+        yy - y * y / n,
+    )
 
 
 @njit(cache=True)
 def _fit(sums, out):
-    """Write k, c and their standard deviations to ``out`` (4,), which is unchanged if the axis has not moved.
+    """Write k, c and their standard deviations to ``out`` (4,), which is unchanged if the axis has
+    not moved.
 
     Returns the sums of squares of the force about its mean, and of the residual of the fit.
     """
@@ -174,7 +241,9 @@ def _solve(ready, ready_normal, captured, place, noise, sums, products, found):
                 continue
             variance = _variance(j, place[i], noise[i]) if held else 0.0
             if held and total > 0.0 and PARTNERS[j] >= 0:
-                _, rest = take_in_partner(j, products[i], sums[i, j], sums[i, PARTNERS[j]], variance, rest, out)
+                _, rest = take_in_partner(
+                    j, products[i], sums[i, j], sums[i, PARTNERS[j]], variance, rest, out
+                )
             accepted = total > 0.0 and total - rest >= EXPLAINED * total
             if held:
                 accepted &= rest - sums[i, j, 0] * variance <= HELD_REST * (total - rest)

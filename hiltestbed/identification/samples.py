@@ -1,18 +1,24 @@
 """Contact samples: the measured force, aligned with the rig's pose at the time the force acted.
 
-The force measured at t_k acted at t_k - delay, so x and v are taken at that time, from the history of the pose, and pass a model of the
-sensor's filters: nothing is differentiated and no lead is needed. A sample is used if the axial force is above the noise for some time
-before and after it: at touch and at separation the force is clipped, and the filters have a memory of that.
+The force measured at t_k acted at t_k - delay, so x and v are taken at that time, from the history
+of the pose, and pass a model of the sensor's filters: nothing is differentiated and no lead is
+needed. A sample is used if the axial force is above the noise for some time
+before and after it: at touch and at separation the force is clipped, and the filters have a memory
+of that.
 
-On a plane the spring and damper act along the six components of the relative pose. In a captured mechanism they act along those of the
-latch's reference point (:mod:`hiltestbed.identification.held`), and only forces that acted after the latch closed are used. Otherwise a
-contact has a single axis, its normal, which moves with the contact point: penetration, its rate and the normal then follow from the
-mechanism's geometry and the pose, and the force is the component along the normal, which contains no friction.
+On a plane the spring and damper act along the six components of the relative pose. In a captured
+mechanism they act along those of the latch's reference point
+(:mod:`hiltestbed.identification.held`), and only forces that acted after the latch closed are used.
+Otherwise a contact has a single axis, its normal, which moves with the contact point: penetration,
+its rate and the normal then follow from the mechanism's geometry and the pose, and the force is the
+component along the normal, which contains no friction.
 
-An unknown delay can be estimated from the instant of touch: the pose crosses the nominal touch point at t0, the force rises at
-t0 + delay. Nothing else determines it: during the contact, c absorbs any error of the delay (``c - k d`` fits as well as ``c``, to
-first order in w d). The estimate needs a touch point that is known to ``v0 d`` (30 um for a millisecond at 0.03 m/s), and a force that
-rises by more than its noise within a tick; where it does not, the reported standard deviation is larger.
+An unknown delay can be estimated from the instant of touch: the pose crosses the nominal touch
+point at t0, the force rises at t0 + delay. Nothing else determines it: during the contact, c
+absorbs any error of the delay (``c - k d`` fits as well as ``c``, to first order in w d). The
+estimate needs a touch point that is known to ``v0 d`` (30 um for a millisecond at 0.03 m/s), and a
+force that rises by more than its noise within a tick; where it does not, the reported standard
+deviation is larger.
 """
 
 from __future__ import annotations
@@ -36,35 +42,52 @@ from hiltestbed.jit import njit
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-GATE_SIGMA = 5.0  # a sample is in contact if the force exceeds this many standard deviations of its noise
+# a sample is in contact if the force exceeds this many standard deviations of its noise
+GATE_SIGMA = 5.0
 GATE_PEAK = 0.02  # and this fraction of the peak so far
 NORMAL = 6  # column of the contact normal, after the six axes
-FILTER_MEMORY = 3.0  # time constants of the low-pass that are skipped at both ends of a contact: exp(-3) = 5 % remains
-UNKNOWN = 1e15  # [N, N m] 1 sigma of a force that has passed a lead, or is paired with a pose of another time
+# time constants of the low-pass that are skipped at both ends of a contact: exp(-3) = 5 % remains
+FILTER_MEMORY = 3.0
+# [N, N m] 1 sigma of a force that has passed a lead, or is paired with a pose of another time
+UNKNOWN = 1e15
 SPARE = 0.03  # [s] by which an estimated delay may exceed the nominal one
 
 
 class ContactSamples:
     """Regressors and force on six axes for ``n`` runs.
 
-    Axes are the components of the relative pose (position of A, rotation vector, both in P) against those of the wrench; of a captured
-    pair those of the latch's reference point, with the torque about it.
+    Axes are the components of the relative pose (position of A, rotation vector, both in P) against
+    those of the wrench; of a captured pair those of the latch's reference point, with the torque
+    about it.
 
     Attributes:
-        ready: ``(n,)`` whether ``sample`` is to be used; ready_normal: ``(n,)`` whether ``whole[:, NORMAL]`` is.
-        noise: ``(n, 2)`` 1 sigma of force [N] and torque [N m]. place: ``(n, 3)`` [m] in P of the latch's reference point.
-        sample: ``(n, 6, 4)`` x, v and 1 when the force acted, and the force. whole: ``(n, 7, 4)`` the same, plus the contact normal.
+        ready: ``(n,)`` whether ``sample`` is to be used; ready_normal: ``(n,)`` whether ``whole[:,
+            NORMAL]`` is.
+        noise: ``(n, 2)`` 1 sigma of force [N] and torque [N m]. place: ``(n, 3)`` [m] in P of the
+            latch's reference point.
+        sample: ``(n, 6, 4)`` x, v and 1 when the force acted, and the force. whole: ``(n, 7, 4)``
+            the same, plus the contact normal.
         delay: ``(n,)`` [s] of the force, known or estimated.
-        captured: ``(n,)`` bool, from the rig's switches: after capture every sample is used, whether it pulls or pushes.
-        steps: ``(n,)`` number of phases of capture begun. held: the latch's reference point, and the changes of the mechanism.
+        captured: ``(n,)`` bool, from the rig's switches: after capture every sample is used,
+            whether it pulls or pushes.
+        steps: ``(n,)`` number of phases of capture begun. held: the latch's reference point, and
+            the changes of the mechanism.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], aligned: bool = True, estimate: bool = False, lead: Sequence[float] = ()) -> None:
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        aligned: bool = True,
+        estimate: bool = False,
+        lead: Sequence[float] = (),
+    ) -> None:
         """Samples of `n` runs.
 
         Args:
-            aligned: False pairs pose and force of the same tick, as if there were neither delay nor filter.
-            lead: of each run, the lag [s] of the phase lead that the force passes; :meth:`take` then needs ``led``.
+            aligned: False pairs pose and force of the same tick, as if there were neither delay nor
+                filter.
+            lead: of each run, the lag [s] of the phase lead that the force passes; :meth:`take`
+                then needs ``led``.
         """
         n, first = len(scenarios), scenarios[0]
         h = 1.0 / first.rate
@@ -72,15 +95,33 @@ class ContactSamples:
         self.delay = np.array([s.sensor.delay if aligned else 0.0 for s in scenarios])
         self.threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
         known = aligned and not lead
-        self.noise = np.array([[s.sensor.noise, s.sensor.torque_noise] if known else [UNKNOWN] * 2 for s in scenarios])
-        lowpass = np.array([0.0 if s.sensor.lowpass is None else 1.0 / (2.0 * math.pi * s.sensor.lowpass) for s in scenarios]) * aligned
-        highpass = np.array([math.inf if s.sensor.time_constant is None or not aligned else s.sensor.time_constant for s in scenarios])
+        self.noise = np.array(
+            [[s.sensor.noise, s.sensor.torque_noise] if known else [UNKNOWN] * 2 for s in scenarios]
+        )
+        lowpass = (
+            np.array(
+                [
+                    0.0 if s.sensor.lowpass is None else 1.0 / (2.0 * math.pi * s.sensor.lowpass)
+                    for s in scenarios
+                ]
+            )
+            * aligned
+        )
+        highpass = np.array(
+            [
+                math.inf
+                if s.sensor.time_constant is None or not aligned
+                else s.sensor.time_constant
+                for s in scenarios
+            ]
+        )
         self._smooth = np.array([1.0 if T == 0.0 else 1.0 - math.exp(-h / T) for T in lowpass])
         self._leak = np.exp(-h / highpass)
         self._held_rate = first.rig.platform.prescribed
         self._estimate = estimate
         spent = FILTER_MEMORY * lowpass
-        if lead:  # the led force is that at t_k; whether the contact still lasts is known only a delay later
+        # the led force is that at t_k; whether the contact still lasts is known only a delay later
+        if lead:
             spent = np.array([s.sensor.delay for s in scenarios]) + FILTER_MEMORY * np.array(lead)
         self._margin = 1 + np.ceil(spent / h - 1e-9).astype(np.int64)
         self._longest = self.delay.max() + SPARE * estimate
@@ -89,35 +130,67 @@ class ContactSamples:
         self._v = np.zeros((n, length, 7))
         self._normal = np.zeros((n, length, 3))
         sides = sides_of(first.mechanism)
-        self._known = sides.rigid and len(sides.facets) > 0  # the pose does not show moving parts of a side
+        # the pose does not show moving parts of a side
+        self._known = sides.rigid and len(sides.facets) > 0
         self._geometry = sides.geometry
         self._flat = np.array([s.mechanism.flat or s.mechanism.captured for s in scenarios])
         self._clock = np.zeros(1, dtype=np.int64)  # ticks seen
-        self._filter = np.zeros((n, 7, 3, 2))  # low-passed value; its predecessor's high-passed value
+        # low-passed value; its predecessor's high-passed value
+        self._filter = np.zeros((n, 7, 3, 2))
         self._pending = np.zeros((n, int(self._margin.max()) + 1, 7, 4))
         self._gated = np.zeros(n, dtype=np.int64)
         self._peak = np.zeros(n)
         self._felt = np.zeros(n, dtype=np.int64)  # ticks since the capture
         self.held = HeldPlace(scenarios)
         self.captured = np.zeros(n, dtype=bool)
-        self._onset = np.full((n, 3), np.nan)  # force and speed at the first contact sample, delay as found then
+        # force and speed at the first contact sample, delay as found then
+        self._onset = np.full((n, 3), np.nan)
         self.place = np.zeros((n, 3))
         self.ready, self.ready_normal = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         self.whole = np.zeros((n, 7, 4))
         self.sample = self.whole[:, :NORMAL]
         self.steps = np.zeros(n, dtype=np.int64)
         self._taken = Joined(self._taking)
-        self._remembered = Call(_remember, ..., GIVEN, GIVEN, self.held.lever, self.held.reference, self._x, self._v)
+        self._remembered = Call(
+            _remember, ..., GIVEN, GIVEN, self.held.lever, self.held.reference, self._x, self._v
+        )
         self._met = Call(_meet, ..., *self._geometry, GIVEN, GIVEN, self._x, self._v, self._normal)
-        self._gate = Call(_gate, GIVEN, self.threshold, GIVEN, self.delay, h, self._felt, self._peak, self._gated)
+        self._gate = Call(
+            _gate, GIVEN, self.threshold, GIVEN, self.delay, h, self._felt, self._peak, self._gated
+        )
         self._sampled = Call(
-            _sample_and_choose, ..., h, self._gated, self.delay, self._pending, GIVEN, self._x, self._v, self._normal, self._held_rate,
-            GIVEN, self.held.origin, self.place, self._smooth, self._leak, self._filter, self._margin, self._felt, self.held.changes,
-            self.held.since, self._flat, self._known, self.ready, self.ready_normal, self.whole,
-        )  # fmt: skip
+            _sample_and_choose,
+            ...,
+            h,
+            self._gated,
+            self.delay,
+            self._pending,
+            GIVEN,
+            self._x,
+            self._v,
+            self._normal,
+            self._held_rate,
+            GIVEN,
+            self.held.origin,
+            self.place,
+            self._smooth,
+            self._leak,
+            self._filter,
+            self._margin,
+            self._felt,
+            self.held.changes,
+            self.held.since,
+            self._flat,
+            self._known,
+            self.ready,
+            self.ready_normal,
+            self.whole,
+        )
 
     def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
-        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``; ``led``: the wrench after the lead."""
+        """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``;
+        ``led``: the wrench after the lead.
+        """
         k = int(self._clock[0])
         if led is None and not self._estimate:
             self._taken.on(wrench, pose, twist, self.captured, self.steps)(k)
@@ -129,23 +202,46 @@ class ContactSamples:
             self._met.on(pose, twist)(k)
         self._gate.on(wrench, self.captured)()
         if self._estimate:
-            _find_delay(k, self.tick, self._longest, wrench, self._x, self._v, self._gated, self.delay, self._onset)
+            _find_delay(
+                k,
+                self.tick,
+                self._longest,
+                wrench,
+                self._x,
+                self._v,
+                self._gated,
+                self.delay,
+                self._onset,
+            )
         self._sampled.on(wrench if led is None else led, self.captured)(k)
         self._clock[0] = k + 1
 
     def _taking(
-        self, wrench: Array, pose: Array, twist: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]
+        self,
+        wrench: Array,
+        pose: Array,
+        twist: Array,
+        captured: NDArray[np.bool_],
+        steps: NDArray[np.int64],
     ) -> list[Callable[..., None]]:
         """The calls of :meth:`take` for a known delay and no lead."""
         met = [self._met.on(pose, twist)] if self._known else []
         held, gate = self.held.updating(pose, captured, steps), self._gate.on(wrench, captured)
-        return [held, self._remembered.on(pose, twist), *met, gate, self._sampled.on(wrench, captured)]
+        return [
+            held,
+            self._remembered.on(pose, twist),
+            *met,
+            gate,
+            self._sampled.on(wrench, captured),
+        ]
 
     def delay_sd(self, stiffness: Array) -> Array:
-        """``(n,)`` [s] standard deviation of the estimated delay, given the axial stiffness ``(n,)``; NaN before a touch.
+        """``(n,)`` [s] standard deviation of the estimated delay, given the axial stiffness
+        ``(n,)``; NaN before a touch.
 
-        The touch lies within the tick before the first force or, if the force rises so slowly that an earlier tick may have been
-        below the noise, within the time that the force takes to exceed the threshold.
+        The touch lies within the tick before the first force or, if the force rises so slowly that
+        an earlier tick may have been below the noise, within the time that the force takes to
+        exceed the threshold.
         """
         force, speed = self._onset[:, 0], self._onset[:, 1]
         hidden = force - stiffness * speed * self.tick <= self.threshold
@@ -166,9 +262,16 @@ def _remember(k, pose, twist, lever, reference, x, v):
 
 @njit(cache=True)
 def _meet(k, index, values, pose, twist, x, v, normal):
-    """Penetration, its rate and the normal of the deepest contact at t_k, in the column after the six axes."""
+    """Penetration, its rate and the normal of the deepest contact at t_k, in the column after the
+    six axes.
+    """
     slot, length, count = k % x.shape[1], x.shape[1], index[-1]
-    frames, motions, work, p = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7)), np.ones((count, PARAMETERS))
+    frames, motions, work, p = (
+        np.zeros((2, 7)),
+        np.zeros((2, 6)),
+        np.empty((9, 7)),
+        np.ones((count, PARAMETERS)),
+    )
     p[:, LEVER] = 0.5
     frames[1, 6] = 1.0
     depth, rate = np.empty(count), np.empty(count)
@@ -183,22 +286,100 @@ def _meet(k, index, values, pose, twist, x, v, normal):
             normal[i, slot, j] = side * across[c, j]
         if k == 0:
             for s in range(length):
-                x[i, s, NORMAL], v[i, s, NORMAL], normal[i, s] = x[i, slot, NORMAL], v[i, slot, NORMAL], normal[i, slot]
+                x[i, s, NORMAL], v[i, s, NORMAL], normal[i, s] = (
+                    x[i, slot, NORMAL],
+                    v[i, slot, NORMAL],
+                    normal[i, slot],
+                )
 
 
 @njit(cache=True)
 def _sample_and_choose(
-    k, h, gated, delay, pending, wrench, x, v, normal, held_rate, captured, origin, place, smooth, leak, memory, margin, held, changes,
-    since, flat, known, ready, ready_normal, sample,
-):  # fmt: skip
+    k,
+    h,
+    gated,
+    delay,
+    pending,
+    wrench,
+    x,
+    v,
+    normal,
+    held_rate,
+    captured,
+    origin,
+    place,
+    smooth,
+    leak,
+    memory,
+    margin,
+    held,
+    changes,
+    since,
+    flat,
+    known,
+    ready,
+    ready_normal,
+    sample,
+):
     """Store the current sample in ``pending``, and select the pending sample to be used."""
-    _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, captured, origin, place, smooth, leak, memory, pending)
-    _choose(k, h, delay, margin, gated, held, changes, since, flat, known, pending, ready, ready_normal, sample)
+    _sample(
+        k,
+        wrench,
+        x,
+        v,
+        normal,
+        delay,
+        h,
+        held_rate,
+        gated,
+        captured,
+        origin,
+        place,
+        smooth,
+        leak,
+        memory,
+        pending,
+    )
+    _choose(
+        k,
+        h,
+        delay,
+        margin,
+        gated,
+        held,
+        changes,
+        since,
+        flat,
+        known,
+        pending,
+        ready,
+        ready_normal,
+        sample,
+    )
 
 
 @njit(cache=True)
-def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, captured, origin, place, smooth, leak, memory, pending):
-    """x, v and 1 at t_k - delay while in contact, else 0, through the model of the sensor's filters, with the force read at t_k."""
+def _sample(
+    k,
+    wrench,
+    x,
+    v,
+    normal,
+    delay,
+    h,
+    held_rate,
+    gated,
+    captured,
+    origin,
+    place,
+    smooth,
+    leak,
+    memory,
+    pending,
+):
+    """x, v and 1 at t_k - delay while in contact, else 0, through the model of the sensor's
+    filters, with the force read at t_k.
+    """
     length = x.shape[1]
     slot = k % pending.shape[1]
     f = np.empty(6)
@@ -210,7 +391,9 @@ def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, captured, origi
         early = (k - whole - 1) % length
         for j in range(7):
             position = (1.0 - part) * x[i, late, j] + part * x[i, early, j]
-            rate = v[i, late, j] if held_rate else (1.0 - part) * v[i, late, j] + part * v[i, early, j]
+            rate = (
+                v[i, late, j] if held_rate else (1.0 - part) * v[i, late, j] + part * v[i, early, j]
+            )
             if captured[i] and j < 3:
                 place[i, j] = position
                 position -= origin[i, j]
@@ -219,7 +402,9 @@ def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, captured, origi
                 before = memory[i, j, c, 0]
                 memory[i, j, c, 0] += (u - before) * smooth[i]
                 if leak[i] < 1.0:
-                    memory[i, j, c, 1] = leak[i] * (memory[i, j, c, 1] + memory[i, j, c, 0] - before)
+                    memory[i, j, c, 1] = leak[i] * (
+                        memory[i, j, c, 1] + memory[i, j, c, 0] - before
+                    )
                     pending[i, slot, j, c] = memory[i, j, c, 1]
                 else:
                     pending[i, slot, j, c] = memory[i, j, c, 0]
@@ -230,14 +415,33 @@ def _sample(k, wrench, x, v, normal, delay, h, held_rate, gated, captured, origi
         for j in range(6):
             pending[i, slot, j, 3] = f[j]
             if j < 3:
-                pending[i, slot, NORMAL, 3] += wrench[i, j] * ((1.0 - part) * normal[i, late, j] + part * normal[i, early, j])
+                pending[i, slot, NORMAL, 3] += wrench[i, j] * (
+                    (1.0 - part) * normal[i, late, j] + part * normal[i, early, j]
+                )
 
 
 @njit(cache=True)
-def _choose(k, h, delay, margin, gated, held, changes, since, flat, known, pending, ready, ready_normal, sample):
-    """The sample of ``margin`` (n,) ticks ago, which is used if the contact lasted for as many ticks before and after it.
+def _choose(
+    k,
+    h,
+    delay,
+    margin,
+    gated,
+    held,
+    changes,
+    since,
+    flat,
+    known,
+    pending,
+    ready,
+    ready_normal,
+    sample,
+):
+    """The sample of ``margin`` (n,) ticks ago, which is used if the contact lasted for as many
+    ticks before and after it.
 
-    On the six axes the mechanism must not have changed in that time, counted from when the force acted.
+    On the six axes the mechanism must not have changed in that time, counted from when the force
+    acted.
     """
     for i in range(gated.shape[0]):
         lasted = gated[i] >= 2 * margin[i] + 1
@@ -250,16 +454,22 @@ def _choose(k, h, delay, margin, gated, held, changes, since, flat, known, pendi
 @njit(cache=True)
 def _gate(wrench, threshold, captured, delay, tick, held, peak, gated):
     for i in range(wrench.shape[0]):
-        force = wrench[i, 2]  # pushing is positive; a high-pass leaves a negative undershoot after the contact
+        # pushing is positive; a high-pass leaves a negative undershoot after the contact
+        force = wrench[i, 2]
         peak[i] = max(peak[i], force)
         held[i] = held[i] + 1 if captured[i] else 0
-        felt = held[i] > delay[i] / tick + 1.0  # the force read now acted after the latches had closed
-        gated[i] = gated[i] + 1 if felt or (force > threshold[i] and force > GATE_PEAK * peak[i]) else 0
+        # the force read now acted after the latches had closed
+        felt = held[i] > delay[i] / tick + 1.0
+        gated[i] = (
+            gated[i] + 1 if felt or (force > threshold[i] and force > GATE_PEAK * peak[i]) else 0
+        )
 
 
 @njit(cache=True)
 def _find_delay(k, h, longest, wrench, x, v, gated, delay, onset):
-    """At the first contact sample of a run, estimate the delay as the time since the pose crossed the nominal touch point."""
+    """At the first contact sample of a run, estimate the delay as the time since the pose crossed
+    the nominal touch point.
+    """
     length = x.shape[1]
     for i in range(wrench.shape[0]):
         if gated[i] != 1 or not np.isnan(onset[i, 0]):

@@ -1,4 +1,6 @@
-"""The identification section of a scenario: estimators of stiffness and damping during the contact, one class per method."""
+"""The identification section of a scenario: estimators of stiffness and damping during the contact,
+one class per method.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ class Identification(Protocol):
 
 
 class Identifier(Strictly):
-    """Base of every estimator's settings. A class needs a docstring and the parts named in :data:`PARTS`."""
+    """Base of every estimator's settings. A class needs a docstring and the parts named in
+    :data:`PARTS`.
+    """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "start")
 
@@ -43,7 +47,9 @@ class Identifier(Strictly):
 
     @property
     def settles(self) -> float:
-        """Time constant [s] of the method's own filter, over whose memory samples are buffered; 0: it has none."""
+        """Time constant [s] of the method's own filter, over whose memory samples are buffered; 0:
+        it has none.
+        """
         return 0.0
 
     @classmethod
@@ -53,13 +59,17 @@ class Identifier(Strictly):
         raise NotImplementedError
 
 
-IDENTIFIERS: Registry[Identifier] = Registry("identifier", Identifier, ("hiltestbed.identification.methods",))
+IDENTIFIERS: Registry[Identifier] = Registry(
+    "identifier", Identifier, ("hiltestbed.identification.methods",)
+)
 AnyIdentifier = Annotated[Identifier, OneOf(IDENTIFIERS)]
 Own = TypeVar("Own", bound=Identifier)
 
 
 def identifier_of(scenarios: Sequence[Scenario], method: type[Own]) -> list[Own]:
-    """``identification`` of each scenario, all of class ``method``. Raises TypeError for another class."""
+    """``identification`` of each scenario, all of class ``method``. Raises TypeError for another
+    class.
+    """
     sections = [s.identification for s in scenarios]
     other = next((s for s in sections if not isinstance(s, method)), None)
     if other is not None:

@@ -1,6 +1,8 @@
-"""Third-party readers in a separate process: if one crashes, hangs or exhausts memory, only that process ends, and the file is refused.
+"""Third-party readers in a separate process: if one crashes, hangs or exhausts memory, only that
+process ends, and the file is refused.
 
-The process gets a path and column names, and returns arrays in NumPy's own format, without pickled objects, so that no code is executed.
+The process gets a path and column names, and returns arrays in NumPy's own format, without pickled
+objects, so that no code is executed.
 """
 
 from __future__ import annotations
@@ -26,10 +28,20 @@ ANSWER = "answer.json"
 
 
 def read_apart(module: str, path: Path, wanted: Set[str]) -> Columns:
-    """The result of the reader ``module`` for a file. Raises InputError if it finds nothing usable, crashes or hangs; MissingExtra."""
+    """The result of the reader ``module`` for a file. Raises InputError if it finds nothing usable,
+    crashes or hangs; MissingExtra.
+    """
     limit = TIME_LIMIT * (1.0 + path.stat().st_size / 1e9)
     with tempfile.TemporaryDirectory(prefix="hiltestbed-") as folder:
-        order = json.dumps({"module": module, "path": str(path.absolute()), "wanted": sorted(wanted), "folder": folder, "given": str(path)})
+        order = json.dumps(
+            {
+                "module": module,
+                "path": str(path.absolute()),
+                "wanted": sorted(wanted),
+                "folder": folder,
+                "given": str(path),
+            }
+        )
         try:
             ended = subprocess.run(
                 [sys.executable, "-m", "hiltestbed.measured.apart"],
@@ -37,19 +49,29 @@ def read_apart(module: str, path: Path, wanted: Set[str]) -> Columns:
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             raise unreadable(
-                path, f"is not read within {limit:.0f} s", "it is damaged, or too large: export it again, as Parquet"
+                path,
+                f"is not read within {limit:.0f} s",
+                "it is damaged, or too large: export it again, as Parquet",
             ) from None
         answer = Path(folder) / ANSWER
         if not answer.is_file():
-            how = f"signal {-ended.returncode}" if ended.returncode < 0 else f"exit status {ended.returncode}"
-            raise unreadable(path, f"crashes its reader ({how})", "it is damaged: copy or export it again")
+            how = (
+                f"signal {-ended.returncode}"
+                if ended.returncode < 0
+                else f"exit status {ended.returncode}"
+            )
+            raise unreadable(
+                path, f"crashes its reader ({how})", "it is damaged: copy or export it again"
+            )
         return _answer(json.loads(answer.read_text(encoding="utf-8")), Path(folder) / COLUMNS)
 
 
 def _environment() -> dict[str, str]:
     """This environment, with the import path of this process."""
     here = str(Path(__file__).parents[2])
-    return os.environ | {"PYTHONPATH": os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])}
+    return os.environ | {
+        "PYTHONPATH": os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
+    }
 
 
 def _answer(answer: dict, file: Path) -> Columns:
@@ -72,7 +94,11 @@ def _serve() -> None:
     try:
         _limit_memory()
         columns = reader(order["module"])(Path(order["path"]), frozenset(order["wanted"]))
-        answer = {"names": list(columns.names), "data": list(columns.data), "clock": list(columns.clock)}
+        answer = {
+            "names": list(columns.names),
+            "data": list(columns.data),
+            "clock": list(columns.clock),
+        }
         arrays = {f"data.{i}": a for i, a in enumerate(columns.data.values())}
         arrays |= {f"clock.{i}": a for i, a in enumerate(columns.clock.values())}
         np.savez(folder / COLUMNS, **arrays)  # type: ignore[arg-type]
@@ -81,7 +107,19 @@ def _serve() -> None:
     except MissingExtra as error:
         answer = {"error": str(error).replace(order["path"], given)}
     except MemoryError:
-        answer = {"faults": [vars(Fault(given, None, None, "", "asks for more memory than there is; it is damaged, or cut it to the run"))]}
+        answer = {
+            "faults": [
+                vars(
+                    Fault(
+                        given,
+                        None,
+                        None,
+                        "",
+                        "asks for more memory than there is; it is damaged, or cut it to the run",
+                    )
+                )
+            ]
+        }
     partial = folder / (ANSWER + ".partial")
     partial.write_text(json.dumps(answer), encoding="utf-8")
     partial.replace(folder / ANSWER)
@@ -93,7 +131,9 @@ def _limit_memory() -> None:
     except ImportError:  # no such limit on this system
         return
     _, most = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY if most == resource.RLIM_INFINITY else min(MEMORY, most), most))
+    resource.setrlimit(
+        resource.RLIMIT_AS, (MEMORY if most == resource.RLIM_INFINITY else min(MEMORY, most), most)
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Check of unit, sign and axes of force and pose by momentum: the force must have caused the recorded motion, whatever the contact."""
+"""Check of unit, sign and axes of force and pose by momentum: the force must have caused the
+recorded motion, whatever the contact.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +14,24 @@ from hiltestbed.measured.start import AGREE, Start, factor_text, likely_scale, s
 from hiltestbed.measured.survey import Survey
 from hiltestbed.scenario import Scenario
 
-SCALE = 2.2  # factor from 1 that no effect causes: the largest over the independent rig's effects is 1.25
-EXPLAINED = 0.85  # part of the motion that a force with its axes as given must explain; otherwise other orders of axes are tried
-REMAINDER = 0.1  # largest remainder with another order, as part of that in the given order; the least over the rig's hidden effects is 0.29
+# factor from 1 that no effect causes: the largest over the independent rig's effects is 1.25
+SCALE = 2.2
+# part of the motion that a force with its axes as given must explain; otherwise other orders of
+# axes are tried
+EXPLAINED = 0.85
+# largest remainder with another order, as part of that in the given order; the least over the rig's
+# hidden effects is 0.29
+REMAINDER = 0.1
 AXIS_REVERSED = -0.5  # of the common scale: below it the sign of one axis is reversed
 
 
 def balances(record: Record, scenario: Scenario) -> dict[str, Momentum]:
     """The momentum balance of each force (by its group) with the pose, where it can be evaluated.
 
-    The commanded pose follows from wrench_comp by the law of the numerical model. Without wrench_comp, or with a reached pose only, the
-    force must have moved the bodies: assumed if they approach with the scenario's speed, but not for a driven machine.
+    The commanded pose follows from wrench_comp by the law of the numerical model. Without
+    wrench_comp, or with a reached pose only, the
+    force must have moved the bodies: assumed if they approach with the scenario's speed, but not
+        for a driven machine.
     """
     pose = "pose_cmd" if record.has("pose_cmd") else "pose_act"
     modelled = record.has("wrench_comp") and pose == "pose_cmd"
@@ -36,10 +45,14 @@ def balances(record: Record, scenario: Scenario) -> dict[str, Momentum]:
     return found
 
 
-def imbalances(record: Record, found: Survey, scenario: Scenario, pairs: dict[str, Momentum]) -> Iterator[Remark]:
+def imbalances(
+    record: Record, found: Survey, scenario: Scenario, pairs: dict[str, Momentum]
+) -> Iterator[Remark]:
     """Errors for a force that cannot have caused the recorded motion."""
     for pair in pairs.values():
-        otherwise = pair.explained < EXPLAINED and 1.0 - pair.explained_in_order < REMAINDER * (1.0 - pair.explained)
+        otherwise = pair.explained < EXPLAINED and 1.0 - pair.explained_in_order < REMAINDER * (
+            1.0 - pair.explained
+        )
         if otherwise and pair.order != FORCES:
             yield _exchanged(record, pair)
         elif otherwise and -1 in pair.signs:
@@ -50,7 +63,8 @@ def imbalances(record: Record, found: Survey, scenario: Scenario, pairs: dict[st
 
 def _seen(pair: Momentum, change: str) -> tuple[str, dict[str, float]]:
     text = (
-        f"does not explain the motion of {pair.pose} ({100 * max(pair.explained, 0.0):.0f} % of it); {change} it explains "
+        f"does not explain the motion of {pair.pose} ({100 * max(pair.explained, 0.0):.0f} % of "
+        f"it); {change} it explains "
         f"{100 * pair.explained_in_order:.0f} %"
     )
     return text, {"explained": pair.explained, "explained_in_order": pair.explained_in_order}
@@ -59,7 +73,10 @@ def _seen(pair: Momentum, change: str) -> tuple[str, dict[str, float]]:
 def _exchanged(record: Record, pair: Momentum) -> Remark:
     moved = [(given, f) for given, f in zip(FORCES, pair.order, strict=True) if given != f]
     text, evidence = _seen(pair, "with its axes exchanged")
-    fix = f"exchange the columns under channels: {', '.join(f'{pair.force}.{a} takes the column of {pair.force}.{b}' for a, b in moved)}"
+    fix = (
+        f"exchange the columns under channels: "
+        f"{', '.join(f'{pair.force}.{a} takes the column of {pair.force}.{b}' for a, b in moved)}"
+    )
     name = f"{pair.force}.{moved[-1][0]}"
     return Remark("error", record.run, name, f"{text}: the axes are swapped", fix, evidence, "axes")
 
@@ -69,7 +86,15 @@ def _turned(record: Record, pair: Momentum) -> Iterator[Remark]:
     for name, sign in zip(FORCES, pair.signs, strict=True):
         if sign < 0:
             channel = f"{pair.force}.{name}"
-            yield Remark("error", record.run, channel, f"{text}: the sign is reversed", scale_fix(channel, -1.0), evidence, "sign")
+            yield Remark(
+                "error",
+                record.run,
+                channel,
+                f"{text}: the sign is reversed",
+                scale_fix(channel, -1.0),
+                evidence,
+                "sign",
+            )
 
 
 def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -> Iterator[Remark]:
@@ -77,24 +102,46 @@ def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -
     at_fault = _pose_at_fault(pair, start)
     scale = pair.scale
     if not at_fault and scale < 0:
-        text = f"pulls while pushing: the motion of {pair.pose} is {scale:.3g} times what it causes; the sign is reversed"
+        text = (
+            f"pulls while pushing: the motion of {pair.pose} is {scale:.3g} times what "
+            f"it causes; the sign is reversed"
+        )
         for name in _moving(pair):
-            yield Remark("error", record.run, name, text, scale_fix(name, -1.0), {"scale": scale}, "sign")
+            yield Remark(
+                "error", record.run, name, text, scale_fix(name, -1.0), {"scale": scale}, "sign"
+            )
     for axis, s in pair.axes.items():
-        if scale > 0 and -SCALE * scale < s < AXIS_REVERSED * scale:  # beyond -SCALE the motion has another cause than this force
+        # beyond -SCALE the motion has another cause than this force
+        if scale > 0 and -SCALE * scale < s < AXIS_REVERSED * scale:
             name = f"{pair.force}.f{axis}"
-            text = f"pushes {pair.pose}.p{axis} the wrong way ({s:.3g} times what it causes, all axes {scale:.3g}): its sign is reversed"
-            yield Remark("error", record.run, name, text, scale_fix(name, -1.0), {"scale": s}, "sign")
+            text = (
+                f"pushes {pair.pose}.p{axis} the wrong way ({s:.3g} times what it "
+                f"causes, all axes {scale:.3g}): its sign is reversed"
+            )
+            yield Remark(
+                "error", record.run, name, text, scale_fix(name, -1.0), {"scale": s}, "sign"
+            )
     size = abs(scale)
     if 1 / SCALE < size < SCALE or at_fault:
         return
     text = f"{_causes(pair, scale)}: {factor_text(1.0 / size, 'N')}"
     for name in _moving(pair):
-        yield Remark("error", record.run, name, text, scale_fix(name, likely_scale(1.0 / size, "N")), {"scale": scale}, "unit")
+        yield Remark(
+            "error",
+            record.run,
+            name,
+            text,
+            scale_fix(name, likely_scale(1.0 / size, "N")),
+            {"scale": scale},
+            "unit",
+        )
 
 
 def _causes(pair: Momentum, scale: float) -> str:
-    return f"mass times the change of velocity in {pair.pose} is {abs(scale):.4g} times the impulse of the force"
+    return (
+        f"mass times the change of velocity in {pair.pose} is {abs(scale):.4g} times the "
+        f"impulse of the force"
+    )
 
 
 def _moving(pair: Momentum) -> list[str]:
@@ -103,9 +150,14 @@ def _moving(pair: Momentum) -> list[str]:
 
 
 def _pose_at_fault(pair: Momentum, start: Start | None) -> bool:
-    """Whether the start of the pose shows the same factor or sign: then the unit of the pose is wrong, not that of the force."""
+    """Whether the start of the pose shows the same factor or sign: then the unit of the pose is
+    wrong, not that of the force.
+    """
     if start is None or not start.ratios:
         return False
     off = start.unit if start.unit is not None else 1.0
-    same_size = off != 1.0 and abs(math.log(off) - math.log(max(abs(pair.scale), 1e-300))) < math.log(AGREE) * 2
+    same_size = (
+        off != 1.0
+        and abs(math.log(off) - math.log(max(abs(pair.scale), 1e-300))) < math.log(AGREE) * 2
+    )
     return same_size or (pair.scale < 0 and start.reversed)

@@ -1,4 +1,6 @@
-"""The check of measured data before a diagnosis: every finding with its numbers and a proposed fix."""
+"""The check of measured data before a diagnosis: every finding with its numbers and a proposed
+fix.
+"""
 
 from __future__ import annotations
 
@@ -30,18 +32,33 @@ def check_run(record: Record, scenario: Scenario) -> tuple[Record, Survey, list[
     return replace(record, clipped=clipped), found, remarks
 
 
-def check_dataset(records: Sequence[Record], names: Sequence[str], links: Mapping[str, tuple[str, ...]]) -> list[Remark]:
-    """Remarks on what the dataset lacks: links without input or output, groups with missing axes. ``names``: of its runs."""
+def check_dataset(
+    records: Sequence[Record], names: Sequence[str], links: Mapping[str, tuple[str, ...]]
+) -> list[Remark]:
+    """Remarks on what the dataset lacks: links without input or output, groups with missing axes.
+    ``names``: of its runs.
+    """
     remarks = []
     for group in NEEDED:
         without = [record.run for record in records if not record.has(group)]
         cut = [link for link, ends in links.items() if group in ends]
         if without:
             everywhere = len(without) == len(records)
-            where = "in no run" if everywhere else f"not in {', '.join(names[run] for run in without)}"
-            text = f"was measured {where}: the link{'s' if len(cut) > 1 else ''} {' and '.join(cut)} cannot be judged there"
+            where = (
+                "in no run" if everywhere else f"not in {', '.join(names[run] for run in without)}"
+            )
+            text = (
+                f"was measured {where}: the link{'s' if len(cut) > 1 else ''} "
+                f"{' and '.join(cut)} cannot be judged there"
+            )
             remarks.append(Remark("loss", None, group, text, "", {"runs": len(without)}))
-        parts = {p for record in records if record.has(group) for p in GROUPS[group].columns if p in record.absent}
+        parts = {
+            p
+            for record in records
+            if record.has(group)
+            for p in GROUPS[group].columns
+            if p in record.absent
+        }
         if parts and any(record.has(group) for record in records):
             names = ", ".join(p.rpartition(".")[2] for p in GROUPS[group].columns if p in parts)
             text = f"lacks {names} in some or all runs; they are taken as absent"

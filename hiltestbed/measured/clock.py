@@ -1,4 +1,6 @@
-"""Time stamps of a file and the loop's ticks: faults of the clock, and the assignment of samples to ticks."""
+"""Time stamps of a file and the loop's ticks: faults of the clock, and the assignment of samples to
+ticks.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,12 @@ from hiltestbed.measured.remark import Remark
 
 ON_TICK = 1e-6  # of a tick: a sample this close to a tick is used for it without interpolation
 AT_END = 0.02  # of a tick: the same for a tick just before the first or just after the last sample
-REPEATED_LIMIT = 0.1  # part of the rows that repeat a time stamp, above which the clock is too coarse
+# part of the rows that repeat a time stamp, above which the clock is too coarse
+REPEATED_LIMIT = 0.1
 GAP = 1.75  # sample intervals: a longer one is a gap
 LENGTH_LIMIT = 20.0  # longest record, in durations of the scenario
-OFF_TICKS = 0.2  # part of the ticks without a sample of their own, above which the rows follow another clock
+# part of the ticks without a sample of their own, above which the rows follow another clock
+OFF_TICKS = 0.2
 FEWEST = 4  # samples that determine a cubic
 JITTER_LIMIT = 0.02  # of the interval; a larger spread of the sampling gives a note
 
@@ -37,8 +41,11 @@ class Clock:
     interval: float
 
 
-def check_clock(run: int, t: Array, tick: float, duration: float) -> tuple[Clock | None, list[Remark]]:
-    """The usable rows of time stamps ``(rows,)`` [s] (None if there are none), and the remarks on them.
+def check_clock(
+    run: int, t: Array, tick: float, duration: float
+) -> tuple[Clock | None, list[Remark]]:
+    """The usable rows of time stamps ``(rows,)`` [s] (None if there are none), and the remarks on
+    them.
 
     Args:
         run: its number.
@@ -47,15 +54,37 @@ def check_clock(run: int, t: Array, tick: float, duration: float) -> tuple[Clock
     """
     if len(t) < 2:
         text = f"holds {len(t)} row{'' if len(t) == 1 else 's'}; a run needs at least 2"
-        return None, [Remark("error", run, "t", text, "record the run again or take it out of the dataset", {"rows": len(t)})]
+        return None, [
+            Remark(
+                "error",
+                run,
+                "t",
+                text,
+                "record the run again or take it out of the dataset",
+                {"rows": len(t)},
+            )
+        ]
     remarks: list[Remark] = []
     finite = np.isfinite(t)
     if finite.sum() < 0.5 * len(t):
         text = f"is not a number in {len(t) - finite.sum()} of {len(t)} rows"
-        return None, [Remark("error", run, "t", text, "name the right column under channels: {t: {column: ...}}")]
+        return None, [
+            Remark(
+                "error", run, "t", text, "name the right column under channels: {t: {column: ...}}"
+            )
+        ]
     if not finite.all():
         lost = int(len(t) - finite.sum())
-        remarks.append(Remark("loss", run, "t", f"is not a number in {lost} of {len(t)} rows, which are left out", "", {"rows": lost}))
+        remarks.append(
+            Remark(
+                "loss",
+                run,
+                "t",
+                f"is not a number in {lost} of {len(t)} rows, which are left out",
+                "",
+                {"rows": lost},
+            )
+        )
     rows = np.flatnonzero(finite)
     steps = np.diff(t[rows])
     backwards = np.flatnonzero(steps < 0)
@@ -77,45 +106,87 @@ def check_clock(run: int, t: Array, tick: float, duration: float) -> tuple[Clock
 
 def _backwards(run: int, t: Array, rows: NDArray[np.intp], backwards: NDArray[np.intp]) -> Remark:
     row, after = rows[backwards[0]], rows[backwards[0] + 1]
-    text = f"runs backwards at {len(backwards)} place(s), first from row {row} ({t[row]:.9g} s) to row {after} ({t[after]:.9g} s)"
-    fix = "allowed are rows in order of time; sort them, or split the file where a second record begins"
+    text = (
+        f"runs backwards at {len(backwards)} place(s), first from row {row} "
+        f"({t[row]:.9g} s) to row {after} ({t[after]:.9g} s)"
+    )
+    fix = (
+        "allowed are rows in order of time; sort them, or split the file where a second "
+        "record begins"
+    )
     return Remark("error", run, "t", text, fix, {"places": len(backwards), "row": float(row)})
 
 
 def _repeated(run: int, t: Array, steps: Array, repeated: int) -> Remark:
     first = int(np.flatnonzero(steps == 0)[0])
     evidence = {"rows": repeated, "of": len(t), "first_row": first}
-    text = f"has the same stamp in {repeated} of {len(t)} rows, first {t[first]:.9g} s at row {first}"
+    text = (
+        f"has the same stamp in {repeated} of {len(t)} rows, first {t[first]:.9g} s at row {first}"
+    )
     if repeated > REPEATED_LIMIT * len(t):
-        return Remark("error", run, "t", text, "the clock is too coarse for the sampling; export it with more digits", evidence)
+        return Remark(
+            "error",
+            run,
+            "t",
+            text,
+            "the clock is too coarse for the sampling; export it with more digits",
+            evidence,
+        )
     return Remark("loss", run, "t", text + "; the first of each is kept", "", evidence)
 
 
-def _wrong_length(run: int, t: Array, interval: float, tick: float, duration: float) -> Remark | None:
-    """A remark on a record that is much longer or shorter than its scenario, usually because its clock has another unit."""
+def _wrong_length(
+    run: int, t: Array, interval: float, tick: float, duration: float
+) -> Remark | None:
+    """A remark on a record that is much longer or shorter than its scenario, usually because its
+    clock has another unit.
+    """
     span, ratio = float(t[-1] - t[0]), interval / tick
     longer = span > LENGTH_LIMIT * max(duration, tick)
     shorter = span < duration / LENGTH_LIMIT and ratio < 1 / LENGTH_LIMIT
     if not (longer or shorter):
         return None
-    text = f"lasts {span:.4g} s at {interval:.3g} s a sample; the scenario lasts {duration:.4g} s at {tick:.3g} s a tick"
-    fix = f"cut the file to the run, or give the scenario a duration of at least {span / LENGTH_LIMIT:.3g} s"
+    text = (
+        f"lasts {span:.4g} s at {interval:.3g} s a sample; the scenario lasts "
+        f"{duration:.4g} s at {tick:.3g} s a tick"
+    )
+    fix = (
+        f"cut the file to the run, or give the scenario a duration of at least "
+        f"{span / LENGTH_LIMIT:.3g} s"
+    )
     if shorter or ratio > LENGTH_LIMIT:
         power = round(math.log10(ratio if longer else span / duration))
-        fix = f"if its unit is another, channels: {{t: {{scale: {10.0**-power:g}}}}} on top of any scale there"
-    return Remark("error", run, "t", text, fix, {"span": span, "duration": duration, "interval": interval, "tick": tick})
+        fix = (
+            f"if its unit is another, channels: {{t: {{scale: {10.0**-power:g}}}}} on top "
+            f"of any scale there"
+        )
+    return Remark(
+        "error",
+        run,
+        "t",
+        text,
+        fix,
+        {"span": span, "duration": duration, "interval": interval, "tick": tick},
+    )
 
 
-def start_of_run(run: int, first: float, tick: float, duration: float) -> tuple[float, list[Remark]]:
-    """The offset to subtract from the stamps so that they count from the start of the run, and the remarks on it.
+def start_of_run(
+    run: int, first: float, tick: float, duration: float
+) -> tuple[float, list[Remark]]:
+    """The offset to subtract from the stamps so that they count from the start of the run, and the
+    remarks on it.
 
-    If the first stamp is below 0 or beyond the duration of the run (a wall clock), time is counted from the first row.
+    If the first stamp is below 0 or beyond the duration of the run (a wall clock), time is counted
+    from the first row.
     """
     if -0.5 * tick <= first <= max(duration, tick):
         late = first > 1.5 * tick
         text = f"begins {first:.6g} s after the start of the run; the ticks before are not measured"
         return 0.0, [Remark("loss", run, "t", text, "", {"first": first})] if late else []
-    text = f"reads {first:.9g} s at the first row, which is outside the run; time is counted from that row"
+    text = (
+        f"reads {first:.9g} s at the first row, which is outside the run; time is "
+        f"counted from that row"
+    )
     fix = "if the run began at another time, give channels: {t: {offset: ...}} for it"
     return first, [Remark("note", run, "t", text, fix, {"first": first})]
 
@@ -124,27 +195,53 @@ def _sampling(run: int, t: Array, interval: float, tick: float) -> list[Remark]:
     """Notes on sampling rate, jitter and gaps."""
     remarks, steps = [], np.diff(t)
     if abs(interval - tick) > 0.01 * tick:
-        text = f"is sampled at {1 / interval:.6g} Hz, the loop runs at {1 / tick:.6g} Hz; resampled to the ticks"
+        text = (
+            f"is sampled at {1 / interval:.6g} Hz, the loop runs at {1 / tick:.6g} Hz; "
+            f"resampled to the ticks"
+        )
         text += ", of which most hold no sample" if interval > 1.5 * tick else ""
-        fix = f"if the facility's loop runs at that rate, give rate: {1 / interval:.6g} in its scenario: else its delays are misread"
-        remarks.append(Remark("note", run, "t", text, fix, {"sample_rate": 1 / interval, "rate": 1 / tick}))
+        fix = (
+            f"if the facility's loop runs at that rate, give rate: {1 / interval:.6g} in "
+            f"its scenario: else its delays are misread"
+        )
+        remarks.append(
+            Remark("note", run, "t", text, fix, {"sample_rate": 1 / interval, "rate": 1 / tick})
+        )
     gaps = np.flatnonzero(steps > GAP * interval)
     if len(gaps):
         longest, missing = float(steps.max()), float((steps[gaps] / interval - 1).sum())
-        text = f"has {len(gaps)} gap(s), about {missing:.0f} samples; the longest {longest:.4g} s from {t[steps.argmax()]:.6g} s"
-        remarks.append(Remark("loss", run, "t", text, "", {"gaps": len(gaps), "longest": longest, "missing": missing}))
+        text = (
+            f"has {len(gaps)} gap(s), about {missing:.0f} samples; the longest "
+            f"{longest:.4g} s from {t[steps.argmax()]:.6g} s"
+        )
+        remarks.append(
+            Remark(
+                "loss",
+                run,
+                "t",
+                text,
+                "",
+                {"gaps": len(gaps), "longest": longest, "missing": missing},
+            )
+        )
     spread = float(np.std(steps[steps <= GAP * interval])) / interval
     if spread > JITTER_LIMIT:
-        text = f"is sampled unevenly: the interval of {interval:.4g} s spreads by {100 * spread:.1f} % (1 sigma)"
+        text = (
+            f"is sampled unevenly: the interval of {interval:.4g} s spreads by "
+            f"{100 * spread:.1f} % (1 sigma)"
+        )
         remarks.append(Remark("note", run, "t", text, "", {"spread": spread}))
     return remarks
 
 
-def to_ticks(t: Array, values: Array, ticks: int, tick: float, interval: float) -> tuple[Array, NDArray[np.bool_]]:
+def to_ticks(
+    t: Array, values: Array, ticks: int, tick: float, interval: float
+) -> tuple[Array, NDArray[np.bool_]]:
     """Values at the loop's ticks, and which of them were measured.
 
-    A sample on a tick is used unchanged. Between two samples that are not separated by a gap, the value is interpolated linearly, but
-    counts as measured only at ticks with a sample within half a tick: no tick is filled without data in the file.
+    A sample on a tick is used unchanged. Between two samples that are not separated by a gap, the
+    value is interpolated linearly, but counts as measured only at ticks with a sample within half a
+    tick: no tick is filled without data in the file.
 
     Args:
         t: ``(rows,)`` [s], strictly increasing.
@@ -170,24 +267,36 @@ def to_ticks(t: Array, values: Array, ticks: int, tick: float, interval: float) 
     return out, on | between
 
 
-def _about(t: Array, at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Array]:
-    """For each time ``at``: the samples before and after it, the nearer one, and the distance to that one [s]."""
-    after = np.clip(np.searchsorted(t, at), 1, len(t) - 1) if len(t) > 1 else np.zeros(len(at), dtype=np.intp)
+def _about(
+    t: Array, at: Array
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Array]:
+    """For each time ``at``: the samples before and after it, the nearer one, and the distance to
+    that one [s].
+    """
+    after = (
+        np.clip(np.searchsorted(t, at), 1, len(t) - 1)
+        if len(t) > 1
+        else np.zeros(len(at), dtype=np.intp)
+    )
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(t[after] - at) < np.abs(at - t[before]), after, before)
     return before, after, nearest, np.abs(t[nearest] - at)
 
 
-def bend(t: Array, values: Array, straight: Array, measured: NDArray[np.bool_], tick: float) -> Array | None:
-    """``(ticks,)`` difference of a cubic spline through the samples from the values at the ticks, interpolated linearly where none was
-    measured; None if the rows are the loop's ticks.
+def bend(
+    t: Array, values: Array, straight: Array, measured: NDArray[np.bool_], tick: float
+) -> Array | None:
+    """``(ticks,)`` difference of a cubic spline through the samples from the values at the ticks,
+    interpolated linearly where none was measured; None if the rows are the loop's ticks.
 
-    For a curve with second derivative x'', linear interpolation is off by ``x'' h^2 / 8`` midway between samples at distance h; the error
-    of the spline is a fraction of this that decreases with h^2 (C. de Boor, A Practical Guide to Splines, 2001, chapter V).
+    For a curve with second derivative x'', linear interpolation is off by ``x'' h^2 / 8`` midway
+    between samples at distance h; the error of the spline is a fraction of this that decreases with
+    h^2 (C. de Boor, A Practical Guide to Splines, 2001, chapter V).
 
     Args:
         t: ``(rows,)`` [s], strictly increasing. values: ``(rows,)``, NaN where missing.
-        straight, measured: ``(ticks,)`` values at the ticks and which of them were measured, of :func:`to_ticks`.
+        straight, measured: ``(ticks,)`` values at the ticks and which of them were measured, of
+            :func:`to_ticks`.
     """
     known = np.isfinite(values)
     t, values = t[known], values[known]
@@ -196,8 +305,11 @@ def bend(t: Array, values: Array, straight: Array, measured: NDArray[np.bool_], 
     at = tick * np.arange(len(straight), dtype=np.float64)
     inside = (at > t[0]) & (at < t[-1])
     off = inside & (_about(t, at)[3] > ON_TICK * tick)
-    if off.sum() <= OFF_TICKS * inside.sum():  # rows that the logger lost are gaps, not another clock
+    # rows that the logger lost are gaps, not another clock
+    if off.sum() <= OFF_TICKS * inside.sum():
         return None
     out = np.zeros(len(straight))
-    out[off] = CubicSpline(t, values)(at[off]) - np.interp(at[off], at[measured], straight[measured])
+    out[off] = CubicSpline(t, values)(at[off]) - np.interp(
+        at[off], at[measured], straight[measured]
+    )
     return out

@@ -32,7 +32,9 @@ class _Dialect:
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:
-    """The columns ``wanted`` of a CSV file; lines before the header that start with # are skipped. Raises InputError."""
+    """The columns ``wanted`` of a CSV file; lines before the header that start with # are skipped.
+    Raises InputError.
+    """
     import pyarrow as pa
     import pyarrow.csv as pa_csv
 
@@ -40,7 +42,11 @@ def read(path: Path, wanted: Set[str]) -> Columns:
     columns = [name for name in dialect.names if name in wanted]
     repeated = [name for name, times in Counter(columns).items() if times > 1]
     if repeated:
-        raise unreadable(path, f"has a column more than once (got {', '.join(repeated)})", "rename or remove the second")
+        raise unreadable(
+            path,
+            f"has a column more than once (got {', '.join(repeated)})",
+            "rename or remove the second",
+        )
     if not columns:
         return Columns(dialect.names, {})
     _refuse_units(path, dialect)
@@ -61,11 +67,16 @@ def read(path: Path, wanted: Set[str]) -> Columns:
             for batch in stream:
                 rows += batch.num_rows
                 refuse_large(path, rows, len(columns))
-                blocks.append([batch.column(j).to_numpy(zero_copy_only=False) for j in range(len(columns))])
+                blocks.append(
+                    [batch.column(j).to_numpy(zero_copy_only=False) for j in range(len(columns))]
+                )
     except pa.ArrowInvalid as error:
         do = "each row needs as many cells as the header, each a number"
         raise unreadable(path, f"is not a table of numbers ({error})", do) from error
-    data = {name: np.concatenate([block[j] for block in blocks]) if blocks else np.zeros(0) for j, name in enumerate(columns)}
+    data = {
+        name: np.concatenate([block[j] for block in blocks]) if blocks else np.zeros(0)
+        for j, name in enumerate(columns)
+    }
     return Columns(dialect.names, data)
 
 
@@ -79,22 +90,32 @@ def _dialect(path: Path) -> _Dialect:
     except UnicodeDecodeError as error:
         encoding = "utf8" if error.start > len(head) - 4 else "latin-1"
     if b"\0" in head[:HEADER_LIMIT]:
-        raise unreadable(path, "is not text", "a CSV file is text; give a binary file the suffix of its format")
+        raise unreadable(
+            path, "is not text", "a CSV file is text; give a binary file the suffix of its format"
+        )
     text = head.decode("utf-8-sig" if encoding == "utf8" else encoding, errors="replace")
     lines = text.splitlines()
-    skip = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
+    skip = next(
+        (i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), None
+    )
     if skip is None:
         raise unreadable(path, "holds no header and no rows", "the first line names the columns")
     header = lines[skip]
     delimiter = max(DELIMITERS, key=header.count)
     names = tuple(next(csv.reader([header], delimiter=delimiter)))
     if all(_is_number(name) for name in names):
-        raise unreadable(path, f"has no header (got {header[:60]!r} as first line)", "name the columns in the first line")
+        raise unreadable(
+            path,
+            f"has no header (got {header[:60]!r} as first line)",
+            "name the columns in the first line",
+        )
     body = lines[skip + 1 :]
     decimal = "," if delimiter != "," and body and re.search(r"\d,\d", body[0]) else "."
     per_row = len(text.encode()) / max(1, len(lines))
     first = tuple(next(csv.reader(body[:1], delimiter=delimiter), ()))
-    return _Dialect(names, skip, delimiter, decimal, encoding, int(path.stat().st_size / per_row), first)
+    return _Dialect(
+        names, skip, delimiter, decimal, encoding, int(path.stat().st_size / per_row), first
+    )
 
 
 def _refuse_units(path: Path, dialect: _Dialect) -> None:
@@ -102,12 +123,23 @@ def _refuse_units(path: Path, dialect: _Dialect) -> None:
     cells = [cell.strip() for cell in dialect.first]
     if not any(cells) or any(cell and _is_number(cell.replace(",", ".")) for cell in cells):
         return
-    line, shown = dialect.skip + 2, ", ".join(repr(cell) for cell in cells[:8]) + (", ..." if len(cells) > 8 else "")
+    line, shown = (
+        dialect.skip + 2,
+        ", ".join(repr(cell) for cell in cells[:8]) + (", ..." if len(cells) > 8 else ""),
+    )
     convertible = {unit for si, known in UNITS.items() for unit in known if unit != si}
     named = zip(dialect.names, (cell.strip("[]()") for cell in cells), strict=False)
-    column, unit = next(((name, cell) for name, cell in named if cell in convertible), (dialect.names[-1], "kN"))
-    what = f"has text in place of numbers in line {line}, as a row of units below the names (got {shown})"
-    do = f'delete this line, and give units that are not SI under channels: {{CHANNEL: {{column: "{column}", unit: {unit}}}}}'
+    column, unit = next(
+        ((name, cell) for name, cell in named if cell in convertible), (dialect.names[-1], "kN")
+    )
+    what = (
+        f"has text in place of numbers in line {line}, as a row of units below the names "
+        f"(got {shown})"
+    )
+    do = (
+        f"delete this line, and give units that are not SI under channels: {{CHANNEL: "
+        f'{{column: "{column}", unit: {unit}}}}}'
+    )
     raise unreadable(path, what, do)
 
 

@@ -1,4 +1,6 @@
-"""Rows in which a logger repeats the previous row: all axes of a sensor, whose noise never stops, have the same numbers again."""
+"""Rows in which a logger repeats the previous row: all axes of a sensor, whose noise never stops,
+have the same numbers again.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,10 @@ def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array
     if not same.any() or same.mean() > MOST:
         return dict(values), []
     out = dict(values) | {n: np.where(same, np.nan, values[n]) for n in names}
-    text = f"repeats the previous row in {int(same.sum())} of {len(same)} rows on all axes: held by the logger, and left out"
+    text = (
+        f"repeats the previous row in {int(same.sum())} of {len(same)} rows on all axes: "
+        f"held by the logger, and left out"
+    )
     return out, [Remark("loss", run, GROUP, text, "", {"rows": float(same.sum())})]
 
 

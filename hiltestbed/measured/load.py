@@ -1,4 +1,6 @@
-"""From a dataset file to records on the loop's ticks, checked, each with the scenario of its run."""
+"""From a dataset file to records on the loop's ticks, checked, each with the scenario of its
+run.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ FEWEST = 30  # ticks of a run, at least, to estimate a noise floor
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """One run: its record on the ticks, the facility's believed scenario of the run, the survey of its check, and its file name."""
+    """One run: its record on the ticks, the facility's believed scenario of the run, the survey of
+    its check, and its file name.
+    """
 
     record: Record
     scenario: Scenario
@@ -47,7 +51,8 @@ class MeasuredDataset:
     """Checked measured data.
 
     Attributes:
-        path: of the dataset file; spec: its content; nominal: its scenario, without the settings of single runs.
+        path: of the dataset file; spec: its content; nominal: its scenario, without the settings of
+            single runs.
         files: the data file of each run.
         runs: in the order of the file.
         remarks: losses and notes of all runs (and errors, when it comes from :func:`examine`).
@@ -66,15 +71,25 @@ class MeasuredDataset:
         return [run.name for run in self.runs]
 
     def links(self) -> tuple[str, ...]:
-        """The links of the loop whose input and output were measured in at least one run (contact: with the sensor)."""
-        return tuple(link for link, ends in LINKS.items() if any(all(run.record.has(end) for end in ends) for run in self.runs))
+        """The links of the loop whose input and output were measured in at least one run (contact:
+        with the sensor).
+        """
+        return tuple(
+            link
+            for link, ends in LINKS.items()
+            if any(all(run.record.has(end) for end in ends) for run in self.runs)
+        )
 
 
-def load_dataset(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = None) -> MeasuredDataset:
-    """The measured runs of a dataset, or of a dataset file, on the loop's ticks and checked; ``set`` overrides keys of the file.
+def load_dataset(
+    path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = None
+) -> MeasuredDataset:
+    """The measured runs of a dataset, or of a dataset file, on the loop's ticks and checked;
+    ``set`` overrides keys of the file.
 
-    Raises InputError with every fault if a file cannot be read or a finding of the check forbids a diagnosis (wrong unit, sign,
-    quaternion order ...); MissingExtra if the reader of a format is not installed.
+    Raises InputError with every fault if a file cannot be read or a finding of the check forbids a
+    diagnosis (wrong unit, sign, quaternion order ...); MissingExtra if the reader of a format is
+    not installed.
     """
     dataset = examine(path, set)
     faults = as_faults(dataset)
@@ -83,8 +98,11 @@ def load_dataset(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None
     return dataset
 
 
-def examine(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = None) -> MeasuredDataset:
-    """Like :func:`load_dataset`, but findings that forbid a diagnosis are in ``remarks``, and runs without a record are left out.
+def examine(
+    path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = None
+) -> MeasuredDataset:
+    """Like :func:`load_dataset`, but findings that forbid a diagnosis are in ``remarks``, and runs
+    without a record are left out.
 
     Raises InputError if the dataset file has a fault or a data file cannot be read.
     """
@@ -100,7 +118,9 @@ def examine(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = No
             continue
         remarks += found
         if record is None or record.ticks < FEWEST:
-            remarks += [] if any(r.severity == "error" for r in found) else [_nothing(index, record)]
+            remarks += (
+                [] if any(r.severity == "error" for r in found) else [_nothing(index, record)]
+            )
         else:
             record, found_in, more = check_run(record, scenario)
             runs.append(MeasuredRun(record, scenario, found_in, names[index]))
@@ -108,14 +128,24 @@ def examine(path: str | Path | LoadedDataset, set: Mapping[str, Any] | None = No
     if faults:
         raise InputError(faults)
     remarks += check_dataset([run.record for run in runs], names, LINKS)
-    remarks = [remark if remark.run is None else replace(remark, file=names[remark.run]) for remark in remarks]
+    remarks = [
+        remark if remark.run is None else replace(remark, file=names[remark.run])
+        for remark in remarks
+    ]
     accepted = loaded.spec.accept
-    remarks = [remark.accepted() if remark.severity == "error" and remark.check in accepted else remark for remark in remarks]
-    return MeasuredDataset(loaded.path, loaded.spec, loaded.nominal, loaded.files, tuple(runs), tuple(remarks))
+    remarks = [
+        remark.accepted() if remark.severity == "error" and remark.check in accepted else remark
+        for remark in remarks
+    ]
+    return MeasuredDataset(
+        loaded.path, loaded.spec, loaded.nominal, loaded.files, tuple(runs), tuple(remarks)
+    )
 
 
 def _names(files: Sequence[Path]) -> list[str]:
-    """Name of each run: its file name, preceded by as many folders as are needed to make it unique."""
+    """Name of each run: its file name, preceded by as many folders as are needed to make it
+    unique.
+    """
     parts, deep = [file.parts for file in files], 1
     while len({p[-deep:] for p in parts}) < len(set(parts)):
         deep += 1
@@ -124,15 +154,30 @@ def _names(files: Sequence[Path]) -> list[str]:
 
 def _nothing(run: int, record: Record | None) -> Remark:
     """The error for a run without usable data."""
-    text = "holds no channel with enough samples" if record is None else f"lasts {record.ticks} ticks; a run needs at least {FEWEST}"
+    text = (
+        "holds no channel with enough samples"
+        if record is None
+        else f"lasts {record.ticks} ticks; a run needs at least {FEWEST}"
+    )
     return Remark("error", run, "", text, "record the run again or take it out of the dataset")
 
 
 def as_faults(dataset: MeasuredDataset) -> list[Fault]:
-    """The errors among the remarks on a dataset, each with its file; one for the channels that share a mistake."""
-    return [_as_fault(remark, dataset) for remark in together(r for r in dataset.remarks if r.severity == "error")]
+    """The errors among the remarks on a dataset, each with its file; one for the channels that
+    share a mistake.
+    """
+    return [
+        _as_fault(remark, dataset)
+        for remark in together(r for r in dataset.remarks if r.severity == "error")
+    ]
 
 
 def _as_fault(remark: Remark, dataset: MeasuredDataset) -> Fault:
     file = dataset.path if remark.run is None else dataset.files[remark.run]
-    return Fault(str(file), None, None, remark.channel, remark.text + (f"; {remark.remedy}" if remark.remedy else ""))
+    return Fault(
+        str(file),
+        None,
+        None,
+        remark.channel,
+        remark.text + (f"; {remark.remedy}" if remark.remedy else ""),
+    )

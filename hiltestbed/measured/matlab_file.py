@@ -1,4 +1,6 @@
-"""MATLAB .mat: numeric variables and fields of structs (``wrench_meas.fz``), version 4 to 7 by SciPy and 7.3, which is HDF5, by h5py."""
+"""MATLAB .mat: numeric variables and fields of structs (``wrench_meas.fz``), version 4 to 7 by
+SciPy and 7.3, which is HDF5, by h5py.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiltestbed.measured.columns import BROKEN, Columns, as_numbers, refuse_large, split_matrix, unreadable
+from hiltestbed.measured.columns import (
+    BROKEN,
+    Columns,
+    as_numbers,
+    refuse_large,
+    split_matrix,
+    unreadable,
+)
 from hiltestbed.measured.hdf5_file import read_datasets
 
 if TYPE_CHECKING:
@@ -18,7 +27,9 @@ HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:
-    """The columns ``wanted`` of a .mat file, rows along the first axis of a matrix. Raises InputError, MissingExtra."""
+    """The columns ``wanted`` of a .mat file, rows along the first axis of a matrix. Raises
+    InputError, MissingExtra.
+    """
     if _is_hdf5(path):
         return read_datasets(path, wanted, _rows_last, transposed=True)
     return _read_version_5(path, wanted)
@@ -42,16 +53,26 @@ def _read_version_5(path: Path, wanted: Set[str]) -> Columns:
 
     try:
         variables = {name: shape for name, shape, _ in scipy.io.whosmat(path)}
-        needed = [v for v, shape in variables.items() if shape == (1, 1) or any(n == v or n.startswith(f"{v}.") for n in wanted)]
+        needed = [
+            v
+            for v, shape in variables.items()
+            if shape == (1, 1) or any(n == v or n.startswith(f"{v}.") for n in wanted)
+        ]
         refuse_large(path, sum(int(np.prod(variables[v])) for v in needed), 1)
         content = scipy.io.loadmat(path, variable_names=needed, simplify_cells=True)
     except (MatReadError, *BROKEN) as error:
-        raise unreadable(path, f"is not a whole MATLAB file ({error})", "save it again, with -v7 or -v7.3") from error
+        raise unreadable(
+            path, f"is not a whole MATLAB file ({error})", "save it again, with -v7 or -v7.3"
+        ) from error
     found: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {}
     for name in needed:
         _collect(name, content[name], found)
     names = (*found, *(name for name in variables if name not in needed))
-    data = {n: as_numbers(path, n, a[:, i[0]] if i else a.reshape(-1)) for n, (a, i) in found.items() if n in wanted}
+    data = {
+        n: as_numbers(path, n, a[:, i[0]] if i else a.reshape(-1))
+        for n, (a, i) in found.items()
+        if n in wanted
+    }
     return Columns(names, data)
 
 

@@ -1,4 +1,6 @@
-"""MCAP with JSON messages: the field ``fz`` of topic ``/wrench_meas`` is ``wrench_meas.fz``; its clock is the message's log time."""
+"""MCAP with JSON messages: the field ``fz`` of topic ``/wrench_meas`` is ``wrench_meas.fz``; its
+clock is the message's log time.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from hiltestbed.measured.columns import BROKEN, SAMPLE_LIMIT, Columns, refuse_la
 
 
 def read(path: Path, wanted: Set[str]) -> Columns:
-    """The numbers ``wanted`` of an MCAP file; log times count from the first message. Raises InputError, MissingExtra."""
+    """The numbers ``wanted`` of an MCAP file; log times count from the first message. Raises
+    InputError, MissingExtra.
+    """
     try:
         from mcap.exceptions import McapError
         from mcap.reader import make_reader
@@ -29,19 +33,32 @@ def read(path: Path, wanted: Set[str]) -> Columns:
             for _, channel, message in make_reader(file).iter_messages():
                 if channel.message_encoding != "json":
                     what = f"has topic {channel.topic!r} encoded as {channel.message_encoding!r}"
-                    raise unreadable(path, what, "allowed is json; export the topics as JSON, or as CSV or Parquet")
+                    raise unreadable(
+                        path,
+                        what,
+                        "allowed is json; export the topics as JSON, or as CSV or Parquet",
+                    )
                 start = message.log_time if start is None else start
-                for name, value in _numbers(channel.topic.strip("/").replace("/", "."), json.loads(message.data)):
+                for name, value in _numbers(
+                    channel.topic.strip("/").replace("/", "."), json.loads(message.data)
+                ):
                     kept = samples.setdefault(name, [])
                     if name in wanted:
                         kept.append((message.log_time - start, value))
                         count += 1
-                if count > SAMPLE_LIMIT // 8:  # a Python tuple takes about eight times the memory of the number in it
+                # a Python tuple takes about eight times the memory of the number in it
+                if count > SAMPLE_LIMIT // 8:
                     refuse_large(path, count, 8)
     except (McapError, ZstdError, *BROKEN) as error:
-        raise unreadable(path, f"is not a whole MCAP file ({error})", "copy or record it again") from error
+        raise unreadable(
+            path, f"is not a whole MCAP file ({error})", "copy or record it again"
+        ) from error
     data = {name: np.array([value for _, value in kept]) for name, kept in samples.items() if kept}
-    clock = {name: np.array([stamp for stamp, _ in kept], dtype=np.float64) * 1e-9 for name, kept in samples.items() if kept}
+    clock = {
+        name: np.array([stamp for stamp, _ in kept], dtype=np.float64) * 1e-9
+        for name, kept in samples.items()
+        if kept
+    }
     return Columns(tuple(samples), data, clock)
 
 

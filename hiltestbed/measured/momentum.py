@@ -1,14 +1,19 @@
-"""Momentum balance: comparison of the logged pose with the motion that the logged force causes on the believed bodies.
+"""Momentum balance: comparison of the logged pose with the motion that the logged force causes on
+the believed bodies.
 
 The bodies float freely, so the relative motion of the ports follows from the wrench alone::
 
-    x(t) = x0 + v0 t - s integral integral L W dt dt,    L = the sum over both bodies of their inverse inertia seen at the port
+    x(t) = x0 + v0 t - s integral integral L W dt dt
+    L = the sum over both bodies of their inverse inertia seen at the port
 
-s is 1 if the units of mass, force and length are consistent, whatever contact, sensor and compensation do. A force in pounds makes it
+s is 1 if the units of mass, force and length are consistent, whatever contact, sensor and
+compensation do. A force in pounds makes it
 4.448, a reversed sign -1, and exchanged axes leave motion that no s explains.
 
-The bodies move by the compensated force, and the sensor's record is late against it. Delay, filters and leads keep the impulse, but the
-double integral D of the record is another: D(t - T) + b L W to second order, with a shift T and a spread b. s is fitted together with both.
+The bodies move by the compensated force, and the sensor's record is late against it. Delay, filters
+and leads keep the impulse, but the
+double integral D of the record is another: D(t - T) + b L W to second order, with a shift T and a
+spread b. s is fitted together with both.
 """
 
 from __future__ import annotations
@@ -27,13 +32,17 @@ from hiltestbed.scenario import Scenario
 
 PLACES = ("px", "py", "pz")
 FORCES = ("fx", "fy", "fz")
-GAP_LIMIT = 0.02  # part of the rows that may be missing: an impulse that was not logged cannot be integrated
+# part of the rows that may be missing: an impulse that was not logged cannot be integrated
+GAP_LIMIT = 0.02
 BETTER = 0.02  # part of the motion that another order or other signs must explain in addition
 CLEAR = 50.0  # least motion that the force causes, in units of the pose's noise
-LATEST = 0.05  # [s] largest shift between force and motion that is searched: beyond the delays of such loops
+# [s] largest shift between force and motion that is searched: beyond the delays of such loops
+LATEST = 0.05
 ROUNDS = 20  # of the search for the shift, which takes less than ten to settle within SETTLED
 SETTLED = 1e-3  # of a tick
-APART = 0.1  # least part of L W that differs from the motion and its rate; of an oscillation L W is proportional to D, and b stays 0
+# least part of L W that differs from the motion and its rate; of an oscillation L W is proportional
+# to D, and b stays 0
+APART = 0.1
 
 
 @dataclass(frozen=True)
@@ -41,10 +50,13 @@ class Momentum:
     """Momentum balance of one force and one pose.
 
     Attributes:
-        force, pose: the groups. scale: s above, of all axes together; axes: axis to its own s, for axes that the force clearly moves.
+        force, pose: the groups. scale: s above, of all axes together; axes: axis to its own s, for
+            axes that the force clearly moves.
         late: [s] by which the force is later in the record than the motion that it causes.
-        explained: part of the motion's sum of squares that s explains. order, signs: of the force's axes that explain it best.
-        explained_in_order: the same part with the axes in that order and with these signs, for the best s > 0.
+        explained: part of the motion's sum of squares that s explains. order, signs: of the force's
+            axes that explain it best.
+        explained_in_order: the same part with the axes in that order and with these signs, for the
+            best s > 0.
     """
 
     force: str
@@ -61,8 +73,9 @@ class Momentum:
 def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momentum | None:
     """The momentum balance of force and pose; None if axes or rows are missing or nothing moves.
 
-    Torques that were not measured count as zero where a tip meets a plane, whose torque about the port is small, or all is centred. In a
-    cone or a latch they move the ports as much as the forces do.
+    Torques that were not measured count as zero where a tip meets a plane, whose torque about the
+    port is small, or all is centred. In a cone or a latch they move the ports as much as the forces
+    do.
     """
     names = [*(f"{pose}.{p}" for p in PLACES), *(f"{force}.{f}" for f in FORCES)]
     symmetric = centred(scenario)
@@ -76,7 +89,9 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
     rows = np.flatnonzero(known)
     if len(rows) < 50 or not _whole(rows, record, scenario):
         return None
-    place, wrench = (_columns(record, n)[:, rows] for n in ([f"{pose}.{p}" for p in PLACES], _wrench(force)))
+    place, wrench = (
+        _columns(record, n)[:, rows] for n in ([f"{pose}.{p}" for p in PLACES], _wrench(force))
+    )
     scale = np.abs(place).max() or 1.0
     motion = _without_line(record.t[rows], place)
     noise = np.array([_roughness(p) for p in place])
@@ -89,13 +104,29 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
     as_given = parts.fit(FORCES, (1, 1, 1))
     order, signs, best = parts.best(as_given)
     late, parts = parts.aligned(scenario.tick)
-    axes = {a: parts.axis(j) for j, a in enumerate("xyz") if moved[j] and np.sum(motion[j] ** 2) > 0.05 * np.sum(motion**2)}
+    axes = {
+        a: parts.axis(j)
+        for j, a in enumerate("xyz")
+        if moved[j] and np.sum(motion[j] ** 2) > 0.05 * np.sum(motion**2)
+    }
     scale = parts.fit(FORCES, (1, 1, 1)).scale
-    return Momentum(force, pose, scale, {a: s for a, s in axes.items() if s}, late, as_given.explained, order, signs, best)
+    return Momentum(
+        force,
+        pose,
+        scale,
+        {a: s for a, s in axes.items() if s},
+        late,
+        as_given.explained,
+        order,
+        signs,
+        best,
+    )
 
 
 class _Fit(NamedTuple):
-    """s, the part of the motion's square sum that it explains, and the weight (10,) of each driven motion."""
+    """s, the part of the motion's square sum that it explains, and the weight (10,) of each driven
+    motion.
+    """
 
     scale: float
     explained: float
@@ -104,12 +135,15 @@ class _Fit(NamedTuple):
 
 @dataclass(frozen=True)
 class _Parts:
-    """Inner products of the motions that each column of the force causes on each axis, for the fit of every order and sign of the axes.
+    """Inner products of the motions that each column of the force causes on each axis, for the fit
+    of every order and sign of the axes.
 
     Attributes:
-        t: (rows,) [s]. driven: (10, 3, rows) motion by column j acting along axis i, at 3 i + j; by the torques last.
+        t: (rows,) [s]. driven: (10, 3, rows) motion by column j acting along axis i, at 3 i + j; by
+            the torques last.
         motion: (3, rows) that was logged, without its linear trend.
-        seen: driven without its linear trend. gram: (10, 10) inner products of seen with each other; shown: (10,) with the motion.
+        seen: driven without its linear trend. gram: (10, 10) inner products of seen with each
+            other; shown: (10,) with the motion.
         square: inner product of the motion with itself.
     """
 
@@ -132,10 +166,20 @@ class _Parts:
     def _seen(cls, t: Array, driven: Array, shifted: Array, motion: Array) -> _Parts:
         seen = np.stack([_without_line(t, part) for part in shifted])
         flat = seen.reshape(10, -1)
-        return cls(t, driven, motion, seen, flat @ flat.T, flat @ motion.reshape(-1), float(np.sum(motion**2)))
+        return cls(
+            t,
+            driven,
+            motion,
+            seen,
+            flat @ flat.T,
+            flat @ motion.reshape(-1),
+            float(np.sum(motion**2)),
+        )
 
     def aligned(self, tick: float) -> tuple[float, _Parts]:
-        """T [s], and the parts without shift and spread; unchanged if no T up to LATEST is found (Gauss-Newton from 0)."""
+        """T [s], and the parts without shift and spread; unchanged if no T up to LATEST is found
+        (Gauss-Newton from 0).
+        """
         late, parts = 0.0, self
         for _ in range(ROUNDS):
             moved, spread = parts._apart(self.motion)
@@ -149,10 +193,18 @@ class _Parts:
         return 0.0, self
 
     def _apart(self, motion: Array) -> tuple[float, Array]:
-        """What is left of T [s], to first order, and the part of ``motion`` (3, rows) that is due to the spread."""
+        """What is left of T [s], to first order, and the part of ``motion`` (3, rows) that is due
+        to the spread.
+        """
         made = np.tensordot(self.fit(FORCES, (1, 1, 1)).weights, self.seen, 1)
         rate = np.gradient(made, self.t, axis=1)
-        basis = np.stack([_without_line(self.t, part).reshape(-1) for part in (made, rate, np.gradient(rate, self.t, axis=1))], axis=1)
+        basis = np.stack(
+            [
+                _without_line(self.t, part).reshape(-1)
+                for part in (made, rate, np.gradient(rate, self.t, axis=1))
+            ],
+            axis=1,
+        )
         own = basis[:, 2] - basis[:, :2] @ np.linalg.lstsq(basis[:, :2], basis[:, 2], rcond=None)[0]
         terms = 3 if own @ own > APART * (basis[:, 2] @ basis[:, 2]) else 2
         found = np.linalg.lstsq(basis[:, :terms], motion.reshape(-1), rcond=None)[0]
@@ -160,7 +212,9 @@ class _Parts:
         return float(found[1] / found[0]) if found[0] else 0.0, spread
 
     def fit(self, order: tuple[str, ...], signs: tuple[int, ...]) -> _Fit:
-        """The fit for one order and signs; torques are scaled like the force or not, whichever fits better."""
+        """The fit for one order and signs; torques are scaled like the force or not, whichever fits
+        better.
+        """
         force = np.zeros(10)
         for i, (name, sign) in enumerate(zip(order, signs, strict=True)):
             force[3 * i + FORCES.index(name)] = sign
@@ -181,8 +235,14 @@ class _Parts:
         return float(self.square - 2 * weights @ self.shown + weights @ self.gram @ weights)
 
     def best(self, as_given: _Fit) -> tuple[tuple[str, ...], tuple[int, ...], float]:
-        """The order and signs that explain the motion best (the given ones unless others are clearly better), and the explained part."""
-        found: tuple[tuple[str, ...], tuple[int, ...], float] = FORCES, (1, 1, 1), as_given.explained
+        """The order and signs that explain the motion best (the given ones unless others are
+        clearly better), and the explained part.
+        """
+        found: tuple[tuple[str, ...], tuple[int, ...], float] = (
+            FORCES,
+            (1, 1, 1),
+            as_given.explained,
+        )
         for order in permutations(FORCES):
             for signs in product((1, -1), repeat=3):
                 s, part, _ = self.fit(order, signs)
@@ -191,17 +251,24 @@ class _Parts:
         return found
 
     def axis(self, j: int) -> float:
-        """The s of axis j alone, with forces in the given order; 0 if the force along it causes no motion."""
+        """The s of axis j alone, with forces in the given order; 0 if the force along it causes no
+        motion.
+        """
         driven = sum(self.seen[4 * i][j] for i in range(3)) + self.seen[9][j]
         square = float(np.sum(driven**2))
         return float(np.sum(driven * self.motion[j])) / square if square > 0 else 0.0
 
 
 def mobility(scenario: Scenario) -> Array:
-    """``(3, 6)`` [1/kg, 1/(kg m)] acceleration of A relative to P, in P, by a unit wrench of A on P, at the start attitude."""
+    """``(3, 6)`` [1/kg, 1/(kg m)] acceleration of A relative to P, in P, by a unit wrench of A on
+    P, at the start attitude.
+    """
     turned = rotation_matrix(quat_from_attitude_deg(scenario.approach.attitude_deg))
     total = np.zeros((3, 6))
-    for body, port_in_p in ((scenario.spacecraft.chaser, turned), (scenario.spacecraft.target, np.eye(3))):
+    for body, port_in_p in (
+        (scenario.spacecraft.chaser, turned),
+        (scenario.spacecraft.target, np.eye(3)),
+    ):
         port = port_pose(body)
         to_body = rotation_matrix(port[3:]) @ port_in_p.T
         r, inertia = port[:3], inertia_matrix(body.inertia)
@@ -213,7 +280,9 @@ def mobility(scenario: Scenario) -> Array:
 
 
 def centred(scenario: Scenario) -> bool:
-    """Whether only the axis of insertion moves, so that the other axes are zero by symmetry even if they were not measured."""
+    """Whether only the axis of insertion moves, so that the other axes are zero by symmetry even if
+    they were not measured.
+    """
     approach, vehicles = scenario.approach, (scenario.spacecraft.chaser, scenario.spacecraft.target)
     still = (*approach.offset, *approach.velocity[:2], *approach.attitude_deg, *approach.rate_deg)
     ports = [v for body in vehicles for v in (*body.port.position[:2], *body.port.attitude_deg)]
@@ -223,7 +292,9 @@ def centred(scenario: Scenario) -> bool:
 
 def _columns(record: Record, names: list[str]) -> Array:
     """``(names, ticks)``; zero for columns that were not measured."""
-    return np.stack([record.column(n) if n in record.columns() else np.zeros(record.ticks) for n in names])
+    return np.stack(
+        [record.column(n) if n in record.columns() else np.zeros(record.ticks) for n in names]
+    )
 
 
 def _wrench(group: str) -> list[str]:
@@ -233,24 +304,32 @@ def _wrench(group: str) -> list[str]:
 def _whole(rows: np.ndarray, record: Record, scenario: Scenario) -> bool:
     """Whether at most GAP_LIMIT of the rows that the file's sampling rate gives are missing."""
     stride = max(1.0, scenario.rate / record.sample_rate) if record.sample_rate else 1.0
-    return len(rows) * stride > (1 - GAP_LIMIT) * (rows[-1] - rows[0]) and rows[0] < 0.2 * record.ticks
+    return (
+        len(rows) * stride > (1 - GAP_LIMIT) * (rows[-1] - rows[0]) and rows[0] < 0.2 * record.ticks
+    )
 
 
 def _twice(t: Array, rate: Array, tick: float) -> Array:
-    """Double integral of ``rate`` ``(3, rows)``; semi-implicit like the model's step if no tick is missing."""
+    """Double integral of ``rate`` ``(3, rows)``; semi-implicit like the model's step if no tick is
+    missing.
+    """
     step = np.diff(t, prepend=t[0] - tick)
     return np.cumsum(np.cumsum(rate * step, axis=1) * step, axis=1)
 
 
 def _without_line(t: Array, values: Array) -> Array:
-    """``values`` ``(axes, rows)`` minus their best-fit line in t, so that start and speed do not count."""
+    """``values`` ``(axes, rows)`` minus their best-fit line in t, so that start and speed do not
+    count.
+    """
     basis = np.stack([np.ones_like(t), t - t.mean()])
     basis /= np.linalg.norm(basis, axis=1, keepdims=True)
     return values - (values @ basis.T) @ basis
 
 
 def _shifted(t: Array, driven: Array, late: float) -> Array:
-    """``driven`` ``(10, 3, rows)`` as much earlier; before the first and after the last row without force, that is at uniform speed."""
+    """``driven`` ``(10, 3, rows)`` as much earlier; before the first and after the last row without
+    force, that is at uniform speed.
+    """
     at = t + late
     rows = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
     part = (at - t[rows]) / (t[rows + 1] - t[rows])

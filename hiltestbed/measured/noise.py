@@ -10,13 +10,18 @@ import numpy as np
 from hiltestbed.frames import Array
 
 FREE_MINIMUM = 20  # samples before the first touch, at least, to estimate a noise floor
-THIRD_DIFFERENCE = math.sqrt(20.0)  # its sigma for white noise of unit sigma: the variance is 1 + 9 + 9 + 1
+# its sigma for white noise of unit sigma: the variance is 1 + 9 + 9 + 1
+THIRD_DIFFERENCE = math.sqrt(20.0)
 MAD_TO_SIGMA = 1.4826
-CLIP_SIGMA = 4.0  # chosen: third differences of quantised values beyond it, as at a touch, count as this much
-# Derived: level in steps with a noise of 0.2 steps. An eighth of the variance of rounding is then alike from row to row: the first harmonic
-# of its sawtooth, 12/(2 pi^2) of that variance, times exp(-(2 pi 0.2)^2).
+# chosen: third differences of quantised values beyond it, as at a touch, count as this much
+CLIP_SIGMA = 4.0
+# Derived: level in steps with a noise of 0.2 steps. An eighth of the variance of rounding is then
+# alike from row to row: the first harmonic of its sawtooth, 12/(2 pi^2) of that variance, times
+# exp(-(2 pi 0.2)^2).
 DITHERED = math.hypot(0.2, 1.0 / math.sqrt(12.0))
-UNIFORM = 2.0  # ratio of rms to white; above it a pose does not move uniformly, and a straight line does not give its noise
+# ratio of rms to white; above it a pose does not move uniformly, and a straight line does not give
+# its noise
+UNIFORM = 2.0
 ROUND_OFF = 1e-12  # of the largest value: smaller steps are those of the number format
 SPARSE = 0.7  # part of the ticks with a sample; below it the log is slower than the loop
 FEW_DIGITS = 6  # significant digits of a text file, up to which its rounding may matter
@@ -29,10 +34,12 @@ class Noise:
     """Noise of one column.
 
     Attributes:
-        rms: 1 sigma about a straight line in the free segment; includes hum and drift of a force. For a pose that does not move
-            uniformly there, the same as ``white``.
-        white: 1 sigma of the part that differs from sample to sample (third differences), without hum and motion.
-        samples: used for the estimate; 0 if the free segment is too short and the whole record was used, with ``rms`` = ``white``.
+        rms: 1 sigma about a straight line in the free segment; includes hum and drift of a force.
+            For a pose that does not move uniformly there, the same as ``white``.
+        white: 1 sigma of the part that differs from sample to sample (third differences), without
+            hum and motion.
+        samples: used for the estimate; 0 if the free segment is too short and the whole record was
+            used, with ``rms`` = ``white``.
 
     For a quantised channel neither is less than step/sqrt(12).
     """
@@ -43,7 +50,9 @@ class Noise:
 
 
 def noise_of(values: Array, free: int, step: float, pose: bool) -> Noise:
-    """Noise of ``values`` ``(ticks,)`` with ``free`` samples before the first touch and the quantisation step ``step`` (0: none)."""
+    """Noise of ``values`` ``(ticks,)`` with ``free`` samples before the first touch and the
+    quantisation step ``step`` (0: none).
+    """
     segment, least = values[:free], step / math.sqrt(12.0)
     known = np.flatnonzero(np.isfinite(segment))
     if len(known) < FREE_MINIMUM:
@@ -51,15 +60,21 @@ def noise_of(values: Array, free: int, step: float, pose: bool) -> Noise:
         return Noise(white, white, 0)
     line = np.polynomial.Polynomial.fit(known, segment[known], 1)
     residual = segment[known] - line(known)
-    rms, white = float(np.sqrt(np.sum(residual**2) / (len(known) - 2))), max(white_noise(segment, step), least)
+    rms, white = (
+        float(np.sqrt(np.sum(residual**2) / (len(known) - 2))),
+        max(white_noise(segment, step), least),
+    )
     return Noise(white if pose and rms > UNIFORM * white else max(rms, least), white, len(known))
 
 
 def white_noise(values: Array, step: float = 0.0) -> float:
-    """1 sigma of the part of ``values`` that differs from sample to sample; 0 if there are too few samples.
+    """1 sigma of the part of ``values`` that differs from sample to sample; 0 if there are too few
+    samples.
 
-    ``step``: their quantisation, 0: none. Differences of quantised values are multiples of it, and so is their median, which then tells no
-    level: their mean square does, of those that are not far out. Where noise does not dither the steps, rounding errors are alike from row
+    ``step``: their quantisation, 0: none. Differences of quantised values are multiples of it, and
+        so is their median, which then tells no
+    level: their mean square does, of those that are not far out. Where noise does not dither the
+        steps, rounding errors are alike from row
     to row, which differences show in part: the larger of the two counts.
     """
     third = np.diff(_samples(values), 3)
@@ -75,24 +90,34 @@ def white_noise(values: Array, step: float = 0.0) -> float:
 
 
 def _samples(values: Array) -> Array:
-    """``values``; without the missing ones if many are missing, as on the ticks of a loop that is faster than its log."""
+    """``values``; without the missing ones if many are missing, as on the ticks of a loop that is
+    faster than its log.
+    """
     known = np.isfinite(values)
     return values[known] if len(values) and known.mean() < SPARSE else values
 
 
 def finest_noise(values: Array) -> float:
-    """1 sigma of white noise in a moving column: the least from differences of orders 3, 5 and 7, which suppress motion increasingly."""
+    """1 sigma of white noise in a moving column: the least from differences of orders 3, 5 and 7,
+    which suppress motion increasingly.
+    """
     found = [white_noise(values)]
     for order in (5, 7):
         differences = np.diff(_samples(values), order)
         differences = differences[np.isfinite(differences)]
         if len(differences) >= 8:
-            found.append(MAD_TO_SIGMA * float(np.median(np.abs(differences))) / math.sqrt(math.comb(2 * order, order)))
+            found.append(
+                MAD_TO_SIGMA
+                * float(np.median(np.abs(differences)))
+                / math.sqrt(math.comb(2 * order, order))
+            )
     return min(found)
 
 
 def step_of(values: Array) -> float | None:
-    """The step of which all ``values`` are multiples; None if they are not quantised. A uniform motion has one step per sample."""
+    """The step of which all ``values`` are multiples; None if they are not quantised. A uniform
+    motion has one step per sample.
+    """
     distinct = np.unique(values)
     if len(distinct) < 3:
         return None
@@ -108,12 +133,16 @@ def step_of(values: Array) -> float | None:
 
 
 def last_digit(size: Array, count: int) -> Array:
-    """The value of the last of ``count`` significant digits in numbers of magnitude ``size`` > 0."""
+    """The value of the last of ``count`` significant digits in numbers of magnitude ``size`` >
+    0.
+    """
     return 10.0 ** (np.floor(np.log10(size)) - count + 1)
 
 
 def digits_of(values: Array) -> int | None:
-    """Number of significant digits of ``values`` if it is at most :data:`FEW_DIGITS`; otherwise None."""
+    """Number of significant digits of ``values`` if it is at most :data:`FEW_DIGITS`; otherwise
+    None.
+    """
     size = np.abs(values[np.isfinite(values)])
     size = size[size > SMALLEST]
     if len(np.unique(size)) < 10:

@@ -20,6 +20,8 @@ def read(path: Path, wanted: Set[str]) -> Columns:
             refuse_large(path, file.metadata.num_rows, len(columns))
             table = file.read(columns)
     except (pa.ArrowException, *BROKEN) as error:
-        raise unreadable(path, f"is not a whole Parquet file ({error})", "copy or record it again") from error
+        raise unreadable(
+            path, f"is not a whole Parquet file ({error})", "copy or record it again"
+        ) from error
     data = {name: as_numbers(path, name, table.column(name).to_numpy()) for name in columns}
     return Columns(names, data)

@@ -1,8 +1,10 @@
-"""Detection of units, signs and orders that contradict the physics of the scenario. Nothing is corrected.
+"""Detection of units, signs and orders that contradict the physics of the scenario. Nothing is
+corrected.
 
-The pose is compared with gap and approach velocity, the attitude with the start attitude, and force and pose with each other by the
-momentum balance. If the recorded bodies do not float freely, the force is compared with k x + c v and v sqrt(k mu). Effects change these
-by a factor of a few, so that a wrong unit is only detected there from a factor of some hundreds.
+The pose is compared with gap and approach velocity, the attitude with the start attitude, and force
+and pose with each other by the momentum balance. If the recorded bodies do not float freely, the
+force is compared with k x + c v and v sqrt(k mu). Effects change these by a factor of a few, so
+that a wrong unit is only detected there from a factor of some hundreds.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ CORRELATION = -0.5
 QUAT_NORM = 0.01
 QUAT_NORM_NOTE = 1e-3
 TURNED_DEG = 30.0  # the platform rotates by 10 deg at most
-RATIO = (0.8, 1.25)  # of a measured torque to that of the off-axis force: effects change it by less, or the two torques differently
+# of a measured torque to that of the off-axis force: effects change it by less, or the two torques
+# differently
+RATIO = (0.8, 1.25)
 EXPLAINED = 0.9  # of the variance of a torque that the off-axis force must explain
 LEVER_LIMIT = 20.0  # [m] torque over force: no rig is that large
 
@@ -38,7 +42,10 @@ LEVER_LIMIT = 20.0  # [m] torque over force: no rig is that large
 def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
     """Errors for contradictions, notes for what is merely unusual."""
     if is_driven(record, scenario):  # it starts from rest at any place, and its mass is unknown
-        return [*copies_and_constants(record, found, scenario), *(_of_the_mass(r) for r in _forces(record, found, scenario))]
+        return [
+            *copies_and_constants(record, found, scenario),
+            *(_of_the_mass(r) for r in _forces(record, found, scenario)),
+        ]
     return [
         *starts_at_fault(record, found, scenario),
         *_attitudes(record, scenario),
@@ -50,14 +57,18 @@ def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Re
 
 
 def _of_the_mass(remark: Remark) -> Remark:
-    """A note instead of an error on the unit of the force: another mass would have the same effect."""
+    """A note instead of an error on the unit of the force: another mass would have the same
+    effect.
+    """
     if remark.check != "unit" or remark.severity != "error":
         return remark
     return replace(remark, severity="note", text=f"{remark.text}; or its mass is another", check="")
 
 
 def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
-    """Remarks on the forces: by the momentum balance if the bodies float freely, otherwise by the contact law."""
+    """Remarks on the forces: by the momentum balance if the bodies float freely, otherwise by the
+    contact law.
+    """
     pairs = balances(record, scenario)
     wrong = list(imbalances(record, found, scenario, pairs))
     if pairs:
@@ -65,7 +76,9 @@ def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
     return [*_measured_force(record, found, scenario), *_force_pair(record, found)]
 
 
-def _error(check: Check, record: Record, channel: str, text: str, fix: str, **evidence: float) -> Remark:
+def _error(
+    check: Check, record: Record, channel: str, text: str, fix: str, **evidence: float
+) -> Remark:
     return Remark("error", record.run, channel, text, fix, evidence, check)
 
 
@@ -82,8 +95,18 @@ def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
         off = float(np.abs(np.linalg.norm(q, axis=1) - 1).max())
         name = f"{group}.q*"
         if off > QUAT_NORM:
-            text = f"is no unit quaternion: its length is off by up to {off:.3g}; allowed is {QUAT_NORM:g}"
-            yield _error("attitude", record, name, text, "check scale and columns of qx, qy, qz, qw", length_error=off)
+            text = (
+                f"is no unit quaternion: its length is off by up to {off:.3g}; allowed "
+                f"is {QUAT_NORM:g}"
+            )
+            yield _error(
+                "attitude",
+                record,
+                name,
+                text,
+                "check scale and columns of qx, qy, qz, qw",
+                length_error=off,
+            )
             continue
         if off > QUAT_NORM_NOTE:
             text = f"has a length that is off by up to {off:.3g}; it is used as it is"
@@ -92,21 +115,50 @@ def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
 
 
 def _order(record: Record, name: str, q: Array, expected: Array) -> Iterator[Remark]:
-    """Remark on a start attitude far from the scenario's, and the reading of the four columns that would match it."""
+    """Remark on a start attitude far from the scenario's, and the reading of the four columns that
+    would match it.
+    """
     given = _angle_deg(q, expected)
     group = name.partition(".")[0]
     w_first = _angle_deg(q[:, [1, 2, 3, 0]], expected)
     conjugate = _angle_deg(q * [-1, -1, -1, 1], expected)
     if given > TURNED_DEG and w_first < 0.5 * TURNED_DEG:
-        text = f"starts {given:.0f} deg from the scenario's attitude, {w_first:.1f} deg when read w first: the order is w, x, y, z"
-        fix = f"exchange the columns under channels: {group}.qw takes that of qx, qx that of qy, qy that of qz, qz that of qw"
+        text = (
+            f"starts {given:.0f} deg from the scenario's attitude, {w_first:.1f} deg "
+            f"when read w first: the order is w, x, y, z"
+        )
+        fix = (
+            f"exchange the columns under channels: {group}.qw takes that of qx, qx that "
+            f"of qy, qy that of qz, qz that of qw"
+        )
         yield _error("attitude", record, name, text, fix, angle_deg=given, w_first_deg=w_first)
     elif given > TURNED_DEG:
-        text = f"starts {given:.0f} deg from the scenario's attitude; the platform rotates by 10 deg at most"
-        yield _error("attitude", record, name, text, "check frames and columns, or set approach.attitude_deg", angle_deg=given)
+        text = (
+            f"starts {given:.0f} deg from the scenario's attitude; the platform rotates "
+            f"by 10 deg at most"
+        )
+        yield _error(
+            "attitude",
+            record,
+            name,
+            text,
+            "check frames and columns, or set approach.attitude_deg",
+            angle_deg=given,
+        )
     elif given > 1.0 and conjugate < 0.2 * given:
-        text = f"starts {given:.1f} deg from the scenario's attitude, {conjugate:.1f} deg when inverted: it is P in A"
-        yield _error("attitude", record, name, text, "give the scale -1 to its qx, qy and qz", angle_deg=given, conjugate_deg=conjugate)
+        text = (
+            f"starts {given:.1f} deg from the scenario's attitude, {conjugate:.1f} deg "
+            f"when inverted: it is P in A"
+        )
+        yield _error(
+            "attitude",
+            record,
+            name,
+            text,
+            "give the scale -1 to its qx, qy and qz",
+            angle_deg=given,
+            conjugate_deg=conjugate,
+        )
 
 
 def _angle_deg(q: Array, expected: Array) -> float:
@@ -116,7 +168,9 @@ def _angle_deg(q: Array, expected: Array) -> float:
 
 
 def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Remarks on sign and magnitude of the force along z, and on a force that is on another axis."""
+    """Remarks on sign and magnitude of the force along z, and on a force that is on another
+    axis.
+    """
     name = "wrench_meas.fz" if "wrench_meas.fz" in record.columns() else "wrench_comp.fz"
     if name not in record.columns() or not found.contacts:
         return
@@ -124,23 +178,37 @@ def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterat
     peak, low = float(np.nanmax(force)), float(np.nanmin(force))
     clear = max(peak, -low) > MOVED * found.noise[name].rms
     if clear and _pulls(record, force, peak, low, scenario):
-        text = f"pulls while pushing: {low:.4g} N at its strongest against {peak:.4g} N, and falls as the penetration grows"
+        text = (
+            f"pulls while pushing: {low:.4g} N at its strongest against {peak:.4g} N, "
+            f"and falls as the penetration grows"
+        )
         yield _error("sign", record, name, text, scale_fix(name, -1.0), lowest=low, highest=peak)
     expected = _expected_force(record, scenario)
     if not expected:
         return
     ratio = max(peak, -low) / expected
     if clear and not 1 / FORCE_FACTOR < ratio < FORCE_FACTOR:
-        text = f"peaks at {max(peak, -low):.4g} N, the scenario gives about {expected:.4g} N: {factor_text(ratio, 'N')}"
+        text = (
+            f"peaks at {max(peak, -low):.4g} N, the scenario gives about {expected:.4g} "
+            f"N: {factor_text(ratio, 'N')}"
+        )
         yield _error(
-            "unit", record, name, text, scale_fix(name, 10.0 ** -round(math.log10(ratio))), peak=max(peak, -low), expected=expected
+            "unit",
+            record,
+            name,
+            text,
+            scale_fix(name, 10.0 ** -round(math.log10(ratio))),
+            peak=max(peak, -low),
+            expected=expected,
         )
     elif not clear:
         yield from _other_axis(record, found, name, expected)
 
 
 def _pulls(record: Record, force: Array, peak: float, low: float, scenario: Scenario) -> bool:
-    """Whether the force has the wrong sign: by its largest excursion (not for a latched mechanism, which may pull) and its time history."""
+    """Whether the force has the wrong sign: by its largest excursion (not for a latched mechanism,
+    which may pull) and its time history.
+    """
     poses = [name for name in ("pose_act.pz", "pose_cmd.pz") if name in record.columns()]
     latched = scenario.mechanism.captured
     if not latched and -low < 3 * peak:
@@ -166,7 +234,9 @@ def correlation(a: Array, b: Array) -> float:
 
 
 def _expected_force(record: Record, scenario: Scenario) -> float | None:
-    """The peak expected from the scenario [N]: v sqrt(k mu) for two free bodies, k x + c v for a latched mechanism; None without motion."""
+    """The peak expected from the scenario [N]: v sqrt(k mu) for two free bodies, k x + c v for a
+    latched mechanism; None without motion.
+    """
     k, c = scenario.mechanism.contact.stiffness, scenario.mechanism.contact.damping
     if scenario.mechanism.captured:
         depth = penetration(record)
@@ -180,11 +250,15 @@ def _expected_force(record: Record, scenario: Scenario) -> float | None:
 
 
 def _fastest(record: Record, depth: Array) -> float:
-    """The 99th percentile of the rate of penetration [m/s], over steps that are long compared with the noise of the pose."""
+    """The 99th percentile of the rate of penetration [m/s], over steps that are long compared with
+    the noise of the pose.
+    """
     known = np.flatnonzero(np.isfinite(depth))
     stride = max(1, len(known) // 500)
     known = known[::stride]
-    rates = np.abs(np.diff(depth[known]) / np.diff(record.t[known])) if len(known) > 2 else np.zeros(1)
+    rates = (
+        np.abs(np.diff(depth[known]) / np.diff(record.t[known])) if len(known) > 2 else np.zeros(1)
+    )
     return float(np.percentile(rates, 99))
 
 
@@ -196,12 +270,25 @@ def _other_axis(record: Record, found: Survey, name: str, expected: float) -> It
         peak = float(np.nanmax(np.abs(record.column(other) - baseline(record, found, other))))
         own = float(np.nanmax(np.abs(record.column(name) - baseline(record, found, name))))
         if 0.3 * expected < peak < 3 * expected and own < 0.1 * peak:
-            text = f"stays in its noise while {other} peaks at {peak:.4g} N, about what is expected along z: the axes are swapped"
-            yield _error("axes", record, name, text, f"exchange the columns of {name} and {other}", other_peak=peak, expected=expected)
+            text = (
+                f"stays in its noise while {other} peaks at {peak:.4g} N, about what is "
+                f"expected along z: the axes are swapped"
+            )
+            yield _error(
+                "axes",
+                record,
+                name,
+                text,
+                f"exchange the columns of {name} and {other}",
+                other_peak=peak,
+                expected=expected,
+            )
 
 
 def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
-    """Remarks on each axis of the compensated wrench compared with the measured one: the same force, some milliseconds apart."""
+    """Remarks on each axis of the compensated wrench compared with the measured one: the same
+    force, some milliseconds apart.
+    """
     if "wrench_meas" not in record.data or "wrench_comp" not in record.data:
         return
     for axis in ("fx", "fy", "fz", "tx", "ty", "tz"):
@@ -211,22 +298,41 @@ def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
         a, b = (record.column(n) - baseline(record, found, n) for n in (meas, comp))
         both = np.isfinite(a) & np.isfinite(b)
         high_a, high_b = (float(np.abs(values[both]).max(initial=0.0)) for values in (a, b))
-        if high_a <= 2 * MOVED * found.noise[meas].rms or high_b <= 2 * MOVED * found.noise[comp].rms:
+        if (
+            high_a <= 2 * MOVED * found.noise[meas].rms
+            or high_b <= 2 * MOVED * found.noise[comp].rms
+        ):
             continue
         together = correlation(a, b)
         if together < CORRELATION:
-            text = f"is opposite to {meas} (correlation {together:.2f}): the sign of one is reversed"
+            text = (
+                f"is opposite to {meas} (correlation {together:.2f}): the sign of one is reversed"
+            )
             yield _error("sign", record, comp, text, scale_fix(comp, -1.0), correlation=together)
         if not 1 / FORCE_FACTOR < high_b / high_a < FORCE_FACTOR:
-            text = f"peaks at {high_b:.4g} where {meas} peaks at {high_a:.4g}: {factor_text(high_b / high_a, 'N')}"
-            yield _error("unit", record, comp, text, scale_fix(comp, likely_scale(high_b / high_a, "N")), peak=high_b, measured_peak=high_a)
+            text = (
+                f"peaks at {high_b:.4g} where {meas} peaks at {high_a:.4g}: "
+                f"{factor_text(high_b / high_a, 'N')}"
+            )
+            yield _error(
+                "unit",
+                record,
+                comp,
+                text,
+                scale_fix(comp, likely_scale(high_b / high_a, "N")),
+                peak=high_b,
+                measured_peak=high_a,
+            )
 
 
 def _torques(record: Record, found: Survey) -> Iterator[Remark]:
     """Remarks on torques that would need a lever arm longer than any rig."""
     for group in ("wrench_meas", "wrench_comp"):
         names = [n for n in record.columns() if n.startswith(group + ".")]
-        peaks = {n[-2:]: float(np.nanmax(np.abs(record.column(n) - baseline(record, found, n)))) for n in names}
+        peaks = {
+            n[-2:]: float(np.nanmax(np.abs(record.column(n) - baseline(record, found, n))))
+            for n in names
+        }
         forces = [v for n, v in peaks.items() if n[0] == "f"]
         largest = max(forces, default=0.0)
         if len(forces) < 3 or largest == 0.0:
@@ -234,14 +340,23 @@ def _torques(record: Record, found: Survey) -> Iterator[Remark]:
         for axis, peak in peaks.items():
             name = f"{group}.{axis}"
             if axis[0] == "t" and peak > max(MOVED * found.noise[name].rms, LEVER_LIMIT * largest):
-                text = f"peaks at {peak:.4g} N m against {largest:.4g} N of force: a lever arm of {peak / largest:.3g} m, another unit?"
-                yield _error("lever", record, name, text, scale_fix(name, 1e-3), torque=peak, force=largest)
+                text = (
+                    f"peaks at {peak:.4g} N m against {largest:.4g} N of force: a lever "
+                    f"arm of {peak / largest:.3g} m, another unit?"
+                )
+                yield _error(
+                    "lever", record, name, text, scale_fix(name, 1e-3), torque=peak, force=largest
+                )
 
 
 def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Remarks on the torques of an off-axis contact with a plane: about P's origin tx = y fz and ty = -x fz, with A at (x, y)."""
+    """Remarks on the torques of an off-axis contact with a plane: about P's origin tx = y fz and ty
+    = -x fz, with A at (x, y).
+    """
     columns = set(record.columns())
-    place = next((name for name in ("pose_act", "pose_cmd") if {f"{name}.px", f"{name}.py"} <= columns), None)
+    place = next(
+        (name for name in ("pose_act", "pose_cmd") if {f"{name}.px", f"{name}.py"} <= columns), None
+    )
     if place is None or scenario.mechanism.captured or not scenario.mechanism.flat:
         return
     x, y = record.data[place][:, 0], record.data[place][:, 1]
@@ -252,18 +367,35 @@ def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]
         force, tx, ty = (record.column(name) - baseline(record, found, name) for name in names)
         made = y * force, -x * force
         if np.nanmax(force) < -np.nanmin(force) or any(
-            np.nanmax(np.abs(m)) < 2 * MOVED * found.noise[name].rms for m, name in zip(made, names[1:], strict=True)
+            np.nanmax(np.abs(m)) < 2 * MOVED * found.noise[name].rms
+            for m, name in zip(made, names[1:], strict=True)
         ):
             continue
-        own, crossed = [_share(m, t) for m, t in zip(made, (tx, ty), strict=True)], [_share(made[1], tx), _share(made[0], ty)]
+        own, crossed = (
+            [_share(m, t) for m, t in zip(made, (tx, ty), strict=True)],
+            [_share(made[1], tx), _share(made[0], ty)],
+        )
         if all(-RATIO[1] < share < -RATIO[0] for share in own):
             for name, share in zip(names[1:], own, strict=True):
-                text = f"is {share:.2f} times the torque of the off-axis force about P's origin: the sign is reversed"
+                text = (
+                    f"is {share:.2f} times the torque of the off-axis force about P's "
+                    f"origin: the sign is reversed"
+                )
                 yield _error("sign", record, name, text, scale_fix(name, -1.0), share=share)
-        elif all(RATIO[0] < abs(share) < RATIO[1] for share in crossed) and not any(RATIO[0] < share < RATIO[1] for share in own):
-            text = f"is the torque of the off-axis force about the other axis, and {names[2]} is that of this axis: they are exchanged"
+        elif all(RATIO[0] < abs(share) < RATIO[1] for share in crossed) and not any(
+            RATIO[0] < share < RATIO[1] for share in own
+        ):
+            text = (
+                f"is the torque of the off-axis force about the other axis, and "
+                f"{names[2]} is that of this axis: they are exchanged"
+            )
             yield _error(
-                "axes", record, names[1], text, f"exchange the columns of {names[1]} and {names[2]}", shares=min(map(abs, crossed))
+                "axes",
+                record,
+                names[1],
+                text,
+                f"exchange the columns of {names[1]} and {names[2]}",
+                shares=min(map(abs, crossed)),
             )
 
 

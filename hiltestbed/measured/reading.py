@@ -23,38 +23,61 @@ from hiltestbed.measured.units import factor
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
-BETWEEN = 1.5  # ticks per row; below it about every tick lies between two rows, above it on a row or on none
-RESAMPLED = 1.5  # inverse variance factor of samples that a logger has interpolated: the mean of (1 - p)^2 + p^2 is 2/3
+# ticks per row; below it about every tick lies between two rows, above it on a row or on none
+BETWEEN = 1.5
+# inverse variance factor of samples that a logger has interpolated: the mean of (1 - p)^2 + p^2 is
+# 2/3
+RESAMPLED = 1.5
 MISSING_LIMIT = 0.5  # part of its samples that a channel may lack before it is left out
 SAME = Channel()
 CHANNELS = tuple(column for group in MEASURED_GROUPS for column in GROUPS[group].columns)
 
 
-def read_record(run: int, file: Path, channels: Mapping[str, Channel], scenario: Scenario) -> tuple[Record | None, list[Remark]]:
+def read_record(
+    run: int, file: Path, channels: Mapping[str, Channel], scenario: Scenario
+) -> tuple[Record | None, list[Remark]]:
     """One file on the loop's ticks; None if it cannot be used (the remarks say why).
 
-    Raises InputError if the file cannot be read or lacks a mapped column; MissingExtra if its reader is not installed.
+    Raises InputError if the file cannot be read or lacks a mapped column; MissingExtra if its
+    reader is not installed.
     """
     source = {name: channels.get(name, SAME).column or name for name in ("t", *CHANNELS)}
     columns = _read(file, frozenset(source.values()))
     _refuse_missing(file, columns, channels, source)
-    values = {name: _si(columns.data[source[name]], name, channels) for name in CHANNELS if source[name] in columns.data}
+    values = {
+        name: _si(columns.data[source[name]], name, channels)
+        for name in CHANNELS
+        if source[name] in columns.data
+    }
     if not values:
         what = "holds none of the channels " + ", ".join(f"{group}.*" for group in MEASURED_GROUPS)
-        raise InputError(Fault(str(file), None, None, "channels", f"{what} ({near(['pose_act'], columns.names)}); name its columns there"))
+        raise InputError(
+            Fault(
+                str(file),
+                None,
+                None,
+                "channels",
+                f"{what} ({near(['pose_act'], columns.names)}); name its columns there",
+            )
+        )
     values, held = without_held(run, values)
     stamps = _stamps(file, columns, values, source, channels)
     clocks, remarks = _clocks(run, stamps, scenario)
     good = {name: (values[name], clock) for name, clock in clocks.items() if clock is not None}
     if len(good) < len(values):
         return None, remarks
-    shared = {id(clock): (clock, {n: column for n, (column, other) in good.items() if other is clock}) for _, clock in good.values()}
+    shared = {
+        id(clock): (clock, {n: column for n, (column, other) in good.items() if other is clock})
+        for _, clock in good.values()
+    }
     regular, found = as_ticks(run, list(shared.values()), scenario.tick)
     good = {name: (column, regular[id(clock)]) for name, (column, clock) in good.items()}
     remarks += found
     lost, more = _losses(run, good)
     remarks += [*held, *more]
-    record = _on_ticks(run, file, {name: pair for name, pair in good.items() if name not in lost}, scenario)
+    record = _on_ticks(
+        run, file, {name: pair for name, pair in good.items() if name not in lost}, scenario
+    )
     return record, remarks
 
 
@@ -62,20 +85,37 @@ def _read(file: Path, wanted: frozenset[str]) -> Columns:
     try:
         return read_columns(file, wanted)
     except MemoryError as error:
-        raise InputError(Fault(str(file), None, None, "", "does not fit into memory; cut the file to the run")) from error
+        raise InputError(
+            Fault(str(file), None, None, "", "does not fit into memory; cut the file to the run")
+        ) from error
 
 
-def _refuse_missing(file: Path, columns: Columns, channels: Mapping[str, Channel], source: Mapping[str, str]) -> None:
-    """Raises InputError, one fault for all columns that the channel map names and the file lacks."""
-    missing = [name for name in channels if name in source and channels[name].column and source[name] not in columns.data]
+def _refuse_missing(
+    file: Path, columns: Columns, channels: Mapping[str, Channel], source: Mapping[str, str]
+) -> None:
+    """Raises InputError, one fault for all columns that the channel map names and the file
+    lacks.
+    """
+    missing = [
+        name
+        for name in channels
+        if name in source and channels[name].column and source[name] not in columns.data
+    ]
     if missing:
         wanted = [source[name] for name in missing]
-        what = f"names no column of the file (got {', '.join(map(repr, wanted))}); {near(wanted, columns.names)}"
-        raise InputError(Fault(str(file), None, None, ", ".join(f"channels.{name}" for name in missing), what))
+        what = (
+            f"names no column of the file (got {', '.join(map(repr, wanted))}); "
+            f"{near(wanted, columns.names)}"
+        )
+        raise InputError(
+            Fault(str(file), None, None, ", ".join(f"channels.{name}" for name in missing), what)
+        )
 
 
 def _si(values: Array, name: str, channels: Mapping[str, Channel]) -> Array:
-    """Values of a channel in SI units, by its entry in the channel map; unchanged without an entry."""
+    """Values of a channel in SI units, by its entry in the channel map; unchanged without an
+    entry.
+    """
     channel = channels.get(name, SAME)
     scale = channel.scale * factor(name, channel.unit)
     scaled = values if scale == 1.0 else scale * values
@@ -83,19 +123,36 @@ def _si(values: Array, name: str, channels: Mapping[str, Channel]) -> Array:
 
 
 def _stamps(
-    file: Path, columns: Columns, values: Mapping[str, Array], source: Mapping[str, str], channels: Mapping[str, Channel]
+    file: Path,
+    columns: Columns,
+    values: Mapping[str, Array],
+    source: Mapping[str, str],
+    channels: Mapping[str, Channel],
 ) -> dict[str, Array]:
-    """The time stamps [s] of each channel: the time column of the file, or the channel's own clock if there is no such column."""
+    """The time stamps [s] of each channel: the time column of the file, or the channel's own clock
+    if there is no such column.
+    """
     shared = columns.data.get(source["t"])
     if shared is None and not all(source[name] in columns.clock for name in values):
         what = f"has no time column {source['t']!r}; {near([source['t']], columns.names)}"
-        raise InputError(Fault(str(file), None, None, "t", f"{what}; name it under channels: {{t: {{column: ...}}}}"))
+        raise InputError(
+            Fault(
+                str(file),
+                None,
+                None,
+                "t",
+                f"{what}; name it under channels: {{t: {{column: ...}}}}",
+            )
+        )
     known: dict[bytes, Array] = {}
     stamps, faults = {}, []
     for name, column in values.items():
         raw = columns.clock[source[name]] if shared is None else shared
         if len(raw) != len(column):
-            what = f"has {len(column)} samples, its time stamps are {len(raw)}; allowed is one stamp a sample"
+            what = (
+                f"has {len(column)} samples, its time stamps are {len(raw)}; allowed is "
+                f"one stamp a sample"
+            )
             faults.append(Fault(str(file), None, None, name, what))
         stamps[name] = known.setdefault(raw.tobytes(), _si(raw, "t", channels))
     if faults:
@@ -103,8 +160,12 @@ def _stamps(
     return stamps
 
 
-def _clocks(run: int, stamps: Mapping[str, Array], scenario: Scenario) -> tuple[dict[str, Clock | None], list[Remark]]:
-    """The clock of each channel, counted from the start of the run, and the remarks on them, each once."""
+def _clocks(
+    run: int, stamps: Mapping[str, Array], scenario: Scenario
+) -> tuple[dict[str, Clock | None], list[Remark]]:
+    """The clock of each channel, counted from the start of the run, and the remarks on them, each
+    once.
+    """
     tick, duration = scenario.tick, scenario.duration
     distinct = {id(t): t for t in stamps.values()}
     firsts = [float(t[np.isfinite(t)][0]) for t in distinct.values() if np.isfinite(t).any()]
@@ -117,7 +178,9 @@ def _clocks(run: int, stamps: Mapping[str, Array], scenario: Scenario) -> tuple[
 
 
 def _losses(run: int, channels: Mapping[str, tuple[Array, Clock]]) -> tuple[set[str], list[Remark]]:
-    """Channels that lack too many samples to be used, and remarks; channels that lack the same samples share one."""
+    """Channels that lack too many samples to be used, and remarks; channels that lack the same
+    samples share one.
+    """
     lost, patterns = set(), {}
     for name, (column, clock) in channels.items():
         missing = ~np.isfinite(column[clock.rows])
@@ -132,12 +195,24 @@ def _missing(run: int, missing: np.ndarray, clock: Clock, names: list[str]) -> R
     edges = np.flatnonzero(np.diff(np.r_[False, missing, False]))
     starts, lengths = edges[::2], np.diff(edges)[::2]
     longest, count, of = int(lengths.argmax()), int(missing.sum()), len(missing)
-    text = f"missing (NaN) in {count} of {of} samples, at most {lengths[longest]} in a row from {clock.t[starts[longest]]:.6g} s"
+    text = (
+        f"missing (NaN) in {count} of {of} samples, at most {lengths[longest]} in a row "
+        f"from {clock.t[starts[longest]]:.6g} s"
+    )
     text += "; left out of this run" if count > MISSING_LIMIT * of else ""
-    return Remark("loss", run, ", ".join(names), text, "", {"missing": count, "of": of, "longest": int(lengths[longest])})
+    return Remark(
+        "loss",
+        run,
+        ", ".join(names),
+        text,
+        "",
+        {"missing": count, "of": of, "longest": int(lengths[longest])},
+    )
 
 
-def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]], scenario: Scenario) -> Record | None:
+def _on_ticks(
+    run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]], scenario: Scenario
+) -> Record | None:
     """The record; None if no channel is left."""
     if not channels:
         return None
@@ -156,28 +231,53 @@ def _on_ticks(run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]],
         if bent is not None:
             bends.setdefault(group, np.zeros(data[group].shape))[:, part] = bent
             if clock.interval < BETWEEN * scenario.tick:
-                sampled[name] = white_noise(column[clock.rows]) * math.sqrt(RESAMPLED * clock.interval / scenario.tick)
+                sampled[name] = white_noise(column[clock.rows]) * math.sqrt(
+                    RESAMPLED * clock.interval / scenario.tick
+                )
     absent = tuple(name for name in CHANNELS if name not in channels)
     rate = 1 / min(clock.interval for clock in clocks)
     found = {name: step_of(column[np.isfinite(column)]) for name, (column, _) in channels.items()}
     steps = {name: step for name, step in found.items() if step is not None}
     _share_steps(steps, {name: column for name, (column, _) in channels.items()})
     digits = _digits({name: column for name, (column, _) in channels.items()}, steps)
-    return Record(run, file, np.arange(ticks) / scenario.rate, data, valid, {}, absent, rate, steps, digits, bends, sampled)
+    return Record(
+        run,
+        file,
+        np.arange(ticks) / scenario.rate,
+        data,
+        valid,
+        {},
+        absent,
+        rate,
+        steps,
+        digits,
+        bends,
+        sampled,
+    )
 
 
 def _digits(columns: Mapping[str, Array], steps: Mapping[str, float]) -> dict[str, int]:
-    """Number of significant digits of the columns that were written with few. A column with ``steps`` counts where most columns of the file
-    were written with as many: its smallest step is then not the step of all its values."""
-    found = {name: count for name, column in columns.items() if (count := digits_of(column)) is not None}
+    """Number of significant digits of the columns that were written with few. A column with
+    ``steps`` counts where most columns of the file
+    were written with as many: its smallest step is then not the step of all its values.
+    """
+    found = {
+        name: count for name, column in columns.items() if (count := digits_of(column)) is not None
+    }
     free = [count for name, count in found.items() if name not in steps]
     usual = max(free, key=free.count, default=0)
     written_so = 2 * free.count(usual) > len(columns)
-    return {name: count for name, count in found.items() if name not in steps or (written_so and count == usual)}
+    return {
+        name: count
+        for name, count in found.items()
+        if name not in steps or (written_so and count == usual)
+    }
 
 
 def _share_steps(steps: dict[str, float], columns: Mapping[str, Array]) -> None:
-    """Give a channel that hardly moves the quantisation step of similar channels (forces, positions): its own cannot be determined."""
+    """Give a channel that hardly moves the quantisation step of similar channels (forces,
+    positions): its own cannot be determined.
+    """
     for name, column in columns.items():
         alike = [step for other, step in steps.items() if other[:-1] == name[:-1] and other != name]
         if name not in steps and alike and len(np.unique(column[np.isfinite(column)])) < 3:

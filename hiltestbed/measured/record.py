@@ -16,9 +16,14 @@ from hiltestbed.measured.noise import last_digit
 from hiltestbed.signals import GROUPS
 
 MEASURED_GROUPS = ("pose_cmd", "pose_act", "twist_cmd", "twist_act", "wrench_meas", "wrench_comp")
-WITHIN_STEP = 1.5  # derived: steps between neighbours of a smooth signal that lie one step apart; two apart are a jump
-SMOOTHED_ROWS = 17  # chosen: of a local cubic: a third of independent rounding errors is left, and a vibration of 50 rows keeps 99 %
-MAX_ROUNDED = 0.75  # chosen: steps between a sample and the local cubic: half a step by rounding, the rest by the error of the cubic
+# derived: steps between neighbours of a smooth signal that lie one step apart; two apart are a jump
+WITHIN_STEP = 1.5
+# chosen: of a local cubic: a third of independent rounding errors is left, and a vibration of 50
+# rows keeps 99 %
+SMOOTHED_ROWS = 17
+# chosen: steps between a sample and the local cubic: half a step by rounding, the rest by the error
+# of the cubic
+MAX_ROUNDED = 0.75
 FOLLOWING = 20  # samples from which the speed before the first sample is estimated
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
@@ -31,17 +36,22 @@ class Record:
         run: its number in the dataset.
         file: from which it was read.
         t: ``(ticks,)`` [s], ``tick/rate``, from 0 to the last tick that the file reaches.
-        data: group name to ``(ticks, parts)``, SI units; NaN where ``valid`` is False. Groups without any column are left out.
-        valid: group name to ``(ticks, parts)``: the file has a sample at this tick (within half a tick).
-        clipped: group name to ``(ticks, parts)``: the sample is at a limit of the channel; larger values are lost.
+        data: group name to ``(ticks, parts)``, SI units; NaN where ``valid`` is False. Groups
+            without any column are left out.
+        valid: group name to ``(ticks, parts)``: the file has a sample at this tick (within half a
+            tick).
+        clipped: group name to ``(ticks, parts)``: the sample is at a limit of the channel; larger
+            values are lost.
         absent: columns of MEASURED_GROUPS that the file lacks, or that were lost.
         sample_rate: [Hz] of the file.
         steps: column to its quantisation step, for quantised columns.
-        digits: column to the number of significant digits of its samples, for columns that were written with few.
-        bends: group to ``(ticks, parts)`` difference of a smooth curve through the samples from linear interpolation, for groups whose
-            rows are not the loop's ticks.
-        sampled: for columns whose ticks were interpolated: column to the noise of the original samples, expressed as white noise of as many
-            samples as there are ticks with the same total.
+        digits: column to the number of significant digits of its samples, for columns that were
+            written with few.
+        bends: group to ``(ticks, parts)`` difference of a smooth curve through the samples from
+            linear interpolation, for groups whose rows are not the loop's ticks.
+        sampled: for columns whose ticks were interpolated: column to the noise of the original
+            samples, expressed as white noise of as many samples as there are ticks with the same
+            total.
     """
 
     run: int
@@ -62,12 +72,16 @@ class Record:
         return len(self.t)
 
     def has(self, name: str) -> bool:
-        """Whether the record has a group (any column of it) or a column, such as ``wrench_meas`` or ``wrench_meas.fz``."""
+        """Whether the record has a group (any column of it) or a column, such as ``wrench_meas`` or
+        ``wrench_meas.fz``.
+        """
         return name in self.data if name in GROUPS else name in self.columns()
 
     def whole(self, group: str) -> bool:
         """Whether the record has every sample of the columns of a group that were measured."""
-        return group in self.data and all(self.measured(c).all() for c in GROUPS[group].columns if c not in self.absent)
+        return group in self.data and all(
+            self.measured(c).all() for c in GROUPS[group].columns if c not in self.absent
+        )
 
     def columns(self) -> tuple[str, ...]:
         """The columns that were measured."""
@@ -84,49 +98,77 @@ class Record:
         return self.valid[group][:, part]
 
     def rounding(self, group: str) -> Array:
-        """``(ticks, parts)`` 1 sigma of the rounding error of samples written with few significant digits; 0 for those with many."""
+        """``(ticks, parts)`` 1 sigma of the rounding error of samples written with few significant
+        digits; 0 for those with many.
+        """
         values = self.data[group]
         out = np.zeros_like(values)
         for j, name in enumerate(GROUPS[group].columns):
             if name in self.digits:
                 size = np.abs(np.nan_to_num(values[:, j]))
-                out[:, j] = np.where(size > 0.0, last_digit(np.where(size > 0.0, size, 1.0), self.digits[name]) / math.sqrt(12.0), 0.0)
+                out[:, j] = np.where(
+                    size > 0.0,
+                    last_digit(np.where(size > 0.0, size, 1.0), self.digits[name])
+                    / math.sqrt(12.0),
+                    0.0,
+                )
         return out
 
     def filled(self, group: str) -> Array:
-        """``(ticks, parts)`` without NaN, as the input of a model; not for residuals, which count only where ``valid``.
+        """``(ticks, parts)`` without NaN, as the input of a model; not for residuals, which count
+        only where ``valid``.
 
-        Gaps are interpolated linearly; ticks between the rows of a log with another clock are on a smooth curve (quaternions are
-        normalised). Before the first and after the last sample the value is held, except for positions before the first sample, which are
-        extrapolated uniformly. Absent axes are zero, an absent attitude is the identity. A command that was logged in steps or with few
-        digits is interpolated between the centres of equal values that are one step apart; a larger jump was commanded. Then it is smoothed
-        where a smooth command, rounded, would be what is on record.
+        Gaps are interpolated linearly; ticks between the rows of a log with another clock are on a
+        smooth curve (quaternions are normalised). Before the first and after the last sample the
+        value is held, except for positions before the first sample, which are extrapolated
+        uniformly. Absent axes are zero, an absent attitude is the identity. A command that was
+        logged in steps or with few digits is interpolated between the centres of equal values that
+        are one step apart; a larger jump was commanded. Then it is smoothed where a smooth command,
+        rounded, would be what is on record.
         """
         columns = [self._bridged(group, j) for j in range(self.data[group].shape[1])]
         if group == "pose_cmd":
-            columns = [_without_rounding(column, step)[0] for column, step in zip(columns, self._command_steps().T, strict=True)]
+            columns = [
+                _without_rounding(column, step)[0]
+                for column, step in zip(columns, self._command_steps().T, strict=True)
+            ]
         values = np.column_stack(columns) + self.bends.get(group, 0.0)
         if group.startswith("pose"):
             bridged = ~self.valid[group][:, 3:].all(axis=1) | (group in self.bends)
             norm = np.linalg.norm(values[bridged, 3:], axis=1, keepdims=True)
-            values[bridged, 3:] = np.where(norm > 0, values[bridged, 3:] / np.where(norm > 0, norm, 1.0), IDENTITY)
+            values[bridged, 3:] = np.where(
+                norm > 0, values[bridged, 3:] / np.where(norm > 0, norm, 1.0), IDENTITY
+            )
         return values
 
     def unsmoothed(self) -> Array:
-        """``(ticks, 3)`` 1 sigma of the rounding error of the commanded position, 0 where :meth:`filled` has smoothed it."""
+        """``(ticks, 3)`` 1 sigma of the rounding error of the commanded position, 0 where
+        :meth:`filled` has smoothed it.
+        """
         out = self._command_steps()[:, :3] / math.sqrt(12.0)
         for j in np.flatnonzero(out.any(axis=0)):
-            out[_without_rounding(self._bridged("pose_cmd", int(j)), math.sqrt(12.0) * out[:, j])[1], j] = 0.0
+            out[
+                _without_rounding(self._bridged("pose_cmd", int(j)), math.sqrt(12.0) * out[:, j])[
+                    1
+                ],
+                j,
+            ] = 0.0
         return out
 
     def _command_steps(self) -> Array:
-        """``(ticks, parts)`` step with which the command was written: of its last digit, or of its quantisation; 0 where there is none."""
+        """``(ticks, parts)`` step with which the command was written: of its last digit, or of its
+        quantisation; 0 where there is none.
+        """
         steps = np.array([self.steps.get(name, 0.0) for name in GROUPS["pose_cmd"].columns])
         return np.maximum(math.sqrt(12.0) * self.rounding("pose_cmd"), steps)
 
     def _bridged(self, group: str, j: int) -> Array:
         """``(ticks,)`` of one column with its gaps filled."""
-        values, known, pose = self.data[group][:, j].copy(), self.valid[group][:, j], group.startswith("pose")
+        values, known, pose = (
+            self.data[group][:, j].copy(),
+            self.valid[group][:, j],
+            group.startswith("pose"),
+        )
         if not known.any():
             values[:] = ((0.0,) * 3 + IDENTITY)[j] if pose else 0.0
         elif not known.all():
@@ -136,7 +178,9 @@ class Record:
         return values
 
     def _run_back(self, values: Array, known: NDArray[np.bool_]) -> None:
-        """Extend ``values`` (ticks,) before the first sample at the speed of the samples that follow."""
+        """Extend ``values`` (ticks,) before the first sample at the speed of the samples that
+        follow.
+        """
         first = np.flatnonzero(known)[:FOLLOWING]
         if len(first) > 1:
             t = self.t - self.t[first[0]]
@@ -147,11 +191,15 @@ class Record:
         """``(ticks,)``: the output of a block here depends on missing samples of ``group``.
 
         Args:
-            memory: [s] for which the block's output depends on its input; None: forever, as for an integral.
+            memory: [s] for which the block's output depends on its input; None: forever, as for an
+                integral.
 
-        Ticks between two samples of a log that is slower than the loop do not count as missing, nor do absent columns.
+        Ticks between two samples of a log that is slower than the loop do not count as missing, nor
+        do absent columns.
         """
-        known = np.all([self.measured(c) for c in GROUPS[group].columns if c not in self.absent], axis=0)
+        known = np.all(
+            [self.measured(c) for c in GROUPS[group].columns if c not in self.absent], axis=0
+        )
         rate = (self.ticks - 1) / self.t[-1] if self.ticks > 1 else 1.0
         stride = math.ceil(rate / self.sample_rate - 1e-6) if self.sample_rate else 1
         at = np.flatnonzero(known)
@@ -161,7 +209,11 @@ class Record:
                 missing[before + 1 : after] = True
         lasting = self.ticks if memory is None else round(memory * rate)
         ends = np.flatnonzero(missing)
-        last = np.maximum.accumulate(np.where(missing, np.arange(self.ticks), -1)) if len(ends) else np.full(self.ticks, -1)
+        last = (
+            np.maximum.accumulate(np.where(missing, np.arange(self.ticks), -1))
+            if len(ends)
+            else np.full(self.ticks, -1)
+        )
         return (last >= 0) & (np.arange(self.ticks) - last <= lasting)
 
 
@@ -172,32 +224,52 @@ def place(column: str) -> tuple[str, int]:
 
 
 def _between_steps(values: Array, step: Array) -> Array:
-    """``(n,)`` values interpolated between the centres of the stretches in which they are equal; a jump by more than the ``step`` (n,) with
-    which they were written, 0 for none, stays."""
+    """``(n,)`` values interpolated between the centres of the stretches in which they are equal; a
+    jump by more than the ``step`` (n,) with which they were written, 0 for none, stays.
+    """
     starts = np.flatnonzero(np.r_[True, values[1:] != values[:-1]])
     ends = np.r_[starts[1:], len(values)] - 1
-    jumps = np.abs(np.diff(values[starts])) > WITHIN_STEP * np.maximum(step[ends[:-1]], step[starts[1:]])
+    jumps = np.abs(np.diff(values[starts])) > WITHIN_STEP * np.maximum(
+        step[ends[:-1]], step[starts[1:]]
+    )
     knots = np.concatenate([0.5 * (starts + ends), ends[:-1][jumps], starts[1:][jumps]])
     order = np.argsort(knots, kind="stable")
-    return np.interp(np.arange(len(values)), knots[order], values[np.concatenate([starts, ends[:-1][jumps], starts[1:][jumps]])][order])
+    return np.interp(
+        np.arange(len(values)),
+        knots[order],
+        values[np.concatenate([starts, ends[:-1][jumps], starts[1:][jumps]])][order],
+    )
 
 
 def _without_rounding(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """``(n,)`` values without the errors of their rounding to a ``step`` (n,), 0 for none, as far as possible; and where a smooth curve
-    takes their place."""
+    """``(n,)`` values without the errors of their rounding to a ``step`` (n,), 0 for none, as far
+    as possible; and where a smooth curve takes their place.
+    """
     if not step.any():
         return values, np.zeros(len(values), dtype=bool)
     smooth, within = _within_steps(_between_steps(values, step), step)
-    return np.where(within, np.clip(smooth, values - 0.5 * step, values + 0.5 * step), smooth), within
+    return np.where(
+        within, np.clip(smooth, values - 0.5 * step, values + 0.5 * step), smooth
+    ), within
 
 
 def _within_steps(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """``(n,)`` values smoothed by local cubics (A. Savitzky, M. J. E. Golay, Anal. Chem. 36, 1964) where all rows of a window then lie
-    within the rounding to one ``step`` (n,), and where that is; the values as they are elsewhere."""
+    """``(n,)`` values smoothed by local cubics (A. Savitzky, M. J. E. Golay, Anal. Chem. 36, 1964)
+    where all rows of a window then lie within the rounding to one ``step`` (n,), and where that is;
+    the values as they are elsewhere.
+    """
     if len(values) < SMOOTHED_ROWS:
         return values, np.zeros(len(values), dtype=bool)
     smooth = np.asarray(savgol_filter(values, SMOOTHED_ROWS, 3))
-    within = minimum_filter1d((np.abs(values - smooth) <= MAX_ROUNDED * step).astype(np.uint8), SMOOTHED_ROWS) > 0
-    varies, coarsens = (maximum_filter1d(x, SMOOTHED_ROWS) > minimum_filter1d(x, SMOOTHED_ROWS) for x in (values, step))
+    within = (
+        minimum_filter1d(
+            (np.abs(values - smooth) <= MAX_ROUNDED * step).astype(np.uint8), SMOOTHED_ROWS
+        )
+        > 0
+    )
+    varies, coarsens = (
+        maximum_filter1d(x, SMOOTHED_ROWS) > minimum_filter1d(x, SMOOTHED_ROWS)
+        for x in (values, step)
+    )
     within &= ~coarsens
     return np.where(within & varies, smooth, values), within

@@ -1,4 +1,6 @@
-"""Position and velocity at the start of a run, compared with gap, offset and approach velocity of its scenario."""
+"""Position and velocity at the start of a run, compared with gap, offset and approach velocity of
+its scenario.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,21 @@ from hiltestbed.measured.survey import Survey
 from hiltestbed.measured.units import likely_unit
 from hiltestbed.scenario import Scenario
 
-UNIT_FACTOR = 100.0  # a larger ratio means another unit, even if only one of start and travel differs significantly from zero
-OTHER_UNIT = 2.2  # the same if both agree on it; the smallest factor between two units of length is 2.54
+# a larger ratio means another unit, even if only one of start and travel differs significantly from
+# zero
+UNIT_FACTOR = 100.0
+# the same if both agree on it; the smallest factor between two units of length is 2.54
+OTHER_UNIT = 2.2
 AGREE = 1.3  # factor within which two ratios agree
 CLEAR = 50.0  # sigma, above which a start position or a travel differs significantly from zero
-REVERSED = -0.3  # ratio to the expected value, of start and travel, below which the sign is reversed
+# ratio to the expected value, of start and travel, below which the sign is reversed
+REVERSED = -0.3
 REVERSED_ALONE = -0.7  # the same if only one of them differs significantly from zero
-OTHER_SPEED = 0.05  # relative deviation of the initial speed of a command from the scenario's, above which it is an error
-OTHER_PLACE = {"pose_cmd.pz": 0.05, "pose_act.pz": 0.5}  # the same for the initial position, per gap; a platform has lag and scale errors
+# relative deviation of the initial speed of a command from the scenario's, above which it is an
+# error
+OTHER_SPEED = 0.05
+# the same for the initial position, per gap; a platform has lag and scale errors
+OTHER_PLACE = {"pose_cmd.pz": 0.05, "pose_act.pz": 0.5}
 STAMPS = 2.5  # rows by which a channel may be stamped early or late
 UNTOUCHED = 0.7  # of the way to the nominal first touch: a cone is touched before that
 
@@ -33,9 +42,11 @@ class Start:
     """One translation of one run at its start.
 
     Attributes:
-        begin: [m], travel: [m] before the first touch. place, speed: ratios to the scenario's values, None if not significant.
-        expected_begin, expected_travel: [m]; velocity: [m/s], of the scenario. rate: [m/s] at the first row, by a parabola through the
-        free flight, since a spurious force reading makes it accelerate; rate_sd: [m/s] of it. gap: [m] of the scenario.
+        begin: [m], travel: [m] before the first touch. place, speed: ratios to the scenario's
+            values, None if not significant.
+        expected_begin, expected_travel: [m]; velocity: [m/s], of the scenario. rate: [m/s] at the
+            first row, by a parabola through the free flight, since a spurious force reading makes
+            it accelerate; rate_sd: [m/s] of it. gap: [m] of the scenario.
     """
 
     begin: float
@@ -63,11 +74,17 @@ class Start:
         together = len(sizes) > 1 and max(sizes) < AGREE * min(sizes)
         least = OTHER_UNIT if together else UNIT_FACTOR
         off = [size > least or size < 1.0 / least for size in sizes]
-        return middle if all(off) and (together or all(s > 1 for s in sizes) or all(s < 1 for s in sizes)) else None
+        return (
+            middle
+            if all(off) and (together or all(s > 1 for s in sizes) or all(s < 1 for s in sizes))
+            else None
+        )
 
     @property
     def reversed(self) -> bool:
-        return bool(self.ratios) and all(r < (REVERSED if len(self.ratios) > 1 else REVERSED_ALONE) for r in self.ratios)
+        return bool(self.ratios) and all(
+            r < (REVERSED if len(self.ratios) > 1 else REVERSED_ALONE) for r in self.ratios
+        )
 
 
 def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> Start | None:
@@ -77,26 +94,39 @@ def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> St
     velocity = scenario.approach.velocity[axis]
     values, sigma = record.column(name), found.noise[name].white
     known = np.flatnonzero(np.isfinite(values[: max(found.free, FREE_MINIMUM)]))
-    untouched = record.t[known] <= record.t[known[:1]] + UNTOUCHED * _way_to_touch(scenario) if len(known) else known > 0
+    untouched = (
+        record.t[known] <= record.t[known[:1]] + UNTOUCHED * _way_to_touch(scenario)
+        if len(known)
+        else known > 0
+    )
     known = known[untouched] if untouched.sum() > FREE_MINIMUM else known
     if len(known) < 3:
         return None
     begin, end = float(np.median(values[known[:3]])), float(np.median(values[known[-3:]]))
     travel, expected = end - begin, velocity * float(record.t[known[-1]] - record.t[known[0]])
-    reached = float(record.t[1]) if name.startswith("pose_cmd") else 0.0  # a command is reached a tick later
-    begin_at += velocity * (float(record.t[known[1]]) + reached)  # the median of three rows is where the second is
+    # a command is reached a tick later
+    reached = float(record.t[1]) if name.startswith("pose_cmd") else 0.0
+    # the median of three rows is where the second is
+    begin_at += velocity * (float(record.t[known[1]]) + reached)
 
     def ratio(measured: float, given: float) -> float | None:
-        return measured / given if abs(given) > 1e-6 and max(abs(measured), abs(given)) > CLEAR * sigma else None
+        return (
+            measured / given
+            if abs(given) > 1e-6 and max(abs(measured), abs(given)) > CLEAR * sigma
+            else None
+        )
 
     places = ratio(begin, begin_at), ratio(travel, expected), begin_at, expected
-    free = scenario.mechanism.flat or found.contacts  # otherwise a touch before the nominal one is possible
+    # otherwise a touch before the nominal one is possible
+    free = scenario.mechanism.flat or found.contacts
     rate = _rate(record.t[known], values[known], sigma) if free else (velocity, math.inf)
     return Start(begin, travel, *places, velocity, *rate, scenario.approach.gap)
 
 
 def _rate(t: Array, values: Array, sigma: float) -> tuple[float, float]:
-    """Speed at the first of the rows (n,) and its standard deviation, for positions with noise ``sigma``: least-squares parabola."""
+    """Speed at the first of the rows (n,) and its standard deviation, for positions with noise
+    ``sigma``: least-squares parabola.
+    """
     basis = np.vander(t - t[0], 3, increasing=True)
     inverse = np.linalg.pinv(basis)
     return float(inverse[1] @ values), sigma * float(np.linalg.norm(inverse[1]))
@@ -122,8 +152,11 @@ def starts_at_fault(record: Record, found: Survey, scenario: Scenario) -> Iterat
 
 def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
     evidence = {
-        "start": start.begin, "travel": start.travel, "expected_start": start.expected_begin, "expected_travel": start.expected_travel
-    }  # fmt: skip
+        "start": start.begin,
+        "travel": start.travel,
+        "expected_start": start.expected_begin,
+        "expected_travel": start.expected_travel,
+    }
     seen = (
         f"starts at {start.begin:.4g} and moves by {start.travel:.4g} before the first touch; "
         f"the scenario has {start.expected_begin:.4g} m and {start.expected_travel:.4g} m"
@@ -131,37 +164,71 @@ def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
     size = start.unit
     if size is not None:
         text = f"{seen}: {factor_text(size, 'm')}"
-        fix = f"{scale_fix(name, likely_scale(size, 'm'))}; or set the approach of this run, if it was another: set: {{approach.gap: ...}}"
+        fix = (
+            f"{scale_fix(name, likely_scale(size, 'm'))}; or set the approach of this "
+            f"run, if it was another: set: {{approach.gap: ...}}"
+        )
         yield Remark("error", record.run, name, text, fix, evidence, "unit")
     elif start.reversed:
-        yield Remark("error", record.run, name, f"{seen}: the sign is reversed", scale_fix(name, -1.0), evidence, "sign")
+        yield Remark(
+            "error",
+            record.run,
+            name,
+            f"{seen}: the sign is reversed",
+            scale_fix(name, -1.0),
+            evidence,
+            "sign",
+        )
     elif name in OTHER_PLACE and start.velocity:
         yield from _another(record, name, start, evidence)
 
 
-def _another(record: Record, name: str, start: Start, evidence: dict[str, float]) -> Iterator[Remark]:
-    """Errors for a motion that is not the scenario's approach: a diagnosis would attribute the difference to a link."""
+def _another(
+    record: Record, name: str, start: Start, evidence: dict[str, float]
+) -> Iterator[Remark]:
+    """Errors for a motion that is not the scenario's approach: a diagnosis would attribute the
+    difference to a link.
+    """
     speed, place = start.velocity, start.expected_begin
     commanded = name == "pose_cmd.pz"
     if commanded and abs(start.rate - speed) > OTHER_SPEED * abs(speed) + CLEAR * start.rate_sd:
         text = f"begins at {start.rate:.4g} m/s; the scenario approaches at {speed:.4g} m/s"
-        fix = f"if this is right, set in the entry of the run: set: {{approach.velocity.2: {start.rate:.4g}}}"
-        yield Remark("error", record.run, name, text, fix, evidence | {"speed": start.rate}, "start")
-    elif abs(start.begin - place) > OTHER_PLACE[name] * start.gap + STAMPS * abs(speed) * float(record.t[1]):
-        text = f"begins at {start.begin:.4g} m; by its approach the scenario is at {place:.4g} m then"
+        fix = (
+            f"if this is right, set in the entry of the run: set: {{approach.velocity.2: "
+            f"{start.rate:.4g}}}"
+        )
+        yield Remark(
+            "error", record.run, name, text, fix, evidence | {"speed": start.rate}, "start"
+        )
+    elif abs(start.begin - place) > OTHER_PLACE[name] * start.gap + STAMPS * abs(speed) * float(
+        record.t[1]
+    ):
+        text = (
+            f"begins at {start.begin:.4g} m; by its approach the scenario is at {place:.4g} m then"
+        )
         gap, offset = start.gap + place - start.begin, place - start.begin
         fix = f"if the numbers have another origin, channels: {{{name}: {{offset: {offset:.4g}}}}}"
-        fix = f"set in the entry of the run: set: {{approach.gap: {gap:.4g}}}; or, {fix}" if gap > 0.0 and commanded else fix
+        fix = (
+            f"set in the entry of the run: set: {{approach.gap: {gap:.4g}}}; or, {fix}"
+            if gap > 0.0 and commanded
+            else fix
+        )
         yield Remark("error", record.run, name, text, fix, evidence, "start")
 
 
 def scale_fix(channel: str, scale: float) -> str:
-    """The entry of the channel map that would correct a channel, in addition to any scale that it has."""
-    return f"if so, multiply its scale by {scale:.8g}: channels: {{{channel}: {{scale: {scale:.8g}}}}}"
+    """The entry of the channel map that would correct a channel, in addition to any scale that it
+    has.
+    """
+    return (
+        f"if so, multiply its scale by {scale:.8g}: channels: {{{channel}: {{scale: {scale:.8g}}}}}"
+    )
 
 
 def factor_text(size: float, si: str) -> str:
-    """Text on numbers that are ``size`` times those in SI units: the unit that they are probably in."""
+    """Text on numbers that are ``size`` times those in SI units: the unit that they are probably
+    in.
+    """
     unit = likely_unit(si, 1.0 / size, 0.03) or likely_unit(si, 1.0 / size, AGREE - 1.0)
     power = round(math.log10(size))
     about = f"{size:.3g}" if abs(math.log10(size) - power) > 0.05 else f"{10.0**power:g}"
@@ -169,7 +236,9 @@ def factor_text(size: float, si: str) -> str:
 
 
 def likely_scale(size: float, si: str) -> float:
-    """The factor that converts numbers that are ``size`` times those in SI: that of a unit, a power of ten, or 1/size."""
+    """The factor that converts numbers that are ``size`` times those in SI: that of a unit, a power
+    of ten, or 1/size.
+    """
     unit = likely_unit(si, 1.0 / size, 0.03)
     power = round(math.log10(size))
     if unit is not None:

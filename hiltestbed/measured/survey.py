@@ -22,8 +22,9 @@ MOVED = 10.0  # sigma: an axis with a larger range was excited
 
 @dataclass(frozen=True)
 class Contact:
-    """One contact: ticks ``start`` to ``end`` (exclusive), its peaks along z, and the largest force along any of the axes that show it;
-    None for a figure without its channel."""
+    """One contact: ticks ``start`` to ``end`` (exclusive), its peaks along z, and the largest force
+    along any of the axes that show it; None for a figure without its channel.
+    """
 
     start: int
     end: int
@@ -40,7 +41,8 @@ class Survey:
     Attributes:
         free: ticks before the first touch.
         noise: column to its noise.
-        contacts: in order; a latched contact lasts to the end, even if the force passes through zero.
+        contacts: in order; a latched contact lasts to the end, even if the force passes through
+            zero.
         excited: columns with a range of more than MOVED sigma.
         phase: angular frequency of the nominal contact times the sensor's nominal delay [rad].
     """
@@ -52,7 +54,9 @@ class Survey:
     phase: float
 
     def touching(self, rows: int, late: int, least: float = 0.0) -> np.ndarray:
-        """``(rows,)`` bool: in a contact of at least ``least`` [N], or the sensor, ``late`` [ticks] behind, still shows it."""
+        """``(rows,)`` bool: in a contact of at least ``least`` [N], or the sensor, ``late`` [ticks]
+        behind, still shows it.
+        """
         out = np.zeros(rows, dtype=bool)
         for c in self.contacts:
             if c.pressed is None or c.pressed >= least:
@@ -64,22 +68,37 @@ def look(record: Record, scenario: Scenario) -> Survey:
     """Noise, contacts and excitation of a record."""
     latched = scenario.mechanism.captured
     depth = penetration(record)
-    felt = FORCES[:1] if sides_of(scenario.mechanism).rigid else FORCES  # parts that swing are also pressed laterally
+    # parts that swing are also pressed laterally
+    felt = FORCES[:1] if sides_of(scenario.mechanism).rigid else FORCES
     free = 0 if latched else _free_ticks(record, depth, felt)
-    noise = {n: noise_of(record.column(n), free, record.steps.get(n, 0.0), n.startswith("pose")) for n in record.columns()}
+    noise = {
+        n: noise_of(record.column(n), free, record.steps.get(n, 0.0), n.startswith("pose"))
+        for n in record.columns()
+    }
     flat = scenario.mechanism.flat
-    by_pose, by_force = (depth, None) if flat else (None, depth)  # each finds what the other misses: a tilted port meets a plane early
-    spans = [(0, record.ticks)] if latched else _spans(record, by_pose, noise, felt) or _spans(record, by_force, noise, felt)
+    # each finds what the other misses: a tilted port meets a plane early
+    by_pose, by_force = (depth, None) if flat else (None, depth)
+    spans = (
+        [(0, record.ticks)]
+        if latched
+        else _spans(record, by_pose, noise, felt) or _spans(record, by_force, noise, felt)
+    )
     spans = _held(spans, record, depth, scenario)
     contacts = tuple(_contact(record, span, depth, scenario, felt) for span in spans)
-    excited = tuple(name for name in record.columns() if _range(record.column(name)) > MOVED * max(noise[name].white, 1e-300))
+    excited = tuple(
+        name
+        for name in record.columns()
+        if _range(record.column(name)) > MOVED * max(noise[name].white, 1e-300)
+    )
     k, body = scenario.mechanism.contact.stiffness, scenario.spacecraft
     reduced = body.chaser.mass * body.target.mass / (body.chaser.mass + body.target.mass)
     return Survey(free, noise, contacts, excited, math.sqrt(k / reduced) * scenario.sensor.delay)
 
 
 def penetration(record: Record) -> Array | None:
-    """``(ticks,)`` measured pz [m] (commanded if the reached pose is absent), NaN in gaps; None without either."""
+    """``(ticks,)`` measured pz [m] (commanded if the reached pose is absent), NaN in gaps; None
+    without either.
+    """
     for name in ("pose_act.pz", "pose_cmd.pz"):
         if name in record.columns():
             return record.column(name)
@@ -94,14 +113,38 @@ def remarks_on(record: Record, found: Survey, scenario: Scenario) -> list[Remark
     if not found.contacts:
         deepest = "" if depth is None else f" (pz reaches {np.nanmax(depth):.4g} m)"
         text = f"has no contact{deepest}; contact, sensor and compensation cannot be judged from it"
-        return [Remark("loss", run, "", text, "", {} if depth is None else {"pz_max": float(np.nanmax(depth))})]
+        return [
+            Remark(
+                "loss",
+                run,
+                "",
+                text,
+                "",
+                {} if depth is None else {"pz_max": float(np.nanmax(depth))},
+            )
+        ]
     if not force or depth is None:
         return []
-    peak, floor = max(abs(c.peak_force or 0.0) for c in found.contacts), found.noise["wrench_meas.fz"].white
+    peak, floor = (
+        max(abs(c.peak_force or 0.0) for c in found.contacts),
+        found.noise["wrench_meas.fz"].white,
+    )
     if peak <= MOVED * floor:
         deepest = max(c.penetration or 0.0 for c in found.contacts)
-        text = f"stays within {peak:.3g} N (noise {floor:.3g} N) while the mechanisms penetrate by {1e3 * deepest:.3g} mm"
-        return [Remark("note", run, "wrench_meas.fz", text, "check that the sensor was on and its column is the right one", {"peak": peak})]
+        text = (
+            f"stays within {peak:.3g} N (noise {floor:.3g} N) while the mechanisms "
+            f"penetrate by {1e3 * deepest:.3g} mm"
+        )
+        return [
+            Remark(
+                "note",
+                run,
+                "wrench_meas.fz",
+                text,
+                "check that the sensor was on and its column is the right one",
+                {"peak": peak},
+            )
+        ]
     return []
 
 
@@ -113,7 +156,9 @@ def baseline(record: Record, found: Survey, name: str) -> float:
 
 
 def _free_ticks(record: Record, depth: Array | None, felt: tuple[str, ...]) -> int:
-    """Ticks before the first touch, by the pose or by the forces ``felt``, whichever is earliest."""
+    """Ticks before the first touch, by the pose or by the forces ``felt``, whichever is
+    earliest.
+    """
     ends = [record.ticks]
     if depth is not None:
         ends += np.flatnonzero(depth > 0)[:1].tolist()
@@ -129,7 +174,9 @@ def _free_ticks(record: Record, depth: Array | None, felt: tuple[str, ...]) -> i
 
 
 def _still(force: Array) -> Array:
-    """The first rows; if they vary so much that they must contain a touch, the quietest stretch of the same length."""
+    """The first rows; if they vary so much that they must contain a touch, the quietest stretch of
+    the same length.
+    """
     rows = 2 * FREE_MINIMUM
     first = force[:rows]
     if len(force) < 2 * rows:
@@ -140,30 +187,47 @@ def _still(force: Array) -> Array:
 
 
 def _first_run(flags: np.ndarray, length: int) -> list[int]:
-    """Start of the first run of ``length`` successive True values, in a list; empty if there is none."""
+    """Start of the first run of ``length`` successive True values, in a list; empty if there is
+    none.
+    """
     if len(flags) < length:
         return []
     whole = np.lib.stride_tricks.sliding_window_view(flags, length).all(axis=1)
     return np.flatnonzero(whole)[:1].tolist()
 
 
-def _spans(record: Record, depth: Array | None, noise: dict[str, Noise], felt: tuple[str, ...]) -> list[tuple[int, int]]:
-    """Start and end of each contact: pz > 0 if ``depth`` is given, otherwise one of the forces ``felt`` above its noise floor (a cone is
-    touched early)."""
+def _spans(
+    record: Record, depth: Array | None, noise: dict[str, Noise], felt: tuple[str, ...]
+) -> list[tuple[int, int]]:
+    """Start and end of each contact: pz > 0 if ``depth`` is given, otherwise one of the forces
+    ``felt`` above its noise floor (a cone is touched early).
+    """
     if depth is not None:
         name = "pose_act.pz" if "pose_act.pz" in record.columns() else "pose_cmd.pz"
         return _above(_bridged(depth), 0.0, 5 * noise[name].white)
-    forces = [np.abs(_bridged(record.column(name))) / max(noise[name].rms, 1e-12) for name in felt if name in record.columns()]
+    forces = [
+        np.abs(_bridged(record.column(name))) / max(noise[name].rms, 1e-12)
+        for name in felt
+        if name in record.columns()
+    ]
     if forces:
-        return [span for span in _above(np.max(forces, axis=0), 2.0, ONSET) if span[1] - span[0] >= ONSET_TICKS]
+        return [
+            span
+            for span in _above(np.max(forces, axis=0), 2.0, ONSET)
+            if span[1] - span[0] >= ONSET_TICKS
+        ]
     return []
 
 
-def _held(spans: list[tuple[int, int]], record: Record, depth: Array | None, scenario: Scenario) -> list[tuple[int, int]]:
-    """The spans, with the final ones within the range of a latch, up to the end of the record, merged into one.
+def _held(
+    spans: list[tuple[int, int]], record: Record, depth: Array | None, scenario: Scenario
+) -> list[tuple[int, int]]:
+    """The spans, with the final ones within the range of a latch, up to the end of the record,
+    merged into one.
 
-    The range is the depth at which the latch closes plus the deflection of its springs: they hold A in the equilibrium in which they carry
-    the load that the contact carried when they closed, and oscillate about it.
+    The range is the depth at which the latch closes plus the deflection of its springs: they hold A
+    in the equilibrium in which they carry the load that the contact carried when they closed, and
+    oscillate about it.
     """
     latch = scenario.mechanism.latch
     if latch is None or depth is None or not spans:
@@ -172,8 +236,12 @@ def _held(spans: list[tuple[int, int]], record: Record, depth: Array | None, sce
     way = np.ptp(reached[-FREE_MINIMUM:]) / max(1, min(FREE_MINIMUM, record.ticks) - 1)
     if way * scenario.rate > latch.speed:
         return spans
-    force = np.nanmax(np.abs(record.data["wrench_meas"][:, :3])) if record.has("wrench_meas") else 0.0
-    outside = np.flatnonzero(reached < -latch.depth - 2.0 * force / scenario.mechanism.contact.stiffness)
+    force = (
+        np.nanmax(np.abs(record.data["wrench_meas"][:, :3])) if record.has("wrench_meas") else 0.0
+    )
+    outside = np.flatnonzero(
+        reached < -latch.depth - 2.0 * force / scenario.mechanism.contact.stiffness
+    )
     closed = int(outside[-1]) + 1 if len(outside) else 0
     later = [start for start, end in spans if end > closed]
     return [*(s for s in spans if s[1] <= closed), (later[0], record.ticks)] if later else spans
@@ -182,16 +250,28 @@ def _held(spans: list[tuple[int, int]], record: Record, depth: Array | None, sce
 def _above(values: Array, low: float, high: float) -> list[tuple[int, int]]:
     """Stretches above ``low`` that exceed ``high`` at some point."""
     edges = np.flatnonzero(np.diff(np.r_[False, values > low, False]))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if values[a:b].max() > high]
+    return [
+        (int(a), int(b))
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+        if values[a:b].max() > high
+    ]
 
 
-def _contact(record: Record, span: tuple[int, int], depth: Array | None, scenario: Scenario, felt: tuple[str, ...]) -> Contact:
+def _contact(
+    record: Record,
+    span: tuple[int, int],
+    depth: Array | None,
+    scenario: Scenario,
+    felt: tuple[str, ...],
+) -> Contact:
     start, end = span
     late = round(scenario.sensor.delay * scenario.rate)
     speed = deepest = None
     forces: dict[str, float] = {}
     for name in felt:
-        part = record.column(name)[start : end + late + 1] if name in record.columns() else np.zeros(0)
+        part = (
+            record.column(name)[start : end + late + 1] if name in record.columns() else np.zeros(0)
+        )
         part = part[np.isfinite(part)]
         if len(part):
             forces[name] = float(part[np.abs(part).argmax()])
@@ -201,11 +281,20 @@ def _contact(record: Record, span: tuple[int, int], depth: Array | None, scenari
         before = np.flatnonzero(np.isfinite(depth[:start]))[-FREE_MINIMUM:]
         if len(before) > 4:
             speed = float(np.polyfit(record.t[before] - record.t[start], depth[before], 1)[0])
-    return Contact(start, end, forces.get(FORCES[0]), deepest, speed, max(map(abs, forces.values()), default=None))
+    return Contact(
+        start,
+        end,
+        forces.get(FORCES[0]),
+        deepest,
+        speed,
+        max(map(abs, forces.values()), default=None),
+    )
 
 
 def _bridged(values: Array) -> Array:
-    """``values`` with missing ones interpolated: in a log that is slower than the loop most ticks are missing."""
+    """``values`` with missing ones interpolated: in a log that is slower than the loop most ticks
+    are missing.
+    """
     known = np.isfinite(values)
     if known.all() or not known.any():
         return np.nan_to_num(values)

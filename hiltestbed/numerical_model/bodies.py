@@ -29,37 +29,54 @@ def approach_state(scenario: Scenario) -> Array:
     """``(13,)``: pose of A in P and relative twist in P at t = 0."""
     a = scenario.approach
     position = [a.offset[0], a.offset[1], -a.gap]
-    return np.concatenate([position, quat_from_attitude_deg(a.attitude_deg), a.velocity, np.radians(a.rate_deg)])
+    return np.concatenate(
+        [position, quat_from_attitude_deg(a.attitude_deg), a.velocity, np.radians(a.rate_deg)]
+    )
 
 
 def effective_mass(scenario: Scenario) -> float:
-    """Reduced mass [kg] of both bodies along the line of approach at P's origin, lever arms included.
+    """Reduced mass [kg] of both bodies along the line of approach at P's origin, lever arms
+    included.
 
-    ``1/m = sum of 1/m_i + (r_i x n)^T I_i^-1 (r_i x n)`` with n along z of P, at the start pose with centred ports.
+    ``1/m = sum of 1/m_i + (r_i x n)^T I_i^-1 (r_i x n)`` with n along z of P, at the start pose
+    with centred ports.
     """
     total = 0.0
     for body in (scenario.spacecraft.chaser, scenario.spacecraft.target):
         port = port_pose(body)
         q = port[3:]
-        n = np.array([2 * (q[0] * q[2] + q[1] * q[3]), 2 * (q[1] * q[2] - q[0] * q[3]), 1 - 2 * (q[0] ** 2 + q[1] ** 2)])
+        n = np.array(
+            [
+                2 * (q[0] * q[2] + q[1] * q[3]),
+                2 * (q[1] * q[2] - q[0] * q[3]),
+                1 - 2 * (q[0] ** 2 + q[1] ** 2),
+            ]
+        )
         arm = np.cross(port[:3], n)
         total += 1.0 / body.mass + arm @ np.linalg.solve(inertia_matrix(body.inertia), arm)
     return float(1.0 / total)
 
 
-def rest_inertia(mass: float, inertia: Array, ratio: Array | Sequence[float], place: Array) -> Array:
-    """Inertia ``(3, 3)``, about its own centre of mass, of a body without the fractions ``ratio`` (S,) of its mass at ``place`` (S, 3).
+def rest_inertia(
+    mass: float, inertia: Array, ratio: Array | Sequence[float], place: Array
+) -> Array:
+    """Inertia ``(3, 3)``, about its own centre of mass, of a body without the fractions ``ratio``
+    (S,) of its mass at ``place`` (S, 3).
 
-    Parallel-axis theorem: the body's ``inertia`` (3, 3) [kg m^2] about its centre of mass is that of the rest plus all point masses.
+    Parallel-axis theorem: the body's ``inertia`` (3, 3) [kg m^2] about its centre of mass is that
+    of the rest plus all point masses.
     """
     ratio = np.asarray(ratio)
     centre = -ratio @ place / (1.0 - ratio.sum())
     points, weights = np.vstack([place, centre]), mass * np.append(ratio, 1.0 - ratio.sum())
-    return inertia - sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(weights, points, strict=True))
+    return inertia - sum(
+        m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(weights, points, strict=True)
+    )
 
 
 def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
-    """Linear [kg m/s] and angular [N m s] momentum of both bodies together, about the inertial origin.
+    """Linear [kg m/s] and angular [N m s] momentum of both bodies together, about the inertial
+    origin.
 
     Args:
         mass: ``(..., 2)``. inertia: ``(..., 2, 3, 3)``. q: ``(..., 2, 7)``. v: ``(..., 2, 6)``.
@@ -74,15 +91,21 @@ def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
 
 
 def mobility(scenario: Scenario) -> Array:
-    """``(6, 6)`` M^-1: relative acceleration of A's origin per unit wrench there between both bodies, in P, at the nominal touch."""
+    """``(6, 6)`` M^-1: relative acceleration of A's origin per unit wrench there between both
+    bodies, in P, at the nominal touch.
+    """
     return _mobility(scenario.spacecraft.chaser) + _mobility(scenario.spacecraft.target)
 
 
 def _mobility(body: Body) -> Array:
-    """Of one body at its port, in the port's axes, r the port's position: ``[1/m - [r] I^-1 [r], -[r] I^-1; I^-1 [r], I^-1]``."""
+    """Of one body at its port, in the port's axes, r the port's position: ``[1/m - [r] I^-1 [r],
+    -[r] I^-1; I^-1 [r], I^-1]``.
+    """
     port = port_pose(body)
     turn = rotation_matrix(port[3:])
     inverse = turn.T @ np.linalg.inv(inertia_matrix(body.inertia)) @ turn
     x, y, z = turn.T @ port[:3]
     arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.block([[np.eye(3) / body.mass - arm @ inverse @ arm, -arm @ inverse], [inverse @ arm, inverse]])
+    return np.block(
+        [[np.eye(3) / body.mass - arm @ inverse @ arm, -arm @ inverse], [inverse @ arm, inverse]]
+    )

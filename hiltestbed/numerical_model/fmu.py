@@ -1,4 +1,6 @@
-"""The numerical model as the user's FMU: stepped once per tick by FMPy, with one instance per run."""
+"""The numerical model as the user's FMU: stepped once per tick by FMPy, with one instance per
+run.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,19 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
-APART = 1e-6  # [m], [rad], [m/s], [rad/s] largest difference between the FMU's start and that of the approach
+# [m], [rad], [m/s], [rad/s] largest difference between the FMU's start and that of the approach
+APART = 1e-6
 
 
 class FmuModel(NumericalModel):
-    """A :class:`NumericalModel` whose motion is that of the FMU; masses, inertias and ports are the nominal ones."""
+    """A :class:`NumericalModel` whose motion is that of the FMU; masses, inertias and ports are the
+    nominal ones.
+    """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        """Raises MissingExtra, DeviceError; InputError if the FMU lacks a variable or does not start at ``approach``."""
+        """Raises MissingExtra, DeviceError; InputError if the FMU lacks a variable or does not
+        start at ``approach``.
+        """
         super().__init__(scenarios)
         inputs = [f"wrench.{name}" for name in WRENCH]
         outputs = [*(f"pose.{name}" for name in POSE), *(f"twist.{name}" for name in TWIST)]
@@ -50,7 +57,9 @@ class FmuModel(NumericalModel):
             twist_between(self.pose[i], values[:7], 1.0, apart)
             if np.abs(apart).max() > APART or np.abs(values[7:] - self.twist[i]).max() > APART:
                 raise InputError(
-                    f"numerical_model.file: {part.path} starts elsewhere than approach says (pose {values[:7].round(6).tolist()}, twist "
-                    f"{values[7:].round(6).tolist()}; approach: {self.pose[i].round(6).tolist()}, {self.twist[i].round(6).tolist()}); "
+                    f"numerical_model.file: {part.path} starts elsewhere than approach says (pose "
+                    f"{values[:7].round(6).tolist()}, twist "
+                    f"{values[7:].round(6).tolist()}; approach: {self.pose[i].round(6).tolist()}, "
+                    f"{self.twist[i].round(6).tolist()}); "
                     "give both the same start"
                 )

@@ -1,10 +1,12 @@
 """The bodies of many runs, accelerated by Pinocchio.
 
-One Pinocchio model holds the bodies of up to :data:`RUNS_PER_MODEL` runs, so that one call of the articulated-body algorithm
-(R. Featherstone, Rigid Body Dynamics Algorithms, 2008, table 9.6) accelerates them all. The linear velocity is kept in the inertial
-frame, so that the semi-implicit step adds ``h f`` to the momentum of one body and subtracts it from the other; in the body frame, that
-of Pinocchio's free-flyer joint, the same step would lose momentum with every rotation of the frame. A body's acceleration does
-not depend on its linear velocity, so Pinocchio is given each body in a frame that moves along with it (zero linear velocity).
+One Pinocchio model holds the bodies of up to :data:`RUNS_PER_MODEL` runs, so that one call of the
+articulated-body algorithm (R. Featherstone, Rigid Body Dynamics Algorithms, 2008, table 9.6)
+accelerates them all. The linear velocity is kept in the inertial frame, so that the semi-implicit
+step adds ``h f`` to the momentum of one body and subtracts it from the other; in the body frame,
+that of Pinocchio's free-flyer joint, the same step would lose momentum with every rotation of the
+frame. A body's acceleration does not depend on its linear velocity, so Pinocchio is given each body
+in a frame that moves along with it (zero linear velocity).
 """
 
 from __future__ import annotations
@@ -16,15 +18,19 @@ from hiltestbed.frames import Array, rotate, rotate_back
 from hiltestbed.jit import njit
 
 RUNS_PER_MODEL = (
-    6  # Pinocchio's Data holds several (nv, nv, nv) tensors: at 6 runs, nv = 72, 12 MB and 2 ms to make; at 16, 230 MB and 0.2 s
+    # Pinocchio's Data holds several (nv, nv, nv) tensors: at 6 runs, nv = 72, 12 MB and 2 ms to
+    # make; at 16, 230 MB and 0.2 s
+    6
 )
 
 
 class FreeFlyers:
-    """The Pinocchio models of bodies of ``mass`` ``(n, 2)`` [kg] and ``inertia`` ``(n, 2, 3, 3)`` [kg m^2].
+    """The Pinocchio models of bodies of ``mass`` ``(n, 2)`` [kg] and ``inertia`` ``(n, 2, 3, 3)``
+    [kg m^2].
 
     Attributes:
-        seen: poses (n, 2, 7), velocities and forces (n, 2, 6) as :func:`as_seen` writes them. acceleration: (n, 2, 6) in body axes.
+        seen: poses (n, 2, 7), velocities and forces (n, 2, 6) as :func:`as_seen` writes them.
+            acceleration: (n, 2, 6) in body axes.
     """
 
     def __init__(self, mass: Array, inertia: Array) -> None:
@@ -39,7 +45,9 @@ class FreeFlyers:
             self._models.append((model, model.createData(), *views))
 
     def accelerate(self, q: Array, v: Array, tau: Array, tick: float) -> None:
-        """Add the velocity change of a tick under ``tau`` ``(n, 2, 6)``, force in the inertial and torque in the body frame, to ``v``."""
+        """Add the velocity change of a tick under ``tau`` ``(n, 2, 6)``, force in the inertial and
+        torque in the body frame, to ``v``.
+        """
         as_seen(q, v, tau, *self.seen)
         self.solve()
         gain_speed(q, self.acceleration, tick, v)
@@ -51,19 +59,27 @@ class FreeFlyers:
 
 
 def _model(mass: Array, inertia: Array) -> pin.Model:
-    """Free-flyers of ``mass`` (r, 2) and ``inertia`` (r, 2, 3, 3) about their centres of mass, without gravity."""
+    """Free-flyers of ``mass`` (r, 2) and ``inertia`` (r, 2, 3, 3) about their centres of mass,
+    without gravity.
+    """
     model = pin.Model()
     model.gravity = pin.Motion.Zero()
     for i in range(len(mass)):
         for b in range(2):
-            joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"body_{i}_{b}")
-            model.appendBodyToJoint(joint, pin.Inertia(mass[i, b], np.zeros(3), inertia[i, b]), pin.SE3.Identity())
+            joint = model.addJoint(
+                0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"body_{i}_{b}"
+            )
+            model.appendBodyToJoint(
+                joint, pin.Inertia(mass[i, b], np.zeros(3), inertia[i, b]), pin.SE3.Identity()
+            )
     return model
 
 
 @njit(cache=True)
 def as_seen(q, v, tau, q_seen, v_seen, tau_seen):
-    """Poses, velocities and forces in body axes, in a frame that moves along with each body: positions and linear velocities stay zero."""
+    """Poses, velocities and forces in body axes, in a frame that moves along with each body:
+    positions and linear velocities stay zero.
+    """
     for i in range(q.shape[0]):
         for b in range(2):
             q_seen[i, b, 3:7] = q[i, b, 3:7]
@@ -74,7 +90,9 @@ def as_seen(q, v, tau, q_seen, v_seen, tau_seen):
 
 @njit(cache=True)
 def gain_speed(q, acceleration, tick, v):
-    """Add to the velocities ``v`` (n, 2, 6) the ``acceleration`` (n, 2, 6), in body axes, times a tick [s]."""
+    """Add to the velocities ``v`` (n, 2, 6) the ``acceleration`` (n, 2, 6), in body axes, times a
+    tick [s].
+    """
     linear = np.empty(3)
     for i in range(q.shape[0]):
         for b in range(2):

@@ -1,8 +1,10 @@
 """Two free-flyers in compiled code: poses, loads, relative motion, steps.
 
-The states of one run are ``q`` (2, 7), poses of the centres of mass of chaser and target in inertial axes, and ``v`` (2, 6), linear
-velocity in inertial axes and angular velocity in body axes. :class:`hiltestbed.numerical_model.model.NumericalModel` accelerates the
-bodies with Pinocchio; a predictor needs a copy that can be reset, stepped under another wrench and propagated, for which :func:`step` and
+The states of one run are ``q`` (2, 7), poses of the centres of mass of chaser and target in
+inertial axes, and ``v`` (2, 6), linear velocity in inertial axes and angular velocity in body axes.
+:class:`hiltestbed.numerical_model.model.NumericalModel` accelerates the bodies with Pinocchio; a
+predictor needs a copy that can be reset, stepped under another wrench and propagated, for which
+:func:`step` and
 :func:`carry` use the same semi-implicit step.
 """
 
@@ -10,7 +12,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from hiltestbed.frames import cross, pose_between, quat_exp, quat_mul, quat_normalise, rotate, rotate_back
+from hiltestbed.frames import (
+    cross,
+    pose_between,
+    quat_exp,
+    quat_mul,
+    quat_normalise,
+    rotate,
+    rotate_back,
+)
 from hiltestbed.jit import njit
 
 CHASER, TARGET = 0, 1
@@ -20,9 +30,12 @@ SCRATCH = 12  # scratch rows of 7 that :func:`step` needs
 
 @njit(cache=True)
 def place_bodies(approach, port, q, v):
-    """One run: ``q`` (2, 7) and ``v`` (2, 6) at t = 0 from ``approach`` (13,) and ``port`` (2, 7): target at rest, P at the origin."""
+    """One run: ``q`` (2, 7) and ``v`` (2, 6) at t = 0 from ``approach`` (13,) and ``port`` (2, 7):
+    target at rest, P at the origin.
+    """
     r, w, u, inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(4)
-    for b in range(2):  # attitude of the body in P: port attitude in P times inverse port attitude in the body
+    # attitude of the body in P: port attitude in P times inverse port attitude in the body
+    for b in range(2):
         for j in range(3):
             inverse[j] = -port[b, 3 + j]
         inverse[3] = port[b, 6]
@@ -34,7 +47,8 @@ def place_bodies(approach, port, q, v):
         for j in range(3):
             q[b, j] = -r[j] + (approach[j] if b == CHASER else 0.0)
         v[b] = 0.0
-    rotate(q[CHASER, 3:7], port[CHASER, 0:3], r)  # velocity of the centre of mass: that of the port less w x r
+    # velocity of the centre of mass: that of the port less w x r
+    rotate(q[CHASER, 3:7], port[CHASER, 0:3], r)
     w[:] = approach[10:13]
     cross(w, r, u)
     for j in range(3):
@@ -51,7 +65,9 @@ def place_at_start(approach, port, q, v):
 
 @njit(cache=True)
 def _port_state(q, v, port, pose, arm, velocity, rate):
-    """World pose of a port, its arm from the centre of mass, its velocity and angular rate, all in inertial axes."""
+    """World pose of a port, its arm from the centre of mass, its velocity and angular rate, all in
+    inertial axes.
+    """
     rotate(q[3:7], port[0:3], arm)
     rotate(q[3:7], v[3:6], rate)
     cross(rate, arm, velocity)
@@ -63,7 +79,9 @@ def _port_state(q, v, port, pose, arm, velocity, rate):
 
 @njit(cache=True)
 def relative_motion(q, v, port, work, pose, twist):
-    """One run: ``pose`` (7,) of A in P and ``twist`` (6,) from ``q`` (2, 7), ``v`` (2, 6), ``port`` (2, 7); ``work`` (WORK, 7)."""
+    """One run: ``pose`` (7,) of A in P and ``twist`` (6,) from ``q`` (2, 7), ``v`` (2, 6), ``port``
+    (2, 7); ``work`` (WORK, 7).
+    """
     pose_A, pose_P = work[0], work[1]
     arm, u_A, w_A, u_P, w_P, d, s = work[2], work[3], work[4], work[5], work[6], work[7], work[8]
     _port_state(q[CHASER], v[CHASER], port[CHASER], pose_A, arm, u_A, w_A)
@@ -81,9 +99,18 @@ def relative_motion(q, v, port, work, pose, twist):
 
 @njit(cache=True)
 def load_bodies(q, port, wrench, work, tau):
-    """One run: generalised forces ``tau`` (2, 6), force in inertial axes and torque about the centre of mass in body axes, of
-    ``wrench`` (6,), active on passive, in P at P's origin; ``work`` (WORK, 7)."""
-    attitude, force, torque, arm, point, moment = work[0], work[1], work[2], work[3], work[4], work[5]
+    """One run: generalised forces ``tau`` (2, 6), force in inertial axes and torque about the
+    centre of mass in body axes, of ``wrench`` (6,), active on passive, in P at P's origin; ``work``
+    (WORK, 7).
+    """
+    attitude, force, torque, arm, point, moment = (
+        work[0],
+        work[1],
+        work[2],
+        work[3],
+        work[4],
+        work[5],
+    )
     quat_mul(q[TARGET, 3:7], port[TARGET, 3:7], attitude)
     rotate(attitude, wrench[0:3], force)
     rotate(attitude, wrench[3:6], torque)
@@ -132,35 +159,51 @@ def move(q, v, tick):
 
 @njit(cache=True)
 def newton_euler(mass, inertia, inverse, tau, h, v):
-    """Add the velocity change of a step under ``tau`` (n, 2, 6), force in inertial and torque in body axes, to ``v`` (n, 2, 6)."""
+    """Add the velocity change of a step under ``tau`` (n, 2, 6), force in inertial and torque in
+    body axes, to ``v`` (n, 2, 6).
+    """
     spin, gyro = np.empty(3), np.empty(3)
     for i in range(v.shape[0]):
         for b in range(2):
             for j in range(3):
-                spin[j] = inertia[i, b, j, 0] * v[i, b, 3] + inertia[i, b, j, 1] * v[i, b, 4] + inertia[i, b, j, 2] * v[i, b, 5]
+                spin[j] = (
+                    inertia[i, b, j, 0] * v[i, b, 3]
+                    + inertia[i, b, j, 1] * v[i, b, 4]
+                    + inertia[i, b, j, 2] * v[i, b, 5]
+                )
             cross(v[i, b, 3:6], spin, gyro)
             for j in range(3):
                 gyro[j] = tau[i, b, 3 + j] - gyro[j]
                 v[i, b, j] += h * tau[i, b, j] / mass[i, b]
             for j in range(3):
-                gain = inverse[i, b, j, 0] * gyro[0] + inverse[i, b, j, 1] * gyro[1] + inverse[i, b, j, 2] * gyro[2]
+                gain = (
+                    inverse[i, b, j, 0] * gyro[0]
+                    + inverse[i, b, j, 1] * gyro[1]
+                    + inverse[i, b, j, 2] * gyro[2]
+                )
                 v[i, b, 3 + j] += h * gain
 
 
 @njit(cache=True)
 def step(q, v, port, mass, inertia, inverse, wrench, h, work):
-    """One semi-implicit Euler step of both bodies under ``wrench`` (6,), active on passive, in P at P's origin."""
+    """One semi-implicit Euler step of both bodies under ``wrench`` (6,), active on passive, in P at
+    P's origin.
+    """
     load_bodies(q, port, wrench, work, work[6:8])
     for b in range(2):
         tau, spin, gyro = work[6 + b], work[8], work[9]
         for j in range(3):
-            spin[j] = inertia[b, j, 0] * v[b, 3] + inertia[b, j, 1] * v[b, 4] + inertia[b, j, 2] * v[b, 5]
+            spin[j] = (
+                inertia[b, j, 0] * v[b, 3] + inertia[b, j, 1] * v[b, 4] + inertia[b, j, 2] * v[b, 5]
+            )
         cross(v[b, 3:6], spin, gyro)
         for j in range(3):
             gyro[j] = tau[3 + j] - gyro[j]
             v[b, j] += h * tau[j] / mass[b]
         for j in range(3):
-            v[b, 3 + j] += h * (inverse[b, j, 0] * gyro[0] + inverse[b, j, 1] * gyro[1] + inverse[b, j, 2] * gyro[2])
+            v[b, 3 + j] += h * (
+                inverse[b, j, 0] * gyro[0] + inverse[b, j, 1] * gyro[1] + inverse[b, j, 2] * gyro[2]
+            )
         for j in range(3):
             q[b, j] += h * v[b, j]
             spin[j] = h * v[b, 3 + j]
@@ -169,11 +212,13 @@ def step(q, v, port, mass, inertia, inverse, wrench, h, work):
 
 @njit(cache=True)
 def carry(q, v, port, mass, inverse, time, impulse, shift, work):
-    """Propagate both bodies by ``time`` [s] under a wrench given by two integrals, in P at P's origin, with axes held fixed.
+    """Propagate both bodies by ``time`` [s] under a wrench given by two integrals, in P at P's
+    origin, with axes held fixed.
 
     Args:
         impulse: (6,) its integral, ``sum of h w_j``.
-        shift: (6,) its second integral, ``sum of h^2 w_j`` times the number of ticks from j to the end, j included.
+        shift: (6,) its second integral, ``sum of h^2 w_j`` times the number of ticks from j to the
+            end, j included.
 
     Angular rates change only by the impulse: the gyroscopic torque is neglected.
     """
@@ -182,13 +227,21 @@ def carry(q, v, port, mass, inverse, time, impulse, shift, work):
     for b in range(2):
         gain, turn = work[0], work[1]
         for j in range(3):
-            gain[j] = inverse[b, j, 0] * work[8 + b, 3] + inverse[b, j, 1] * work[8 + b, 4] + inverse[b, j, 2] * work[8 + b, 5]
+            gain[j] = (
+                inverse[b, j, 0] * work[8 + b, 3]
+                + inverse[b, j, 1] * work[8 + b, 4]
+                + inverse[b, j, 2] * work[8 + b, 5]
+            )
         for j in range(3):
             q[b, j] += time * v[b, j] + work[8 + b, j] / mass[b]
             v[b, j] += work[6 + b, j] / mass[b]
             turn[j] = time * v[b, 3 + j] + gain[j]
         for j in range(3):
-            v[b, 3 + j] += inverse[b, j, 0] * work[6 + b, 3] + inverse[b, j, 1] * work[6 + b, 4] + inverse[b, j, 2] * work[6 + b, 5]
+            v[b, 3 + j] += (
+                inverse[b, j, 0] * work[6 + b, 3]
+                + inverse[b, j, 1] * work[6 + b, 4]
+                + inverse[b, j, 2] * work[6 + b, 5]
+            )
         _turn(q[b, 3:7], turn, work[2], work[3])
 
 
@@ -203,10 +256,12 @@ def _turn(attitude, turn, by, out):
 
 @njit(cache=True)
 def mobility(q, port, position, mass, inverse, work, out):
-    """``out`` (6, 6): change of the twist of A relative to P, in P, per unit impulse of a reversed wrench at A's origin, in P.
+    """``out`` (6, 6): change of the twist of A relative to P, in P, per unit impulse of a reversed
+    wrench at A's origin, in P.
 
-    ``W = sum over the bodies of J^T M^-1 J`` with J from the velocity of A's origin: symmetric and positive definite. A wrench
-    ``w`` that the active side exerts for a time h changes the relative twist by ``-h W w``. ``position`` (3,) of A in P.
+    ``W = sum over the bodies of J^T M^-1 J`` with J from the velocity of A's origin: symmetric and
+    positive definite. A wrench ``w`` that the active side exerts for a time h changes the relative
+    twist by ``-h W w``. ``position`` (3,) of A in P.
     """
     attitude, arm, axis, r, gain, moment = work[0], work[1], work[2], work[3], work[4], work[5]
     quat_mul(q[TARGET, 3:7], port[TARGET, 3:7], attitude)
@@ -232,7 +287,11 @@ def mobility(q, port, position, mass, inverse, work, out):
             rotate(attitude, moment, moment)
             rotate_back(q[b, 3:7], moment, moment)
             for j in range(3):
-                gain[j] = inverse[b, j, 0] * moment[0] + inverse[b, j, 1] * moment[1] + inverse[b, j, 2] * moment[2]
+                gain[j] = (
+                    inverse[b, j, 0] * moment[0]
+                    + inverse[b, j, 1] * moment[1]
+                    + inverse[b, j, 2] * moment[2]
+                )
             rotate(q[b, 3:7], gain, gain)
             rotate_back(attitude, gain, gain)
             cross(gain, r, moment)
@@ -243,7 +302,9 @@ def mobility(q, port, position, mass, inverse, work, out):
 
 @njit(cache=True)
 def solve(matrix, x, factor):
-    """``x`` (6,) overwritten by the solution of the positive definite ``matrix`` (6, 6); ``factor`` (6, 6) is scratch (Cholesky)."""
+    """``x`` (6,) overwritten by the solution of the positive definite ``matrix`` (6, 6); ``factor``
+    (6, 6) is scratch (Cholesky).
+    """
     for i in range(6):
         for j in range(i + 1):
             s = matrix[i, j]
@@ -263,7 +324,9 @@ def solve(matrix, x, factor):
 
 @njit(cache=True, inline="always")
 def wrench_at_A(wrench, position, out):
-    """``out``: a wrench given at P's origin, referred to A's origin; ``position`` (3,) of A in P. ``out`` may be ``wrench``."""
+    """``out``: a wrench given at P's origin, referred to A's origin; ``position`` (3,) of A in P.
+    ``out`` may be ``wrench``.
+    """
     fx, fy, fz = wrench[0], wrench[1], wrench[2]
     x, y, z = position[0], position[1], position[2]
     out[3] = wrench[3] - (y * fz - z * fy)

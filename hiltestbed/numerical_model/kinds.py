@@ -33,8 +33,9 @@ class TwoFreeFlyers(ModelKind):
 class Fmu(ModelKind):
     """The user's own model, as an FMU (FMI 3.0, co-simulation).
 
-    Inputs: wrench.fx ... tz, exerted by the active side on the passive one, in P at P's origin; outputs: pose.px ... qw of A in P and
-    twist.vx ... wz of A relative to P, in P. The input is held over a tick, which adds half a tick of delay to the loop.
+    Inputs: wrench.fx ... tz, exerted by the active side on the passive one, in P at P's origin;
+        outputs: pose.px ... qw of A in P and twist.vx ... wz of A relative to P, in P. The input is
+        held over a tick, which adds half a tick of delay to the loop.
     """
 
     kind: Literal["fmu"] = "fmu"

@@ -1,7 +1,8 @@
 """The numerical model: chaser and target as free-flyers, driven by the compensated wrench.
 
-A tick is a semi-implicit Euler step: each body's twist first, then its pose with the new twist. Errors of the model (masses, inertias,
-ports, appendages, forces, integrator, step delay) are departures from the nominal parameters; without any the step is the nominal one.
+A tick is a semi-implicit Euler step: each body's twist first, then its pose with the new twist.
+Errors of the model (masses, inertias, ports, appendages, forces, integrator, step delay) are
+departures from the nominal parameters; without any the step is the nominal one.
 """
 
 from __future__ import annotations
@@ -17,10 +18,24 @@ from hiltestbed.bound import GIVEN, Call, bound
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, cross, pose_step, rotate, rotate_back
 from hiltestbed.jit import njit
-from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose, rest_inertia
+from hiltestbed.numerical_model.bodies import (
+    approach_state,
+    inertia_matrix,
+    port_pose,
+    rest_inertia,
+)
 from hiltestbed.numerical_model.free_flyers import FreeFlyers, as_seen, gain_speed
 from hiltestbed.numerical_model.kernels import load_wrench, move, place_at_start, relative_states
-from hiltestbed.numerical_model.parameters import BODIES, DAMPING, PLACE, RATIO, STIFFNESS, Departures, DynamicsParameters, stack
+from hiltestbed.numerical_model.parameters import (
+    BODIES,
+    DAMPING,
+    PLACE,
+    RATIO,
+    STIFFNESS,
+    Departures,
+    DynamicsParameters,
+    stack,
+)
 from hiltestbed.numerical_model.resistance import resist_between, resist_bodies
 
 if TYPE_CHECKING:
@@ -31,15 +46,20 @@ class NumericalModel:
     """Two free-flyers per run, for ``n`` runs, and the relative motion of their ports.
 
     Attributes:
-        mass: ``(n, 2)``, inertia: ``(n, 2, 3, 3)``, port: ``(n, 2, 7)``, nominal: a compensation builds its copy of the model from them.
-        q: ``(n, 2, 7)`` pose of the chaser's and the target's centre of mass in the inertial frame; for a body with an appendage away from
-            its centre of mass, the centre of mass of the body without its appendages.
+        mass: ``(n, 2)``, inertia: ``(n, 2, 3, 3)``, port: ``(n, 2, 7)``, nominal: a compensation
+            builds its copy of the model from them.
+        q: ``(n, 2, 7)`` pose of the chaser's and the target's centre of mass in the inertial frame;
+            for a body with an appendage away from its centre of mass, the centre of mass of the
+            body without its appendages.
         v: ``(n, 2, 6)`` linear velocity in the inertial frame, angular velocity in the body frame.
-        pose: ``(n, 7)`` output pose of A in P. twist: ``(n, 6)`` output velocity of A relative to P, in P.
+        pose: ``(n, 7)`` output pose of A in P. twist: ``(n, 6)`` output velocity of A relative to
+            P, in P.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], departures: Departures | None = None) -> None:
-        """``departures``: of the model that runs from the nominal one; by default from the effects of the scenarios."""
+        """``departures``: of the model that runs from the nominal one; by default from the effects
+        of the scenarios.
+        """
         n = len(scenarios)
         self.n = n
         self.tick = 1.0 / scenarios[0].rate
@@ -51,7 +71,11 @@ class NumericalModel:
         self.pose, self.twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._tau, self._before = np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
         self._approach = np.array([approach_state(s) for s in scenarios])
-        self._depart(stack([DynamicsParameters.of(s.effects) for s in scenarios]) if departures is None else departures)
+        self._depart(
+            stack([DynamicsParameters.of(s.effects) for s in scenarios])
+            if departures is None
+            else departures
+        )
         self.reset()
 
     def _depart(self, d: Departures) -> None:
@@ -62,7 +86,9 @@ class NumericalModel:
         self._whole = self.mass * d.mass
         self._rigid = self._whole * (1.0 - d.appendage[..., RATIO].sum(axis=-1))
         self._placed = hung_at_a_place(d.appendage)
-        self._rest, self._inertia = rests(d.appendage, self._whole, self.inertia * d.inertia[..., None, None])
+        self._rest, self._inertia = rests(
+            d.appendage, self._whole, self.inertia * d.inertia[..., None, None]
+        )
         self._port[..., :3] -= self._rest
         self._swing = np.zeros((*d.appendage.shape[:3], 2, 3))
         self._force = d.force
@@ -73,7 +99,12 @@ class NumericalModel:
         self._late = d.late if d.late.any() else None
         self._handed = np.zeros((self.n, int(d.late.max()) + 1, 13))
         self._clock = np.zeros(1, dtype=np.int64)
-        self._departs = self._resisted is not None or self._swings or self._explicit is not None or self._late is not None
+        self._departs = (
+            self._resisted is not None
+            or self._swings
+            or self._explicit is not None
+            or self._late is not None
+        )
 
     @cached_property
     def flyers(self) -> FreeFlyers:
@@ -81,7 +112,9 @@ class NumericalModel:
         return FreeFlyers(self._rigid, self._inertia)
 
     def reset(self) -> None:
-        """Target at rest with P at the inertial origin; chaser with the pose and velocity of ``approach``."""
+        """Target at rest with P at the inertial origin; chaser with the pose and velocity of
+        ``approach``.
+        """
         place_at_start(self._approach, self._port, self.q, self.v)
         self._swing[:] = 0.0
         hang(self._appendage, self._placed, self._rest, self.q, self.v, self._swing)
@@ -96,7 +129,9 @@ class NumericalModel:
         return q, v
 
     def centres(self) -> Array:
-        """``(n, 2, 7)`` poses of the bodies at their overall centres of mass, with undeflected appendages."""
+        """``(n, 2, 7)`` poses of the bodies at their overall centres of mass, with undeflected
+        appendages.
+        """
         if not self._placed.any():
             return self.q
         out = self.q.copy()
@@ -108,10 +143,14 @@ class NumericalModel:
         """The two halves of a nominal step, before and after Pinocchio accelerates the bodies."""
         flyers = self.flyers
         seen = Call(_load, self.q, self.v, self._port, GIVEN, self._tau, *flyers.seen)
-        return seen, bound(_go_on, self.q, flyers.acceleration, ..., self.v, self._port, self.pose, self.twist)
+        return seen, bound(
+            _go_on, self.q, flyers.acceleration, ..., self.v, self._port, self.pose, self.twist
+        )
 
     def advance(self, wrench: Array) -> None:
-        """One step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin: twists, then poses."""
+        """One step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin: twists, then
+        poses.
+        """
         if not self._departs:
             load, go_on = self._nominal
             load.on(wrench)()
@@ -121,7 +160,16 @@ class NumericalModel:
         if self._resisted is not None:
             self._resisted[:] = wrench
             wrench = self._resisted
-            resist_between(self._force, self.q, self.v, self._port, self._rigid, self._inverse, self.tick, wrench)
+            resist_between(
+                self._force,
+                self.q,
+                self.v,
+                self._port,
+                self._rigid,
+                self._inverse,
+                self.tick,
+                wrench,
+            )
         load_wrench(self.q, self._port, wrench, self._tau)
         if self._resisted is not None:
             resist_bodies(self._force, self.v, self._rigid, self.tick, self._tau)
@@ -131,7 +179,11 @@ class NumericalModel:
         if self._explicit is not None:
             self._before[:] = self.v
         self.flyers.accelerate(self.q, self.v, self._tau, self.tick)
-        moving = self.v if self._explicit is None else np.where(self._explicit[:, None, None], self._before, self.v)
+        moving = (
+            self.v
+            if self._explicit is None
+            else np.where(self._explicit[:, None, None], self._before, self.v)
+        )
         move(self.q, moving, self.tick)
         relative_states(self.q, self.v, self._port, self.pose, self.twist)
         if self._late is not None:
@@ -148,7 +200,9 @@ def _load(q, v, port, wrench, tau, *seen):
 
 @njit(cache=True)
 def _go_on(q, acceleration, tick, v, port, pose, twist):
-    """The step after the acceleration: twists, then poses, then the relative motion of the ports."""
+    """The step after the acceleration: twists, then poses, then the relative motion of the
+    ports.
+    """
     gain_speed(q, acceleration, tick, v)
     move(q, v, tick)
     relative_states(q, v, port, pose, twist)
@@ -156,7 +210,9 @@ def _go_on(q, acceleration, tick, v, port, pose, twist):
 
 @njit(cache=True)
 def run_back(pose, twist, h, handed):
-    """Fill the delay line with the uniform approach before the start: tick -j at slot -j modulo the length."""
+    """Fill the delay line with the uniform approach before the start: tick -j at slot -j modulo the
+    length.
+    """
     length = handed.shape[1]
     for i in range(pose.shape[0]):
         for j in range(length):
@@ -166,7 +222,9 @@ def run_back(pose, twist, h, handed):
 
 @njit(cache=True)
 def hand_on(k, late, handed, pose, twist):
-    """Store pose (n, 7) and twist (n, 6) of tick ``k`` in ``handed`` (n, L, 13); replace them by those of ``late`` (n,) ticks before."""
+    """Store pose (n, 7) and twist (n, 6) of tick ``k`` in ``handed`` (n, L, 13); replace them by
+    those of ``late`` (n,) ticks before.
+    """
     length = handed.shape[1]
     for i in range(pose.shape[0]):
         handed[i, k % length, 0:7] = pose[i]
@@ -176,23 +234,31 @@ def hand_on(k, late, handed, pose, twist):
 
 
 def hung_at_a_place(appendage: Array) -> NDArray[np.bool_]:
-    """``(n, 2)`` which bodies have an appendage ``(n, 2, S, APPENDAGE)`` away from the centre of mass."""
+    """``(n, 2)`` which bodies have an appendage ``(n, 2, S, APPENDAGE)`` away from the centre of
+    mass.
+    """
     return (appendage[..., PLACE:] != 0.0).any(axis=(-1, -2))
 
 
 def rests(appendage: Array, whole: Array, inertia: Array) -> tuple[Array, Array]:
-    """Centres of mass (n, 2, 3) [m], from those of the bodies, and inertias (n, 2, 3, 3) of the bodies without their appendages.
+    """Centres of mass (n, 2, 3) [m], from those of the bodies, and inertias (n, 2, 3, 3) of the
+    bodies without their appendages.
 
-    Mass ``whole`` (n, 2) and ``inertia`` (n, 2, 3, 3) are those of a body with undeflected appendages. Raises InputError
-    if the appendages take more inertia than it has.
+    Mass ``whole`` (n, 2) and ``inertia`` (n, 2, 3, 3) are those of a body with undeflected
+    appendages. Raises InputError if the appendages take more inertia than it has.
     """
     centre, left = np.zeros((*whole.shape, 3)), inertia.copy()
     for i, b in np.argwhere(hung_at_a_place(appendage)):
         ratio, place = appendage[i, b, :, RATIO], appendage[i, b, :, PLACE:]
-        left[i, b] = rest_inertia(float(whole[i, b]), inertia[i, b], ratio, place) if ratio.sum() < 1.0 else -inertia[i, b]
+        left[i, b] = (
+            rest_inertia(float(whole[i, b]), inertia[i, b], ratio, place)
+            if ratio.sum() < 1.0
+            else -inertia[i, b]
+        )
         if np.linalg.eigvalsh(left[i, b]).min() <= 0.0:
             raise InputError(
-                f"effects: dynamics.appendage: the appendages of the {BODIES[b]} take more inertia than it has; "
+                f"effects: dynamics.appendage: the appendages of the {BODIES[b]} take more "
+                f"inertia than it has; "
                 "place them nearer to its centre of mass, or lower their mass_ratio"
             )
         centre[i, b] = -ratio @ place / (1.0 - ratio.sum())
@@ -201,7 +267,9 @@ def rests(appendage: Array, whole: Array, inertia: Array) -> tuple[Array, Array]
 
 @njit(cache=True)
 def leave_rest(rest, q):
-    """Move the poses ``q`` (n, 2, 7) from the centres of mass without appendages, ``rest`` (n, 2, 3) in body axes, to the overall ones."""
+    """Move the poses ``q`` (n, 2, 7) from the centres of mass without appendages, ``rest`` (n, 2,
+    3) in body axes, to the overall ones.
+    """
     arm = np.empty(3)
     for i in range(q.shape[0]):
         for b in range(2):
@@ -212,7 +280,9 @@ def leave_rest(rest, q):
 
 @njit(cache=True)
 def hang(appendage, placed, rest, q, v, swing):
-    """Initialise appendages away from the centre of mass at rest: ``swing`` (n, 2, S, 2, 3) is their inertial position and velocity."""
+    """Initialise appendages away from the centre of mass at rest: ``swing`` (n, 2, S, 2, 3) is
+    their inertial position and velocity.
+    """
     arm, turn, u = np.empty(3), np.empty(3), np.empty(3)
     for i in range(q.shape[0]):
         for b in range(2):
@@ -229,22 +299,37 @@ def hang(appendage, placed, rest, q, v, swing):
 
 @njit(cache=True)
 def swing(appendage, whole, rigid, placed, rest, q, v, h, swing, tau):
-    """Add the loads of the appendages on their bodies to ``tau`` (n, 2, 6), and advance them: velocity first, then displacement.
+    """Add the loads of the appendages on their bodies to ``tau`` (n, 2, 6), and advance them:
+    velocity first, then displacement.
 
-    swing: (n, 2, S, 2, 3) displacement [m] and velocity [m/s] of each appendage relative to its body, in inertial axes; for bodies that
-    are ``placed`` (n, 2), its inertial position and velocity. rest: (n, 2, 3) centre of mass of a body without its appendages, at
-    ``q`` (n, 2, 7) with the velocity ``v`` (n, 2, 6).
+    swing: (n, 2, S, 2, 3) displacement [m] and velocity [m/s] of each appendage relative to its
+        body, in inertial axes; for bodies that are ``placed`` (n, 2), its inertial position and
+        velocity. rest: (n, 2, 3) centre of mass of a body without its appendages, at ``q`` (n, 2,
+        7) with the velocity ``v`` (n, 2, 6).
     """
     acceleration = np.empty(3)
     for i in range(tau.shape[0]):
         for b in range(2):
             if placed[i, b]:
-                _swing_at(appendage[i, b], whole[i, b], rest[i, b], q[i, b], v[i, b], h, swing[i, b], tau[i, b])
+                _swing_at(
+                    appendage[i, b],
+                    whole[i, b],
+                    rest[i, b],
+                    q[i, b],
+                    v[i, b],
+                    h,
+                    swing[i, b],
+                    tau[i, b],
+                )
                 continue
             for s in range(appendage.shape[2]):
                 a = appendage[i, b, s]
                 for j in range(3):
-                    tau[i, b, j] += a[RATIO] * whole[i, b] * (a[STIFFNESS] * swing[i, b, s, 0, j] + a[DAMPING] * swing[i, b, s, 1, j])
+                    tau[i, b, j] += (
+                        a[RATIO]
+                        * whole[i, b]
+                        * (a[STIFFNESS] * swing[i, b, s, 0, j] + a[DAMPING] * swing[i, b, s, 1, j])
+                    )
             for j in range(3):
                 acceleration[j] = tau[i, b, j] / rigid[i, b]
             for s in range(appendage.shape[2]):
@@ -252,18 +337,29 @@ def swing(appendage, whole, rigid, placed, rest, q, v, h, swing, tau):
                 if a[RATIO] > 0.0:
                     for j in range(3):
                         m = swing[i, b, s]
-                        m[1, j] -= h * (a[STIFFNESS] * m[0, j] + a[DAMPING] * m[1, j] + acceleration[j])
+                        m[1, j] -= h * (
+                            a[STIFFNESS] * m[0, j] + a[DAMPING] * m[1, j] + acceleration[j]
+                        )
                         m[0, j] += h * m[1, j]
 
 
 @njit(cache=True)
 def _swing_at(appendage, whole, rest, q, v, h, swing, tau):
-    """The appendages of a body that are away from its centre of mass: force and reaction act along one line, through the mass.
+    """The appendages of a body that are away from its centre of mass: force and reaction act along
+    one line, through the mass.
 
-    The damper acts on the velocity of the mass relative to the body-fixed point at its position. Linear momentum is conserved to the last
-    bit, and so is the total angular momentum, except for what the step of the body's rotation loses.
+    The damper acts on the velocity of the mass relative to the body-fixed point at its position.
+    Linear momentum is conserved to the last bit, and so is the total angular momentum, except for
+    what the step of the body's rotation loses.
     """
-    away, arm, turn, drift, push, torque = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    away, arm, turn, drift, push, torque = (
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+    )
     rotate(q[3:7], v[3:6], turn)
     for s in range(appendage.shape[0]):
         a, m = appendage[s], swing[s]

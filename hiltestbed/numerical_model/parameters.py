@@ -13,13 +13,16 @@ from hiltestbed.numerical_model.resistance import RESISTANCE
 
 BODIES = ("chaser", "target")
 RESISTED = (*BODIES, "both")  # what a resisting force acts on; the index is its BODY column
-RATIO, STIFFNESS, DAMPING, PLACE, APPENDAGE = 0, 1, 2, 3, 6  # columns of an appendage: mass ratio, k/m_a [1/s^2], d/m_a [1/s], place [m]
+# columns of an appendage: mass ratio, k/m_a [1/s^2], d/m_a [1/s], place [m]
+RATIO, STIFFNESS, DAMPING, PLACE, APPENDAGE = 0, 1, 2, 3, 6
 Appendage = tuple[float, ...]  # those columns
 
 
 @dataclass(frozen=True)
 class Resistance:
-    """A force that resists motion, see :mod:`hiltestbed.numerical_model.resistance`, whose columns its fields are in order [N, m/s]."""
+    """A force that resists motion, see :mod:`hiltestbed.numerical_model.resistance`, whose columns
+    its fields are in order [N, m/s].
+    """
 
     body: int
     axis: int
@@ -34,7 +37,16 @@ class Resistance:
     @property
     def acts(self) -> bool:
         """Whether there is any force."""
-        return any((self.offset, self.viscous, self.viscous_back, self.coulomb, self.coulomb_back, self.rise))
+        return any(
+            (
+                self.offset,
+                self.viscous,
+                self.viscous_back,
+                self.coulomb,
+                self.coulomb_back,
+                self.rise,
+            )
+        )
 
 
 @dataclass
@@ -42,9 +54,12 @@ class DynamicsParameters:
     """Departures of one numerical model.
 
     Attributes:
-        mass, inertia: (2,) factors on chaser and target. port: (2, 3) offset of the port in body axes [m].
-        appendages: of chaser and of target, each (mass ratio, k/m_a [1/s^2], d/m_a [1/s], place in body axes [m]).
-        forces: that resist motion. late: delay of the pose in whole ticks. explicit: explicit Euler, the pose with the old twist.
+        mass, inertia: (2,) factors on chaser and target. port: (2, 3) offset of the port in body
+            axes [m].
+        appendages: of chaser and of target, each (mass ratio, k/m_a [1/s^2], d/m_a [1/s], place in
+            body axes [m]).
+        forces: that resist motion. late: delay of the pose in whole ticks. explicit: explicit
+            Euler, the pose with the old twist.
         stamp: [s] by which a log reads the pose later than nominal; only a replay uses it.
     """
 
@@ -72,7 +87,8 @@ class Departures:
     """The departures of n models.
 
     Attributes:
-        mass, inertia: (n, 2). port: (n, 2, 3). appendage: (n, 2, S, APPENDAGE). force: (n, F, RESISTANCE). late, explicit, stamp: (n,).
+        mass, inertia: (n, 2). port: (n, 2, 3). appendage: (n, 2, S, APPENDAGE). force: (n, F,
+            RESISTANCE). late, explicit, stamp: (n,).
     """
 
     mass: Array
@@ -88,7 +104,13 @@ class Departures:
     def any(self) -> bool:
         """Whether any model departs from the nominal one."""
         same = np.all(self.mass == 1.0) and np.all(self.inertia == 1.0) and not self.port.any()
-        whole = not (self.appendage.any() or self.force.size or self.late.any() or self.explicit.any() or self.stamp.any())
+        whole = not (
+            self.appendage.any()
+            or self.force.size
+            or self.late.any()
+            or self.explicit.any()
+            or self.stamp.any()
+        )
         return not (same and whole)
 
 

@@ -1,13 +1,15 @@
-"""A force that resists motion along an axis: viscous and dry friction that may differ by direction, the Stribeck effect, an offset.
+"""A force that resists motion along an axis: viscous and dry friction that may differ by direction,
+the Stribeck effect, an offset.
 
 The law, for the speed v along the axis, with s its sign::
 
     R(v) = offset + viscous_s v + (coulomb_s + rise exp(-(v/stribeck)^2)) s
 
-At rest, dry friction balances the other forces, up to its level. Over a tick, with the other forces held constant, the motion is integrated
-exactly: an exponential until the body stops, then rest or another exponential. A body of any mass is therefore held without creep or
-chatter, and neither viscous friction nor the instant of a stop depends on the step size; only the Stribeck factor is evaluated at the speed
-before the tick.
+At rest, dry friction balances the other forces, up to its level. Over a tick, with the other forces
+held constant, the motion is integrated
+exactly: an exponential until the body stops, then rest or another exponential. A body of any mass
+is therefore held without creep or chatter, and neither viscous friction nor the instant of a stop
+depends on the step size; only the Stribeck factor is evaluated at the speed before the tick.
 """
 
 from __future__ import annotations
@@ -17,10 +19,23 @@ import math
 import numpy as np
 
 from hiltestbed.jit import njit
-from hiltestbed.numerical_model.kernels import CHASER, TARGET, WORK, mobility, relative_motion, wrench_at_A, wrench_at_P
+from hiltestbed.numerical_model.kernels import (
+    CHASER,
+    TARGET,
+    WORK,
+    mobility,
+    relative_motion,
+    wrench_at_A,
+    wrench_at_P,
+)
 
-BODY, AXIS, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, RISE, STRIBECK, RESISTANCE = range(10)  # columns, and their number
-BETWEEN = 2  # value of BODY, besides CHASER and TARGET: the motion of A relative to P, equal and opposite on both bodies
+# columns, and their number
+BODY, AXIS, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, RISE, STRIBECK, RESISTANCE = (
+    range(10)
+)
+# value of BODY, besides CHASER and TARGET: the motion of A relative to P, equal and opposite on
+# both bodies
+BETWEEN = 2
 
 
 @njit(cache=True)
@@ -28,7 +43,8 @@ def resisting(laws, f, v, free, gain):
     """The mean force [N] of law ``f`` of ``laws`` (F, RESISTANCE) over a tick.
 
     Args:
-        v: speed [m/s] before the tick. free: speed at its end without this force. gain: speed reduction per newton [m/s per N].
+        v: speed [m/s] before the tick. free: speed at its end without this force. gain: speed
+            reduction per newton [m/s per N].
     """
     rise = 0.0
     if laws[f, RISE] != 0.0:
@@ -43,7 +59,8 @@ def resisting(laws, f, v, free, gain):
         end = v + _gained(v, net, slope, gain)
         if (end >= 0.0) == forward:
             return (free - end) / gain
-        part -= math.log1p(-slope * v / net) / (gain * slope) if slope > 0.0 else -v / (gain * net)  # until it stands
+        # until it stands
+        part -= math.log1p(-slope * v / net) / (gain * slope) if slope > 0.0 else -v / (gain * net)
     forward = drive >= 0.0
     slope = laws[f, VISCOUS] if forward else laws[f, VISCOUS_BACK]
     level = laws[f, COULOMB] if forward else laws[f, COULOMB_BACK]
@@ -54,19 +71,28 @@ def resisting(laws, f, v, free, gain):
 
 @njit(cache=True, inline="always")
 def _gained(v, net, slope, gain):
-    """[m/s] change of the speed ``v`` under a force ``net`` [N] against ``slope`` [N s/m] that acts for ``gain`` [m/s per N]."""
+    """[m/s] change of the speed ``v`` under a force ``net`` [N] against ``slope`` [N s/m] that acts
+    for ``gain`` [m/s per N].
+    """
     decay = gain * slope
     return (net - slope * v) * gain * (-math.expm1(-decay) / decay if decay > 0.0 else 1.0)
 
 
 @njit(cache=True)
 def resist_between(laws, q, v, port, mass, inverse, h, wrench):
-    """Add to ``wrench`` (n, 6), active on passive, in P at P's origin, the forces at A's origin that resist the motion of A relative to P.
+    """Add to ``wrench`` (n, 6), active on passive, in P at P's origin, the forces at A's origin
+    that resist the motion of A relative to P.
 
     Args:
         laws: (n, F, RESISTANCE). mass: (n, 2). inverse: (n, 2, 3, 3) of the inertia. h: tick [s].
     """
-    work, gains, pose, twist, at_A = np.empty((WORK, 7)), np.empty((6, 6)), np.empty(7), np.empty(6), np.empty(6)
+    work, gains, pose, twist, at_A = (
+        np.empty((WORK, 7)),
+        np.empty((6, 6)),
+        np.empty(7),
+        np.empty(6),
+        np.empty(6),
+    )
     for i in range(q.shape[0]):
         known = False
         for f in range(laws.shape[1]):
@@ -89,7 +115,9 @@ def resist_between(laws, q, v, port, mass, inverse, h, wrench):
 
 @njit(cache=True)
 def resist_bodies(laws, v, mass, h, tau):
-    """Add to the forces ``tau`` (n, 2, 6), in inertial axes, those that resist the motion of one body along an inertial axis."""
+    """Add to the forces ``tau`` (n, 2, 6), in inertial axes, those that resist the motion of one
+    body along an inertial axis.
+    """
     for i in range(v.shape[0]):
         for f in range(laws.shape[1]):
             law = laws[i, f]
@@ -97,4 +125,6 @@ def resist_bodies(laws, v, mass, h, tau):
                 continue
             b, axis = int(law[BODY]), int(law[AXIS])
             gain = h / mass[i, b]
-            tau[i, b, axis] -= resisting(laws[i], f, v[i, b, axis], v[i, b, axis] + gain * tau[i, b, axis], gain)
+            tau[i, b, axis] -= resisting(
+                laws[i], f, v[i, b, axis], v[i, b, axis] + gain * tau[i, b, axis], gain
+            )

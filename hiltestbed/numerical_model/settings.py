@@ -1,4 +1,6 @@
-"""The numerical-model section of a scenario: the dynamics of the two vehicles, one class per kind."""
+"""The numerical-model section of a scenario: the dynamics of the two vehicles, one class per
+kind.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ if TYPE_CHECKING:
 
 
 class ModelKind(Strictly):
-    """Base of every numerical model's settings. A class needs a docstring and the parts named in :data:`PARTS`.
+    """Base of every numerical model's settings. A class needs a docstring and the parts named in
+    :data:`PARTS`.
 
     Attributes:
         ticks_late: delay that the coupling to the model adds to the loop, in ticks.
@@ -32,5 +35,7 @@ class ModelKind(Strictly):
         raise NotImplementedError
 
 
-MODELS: Registry[ModelKind] = Registry("numerical model", ModelKind, ("hiltestbed.numerical_model.kinds",))
+MODELS: Registry[ModelKind] = Registry(
+    "numerical model", ModelKind, ("hiltestbed.numerical_model.kinds",)
+)
 AnyModel = Annotated[ModelKind, OneOf(MODELS, default="free_flyers")]

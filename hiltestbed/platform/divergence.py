@@ -9,7 +9,9 @@ from hiltestbed.jit import njit
 
 @njit(cache=True)
 def has_diverged(qpos, qvel, limit):
-    """Whether a joint rate of one run reaches ``limit``, or a joint's position or rate is not finite."""
+    """Whether a joint rate of one run reaches ``limit``, or a joint's position or rate is not
+    finite.
+    """
     for rate in qvel:
         if not abs(rate) < limit:  # true of NaN too
             return True

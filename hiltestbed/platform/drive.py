@@ -1,14 +1,17 @@
-"""A position controller that works against dry friction with a limited force, over a stretch of a straight command.
+"""A position controller that works against dry friction with a limited force, over a stretch of a
+straight command.
 
     x'' = sat(w^2 (u - x + q), a_max) - 2 zeta w x' - w^2 r sgn(x') + w^2 o,    q' = (u - x)/T_i
 
-All terms are divided by the moving mass. r is the Coulomb force and o the load, each over the controller's gain, so that both are following
-errors [m]. At rest the axis holds while the sum of drive force and load does not exceed the static friction.
+All terms are divided by the moving mass. r is the Coulomb force and o the load, each over the
+controller's gain, so that both are following errors [m]. At rest the axis holds while the sum of
+drive force and load does not exceed the static friction.
 
-The law is linear between the instants at which the axis stops, breaks loose, reverses, or reaches or leaves its force limit. In between,
-the state is advanced by its Taylor series to round-off; the instants themselves are found to round-off by root finding. The result
-therefore does not depend on how finely a command is divided. Limitation: a stop is missed if the acceleration reverses twice within a
-time constant, which requires an integral part that is faster than the axis.
+The law is linear between the instants at which the axis stops, breaks loose, reverses, or reaches
+or leaves its force limit. In between, the state is advanced by its Taylor series to round-off; the
+instants themselves are found to round-off by root finding. The result therefore does not depend on
+how finely a command is divided. Limitation: a stop is missed if the acceleration reverses twice
+within a time constant, which requires an integral part that is faster than the axis.
 """
 
 from __future__ import annotations
@@ -17,19 +20,23 @@ import math
 
 from hiltestbed.jit import njit
 
-W, ZETA, FRICTION, OFFSET, LIMIT, INTEGRAL, STATIC = range(7)  # parameters of a drive: [rad/s], -, m, m, m/s^2, s, -
+# parameters of a drive: [rad/s], -, m, m, m/s^2, s, -
+W, ZETA, FRICTION, OFFSET, LIMIT, INTEGRAL, STATIC = range(7)
 NUMBERS = 7
 PLACE, RATE, SUM = 0, 1, 2  # its state: x [m], x' [m/s], q [m]
 STATE = 3
 
 ORDER = 19  # of the series: a piece is at most one time constant long, and 1/20! is 4e-19
 MAX_PIECES = 100_000  # per call: it ends with unphysical parameters as well
-SPEED, ACCELERATION, ERROR, ERROR_RATE = 0, 1, 2, 3  # quantities whose zeros are sought; SPEED and ERROR precede their rates
+# quantities whose zeros are sought; SPEED and ERROR precede their rates
+SPEED, ACCELERATION, ERROR, ERROR_RATE = 0, 1, 2, 3
 
 
 @njit(cache=True, inline="always")
 def _slide(law, x, v, q, u, rate, t):
-    """Position, speed and integral after t of an axis that does not reverse; ``law``: see :func:`_law`; the command is u + rate t."""
+    """Position, speed and integral after t of an axis that does not reverse; ``law``: see
+    :func:`_law`; the command is u + rate t.
+    """
     stiffness, damping, push, integral, follows = law
     xk, vk, qk, uk = x, v, q, u
     for k in range(ORDER):
@@ -48,20 +55,30 @@ def _slide(law, x, v, q, u, rate, t):
 
 @njit(cache=True, inline="always")
 def _law(numbers, side, bound):
-    """The linear law of an axis that moves in direction ``side``, its drive force unlimited (``bound`` 0) or at its upper or lower limit.
+    """The linear law of an axis that moves in direction ``side``, its drive force unlimited
+    (``bound`` 0) or at its upper or lower limit.
 
-    Returns: w^2, 2 zeta w, the constant force as a following error [m], 1/T_i, 1 if the controller's force is unlimited.
+    Returns: w^2, 2 zeta w, the constant force as a following error [m], 1/T_i, 1 if the
+        controller's force is unlimited.
     """
     stiffness = numbers[W] * numbers[W]
     push = numbers[OFFSET] - side * numbers[FRICTION]
     if bound != 0.0:
         push += bound * numbers[LIMIT] / stiffness
-    return stiffness, 2.0 * numbers[ZETA] * numbers[W], push, 1.0 / numbers[INTEGRAL], 1.0 if bound == 0.0 else 0.0
+    return (
+        stiffness,
+        2.0 * numbers[ZETA] * numbers[W],
+        push,
+        1.0 / numbers[INTEGRAL],
+        1.0 if bound == 0.0 else 0.0,
+    )
 
 
 @njit(cache=True, inline="always")
 def _of(what, law, level, x, v, q, u, rate):
-    """A quantity and its slope: speed, acceleration, the controller's error minus ``level``, or the rate of that error."""
+    """A quantity and its slope: speed, acceleration, the controller's error minus ``level``, or the
+    rate of that error.
+    """
     stiffness, damping, push, integral, follows = law
     a = stiffness * (follows * (u - x + q) + push) - damping * v
     closing = rate - v + integral * (u - x)
@@ -83,7 +100,9 @@ def _after(what, law, level, x, v, q, u, rate, t):
 
 @njit(cache=True)
 def _zero(what, law, level, x, v, q, u, rate, low, high):
-    """Zero of a quantity between ``low`` and ``high``, where its signs differ: Newton steps, bisection where one leaves the bracket."""
+    """Zero of a quantity between ``low`` and ``high``, where its signs differ: Newton steps,
+    bisection where one leaves the bracket.
+    """
     rises = _after(what, law, level, x, v, q, u, rate, high)[0] > 0.0
     t = 0.5 * (low + high)
     for _ in range(100):
@@ -103,9 +122,11 @@ def _zero(what, law, level, x, v, q, u, rate, low, high):
 
 @njit(cache=True)
 def _falls(what, law, level, sign, starts, x, v, q, u, rate, t, x1, v1, q1):
-    """Time within t at which ``sign`` times SPEED or ERROR first falls below zero, else infinite; its slope changes sign at most once.
+    """Time within t at which ``sign`` times SPEED or ERROR first falls below zero, else infinite;
+    its slope changes sign at most once.
 
-    starts: whether it is zero now, up to round-off, and begins to grow. x1, v1, q1: the state after t.
+    starts: whether it is zero now, up to round-off, and begins to grow. x1, v1, q1: the state after
+        t.
     """
     now, slope = _of(what, law, level, x, v, q, u, rate)
     then, last = _of(what, law, level, x1, v1, q1, u + rate * t, rate)
@@ -131,7 +152,9 @@ def _falls(what, law, level, sign, starts, x, v, q, u, rate, t, x1, v1, q1):
 
 @njit(cache=True, inline="always")
 def _passes(c0, c1, c2):
-    """The first time t >= 0 at which c0 + c1 t + c2 t^2 becomes positive; infinite if it never does."""
+    """The first time t >= 0 at which c0 + c1 t + c2 t^2 becomes positive; infinite if it never
+    does.
+    """
     if c0 > 0.0 or (c0 == 0.0 and (c1 > 0.0 or (c1 == 0.0 and c2 > 0.0))):
         return 0.0
     inside = c1 * c1 - 4.0 * c2 * c0
@@ -144,8 +167,14 @@ def _passes(c0, c1, c2):
 
 @njit(cache=True)
 def _breaks_loose(numbers, x, q, u, rate, bound):
-    """Time after which an axis at rest begins to move, and its direction; ``bound``: force limit as a following error [m]."""
-    hold, offset, integral = numbers[FRICTION] * numbers[STATIC], numbers[OFFSET], 1.0 / numbers[INTEGRAL]
+    """Time after which an axis at rest begins to move, and its direction; ``bound``: force limit as
+    a following error [m].
+    """
+    hold, offset, integral = (
+        numbers[FRICTION] * numbers[STATIC],
+        numbers[OFFSET],
+        1.0 / numbers[INTEGRAL],
+    )
     error, closing, bend = u - x + q, rate + integral * (u - x), 0.5 * integral * rate
     up = _passes(error - (hold - offset), closing, bend) if hold - offset < bound else math.inf
     down = _passes(-error - (hold + offset), -closing, -bend) if hold + offset < bound else math.inf
@@ -156,12 +185,15 @@ def _breaks_loose(numbers, x, q, u, rate, bound):
 
 @njit(cache=True)
 def drive_over(before, after, dt, numbers, state):
-    """The position [m] of an axis after dt, for a command that runs linearly from ``before`` to ``after`` [m].
+    """The position [m] of an axis after dt, for a command that runs linearly from ``before`` to
+    ``after`` [m].
 
     numbers: (NUMBERS,) parameters of the drive. state: (STATE,), updated in place.
     """
     rate, w, integral = (after - before) / dt, numbers[W], 1.0 / numbers[INTEGRAL]
-    longest = 1.0 / (w * (numbers[ZETA] + math.sqrt(1.0 + numbers[ZETA] * numbers[ZETA])) + integral)
+    longest = 1.0 / (
+        w * (numbers[ZETA] + math.sqrt(1.0 + numbers[ZETA] * numbers[ZETA])) + integral
+    )
     most = numbers[LIMIT] / (w * w)
     dry = numbers[FRICTION] > 0.0
     x, v, q = state[PLACE], state[RATE], state[SUM]
@@ -182,10 +214,16 @@ def drive_over(before, after, dt, numbers, state):
         law = _law(numbers, side, bound)
         piece = min(longest, left)
         x1, v1, q1 = _slide(law, x, v, q, u, rate, piece)
-        stops = _falls(SPEED, law, 0.0, side, starts, x, v, q, u, rate, piece, x1, v1, q1) if dry else math.inf
+        stops = (
+            _falls(SPEED, law, 0.0, side, starts, x, v, q, u, rate, piece, x1, v1, q1)
+            if dry
+            else math.inf
+        )
         turned, then = math.inf, 0.0
         if most < math.inf and bound != 0.0:
-            turned = _falls(ERROR, law, bound * most, bound, False, x, v, q, u, rate, piece, x1, v1, q1)
+            turned = _falls(
+                ERROR, law, bound * most, bound, False, x, v, q, u, rate, piece, x1, v1, q1
+            )
         elif most < math.inf:
             high = _falls(ERROR, law, most, -1.0, False, x, v, q, u, rate, piece, x1, v1, q1)
             low = _falls(ERROR, law, -most, 1.0, False, x, v, q, u, rate, piece, x1, v1, q1)

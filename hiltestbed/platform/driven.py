@@ -1,4 +1,6 @@
-"""Servo tracking: the whole rig in MuJoCo, with its platform driven to the commanded pose or with freely moving bodies."""
+"""Servo tracking: the whole rig in MuJoCo, with its platform driven to the commanded pose or with
+freely moving bodies.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +26,33 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
-YIELDING = 150.0  # [kg] half the effective mass at a point of the platform: its viscous friction cannot reverse a speed in one step
-NONE, VEL, ACC = (int(stage) for stage in (mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL, mujoco.mjtStage.mjSTAGE_ACC))
+# [kg] half the effective mass at a point of the platform: its viscous friction cannot reverse a
+# speed in one step
+YIELDING = 150.0
+NONE, VEL, ACC = (
+    int(stage)
+    for stage in (
+        mujoco.mjtStage.mjSTAGE_NONE,
+        mujoco.mjtStage.mjSTAGE_VEL,
+        mujoco.mjtStage.mjSTAGE_ACC,
+    )
+)
 
 
 def least_creep(dt: float) -> float:
-    """Smallest viscous creep [m/s per N] of a friction that acts on driven masses, for steps of ``dt`` [s]."""
+    """Smallest viscous creep [m/s per N] of a friction that acts on driven masses, for steps of
+    ``dt`` [s].
+    """
     return dt / YIELDING
 
 
 class ServoTracking:
-    """The rigs of `n` runs under servo tracking; arrays as in :class:`hiltestbed.platform.plant.Plant`.
+    """The rigs of `n` runs under servo tracking; arrays as in
+    :class:`hiltestbed.platform.plant.Plant`.
 
-    The force at t_(k+1) is read from a forward evaluation of the new state, without a step's delay; the readings at the substeps in
-    between come from the sensor's history. A run whose force may come `late` skips that evaluation, a fifth of the cost of two physics
+    The force at t_(k+1) is read from a forward evaluation of the new state, without a step's delay;
+    the readings at the substeps in between come from the sensor's history. A run whose force may
+    come `late` skips that evaluation, a fifth of the cost of two physics
     steps per tick: its force at t_k is read in the first step of the tick that starts there.
     """
 
@@ -50,7 +65,8 @@ class ServoTracking:
         force: AppliedForce | None = None,
     ) -> None:
         first, n = scenarios[0], len(scenarios)
-        if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT into the working folder
+        # else MuJoCo writes MUJOCO_LOG.TXT into the working folder
+        if mujoco.get_mju_user_warning() is None:
             mujoco.set_mju_user_warning(_log_warning)
         self.substeps = m = first.substeps
         dt = first.tick / m
@@ -63,9 +79,15 @@ class ServoTracking:
         self._goal = np.zeros((n, 7))
         servo.start(self.batch, scenarios, dt)
         self._stepwise = self.contacts.written or not servo.keeps_history
-        self._watched = self.contacts.written or servo.moves_passive  # state and contacts are read after every step
+        # state and contacts are read after every step
+        self._watched = self.contacts.written or servo.moves_passive
         bind = self.batch.bind
-        self._qpos, self._qvel, self._ctrl, self._time = bind("qpos"), bind("qvel"), bind("ctrl"), bind("time")
+        self._qpos, self._qvel, self._ctrl, self._time = (
+            bind("qpos"),
+            bind("qvel"),
+            bind("ctrl"),
+            bind("time"),
+        )
         self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
         self._sensordata = bind("sensordata")
         columns = sensor_columns(self.model)
@@ -80,7 +102,10 @@ class ServoTracking:
         self._late = np.zeros(n, dtype=bool) if late is None else late
         self._going: NDArray[np.intp] | None = None  # the runs that are stepped; None: all
         self._lost = False  # whether a run has just diverged
-        self._read_between, self._read_late = (Call(read_wrench, self._reading, self._tare, GIVEN, self.wrench_sub, ...) for _ in range(2))
+        self._read_between, self._read_late = (
+            Call(read_wrench, self._reading, self._tare, GIVEN, self.wrench_sub, ...)
+            for _ in range(2)
+        )
         self._read_history = Call(read_history, self._history, self._tare, self.wrench_sub)
         self._tare[:] = servo.tare(self.contacts, self._reading, columns)
         self._read_state, self._read_and_meet, self._read_and_look = self._readers()
@@ -104,7 +129,9 @@ class ServoTracking:
         self._observe()
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Start the tick towards ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6): its first step."""
+        """Start the tick towards ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6):
+        its first step.
+        """
         goal = pose_cmd
         if self.path.active:
             goal = self._goal
@@ -146,7 +173,9 @@ class ServoTracking:
             self._read(self._prompt, self.substeps - 1)
 
     def _run_stepwise(self) -> None:
-        """The remaining steps; each gives the reading at its start, and a separate forward evaluation gives that of the last instant."""
+        """The remaining steps; each gives the reading at its start, and a separate forward
+        evaluation gives that of the last instant.
+        """
         watched = self._watched
         if watched:
             self._lost |= self._read_and_meet()
@@ -162,21 +191,34 @@ class ServoTracking:
     def _read(self, runs: NDArray[np.intp], sub: int) -> None:
         """Read the wrench of the last evaluation of the physics into substep ``sub``."""
         if self.servo.load is not None:
-            self.servo.load.read(self._sensordata, self.servo.mover.place_P, runs, self.wrench_sub, sub)
+            self.servo.load.read(
+                self._sensordata, self.servo.mover.place_P, runs, self.wrench_sub, sub
+            )
         else:
             (self._read_late if sub == self.substeps - 1 else self._read_between).on(runs)(sub)
 
     def _readers(self) -> tuple[Callable[[], bool], Callable[[], bool], Callable[[], bool]]:
-        """Three calls that read pose, twist and joints; the second also evaluates the contact, the third also reads MuJoCo's own contacts.
+        """Three calls that read pose, twist and joints; the second also evaluates the contact, the
+        third also reads MuJoCo's own contacts.
 
         Each returns whether a run has just diverged.
         """
         shown = self.pose_act, self.twist_act, self.slider_act
         seen = self.servo.observing(self._qpos, self._qvel, SPEED_LIMIT, shown, self.diverged)
         if seen is None:
-            return self._read_state_stepwise, self._read_and_meet_stepwise, self._read_and_look_stepwise
+            return (
+                self._read_state_stepwise,
+                self._read_and_meet_stepwise,
+                self._read_and_look_stepwise,
+            )
         met = self.contacts.meeting(*self._sides) if self.contacts.written else []
-        meet = together(seen, *met, telling=0) if met else self._read_and_meet_stepwise if self.contacts.written else seen
+        meet = (
+            together(seen, *met, telling=0)
+            if met
+            else self._read_and_meet_stepwise
+            if self.contacts.written
+            else seen
+        )
         return seen, meet, together(seen, *self.contacts.looking, telling=0)
 
     @property
@@ -188,7 +230,15 @@ class ServoTracking:
         return self.pose_act, self.twist_act
 
     def _read_state_stepwise(self) -> bool:
-        return self.servo.observe(self._qpos, self._qvel, SPEED_LIMIT, self.pose_act, self.twist_act, self.slider_act, self.diverged)
+        return self.servo.observe(
+            self._qpos,
+            self._qvel,
+            SPEED_LIMIT,
+            self.pose_act,
+            self.twist_act,
+            self.slider_act,
+            self.diverged,
+        )
 
     def _read_and_meet_stepwise(self) -> bool:
         lost = self._read_state()
@@ -219,7 +269,9 @@ class ServoTracking:
             self.wrench_sub[self.diverged] = 0.0
 
     def _leave_out(self) -> None:
-        """Record the cause of divergence of the runs that have just diverged, and step only the others from now on."""
+        """Record the cause of divergence of the runs that have just diverged, and step only the
+        others from now on.
+        """
         for i in np.flatnonzero(self.diverged):
             if not self.causes[i]:
                 self.causes[i] = _cause(self.model, self._qpos[i], self._qvel[i])
@@ -227,15 +279,28 @@ class ServoTracking:
         self._group()
 
     def _group(self) -> None:
-        """Divide the runs that are stepped into those whose force is needed at once and late ones, each with its stage."""
+        """Divide the runs that are stepped into those whose force is needed at once and late ones,
+        each with its stage.
+        """
         going = ~self.diverged
-        self._prompt, self._latecomers = np.flatnonzero(going & ~self._late), np.flatnonzero(going & self._late)
-        parts = [(ids, stage) for ids, stage in ((self._prompt, ACC), (self._latecomers, VEL)) if ids.size]
-        self._groups: list[tuple[NDArray[np.intp] | None, int]] = [(None if len(ids) == len(going) else ids, stage) for ids, stage in parts]
+        self._prompt, self._latecomers = (
+            np.flatnonzero(going & ~self._late),
+            np.flatnonzero(going & self._late),
+        )
+        parts = [
+            (ids, stage)
+            for ids, stage in ((self._prompt, ACC), (self._latecomers, VEL))
+            if ids.size
+        ]
+        self._groups: list[tuple[NDArray[np.intp] | None, int]] = [
+            (None if len(ids) == len(going) else ids, stage) for ids, stage in parts
+        ]
 
 
 def _log_warning(message: str) -> None:
-    """Log a warning of MuJoCo as debug output: :class:`ServoTracking` detects and reports divergence itself."""
+    """Log a warning of MuJoCo as debug output: :class:`ServoTracking` detects and reports
+    divergence itself.
+    """
     logging.getLogger("hiltestbed.platform").debug("MuJoCo: %s", message)
 
 
@@ -250,4 +315,7 @@ def _cause(m: mujoco.MjModel, qpos: Array, qvel: Array) -> str:
     turns = kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL) or (
         kind == mujoco.mjtJoint.mjJNT_FREE and dof - joint.dofadr[0] > 2
     )
-    return f"{joint.name} moves at {qvel[dof]:.3g} {'rad/s' if turns else 'm/s'} (limit {SPEED_LIMIT:g})"
+    return (
+        f"{joint.name} moves at {qvel[dof]:.3g} {'rad/s' if turns else 'm/s'} (limit "
+        f"{SPEED_LIMIT:g})"
+    )

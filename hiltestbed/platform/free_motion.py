@@ -1,4 +1,6 @@
-"""Replacement of compensation and numerical model in the loop of a rig with freely moving bodies: nothing is commanded."""
+"""Replacement of compensation and numerical model in the loop of a rig with freely moving bodies:
+nothing is commanded.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,11 @@ if TYPE_CHECKING:
 
 
 class FreeMotion:
-    """The motion of `n` pairs of bodies: the recorded commanded pose is the actual one, the wrench used is the physical one.
+    """The motion of `n` pairs of bodies: the recorded commanded pose is the actual one, the wrench
+    used is the physical one.
 
-    That wrench is a view of the plant's array, which may be filled only after the tick has begun."""
+    That wrench is a view of the plant's array, which may be filled only after the tick has begun.
+    """
 
     def __init__(self, scenarios: Sequence[Scenario], plant: RigSide) -> None:
         start = np.array([approach_state(s) for s in scenarios])

@@ -1,8 +1,8 @@
 """Ideal tracking: over each tick the pose moves linearly to the commanded one.
 
-The active mechanism is a free body whose position and velocity are written before every evaluation of the contact; the platform's
-motion is not integrated. The contact is evaluated at the substeps of the tick that ends, so that the last one gives the force at
-t_(k+1) with the slope of that tick.
+The active mechanism is a free body whose position and velocity are written before every evaluation
+of the contact; the platform's motion is not integrated. The contact is evaluated at the substeps of
+the tick that ends, so that the last one gives the force at t_(k+1) with the slope of that tick.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ def _back(pose, twist, h, out):
 
 @njit(cache=True)
 def _between(pose_before, pose_now, twist, time, last, bent, path, pose, qpos, qvel, joint):
-    """Write the pose of A ``time`` [s] after ``pose_before`` to ``pose`` and MuJoCo's free joint (w-first, angular velocity in the body).
+    """Write the pose of A ``time`` [s] after ``pose_before`` to ``pose`` and MuJoCo's free joint
+    (w-first, angular velocity in the body).
 
     If the platform deviates from the straight line (``bent``), its position is ``path`` (n, 3) [m].
     """
@@ -63,7 +64,9 @@ def _between(pose_before, pose_now, twist, time, last, bent, path, pose, qpos, q
 
 @njit(cache=True)
 def _change(pose, twist, qvel, at, per_step, push):
-    """``push`` (n, 6): force and torque that bring the free joint to ``twist`` (n, 6) in one step; torque in the body's axes."""
+    """``push`` (n, 6): force and torque that bring the free joint to ``twist`` (n, 6) in one step;
+    torque in the body's axes.
+    """
     turn = np.empty(3)
     for i in range(pose.shape[0]):
         rotate_back(pose[i, 3:7], twist[i, 3:6], turn)
@@ -76,39 +79,58 @@ NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 
 
 class IdealTracking:
-    """The mechanisms of `n` runs under ideal tracking; arrays as in :class:`hiltestbed.platform.plant.Plant`."""
+    """The mechanisms of `n` runs under ideal tracking; arrays as in
+    :class:`hiltestbed.platform.plant.Plant`.
+    """
 
-    def __init__(self, scenarios: Sequence[Scenario], nthread: int, structure: Structure, force: AppliedForce | None = None) -> None:
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        nthread: int,
+        structure: Structure,
+        force: AppliedForce | None = None,
+    ) -> None:
         first, n = scenarios[0], len(scenarios)
         self.tick, self.substeps = first.tick, first.substeps
         self.model = model.ideal_model(structure, first.tick / first.substeps)
         self.batch = Batch(self.model, n, nthread)
-        self.contacts = Contacts(self.batch, scenarios, structure, first.tick / first.substeps, 0.0, force)
+        self.contacts = Contacts(
+            self.batch, scenarios, structure, first.tick / first.substeps, 0.0, force
+        )
         self.path = PlatformResponse(scenarios)
         answers = first.rig.platform.tracking == "response"
         settings = [s.rig.platform.response for s in scenarios] if answers else []
         self.response = ResponsePath(settings, first.tick, first.substeps) if answers else None
-        self._bent = self.path.active or answers  # whether positions within a tick are taken from _along
+        # whether positions within a tick are taken from _along
+        self._bent = self.path.active or answers
         self._along = self.path.path if self.path.active else np.zeros((n, first.substeps, 3))
         self._ticks = np.zeros(1, dtype=np.int64)
-        self.follower = first.rig.platform.follower(scenarios, structure, first.tick / first.substeps)
+        self.follower = first.rig.platform.follower(
+            scenarios, structure, first.tick / first.substeps
+        )
         bind = self.batch.bind
         self._qpos, self._qvel, self._warmstart = bind("qpos"), bind("qvel"), bind("qacc_warmstart")
         self._reading = bind("sensordata")[:, model.sensor_columns(self.model)]
         free = self.model.joint("A_joint")
         self._joint = np.array([free.qposadr[0], free.dofadr[0]])
-        self._push = bind("qfrc_applied")[:, int(free.dofadr[0]) : int(free.dofadr[0]) + 6] if structure.sides.moving else None
+        self._push = (
+            bind("qfrc_applied")[:, int(free.dofadr[0]) : int(free.dofadr[0]) + 6]
+            if structure.sides.moving
+            else None
+        )
         self._integrated = self.contacts.mount.moves or structure.sides.moving
         self._tare, self._all = np.zeros((n, 6)), np.arange(n)  # there is no gravity
         self._goal = np.zeros((n, 7))
-        self._way: tuple[Array, Array] | None = None  # poses (m, n, 7), twists (m, n, 6) of a tick, if given
+        # poses (m, n, 7), twists (m, n, 6) of a tick, if given
+        self._way: tuple[Array, Array] | None = None
         self._before, self._between = np.zeros((n, 7)), np.zeros((n, 7))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros((n, self.substeps, 6))
         self.contact_now = self.contacts.touching
         joints = len(self.follower.units)
         self.slider_act, self.slider_cmd = np.zeros((n, joints)), np.zeros((n, joints))
-        self.diverged = np.zeros(n, dtype=bool)  # the platform cannot diverge; the loop ends a run whose command is lost
+        # the platform cannot diverge; the loop ends a run whose command is lost
+        self.diverged = np.zeros(n, dtype=bool)
         self.causes = [""] * n
 
     def reset(self, pose: Array, twist: Array) -> None:
@@ -172,9 +194,12 @@ class IdealTracking:
             read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
 
     def _run(self) -> None:
-        """Integrate mount and moving parts: a step gives the wrench at its start, an extra forward evaluation the last one."""
+        """Integrate mount and moving parts: a step gives the wrench at its start, an extra forward
+        evaluation the last one.
+        """
         for s in range(1, self.substeps + 1):
-            push = self._push if s == 1 or self._way is not None else None  # None: A keeps its velocity
+            # None: A keeps its velocity
+            push = self._push if s == 1 or self._way is not None else None
             if push is not None:
                 self._accelerate(s, push)
             self.batch.step()
@@ -187,7 +212,9 @@ class IdealTracking:
         read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
 
     def _accelerate(self, s: int, push: Array) -> None:
-        """Accelerate A in step ``s`` of the tick by the wrench ``push`` (n, 6), so that the active side's moving parts react to it."""
+        """Accelerate A in step ``s`` of the tick by the wrench ``push`` (n, 6), so that the active
+        side's moving parts react to it.
+        """
         per_step = model.INTEGRATED_MASS * self.substeps / self.tick
         twist = self.twist_act if self._way is None else self._way[1][s - 1]
         _change(self._between, twist, self._qvel, self._joint[1], per_step, push)
@@ -197,12 +224,33 @@ class IdealTracking:
         m, twist = self.substeps, self.twist_act  # one array, to which the contacts are bound
         if self._way is not None:
             pose, twist[:] = self._way[0][s - 1], self._way[1][s - 1]
-            _between(pose, pose, twist, 0.0, True, False, self._along[:, s - 1], self._between, self._qpos, self._qvel, self._joint)
+            _between(
+                pose,
+                pose,
+                twist,
+                0.0,
+                True,
+                False,
+                self._along[:, s - 1],
+                self._between,
+                self._qpos,
+                self._qvel,
+                self._joint,
+            )
         else:
             _between(
-                self._before, self.pose_act, twist, self.tick * s / m, s == m, self._bent, self._along[:, s - 1],
-                self._between, self._qpos, self._qvel, self._joint,
-            )  # fmt: skip
+                self._before,
+                self.pose_act,
+                twist,
+                self.tick * s / m,
+                s == m,
+                self._bent,
+                self._along[:, s - 1],
+                self._between,
+                self._qpos,
+                self._qvel,
+                self._joint,
+            )
         if self.contacts.stage != NONE:
             self.batch.forward(stage=self.contacts.stage)
         if self.contacts.written:

@@ -1,4 +1,6 @@
-"""The motion platforms that a scenario may name: each is defined by its settings class, and no other code refers to it by name."""
+"""The motion platforms that a scenario may name: each is defined by its settings class, and no
+other code refers to it by name.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +22,25 @@ if TYPE_CHECKING:
 class Platform(Strictly):
     """The motion platform of a scenario: base of every kind.
 
-    A new kind derives from it, gives ``kind`` as a literal, and a ``facility`` (:class:`hiltestbed.platform.facilities.facility.
-    Facility`); stepping, recording, limit monitoring and measurement follow from these.
+    A new kind derives from it, gives ``kind`` as a literal, and a ``facility``
+    (:class:`hiltestbed.platform.facilities.facility. Facility`); stepping, recording, limit
+    monitoring and measurement follow from these.
 
     Attributes:
-        tracking: servo: moved by its drives; ideal: the pose reaches the command exactly, one tick later; free: nothing is commanded.
+        tracking: servo: moved by its drives; ideal: the pose reaches the command exactly, one tick
+            later; free: nothing is commanded.
         physical: whether freely moving bodies replace the numerical model.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("docstring", "facility")
     physical: ClassVar[bool] = False
-    states_limits: ClassVar[bool] = True  # whether its facility gives the joints' limits; else all are in the scenario's safety section
-    still: ClassVar[tuple[str, ...]] = ()  # parts of a pose that this rig cannot move, and that a record may lack
+    # whether its facility gives the joints' limits; else all are in the scenario's safety section
+    states_limits: ClassVar[bool] = True
+    # parts of a pose that this rig cannot move, and that a record may lack
+    still: ClassVar[tuple[str, ...]] = ()
     carries_upper: ClassVar[bool] = False  # whether an upper platform may carry the passive side
-    drives: ClassVar[tuple[str, ...]] = ()  # fields that describe its drives, which have no effect on a prescribed platform
+    # fields that describe its drives, which have no effect on a prescribed platform
+    drives: ClassVar[tuple[str, ...]] = ()
 
     kind: str
     if TYPE_CHECKING:  # a field of every kind, with choices of its own
@@ -42,33 +49,56 @@ class Platform(Strictly):
 
     @property
     def prescribed(self) -> bool:
-        """Whether the pose is prescribed, without mass and at a constant rate over a tick; otherwise drives or bodies are simulated."""
+        """Whether the pose is prescribed, without mass and at a constant rate over a tick;
+        otherwise drives or bodies are simulated.
+        """
         return getattr(self, "tracking", "free") in ("ideal", "response")
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
         tracking = getattr(self, "tracking", "free")
         if tracking == "response":
-            why = "tracking is response, in which rig.platform.response replaces drives and controller"
-            do = "put delay and bandwidth there (response.delay, response.bandwidth), or take tracking servo"
+            why = (
+                "tracking is response, in which rig.platform.response replaces drives and "
+                "controller"
+            )
+            do = (
+                "put delay and bandwidth there (response.delay, response.bandwidth), or "
+                "take tracking servo"
+            )
             yield from (((name,), f"{why}; {do}") for name in self.drives)
         elif tracking == "ideal":
-            why = "tracking is ideal, in which the pose reaches the command exactly; take tracking servo or response"
+            why = (
+                "tracking is ideal, in which the pose reaches the command exactly; take "
+                "tracking servo or response"
+            )
             yield from (((name,), why) for name in (*self.drives, "response"))
         elif tracking == "servo":
-            yield ("response",), "tracking is servo, in which the drives themselves are simulated; take tracking response"
+            yield (
+                ("response",),
+                "tracking is servo, in which the drives themselves are simulated; take tracking "
+                "response",
+            )
 
     @placeholder
     def facility(self) -> Facility:
-        """Model, kinematics, drives and limits. Raises InputError for an unsuitable model of the user."""
+        """Model, kinematics, drives and limits. Raises InputError for an unsuitable model of the
+        user.
+        """
         raise NotImplementedError
 
-    def driven(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> FacilityRig | Pss33Rig:
-        """The rigs of runs on this platform with simulated drives or bodies, for steps of ``dt`` [s]."""
+    def driven(
+        self, scenarios: Sequence[Scenario], structure: Structure, dt: float
+    ) -> FacilityRig | Pss33Rig:
+        """The rigs of runs on this platform with simulated drives or bodies, for steps of ``dt``
+        [s].
+        """
         from hiltestbed.platform.facilities.rig import FacilityRig
 
         return FacilityRig(scenarios, structure, dt)
 
-    def follower(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> FacilityFollower | Pss33Follower:
+    def follower(
+        self, scenarios: Sequence[Scenario], structure: Structure, dt: float
+    ) -> FacilityFollower | Pss33Follower:
         """The joints of runs on this platform under exact tracking."""
         from hiltestbed.platform.facilities.rig import FacilityFollower
 
@@ -85,7 +115,9 @@ class Platform(Strictly):
         return self.facility().alike()
 
     def problems(self, scenario: Scenario) -> Iterator[Problem]:
-        """What a scenario requires that this platform cannot do: a start out of reach, rates that do not divide. Paths: in the scenario."""
+        """What a scenario requires that this platform cannot do: a start out of reach, rates that
+        do not divide. Paths: in the scenario.
+        """
         from hiltestbed.platform.facilities.checks import facility_problems
 
         return facility_problems(scenario)
@@ -95,32 +127,49 @@ class Platform(Strictly):
         return self.model_dump(mode="json") | {"tracking": "ideal"}
 
     def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
-        """The usual compensation of the lags of this kind of rig: in words, and as a scenario's compensation.
+        """The usual compensation of the lags of this kind of rig: in words, and as a scenario's
+        compensation.
 
         Args:
-            lost: damping [N s/m] that the lags of sensor and platform remove from the contact, for methods designed from it.
+            lost: damping [N s/m] that the lags of sensor and platform remove from the contact, for
+                methods designed from it.
         """
-        return "phase lead of the force", {"force": {"kind": "phase_lead"}, "motion": {"kind": "feedforward"}}
+        return "phase lead of the force", {
+            "force": {"kind": "phase_lead"},
+            "motion": {"kind": "feedforward"},
+        }
 
     @classmethod
     def contest(cls) -> Mapping[str, Mapping[str, Any]]:
-        """Name to `rig.platform` of each of its variants that takes part in `bench facilities`; by default one, with default settings.
+        """Name to `rig.platform` of each of its variants that takes part in `bench facilities`; by
+        default one, with default settings.
 
         A kind with required settings takes part only if it overrides this method and gives them.
         """
         kind = kind_of(cls)
-        needs = [name for name, field in cls.model_fields.items() if field.is_required() and name != "kind"]
+        needs = [
+            name
+            for name, field in cls.model_fields.items()
+            if field.is_required() and name != "kind"
+        ]
         return {} if kind is None or needs else {kind: {"kind": kind}}
 
-    distorts: ClassVar[str] = ""  # how this kind of rig distorts a contact, in two or three sentences
+    # how this kind of rig distorts a contact, in two or three sentences
+    distorts: ClassVar[str] = ""
 
     def nearest_bandwidth(self, scenario: Scenario) -> float:
-        """Bandwidth [Hz] of the second-order system closest to the platform's tracking along the insertion."""
+        """Bandwidth [Hz] of the second-order system closest to the platform's tracking along the
+        insertion.
+        """
         given = getattr(self, "response", None)
         if given is not None and getattr(self, "tracking", "free") == "response":
             band = given.bandwidth
             return band if isinstance(band, float) else band[2]
-        return self.facility().response(scenario.rate, scenario.compensation.motion.feeds).bandwidth[2]
+        return (
+            self.facility().response(scenario.rate, scenario.compensation.motion.feeds).bandwidth[2]
+        )
 
 
-PLATFORMS: Registry[Platform] = Registry("platform", Platform, ("hiltestbed.platform.pss33.settings", "hiltestbed.platform.shipped"))
+PLATFORMS: Registry[Platform] = Registry(
+    "platform", Platform, ("hiltestbed.platform.pss33.settings", "hiltestbed.platform.shipped")
+)

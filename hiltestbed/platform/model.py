@@ -1,6 +1,7 @@
 """Composes the MuJoCo model of a rig from the MJCF files in ``models/``, one folder per mechanism.
 
-The world frame W has its origin at the nominal position of P, z up along the insertion: a pose in W is a pose in P while the passive
+The world frame W has its origin at the nominal position of P, z up along the insertion: a pose in W
+is a pose in P while the passive
 side is at its nominal pose. Site names: ``active_A`` and ``passive_P`` on the two mechanisms.
 """
 
@@ -9,16 +10,26 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from hiltestbed.contact.composition import FLANGE, Structure, add_active, add_contact, add_passive, drawn, weigh_contact
+from hiltestbed.contact.composition import (
+    FLANGE,
+    Structure,
+    add_active,
+    add_contact,
+    add_passive,
+    drawn,
+    weigh_contact,
+)
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.settings import Mechanism
 from hiltestbed.models import load
 
 BODY = "A_body"  # body of the active side without a platform
 PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]
-INTEGRATED_MASS = 1e8  # likewise if other bodies are integrated as well: from 1e12 on MuJoCo's solver makes no progress
+# likewise if other bodies are integrated as well: from 1e12 on MuJoCo's solver makes no progress
+INTEGRATED_MASS = 1e8
 SOLVED = 1e-12  # tolerance of the solver: forces to nine digits
-PORT = np.array([0.0, 0.0, 0.60])  # [m] A above the platform's mounting plane; an adapter fills the gap below a shorter mechanism
+# [m] A above the platform's mounting plane; an adapter fills the gap below a shorter mechanism
+PORT = np.array([0.0, 0.0, 0.60])
 
 
 def _options(spec: mujoco.MjSpec, timestep: float, gravity: bool) -> None:
@@ -27,12 +38,16 @@ def _options(spec: mujoco.MjSpec, timestep: float, gravity: bool) -> None:
     option.gravity = [0.0, 0.0, -9.81] if gravity else [0.0, 0.0, 0.0]
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # there is one island: the search for more costs a tenth of a step
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverging run stops instead of being reset silently
+    # there is one island: the search for more costs a tenth of a step
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+    # a diverging run stops instead of being reset silently
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
 def _carrier(spec: mujoco.MjSpec, above: str | None = None) -> mujoco.MjsBody:
-    """The body that carries the passive side: fixed, or on the upper platform, whose names have the prefix ``above``."""
+    """The body that carries the passive side: fixed, or on the upper platform, whose names have the
+    prefix ``above``.
+    """
     if above is None:
         return spec.worldbody.add_body(name=CARRIER)
     return spec.body(f"{above}platform").add_body(name=CARRIER, pos=spec.site(f"{above}mount").pos)
@@ -44,10 +59,12 @@ def _mount_active(spec: mujoco.MjSpec, structure: Structure) -> None:
 
 
 def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
-    """The mechanisms alone: the active one a free body with frame A, placed before each evaluation; no gravity.
+    """The mechanisms alone: the active one a free body with frame A, placed before each evaluation;
+    no gravity.
 
-    The placed body must not yield: its mass makes it immovable (PRESCRIBED_MASS) while the contact is scaled by an inverse weight of
-    1/kg, so that no acceleration enters the force, and stiffness and damping are exact at any lever arm.
+    The placed body must not yield: its mass makes it immovable (PRESCRIBED_MASS) while the contact
+        is scaled by an inverse weight of 1/kg, so that no acceleration enters the force, and
+        stiffness and damping are exact at any lever arm.
     """
     spec = mujoco.MjSpec()
     spec.modelname = f"ideal-{structure.mechanism.kind}"
@@ -63,8 +80,8 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     model = spec.compile()
     weigh_contact(model, BODY)
     if integrated:
-        # The solver scales its progress by the mean inertia, which must be that of the integrated bodies alone: with the prescribed mass
-        # it would always appear converged
+        # The solver scales its progress by the mean inertia, which must be that of the integrated
+        # bodies alone: with the prescribed mass it would always appear converged
         first = int(model.joint("A_joint").dofadr[0])
         model.stat.meaninertia = np.delete(model.dof_M0, slice(first, first + 6)).mean()
         model.opt.tolerance = SOLVED
@@ -72,7 +89,8 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
 
 
 def rig_spec(structure: Structure, timestep: float) -> mujoco.MjSpec:
-    """The whole rig: 3-3 PSS platform with the active mechanism, frame, force sensor, passive mechanism.
+    """The whole rig: 3-3 PSS platform with the active mechanism, frame, force sensor, passive
+    mechanism.
 
     The spherical joints are as stiff as MuJoCo allows: a time constant of two steps.
     """
@@ -90,7 +108,9 @@ def rig_spec(structure: Structure, timestep: float) -> mujoco.MjSpec:
 
 
 def rig_model(structure: Structure, timestep: float, kept: int) -> mujoco.MjModel:
-    """The simulated rig: without purely visual parts, and with the last ``kept`` readings of the sensor in its history."""
+    """The simulated rig: without purely visual parts, and with the last ``kept`` readings of the
+    sensor in its history.
+    """
     spec = rig_spec(structure, timestep)
     spec.compiler.discardvisual = True
     for name in ("force", "torque"):
@@ -101,7 +121,9 @@ def rig_model(structure: Structure, timestep: float, kept: int) -> mujoco.MjMode
 
 
 def upper_model(mechanism: Mechanism, timestep: float) -> mujoco.MjModel:
-    """The upper platform alone, with force sensor and passive mechanism, its spherical joints as stiff as those of the lower one."""
+    """The upper platform alone, with force sensor and passive mechanism, its spherical joints as
+    stiff as those of the lower one.
+    """
     spec = load("prs3/prs3")
     spec.modelname = f"prs3-{mechanism.kind}"
     _options(spec, timestep, gravity=True)
@@ -113,7 +135,9 @@ def upper_model(mechanism: Mechanism, timestep: float) -> mujoco.MjModel:
 
 
 def nine_axis_scene(mechanism: Mechanism) -> mujoco.MjModel:
-    """The rig with its upper platform, for drawing; names of the upper platform begin with ``upper_``."""
+    """The rig with its upper platform, for drawing; names of the upper platform begin with
+    ``upper_``.
+    """
     spec = load("pss33/pss33")
     spec.modelname = f"pss33-prs3-{mechanism.kind}"
     spec.attach(load("prs3/prs3"), prefix="upper_", frame=spec.worldbody.add_frame())

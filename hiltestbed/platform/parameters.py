@@ -24,12 +24,17 @@ class PlatformParameters:
     Attributes:
         delay: [s]. speed: limit [m/s]. play, stick: [m]. scale: (3,) factor on x, y, z.
         lag: natural frequency [rad/s] and damping ratio of each second-order response.
-        mode: natural frequency [rad/s] and damping ratio of each structural mode that is excited at its base.
-        drive: (3, NUMBERS) of a controller against dry friction on x, y, z, see :mod:`hiltestbed.platform.drive`; 0 for none.
-        instants: number of instants per tick at which a sticking platform may move; 0: the physics steps. phase: by which they come
-        before even parts of the tick, as a share of the time between two.
-        begun: share of the approach's rate at which lags and modes start, see :func:`hiltestbed.platform.effects.response.stepped`.
-        step: response to a step of the command, packed, see :func:`hiltestbed.piecewise.packed`; without knots: the step itself.
+        mode: natural frequency [rad/s] and damping ratio of each structural mode that is excited at
+            its base.
+        drive: (3, NUMBERS) of a controller against dry friction on x, y, z, see
+            :mod:`hiltestbed.platform.drive`; 0 for none.
+        instants: number of instants per tick at which a sticking platform may move; 0: the physics
+            steps. phase: by which they come before even parts of the tick, as a share of the time
+            between two.
+        begun: share of the approach's rate at which lags and modes start, see
+            :func:`hiltestbed.platform.effects.response.stepped`.
+        step: response to a step of the command, packed, see :func:`hiltestbed.piecewise.packed`;
+            without knots: the step itself.
     """
 
     tick: float
@@ -61,8 +66,10 @@ class PlatformParameters:
 
 @dataclass(frozen=True)
 class Response:
-    """Parameters of n platforms as kernel inputs: delay, speed, play, stick, begun (n,), scale (n, 3), drive (n, 3, NUMBERS),
-    lag and mode (n, S, 2), a frequency of 0 meaning none, step (n, PACKED)."""
+    """Parameters of n platforms as kernel inputs: delay, speed, play, stick, begun (n,), scale (n,
+    3), drive (n, 3, NUMBERS), lag and mode (n, S, 2), a frequency of 0 meaning none, step (n,
+    PACKED).
+    """
 
     delay: Array
     speed: Array
@@ -81,11 +88,16 @@ def stack(platforms: Sequence[PlatformParameters]) -> Response:
 
     def filled(rows: list[list[tuple[float, float]]]) -> Array:
         longest = max(len(r) for r in rows)
-        return np.array([[*r, *[(0.0, 1.0)] * (longest - len(r))] for r in rows], dtype=float).reshape(len(rows), longest, 2)
+        return np.array(
+            [[*r, *[(0.0, 1.0)] * (longest - len(r))] for r in rows], dtype=float
+        ).reshape(len(rows), longest, 2)
 
     def rows(name: str) -> Array:
         return np.array([getattr(p, name) for p in platforms], dtype=float)
 
     lag, mode = filled([p.lag for p in platforms]), filled([p.mode for p in platforms])
-    alone = {name: rows(name) for name in ("delay", "speed", "play", "stick", "scale", "drive", "step", "begun")}
+    alone = {
+        name: rows(name)
+        for name in ("delay", "speed", "play", "stick", "scale", "drive", "step", "begun")
+    }
     return Response(**alone, lag=lag, mode=mode)

@@ -1,4 +1,6 @@
-"""The physical rig of `n` runs: the platform tracks the commanded relative pose, and the sensor measures the contact of the mechanisms."""
+"""The physical rig of `n` runs: the platform tracks the commanded relative pose, and the sensor
+measures the contact of the mechanisms.
+"""
 
 from __future__ import annotations
 
@@ -30,22 +32,36 @@ if TYPE_CHECKING:
 def structure(scenario: Scenario) -> Structure:
     """The structure of a scenario's rig."""
     mechanism, effects = scenario.mechanism, by_link(scenario.effects, "contact")
-    rubs = any(ContactParameters.believed(c).with_effects(effects).friction > 0.0 for c in mechanism.contacts())
+    rubs = any(
+        ContactParameters.believed(c).with_effects(effects).friction > 0.0
+        for c in mechanism.contacts()
+    )
     return structure_of(mechanism, bool(effects), rubs)
 
 
 def alike(scenario: Scenario) -> Hashable:
-    """Everything that must be equal in the scenarios of one :class:`Plant`; all other parameters may differ between runs."""
+    """Everything that must be equal in the scenarios of one :class:`Plant`; all other parameters
+    may differ between runs.
+    """
     platform, upper = scenario.rig.platform, scenario.rig.upper
     above = (upper.kind, upper.tracking if upper.kind != "fixed" else None)
-    return (scenario.rate, scenario.physics_rate, structure(scenario), platform.alike(scenario), platform.tracking, above)
+    return (
+        scenario.rate,
+        scenario.physics_rate,
+        structure(scenario),
+        platform.alike(scenario),
+        platform.tracking,
+        above,
+    )
 
 
 class AppliedForce(Protocol):
     """A wrench that replaces the contact."""
 
     def next(self) -> Array:
-        """(6,) wrench at the next physics instant, of active on passive side, in P at P's origin [N, N m]."""
+        """(6,) wrench at the next physics instant, of active on passive side, in P at P's origin
+        [N, N m].
+        """
         ...
 
 
@@ -53,15 +69,20 @@ class Plant:
     """`n` rigs in lockstep. Every array is updated in place: copy what is needed after a tick.
 
     Attributes, all at t_k:
-        pose_act: (n, 7) pose of A in P; twist_act: (n, 6) twist of A relative to P, in P. Ideal tracking: the slope of the pose over
-            the tick that ended; servo: the velocity at t_k.
-        wrench_sub: (n, m, 6) contact wrench, what the active side exerts on the passive one, in P at P's origin, tared [N, N m],
-            at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last, at t_k, is valid only after :meth:`begin` for a run that is `late`.
-        contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are latched to each other.
-        slider_cmd, slider_act: (n, J) the platform's driven joints [units], 0 at home; J = 0 if nothing is driven. upper_cmd,
+        pose_act: (n, 7) pose of A in P; twist_act: (n, 6) twist of A relative to P, in P. Ideal
+            tracking: the slope of the pose over the tick that ended; servo: the velocity at t_k.
+        wrench_sub: (n, m, 6) contact wrench, what the active side exerts on the passive one, in P
+            at P's origin, tared [N, N m], at t_(k-1) + (s + 1) dt, s = 0 .. m - 1; the last, at
+            t_k, is valid only after :meth:`begin` for a run that is `late`.
+        contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are
+            latched to each other.
+        slider_cmd, slider_act: (n, J) the platform's driven joints [units], 0 at home; J = 0 if
+            nothing is driven. upper_cmd,
             upper_act: (n, 3) those of the upper platform. units: (J,) "m" or "rad".
-        phases: of capture, if the mechanism has them. pose_W: (n, 7) pose of A in W, which is P without an upper platform.
-        physical: whether the bodies move freely: commands are ignored, and the reached pose is the actual one.
+        phases: of capture, if the mechanism has them. pose_W: (n, 7) pose of A in W, which is P
+            without an upper platform.
+        physical: whether the bodies move freely: commands are ignored, and the reached pose is the
+            actual one.
         diverged: (n,) bool, whether a run has diverged; it is frozen from then on.
     """
 
@@ -78,11 +99,13 @@ class Plant:
         Args:
             force: replaces the contact; the mechanisms then pass through each other.
             held: whether moving parts of the active side are kept fixed to it; needs ``force``.
-            late: (n,) whether a run does not need the wrench at t_k before the tick that begins there, which is cheaper; none by default.
+            late: (n,) whether a run does not need the wrench at t_k before the tick that begins
+                there, which is cheaper; none by default.
         """
         if len({alike(s) for s in scenarios}) != 1:
             raise InputError(
-                "one Plant takes runs of one structure: the same rate, physics_rate, rig.platform, rig.upper and mechanism.kind; "
+                "one Plant takes runs of one structure: the same rate, physics_rate, "
+                "rig.platform, rig.upper and mechanism.kind; "
                 "mechanism.mount, contact.friction > 0 and effects of the contact in all or in none"
             )
         above, made_of = scenarios[0].rig.upper.kind == "prs3", structure(scenarios[0])
@@ -113,8 +136,12 @@ class Plant:
         self.slider_cmd: Array = self._tracking.slider_cmd
         self.slider_act: Array = self._tracking.slider_act
         still = np.zeros((len(scenarios), 3))
-        self.upper_cmd: Array = self._tracking.upper_cmd if isinstance(self._tracking, NineAxes) else still
-        self.upper_act: Array = self._tracking.upper_act if isinstance(self._tracking, NineAxes) else still
+        self.upper_cmd: Array = (
+            self._tracking.upper_cmd if isinstance(self._tracking, NineAxes) else still
+        )
+        self.upper_act: Array = (
+            self._tracking.upper_act if isinstance(self._tracking, NineAxes) else still
+        )
         self.diverged: NDArray[np.bool_] = self._tracking.diverged
 
     @property
@@ -123,7 +150,9 @@ class Plant:
         return self._tracking.model
 
     def contacts(self) -> Engagement:
-        """Contact points and their forces; springs and dampers without friction give only the total force."""
+        """Contact points and their forces; springs and dampers without friction give only the total
+        force.
+        """
         return self._tracking.contacts.engagement
 
     def watch(self, field: str, parts: int) -> Array:
@@ -131,11 +160,19 @@ class Plant:
         return self._batch.bind(field).reshape(len(self.pose_act), -1, parts)
 
     def held_pair(self, i: int) -> tuple[Array, Array] | None:
-        """Stiffness and damping (6, 6) of the latches of run ``i`` (:func:`hiltestbed.contact.jacobian.held_pair`); None without phases."""
-        return held_pair(self.contacts(), self._batch, self._made_of, i) if self.phases is not None else None
+        """Stiffness and damping (6, 6) of the latches of run ``i``
+        (:func:`hiltestbed.contact.jacobian.held_pair`); None without phases.
+        """
+        return (
+            held_pair(self.contacts(), self._batch, self._made_of, i)
+            if self.phases is not None
+            else None
+        )
 
     def joint_limit_passed(self) -> bool:
-        """Whether a joint of a run has exceeded a limit of its facility, or a command is out of reach."""
+        """Whether a joint of a run has exceeded a limit of its facility, or a command is out of
+        reach.
+        """
         return self._rig is not None and self._rig.passed()
 
     def joint_limit(self, i: int) -> str | None:
@@ -144,7 +181,9 @@ class Plant:
         return watch.reason(i) if watch is not None else None
 
     def payload_left(self, i: int) -> dict[str, float] | None:
-        """Residual of the passive side's weight and inertia in the reading of run ``i``; None if it does not move."""
+        """Residual of the passive side's weight and inertia in the reading of run ``i``; None if it
+        does not move.
+        """
         return self._tracking.payload_left(i) if isinstance(self._tracking, NineAxes) else None
 
     def divergence(self, i: int) -> str:
@@ -152,17 +191,22 @@ class Plant:
         return self._tracking.causes[i]
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Start at the pose ``(n, 7)`` of A in P with the twist ``(n, 6)``: before t = 0 the approach is uniform."""
+        """Start at the pose ``(n, 7)`` of A in P with the twist ``(n, 6)``: before t = 0 the
+        approach is uniform.
+        """
         self._tracking.reset(pose, twist)
         if self.phases is not None:
             self.phases.reset()
 
     def bare_steps(self, count: int) -> None:
-        """``count`` steps of the same physics alone, one call each: the reference for the loop's cost."""
+        """``count`` steps of the same physics alone, one call each: the reference for the loop's
+        cost.
+        """
         self._tracking.bare_steps(count)
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Start the tick from t_k to t_(k+1): ``pose_cmd`` (n, 7) is to be reached then, with ``twist_cmd`` and ``accel_cmd`` (n, 6).
+        """Start the tick from t_k to t_(k+1): ``pose_cmd`` (n, 7) is to be reached then, with
+        ``twist_cmd`` and ``accel_cmd`` (n, 6).
 
         All attributes stay those at t_k; after this call the wrench at t_k is valid for every run.
         """
@@ -185,7 +229,8 @@ class Plant:
         self.finish()
 
     def carry(self, poses: Array, twists: Array) -> None:
-        """A whole tick of a rig under ideal tracking through ``poses`` (m, n, 7) with ``twists`` (m, n, 6) at its m physics instants.
+        """A whole tick of a rig under ideal tracking through ``poses`` (m, n, 7) with ``twists``
+        (m, n, 6) at its m physics instants.
 
         Each twist is the slope of the step that ends there.
         """

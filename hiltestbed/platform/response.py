@@ -1,9 +1,10 @@
 """Response of the motion platform to its command, on the three translations.
 
-The command is linear over each tick and ends at `pose_cmd`; before the start it is the uniform approach. It passes through, in this order,
-a transport delay, a learned response, a speed limit, a drive against dry friction, second-order lags, structural modes excited at their
-base, play, stiction and a scale error. Their input is linear between two instants: drives, lags and modes are advanced exactly, so
-that the result does not depend on how finely a tick is divided.
+The command is linear over each tick and ends at `pose_cmd`; before the start it is the uniform
+approach. It passes through, in this order, a transport delay, a learned response, a speed limit, a
+drive against dry friction, second-order lags, structural modes excited at their base, play,
+stiction and a scale error. Their input is linear between two instants: drives, lags and modes are
+advanced exactly, so that the result does not depend on how finely a tick is divided.
 """
 
 from __future__ import annotations
@@ -24,15 +25,18 @@ from hiltestbed.platform.step_response import longest_memory, summed_over
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-LIMITED, PLAYED, HELD, MEMORY = 0, 1, 2, 3  # state of an axis [m]: outputs of speed limit, play and stiction
+# state of an axis [m]: outputs of speed limit, play and stiction
+LIMITED, PLAYED, HELD, MEMORY = 0, 1, 2, 3
 
 
 @njit(cache=True)
 def second_order(w, zeta, dt, base, out):
     """Exact advance of x'' = w^2 (u - x) - 2 zeta w (x' - base u') over dt, for u linear in time.
 
-    out: (5,) e11, e12, e21, e22 of the homogeneous motion, then the steady lag behind a ramp per unit speed.
-    base: 1 for damping on the velocity relative to the command, 0 for damping on the absolute velocity.
+    out: (5,) e11, e12, e21, e22 of the homogeneous motion, then the steady lag behind a ramp per
+        unit speed.
+    base: 1 for damping on the velocity relative to the command, 0 for damping on the absolute
+        velocity.
     """
     if zeta < 1.0:
         s = w * math.sqrt(max(1.0 - zeta * zeta, 1e-12))
@@ -51,7 +55,9 @@ def second_order(w, zeta, dt, base, out):
 
 @njit(cache=True, inline="always")
 def _advance_second_order(e, before, after, dt, state):
-    """One response over dt to an input that runs from ``before`` to ``after``; ``state`` (2,) position and rate, updated in place."""
+    """One response over dt to an input that runs from ``before`` to ``after``; ``state`` (2,)
+    position and rate, updated in place.
+    """
     rate = (after - before) / dt
     error = state[0] - (before - e[4] * rate)
     slip = state[1] - rate
@@ -62,14 +68,17 @@ def _advance_second_order(e, before, after, dt, state):
 
 @njit(cache=True, inline="always")
 def _limited(held, before, after, dt, speed):
-    """Position after dt of an axis limited to ``speed``, starting at ``held``, while its command runs from ``before`` to ``after``.
+    """Position after dt of an axis limited to ``speed``, starting at ``held``, while its command
+    runs from ``before`` to ``after``.
 
-    It moves towards the command at the limit. Once it has met the command it follows it, at the limit where the command is faster.
+    It moves towards the command at the limit. Once it has met the command it follows it, at the
+    limit where the command is faster.
     """
     step = speed * dt
     way = after - before
     if abs(way) > step and (before - held) * way < 0.0 and abs(before - held) < abs(way) + step:
-        met = (before - held) / (math.copysign(step, before - held) - way)  # fraction of dt after which it meets the command and reverses
+        # fraction of dt after which it meets the command and reverses
+        met = (before - held) / (math.copysign(step, before - held) - way)
         return held + math.copysign(step, way) * (1.0 - 2.0 * met)
     return held + min(max(after - held, -step), step)
 
@@ -78,8 +87,9 @@ def _limited(held, before, after, dt, speed):
 def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory):
     """One axis over dt, while its (already delayed) command runs from `before` to `after` [m].
 
-    lag, mode: (S, 5) from `second_order`; a first element of 0 means none. lagged, shaken: (S, 2) and memory: (MEMORY,) state, updated in
-    place. Returns the position reached [m], before the scale error.
+    lag, mode: (S, 5) from `second_order`; a first element of 0 means none. lagged, shaken: (S, 2)
+        and memory: (MEMORY,) state, updated in place. Returns the position reached [m], before the
+        scale error.
     """
     if speed < np.inf:
         held = memory[LIMITED]
@@ -107,9 +117,11 @@ def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, mem
 
 @njit(cache=True)
 def behind_drive(before, after, dt, speed, drive, driven, memory):
-    """Output of an axis's speed limit and drive before and after dt: the input of :func:`follow`, which then gets no speed limit.
+    """Output of an axis's speed limit and drive before and after dt: the input of :func:`follow`,
+    which then gets no speed limit.
 
-    It is separate from :func:`follow` because drives are rare and that function is called for every row of every hypothesis.
+    It is separate from :func:`follow` because drives are rare and that function is called for every
+    row of every hypothesis.
     drive: (NUMBERS,). driven: (STATE,) and memory: (MEMORY,) state, updated in place.
     """
     if speed < np.inf:
@@ -121,17 +133,24 @@ def behind_drive(before, after, dt, speed, drive, driven, memory):
 
 
 class PlatformResponse:
-    """The platforms of `n` runs: from the commanded pose to the positions within the following tick.
+    """The platforms of `n` runs: from the commanded pose to the positions within the following
+    tick.
 
     Attributes:
-        path: (n, m, 3) position of A in P at the m instants of the tick, the last of which is t_(k+1) [m].
+        path: (n, m, 3) position of A in P at the m instants of the tick, the last of which is
+            t_(k+1) [m].
         active: whether any platform alters its command; otherwise the path equals the command.
     """
 
     def __init__(
-        self, scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters] | None = None, substeps: int | None = None
+        self,
+        scenarios: Sequence[Scenario],
+        parameters: Sequence[PlatformParameters] | None = None,
+        substeps: int | None = None,
     ) -> None:
-        """``parameters``: of each run, by default from its effects; ``substeps``: instants per tick, by default the physics steps."""
+        """``parameters``: of each run, by default from its effects; ``substeps``: instants per
+        tick, by default the physics steps.
+        """
         n, first = len(scenarios), scenarios[0]
         self.tick = 1.0 / first.rate
         self.substeps = first.substeps if substeps is None else substeps
@@ -148,20 +167,45 @@ class PlatformResponse:
         self.sums = np.zeros((n, slots, 3))  # its integral over time up to t_j [m s]
         self.memory = np.zeros((n, 3, MEMORY))
         self.driven = np.zeros((n, 3, STATE))
-        self.lagged, self.shaken = np.zeros((n, 3, p.lag.shape[1], 2)), np.zeros((n, 3, p.mode.shape[1], 2))
-        self.lag_kernel, self.mode_kernel = np.zeros((*p.lag.shape[:2], 5)), np.zeros((*p.mode.shape[:2], 5))
-        for kernel, numbers, base in ((self.lag_kernel, p.lag, 0.0), (self.mode_kernel, p.mode, 1.0)):
+        self.lagged, self.shaken = (
+            np.zeros((n, 3, p.lag.shape[1], 2)),
+            np.zeros((n, 3, p.mode.shape[1], 2)),
+        )
+        self.lag_kernel, self.mode_kernel = (
+            np.zeros((*p.lag.shape[:2], 5)),
+            np.zeros((*p.mode.shape[:2], 5)),
+        )
+        for kernel, numbers, base in (
+            (self.lag_kernel, p.lag, 0.0),
+            (self.mode_kernel, p.mode, 1.0),
+        ):
             for i, s in np.argwhere(numbers[..., 0] > 0.0):
-                second_order(numbers[i, s, 0], numbers[i, s, 1], self.tick / self.substeps, base, kernel[i, s])
+                second_order(
+                    numbers[i, s, 0],
+                    numbers[i, s, 1],
+                    self.tick / self.substeps,
+                    base,
+                    kernel[i, s],
+                )
         for i, s in enumerate(scenarios):
-            self.begin(i, np.array([*s.approach.offset, -s.approach.gap]), np.asarray(s.approach.velocity, dtype=float))
+            self.begin(
+                i,
+                np.array([*s.approach.offset, -s.approach.gap]),
+                np.asarray(s.approach.velocity, dtype=float),
+            )
 
     def begin(self, i: int, start: Array, velocity: Array) -> None:
-        """Initialise the platform of run ``i`` with a uniform motion: at ``start`` (3,) [m] with ``velocity`` (3,) [m/s] at t = 0."""
+        """Initialise the platform of run ``i`` with a uniform motion: at ``start`` (3,) [m] with
+        ``velocity`` (3,) [m/s] at t = 0.
+        """
         for back in range(self.ring.shape[1]):
             self.ring[i, -back % self.ring.shape[1]] = start - velocity * self.tick * back
-            self.sums[i, -back % self.ring.shape[1]] = self.tick * back * (0.5 * velocity * self.tick * back - start)
-        there, moving = summed_over(self.parameters.step[i], start - velocity * self.parameters.delay[i], velocity)
+            self.sums[i, -back % self.ring.shape[1]] = (
+                self.tick * back * (0.5 * velocity * self.tick * back - start)
+            )
+        there, moving = summed_over(
+            self.parameters.step[i], start - velocity * self.parameters.delay[i], velocity
+        )
         self.memory[i] = there[:, None]
         self.driven[i] = 0.0
         self.driven[i, :, PLACE], self.driven[i, :, RATE] = there, moving
@@ -172,9 +216,26 @@ class PlatformResponse:
         """The path (n, m, 3) from t_k to t_(k+1), for the commanded pose (n, 7) of t_(k+1)."""
         p = self.parameters
         advance_paths(
-            k, pose_cmd, self.ring, self.sums, p.step, self._late, self.tick / self.substeps, p.speed, p.play, p.stick, p.scale,
-            p.drive, self.lag_kernel, self.mode_kernel, self.driven, self.lagged, self.shaken, self.memory, self.path,
-        )  # fmt: skip
+            k,
+            pose_cmd,
+            self.ring,
+            self.sums,
+            p.step,
+            self._late,
+            self.tick / self.substeps,
+            p.speed,
+            p.play,
+            p.stick,
+            p.scale,
+            p.drive,
+            self.lag_kernel,
+            self.mode_kernel,
+            self.driven,
+            self.lagged,
+            self.shaken,
+            self.memory,
+            self.path,
+        )
         return self.path
 
 
@@ -196,12 +257,18 @@ def _sum_at(ring, sums, axis, at, h):
     part = at - first
     slot, after = int(first) % ring.shape[0], int(first + 1) % ring.shape[0]
     low = ring[slot, axis]
-    return sums[slot, axis] + h * part * (low + 0.5 * part * (ring[after, axis] - low)) if part > 0.0 else sums[slot, axis]
+    return (
+        sums[slot, axis] + h * part * (low + 0.5 * part * (ring[after, axis] - low))
+        if part > 0.0
+        else sums[slot, axis]
+    )
 
 
 @njit(cache=True)
 def _answered(ring, sums, step, axis, at, h):
-    """Output of the packed ``step`` response at the (fractional) tick ``at``; exact, as the command is linear over each tick."""
+    """Output of the packed ``step`` response at the (fractional) tick ``at``; exact, as the command
+    is linear over each tick.
+    """
     n, most = int(step[0]), (len(step) - 1) // 2
     if n == 0:
         return _ring_at(ring, axis, at)
@@ -209,31 +276,76 @@ def _answered(ring, sums, step, axis, at, h):
     earlier = _sum_at(ring, sums, axis, at - step[1] / h, h)
     for i in range(n - 1):
         later = _sum_at(ring, sums, axis, at - step[2 + i] / h, h)
-        out += (step[2 + most + i] - step[1 + most + i]) / (step[2 + i] - step[1 + i]) * (earlier - later)
+        out += (
+            (step[2 + most + i] - step[1 + most + i])
+            / (step[2 + i] - step[1 + i])
+            * (earlier - later)
+        )
         earlier = later
     return out
 
 
 @njit(cache=True)
 def advance_paths(
-    k, pose_cmd, ring, sums, step, late, dt, speed, play, stick, scale, drive, lag, mode, driven, lagged, shaken, memory, path
-):  # fmt: skip
-    """Write the paths (n, m, 3) of one tick from t_k, for the commands ``pose_cmd`` (n, >= 3); see :class:`PlatformResponse`."""
+    k,
+    pose_cmd,
+    ring,
+    sums,
+    step,
+    late,
+    dt,
+    speed,
+    play,
+    stick,
+    scale,
+    drive,
+    lag,
+    mode,
+    driven,
+    lagged,
+    shaken,
+    memory,
+    path,
+):
+    """Write the paths (n, m, 3) of one tick from t_k, for the commands ``pose_cmd`` (n, >= 3); see
+    :class:`PlatformResponse`.
+    """
     substeps = path.shape[1]
     for i in range(path.shape[0]):
         for axis in range(3):
             ring[i, (k + 1) % ring.shape[1], axis] = pose_cmd[i, axis]
             now, last = (k + 1) % ring.shape[1], k % ring.shape[1]
-            sums[i, now, axis] = sums[i, last, axis] + 0.5 * substeps * dt * (ring[i, last, axis] + ring[i, now, axis])
+            sums[i, now, axis] = sums[i, last, axis] + 0.5 * substeps * dt * (
+                ring[i, last, axis] + ring[i, now, axis]
+            )
             before = _answered(ring[i], sums[i], step[i], axis, k - late[i], substeps * dt)
             for s in range(substeps):
-                after = _answered(ring[i], sums[i], step[i], axis, k + (s + 1.0) / substeps - late[i], substeps * dt)
+                after = _answered(
+                    ring[i],
+                    sums[i],
+                    step[i],
+                    axis,
+                    k + (s + 1.0) / substeps - late[i],
+                    substeps * dt,
+                )
                 led, goal, limit = before, after, speed[i]
                 if drive[i, axis, W] > 0.0:
-                    led, goal = behind_drive(before, after, dt, limit, drive[i, axis], driven[i, axis], memory[i, axis])
+                    led, goal = behind_drive(
+                        before, after, dt, limit, drive[i, axis], driven[i, axis], memory[i, axis]
+                    )
                     limit = np.inf
                 reached = follow(
-                    led, goal, dt, limit, play[i], stick[i], lag[i], mode[i], lagged[i, axis], shaken[i, axis], memory[i, axis]
+                    led,
+                    goal,
+                    dt,
+                    limit,
+                    play[i],
+                    stick[i],
+                    lag[i],
+                    mode[i],
+                    lagged[i, axis],
+                    shaken[i, axis],
+                    memory[i, axis],
                 )
                 path[i, s, axis] = scale[i, axis] * reached
                 before = after

@@ -1,4 +1,6 @@
-"""Measured characteristics of a rig, with drawings: workspace, bandwidth and delay in six axes, modes, dynamic stiffness."""
+"""Measured characteristics of a rig, with drawings: workspace, bandwidth and delay in six axes,
+modes, dynamic stiffness.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,15 @@ from numpy.typing import NDArray
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.hall import facility_of
-from hiltestbed.platform.facilities.measure import FrequencyResponse, Mode, Reach, dynamic_stiffness, frequency_response, modes, workspace
+from hiltestbed.platform.facilities.measure import (
+    FrequencyResponse,
+    Mode,
+    Reach,
+    dynamic_stiffness,
+    frequency_response,
+    modes,
+    workspace,
+)
 from hiltestbed.recording import whole_folder
 from hiltestbed.report import Report, new_figure
 from hiltestbed.scenario import Scenario, resolved
@@ -32,7 +42,9 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class RigFigures:
-    """Measurements of a scenario's rig; the frequency response includes the friction of its drives, the others do not."""
+    """Measurements of a scenario's rig; the frequency response includes the friction of its drives,
+    the others do not.
+    """
 
     scenario: Scenario
     reach: tuple[Reach, ...]
@@ -64,13 +76,20 @@ class RigFigures:
                 "cross": {a: r.cross[k].tolist() for k, a in enumerate(AXES)},
             },
             "modes": [
-                {"frequency": m.frequency, "damping_ratio": m.damping_ratio, "motion": m.motion, "shape": m.shape.tolist()}
+                {
+                    "frequency": m.frequency,
+                    "damping_ratio": m.damping_ratio,
+                    "motion": m.motion,
+                    "shape": m.shape.tolist(),
+                }
                 for m in self.modes
             ],
             "dynamic_stiffness": {
                 "frequency": self.frequency.tolist(),
                 "magnitude": {a: np.abs(self.stiffness[k]).tolist() for k, a in enumerate(AXES)},
-                "phase_deg": {a: np.degrees(np.angle(self.stiffness[k])).tolist() for k, a in enumerate(AXES)},
+                "phase_deg": {
+                    a: np.degrees(np.angle(self.stiffness[k])).tolist() for k, a in enumerate(AXES)
+                },
             },
         }
 
@@ -82,15 +101,33 @@ class RigFigures:
         platform = self.scenario.rig.platform
         tracking = getattr(platform, "tracking", "")
         return [
-            *([("these are the drives", f"with tracking {tracking} a run does not use them")] if platform.prescribed else []),
-            *((f"reach {w.axis}", f"{_shown(k, w.low):.4g} to {_shown(k, w.high):.4g} {_unit(k)}") for k, w in enumerate(self.reach)),
+            *(
+                [("these are the drives", f"with tracking {tracking} a run does not use them")]
+                if platform.prescribed
+                else []
+            ),
+            *(
+                (f"reach {w.axis}", f"{_shown(k, w.low):.4g} to {_shown(k, w.high):.4g} {_unit(k)}")
+                for k, w in enumerate(self.reach)
+            ),
             (
                 "bandwidth x, y, z, rx, ry, rz",
-                ", ".join(f"{b:.1f}" if math.isfinite(b) else f"> {r.frequency[-1]:.0f}" for b in band) + " Hz",
+                ", ".join(
+                    f"{b:.1f}" if math.isfinite(b) else f"> {r.frequency[-1]:.0f}" for b in band
+                )
+                + " Hz",
             ),
             (f"delay along z at {r.frequency[0]:g} Hz", f"{1e3 * r.delay(2):.2f} ms"),
-            ("first mode", f"{first.frequency:.1f} Hz, damping ratio {first.damping_ratio:.2f}, {first.motion}" if first else "none found"),
-            (f"stiffness along z at {self.frequency[0]:g} Hz", f"{abs(self.stiffness[2, 0]):.3g} N/m"),
+            (
+                "first mode",
+                f"{first.frequency:.1f} Hz, damping ratio {first.damping_ratio:.2f}, {first.motion}"
+                if first
+                else "none found",
+            ),
+            (
+                f"stiffness along z at {self.frequency[0]:g} Hz",
+                f"{abs(self.stiffness[2, 0]):.3g} N/m",
+            ),
         ]
 
 
@@ -102,8 +139,15 @@ def measure_rig(scenario: Scenario, progress: Progress | None = None) -> RigFigu
     """
     facility = facility_of(scenario)
     if facility.physical:
-        raise InputError(f"rig.platform.kind {facility.kind}: drives nothing, its bodies move freely; only a driven rig can be measured")
-    about: dict[str, Any] = {"rate": scenario.rate, "substeps": scenario.substeps, "mechanism": scenario.mechanism}
+        raise InputError(
+            f"rig.platform.kind {facility.kind}: drives nothing, its bodies move freely; only a "
+            f"driven rig can be measured"
+        )
+    about: dict[str, Any] = {
+        "rate": scenario.rate,
+        "substeps": scenario.substeps,
+        "mechanism": scenario.mechanism,
+    }
     feed = bool(scenario.compensation.motion.feeds)
     f = np.geomspace(SLOWEST, min(FASTEST, 0.05 * scenario.rate), POINTS).tolist()
     found: list[Any] = []
@@ -130,30 +174,50 @@ def write_rig(figures: RigFigures, path: str | Path) -> Path:
     """
     path = Path(path)
     with whole_folder(path, mark=RIG) as folder:
-        (folder / RIG).write_text(json.dumps(figures.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        (folder / RIG).write_text(
+            json.dumps(figures.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
         report = Report(f"Rig of {figures.scenario.name}: {figures.scenario.rig.platform.kind}")
         report.table(["figure", "value"], figures.lines())
         for name, draw, caption in (
-            ("workspace", _workspace, "Reach from home, one axis at a time, limited by joint travel, singularities and reach."),
-            ("response", _response, "Ratio of reached to commanded pose of A, axis by axis; dashed: -3 dB and -90 degrees."),
+            (
+                "workspace",
+                _workspace,
+                "Reach from home, one axis at a time, limited by joint travel, singularities and "
+                "reach.",
+            ),
+            (
+                "response",
+                _response,
+                "Ratio of reached to commanded pose of A, axis by axis; dashed: -3 dB and -90 "
+                "degrees.",
+            ),
             (
                 "stiffness",
                 _stiffness,
-                "Dynamic stiffness at A with a constant command; where it drops, at a mode, contact and rig exchange energy.",
+                "Dynamic stiffness at A with a constant command; where it drops, at a mode, "
+                "contact and rig exchange energy.",
             ),
         ):
             figure = draw(figures)
-            figure.savefig(folder / f"{name}.png", dpi=110, bbox_inches="tight", metadata={"Software": None})
+            figure.savefig(
+                folder / f"{name}.png", dpi=110, bbox_inches="tight", metadata={"Software": None}
+            )
             report.figure(figure, caption)
         report.heading("Modes")
         rows = [[f"{m.frequency:.2f}", f"{m.damping_ratio:.3f}", m.motion] for m in figures.modes]
         report.table(
-            ["frequency [Hz]", "damping ratio", "motion of A"], rows, "With the drives active and a constant command, without friction."
+            ["frequency [Hz]", "damping ratio", "motion of A"],
+            rows,
+            "With the drives active and a constant command, without friction.",
         )
         report.heading("Limits of the workspace")
         report.table(
             ["axis", "below", "above"],
-            [[w.axis, w.stops[0] or "not searched further", w.stops[1] or "not searched further"] for w in figures.reach],
+            [
+                [w.axis, w.stops[0] or "not searched further", w.stops[1] or "not searched further"]
+                for w in figures.reach
+            ],
         )
         report.write(folder / REPORT)
     return path
@@ -188,7 +252,13 @@ def _response(figures: RigFigures):
     figure, (gain, phase) = new_figure(8.0, 5.0, nrows=2, sharex=True)
     r = figures.response
     for k, axis in enumerate(AXES):
-        style = {"color": f"C{k % 3}", "ls": "-" if k < 3 else ":", "marker": "o", "ms": 3, "label": axis}
+        style = {
+            "color": f"C{k % 3}",
+            "ls": "-" if k < 3 else ":",
+            "marker": "o",
+            "ms": 3,
+            "label": axis,
+        }
         gain.semilogx(r.frequency, r.gain_db()[k], **style)
         phase.semilogx(r.frequency, r.phase_deg()[k], **style)
     gain.axhline(-3.0, color="0.5", ls="--", lw=0.8)
@@ -202,7 +272,14 @@ def _response(figures: RigFigures):
 def _stiffness(figures: RigFigures):
     figure, panels = new_figure(8.0, 3.2, ncols=2)
     for k, axis in enumerate(AXES):
-        panels[k // 3].loglog(figures.frequency, np.abs(figures.stiffness[k]), "o-", ms=3, color=f"C{k % 3}", label=axis)
+        panels[k // 3].loglog(
+            figures.frequency,
+            np.abs(figures.stiffness[k]),
+            "o-",
+            ms=3,
+            color=f"C{k % 3}",
+            label=axis,
+        )
     for panel, unit in zip(panels, ("N/m", "N m/rad"), strict=True):
         panel.set(xlabel="frequency [Hz]", ylabel=f"|stiffness| [{unit}]")
         panel.legend(fontsize=8)

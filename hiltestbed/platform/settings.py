@@ -22,10 +22,13 @@ class UpperPlatform(Strictly):
 
     kind: Literal["fixed", "prs3"] = Field(
         default="fixed",
-        description="Upper platform. fixed: none; prs3: heave of 2 m and two tilts, clamped while the ports are less than 0.19 m apart",
+        description="Upper platform. fixed: none; prs3: heave of 2 m and two tilts, clamped while "
+        "the ports are less than 0.19 m apart",
     )
     tracking: Literal["servo", "ideal"] = Field(
-        default="servo", description="Tracking of the upper platform. servo: simulated drives; ideal: it is exactly at its planned pose"
+        default="servo",
+        description="Tracking of the upper platform. servo: simulated drives; ideal: it is "
+        "exactly at its planned pose",
     )
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
@@ -40,4 +43,6 @@ class Rig(Strictly):
         default_factory=lambda: PLATFORMS["pss33"].model_validate({"kind": "pss33"}),
         description="The motion platform that carries the active side",
     )
-    upper: UpperPlatform = Field(default=UpperPlatform(), description="Support of the passive side and the force sensor")
+    upper: UpperPlatform = Field(
+        default=UpperPlatform(), description="Support of the passive side and the force sensor"
+    )

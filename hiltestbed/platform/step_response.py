@@ -1,7 +1,10 @@
-"""A linear response described by its step response: a piecewise-linear curve over the time since the step.
+"""A linear response described by its step response: a piecewise-linear curve over the time since
+the step.
 
-The response to a command u is s_0 u(t - t_0) + sum_i m_i (U(t - t_i) - U(t - t_(i+1))), U the integral of u over time, m_i the slope of
-the curve from its knot i to the next: no sum over the past, and exact for a command that is linear over each tick.
+The response to a command u is s_0 u(t - t_0) + sum_i m_i (U(t - t_i) - U(t - t_(i+1))), U the
+integral of u over time, m_i the slope of
+the curve from its knot i to the next: no sum over the past, and exact for a command that is linear
+over each tick.
 """
 
 from __future__ import annotations
@@ -23,7 +26,9 @@ def longest_memory(steps: Array) -> float:
 
 
 def mean_lateness(step: Array) -> float:
-    """Steady-state lag [s] of the response to a uniform motion, at its final gain: the area above the curve over its last value."""
+    """Steady-state lag [s] of the response to a uniform motion, at its final gain: the area above
+    the curve over its last value.
+    """
     times, values = knots(step)
     if not len(times) or values[-1] == 0.0:
         return 0.0
@@ -31,7 +36,9 @@ def mean_lateness(step: Array) -> float:
 
 
 def summed_over(step: Array, start: Array, velocity: Array) -> tuple[Array, Array]:
-    """Response and its rate (3,) to a uniform motion that is at ``start`` (3,) [m] with ``velocity`` (3,) [m/s]."""
+    """Response and its rate (3,) to a uniform motion that is at ``start`` (3,) [m] with
+    ``velocity`` (3,) [m/s].
+    """
     values = knots(step)[1]
     if not len(values):
         return start, velocity

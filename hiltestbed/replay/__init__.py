@@ -1,8 +1,9 @@
 """Open-loop replay: the blocks of the loop on recorded inputs, one link at a time.
 
-The leading axis of every block is a *lane*: a recorded run under one hypothesis. Inputs are stored once per run, ``(R, N, ...)``, and
-``run`` ``(L,)`` is the index of the run that drives each lane. A row of a record is a tick of the loop; what the loop calls once per tick
-is called here once per row, in compiled loops over the rows where calls from Python would be slow.
+The leading axis of every block is a *lane*: a recorded run under one hypothesis. Inputs are stored
+once per run, ``(R, N, ...)``, and ``run`` ``(L,)`` is the index of the run that drives each lane. A
+row of a record is a tick of the loop; what the loop calls once per tick is called here once per
+row, in compiled loops over the rows where calls from Python would be slow.
 """
 
 from hiltestbed.replay.axis import replay_axis
@@ -15,6 +16,18 @@ from hiltestbed.replay.simulated import Engaged, Simulated
 from hiltestbed.replay.wrench import replay_wrench
 
 __all__ = [
-    "Departing", "Engaged", "Felt", "Simulated", "can_carry", "creep_of", "follows_exactly", "moves_linearly", "replay_axis",
-    "replay_compensation", "replay_model", "replay_platform", "replay_rig", "replay_wrench",
-]  # fmt: skip
+    "Departing",
+    "Engaged",
+    "Felt",
+    "Simulated",
+    "can_carry",
+    "creep_of",
+    "follows_exactly",
+    "moves_linearly",
+    "replay_axis",
+    "replay_compensation",
+    "replay_model",
+    "replay_platform",
+    "replay_rig",
+    "replay_wrench",
+]

@@ -1,7 +1,9 @@
-"""The numerical model on a recorded force along one axis: :mod:`hiltestbed.replay.numerical_model`, reduced to motion along z.
+"""The numerical model on a recorded force along one axis: :mod:`hiltestbed.replay.numerical_model`,
+reduced to motion along z.
 
-A force along z through both centres of mass causes no rotation. The step is the same, with a state of four numbers instead of twenty-six,
-and a thousand rows take 0.1 ms; a drive logged at 1 kHz for half a minute can be fitted in seconds.
+A force along z through both centres of mass causes no rotation. The step is the same, with a state
+of four numbers instead of twenty-six, and a thousand rows take 0.1 ms; a drive logged at 1 kHz for
+half a minute can be fitted in seconds.
 """
 
 from __future__ import annotations
@@ -20,30 +22,71 @@ from hiltestbed.replay.numerical_model import Departing
 Z = 2
 
 
-def replay_axis(model: Departing, force: Array, place: Array, speed: Array, run: np.ndarray, rows: Sequence[int]) -> Array:
-    """``(L, N)`` pz of numerical models that are driven along z by recorded forces ``(R, N)``; row k is commanded at t_k.
+def replay_axis(
+    model: Departing, force: Array, place: Array, speed: Array, run: np.ndarray, rows: Sequence[int]
+) -> Array:
+    """``(L, N)`` pz of numerical models that are driven along z by recorded forces ``(R, N)``; row
+    k is commanded at t_k.
 
     Args:
-        place, speed: ``(R,)`` pz [m] in row 0, and its rate at the start [m/s], with the target at rest.
+        place, speed: ``(R,)`` pz [m] in row 0, and its rate at the start [m/s], with the target at
+            rest.
         rows: number of valid rows of each run; later rows of a lane are meaningless.
 
-    A row is delayed by the model's ``late`` ticks and the log's ``stamp``, interpolated linearly between ticks.
+    A row is delayed by the model's ``late`` ticks and the log's ``stamp``, interpolated linearly
+    between ticks.
     """
     d = model.departures
     out = np.zeros((len(run), force.shape[1]))
     _replay_axis(
-        force, np.asarray(place), np.asarray(speed), np.asarray(run), np.asarray(rows), model.whole, model.rigid, model.tick, d.appendage,
-        d.force, d.explicit, d.late + d.stamp / model.tick, np.zeros((*d.appendage.shape[1:3], 2)), np.zeros(force.shape[1] + 1), out,
-    )  # fmt: skip
+        force,
+        np.asarray(place),
+        np.asarray(speed),
+        np.asarray(run),
+        np.asarray(rows),
+        model.whole,
+        model.rigid,
+        model.tick,
+        d.appendage,
+        d.force,
+        d.explicit,
+        d.late + d.stamp / model.tick,
+        np.zeros((*d.appendage.shape[1:3], 2)),
+        np.zeros(force.shape[1] + 1),
+        out,
+    )
     return out
 
 
 @njit(cache=True)
-def _replay_axis(force, place, speed, run, rows, whole, rigid, h, appendage, laws, explicit, late, swing, way, out):
+def _replay_axis(
+    force,
+    place,
+    speed,
+    run,
+    rows,
+    whole,
+    rigid,
+    h,
+    appendage,
+    laws,
+    explicit,
+    late,
+    swing,
+    way,
+    out,
+):
     v, tau = np.empty(2), np.empty(2)
     for i in range(len(run)):
         r, n, at_start = run[i], rows[run[i]], speed[run[i]]
-        f, law, part, mass, rigid_mass, old = force[r], laws[i], appendage[i], whole[i], rigid[i], explicit[i]
+        f, law, part, mass, rigid_mass, old = (
+            force[r],
+            laws[i],
+            appendage[i],
+            whole[i],
+            rigid[i],
+            explicit[i],
+        )
         gain_c, gain_t = h / rigid_mass[CHASER], h / rigid_mass[TARGET]
         resists, swings = law.shape[0] > 0, part.shape[1] > 0
         v[CHASER], v[TARGET] = at_start, 0.0
@@ -67,7 +110,9 @@ def _replay_axis(force, place, speed, run, rows, whole, rigid, h, appendage, law
 
 @njit(cache=True, inline="always")
 def _at(way, index, uniform):
-    """``way`` interpolated between its rows; uniform motion before the first row, linear extrapolation after the last."""
+    """``way`` interpolated between its rows; uniform motion before the first row, linear
+    extrapolation after the last.
+    """
     if index <= 0.0:
         return index * uniform
     low = min(int(index), len(way) - 2)
@@ -79,7 +124,11 @@ def _resist(laws, v, mass, h, tau):
     for f in range(laws.shape[0]):
         if laws[f, BODY] == BETWEEN and laws[f, AXIS] == Z:
             gain = h * (1.0 / mass[CHASER] + 1.0 / mass[TARGET])
-            free = v[CHASER] - v[TARGET] + h * (tau[CHASER] / mass[CHASER] - tau[TARGET] / mass[TARGET])
+            free = (
+                v[CHASER]
+                - v[TARGET]
+                + h * (tau[CHASER] / mass[CHASER] - tau[TARGET] / mass[TARGET])
+            )
             given = resisting(laws, f, v[CHASER] - v[TARGET], free, gain)
             tau[CHASER] -= given
             tau[TARGET] += given
@@ -92,13 +141,19 @@ def _resist(laws, v, mass, h, tau):
 
 @njit(cache=True)
 def _swing(appendage, whole, rigid, h, swing, tau):
-    """The loads of the appendages on their bodies, as in :func:`hiltestbed.numerical_model.model.swing`; swing: (2, S, 2)."""
+    """The loads of the appendages on their bodies, as in
+    :func:`hiltestbed.numerical_model.model.swing`; swing: (2, S, 2).
+    """
     for b in range(2):
         for s in range(appendage.shape[1]):
             a = appendage[b, s]
-            tau[b] += a[RATIO] * whole[b] * (a[STIFFNESS] * swing[b, s, 0] + a[DAMPING] * swing[b, s, 1])
+            tau[b] += (
+                a[RATIO] * whole[b] * (a[STIFFNESS] * swing[b, s, 0] + a[DAMPING] * swing[b, s, 1])
+            )
         for s in range(appendage.shape[1]):
             a = appendage[b, s]
             if a[RATIO] > 0.0:
-                swing[b, s, 1] -= h * (a[STIFFNESS] * swing[b, s, 0] + a[DAMPING] * swing[b, s, 1] + tau[b] / rigid[b])
+                swing[b, s, 1] -= h * (
+                    a[STIFFNESS] * swing[b, s, 0] + a[DAMPING] * swing[b, s, 1] + tau[b] / rigid[b]
+                )
                 swing[b, s, 0] += h * swing[b, s, 1]

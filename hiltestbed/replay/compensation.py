@@ -1,4 +1,6 @@
-"""The compensation on recorded readings, poses and twists, with the same blocks as the loop, one call per tick."""
+"""The compensation on recorded readings, poses and twists, with the same blocks as the loop, one
+call per tick.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,13 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 INPUTS = {
-    "wrench": "wrench_meas", "pose": "pose_act", "twist": "pose_act", "identified": "pose_act", "captured": "pose_act", "model": "pose_cmd",
-}  # fmt: skip
+    "wrench": "wrench_meas",
+    "pose": "pose_act",
+    "twist": "pose_act",
+    "identified": "pose_act",
+    "captured": "pose_act",
+    "model": "pose_cmd",
+}
 
 
 def needs(scenario: Scenario) -> set[str]:
@@ -49,15 +56,21 @@ def _inputs(scenario: Scenario) -> set[str]:
 
 
 class RecordedModel(NumericalModel):
-    """A numerical model that follows the record: a step takes it to the next recorded pose, whatever wrench drives it."""
+    """A numerical model that follows the record: a step takes it to the next recorded pose,
+    whatever wrench drives it.
+    """
 
-    def __init__(self, scenarios: Sequence[Scenario], poses: Array, twists: Array, run: np.ndarray) -> None:
+    def __init__(
+        self, scenarios: Sequence[Scenario], poses: Array, twists: Array, run: np.ndarray
+    ) -> None:
         """``poses`` (R, N, 7) and ``twists`` (R, N, 6) as commanded at t_k."""
         self._poses, self._twists, self._run, self._row = poses, twists, run, 0
         super().__init__(scenarios, stack([DynamicsParameters() for _ in scenarios]))
 
     def advance(self, wrench: Array) -> None:
-        """Advance to the pose that was commanded at this tick, with the target at rest and P at the inertial origin."""
+        """Advance to the pose that was commanded at this tick, with the target at rest and P at the
+        inertial origin.
+        """
         self.pose[:] = self._poses[self._run, self._row]
         self.twist[:] = self._twists[self._run, self._row]
         self._row += 1
@@ -65,20 +78,30 @@ class RecordedModel(NumericalModel):
 
 
 def replay_compensation(
-    scenarios: Sequence[Scenario], inputs: Sequence[InputParameters], records: dict[str, Array], readings: Array, run: np.ndarray
+    scenarios: Sequence[Scenario],
+    inputs: Sequence[InputParameters],
+    records: dict[str, Array],
+    readings: Array,
+    run: np.ndarray,
 ) -> Array:
     """``(L, N, 6)`` wrench_comp of compensations on recorded readings.
 
     Args:
-        scenarios, inputs: of each lane. readings: ``(R, N, 6)`` wrench_meas, or the readings assumed for the loop.
-        records: "pose_act" (R, N, 7), "pose_cmd" (R, N, 7) if the method needs them; "twist_act", "twist_cmd" (R, N, 6) if recorded.
+        scenarios, inputs: of each lane. readings: ``(R, N, 6)`` wrench_meas, or the readings
+            assumed for the loop.
+        records: "pose_act" (R, N, 7), "pose_cmd" (R, N, 7) if the method needs them; "twist_act",
+            "twist_cmd" (R, N, 6) if recorded.
     """
     rows, n = readings.shape[1], len(run)
     pose, twist = _reached(scenarios, records, run, rows)
     model = _model(scenarios, records, run)
     drive = make_drive(scenarios, model)
     dead_zone = InputDeadZone(scenarios, inputs)
-    estimate = IDENTIFIERS[scenarios[0].identification.kind].start(scenarios) if "identified" in _reads(scenarios[0]) else None
+    estimate = (
+        IDENTIFIERS[scenarios[0].identification.kind].start(scenarios)
+        if "identified" in _reads(scenarios[0])
+        else None
+    )
     unknown = np.full((n, 6), np.nan)
     captured = np.array([s.mechanism.captured for s in scenarios])
     if estimate is not None:
@@ -86,9 +109,14 @@ def replay_compensation(
     limits = latch_limits(scenarios)
     reading, wrench = np.zeros((n, 6)), np.zeros((n, 6))
     measurement = Measurement(
-        wrench, np.zeros((n, 7)), np.zeros((n, 6)), estimate.stiffness if estimate else unknown, estimate.damping if estimate else unknown,
-        captured, *([estimate.source.held.lever] if estimate else []),
-    )  # fmt: skip
+        wrench,
+        np.zeros((n, 7)),
+        np.zeros((n, 6)),
+        estimate.stiffness if estimate else unknown,
+        estimate.damping if estimate else unknown,
+        captured,
+        *([estimate.source.held.lever] if estimate else []),
+    )
     out = np.empty((n, rows, 6))
     for k in range(rows):
         reading[:] = readings[run, k]  # one buffer for all ticks: the kernels are bound to it
@@ -106,10 +134,14 @@ def replay_compensation(
 
 def _reads(scenario: Scenario) -> set[str]:
     compensation = scenario.compensation
-    return set(compensation.force.reads) | (set(compensation.motion.reads) if compensation.motion.corrects_force else set())
+    return set(compensation.force.reads) | (
+        set(compensation.motion.reads) if compensation.motion.corrects_force else set()
+    )
 
 
-def _model(scenarios: Sequence[Scenario], records: dict[str, Array], run: np.ndarray) -> NumericalModel:
+def _model(
+    scenarios: Sequence[Scenario], records: dict[str, Array], run: np.ndarray
+) -> NumericalModel:
     """The recorded numerical model; without a recorded pose_cmd, one that stays at its start."""
     poses = records.get("pose_cmd")
     if poses is None:
@@ -129,8 +161,12 @@ class _Idle(NumericalModel):
         """Nothing moves."""
 
 
-def _reached(scenarios: Sequence[Scenario], records: dict[str, Array], run: np.ndarray, rows: int) -> tuple[Array, Array]:
-    """``(R, N, 7)`` poses and ``(R, N, 6)`` twists that the rig reached; without recorded twists, the mean twist over each tick."""
+def _reached(
+    scenarios: Sequence[Scenario], records: dict[str, Array], run: np.ndarray, rows: int
+) -> tuple[Array, Array]:
+    """``(R, N, 7)`` poses and ``(R, N, 6)`` twists that the rig reached; without recorded twists,
+    the mean twist over each tick.
+    """
     poses = records.get("pose_act")
     runs = int(run.max()) + 1
     if poses is None:
@@ -147,14 +183,18 @@ def _reached(scenarios: Sequence[Scenario], records: dict[str, Array], run: np.n
 
 
 def slopes(poses: Array, start: Array, tick: float) -> Array:
-    """``(R, N, 6)`` twists that take each pose of ``(R, N, 7)`` to the next in a tick, from ``start`` (R, 7) before the first."""
+    """``(R, N, 6)`` twists that take each pose of ``(R, N, 7)`` to the next in a tick, from
+    ``start`` (R, 7) before the first.
+    """
     out = np.empty((*poses.shape[:2], 6))
     _slopes(poses, start, tick, out)
     return out
 
 
 def central_rates(scenario: Scenario, path: Array) -> Array:
-    """``(N, 6)`` twists at the rows of a path (N, 7), each the mean of the twists over the ticks before and after."""
+    """``(N, 6)`` twists at the rows of a path (N, 7), each the mean of the twists over the ticks
+    before and after.
+    """
     before = slopes(path[None], path[None, 0], scenario.tick)[0]
     before[0] = approach_state(scenario)[7:]
     return np.asarray(0.5 * (before + np.concatenate([before[1:], before[-1:]])))

@@ -1,4 +1,6 @@
-"""Data shared by the lanes of a replay of contact and sensor: the paths of A, and the contact geometry along them."""
+"""Data shared by the lanes of a replay of contact and sensor: the paths of A, and the contact
+geometry along them.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +17,20 @@ from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.jit import njit
 
-KEPT = 64_000_000  # [byte] of contact wrenches that are cached, for replays that change only the sensor
-NEAR = 2.5e-3  # [m] largest shift of the surfaces, relative to nominal, for which rows can be skipped by their geometry alone
+# [byte] of contact wrenches that are cached, for replays that change only the sensor
+KEPT = 64_000_000
+# [m] largest shift of the surfaces, relative to nominal, for which rows can be skipped by their
+# geometry alone
+NEAR = 2.5e-3
 
-ContactKey = tuple[int, bool, bytes, bytes]  # run, whether read between instants, the instants within a tick, contact parameters
+# run, whether read between instants, the instants within a tick, contact parameters
+ContactKey = tuple[int, bool, bytes, bytes]
 
 
 class Kept:
-    """Cache of the contact wrenches of the latest replays: at least one entry, otherwise at most :data:`KEPT` bytes."""
+    """Cache of the contact wrenches of the latest replays: at least one entry, otherwise at most
+    :data:`KEPT` bytes.
+    """
 
     def __init__(self) -> None:
         self._exerted: OrderedDict[ContactKey, Array] = OrderedDict()
@@ -43,22 +51,29 @@ class Kept:
 
 @dataclass(frozen=True)
 class Felt:
-    """Data shared by the lanes of a replay: recorded paths, and the mechanism that moved along them.
+    """Data shared by the lanes of a replay: recorded paths, and the mechanism that moved along
+    them.
 
     Attributes:
-        poses: (R, N, 7) of A in P at t_k. before: (R, 7) at t_(-1). tick: [s]. geometry: of the mechanism, with two rigid sides.
-        captured: (R,) bool, captured from the start. latch: (R, 3) depth [m], cosine, speed [m/s] of the latch condition; never met
+        poses: (R, N, 7) of A in P at t_k. before: (R, 7) at t_(-1). tick: [s]. geometry: of the
+            mechanism, with two rigid sides.
+        captured: (R,) bool, captured from the start. latch: (R, 3) depth [m], cosine, speed [m/s]
+            of the latch condition; never met
             without a latch. mount: of the runs, or None for a rigid one.
         substeps: physics instants per tick, at which a compliant mount is integrated.
-        lever: point of application of the force within the overlap. rates: (R, N, 6) twist at t_k if known, as with a servo; None: the
-            mean twist over the tick that ends there.
-        least_creep: [m/s per N] limits the slope of friction, see :class:`hiltestbed.contact.contacts.Contacts`.
-        leapfrog: whether a mount is integrated to second order, instead of as by MuJoCo. hastened: number of the touch of a run, from 1,
-            that then is taken to be earlier by one standard deviation of an instant within a step; 0: none.
-        twists: (R, N, 6) mean over the tick that ends at each row. clear: (R, N) lower bound of the surfaces' distance in that tick [m].
+        lever: point of application of the force within the overlap. rates: (R, N, 6) twist at t_k
+            if known, as with a servo; None: the mean twist over the tick that ends there.
+        least_creep: [m/s per N] limits the slope of friction, see
+            :class:`hiltestbed.contact.contacts.Contacts`.
+        leapfrog: whether a mount is integrated to second order, instead of as by MuJoCo. hastened:
+            number of the touch of a run, from 1, that then is taken to be earlier by one standard
+            deviation of an instant within a step; 0: none.
+        twists: (R, N, 6) mean over the tick that ends at each row. clear: (R, N) lower bound of the
+            surfaces' distance in that tick [m].
         kept: cached contact wrenches of the latest replays.
-        met: contact geometry at t_k without tilt, while the surfaces are near, see :func:`hiltestbed.contact.wrench.meet_all`: it does
-            not depend on the hypothesis about the force law.
+        met: contact geometry at t_k without tilt, while the surfaces are near, see
+            :func:`hiltestbed.contact.wrench.meet_all`: it does not depend on the hypothesis about
+            the force law.
     """
 
     poses: Array
@@ -85,15 +100,25 @@ class Felt:
         count = self.geometry.count
         twists, clear = np.empty((runs, rows, 6)), np.empty((runs, rows))
         scalars, vectors = (runs, rows, count), (runs, rows, count, 3)
-        met = (np.full(scalars, -1.0), np.zeros(scalars), np.zeros(vectors), np.zeros(vectors), np.zeros(vectors))
+        met = (
+            np.full(scalars, -1.0),
+            np.zeros(scalars),
+            np.zeros(vectors),
+            np.zeros(vectors),
+            np.zeros(vectors),
+        )
         _slopes(self.poses, self.before, self.tick, twists)
         object.__setattr__(self, "twists", twists)
-        _meet(*self.geometry, self.lever, self.blunt, self.poses, self.ends, self.before, clear, *met)
+        _meet(
+            *self.geometry, self.lever, self.blunt, self.poses, self.ends, self.before, clear, *met
+        )
         object.__setattr__(self, "clear", clear)
         object.__setattr__(self, "met", met)
 
     def instants(self, grid: int | None) -> int:
-        """Number of instants per tick to compute if readings are interpolated between ``grid`` instants; 0: only each reading's own."""
+        """Number of instants per tick to compute if readings are interpolated between ``grid``
+        instants; 0: only each reading's own.
+        """
         return (grid or 0) if self.mount is None else max(grid or 0, self.substeps)
 
     @property
@@ -103,10 +128,19 @@ class Felt:
 
 
 @njit(cache=True)
-def _meet(index, values, lever, blunt, poses, twists, before, clear, depth, rate, point, normal, slip):
-    """Contact geometry at each row, and a lower bound of the surfaces' distance in the tick that ends there."""
+def _meet(
+    index, values, lever, blunt, poses, twists, before, clear, depth, rate, point, normal, slip
+):
+    """Contact geometry at each row, and a lower bound of the surfaces' distance in the tick that
+    ends there.
+    """
     count = depth.shape[2]
-    frames, motions, work, p = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7)), np.ones((max(count, 1), PARAMETERS))
+    frames, motions, work, p = (
+        np.zeros((2, 7)),
+        np.zeros((2, 6)),
+        np.empty((9, 7)),
+        np.ones((max(count, 1), PARAMETERS)),
+    )
     frames[1, 6] = 1.0
     p[:, LEVER], p[:, BLUNT], p[:, OFFSET] = lever, blunt, -NEAR
     longest = arm(values, count)
@@ -114,18 +148,34 @@ def _meet(index, values, lever, blunt, poses, twists, before, clear, depth, rate
         nearest = -np.inf
         for k in range(poses.shape[1]):
             frames[0], motions[0] = poses[r, k], twists[r, k]
-            meet_all(index, values, p, frames, motions, work, depth[r, k], rate[r, k], point[r, k], normal[r, k], slip[r, k])
+            meet_all(
+                index,
+                values,
+                p,
+                frames,
+                motions,
+                work,
+                depth[r, k],
+                rate[r, k],
+                point[r, k],
+                normal[r, k],
+                slip[r, k],
+            )
             last = before[r] if k == 0 else poses[r, k - 1]
             now = -np.inf
             for c in range(count):
                 now = max(now, depth[r, k, c])
-            clear[r, k] = -max(now, nearest if k > 0 else now) - way_between(last, poses[r, k], longest)
+            clear[r, k] = -max(now, nearest if k > 0 else now) - way_between(
+                last, poses[r, k], longest
+            )
             nearest = now
 
 
 @njit(cache=True)
 def way_between(last, pose, longest):
-    """Upper bound of the approach of the surfaces [m] between two poses (7,) of A; ``longest``: largest distance of a round from A."""
+    """Upper bound of the approach of the surfaces [m] between two poses (7,) of A; ``longest``:
+    largest distance of a round from A.
+    """
     way, turned = 0.0, 0.0
     for j in range(3):
         way += (pose[j] - last[j]) ** 2

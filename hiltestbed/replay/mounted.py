@@ -1,7 +1,10 @@
-"""The motion of a compliant mount along a recorded path: to first order, as by MuJoCo, or to second order, by a leapfrog.
+"""The motion of a compliant mount along a recorded path: to first order, as by MuJoCo, or to second
+order, by a leapfrog.
 
-A ``mount`` is a tuple: stiffness and damping (6,) of its joints, the body (BODY,) on it, whether it moves by leapfrog, its mobility (see
-:class:`~hiltestbed.contact.mount_dynamics.MountDynamics`), and the number of the touch that is taken to be early, 0 for none.
+A ``mount`` is a tuple: stiffness and damping (6,) of its joints, the body (BODY,) on it, whether it
+moves by leapfrog, its mobility (see
+:class:`~hiltestbed.contact.mount_dynamics.MountDynamics`), and the number of the touch that is
+taken to be early, 0 for none.
 """
 
 from __future__ import annotations
@@ -15,19 +18,23 @@ from hiltestbed.contact.parameters import FRICTION, OFFSET
 from hiltestbed.contact.wrench import CREEP
 from hiltestbed.jit import njit
 
-AT_REST = 1e-9  # [N, N m] force transmitted by an oscillating mount, below which it is taken to be at rest
+# [N, N m] force transmitted by an oscillating mount, below which it is taken to be at rest
+AT_REST = 1e-9
 SPAN, LAST = 6, 7  # place of the last step [s] beside the last rates, and their number
 STEP_SIGMA = math.sqrt(1.0 / 12.0)  # standard deviation of an instant within a step, in steps
-MOST_LOSS = 0.05  # chosen: share of a slip that friction takes away in one piece of a step; errors fall with it; unstable from 1
+# chosen: share of a slip that friction takes away in one piece of a step; errors fall with it;
+# unstable from 1
+MOST_LOSS = 0.05
 MOST_PIECES = 64  # chosen: of a step, in which friction sticks or reverses
 
 
 @njit(cache=True)
 def advance(mount, dt, wrench, q, qd, rate, last):
-    """One step of a mount to ``q`` (6,), with its ``rate`` (6,) there, under ``wrench`` (6,) at the step's start.
+    """One step of a mount to ``q`` (6,), with its ``rate`` (6,) there, under ``wrench`` (6,) at the
+    step's start.
 
-    ``qd`` (6,) is the rate itself to first order. In a leapfrog it is that of the middle of the step, from which and the ``last`` (LAST,)
-    one the rate at its end is extrapolated.
+    ``qd`` (6,) is the rate itself to first order. In a leapfrog it is that of the middle of the
+    step, from which and the ``last`` (LAST,) one the rate at its end is extrapolated.
     """
     stiffness, damping, body, leapfrog = mount[:4]
     kick = 0.5 * (last[SPAN] + dt) if leapfrog else dt  # half a step at the start
@@ -39,10 +46,12 @@ def advance(mount, dt, wrench, q, qd, rate, last):
 
 @njit(cache=True)
 def touched(depth, closing, p, dt, meets, slip, slipped):
-    """Part of the last step for which contacts that were apart before it have touched; negative: none was.
+    """Part of the last step for which contacts that were apart before it have touched; negative:
+    none was.
 
-    ``depth``, ``closing`` (C,), ``slip`` (C, 3): penetrations, their rates and slips. Updated are ``meets`` (C,) bool, whether they were in
-    contact, and ``slipped`` (C, 3), the slips before, of those that were not.
+    ``depth``, ``closing`` (C,), ``slip`` (C, 3): penetrations, their rates and slips. Updated are
+    ``meets`` (C,) bool, whether they were in contact, and ``slipped`` (C, 3), the slips before, of
+    those that were not.
     """
     part = -1.0
     for c in range(depth.shape[0]):
@@ -56,9 +65,11 @@ def touched(depth, closing, p, dt, meets, slip, slipped):
 
 @njit(cache=True)
 def struck(mount, dt, part, wrench, before, q, qd, rate):
-    """Correct a leapfrog for a wrench (6,) that jumped from ``before`` (6,) within the last step, and was there for ``part`` of it.
+    """Correct a leapfrog for a wrench (6,) that jumped from ``before`` (6,) within the last step,
+    and was there for ``part`` of it.
 
-    The leapfrog takes it to act from the middle of that step. ``qd`` (6,), of there, is changed so that it is right after the next step.
+    The leapfrog takes it to act from the middle of that step. ``qd`` (6,), of there, is changed so
+    that it is right after the next step.
     """
     nothing, place, answer = np.zeros(6), q.copy(), np.zeros(6)
     mount_step(nothing, nothing, mount[2], dt, dt, True, wrench - before, place, answer)
@@ -69,9 +80,11 @@ def struck(mount, dt, part, wrench, before, q, qd, rate):
 
 @njit(cache=True)
 def pieces(mount, dt, least_creep, wrench, meets, slip, slipped, last, p):
-    """Number of pieces of a step of ``dt`` [s] in which a leapfrog resolves friction, which is stiff where it sticks or reverses.
+    """Number of pieces of a step of ``dt`` [s] in which a leapfrog resolves friction, which is
+    stiff where it sticks or reverses.
 
-    ``slip``, ``slipped`` (C, 3): of the contacts now and before the ``last`` step; it is taken to change at the same rate.
+    ``slip``, ``slipped`` (C, 3): of the contacts now and before the ``last`` step; it is taken to
+    change at the same rate.
     """
     light, turns = mount[4]
     force = math.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2)
@@ -98,8 +111,9 @@ def pieces(mount, dt, least_creep, wrench, meets, slip, slipped, last, p):
 
 @njit(cache=True)
 def swing_freely(mount, h, parts, nothing, q, qd, rate, last, sub):
-    """Step an unloaded mount over one tick; ``nothing`` (6,): zero wrench; ``sub`` (m, 6): wrench at the sensor. Below :data:`AT_REST` it
-    is set to rest."""
+    """Step an unloaded mount over one tick; ``nothing`` (6,): zero wrench; ``sub`` (m, 6): wrench
+    at the sensor. Below :data:`AT_REST` it is set to rest.
+    """
     stiffness, damping = mount[0], mount[1]
     most = 0.0
     for j in range(6):

@@ -1,4 +1,6 @@
-"""Which candidates of a contact can meet along a path, by bounds of how far surfaces move: the geometry of the others is not searched."""
+"""Which candidates of a contact can meet along a path, by bounds of how far surfaces move: the
+geometry of the others is not searched.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,11 @@ def away_from(pose):
 
 @njit(cache=True)
 def reach_of_swing(q, qd, h, away):
-    """Upper bound of the approach [m] that an unloaded mount may cause within a tick, at a distance ``away`` [m] from its hinges.
+    """Upper bound of the approach [m] that an unloaded mount may cause within a tick, at a distance
+    ``away`` [m] from its hinges.
 
-    The bound is twice its deflection plus its rate times a tick; it holds since its period is resolved by several ticks.
+    The bound is twice its deflection plus its rate times a tick; it holds since its period is
+    resolved by several ticks.
     """
     slid, turned = 0.0, 0.0
     for j in range(3):
@@ -41,9 +45,15 @@ def on_passive(index, count):
 
 @njit(cache=True)
 def move_lever(moved, depth, normal, twist, point, slip):
-    """Shift the points of application along the normal by the fraction ``moved`` of the overlap, and adapt the slip."""
+    """Shift the points of application along the normal by the fraction ``moved`` of the overlap,
+    and adapt the slip.
+    """
     for c in range(depth.shape[0]):
-        x, y, z = moved * depth[c] * normal[c, 0], moved * depth[c] * normal[c, 1], moved * depth[c] * normal[c, 2]
+        x, y, z = (
+            moved * depth[c] * normal[c, 0],
+            moved * depth[c] * normal[c, 1],
+            moved * depth[c] * normal[c, 2],
+        )
         point[c, 0] += x
         point[c, 1] += y
         point[c, 2] += z
@@ -53,10 +63,14 @@ def move_lever(moved, depth, normal, twist, point, slip):
 
 
 @njit(cache=True)
-def meet_near(index, values, p, frames, motions, untilted, lean, work, depth, rate, point, normal, slip):
-    """Contact geometry of those candidates that can touch with a tilt ``lean`` [rad], given penetrations ``untilted`` (C,) without tilt.
+def meet_near(
+    index, values, p, frames, motions, untilted, lean, work, depth, rate, point, normal, slip
+):
+    """Contact geometry of those candidates that can touch with a tilt ``lean`` [rad], given
+    penetrations ``untilted`` (C,) without tilt.
 
-    A tilt moves a point by at most its distance from P's origin times the angle, which bounds the change of a penetration.
+    A tilt moves a point by at most its distance from P's origin times the angle, which bounds the
+    change of a penetration.
     """
     pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
     away = away_from(frames[0])
@@ -70,20 +84,52 @@ def meet_near(index, values, p, frames, motions, untilted, lean, work, depth, ra
             relate_one(frames[0], motions[0], frames[1], motions[1], pose, twist, scratch)
             related = True
         depth[c], rate[c] = meet(
-            index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], max(0.0, -p[c, OFFSET]), scratch, point[c], normal[c], slip[c]
-        )  # fmt: skip
+            index,
+            values,
+            c,
+            pose,
+            twist,
+            p[c, LEVER],
+            p[c, BLUNT],
+            max(0.0, -p[c, OFFSET]),
+            scratch,
+            point[c],
+            normal[c],
+            slip[c],
+        )
 
 
 @njit(cache=True)
-def meet_next(index, values, p, frames, motions, seen, apart_by, longest, work, depth, rate, point, normal, slip):
-    """Contact geometry of those candidates that can touch, given what the two frames have moved since an earlier call.
+def meet_next(
+    index,
+    values,
+    p,
+    frames,
+    motions,
+    seen,
+    apart_by,
+    longest,
+    work,
+    depth,
+    rate,
+    point,
+    normal,
+    slip,
+):
+    """Contact geometry of those candidates that can touch, given what the two frames have moved
+    since an earlier call.
 
     Args:
-        seen: (2, 7) frames at that call. apart_by: (C,) lower bound of the distance of each candidate then [m]; both are updated.
+        seen: (2, 7) frames at that call. apart_by: (C,) lower bound of the distance of each
+            candidate then [m]; both are updated.
         longest: largest distance of a round from its frame [m].
     """
     pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
-    reach = longest + math.sqrt((seen[0, 0] - seen[1, 0]) ** 2 + (seen[0, 1] - seen[1, 1]) ** 2 + (seen[0, 2] - seen[1, 2]) ** 2)
+    reach = longest + math.sqrt(
+        (seen[0, 0] - seen[1, 0]) ** 2
+        + (seen[0, 1] - seen[1, 1]) ** 2
+        + (seen[0, 2] - seen[1, 2]) ** 2
+    )
     moved = way_between(seen[0], frames[0], reach) + way_between(seen[1], frames[1], reach)
     seen[:] = frames
     a = -1
@@ -96,13 +142,28 @@ def meet_next(index, values, p, frames, motions, seen, apart_by, longest, work, 
         if index[c * ROW + ROUND_FRAME] != a:
             a = index[c * ROW + ROUND_FRAME]
             relate_one(frames[a], motions[a], frames[1 - a], motions[1 - a], pose, twist, scratch)
-        depth[c], rate[c] = meet(index, values, c, pose, twist, p[c, LEVER], p[c, BLUNT], ahead, scratch, point[c], normal[c], slip[c])
+        depth[c], rate[c] = meet(
+            index,
+            values,
+            c,
+            pose,
+            twist,
+            p[c, LEVER],
+            p[c, BLUNT],
+            ahead,
+            scratch,
+            point[c],
+            normal[c],
+            slip[c],
+        )
         apart_by[c] = -depth[c]
 
 
 @njit(cache=True)
 def outside(now, before, p):
-    """Whether no candidate is in contact at either end of a tick: penetrations (C,) compared with offsets."""
+    """Whether no candidate is in contact at either end of a tick: penetrations (C,) compared with
+    offsets.
+    """
     for c in range(now.shape[0]):
         if max(now[c], before[c]) > p[c, OFFSET]:
             return False

@@ -10,7 +10,13 @@ import numpy as np
 from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
-from hiltestbed.numerical_model.kernels import load_wrench, move, newton_euler, place_at_start, relative_states
+from hiltestbed.numerical_model.kernels import (
+    load_wrench,
+    move,
+    newton_euler,
+    place_at_start,
+    relative_states,
+)
 from hiltestbed.numerical_model.model import hand_on, hang, hung_at_a_place, rests, run_back, swing
 from hiltestbed.numerical_model.parameters import RATIO, Departures
 from hiltestbed.numerical_model.resistance import resist_between, resist_bodies
@@ -19,11 +25,16 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 
-def replay_model(model: Departing, wrench: Array, run: np.ndarray, old: Array | None = None) -> Array:
-    """``(L, N, 7)`` pose_cmd of numerical models that are driven by recorded wrenches ``(R, N, 6)``; row k is commanded at t_k.
+def replay_model(
+    model: Departing, wrench: Array, run: np.ndarray, old: Array | None = None
+) -> Array:
+    """``(L, N, 7)`` pose_cmd of numerical models that are driven by recorded wrenches ``(R, N,
+    6)``; row k is commanded at t_k.
 
-    The step is that of :class:`hiltestbed.numerical_model.model.NumericalModel`, with compiled Newton-Euler equations where the loop calls
-    Pinocchio. old: (L,) weight of the old twist in each new pose; None: that of the departures, 0 or 1.
+    The step is that of :class:`hiltestbed.numerical_model.model.NumericalModel`, with compiled
+    Newton-Euler equations where the loop calls
+    Pinocchio. old: (L,) weight of the old twist in each new pose; None: that of the departures, 0
+        or 1.
     """
     d, n = model.departures, len(run)
     part = np.maximum(d.explicit.astype(float), 0.0 if old is None else old)
@@ -32,9 +43,28 @@ def replay_model(model: Departing, wrench: Array, run: np.ndarray, old: Array | 
     handed = np.zeros((n, int(d.late.max()) + 1, 13))
     swinging = np.zeros((*d.appendage.shape[:3], 2, 3))
     _replay_model(
-        wrench, np.asarray(run), model.approach, model.port, model.whole, model.rigid, model.inertia, np.linalg.inv(model.inertia),
-        model.tick, d.appendage, model.placed, model.rest, d.force, part, d.late, q, v, tau, swinging, handed, out,
-    )  # fmt: skip
+        wrench,
+        np.asarray(run),
+        model.approach,
+        model.port,
+        model.whole,
+        model.rigid,
+        model.inertia,
+        np.linalg.inv(model.inertia),
+        model.tick,
+        d.appendage,
+        model.placed,
+        model.rest,
+        d.force,
+        part,
+        d.late,
+        q,
+        v,
+        tau,
+        swinging,
+        handed,
+        out,
+    )
     return out
 
 
@@ -42,9 +72,10 @@ class Departing:
     """The parameters of the models of L lanes: nominal, with departures.
 
     Attributes:
-        approach: (L, 13). port: (L, 2, 7). whole, rigid: (L, 2) mass with and without appendages. inertia: (L, 2, 3, 3). tick: [s].
-        placed, rest: (L, 2), (L, 2, 3) see :func:`~hiltestbed.numerical_model.model.rests`; port and inertia are those of the bodies
-            without appendages.
+        approach: (L, 13). port: (L, 2, 7). whole, rigid: (L, 2) mass with and without appendages.
+            inertia: (L, 2, 3, 3). tick: [s].
+        placed, rest: (L, 2), (L, 2, 3) see :func:`~hiltestbed.numerical_model.model.rests`; port
+            and inertia are those of the bodies without appendages.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], departures: Departures) -> None:
@@ -57,17 +88,43 @@ class Departing:
         self.rigid = self.whole * (1.0 - departures.appendage[..., RATIO].sum(axis=-1))
         inertia = np.array([[inertia_matrix(b.inertia) for b in pair] for pair in bodies])
         self.placed = hung_at_a_place(departures.appendage)
-        self.rest, self.inertia = rests(departures.appendage, self.whole, inertia * departures.inertia[..., None, None])
+        self.rest, self.inertia = rests(
+            departures.appendage, self.whole, inertia * departures.inertia[..., None, None]
+        )
         self.port[..., :3] -= self.rest
 
 
 @njit(cache=True)
 def _replay_model(
-    wrench, run, approach, port, whole, rigid, inertia, inverse, h, appendage, placed, rest, force, old, late, q, v, tau, swinging,
-    handed, out,
-):  # fmt: skip
+    wrench,
+    run,
+    approach,
+    port,
+    whole,
+    rigid,
+    inertia,
+    inverse,
+    h,
+    appendage,
+    placed,
+    rest,
+    force,
+    old,
+    late,
+    q,
+    v,
+    tau,
+    swinging,
+    handed,
+    out,
+):
     n = len(run)
-    pose, twist, push, before = np.empty((n, 7)), np.empty((n, 6)), np.empty((n, 6)), np.empty((n, 2, 6))
+    pose, twist, push, before = (
+        np.empty((n, 7)),
+        np.empty((n, 6)),
+        np.empty((n, 6)),
+        np.empty((n, 2, 6)),
+    )
     place_at_start(approach, port, q, v)
     hang(appendage, placed, rest, q, v, swinging)
     relative_states(q, v, port, pose, twist)

@@ -12,7 +12,15 @@ from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 from hiltestbed.platform.drive import FRICTION, OFFSET, PLACE, RATE, STATE, STATIC, W
 from hiltestbed.platform.parameters import stack
-from hiltestbed.platform.response import HELD, LIMITED, MEMORY, PLAYED, behind_drive, follow, second_order
+from hiltestbed.platform.response import (
+    HELD,
+    LIMITED,
+    MEMORY,
+    PLAYED,
+    behind_drive,
+    follow,
+    second_order,
+)
 from hiltestbed.replay.stiction import commanded, stick_to
 
 if TYPE_CHECKING:
@@ -23,20 +31,27 @@ WHOLE = 1e-9  # ticks within which a delay counts as a whole number
 
 
 def replay_platform(
-    scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], commands: Array, run: np.ndarray, obeyed: Array | None = None,
+    scenarios: Sequence[Scenario],
+    parameters: Sequence[PlatformParameters],
+    commands: Array,
+    run: np.ndarray,
+    obeyed: Array | None = None,
     early: Array | None = None,
-) -> Array:  # fmt: skip
+) -> Array:
     """``(L, N, 3)`` positions of A in P [m] at t_k that platforms reach on recorded commands.
 
-    The law is that of the loop (:func:`hiltestbed.platform.response.follow`). A tick is divided at the kinks of the delayed command,
-    between which the responses are exact; for a platform with stiction, at the instants at which it may move, unless it cannot move within
-    the tick (:func:`_held_throughout`).
+    The law is that of the loop (:func:`hiltestbed.platform.response.follow`). A tick is divided at
+    the kinks of the delayed command, between which the responses are exact; for a platform with
+    stiction, at the instants at which it may move, unless it cannot move within the tick
+    (:func:`_held_throughout`).
 
     Args:
-        scenarios, parameters: of each lane. commands: ``(R, N, >= 3)`` pose_cmd; row k is to be reached at t_(k+1).
-        obeyed: (L,) [s] by which commands take effect later than at t_k, on a platform that is where its delay alone has it at t = 0.
-        early: (L,) [s], not negative, by which commands are on record earlier than they were given: at t = 0 the platform has approached
-            for as long.
+        scenarios, parameters: of each lane. commands: ``(R, N, >= 3)`` pose_cmd; row k is to be
+            reached at t_(k+1).
+        obeyed: (L,) [s] by which commands take effect later than at t_k, on a platform that is
+            where its delay alone has it at t = 0.
+        early: (L,) [s], not negative, by which commands are on record earlier than they were given:
+            at t = 0 the platform has approached for as long.
     """
     tick = scenarios[0].tick
     p = stack(parameters)
@@ -47,33 +62,77 @@ def replay_platform(
     moves = count - (phase > 0.0)
     steps = np.diff(parts, axis=1, prepend=0.0) * tick
     lag, mode = _kernels(p.lag, steps, count, 0.0), _kernels(p.mode, steps, count, 1.0)
-    ends, w = _straight(p.stick, late, count), np.concatenate([p.lag[..., 0], p.mode[..., 0]], axis=1)
+    ends, w = (
+        _straight(p.stick, late, count),
+        np.concatenate([p.lag[..., 0], p.mode[..., 0]], axis=1),
+    )
     long = np.diff(ends, axis=1) / count[:, None] * tick
-    lag_long, mode_long = (_kernels(x, long, (long > 0.0).sum(axis=1), base) for x, base in ((p.lag, 0.0), (p.mode, 1.0)))
+    lag_long, mode_long = (
+        _kernels(x, long, (long > 0.0).sum(axis=1), base)
+        for x, base in ((p.lag, 0.0), (p.mode, 1.0))
+    )
     start = np.array([[*s.approach.offset, -s.approach.gap] for s in scenarios])
     velocity = np.array([s.approach.velocity for s in scenarios], dtype=float)
     begun = np.zeros(len(run)) if early is None else np.asarray(early, dtype=float)
     start += begun[:, None] * velocity
     once = (begun > 0.0).astype(int)
-    lag_first, mode_first = (_kernels(x, begun[:, None], once, base) for x, base in ((p.lag, 0.0), (p.mode, 1.0)))
+    lag_first, mode_first = (
+        _kernels(x, begun[:, None], once, base) for x, base in ((p.lag, 0.0), (p.mode, 1.0))
+    )
     out = np.empty((len(run), commands.shape[1], 3))
     _replay(
-        commands, np.asarray(run), start, velocity, tick, late, at_start / tick, parts, count, steps, p.step, p.speed, p.play, p.stick,
-        p.scale, p.drive, lag, mode, ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, moves, phase, p.begun, out,
-    )  # fmt: skip
+        commands,
+        np.asarray(run),
+        start,
+        velocity,
+        tick,
+        late,
+        at_start / tick,
+        parts,
+        count,
+        steps,
+        p.step,
+        p.speed,
+        p.play,
+        p.stick,
+        p.scale,
+        p.drive,
+        lag,
+        mode,
+        ends,
+        long,
+        lag_long,
+        mode_long,
+        w,
+        begun,
+        lag_first,
+        mode_first,
+        moves,
+        phase,
+        p.begun,
+        out,
+    )
     return out
 
 
-def _instants(scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], late: Array) -> tuple[Array, np.ndarray]:
-    """``(L, M)`` fractions of a tick to which each lane is advanced, the last of which is 1, and ``(L,)`` their number."""
+def _instants(
+    scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], late: Array
+) -> tuple[Array, np.ndarray]:
+    """``(L, M)`` fractions of a tick to which each lane is advanced, the last of which is 1, and
+    ``(L,)`` their number.
+    """
     found = []
     for s, p, ticks in zip(scenarios, parameters, late, strict=True):
         bend = ticks - np.floor(ticks)
         if p.stick > 0.0:
             m = p.instants or s.substeps
-            found.append(np.array([*(np.arange(1, m + 1) - p.phase) / m, *([1.0] if p.phase else [])]))
+            found.append(
+                np.array([*(np.arange(1, m + 1) - p.phase) / m, *([1.0] if p.phase else [])])
+            )
         else:
-            found.append(np.array([1.0]) if min(bend, 1.0 - bend) < WHOLE else np.array([bend, 1.0]))
+            found.append(
+                np.array([1.0]) if min(bend, 1.0 - bend) < WHOLE else np.array([bend, 1.0])
+            )
     count = np.array([len(f) for f in found])
     parts = np.ones((len(found), int(count.max())))
     for i, f in enumerate(found):
@@ -82,10 +141,13 @@ def _instants(scenarios: Sequence[Scenario], parameters: Sequence[PlatformParame
 
 
 def _straight(stick: Array, late: Array, count: np.ndarray) -> np.ndarray:
-    """``(L, 4)`` ends of up to three groups of instants, for lanes with stiction: the delayed command is straight over each group."""
+    """``(L, 4)`` ends of up to three groups of instants, for lanes with stiction: the delayed
+    command is straight over each group.
+    """
     bend = late - np.floor(late)
     within = (stick > 0.0) & (np.minimum(bend, 1.0 - bend) >= WHOLE)
-    bent = np.minimum(np.floor(bend * count).astype(int), count - 1)  # the instants between which the command bends
+    # the instants between which the command bends
+    bent = np.minimum(np.floor(bend * count).astype(int), count - 1)
     ends = np.tile(count[:, None], (1, 4))
     ends[:, 0] = 0
     ends[within, 1] = np.where(bent > 0, bent, 1)[within]
@@ -94,7 +156,9 @@ def _straight(stick: Array, late: Array, count: np.ndarray) -> np.ndarray:
 
 
 def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Array:
-    """``(L, M, S, 5)`` exact propagators of each response over each step; ``numbers`` (L, S, 2) natural frequency and damping ratio."""
+    """``(L, M, S, 5)`` exact propagators of each response over each step; ``numbers`` (L, S, 2)
+    natural frequency and damping ratio.
+    """
     out = np.zeros((len(numbers), steps.shape[1], numbers.shape[1], 5))
     for i, s in np.argwhere(numbers[..., 0] > 0.0):
         for m in range(count[i]):
@@ -104,33 +168,87 @@ def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Ar
 
 @njit(cache=True)
 def _replay(
-    commands, run, start, velocity, h, late, at_start, parts, count, steps, response, speed, play, stick, scale, drive, lag, mode,
-    ends, long, lag_long, mode_long, w, begun, lag_first, mode_first, moves, phase, eager, out,
-):  # fmt: skip
+    commands,
+    run,
+    start,
+    velocity,
+    h,
+    late,
+    at_start,
+    parts,
+    count,
+    steps,
+    response,
+    speed,
+    play,
+    stick,
+    scale,
+    drive,
+    lag,
+    mode,
+    ends,
+    long,
+    lag_long,
+    mode_long,
+    w,
+    begun,
+    lag_first,
+    mode_first,
+    moves,
+    phase,
+    eager,
+    out,
+):
     driven = np.zeros(STATE)
     saved = np.zeros((len(w[0]), 2))
-    lagged, shaken, memory = np.zeros((lag.shape[2], 2)), np.zeros((mode.shape[2], 2)), np.zeros(MEMORY)
+    lagged, shaken, memory = (
+        np.zeros((lag.shape[2], 2)),
+        np.zeros((mode.shape[2], 2)),
+        np.zeros(MEMORY),
+    )
     sums = np.zeros(commands.shape[1] + 1)
     for i in range(len(run)):
         for axis in range(3):
             command, driving = commands[run[i], :, axis], drive[i, axis]
             learned = response[i]
-            if learned[0] == 0.0 and _still(command, start[i, axis], velocity[i, axis]) and not _sags(driving):
+            if (
+                learned[0] == 0.0
+                and _still(command, start[i, axis], velocity[i, axis])
+                and not _sags(driving)
+            ):
                 out[i, :, axis] = start[i, axis]
                 out[i, 1:, axis] *= scale[i, axis]
                 continue
-            if learned[0] == 0.0 and begun[i] == 0.0 and _sticks_alone(speed[i], play[i], stick[i], driving, lag[i], mode[i]):
-                held = commanded(command, start[i, axis], velocity[i, axis], min(at_start[i] - late[i], 0.0), h)
+            if (
+                learned[0] == 0.0
+                and begun[i] == 0.0
+                and _sticks_alone(speed[i], play[i], stick[i], driving, lag[i], mode[i])
+            ):
+                held = commanded(
+                    command, start[i, axis], velocity[i, axis], min(at_start[i] - late[i], 0.0), h
+                )
                 stick_to(
-                    command, held, start[i, axis], velocity[i, axis], h, late[i], moves[i], phase[i], stick[i], scale[i, axis],
+                    command,
+                    held,
+                    start[i, axis],
+                    velocity[i, axis],
+                    h,
+                    late[i],
+                    moves[i],
+                    phase[i],
+                    stick[i],
+                    scale[i, axis],
                     out[i, :, axis],
-                )  # fmt: skip
+                )
                 continue
             if learned[0] > 0.0:
                 _sum_up(command, start[i, axis], h, sums)
             first = -begun[i] / h
-            before = _answered(command, sums, learned, start[i, axis], velocity[i, axis], first - late[i], h)
-            rest = first - max(late[i] - at_start[i], 0.0)  # it starts no earlier, and does not wait for what it obeys late
+            before = _answered(
+                command, sums, learned, start[i, axis], velocity[i, axis], first - late[i], h
+            )
+            # it starts no earlier, and does not wait for what it obeys late
+            rest = first - max(late[i] - at_start[i], 0.0)
             rest = _answered(command, sums, learned, start[i, axis], velocity[i, axis], rest, h)
             share = learned[len(learned) // 2 + int(learned[0])] if learned[0] > 0.0 else 1.0
             memory[:] = rest
@@ -140,12 +258,28 @@ def _replay(
             lagged[:, 1] = shaken[:, 1] = eager[i] * driven[RATE]
             out[i, 0, axis] = start[i, axis]
             if begun[i] > 0.0:
-                after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], -late[i], h)
+                after = _answered(
+                    command, sums, learned, start[i, axis], velocity[i, axis], -late[i], h
+                )
                 led, goal, limit = before, after, speed[i]
                 if driving[W] > 0.0:
-                    led, goal = behind_drive(before, after, begun[i], limit, driving, driven, memory)
+                    led, goal = behind_drive(
+                        before, after, begun[i], limit, driving, driven, memory
+                    )
                     limit = np.inf
-                follow(led, goal, begun[i], limit, play[i], stick[i], lag_first[i, 0], mode_first[i, 0], lagged, shaken, memory)
+                follow(
+                    led,
+                    goal,
+                    begun[i],
+                    limit,
+                    play[i],
+                    stick[i],
+                    lag_first[i, 0],
+                    mode_first[i, 0],
+                    lagged,
+                    shaken,
+                    memory,
+                )
                 before = after
             even = learned[0] == 0.0 and stick[i] > 0.0 and phase[i] == 0.0
             simple = even and np.count_nonzero(w[i]) <= 1 and driving[W] == 0.0
@@ -155,24 +289,60 @@ def _replay(
                 while s < count[i]:
                     if simple and s == ends[i, piece]:
                         piece += 1
-                        after = commanded(command, start[i, axis], velocity[i, axis], k + ends[i, piece] / count[i] - late[i], h)
+                        after = commanded(
+                            command,
+                            start[i, axis],
+                            velocity[i, axis],
+                            k + ends[i, piece] / count[i] - late[i],
+                            h,
+                        )
                         if _held_throughout(
-                            before, after, long[i, piece - 1], speed[i], play[i], stick[i], lag_long[i, piece - 1], mode_long[i, piece - 1],
-                            w[i], lagged, shaken, saved, memory,
-                        ):  # fmt: skip
+                            before,
+                            after,
+                            long[i, piece - 1],
+                            speed[i],
+                            play[i],
+                            stick[i],
+                            lag_long[i, piece - 1],
+                            mode_long[i, piece - 1],
+                            w[i],
+                            lagged,
+                            shaken,
+                            saved,
+                            memory,
+                        ):
                             before, reached, s = after, memory[HELD], ends[i, piece]
                             continue
                     at = k + parts[i, s] - late[i]
-                    if learned[0] == 0.0:  # the usual case, separate because the other call costs as much as the rest of the step
+                    # the usual case, separate because the other call costs as much as the rest of
+                    # the step
+                    if learned[0] == 0.0:
                         after = commanded(command, start[i, axis], velocity[i, axis], at, h)
                     else:
-                        after = _answered(command, sums, learned, start[i, axis], velocity[i, axis], at, h)
+                        after = _answered(
+                            command, sums, learned, start[i, axis], velocity[i, axis], at, h
+                        )
                     led, goal, limit = before, after, speed[i]
                     if driving[W] > 0.0:
-                        led, goal = behind_drive(before, after, steps[i, s], limit, driving, driven, memory)
+                        led, goal = behind_drive(
+                            before, after, steps[i, s], limit, driving, driven, memory
+                        )
                         limit = np.inf
-                    holds = stick[i] if s < moves[i] or stick[i] == 0.0 else np.inf  # the end of a tick need not be an instant
-                    reached = follow(led, goal, steps[i, s], limit, play[i], holds, lag[i, s], mode[i, s], lagged, shaken, memory)
+                    # the end of a tick need not be an instant
+                    holds = stick[i] if s < moves[i] or stick[i] == 0.0 else np.inf
+                    reached = follow(
+                        led,
+                        goal,
+                        steps[i, s],
+                        limit,
+                        play[i],
+                        holds,
+                        lag[i, s],
+                        mode[i, s],
+                        lagged,
+                        shaken,
+                        memory,
+                    )
                     before = after
                     s += 1
                 out[i, k + 1, axis] = scale[i, axis] * reached
@@ -186,13 +356,16 @@ def _sticks_alone(speed, play, stick, drive, lag, mode):
 
 
 @njit(cache=True)
-def _held_throughout(before, after, h, speed, play, stick, lag, mode, w, lagged, shaken, saved, memory):
-    """Whether a platform with stiction provably keeps its position over h, in which its command is straight; its state is then advanced,
-    otherwise unchanged.
+def _held_throughout(
+    before, after, h, speed, play, stick, lag, mode, w, lagged, shaken, saved, memory
+):
+    """Whether a platform with stiction provably keeps its position over h, in which its command is
+    straight; its state is then advanced, otherwise unchanged.
 
-    A lag or mode of natural frequency w responds to a command of constant rate u' with y' = u' + z', and w^2 z^2 + z'^2 never grows: |y'|
-    stays below L = |u'| + sqrt(w^2 z^2 + z'^2) at the start. Between two instants y is therefore no further from the held position than at
-    the nearer one plus L h/2. A speed limit must not act meanwhile, nor play with a response that may reverse.
+    A lag or mode of natural frequency w responds to a command of constant rate u' with y' = u' +
+    z', and w^2 z^2 + z'^2 never grows: |y'| stays below L = |u'| + sqrt(w^2 z^2 + z'^2) at the
+    start. Between two instants y is therefore no further from the held position than at the nearer
+    one plus L h/2. A speed limit must not act meanwhile, nor play with a response that may reverse.
     """
     if speed < np.inf and (memory[LIMITED] != before or abs(after - before) > speed * h):
         return False
@@ -262,7 +435,9 @@ def _summed(command, sums, start, velocity, at, h):
 
 @njit(cache=True)
 def _answered(command, sums, step, start, velocity, at, h):
-    """The command filtered by the packed ``step`` response, see :mod:`hiltestbed.platform.step_response`."""
+    """The command filtered by the packed ``step`` response, see
+    :mod:`hiltestbed.platform.step_response`.
+    """
     n, most = int(step[0]), (len(step) - 1) // 2
     if n == 0:
         return commanded(command, start, velocity, at, h)
@@ -270,6 +445,10 @@ def _answered(command, sums, step, start, velocity, at, h):
     earlier = _summed(command, sums, start, velocity, at - step[1] / h, h)
     for i in range(n - 1):
         later = _summed(command, sums, start, velocity, at - step[2 + i] / h, h)
-        out += (step[2 + most + i] - step[1 + most + i]) / (step[2 + i] - step[1 + i]) * (earlier - later)
+        out += (
+            (step[2 + most + i] - step[1 + most + i])
+            / (step[2 + i] - step[1 + i])
+            * (earlier - later)
+        )
         earlier = later
     return out

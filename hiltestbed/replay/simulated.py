@@ -1,8 +1,10 @@
-"""Contacts whose wrench does not follow from the pose of A in P alone, simulated by MuJoCo along recorded paths.
+"""Contacts whose wrench does not follow from the pose of A in P alone, simulated by MuJoCo along
+recorded paths.
 
-Moving parts, phases of capture and native pairs have no closed form. The sides are carried along the path as with ideal tracking
-(:mod:`hiltestbed.platform.ideal`), from the first row on, with the force law of a hypothesis. For a platform with a servo, the motion
-within a tick is one that the servo's steps can have produced between the rows.
+Moving parts, phases of capture and native pairs have no closed form. The sides are carried along
+the path as with ideal tracking (:mod:`hiltestbed.platform.ideal`), from the first row on, with the
+force law of a hypothesis. For a platform with a servo, the motion within a tick is one that the
+servo's steps can have produced between the rows.
 """
 
 from __future__ import annotations
@@ -37,10 +39,11 @@ class Engaged(NamedTuple):
     """Results of a run as A is carried along its path.
 
     Attributes:
-        wrench: (N, m, 6) [N, N m] at the instants of the tick that ends at each row. depth: (N,) [m] of the deepest contact at each row,
-            negative while apart.
-        taken: (N, 6) [N, N m] in P at P's origin, the rate of change of the momentum of moving parts on both sides, beyond that of the
-            same parts at rest on their side. Added to the wrench at the sensor, it gives the load on an A whose parts are fixed.
+        wrench: (N, m, 6) [N, N m] at the instants of the tick that ends at each row. depth: (N,)
+            [m] of the deepest contact at each row, negative while apart.
+        taken: (N, 6) [N, N m] in P at P's origin, the rate of change of the momentum of moving
+            parts on both sides, beyond that of the same parts at rest on their side. Added to the
+            wrench at the sensor, it gives the load on an A whose parts are fixed.
     """
 
     wrench: Array
@@ -52,7 +55,9 @@ class Engaged(NamedTuple):
         """(N, m, 6) difference of the wrench from linear interpolation between rows."""
         m = self.wrench.shape[1]
         before = np.concatenate([self.wrench[:1, -1:], self.wrench[:-1, -1:]])
-        return np.asarray(self.wrench - before - np.arange(1, m + 1)[:, None] / m * (self.wrench[:, -1:] - before))
+        return np.asarray(
+            self.wrench - before - np.arange(1, m + 1)[:, None] / m * (self.wrench[:, -1:] - before)
+        )
 
 
 class Simulated:
@@ -63,8 +68,12 @@ class Simulated:
         kept: cached contact wrenches of the latest replays.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], poses: Array, rates: Array | None = None) -> None:
-        """``scenarios``: nominal, of the R runs; ``rates``: (R, N, 6) twist at t_k, None: A moves uniformly within a tick."""
+    def __init__(
+        self, scenarios: Sequence[Scenario], poses: Array, rates: Array | None = None
+    ) -> None:
+        """``scenarios``: nominal, of the R runs; ``rates``: (R, N, 6) twist at t_k, None: A moves
+        uniformly within a tick.
+        """
         self.poses, self._rates = poses, rates
         self._start = np.array([approach_state(s)[7:] for s in scenarios])
         self.tick, self.substeps = scenarios[0].tick, scenarios[0].substeps
@@ -78,7 +87,9 @@ class Simulated:
         return self.substeps
 
     def exerted(self, wanted: Sequence[tuple[int, Sequence[Effect]]]) -> list[Array]:
-        """(N, m, 6) contact wrench [N, N m], for each run with effects, at the instants of the tick that ends at each row."""
+        """(N, m, 6) contact wrench [N, N m], for each run with effects, at the instants of the tick
+        that ends at each row.
+        """
         scenarios = [self._under(run, effects) for run, effects in wanted]
         groups: dict[Hashable, list[int]] = {}
         for i, scenario in enumerate(scenarios):
@@ -87,30 +98,44 @@ class Simulated:
         for members in groups.values():
             for first in range(0, len(members), TOGETHER):
                 some = members[first : first + TOGETHER]
-                out |= zip(some, self._together([wanted[i][0] for i in some], [scenarios[i] for i in some]), strict=True)
+                out |= zip(
+                    some,
+                    self._together([wanted[i][0] for i in some], [scenarios[i] for i in some]),
+                    strict=True,
+                )
         return [out[i] for i in range(len(wanted))]
 
     def believed(self, run: int) -> Engaged:
         """The run with the nominal mechanism."""
         if run not in self._believed:
             plant, count = Plant([self._under(run, ())]), self.poses.shape[1]
-            on_A, on_P = (carried_by(plant.model, c)[1] for c in (BODY, MOUNTED if self._carried[run].mechanism.mount else CARRIER))
+            on_A, on_P = (
+                carried_by(plant.model, c)[1]
+                for c in (BODY, MOUNTED if self._carried[run].mechanism.mount else CARRIER)
+            )
             parts = [*on_A, *on_P]
             wrench, depth = np.empty((count, self.substeps, 6)), np.full(count, -1.0)
             places, turns = np.zeros((count, len(parts), 3)), np.zeros((count, len(parts), 3, 3))
             met = plant.contacts().met
-            place, turn = (plant.watch("xipos", 3), plant.watch("ximat", 9)) if parts else (None, None)
+            place, turn = (
+                (plant.watch("xipos", 3), plant.watch("ximat", 9)) if parts else (None, None)
+            )
             for k in self._carry(plant, [run]):
                 wrench[k], depth[k] = plant.wrench_sub[0], met[0, :, 0].max(initial=-1.0)
                 if place is not None and turn is not None:
                     places[k], turns[k] = place[0, parts], turn[0, parts].reshape(-1, 3, 3)
-            taken = _rate_of_momentum(plant.model, on_A, on_P, self.poses[run], places, turns, self.tick)
+            taken = _rate_of_momentum(
+                plant.model, on_A, on_P, self.poses[run], places, turns, self.tick
+            )
             self._believed[run] = Engaged(wrench, depth, taken)
         return self._believed[run]
 
     def _together(self, runs: Sequence[int], scenarios: Sequence[Scenario]) -> Array:
         """(L, N, m, 6) contact wrenches of runs with scenarios that are ``alike``."""
-        plant, flight = Plant(scenarios, min(threads(), len(runs))), self._flight(alike(scenarios[0]))
+        plant, flight = (
+            Plant(scenarios, min(threads(), len(runs))),
+            self._flight(alike(scenarios[0])),
+        )
         wrench = np.empty((len(runs), self.poses.shape[1], self.substeps, 6))
         if flight is not None and not flight.holds(plant):
             flight = None
@@ -121,7 +146,9 @@ class Simulated:
         return wrench
 
     def _flight(self, kind: Hashable) -> Flight | None:
-        """The free flight of all runs in plants of this kind (see ``alike``); None if there is none."""
+        """The free flight of all runs in plants of this kind (see ``alike``); None if there is
+        none.
+        """
         if kind not in self._flights:
             scenarios = [self._under(run, ()) for run in range(len(self.poses))]
             self._flights[kind] = None
@@ -132,15 +159,28 @@ class Simulated:
         return self._flights[kind]
 
     def _under(self, run: int, effects: Sequence[Effect]) -> Scenario:
-        neutral = EFFECTS["contact.stiffness"].model_validate({"factor": 1.0})  # with any effect, the model computes every contact
+        # with any effect, the model computes every contact
+        neutral = EFFECTS["contact.stiffness"].model_validate({"factor": 1.0})
         return self._carried[run].model_copy(update={"effects": (neutral, *effects)})
 
-    def _carry(self, plant: Plant, runs: Sequence[int], flight: Flight | None = None) -> Iterator[int]:
-        """Carry the sides of the runs along their paths, from the end of the ``flight`` on; yields each row as it is reached."""
+    def _carry(
+        self, plant: Plant, runs: Sequence[int], flight: Flight | None = None
+    ) -> Iterator[int]:
+        """Carry the sides of the runs along their paths, from the end of the ``flight`` on; yields
+        each row as it is reached.
+        """
         paths = np.ascontiguousarray(self.poses[list(runs)].swapaxes(0, 1))
-        rates = None if self._rates is None else np.ascontiguousarray(self._rates[list(runs)].swapaxes(0, 1))
+        rates = (
+            None
+            if self._rates is None
+            else np.ascontiguousarray(self._rates[list(runs)].swapaxes(0, 1))
+        )
         count, lanes = paths.shape[:2]
-        still, poses, twists = np.zeros((lanes, 6)), np.empty((self.substeps, lanes, 7)), np.empty((self.substeps, lanes, 6))
+        still, poses, twists = (
+            np.zeros((lanes, 6)),
+            np.empty((self.substeps, lanes, 7)),
+            np.empty((self.substeps, lanes, 6)),
+        )
         plant.reset(paths[0], self._start[list(runs)])
         if flight is not None:
             flight.resume(plant, runs)
@@ -148,23 +188,41 @@ class Simulated:
             if k and rates is None:
                 plant.advance(paths[k], still, still)
             elif k and rates is not None:
-                step_between(paths[k - 1], rates[k - 1], paths[k], rates[k], self.tick / self.substeps, poses, twists)
+                step_between(
+                    paths[k - 1],
+                    rates[k - 1],
+                    paths[k],
+                    rates[k],
+                    self.tick / self.substeps,
+                    poses,
+                    twists,
+                )
                 plant.carry(poses, twists)
             yield k
 
 
 def _carried(scenario: Scenario) -> Scenario:
-    """The scenario with ideal tracking and without effects, whose mechanism is carried along a path."""
+    """The scenario with ideal tracking and without effects, whose mechanism is carried along a
+    path.
+    """
     ideal = PLATFORMS["pss33"].model_validate({"kind": "pss33", "tracking": "ideal"})
     return scenario.model_copy(update={"rig": Rig(platform=ideal), "effects": ()})
 
 
 def _rate_of_momentum(
-    model: mujoco.MjModel, on_A: Sequence[int], on_P: Sequence[int], path: Array, places: Array, turns: Array, tick: float
+    model: mujoco.MjModel,
+    on_A: Sequence[int],
+    on_P: Sequence[int],
+    path: Array,
+    places: Array,
+    turns: Array,
+    tick: float,
 ) -> Array:
-    """(N, 6) rate of change of the momentum of bodies on A, which moves along ``path`` (N, 7), and on P, beyond that with the bodies
-    fixed in their home positions: at each row, about W's origin. Their positions are ``places`` (N, B, 3), their attitudes ``turns``
-    (N, B, 3, 3). NaN if any of these is not finite."""
+    """(N, 6) rate of change of the momentum of bodies on A, which moves along ``path`` (N, 7), and
+    on P, beyond that with the bodies
+    fixed in their home positions: at each row, about W's origin. Their positions are ``places`` (N,
+        B, 3), their attitudes ``turns`` (N, B, 3, 3). NaN if any of these is not finite.
+    """
     if not np.isfinite(places).all() or not np.isfinite(turns).all():
         return np.full((len(path), 6), np.nan)
     data = mujoco.MjData(model)
@@ -174,13 +232,20 @@ def _rate_of_momentum(
         home = Rotation.from_matrix(data.ximat[b].reshape(3, 3))
         momentum += _momentum(model, b, places[:, n], Rotation.from_matrix(turns[:, n]), tick)
         if n < len(on_A):
-            momentum -= _momentum(model, b, path[:, :3] + attitude.apply(data.xipos[b]), attitude * home, tick)
+            momentum -= _momentum(
+                model, b, path[:, :3] + attitude.apply(data.xipos[b]), attitude * home, tick
+            )
     return np.asarray(np.diff(momentum, axis=0, prepend=momentum[:1], append=momentum[-1:]) / tick)
 
 
 def _momentum(model: mujoco.MjModel, body: int, place: Array, turn: Rotation, tick: float) -> Array:
-    """(N - 1, 6) momentum of a body between rows, linear [kg m/s] and about W's origin [kg m^2/s], from ``place`` (N, 3) and ``turn``."""
-    linear, change = model.body_mass[body] * np.diff(place, axis=0) / tick, (turn[1:] * turn[:-1].inv()).as_rotvec()
+    """(N - 1, 6) momentum of a body between rows, linear [kg m/s] and about W's origin [kg m^2/s],
+    from ``place`` (N, 3) and ``turn``.
+    """
+    linear, change = (
+        model.body_mass[body] * np.diff(place, axis=0) / tick,
+        (turn[1:] * turn[:-1].inv()).as_rotvec(),
+    )
     between = Rotation.from_rotvec(0.5 * change) * turn[:-1]
     spin = between.apply(model.body_inertia[body] * between.inv().apply(change / tick))
     return np.hstack([linear, np.cross(0.5 * (place[1:] + place[:-1]), linear) + spin])
@@ -188,10 +253,12 @@ def _momentum(model: mujoco.MjModel, body: int, place: Array, turn: Rotation, ti
 
 @njit(cache=True)
 def step_between(pose_before, twist_before, pose, twist, dt, poses, twists):
-    """Interpolate the instants of the tick between two rows, ``dt`` [s] apart, to ``poses`` (m, n, 7) and ``twists`` (m, n, 6).
+    """Interpolate the instants of the tick between two rows, ``dt`` [s] apart, to ``poses`` (m, n,
+    7) and ``twists`` (m, n, 6).
 
-    Each twist is the mean over the step that ends there, as in semi-implicit Euler; over the tick they follow a parabola
-    that begins and ends with the rows' own twists, and takes A from one row's pose to the other's.
+    Each twist is the mean over the step that ends there, as in semi-implicit Euler; over the tick
+    they follow a parabola that begins and ends with the rows' own twists, and takes A from one
+    row's pose to the other's.
     """
     m = poses.shape[0]
     mean, bend = np.empty(6), np.empty(6)
@@ -200,11 +267,22 @@ def step_between(pose_before, twist_before, pose, twist, dt, poses, twists):
         weight += s * (m - s)
     for i in range(pose.shape[0]):
         twist_between(pose_before[i], pose[i], m * dt, mean)
-        for j in range(6):  # displacement that a linear change between both twists lacks in the sum over the steps
-            lacks = m * mean[j] - m * twist_before[i, j] - 0.5 * (m + 1) * (twist[i, j] - twist_before[i, j])
+        # displacement that a linear change between both twists lacks in the sum over the steps
+        for j in range(6):
+            lacks = (
+                m * mean[j]
+                - m * twist_before[i, j]
+                - 0.5 * (m + 1) * (twist[i, j] - twist_before[i, j])
+            )
             bend[j] = lacks / weight if m > 1 else 0.0
         for s in range(1, m + 1):
             for j in range(6):
-                twists[s - 1, i, j] = twist_before[i, j] + (twist[i, j] - twist_before[i, j]) * s / m + bend[j] * s * (m - s)
-            pose_step(pose_before[i] if s == 1 else poses[s - 2, i], twists[s - 1, i], dt, poses[s - 1, i])
+                twists[s - 1, i, j] = (
+                    twist_before[i, j]
+                    + (twist[i, j] - twist_before[i, j]) * s / m
+                    + bend[j] * s * (m - s)
+                )
+            pose_step(
+                pose_before[i] if s == 1 else poses[s - 2, i], twists[s - 1, i], dt, poses[s - 1, i]
+            )
         poses[m - 1, i] = pose[i]

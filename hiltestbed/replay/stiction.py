@@ -1,7 +1,7 @@
 """Stiction alone on recorded commands: where an axis is held, from jump to jump.
 
-A platform may move only at instants, m of which divide a tick: at (j - phase) / m of it, j = 1 ... m. Between two rows the command is
-straight, so that the instant of the next jump follows at once.
+A platform may move only at instants, m of which divide a tick: at (j - phase) / m of it, j = 1 ...
+m. Between two rows the command is straight, so that the instant of the next jump follows at once.
 """
 
 from __future__ import annotations
@@ -12,12 +12,15 @@ import numpy as np
 
 from hiltestbed.jit import njit
 
-ON_AN_INSTANT = 1e-9  # chosen: of the time between two instants: within it a bend of the command lies on one
+# chosen: of the time between two instants: within it a bend of the command lies on one
+ON_AN_INSTANT = 1e-9
 
 
 @njit(cache=True, inline="always")
 def commanded(command, start, velocity, at, h):
-    """The command [m] at the tick ``at``: linear over each tick to its row, the uniform approach before, the last row held after."""
+    """The command [m] at the tick ``at``: linear over each tick to its row, the uniform approach
+    before, the last row held after.
+    """
     if at <= 0.0:
         return start + velocity * at * h
     k = int(at)
@@ -31,16 +34,26 @@ def commanded(command, start, velocity, at, h):
 
 @njit(cache=True, inline="always")
 def held_after(held, before, after, a, b, instants, phase, stick, limit):
-    """Where an axis is held after the instants within (a, b] of a tick, over which its command runs from ``before`` to ``after`` [m]; and
-    the largest ``stick`` [m], at most ``limit``, up to which each of its jumps is the same."""
+    """Where an axis is held after the instants within (a, b] of a tick, over which its command runs
+    from ``before`` to ``after`` [m]; and the largest ``stick`` [m], at most ``limit``, up to which
+    each of its jumps is the same.
+    """
     way = after - before
-    j, last = int(math.floor(a * instants + phase + ON_AN_INSTANT)), int(math.floor(b * instants + phase + ON_AN_INSTANT))
+    j, last = (
+        int(math.floor(a * instants + phase + ON_AN_INSTANT)),
+        int(math.floor(b * instants + phase + ON_AN_INSTANT)),
+    )
     while abs(after - held) > stick and j < last:
         if way == 0.0:
             j += 1
         else:
             edge = held + math.copysign(stick, way)
-            j = max(j + 1, min(last, int(math.floor(instants * (a + (b - a) * (edge - before) / way) + phase))))
+            j = max(
+                j + 1,
+                min(
+                    last, int(math.floor(instants * (a + (b - a) * (edge - before) / way) + phase))
+                ),
+            )
         reached = before + way * ((j - phase) / instants - a) / (b - a)
         if abs(reached - held) > stick:
             limit = min(limit, abs(reached - held))
@@ -50,7 +63,9 @@ def held_after(held, before, after, a, b, instants, phase, stick, limit):
 
 @njit(cache=True, inline="always")
 def held_after_tick(held, command, start, velocity, k, late, h, instants, phase, stick, limit):
-    """:func:`held_after` over the tick from k to k + 1 of a command that is obeyed ``late`` [ticks]; it bends once in between."""
+    """:func:`held_after` over the tick from k to k + 1 of a command that is obeyed ``late``
+    [ticks]; it bends once in between.
+    """
     bend = late - math.floor(late)
     before = commanded(command, start, velocity, k - late, h)
     after = commanded(command, start, velocity, k + 1 - late, h)
@@ -63,15 +78,35 @@ def held_after_tick(held, command, start, velocity, k, late, h, instants, phase,
 
 @njit(cache=True)
 def stick_to(command, held, start, velocity, h, late, instants, phase, stick, scale, out):
-    """Write to ``out`` (N,) where an axis that is first ``held`` [m] stands in each row, times ``scale``."""
+    """Write to ``out`` (N,) where an axis that is first ``held`` [m] stands in each row, times
+    ``scale``.
+    """
     out[0] = held
     for k in range(len(out) - 1):
-        held, _ = held_after_tick(held, command, start, velocity, k, late, h, instants, phase, stick, np.inf)
+        held, _ = held_after_tick(
+            held, command, start, velocity, k, late, h, instants, phase, stick, np.inf
+        )
         out[k + 1] = scale * held
 
 
 @njit(cache=True)
-def _misfit(commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, stick, most, limit, held):
+def _misfit(
+    commands,
+    goal,
+    sigma,
+    rows,
+    start,
+    velocity,
+    moves,
+    h,
+    late,
+    instants,
+    phase,
+    stick,
+    most,
+    limit,
+    held,
+):
     total, same, done = 0.0, np.inf, 0
     for r in range(len(rows)):
         for a in range(3):
@@ -82,7 +117,17 @@ def _misfit(commands, goal, sigma, rows, start, velocity, moves, h, late, instan
                     z = (goal[r, k, a] - held[a]) / sigma[r, k, a]
                     total += min(z * z, most)
                     held[a], same = held_after_tick(
-                        held[a], commands[r, :, a], start[r, a], velocity[r, a], k, late, h, instants, phase, stick, same
+                        held[a],
+                        commands[r, :, a],
+                        start[r, a],
+                        velocity[r, a],
+                        k,
+                        late,
+                        h,
+                        instants,
+                        phase,
+                        stick,
+                        same,
                     )
             done += 1
             if total > limit:
@@ -92,26 +137,67 @@ def _misfit(commands, goal, sigma, rows, start, velocity, moves, h, late, instan
 
 @njit(cache=True)
 def all_paths(
-    commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, low, high, most, limit, margin, speed, budget, out,
-):  # fmt: skip
-    """Every path that runs can take with a stick from ``low`` up to ``high`` [m], one after the other.
+    commands,
+    goal,
+    sigma,
+    rows,
+    start,
+    velocity,
+    moves,
+    h,
+    late,
+    instants,
+    phase,
+    low,
+    high,
+    most,
+    limit,
+    margin,
+    speed,
+    budget,
+    out,
+):
+    """Every path that runs can take with a stick from ``low`` up to ``high`` [m], one after the
+    other.
 
-    A path changes only where the stick passes the length of one of its jumps. So each replay tells up to which stick it is the same.
+    A path changes only where the stick passes the length of one of its jumps. So each replay tells
+    up to which stick it is the same.
 
     Args:
-        commands: (R, N, 3) [m]. goal, sigma: (R, N, 3) [m] where the axes were measured, and their noise. rows: (R,) that are compared.
+        commands: (R, N, 3) [m]. goal, sigma: (R, N, 3) [m] where the axes were measured, and their
+            noise. rows: (R,) that are compared.
         start, velocity: (R, 3) of the approach. moves: (R, 3) the axes that are compared.
-        h: tick [s]. late: by which commands are obeyed [ticks]. instants, phase: at which the platform may move.
-        most: chi-square of one sample at most. limit: chi-square beyond which a path is left; it falls with each path to its chi-square
-        and ``margin``. speed: of the commands [m] a row, which over the stick is the number of jumps. budget: rows and jumps after which
-        no further path is replayed. out: (P, 3) buffer for the least and the largest stick [m] of each path and its chi-square.
+        h: tick [s]. late: by which commands are obeyed [ticks]. instants, phase: at which the
+            platform may move.
+        most: chi-square of one sample at most. limit: chi-square beyond which a path is left; it
+            falls with each path to its chi-square
+        and ``margin``. speed: of the commands [m] a row, which over the stick is the number of
+            jumps. budget: rows and jumps after which
+        no further path is replayed. out: (P, 3) buffer for the least and the largest stick [m] of
+            each path and its chi-square.
 
     Returns:
         The number of paths written to ``out``, and what is left of the budget.
     """
     count, stick, held = 0, low, np.empty(3)
     while stick < high and count < len(out) and budget > 0.0:
-        chi2, same, done = _misfit(commands, goal, sigma, rows, start, velocity, moves, h, late, instants, phase, stick, most, limit, held)
+        chi2, same, done = _misfit(
+            commands,
+            goal,
+            sigma,
+            rows,
+            start,
+            velocity,
+            moves,
+            h,
+            late,
+            instants,
+            phase,
+            stick,
+            most,
+            limit,
+            held,
+        )
         same = max(same, stick * (1.0 + 1e-12))  # beyond round-off
         if chi2 < np.inf:
             out[count, 0], out[count, 1], out[count, 2] = stick, min(same, high), chi2

@@ -15,15 +15,48 @@ from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.mount import mount_place
 from hiltestbed.contact.mount_dynamics import BODY, mount_reading
-from hiltestbed.contact.parameters import BLUNT, BRANCH_STIFFNESS, DRAG, LEVER, MODE, OFFSET, OVER_STRETCH, TILT_X, TILT_Y
-from hiltestbed.contact.wrench import contact_wrench, held_at, meet_all, relate_one, surface_wrench, tilts
+from hiltestbed.contact.parameters import (
+    BLUNT,
+    BRANCH_STIFFNESS,
+    DRAG,
+    LEVER,
+    MODE,
+    OFFSET,
+    OVER_STRETCH,
+    TILT_X,
+    TILT_Y,
+)
+from hiltestbed.contact.wrench import (
+    contact_wrench,
+    held_at,
+    meet_all,
+    relate_one,
+    surface_wrench,
+    tilts,
+)
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array, quat_exp, quat_mul
 from hiltestbed.jit import njit
 from hiltestbed.log import LogParameters
 from hiltestbed.replay.felt import NEAR, ContactKey, Felt, way_between
-from hiltestbed.replay.mounted import LAST, STEP_SIGMA, advance, pieces, struck, swing_freely, touched
-from hiltestbed.replay.nearness import away_from, meet_near, meet_next, move_lever, on_passive, outside, reach_of_swing
+from hiltestbed.replay.mounted import (
+    LAST,
+    STEP_SIGMA,
+    advance,
+    pieces,
+    struck,
+    swing_freely,
+    touched,
+)
+from hiltestbed.replay.nearness import (
+    away_from,
+    meet_near,
+    meet_next,
+    move_lever,
+    on_passive,
+    outside,
+    reach_of_swing,
+)
 from hiltestbed.replay.simulated import Simulated
 from hiltestbed.sensor.chain import condition, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
@@ -32,9 +65,11 @@ WHOLE = 1e-6  # ticks within which a delay counts as a whole number
 
 
 class Lane(NamedTuple):
-    """One lane: the run that drives it, and the parameters of contact, sensor and record; later: [s] additional delay of the reading.
+    """One lane: the run that drives it, and the parameters of contact, sensor and record; later:
+    [s] additional delay of the reading.
 
-    ``contact``: (C + 1, PARAMETERS) of each candidate and of the latch. ``effects``: those on the contact, which ``contact`` includes.
+    ``contact``: (C + 1, PARAMETERS) of each candidate and of the latch. ``effects``: those on the
+        contact, which ``contact`` includes.
     """
 
     run: int
@@ -49,12 +84,18 @@ def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | Non
     """``(L, N, 6)`` noiseless readings of the sensor, as they should be in the record.
 
     Args:
-        grid: number of instants per tick between which a delayed reading is interpolated linearly, as in a facility that computes its
-            contact in steps; None: a delayed reading is the wrench at exactly the delayed time. A compliant mount and a
+        grid: number of instants per tick between which a delayed reading is interpolated linearly,
+            as in a facility that computes its contact in steps; None: a delayed reading is the
+            wrench at exactly the delayed time. A compliant mount and a
             :class:`Simulated` contact are always integrated at the physics instants.
     """
     h = felt.tick
-    delay = np.array([max(lane.sensor.delay + lane.later + lane.log.skew * lane.log.reread, 0.0) for lane in lanes])
+    delay = np.array(
+        [
+            max(lane.sensor.delay + lane.later + lane.log.skew * lane.log.reread, 0.0)
+            for lane in lanes
+        ]
+    )
     ticks = delay / h
     whole = np.abs(ticks - np.round(ticks)) < WHOLE
     ticks[whole] = np.round(ticks[whole])
@@ -68,7 +109,8 @@ def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | Non
     chain = stack([lane.sensor for lane in lanes])
     if chain.tone.shape[1]:
         again = np.array([lane.log.skew * lane.log.reread for lane in lanes])
-        chain.tone[:, :, 4] -= 2.0 * math.pi * chain.tone[:, :, 3] * again[:, None]  # a tone continues until it is read again
+        # a tone continues until it is read again
+        chain.tone[:, :, 4] -= 2.0 * math.pi * chain.tone[:, :, 3] * again[:, None]
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
     tilt, elements = tilts(rows[:, -1]), chain.elements()
     together = _together(lanes, rows, parts, bool(instants))
@@ -77,7 +119,9 @@ def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | Non
     if isinstance(felt, Simulated):
         exerted = iter(felt.exerted([(lanes[i].run, lanes[i].effects) for i in new]))
     else:
-        exerted = _exerted(felt, [(lanes[i].run, rows[i], parts[i], tilt[i], bool(instants)) for i in new])
+        exerted = _exerted(
+            felt, [(lanes[i].run, rows[i], parts[i], tilt[i], bool(instants)) for i in new]
+        )
     for key, members in together.items():
         sub = known[key]
         sub = next(exerted) if sub is None else sub
@@ -89,8 +133,12 @@ def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | Non
     return out
 
 
-def _together(lanes: Sequence[Lane], rows: Array, parts: Array, between: bool) -> dict[ContactKey, list[int]]:
-    """Lanes grouped by run, contact and instants: lanes that differ only in their sensor share the contact wrench."""
+def _together(
+    lanes: Sequence[Lane], rows: Array, parts: Array, between: bool
+) -> dict[ContactKey, list[int]]:
+    """Lanes grouped by run, contact and instants: lanes that differ only in their sensor share the
+    contact wrench.
+    """
     found: dict[ContactKey, list[int]] = {}
     for i, lane in enumerate(lanes):
         found.setdefault((lane.run, between, parts[i].tobytes(), rows[i].tobytes()), []).append(i)
@@ -98,7 +146,9 @@ def _together(lanes: Sequence[Lane], rows: Array, parts: Array, between: bool) -
 
 
 def _exerted(felt: Felt, wanted: Sequence[tuple]) -> Iterator[Array]:
-    """The wrenches of several contacts, each with the arguments of :func:`_one_contact`; those on a mount, which take long, in parallel."""
+    """The wrenches of several contacts, each with the arguments of :func:`_one_contact`; those on a
+    mount, which take long, in parallel.
+    """
     workers = min(get_num_threads(), len(wanted))
     if felt.mount is None or workers < 2:
         yield from (_one_contact(felt, *one) for one in wanted)
@@ -107,19 +157,48 @@ def _exerted(felt: Felt, wanted: Sequence[tuple]) -> Iterator[Array]:
         yield from pool.map(lambda one: _one_contact(felt, *one), wanted)
 
 
-def _one_contact(felt: Felt, r: int, rows: Array, parts: Array, tilt: Array, between: bool) -> Array:
-    """``(N, m, 6)`` contact wrench of run r at the instants ``parts`` (m,) of the tick that ends at each row."""
+def _one_contact(
+    felt: Felt, r: int, rows: Array, parts: Array, tilt: Array, between: bool
+) -> Array:
+    """``(N, m, 6)`` contact wrench of run r at the instants ``parts`` (m,) of the tick that ends at
+    each row.
+    """
     sub = np.empty((felt.poses.shape[1], len(parts), 6))
     mount = (
         _RIGID
         if felt.mount is None
-        else (felt.mount.stiffness[r], felt.mount.damping[r], felt.mount.body, felt.leapfrog, felt.mount.mobility, felt.hastened)
+        else (
+            felt.mount.stiffness[r],
+            felt.mount.damping[r],
+            felt.mount.body,
+            felt.leapfrog,
+            felt.mount.mobility,
+            felt.hastened,
+        )
     )
     _contact(
-        felt.poses[r], felt.twists[r], felt.ends[r], felt.rates is not None, felt.before[r], felt.clear[r], felt.met, felt.lever,
-        felt.least_creep, felt.tick, felt.geometry, felt.captured[r], felt.latch[r], r, felt.mount is not None, mount, parts, between,
-        rows, tilt, sub,
-    )  # fmt: skip
+        felt.poses[r],
+        felt.twists[r],
+        felt.ends[r],
+        felt.rates is not None,
+        felt.before[r],
+        felt.clear[r],
+        felt.met,
+        felt.lever,
+        felt.least_creep,
+        felt.tick,
+        felt.geometry,
+        felt.captured[r],
+        felt.latch[r],
+        r,
+        felt.mount is not None,
+        mount,
+        parts,
+        between,
+        rows,
+        tilt,
+        sub,
+    )
     return sub
 
 
@@ -127,7 +206,9 @@ _RIGID = (np.zeros(6), np.zeros(6), np.zeros(BODY), False, (0.0, 0.0), 0)
 
 
 def shifted(values: Array, ticks: float, held: bool = True) -> Array:
-    """``values`` (N, C) read ``ticks`` rows later (or earlier), interpolated linearly; beyond the ends held, or extrapolated linearly."""
+    """``values`` (N, C) read ``ticks`` rows later (or earlier), interpolated linearly; beyond the
+    ends held, or extrapolated linearly.
+    """
     out = np.empty(values.shape)
     _shift(np.ascontiguousarray(values, dtype=float), float(ticks), held, out)
     return out
@@ -146,7 +227,9 @@ def _shift(values, ticks, held, out):
 
 @njit(cache=True)
 def _sense(lanes, sub, between, ticks, h, elements, out):
-    """Readings of the sensors of the ``lanes`` for one contact wrench ``sub`` (N, m, 6), written to ``out`` (L, N, 6)."""
+    """Readings of the sensors of the ``lanes`` for one contact wrench ``sub`` (N, m, 6), written to
+    ``out`` (L, N, 6).
+    """
     calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step = elements
     stages = max(lag.shape[1], leak.shape[1])
     low, high, last_in = np.zeros((stages, 6)), np.zeros((stages, 6)), np.zeros((stages, 6))
@@ -154,7 +237,17 @@ def _sense(lanes, sub, between, ticks, h, elements, out):
     for i in lanes:
         low[:], high[:], last_in[:] = 0.0, 0.0, 0.0
         back = int(math.floor(ticks[i]))
-        if not between and passes(calibration[i], curve[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i]):
+        if not between and passes(
+            calibration[i],
+            curve[i],
+            lag[i],
+            leak[i],
+            offset[i],
+            drift[i],
+            tone[i],
+            deadzone[i],
+            limit[i],
+        ):
             out[i, :back] = 0.0
             out[i, back:] = sub[: rows - min(back, rows), 0]
             continue
@@ -165,14 +258,31 @@ def _sense(lanes, sub, between, ticks, h, elements, out):
                 for j in range(6):
                     late[j] = sub[k - back, 0, j] if k >= back else 0.0
             condition(
-                late, k * h, quiet, calibration[i], curve[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i],
-                step[i] * 0.0, low, high, last_in, out[i, k],
-            )  # fmt: skip
+                late,
+                k * h,
+                quiet,
+                calibration[i],
+                curve[i],
+                lag[i],
+                leak[i],
+                offset[i],
+                drift[i],
+                tone[i],
+                deadzone[i],
+                limit[i],
+                step[i] * 0.0,
+                low,
+                high,
+                last_in,
+                out[i, k],
+            )
 
 
 @njit(cache=True)
 def _interpolated(sub, at, late):
-    """``late`` (6,): the wrench at instant ``at`` of ``sub`` (N, m, 6), whose last instant in row k is k m; zero before the start."""
+    """``late`` (6,): the wrench at instant ``at`` of ``sub`` (N, m, 6), whose last instant in row k
+    is k m; zero before the start.
+    """
     m = sub.shape[1]
     if abs(at - round(at)) < WHOLE:
         at = round(at)
@@ -188,10 +298,31 @@ def _interpolated(sub, at, late):
 
 @njit(cache=True, nogil=True)
 def _contact(
-    poses, twists, ends, bent, before, clear, met, lever, least_creep, h, geometry, captured, latch, r, mounted, mount, parts, between, p,
-    tilt, sub,
-):  # fmt: skip
-    """The wrench at the sensor along one path: ``sub`` (N, m, 6) at the instants ``parts`` (m,) of the tick that ends at each row."""
+    poses,
+    twists,
+    ends,
+    bent,
+    before,
+    clear,
+    met,
+    lever,
+    least_creep,
+    h,
+    geometry,
+    captured,
+    latch,
+    r,
+    mounted,
+    mount,
+    parts,
+    between,
+    p,
+    tilt,
+    sub,
+):
+    """The wrench at the sensor along one path: ``sub`` (N, m, 6) at the instants ``parts`` (m,) of
+    the tick that ends at each row.
+    """
     index, values = geometry
     stiffness, damping, _, leapfrog, _, hastened = mount
     count = p.shape[0] - 1
@@ -210,11 +341,18 @@ def _contact(
     m, last_row = parts.shape[0], p[count]
     depths, rates, points, normals, slips = met
     lean = abs(last_row[TILT_X]) + abs(last_row[TILT_Y])
-    reach, longest = max(0.0, -last_row[OFFSET] if count == 0 else -p[0, OFFSET]), arm(values, count)
-    remembers = last_row[BRANCH_STIFFNESS] > 0.0 or last_row[DRAG] > 0.0 or last_row[OVER_STRETCH] > 0.0
+    reach, longest = (
+        max(0.0, -last_row[OFFSET] if count == 0 else -p[0, OFFSET]),
+        arm(values, count),
+    )
+    remembers = (
+        last_row[BRANCH_STIFFNESS] > 0.0 or last_row[DRAG] > 0.0 or last_row[OVER_STRETCH] > 0.0
+    )
     remembers = remembers or last_row[MODE] > 0.0 or latch[1] < 1.5
     moved = last_row[LEVER] - lever
-    plain = lean == 0.0 and not mounted and reach <= NEAR and (moved == 0.0 or on_passive(index, count))
+    plain = (
+        lean == 0.0 and not mounted and reach <= NEAR and (moved == 0.0 or on_passive(index, count))
+    )
     sharp = not mounted and last_row[MODE] == 0.0
     for c in range(count):
         sharp &= p[c, BLUNT] == 1.0
@@ -228,7 +366,9 @@ def _contact(
                 if not apart and lean > 0.0 and k > 0:
                     frames[0], motions[0] = poses[k], ends[k]
                     mount_place(q, rate, tilt, frames[1], motions[1])
-                    meet_all(index, values, p, frames, motions, work, depth, closing, point, normal, slip)
+                    meet_all(
+                        index, values, p, frames, motions, work, depth, closing, point, normal, slip
+                    )
                     apart = -depth.max() > reach + swing + way_between(last, poses[k], longest)
             elif lean == 0.0 and reach <= NEAR:
                 apart = clear[k] > NEAR or (k > 0 and outside(depths[r, k], depths[r, k - 1], p))
@@ -244,12 +384,36 @@ def _contact(
                     frames[0], motions[0] = poses[k], ends[k]
                     if mounted:
                         mount_place(q, rate, tilt, frames[1], motions[1])
-                    latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
+                    latched = _caught(
+                        frames,
+                        motions,
+                        latch,
+                        last_row,
+                        wrench,
+                        hold,
+                        local_pose,
+                        local_twist,
+                        work,
+                    )
                     if latched and leapfrog:
                         _take_over(
-                            index, values, least_creep, p, frames, motions, local_pose, hold, state, depth, closing, point, normal, slip,
-                            work, wrench,
-                        )  # fmt: skip
+                            index,
+                            values,
+                            least_creep,
+                            p,
+                            frames,
+                            motions,
+                            local_pose,
+                            hold,
+                            state,
+                            depth,
+                            closing,
+                            point,
+                            normal,
+                            slip,
+                            work,
+                            wrench,
+                        )
                 continue
             near = True
         twist = twists[k]
@@ -269,8 +433,20 @@ def _contact(
                 if moved != 0.0:
                     move_lever(moved, depths[r, k], normals[r, k], ends[k], point, slip)
                 surface_wrench(
-                    index, dt, least_creep, p, frames, state, depths[r, k], rates[r, k], point, normals[r, k], slip, work[7], sub[k, s]
-                )  # fmt: skip
+                    index,
+                    dt,
+                    least_creep,
+                    p,
+                    frames,
+                    state,
+                    depths[r, k],
+                    rates[r, k],
+                    point,
+                    normals[r, k],
+                    slip,
+                    work[7],
+                    sub[k, s],
+                )
                 wrench[:] = sub[k, s]
                 continue
             split = 1
@@ -280,10 +456,21 @@ def _contact(
             for piece in range(split):
                 at = parts[s] - (split - 1 - piece) * dt / h
                 if at < 1.0:
-                    _within(last, twist, ends[k - 1] if bent and k > 0 else ends[k], ends[k], h, at, turn, frames[0], motions[0])
+                    _within(
+                        last,
+                        twist,
+                        ends[k - 1] if bent and k > 0 else ends[k],
+                        ends[k],
+                        h,
+                        at,
+                        turn,
+                        frames[0],
+                        motions[0],
+                    )
                 else:
                     frames[0], motions[0] = poses[k], ends[k]
-                    if leapfrog and not bent and k + 1 < poses.shape[0]:  # where the twist jumps: this force is of either tick
+                    # where the twist jumps: this force is of either tick
+                    if leapfrog and not bent and k + 1 < poses.shape[0]:
                         for j in range(6):
                             motions[0, j] += 0.5 * (ends[k + 1, j] - ends[k, j])
                 if mounted and k > 0:  # at t = 0 the mount is at rest and unloaded
@@ -292,11 +479,54 @@ def _contact(
                 if (mounted or (sharp and at == 1.0)) and not latched:
                     if mounted:
                         earlier[:], slipped[:] = wrench, slip
-                        meet_next(index, values, p, frames, motions, seen, apart_by, longest, work, depth, closing, point, normal, slip)
+                        meet_next(
+                            index,
+                            values,
+                            p,
+                            frames,
+                            motions,
+                            seen,
+                            apart_by,
+                            longest,
+                            work,
+                            depth,
+                            closing,
+                            point,
+                            normal,
+                            slip,
+                        )
                     else:
-                        meet_near(index, values, p, frames, motions, depths[r, k], lean, work, depth, closing, point, normal, slip)
+                        meet_near(
+                            index,
+                            values,
+                            p,
+                            frames,
+                            motions,
+                            depths[r, k],
+                            lean,
+                            work,
+                            depth,
+                            closing,
+                            point,
+                            normal,
+                            slip,
+                        )
                     wrench[:] = 0.0
-                    surface_wrench(index, dt, least_creep, p, frames, state, depth, closing, point, normal, slip, work[7], wrench)
+                    surface_wrench(
+                        index,
+                        dt,
+                        least_creep,
+                        p,
+                        frames,
+                        state,
+                        depth,
+                        closing,
+                        point,
+                        normal,
+                        slip,
+                        work[7],
+                        wrench,
+                    )
                     if leapfrog:
                         part = touched(depth, closing, p, dt, meets, slip, slipped)
                         if part >= 0.0 and k > 0:
@@ -305,42 +535,126 @@ def _contact(
                             struck(mount, dt, part, wrench, earlier, q, qd, rate)
                 else:
                     contact_wrench(
-                        index, values, dt, least_creep, p, frames, motions, latched, hold, state, depth, closing, point, normal, slip, work,
+                        index,
+                        values,
+                        dt,
+                        least_creep,
+                        p,
+                        frames,
+                        motions,
+                        latched,
+                        hold,
+                        state,
+                        depth,
+                        closing,
+                        point,
+                        normal,
+                        slip,
+                        work,
                         wrench,
-                    )  # fmt: skip
+                    )
             if mounted:
                 mount_reading(stiffness, damping, q, rate, sub[k, s])
             else:
                 sub[k, s] = wrench
         if not latched and latch[1] < 1.5:
             motions[0] = ends[k]
-            latched = _caught(frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work)
+            latched = _caught(
+                frames, motions, latch, last_row, wrench, hold, local_pose, local_twist, work
+            )
             if latched and leapfrog:
                 _take_over(
-                    index, values, least_creep, p, frames, motions, local_pose, hold, state, depth, closing, point, normal, slip, work,
+                    index,
+                    values,
+                    least_creep,
+                    p,
+                    frames,
+                    motions,
+                    local_pose,
+                    hold,
+                    state,
+                    depth,
+                    closing,
+                    point,
+                    normal,
+                    slip,
+                    work,
                     wrench,
-                )  # fmt: skip
+                )
 
 
 @njit(cache=True)
-def _take_over(index, values, least_creep, p, frames, motions, caught, hold, state, depth, closing, point, normal, slip, work, wrench):
-    """Let a latch hold the pose ``caught`` (7,) from now on. A leapfrog's ``wrench`` (6,), which acts over half a step before and after, is
-    the mean of those of the contacts and of the latch, both with the twist of the tick that ends; the latch carries the contacts' force."""
+def _take_over(
+    index,
+    values,
+    least_creep,
+    p,
+    frames,
+    motions,
+    caught,
+    hold,
+    state,
+    depth,
+    closing,
+    point,
+    normal,
+    slip,
+    work,
+    wrench,
+):
+    """Let a latch hold the pose ``caught`` (7,) from now on. A leapfrog's ``wrench`` (6,), which
+    acts over half a step before and after, is the mean of those of the contacts and of the latch,
+    both with the twist of the tick that ends; the latch carries the contacts' force.
+    """
     before = np.zeros(6)
     contact_wrench(
-        index, values, 0.0, least_creep, p, frames, motions, False, hold, state, depth, closing, point, normal, slip, work, before
-    )  # fmt: skip
+        index,
+        values,
+        0.0,
+        least_creep,
+        p,
+        frames,
+        motions,
+        False,
+        hold,
+        state,
+        depth,
+        closing,
+        point,
+        normal,
+        slip,
+        work,
+        before,
+    )
     held_at(caught, before, frames[1], p[-1], hold)
     contact_wrench(
-        index, values, 0.0, least_creep, p, frames, motions, True, hold, state, depth, closing, point, normal, slip, work, wrench
-    )  # fmt: skip
+        index,
+        values,
+        0.0,
+        least_creep,
+        p,
+        frames,
+        motions,
+        True,
+        hold,
+        state,
+        depth,
+        closing,
+        point,
+        normal,
+        slip,
+        work,
+        wrench,
+    )
     for j in range(6):
         wrench[j] = 0.5 * (wrench[j] + before[j])
 
 
 @njit(cache=True)
 def _caught(frames, motions, latch, row, wrench, hold, pose, twist, work):
-    """Whether the latch closes; if so, ``hold`` (7,) becomes the held pose at which its springs carry the contact's force."""
+    """Whether the latch closes; if so, ``hold`` (7,) becomes the held pose at which its springs
+    carry the contact's force.
+    """
     relate_one(frames[0], motions[0], frames[1], motions[1], pose, twist, work[:5, :3])
     if not closes(pose, twist, latch):
         return False
@@ -350,8 +664,11 @@ def _caught(frames, motions, latch, row, wrench, hold, pose, twist, work):
 
 @njit(cache=True)
 def _within(pose, slope, start, end, h, part, turn, out, rate):
-    """Pose ``out`` (7,) and twist ``rate`` (6,) at a fraction ``part`` of a tick that starts at ``pose`` with twist ``start`` and ends with
-    twist ``end``: a parabola about the uniform motion with the mean twist ``slope``. ``turn`` (7,) is scratch."""
+    """Pose ``out`` (7,) and twist ``rate`` (6,) at a fraction ``part`` of a tick that starts at
+    ``pose`` with twist ``start`` and ends with
+    twist ``end``: a parabola about the uniform motion with the mean twist ``slope``. ``turn`` (7,)
+        is scratch.
+    """
     for j in range(6):
         bend = end[j] - start[j]
         way = h * part * (slope[j] + 0.5 * (part - 1.0) * bend)

@@ -9,4 +9,11 @@ from hiltestbed.scenario.scenario import (
     scenario_sha256,
 )
 
-__all__ = ["Scenario", "dump_scenario", "load_scenario", "resolved", "scenario_from", "scenario_sha256"]
+__all__ = [
+    "Scenario",
+    "dump_scenario",
+    "load_scenario",
+    "resolved",
+    "scenario_from",
+    "scenario_sha256",
+]

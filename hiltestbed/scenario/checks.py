@@ -30,7 +30,8 @@ def _rate_problems(scenario: Scenario) -> Iterator[Problem]:
         yield (
             ("physics_rate",),
             (
-                f"does not divide by rate (got {scenario.physics_rate:g} Hz over {scenario.rate:g} Hz = {ratio:g}); "
+                f"does not divide by rate (got {scenario.physics_rate:g} Hz over "
+                f"{scenario.rate:g} Hz = {ratio:g}); "
                 f"allowed is a whole multiple of rate, such as {near:g}"
             ),
         )
@@ -38,7 +39,8 @@ def _rate_problems(scenario: Scenario) -> Iterator[Problem]:
         yield (
             ("duration",),
             (
-                f"is out of range (got {scenario.duration:g} s at {scenario.rate:g} Hz = {scenario.duration * scenario.rate:g} ticks); "
+                f"is out of range (got {scenario.duration:g} s at {scenario.rate:g} Hz = "
+                f"{scenario.duration * scenario.rate:g} ticks); "
                 f"allowed are 1 to {TICK_LIMIT} ticks"
             ),
         )
@@ -48,17 +50,23 @@ def _delay_problems(scenario: Scenario) -> Iterator[Problem]:
     if scenario.sensor.delay > scenario.duration:
         yield (
             ("sensor", "delay"),
-            (f"cannot be held (got {scenario.sensor.delay:g} s in a run of {scenario.duration:g} s); allowed is 0 to the run's duration"),
+            (
+                f"cannot be held (got {scenario.sensor.delay:g} s in a run of "
+                f"{scenario.duration:g} s); allowed is 0 to the run's duration"
+            ),
         )
 
 
 def _platform_problems(scenario: Scenario) -> Iterator[Problem]:
-    """A start that the platform cannot reach, a rate that does not match its controller's, and incompatible sections."""
+    """A start that the platform cannot reach, a rate that does not match its controller's, and
+    incompatible sections.
+    """
     platform, upper = scenario.rig.platform, scenario.rig.upper
     if upper.kind != "fixed" and not platform.carries_upper:
         yield (
             ("rig", "upper", "kind"),
-            f"belongs to the 3-3 PSS platform (got {upper.kind!r} with platform kind {platform.kind!r}); allowed is fixed",
+            f"belongs to the 3-3 PSS platform (got {upper.kind!r} with platform kind "
+            f"{platform.kind!r}); allowed is fixed",
         )
         return
     yield from platform.problems(scenario)
@@ -75,7 +83,8 @@ def _effect_problems(scenario: Scenario) -> Iterator[Problem]:
     for index, effect in repeated(scenario.effects):
         yield (
             ("effects", index),
-            f"appears twice, and two effects {effect.kind!r} do not act together; allowed is one: take one of them out",
+            f"appears twice, and two effects {effect.kind!r} do not act together; allowed is one: "
+            f"take one of them out",
         )
     for index, effect in enumerate(scenario.effects):
         reason = effect.unfit(scenario)

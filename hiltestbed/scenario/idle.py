@@ -1,7 +1,9 @@
-"""Keys of a scenario that were given but have no effect, because another choice in the scenario makes them irrelevant.
+"""Keys of a scenario that were given but have no effect, because another choice in the scenario
+makes them irrelevant.
 
-Each section reports its own idle keys (:meth:`hiltestbed.validation.Strictly.idle`). A key counts as given if it is in the file; in a
-resolved file, in which every default is written out, if it differs from the default.
+Each section reports its own idle keys (:meth:`hiltestbed.validation.Strictly.idle`). A key counts
+as given if it is in the file; in a resolved file, in which every default is written out, if it
+differs from the default.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ def given_in_vain(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:
     resolved = scenario.model_fields_set >= set(type(scenario).model_fields)
     by_reason: dict[str, list[str]] = {}
     for path, why in idle_keys(scenario):
-        by_reason.setdefault(why, []).extend(".".join(map(str, key)) for key in _given(scenario, path, resolved))
+        by_reason.setdefault(why, []).extend(
+            ".".join(map(str, key)) for key in _given(scenario, path, resolved)
+        )
     yield from ((tuple(dict.fromkeys(keys)), why) for why, keys in by_reason.items() if keys)
 
 
@@ -71,5 +75,9 @@ def _default(owner: Any, default: Any, part: Any) -> Any:
         return default[part] if isinstance(owner, tuple) else getattr(default, str(part))
     if isinstance(owner, Strictly):
         field = type(owner).model_fields[str(part)]
-        return None if field.is_required() else field.get_default(call_default_factory=True, validated_data={})
+        return (
+            None
+            if field.is_required()
+            else field.get_default(call_default_factory=True, validated_data={})
+        )
     return None

@@ -19,14 +19,20 @@ class ContactEstimate(Strictly):
 
 
 class Monitoring(Strictly):
-    """Process monitoring from the identified stiffness and damping: stages of the docking, and wear relative to earlier contacts."""
+    """Process monitoring from the identified stiffness and damping: stages of the docking, and wear
+    relative to earlier contacts.
+    """
 
     seat_ratio: Annotated[float, Field(gt=1.0)] = Field(
-        default=2.0, description="Ratio of the stiffness to that of the first touch above which the active side counts as seated [-]"
+        default=2.0,
+        description="Ratio of the stiffness to that of the first touch above which the active "
+        "side counts as seated [-]",
     )
     window: Positive = Field(default=0.02, description="Time window of the monitored stiffness [s]")
     baseline: Annotated[tuple[ContactEstimate, ...], Field(strict=False)] = Field(
-        default=(), description="Contacts of the healthy mechanism, as the reference for wear; empty: wear is not judged"
+        default=(),
+        description="Contacts of the healthy mechanism, as the reference for wear; empty: wear is "
+        "not judged",
     )
     false_alarm_rate: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
         default=0.01, description="Probability of reporting wear for a healthy contact [-]"

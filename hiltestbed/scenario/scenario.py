@@ -1,6 +1,8 @@
-"""The scenario, which defines a run, and its files. Its sections are defined in the packages of the loop's links.
+"""The scenario, which defines a run, and its files. Its sections are defined in the packages of the
+loop's links.
 
-`load_scenario` reads a file (and `--set` overrides), `dump_scenario` writes the resolved form, with every default written out.
+`load_scenario` reads a file (and `--set` overrides), `dump_scenario` writes the resolved form, with
+every default written out.
 """
 
 from __future__ import annotations
@@ -32,14 +34,24 @@ from hiltestbed.yaml_source import Source, dump_yaml, read_source
 
 
 class Scenario(Strictly):
-    """One run: two vehicles, their approach, the rig that reproduces it, and the compensation of the rig's delays."""
+    """One run: two vehicles, their approach, the rig that reproduces it, and the compensation of
+    the rig's delays.
+    """
 
-    name: Annotated[str, Field(min_length=1, max_length=200)] = Field(description="Name of the scenario, also of its run folder")
-    description: str = Field(default="", description="What the scenario shows, in a sentence or two")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=0, description="Seed of the random numbers; same seed, same trace")
+    name: Annotated[str, Field(min_length=1, max_length=200)] = Field(
+        description="Name of the scenario, also of its run folder"
+    )
+    description: str = Field(
+        default="", description="What the scenario shows, in a sentence or two"
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(
+        default=0, description="Seed of the random numbers; same seed, same trace"
+    )
     duration: Positive = Field(default=3.0, description="Simulated time [s]")
     rate: Annotated[float, Field(gt=0, le=1e6)] = Field(
-        default=2000.0, description="Rate of the loop [Hz]: one reading, one step of the numerical model and one command per tick"
+        default=2000.0,
+        description="Rate of the loop [Hz]: one reading, one step of the numerical model and one "
+        "command per tick",
     )
     physics_rate: Annotated[float, Field(gt=0, le=4e6)] = Field(
         default_factory=lambda given: 2.0 * given["rate"],  # type: ignore[arg-type]
@@ -50,22 +62,42 @@ class Scenario(Strictly):
         default_factory=lambda: MODELS["free_flyers"](kind="free_flyers"),
         description="Dynamics of both vehicles under the compensated wrench",
     )
-    approach: Approach = Field(description="Initial pose and velocity of the active port relative to the passive port")
-    mechanism: AnyMechanism = Field(description="The docking mechanism: its surfaces and their contact stiffness")
-    rig: Rig = Field(default=Rig(), description="The motion platform, and the carrier of the passive side")
-    sensor: Sensor = Field(default=Sensor(), description="The force-torque sensor below the passive port")
-    compensation: Compensation = Field(default=Compensation(), description="Compensation of the delays in the loop")
+    approach: Approach = Field(
+        description="Initial pose and velocity of the active port relative to the passive port"
+    )
+    mechanism: AnyMechanism = Field(
+        description="The docking mechanism: its surfaces and their contact stiffness"
+    )
+    rig: Rig = Field(
+        default=Rig(), description="The motion platform, and the carrier of the passive side"
+    )
+    sensor: Sensor = Field(
+        default=Sensor(), description="The force-torque sensor below the passive port"
+    )
+    compensation: Compensation = Field(
+        default=Compensation(), description="Compensation of the delays in the loop"
+    )
     identification: AnyIdentifier = Field(
         default_factory=lambda: IDENTIFIERS["rls"](kind="rls"),
         description="Identification of stiffness and damping during the contact",
     )
     monitoring: Monitoring | None = Field(
-        default=None, description="Process monitoring: touch, seating, capture and wear from the identification; null: off"
+        default=None,
+        description="Process monitoring: touch, seating, capture and wear from the "
+        "identification; null: off",
     )
-    safety: Safety = Field(default=Safety(), description="Safety limits: a run that exceeds one is stopped; null: no limit")
-    devices: Devices = Field(default=Devices(), description="Real devices in place of the simulated rig, for live, emulate and commission")
+    safety: Safety = Field(
+        default=Safety(),
+        description="Safety limits: a run that exceeds one is stopped; null: no limit",
+    )
+    devices: Devices = Field(
+        default=Devices(),
+        description="Real devices in place of the simulated rig, for live, emulate and commission",
+    )
     effects: Annotated[tuple[AnyEffect, ...], Field(strict=False)] = Field(
-        default=(), description="Departures of the rig from its nominal model: a list of {kind: ID, parameter: value}"
+        default=(),
+        description="Departures of the rig from its nominal model: a list of {kind: ID, "
+        "parameter: value}",
     )
 
     @property
@@ -97,7 +129,8 @@ def _rebuild() -> None:
 
 
 def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Scenario:
-    """The scenario in a YAML file, or the one shipped under a name, with dotted keys overridden. Raises InputError.
+    """The scenario in a YAML file, or the one shipped under a name, with dotted keys overridden.
+    Raises InputError.
 
     >>> load_scenario("02-bumper", {"approach.velocity.2": 0.05}).approach.velocity
     (0.0, 0.0, 0.05)
@@ -105,8 +138,12 @@ def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Sce
     return scenario_from(read_source(find_scenario(path)).with_set(set))
 
 
-def scenario_from(source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None) -> Scenario:
-    """The scenario from data already read: a `Source`, or a plain dict with the content of a file. Raises InputError."""
+def scenario_from(
+    source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None
+) -> Scenario:
+    """The scenario from data already read: a `Source`, or a plain dict with the content of a file.
+    Raises InputError.
+    """
     plugins.load()
     if not isinstance(source, Source):
         source = Source("scenario", dict(source))
@@ -124,7 +161,9 @@ _SPECIMEN = {  # valid values that replace refused ones, so that the other keys 
 
 
 def resolved(scenario: Scenario) -> dict[str, Any]:
-    """The scenario as plain data with every default written out; `scenario_from` restores the same scenario."""
+    """The scenario as plain data with every default written out; `scenario_from` restores the same
+    scenario.
+    """
     return scenario.model_dump(mode="json")
 
 
@@ -134,7 +173,9 @@ def dump_scenario(scenario: Scenario) -> str:
 
 
 def scenario_sha256(scenario: Scenario) -> str:
-    """SHA-256 of the resolved form, independent of how the file was written; user's models enter by their content."""
+    """SHA-256 of the resolved form, independent of how the file was written; user's models enter by
+    their content.
+    """
     data = resolved(scenario)
     data["mechanism"] |= scenario.mechanism.fingerprint()
     canonical = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)

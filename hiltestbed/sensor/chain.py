@@ -1,9 +1,11 @@
 """The sensor's signal chain, from the contact wrench to the reading.
 
-The order is the physical one. The wrench is delayed (nominal delay, `sensor.delay`, `sensor.jitter`); the transducer measures it along its
-own axes (`sensor.rotation`), scales and mixes them (`sensor.gain`, `sensor.crosstalk`) and applies a calibration curve (`sensor.map`); the
-electronics filter (nominal low-pass, `sensor.lag`, then the nominal charge leakage, `sensor.highpass`) and add errors that do not depend
-on the force (`sensor.bias`, `sensor.drift`, `sensor.hum`, noise); the conversion then zeroes small forces (`sensor.deadzone`), clips
+The order is the physical one. The wrench is delayed (nominal delay, `sensor.delay`,
+`sensor.jitter`); the transducer measures it along its own axes (`sensor.rotation`), scales and
+mixes them (`sensor.gain`, `sensor.crosstalk`) and applies a calibration curve (`sensor.map`); the
+electronics filter (nominal low-pass, `sensor.lag`, then the nominal charge leakage,
+`sensor.highpass`) and add errors that do not depend on the force (`sensor.bias`, `sensor.drift`,
+`sensor.hum`, noise); the conversion then zeroes small forces (`sensor.deadzone`), clips
 (`sensor.saturation`, the nominal range) and quantises.
 """
 
@@ -18,13 +20,32 @@ from hiltestbed.piecewise import along
 
 
 @njit(cache=True)
-def condition(w, t, noise, calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step, low, high, before, out):
+def condition(
+    w,
+    t,
+    noise,
+    calibration,
+    curve,
+    lag,
+    leak,
+    offset,
+    drift,
+    tone,
+    deadzone,
+    limit,
+    step,
+    low,
+    high,
+    before,
+    out,
+):
     """Pass one sample through the sensor, after the delay.
 
     Args:
         w: (6,) the delayed wrench. t: [s]. noise: (6,) added before the conversion.
         calibration ... step: see :class:`hiltestbed.sensor.parameters.Chain`, of one run.
-        low: (S, 6), high: (S, 6), before: (S, 6): states of the filters, changed in place; zero at the start.
+        low: (S, 6), high: (S, 6), before: (S, 6): states of the filters, changed in place; zero at
+            the start.
         out: (6,) the reading.
     """
     for j in range(6):
@@ -58,23 +79,66 @@ def condition(w, t, noise, calibration, curve, lag, leak, offset, drift, tone, d
 
 
 @njit(cache=True)
-def condition_all(t, late, noise, calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step, low, high, before, out):
-    """:func:`condition` for n runs: late, noise and out are (n, 6), t (n,) [s], the states (n, S, 6)."""
+def condition_all(
+    t,
+    late,
+    noise,
+    calibration,
+    curve,
+    lag,
+    leak,
+    offset,
+    drift,
+    tone,
+    deadzone,
+    limit,
+    step,
+    low,
+    high,
+    before,
+    out,
+):
+    """:func:`condition` for n runs: late, noise and out are (n, 6), t (n,) [s], the states (n, S,
+    6).
+    """
     for i in range(late.shape[0]):
         condition(
-            late[i], t[i], noise[i], calibration[i], curve[i], lag[i], leak[i], offset[i], drift[i], tone[i], deadzone[i], limit[i],
-            step[i], low[i], high[i], before[i], out[i],
-        )  # fmt: skip
+            late[i],
+            t[i],
+            noise[i],
+            calibration[i],
+            curve[i],
+            lag[i],
+            leak[i],
+            offset[i],
+            drift[i],
+            tone[i],
+            deadzone[i],
+            limit[i],
+            step[i],
+            low[i],
+            high[i],
+            before[i],
+            out[i],
+        )
 
 
 @njit(cache=True)
 def passes(calibration, curve, lag, leak, offset, drift, tone, deadzone, limit):
-    """Whether the reading is the wrench, apart from noise and quantisation; see :func:`condition` for the arguments."""
+    """Whether the reading is the wrench, apart from noise and quantisation; see :func:`condition`
+    for the arguments.
+    """
     for j in range(6):
         for i in range(6):
             if calibration[j, i] != (1.0 if i == j else 0.0):
                 return False
-        if curve[j, 0] > 0.0 or offset[j] != 0.0 or drift[j] != 0.0 or deadzone[j] != 0.0 or limit[j] < math.inf:
+        if (
+            curve[j, 0] > 0.0
+            or offset[j] != 0.0
+            or drift[j] != 0.0
+            or deadzone[j] != 0.0
+            or limit[j] < math.inf
+        ):
             return False
     for s in range(tone.shape[0]):
         for j in range(3):

@@ -26,9 +26,12 @@ class SensorParameters:
 
     Attributes:
         delay: nominal plus additional [s]. jitter: standard deviation of the delay [s].
-        calibration: (6, 6) matrix from the wrench to the reading. curve: of each axis pairs of true value and reading; empty: identity.
-        lag: gain per tick of each low-pass, 1 - exp(-h/T); 1: inactive. leak: factor of each high-pass, exp(-h/T); negative: inactive.
-        offset: (6,) [N, N m]. drift: (6,) [N/s, N m/s]. tone: amplitude on x, y, z [N], frequency [Hz], phase [rad] of each.
+        calibration: (6, 6) matrix from the wrench to the reading. curve: of each axis pairs of true
+            value and reading; empty: identity.
+        lag: gain per tick of each low-pass, 1 - exp(-h/T); 1: inactive. leak: factor of each
+            high-pass, exp(-h/T); negative: inactive.
+        offset: (6,) [N, N m]. drift: (6,) [N/s, N m/s]. tone: amplitude on x, y, z [N], frequency
+            [Hz], phase [rad] of each.
         deadzone, limit: (6,) [N, N m]. step: (6,) quantisation step, 0 for none.
     """
 
@@ -50,8 +53,14 @@ class SensorParameters:
     def believed(cls, settings: SensorSettings, tick: float) -> SensorParameters:
         """The nominal sensor: a scenario's settings, without effects."""
         p = cls(tick, settings.delay)
-        p.lag.append(1.0 if settings.lowpass is None else -math.expm1(-tick * 2.0 * math.pi * settings.lowpass))
-        p.leak.append(-1.0 if settings.time_constant is None else math.exp(-tick / settings.time_constant))
+        p.lag.append(
+            1.0
+            if settings.lowpass is None
+            else -math.expm1(-tick * 2.0 * math.pi * settings.lowpass)
+        )
+        p.leak.append(
+            -1.0 if settings.time_constant is None else math.exp(-tick / settings.time_constant)
+        )
         p.drift[:3] = settings.drift
         p.limit[:3] = np.inf if settings.range is None else settings.range
         p.limit[3:] = np.inf if settings.torque_range is None else settings.torque_range
@@ -61,13 +70,22 @@ class SensorParameters:
     def copy(self) -> SensorParameters:
         """An independent copy."""
         return replace(
-            self, calibration=self.calibration.copy(), curve=list(self.curve), lag=list(self.lag), leak=list(self.leak),
-            offset=self.offset.copy(), drift=self.drift.copy(), tone=list(self.tone), deadzone=self.deadzone.copy(),
+            self,
+            calibration=self.calibration.copy(),
+            curve=list(self.curve),
+            lag=list(self.lag),
+            leak=list(self.leak),
+            offset=self.offset.copy(),
+            drift=self.drift.copy(),
+            tone=list(self.tone),
+            deadzone=self.deadzone.copy(),
             limit=self.limit.copy(),
-        )  # fmt: skip
+        )
 
     def with_effects(self, effects: Iterable[Effect]) -> SensorParameters:
-        """Apply those of ``effects`` that act on the sensor, in place, and return the same object."""
+        """Apply those of ``effects`` that act on the sensor, in place, and return the same
+        object.
+        """
         for effect in effects:
             if effect.link == "sensor":
                 effect.apply(self)
@@ -79,7 +97,8 @@ class Chain:
     """The parameters of n sensors as arrays for the kernels, with the run as leading axis.
 
     Attributes:
-        delay, jitter: (n,). calibration: (n, 6, 6). curve: (n, 6, 1 + 2K) packed. lag, leak: (n, S).
+        delay, jitter: (n,). calibration: (n, 6, 6). curve: (n, 6, 1 + 2K) packed. lag, leak: (n,
+            S).
         offset, drift: (n, 6). tone: (n, H, 5).
         deadzone, limit, step: (n, 6).
     """
@@ -97,15 +116,30 @@ class Chain:
     limit: Array
     step: Array
 
-    def elements(self) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
-        """The elements after the delay, in the order of the arguments of :func:`hiltestbed.sensor.chain.condition`."""
+    def elements(
+        self,
+    ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
+        """The elements after the delay, in the order of the arguments of
+        :func:`hiltestbed.sensor.chain.condition`.
+        """
         return (
-            self.calibration, self.curve, self.lag, self.leak, self.offset, self.drift, self.tone, self.deadzone, self.limit, self.step,
-        )  # fmt: skip
+            self.calibration,
+            self.curve,
+            self.lag,
+            self.leak,
+            self.offset,
+            self.drift,
+            self.tone,
+            self.deadzone,
+            self.limit,
+            self.step,
+        )
 
 
 def stack(sensors: Sequence[SensorParameters]) -> Chain:
-    """Stack several sensors; shorter lists of filters and tones are padded with inactive elements."""
+    """Stack several sensors; shorter lists of filters and tones are padded with inactive
+    elements.
+    """
 
     def filled(rows: list[list], neutral: object) -> Array:
         longest = max(1, *(len(r) for r in rows))

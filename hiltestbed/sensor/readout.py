@@ -1,4 +1,6 @@
-"""From the force and torque sensor's reading to the wrench that the active side exerts on the passive one."""
+"""From the force and torque sensor's reading to the wrench that the active side exerts on the
+passive one.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,9 @@ from hiltestbed.jit import njit
 def read_wrench(reading, tare, runs, wrench_sub, sub):
     """``wrench_sub[runs, sub] = tare - reading``, both ``(n, 6)``, for the ``runs`` (r,).
 
-    MuJoCo's sensors give the wrench that the parent exerts on the child: a carried weight reads positive, a push of the active side
-    negative (tests/sensor/test_force_sensor.py hangs a known weight on the sensor).
+    MuJoCo's sensors give the wrench that the parent exerts on the child: a carried weight reads
+    positive, a push of the active side negative (tests/sensor/test_force_sensor.py hangs a known
+    weight on the sensor).
     """
     for i in runs:
         for j in range(6):
@@ -19,9 +22,11 @@ def read_wrench(reading, tare, runs, wrench_sub, sub):
 
 @njit(cache=True)
 def read_history(history, tare, wrench_sub):
-    """Fill ``wrench_sub[:, :-1]`` from the histories of the two sensors, the last m readings of each.
+    """Fill ``wrench_sub[:, :-1]`` from the histories of the two sensors, the last m readings of
+    each.
 
-    A tick's m steps leave readings at t_k, t_k + dt, ..; the first is already in the wrench of the tick before. MuJoCo keeps one ring
+    A tick's m steps leave readings at t_k, t_k + dt, ..; the first is already in the wrench of the
+    tick before. MuJoCo keeps one ring
     buffer per sensor: user value, cursor of the newest, m times, m values of 3.
     """
     m = wrench_sub.shape[1]
@@ -33,4 +38,6 @@ def read_history(history, tare, wrench_sub):
             for s in range(m - 1):
                 slot = (newest - (m - 2 - s)) % m
                 for j in range(3):
-                    wrench_sub[i, s, 3 * part + j] = tare[i, 3 * part + j] - history[i, start + 2 + m + 3 * slot + j]
+                    wrench_sub[i, s, 3 * part + j] = (
+                        tare[i, 3 * part + j] - history[i, start + 2 + m + 3 * slot + j]
+                    )

@@ -1,7 +1,9 @@
-"""The force sensor: its input is the physical wrench at the physics rate, its output one reading per tick.
+"""The force sensor: its input is the physical wrench at the physics rate, its output one reading
+per tick.
 
-The reading at t_k is the wrench at t_k - delay, interpolated linearly in a ring buffer of the last physics instants, so that the
-delay need not be a whole number of ticks or of physics steps; before the start it is zero. The rest of the chain is in
+The reading at t_k is the wrench at t_k - delay, interpolated linearly in a ring buffer of the last
+physics instants, so that the delay need not be a whole number of ticks or of physics steps; before
+the start it is zero. The rest of the chain is in
 :mod:`hiltestbed.sensor.chain`.
 """
 
@@ -23,8 +25,11 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 BLOCK = 256  # ticks of noise drawn at a time
-WHOLE = 1e-6  # physics steps within which a delay counts as whole: 5 ms is 20 steps of 0.25 ms, however the division was rounded
-JITTER_CLIP = 8.0  # standard deviations at which delay jitter is clipped, and for which the ring buffer is sized
+# physics steps within which a delay counts as whole: 5 ms is 20 steps of 0.25 ms, however the
+# division was rounded
+WHOLE = 1e-6
+# standard deviations at which delay jitter is clipped, and for which the ring buffer is sized
+JITTER_CLIP = 8.0
 
 
 class Chain:
@@ -38,13 +43,18 @@ class Chain:
         n = len(sensors)
         self.numbers = stack(sensors)
         stages = max(self.numbers.lag.shape[1], self.numbers.leak.shape[1])
-        self._low, self._high, self._before = np.zeros((n, stages, 6)), np.zeros((n, stages, 6)), np.zeros((n, stages, 6))
+        self._low, self._high, self._before = (
+            np.zeros((n, stages, 6)),
+            np.zeros((n, stages, 6)),
+            np.zeros((n, stages, 6)),
+        )
         self.reading = np.zeros((n, 6))
         self.stages = (*self.numbers.elements(), self._low, self._high, self._before, self.reading)
 
     def read(self, t: Array, late: Array, noise: Array) -> Array:
-        """The reading (n, 6) at ``t`` (n,) [s] of the delayed wrench ``late`` (n, 6), with ``noise`` (n, 6) added before the
-        conversion; called once per tick."""
+        """The reading (n, 6) at ``t`` (n,) [s] of the delayed wrench ``late`` (n, 6), with
+        ``noise`` (n, 6) added before the conversion; called once per tick.
+        """
         condition_all(t, late, noise, *self.stages)
         return self.reading
 
@@ -55,17 +65,27 @@ class Sensor:
     Attributes:
         reading: (n, 6) the last reading [N, N m].
         ring: (n, L, 6) the last L physical wrenches, instant j at slot j modulo L.
-        late: (n,) whether a run's delay is never shorter than a physics step: its reading at t_k then does not need the wrench at t_k.
+        late: (n,) whether a run's delay is never shorter than a physics step: its reading at t_k
+            then does not need the wrench at t_k.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], rngs: Sequence[np.random.Generator]) -> None:
-        """``rngs``: one generator per run, so that a run's random numbers do not depend on its batch."""
+        """``rngs``: one generator per run, so that a run's random numbers do not depend on its
+        batch.
+        """
         n = len(scenarios)
         self.tick = 1.0 / scenarios[0].rate
         self.substeps = round(scenarios[0].physics_rate / scenarios[0].rate)
-        self.chain = Chain([SensorParameters.believed(s.sensor, self.tick).with_effects(s.effects) for s in scenarios])
+        self.chain = Chain(
+            [
+                SensorParameters.believed(s.sensor, self.tick).with_effects(s.effects)
+                for s in scenarios
+            ]
+        )
         self.reading = self.chain.reading
-        self.noise_level = np.array([[s.sensor.noise] * 3 + [s.sensor.torque_noise] * 3 for s in scenarios])
+        self.noise_level = np.array(
+            [[s.sensor.noise] * 3 + [s.sensor.torque_noise] * 3 for s in scenarios]
+        )
         physics_step = self.tick / self.substeps
         delay, jitter = self.chain.numbers.delay, self.chain.numbers.jitter
         longest = float(np.max(delay + JITTER_CLIP * jitter))
@@ -74,16 +94,27 @@ class Sensor:
         self.late = self._delay_steps - JITTER_CLIP * self._jitter_steps > 1.0 - WHOLE
         self.ring = np.zeros((n, math.ceil(longest / physics_step) + self.substeps + 2, 6))
         self._arrived, self._time = np.zeros((n, 6)), np.zeros(n)
-        self._streams = [rng.spawn(2) for rng in rngs]  # separate streams: noise does not shift jitter, nor jitter noise
+        # separate streams: noise does not shift jitter, nor jitter noise
+        self._streams = [rng.spawn(2) for rng in rngs]
         self._noise = np.zeros((n, BLOCK, 6))
         self._jitter = np.zeros((n, BLOCK))
         self._noisy = np.flatnonzero(self.noise_level.any(axis=1))
         self._jittery = np.flatnonzero(jitter)
         self._next_block = 0
         self._read = Call(
-            _read, ..., self.tick, self.ring, GIVEN, self._delay_steps, self._jitter_steps, self._jitter, self._noise, self._arrived,
-            self._time, *self.chain.stages,
-        )  # fmt: skip
+            _read,
+            ...,
+            self.tick,
+            self.ring,
+            GIVEN,
+            self._delay_steps,
+            self._jitter_steps,
+            self._jitter,
+            self._noise,
+            self._arrived,
+            self._time,
+            *self.chain.stages,
+        )
         self._feel = Call(_feel, ..., self.substeps, self.ring, GIVEN)
 
     def read(self, k: int, wrench_sub: Array) -> Array:
@@ -91,16 +122,20 @@ class Sensor:
 
         Args:
             k: the tick; called once for each, from 0 on.
-            wrench_sub: (n, m, 6) physical wrench at the m physics instants up to t_k, the last of which is t_k; for a run that is
-                `late` the last may be arbitrary, if :meth:`feel` supplies it before the next tick.
+            wrench_sub: (n, m, 6) physical wrench at the m physics instants up to t_k, the last of
+                which is t_k; for a run that is `late` the last may be arbitrary, if :meth:`feel`
+                supplies it before the next tick.
         """
-        while k >= self._next_block:  # a loop that starts from a saved state draws the earlier blocks as well
+        # a loop that starts from a saved state draws the earlier blocks as well
+        while k >= self._next_block:
             self._draw()
         self._read.on(wrench_sub)(k)
         return self.reading
 
     def feel(self, k: int, wrench: Array) -> None:
-        """Supply the wrench (n, 6) at t_k, if it was not yet known in :meth:`read`: for runs that are `late`."""
+        """Supply the wrench (n, 6) at t_k, if it was not yet known in :meth:`read`: for runs that
+        are `late`.
+        """
         self._feel.on(wrench)(k)
 
     def _draw(self) -> None:
@@ -114,7 +149,9 @@ class Sensor:
 
 @njit(cache=True)
 def _read(k, h, ring, sub, delay, jitter, shake, noise, arrived, t, *stages):
-    """One tick of all sensors: delay, then chain; ``shake`` (n, BLOCK), ``noise`` (n, BLOCK, 6): random numbers of a block of ticks."""
+    """One tick of all sensors: delay, then chain; ``shake`` (n, BLOCK), ``noise`` (n, BLOCK, 6):
+    random numbers of a block of ticks.
+    """
     row = k % BLOCK
     _arrive(k, ring, sub, delay, jitter, shake[:, row], arrived)
     t[:] = k * h
@@ -131,7 +168,9 @@ def _feel(k, substeps, ring, wrench):
 
 @njit(cache=True)
 def _arrive(k, ring, sub, delay, jitter, shake, out):
-    """``out`` (n, 6): the wrench at t_k - delay, interpolated linearly between physics instants; ``sub`` is stored in the ring buffer."""
+    """``out`` (n, 6): the wrench at t_k - delay, interpolated linearly between physics instants;
+    ``sub`` is stored in the ring buffer.
+    """
     n, m = sub.shape[0], sub.shape[1]
     length = ring.shape[1]
     for i in range(n):

@@ -19,7 +19,8 @@ from hiltestbed.viewer.scales import ACROSS, readable
 
 Point = tuple[float, float, float]
 
-SIX_AXES: tuple[Point, Point] = (1.45, -2.75, 0.2), (0.0, 0.0, -0.45)  # position of the camera, and the point that it looks at
+# position of the camera, and the point that it looks at
+SIX_AXES: tuple[Point, Point] = (1.45, -2.75, 0.2), (0.0, 0.0, -0.45)
 NINE_AXES: tuple[Point, Point] = (5.0, -2.8, 1.7), (0.0, 0.0, 0.75)
 BACKGROUND = (22, 26, 33)
 BEFORE, AFTER = 0.15, 0.35  # [s] shown around the first contact, at least
@@ -47,7 +48,9 @@ class Facts:
 
     @property
     def shown(self) -> tuple[float, float]:
-        """[s] that the plots show: the contact and a quarter of its duration on each side; the whole run if the ports do not touch."""
+        """[s] that the plots show: the contact and a quarter of its duration on each side; the
+        whole run if the ports do not touch.
+        """
         t, contact = self.trace.t, self.trace.contact
         if not contact.any():
             return float(t[0]), float(t[-1])
@@ -65,7 +68,9 @@ def layout(facts: Facts) -> rrb.Blueprint:
             timeline="time",
             playback_speed=min(1.0, float(f"{(end - start) / SHOWN:.1g}")) if end > start else 1.0,
             loop_mode=rrb.components.LoopMode.Selection,
-            time_selection=rrb.components.AbsoluteTimeRange(min=round(1e9 * start), max=round(1e9 * end)),
+            time_selection=rrb.components.AbsoluteTimeRange(
+                min=round(1e9 * start), max=round(1e9 * end)
+            ),
             state="collapsed",
         ),
         rrb.BlueprintPanel(state="collapsed"),
@@ -77,7 +82,13 @@ def _scenes(facts: Facts) -> rrb.Vertical:
     return rrb.Vertical(
         rig_view(facts.run.scenario, "The rig", facts.force_scale),
         rrb.Horizontal(
-            _scene("At the contact", rig.AT_P, eye=(0.42, -0.76, -0.2), target=(0.0, 0.0, 0.01), contents=[f"/{rig.ROOT}/**"]),
+            _scene(
+                "At the contact",
+                rig.AT_P,
+                eye=(0.42, -0.76, -0.2),
+                target=(0.0, 0.0, 0.01),
+                contents=[f"/{rig.ROOT}/**"],
+            ),
             _spacecraft(facts),
         ),
         row_shares=[1.7, 1.0],
@@ -88,7 +99,13 @@ def rig_view(scenario: Scenario, name: str, force_scale: float) -> rrb.Spatial3D
     """The rig from between the columns of its frame; ``force_scale`` [m/N] of the arrow."""
     eye, target = NINE_AXES if scenario.rig.upper.kind != "fixed" else SIX_AXES
     contents = [f"/{rig.ROOT}/**", *(f"- /{name}" for name in rig.PORT_NAMES)]
-    return _scene(f"{name} (force arrow: 1 m is {1.0 / force_scale:g} N)", rig.ROOT, eye, target, contents=contents)
+    return _scene(
+        f"{name} (force arrow: 1 m is {1.0 / force_scale:g} N)",
+        rig.ROOT,
+        eye,
+        target,
+        contents=contents,
+    )
 
 
 def _spacecraft(facts: Facts) -> rrb.Spatial3DView:
@@ -96,18 +113,26 @@ def _spacecraft(facts: Facts) -> rrb.Spatial3DView:
     down += facts.run.scenario.approach.gap
     middle, away = 0.5 * (up - down), 1.3 * (up + down)
     eye = (0.55 * away, -0.82 * away, middle + 0.18 * away)
-    return _scene("The two spacecraft of the numerical model", spacecraft.ROOT, eye, target=(0.0, 0.0, middle))
+    return _scene(
+        "The two spacecraft of the numerical model", spacecraft.ROOT, eye, target=(0.0, 0.0, middle)
+    )
 
 
-def _scene(name: str, origin: str, eye: Point, target: Point, contents: Sequence[str] = ("$origin/**",)) -> rrb.Spatial3DView:
+def _scene(
+    name: str, origin: str, eye: Point, target: Point, contents: Sequence[str] = ("$origin/**",)
+) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         name=name,
         origin=origin,
         contents=list(contents),
         background=BACKGROUND,
         line_grid=False,
-        eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)),
-        spatial_information=rrb.SpatialInformation(target_frame=f"tf#/{origin}", show_axes=False, show_bounding_box=False),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)
+        ),
+        spatial_information=rrb.SpatialInformation(
+            target_frame=f"tf#/{origin}", show_axes=False, show_bounding_box=False
+        ),
     )
 
 
@@ -124,8 +149,14 @@ def _signals(facts: Facts) -> rrb.Tabs:
         _six(facts, "Wrench", ("force", "Force", "N"), ("torque", "Torque", "N m")),
         _estimates(facts),
         rrb.Vertical(
-            *(_plot(facts, path, title) for unit, path, title in JOINT_PLOTS if unit in facts.trace.joints),
-            _plot(facts, "platform/tracking_error_mm", "Tracking error: reached minus desired [mm]"),
+            *(
+                _plot(facts, path, title)
+                for unit, path, title in JOINT_PLOTS
+                if unit in facts.trace.joints
+            ),
+            _plot(
+                facts, "platform/tracking_error_mm", "Tracking error: reached minus desired [mm]"
+            ),
             name="Platform",
         ),
         rrb.TextDocumentView(name="Figures", origin="figures"),
@@ -134,7 +165,9 @@ def _signals(facts: Facts) -> rrb.Tabs:
 
 
 def _contact(facts: Facts) -> rrb.Vertical:
-    """The axis of insertion, and beside it its stiffness and damping if they have a true value, otherwise the lateral forces."""
+    """The axis of insertion, and beside it its stiffness and damping if they have a true value,
+    otherwise the lateral forces.
+    """
     trace = facts.trace
     if facts.run.summary["identification"]["z"]["stiffness_true"] is not None:
         beside = [
@@ -143,7 +176,10 @@ def _contact(facts: Facts) -> rrb.Vertical:
         ]
     else:
         across = (_range(facts, _forces(trace, j)) for j in range(2))
-        beside = [_plot(facts, f"force/{axis}", f"Contact force, {axis} [N]", r) for axis, r in zip("xy", across, strict=True)]
+        beside = [
+            _plot(facts, f"force/{axis}", f"Contact force, {axis} [N]", r)
+            for axis, r in zip("xy", across, strict=True)
+        ]
     less = trace["wrench_meas"][:, :3] - trace["wrench_true"][:, :3]
     positions = 1e3 * np.stack([trace["pose_cmd"][:, 2], trace["pose_act"][:, 2]], axis=-1)
     energy = energy_generated(trace, facts.run.scenario)
@@ -152,18 +188,28 @@ def _contact(facts: Facts) -> rrb.Vertical:
         _plot(facts, "force/z", "Contact force, z [N]", _range(facts, _forces(trace, 2))),
         _plot(facts, "force_error", "Measured minus physical force [N]", _range(facts, less)),
     )
-    right = rrb.Vertical(*beside, _plot(facts, "energy_generated", "Energy made by the rig [J]", _range(facts, energy)))
-    return rrb.Vertical(rrb.Horizontal(left, right), _phases(facts), row_shares=[8.0, 1.0], name="Contact")
+    right = rrb.Vertical(
+        *beside,
+        _plot(facts, "energy_generated", "Energy made by the rig [J]", _range(facts, energy)),
+    )
+    return rrb.Vertical(
+        rrb.Horizontal(left, right), _phases(facts), row_shares=[8.0, 1.0], name="Contact"
+    )
 
 
 def _forces(trace: RunTrace, axis: int) -> Array:
     """``(ticks, 3)`` physical, measured, used."""
-    return np.stack([trace[f"wrench_{kind}"][:, axis] for kind in ("true", "meas", "comp")], axis=-1)
+    return np.stack(
+        [trace[f"wrench_{kind}"][:, axis] for kind in ("true", "meas", "comp")], axis=-1
+    )
 
 
 def _six(facts: Facts, name: str, *quantities: tuple[str, str, str]) -> rrb.Horizontal:
     columns = [
-        rrb.Vertical(*(_plot(facts, f"{path}/{axis}", f"{title} {axis} [{unit}]") for axis in "xyz")) for path, title, unit in quantities
+        rrb.Vertical(
+            *(_plot(facts, f"{path}/{axis}", f"{title} {axis} [{unit}]") for axis in "xyz")
+        )
+        for path, title, unit in quantities
     ]
     return rrb.Horizontal(*columns, name=name)
 
@@ -174,8 +220,16 @@ def _estimates(facts: Facts) -> rrb.Horizontal:
     for path, title in (("stiffness", "Stiffness"), ("damping", "Damping")):
         known = np.any(np.isfinite(facts.trace[f"{path}_est"]), axis=0).tolist()
         truth = facts.run.summary["identification"]
-        axes = [axis for j, axis in enumerate(AXES) if known[j] or truth[axis][f"{path}_true"] is not None]
-        columns.append(rrb.Vertical(*(_plot(facts, f"{path}/{axis}", f"{title} {axis}") for axis in axes or ["z"])))
+        axes = [
+            axis
+            for j, axis in enumerate(AXES)
+            if known[j] or truth[axis][f"{path}_true"] is not None
+        ]
+        columns.append(
+            rrb.Vertical(
+                *(_plot(facts, f"{path}/{axis}", f"{title} {axis}") for axis in axes or ["z"])
+            )
+        )
     return rrb.Horizontal(*columns, name="Identified")
 
 
@@ -184,7 +238,9 @@ def _time_axis(facts: Facts) -> rrb.TimeAxis:
     return rrb.TimeAxis(view_range=rr.encodings.TimeRange(start=start, end=end))
 
 
-def _plot(facts: Facts, path: str, name: str, y_range: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
+def _plot(
+    facts: Facts, path: str, name: str, y_range: tuple[float, float] | None = None
+) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         name=name,
         origin=f"{plots.ROOT}/{path}",
@@ -195,11 +251,15 @@ def _plot(facts: Facts, path: str, name: str, y_range: tuple[float, float] | Non
 
 
 def _phases(facts: Facts) -> rrb.StateTimelineView:
-    return rrb.StateTimelineView(name="Contact phase", origin=plots.PHASE, time_view=_time_axis(facts))
+    return rrb.StateTimelineView(
+        name="Contact phase", origin=plots.PHASE, time_view=_time_axis(facts)
+    )
 
 
 def _range(facts: Facts, values: Array) -> tuple[float, float] | None:
-    """Range of values ``(ticks, ...)`` in the window; None if there is none, and the viewer then chooses."""
+    """Range of values ``(ticks, ...)`` in the window; None if there is none, and the viewer then
+    chooses.
+    """
     start, end = facts.shown
     shown = values[(facts.trace.t >= start) & (facts.trace.t <= end)]
     shown = shown[np.isfinite(shown)]
@@ -207,7 +267,9 @@ def _range(facts: Facts, values: Array) -> tuple[float, float] | None:
 
 
 def _estimate_range(facts: Facts, name: str) -> tuple[float, float] | None:
-    """Range of the later estimates and the true value: the first few estimates of a contact may be far off."""
+    """Range of the later estimates and the true value: the first few estimates of a contact may be
+    far off.
+    """
     values: Array = facts.trace[f"{name}_est"][:, 2]
     values = values[np.isfinite(values)]
     truth = facts.run.summary["identification"]["z"][f"{name}_true"]

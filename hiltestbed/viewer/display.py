@@ -14,38 +14,57 @@ RECORDING = "recording.rrd"
 
 
 def view(folder: str | Path) -> None:
-    """Open the recording of a run folder, or a recording, in the rerun viewer; returns when its window is closed.
+    """Open the recording of a run folder, or a recording, in the rerun viewer; returns when its
+    window is closed.
 
     Raises:
         InputError: there is no recording.
-        HiltestbedError: this machine has no display, or the viewer failed; the message says what to do.
+        HiltestbedError: this machine has no display, or the viewer failed; the message says what to
+            do.
     """
     path = Path(folder)
     recording = path / RECORDING if path.is_dir() else path
     if not recording.is_file():
         raise InputError(
-            f"{folder}: has no {RECORDING}; allowed is a folder that `hiltestbed run --out` wrote, or a .rrd file; "
+            f"{folder}: has no {RECORDING}; allowed is a folder that `hiltestbed run --out` "
+            f"wrote, or a .rrd file; "
             "run the scenario again without --no-rerun"
         )
     if not has_display():
         raise HiltestbedError(
-            f"no display on this machine (neither DISPLAY nor WAYLAND_DISPLAY is set). Copy {recording} to a machine with one and run "
-            f"`rerun {recording.name}` there, or serve it from here to a browser: rerun {recording} --serve-web"
+            f"no display on this machine (neither DISPLAY nor WAYLAND_DISPLAY is set). Copy "
+            f"{recording} to a machine with one and run "
+            f"`rerun {recording.name}` there, or serve it from here to a browser: rerun "
+            f"{recording} --serve-web"
         )
     status = subprocess.run([str(viewer_binary()), str(recording)], check=False).returncode
     if status != 0:
-        raise HiltestbedError(f"the rerun viewer ended with status {status}; to view it in a browser: rerun {recording} --serve-web")
+        raise HiltestbedError(
+            f"the rerun viewer ended with status {status}; to view it in a browser: rerun "
+            f"{recording} --serve-web"
+        )
 
 
 def has_display() -> bool:
     """Whether a window can be opened here."""
-    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return sys.platform in ("win32", "darwin") or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
 
 
 def viewer_binary() -> Path:
-    """The viewer binary of rerun-sdk. The `rerun` script is not used: if it is terminated, its viewer keeps running."""
+    """The viewer binary of rerun-sdk. The `rerun` script is not used: if it is terminated, its
+    viewer keeps running.
+    """
     spec = find_spec("rerun_cli")
-    binary = Path(spec.origin).with_name("rerun.exe" if sys.platform == "win32" else "rerun") if spec and spec.origin else None
+    binary = (
+        Path(spec.origin).with_name("rerun.exe" if sys.platform == "win32" else "rerun")
+        if spec and spec.origin
+        else None
+    )
     if binary is None or not binary.is_file():
-        raise HiltestbedError("the rerun viewer is not installed; install it with: pip install 'rerun-sdk>=0.41,<0.42'")
+        raise HiltestbedError(
+            "the rerun viewer is not installed; install it with: pip install "
+            "'rerun-sdk>=0.41,<0.42'"
+        )
     return binary

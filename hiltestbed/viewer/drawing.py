@@ -10,7 +10,11 @@ from hiltestbed.viewer.solids import Solid
 
 def send_poses(rec: rr.RecordingStream, path: str, time: rr.TimeColumn, poses: Array) -> None:
     """Poses ``(frames, 7)`` of an entity."""
-    rec.send_columns(path, indexes=[time], columns=rr.Transform3D.columns(translation=poses[:, :3], quaternion=poses[:, 3:]))
+    rec.send_columns(
+        path,
+        indexes=[time],
+        columns=rr.Transform3D.columns(translation=poses[:, :3], quaternion=poses[:, 3:]),
+    )
 
 
 def log_solid(rec: rr.RecordingStream, path: str, shape: Solid, opacity: float = 1.0) -> None:

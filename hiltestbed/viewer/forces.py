@@ -10,25 +10,37 @@ from hiltestbed.frames import Array
 from hiltestbed.viewer import colors
 
 ARROW_LENGTH = 0.6  # [m] of the largest force, at most
-LINE_OF_ACTION = 0.6  # [m] the force is drawn on its line of action if that passes A within this distance
+# [m] the force is drawn on its line of action if that passes A within this distance
+LINE_OF_ACTION = 0.6
 ARROW_RADIUS = 0.02  # [m]
 LABEL_GAP = 0.03  # [m] from the tip of an arrow to its label
 LABEL_FROM = 0.02  # of the largest force; smaller arrows have no label
 
 
 def force_scale(peak: float, length: float = ARROW_LENGTH) -> float:
-    """[m/N] such that ``peak`` [N] is drawn within ``length`` [m] and a metre is a round number of newtons."""
+    """[m/N] such that ``peak`` [N] is drawn within ``length`` [m] and a metre is a round number of
+    newtons.
+    """
     if not peak > 0.0:
         return 1e-3
     least = peak / length
     decade = 10.0 ** np.floor(np.log10(least))
-    return float(1.0 / next(step * decade for step in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0) if step * decade >= least * (1.0 - 1e-9)))
+    return float(
+        1.0
+        / next(
+            step * decade
+            for step in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)
+            if step * decade >= least * (1.0 - 1e-9)
+        )
+    )
 
 
 def force_origin(wrench: Array, pose: Array) -> Array:
-    """``(frames, 3)`` point of action of ``wrench`` (frames, 6): the point of its line of action nearest to A, or A if that is far away.
+    """``(frames, 3)`` point of action of ``wrench`` (frames, 6): the point of its line of action
+    nearest to A, or A if that is far away.
 
-    The line of action of a force f with the torque t about the origin passes through f x t/f^2; a pure couple shifts it off the contact.
+    The line of action of a force f with the torque t about the origin passes through f x t/f^2; a
+    pure couple shifts it off the contact.
     """
     force, torque, a = wrench[:, :3], wrench[:, 3:], pose[:, :3]
     square = np.maximum(np.einsum("ij,ij->i", force, force), 1e-12)[:, None]
@@ -39,10 +51,17 @@ def force_origin(wrench: Array, pose: Array) -> Array:
 
 
 def send_force(
-    rec: rr.RecordingStream, path: str, time: rr.TimeColumn, wrench: Array, pose: Array, contact: NDArray[np.bool_], scale: float
+    rec: rr.RecordingStream,
+    path: str,
+    time: rr.TimeColumn,
+    wrench: Array,
+    pose: Array,
+    contact: NDArray[np.bool_],
+    scale: float,
 ) -> None:
-    """The force on the passive side as an arrow at its point of action, ``scale`` [m/N], with its magnitude at the tip. No arrow out of
-    contact, where the sensor may still feel the payload that it carries.
+    """The force on the passive side as an arrow at its point of action, ``scale`` [m/N], with its
+    magnitude at the tip. No arrow out of contact, where the sensor may still feel the payload that
+    it carries.
 
     Args:
         wrench: ``(frames, 6)``. pose: ``(frames, 7)`` of A in P. contact: ``(frames,)`` bool.
@@ -50,11 +69,21 @@ def send_force(
     force = np.linalg.norm(wrench[:, :3], axis=1)
     acts = contact & (force > 0.0)
     vectors, origins = scale * wrench[acts, :3], force_origin(wrench, pose)[acts]
-    rec.log(path, rr.Arrows3D.from_fields(colors=[colors.PHYSICAL], radii=[ARROW_RADIUS]), static=True)
-    rec.send_columns(path, indexes=[time], columns=rr.Arrows3D.columns(vectors=vectors, origins=origins).partition(acts.astype(int)))
+    rec.log(
+        path, rr.Arrows3D.from_fields(colors=[colors.PHYSICAL], radii=[ARROW_RADIUS]), static=True
+    )
+    rec.send_columns(
+        path,
+        indexes=[time],
+        columns=rr.Arrows3D.columns(vectors=vectors, origins=origins).partition(acts.astype(int)),
+    )
     labelled = acts & (force > LABEL_FROM * force.max(initial=0.0))
     beyond = 1.0 + LABEL_GAP / (scale * force[labelled, None])
     tips = origins[labelled[acts]] + beyond * scale * wrench[labelled, :3]
     points = rr.Points3D.columns(positions=tips, labels=[f"{f:.0f} N" for f in force[labelled]])
-    rec.log(f"{path}/size", rr.Points3D.from_fields(colors=[colors.PHYSICAL], radii=[0.001], show_labels=True), static=True)
+    rec.log(
+        f"{path}/size",
+        rr.Points3D.from_fields(colors=[colors.PHYSICAL], radii=[0.001], show_labels=True),
+        static=True,
+    )
     rec.send_columns(f"{path}/size", indexes=[time], columns=points.partition(labelled.astype(int)))

@@ -1,4 +1,5 @@
-"""The signals of a run as plots: every tick, one entity per axis of a quantity, with all its curves.
+"""The signals of a run as plots: every tick, one entity per axis of a quantity, with all its
+curves.
 
 Lengths are in mm and angles in degrees here, for readability; the trace is in SI.
 """
@@ -42,10 +43,19 @@ class Plotter:
         self.time = rr.TimeColumn("time", duration=t)
 
     def curves(
-        self, path: str, names: Sequence[str], palette: Sequence[tuple[int, ...]], values: Array, widths: Sequence[float] = ()
+        self,
+        path: str,
+        names: Sequence[str],
+        palette: Sequence[tuple[int, ...]],
+        values: Array,
+        widths: Sequence[float] = (),
     ) -> None:
-        """Curves ``values`` (ticks, curves) under one entity; a wide curve stays visible beneath a narrow one."""
-        style = rr.SeriesLines(names=list(names), colors=list(palette), widths=list(widths) or [1.5] * len(names))
+        """Curves ``values`` (ticks, curves) under one entity; a wide curve stays visible beneath a
+        narrow one.
+        """
+        style = rr.SeriesLines(
+            names=list(names), colors=list(palette), widths=list(widths) or [1.5] * len(names)
+        )
         self.rec.log(f"{ROOT}/{path}", style, static=True)
         columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values))
         self.rec.send_columns(f"{ROOT}/{path}", indexes=[self.time], columns=columns)
@@ -59,7 +69,9 @@ def send_signals(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
     _estimates(plotter, run, trace)
     _platform(plotter, trace)
     energy = energy_generated(trace, run.scenario)
-    plotter.curves("energy_generated", ["made by the rig [J]"], [colors.ENERGY], energy[:, None], [2.0])
+    plotter.curves(
+        "energy_generated", ["made by the rig [J]"], [colors.ENERGY], energy[:, None], [2.0]
+    )
     send_phases(rec, run, trace)
 
 
@@ -68,22 +80,43 @@ def _poses(plotter: Plotter, trace: RunTrace) -> None:
     pair = np.stack([trace["pose_cmd"], trace["pose_act"]], axis=1)
     turn = np.degrees(rotation_vectors(pair[..., 3:]))
     for j, axis in enumerate(XYZ):
-        plotter.curves(f"position_mm/{axis}", [f"{n} [mm]" for n in names], palette, 1e3 * pair[..., j], LINE_WIDTHS[:2])
-        plotter.curves(f"attitude_deg/{axis}", [f"{n} [deg]" for n in names], palette, turn[..., j], LINE_WIDTHS[:2])
+        plotter.curves(
+            f"position_mm/{axis}",
+            [f"{n} [mm]" for n in names],
+            palette,
+            1e3 * pair[..., j],
+            LINE_WIDTHS[:2],
+        )
+        plotter.curves(
+            f"attitude_deg/{axis}",
+            [f"{n} [deg]" for n in names],
+            palette,
+            turn[..., j],
+            LINE_WIDTHS[:2],
+        )
 
 
 def _wrenches(plotter: Plotter, trace: RunTrace) -> None:
-    names, palette = ("physical", "measured", "used"), (colors.PHYSICAL, colors.MEASURED, colors.USED)
+    names, palette = (
+        ("physical", "measured", "used"),
+        (colors.PHYSICAL, colors.MEASURED, colors.USED),
+    )
     triple = np.stack([trace[f"wrench_{kind}"] for kind in ("true", "meas", "comp")], axis=-1)
     for j, axis in enumerate(XYZ):
-        plotter.curves(f"force/{axis}", [f"{n} [N]" for n in names], palette, triple[:, j], LINE_WIDTHS)
-        plotter.curves(f"torque/{axis}", [f"{n} [N m]" for n in names], palette, triple[:, 3 + j], LINE_WIDTHS)
+        plotter.curves(
+            f"force/{axis}", [f"{n} [N]" for n in names], palette, triple[:, j], LINE_WIDTHS
+        )
+        plotter.curves(
+            f"torque/{axis}", [f"{n} [N m]" for n in names], palette, triple[:, 3 + j], LINE_WIDTHS
+        )
     less = trace["wrench_meas"][:, :3] - trace["wrench_true"][:, :3]
     plotter.curves("force_error", [f"{axis} [N]" for axis in XYZ], colors.SERIES[:3], less)
 
 
 def _estimates(plotter: Plotter, run: Run, trace: RunTrace) -> None:
-    """Identified stiffness and damping from the first estimate on, bright once settled, with their true values if known."""
+    """Identified stiffness and damping from the first estimate on, bright once settled, with their
+    true values if known.
+    """
     counted = trace.contact if trace.contact.any() else np.ones(len(trace.t), dtype=bool)
     for name, units in (("stiffness", ("N/m", "N m/rad")), ("damping", ("N s/m", "N m s/rad"))):
         for j, axis in enumerate(AXES):
@@ -92,13 +125,26 @@ def _estimates(plotter: Plotter, run: Run, trace: RunTrace) -> None:
             if len(known):
                 later, since = Plotter(plotter.rec, trace.t[known[0] :]), slice(known[0], None)
                 sure = np.where(unsure(values, counted), np.nan, values)[since]
-                later.curves(f"{name}/{axis}/identified", [f"identified [{unit}]"], [colors.UNSURE], values[since, None])
+                later.curves(
+                    f"{name}/{axis}/identified",
+                    [f"identified [{unit}]"],
+                    [colors.UNSURE],
+                    values[since, None],
+                )
                 if np.isfinite(sure).any():
-                    later.curves(f"{name}/{axis}/identified_surely", [f"settled [{unit}]"], [colors.ESTIMATE], sure[:, None], [2.0])
+                    later.curves(
+                        f"{name}/{axis}/identified_surely",
+                        [f"settled [{unit}]"],
+                        [colors.ESTIMATE],
+                        sure[:, None],
+                        [2.0],
+                    )
             truth = run.summary["identification"][axis][f"{name}_true"]
             if truth is not None:
                 ends = Plotter(plotter.rec, trace.t[[0, -1]])
-                ends.curves(f"{name}/{axis}/true", [f"true [{unit}]"], [colors.TRUE], np.full((2, 1), truth))
+                ends.curves(
+                    f"{name}/{axis}/true", [f"true [{unit}]"], [colors.TRUE], np.full((2, 1), truth)
+                )
 
 
 def _platform(plotter: Plotter, trace: RunTrace) -> None:
@@ -106,15 +152,24 @@ def _platform(plotter: Plotter, trace: RunTrace) -> None:
         which = [j for j, u in enumerate(trace.joints) if u == unit]
         if which and "slider_act" in trace.data:
             shades = [colors.SERIES[j % len(colors.SERIES)] for j in range(len(which))]
-            plotter.curves(path, [name.format(j=j) for j in which], shades, factor * trace["slider_act"][:, which])
+            plotter.curves(
+                path,
+                [name.format(j=j) for j in which],
+                shades,
+                factor * trace["slider_act"][:, which],
+            )
     behind = np.zeros((len(trace.t), 3))  # pose_cmd[k] is the target for row k + 1
     behind[1:] = 1e3 * (trace["pose_act"][1:, :3] - trace["pose_cmd"][:-1, :3])
-    plotter.curves("platform/tracking_error_mm", [f"{a} [mm]" for a in XYZ], colors.SERIES[:3], behind)
+    plotter.curves(
+        "platform/tracking_error_mm", [f"{a} [mm]" for a in XYZ], colors.SERIES[:3], behind
+    )
 
 
 def contact_phases(trace: RunTrace, captured_at: float | None = None) -> list[str]:
-    """The phase of every tick: approach before the first touch, closing or opening in contact by the sign of the velocity along z, then
-    free; captured from the time ``captured_at`` [s] at which the latches closed."""
+    """The phase of every tick: approach before the first touch, closing or opening in contact by
+    the sign of the velocity along z, then free; captured from the time ``captured_at`` [s] at which
+    the latches closed.
+    """
     touched = np.logical_or.accumulate(trace.contact)
     opening = trace["twist_act"][:, 2] < 0.0
     code = np.where(trace.contact, np.where(opening, 2, 1), np.where(touched, 3, 0))
@@ -129,6 +184,12 @@ def send_phases(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
     phases = np.array(contact_phases(trace, run.summary.get("captured_at")))
     rows = np.flatnonzero(np.concatenate([[True], phases[1:] != phases[:-1]]))
     labels, palette = zip(*PHASES.values(), strict=True)
-    rec.log(PHASE, rr.StateConfiguration(values=list(PHASES), labels=list(labels), colors=list(palette)), static=True)
+    rec.log(
+        PHASE,
+        rr.StateConfiguration(values=list(PHASES), labels=list(labels), colors=list(palette)),
+        static=True,
+    )
     time = rr.TimeColumn("time", duration=trace.t[rows])
-    rec.send_columns(PHASE, indexes=[time], columns=rr.StateChange.columns(state=list(phases[rows])))
+    rec.send_columns(
+        PHASE, indexes=[time], columns=rr.StateChange.columns(state=list(phases[rows]))
+    )

@@ -27,7 +27,8 @@ FOOTER, FOOTER_SIZE = b"RRF2FOOT", 12
 def write_recording(path: Path, run: Run) -> None:
     """Write ``run`` as a recording with its layout.
 
-    Bodies and forces are drawn at selected frames (:mod:`hiltestbed.viewer.frames`); signals are included for every tick.
+    Bodies and forces are drawn at selected frames (:mod:`hiltestbed.viewer.frames`); signals are
+    included for every tick.
 
     Raises:
         ValueError: the run has no trace.
@@ -38,9 +39,13 @@ def write_recording(path: Path, run: Run) -> None:
     try:
         _write(path, run, run.trace)
     except RuntimeError as error:  # raised by rerun if its writer has failed
-        raise OSError(errno.EIO, f"the recording could not be written ({error}); is the disk full?", str(path)) from error
+        raise OSError(
+            errno.EIO, f"the recording could not be written ({error}); is the disk full?", str(path)
+        ) from error
     if not _whole(path):
-        raise OSError(errno.EIO, "the recording could not be written whole; is the disk full?", str(path))
+        raise OSError(
+            errno.EIO, "the recording could not be written whole; is the disk full?", str(path)
+        )
 
 
 def _write(path: Path, run: Run, trace: RunTrace) -> None:
@@ -49,20 +54,26 @@ def _write(path: Path, run: Run, trace: RunTrace) -> None:
     with rr.RecordingStream(APPLICATION, recording_id=_identity(run), send_properties=False) as rec:
         rec.save(path, default_blueprint=layout(facts))
         rec.send_recording_name(run.scenario.name)
-        rec.log("figures", rr.TextDocument(figures(run), media_type=rr.MediaType.MARKDOWN), static=True)
+        rec.log(
+            "figures", rr.TextDocument(figures(run), media_type=rr.MediaType.MARKDOWN), static=True
+        )
         _rig(rec, run, trace, rows, facts.force_scale)
         _spacecraft(rec, run, trace, rows)
         send_signals(rec, run, trace)
 
 
 def _whole(path: Path) -> bool:
-    """Whether the recording is complete: rerun writes its footer last, and reports no error if it fails to."""
+    """Whether the recording is complete: rerun writes its footer last, and reports no error if it
+    fails to.
+    """
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - FOOTER_SIZE, 0))
         return FOOTER in file.read()
 
 
-def _rig(rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp], scale: float) -> None:
+def _rig(
+    rec: rr.RecordingStream, run: Run, trace: RunTrace, rows: NDArray[np.intp], scale: float
+) -> None:
     scene = RigScene(run.scenario)
     time, pose = rr.TimeColumn("time", duration=trace.t[rows]), trace["pose_act"][rows]
     scene.draw(rec)
@@ -85,7 +96,9 @@ def _peak(trace: RunTrace) -> float:
 
 
 def _felt(trace: RunTrace) -> NDArray[np.float64]:
-    """(rows, 6) the contact wrench; in a run with real devices, which do not measure it, the sensor's."""
+    """(rows, 6) the contact wrench; in a run with real devices, which do not measure it, the
+    sensor's.
+    """
     return trace["wrench_meas"] if np.isnan(trace["wrench_true"]).all() else trace["wrench_true"]
 
 

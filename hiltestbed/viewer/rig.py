@@ -1,8 +1,9 @@
 """The rig in 3-D: bodies drawn once, their poses at the frames.
 
-Coordinates are in the rig's world W: its origin is the position of P (with an upper platform, its home position), its z axis the
-insertion. Each moving body is an entity with its pose in W; bodies that are welded to it are drawn in its frame. Whatever belongs to P,
-such as the contact force, is below an entity with the pose of P.
+Coordinates are in the rig's world W: its origin is the position of P (with an upper platform, its
+home position), its z axis the insertion. Each moving body is an entity with its pose in W; bodies
+that are welded to it are drawn in its frame. Whatever belongs to P, such as the contact force, is
+below an entity with the pose of P.
 """
 
 from __future__ import annotations
@@ -43,7 +44,11 @@ class RigScene:
         if self._facility is not None:
             self.model = self._facility.model
         else:
-            self.model = nine_axis_scene(scenario.mechanism) if self.nine_axes else rig_scene(scenario.mechanism)
+            self.model = (
+                nine_axis_scene(scenario.mechanism)
+                if self.nine_axes
+                else rig_scene(scenario.mechanism)
+            )
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
         self._home = self.data.qpos.copy()
@@ -51,10 +56,14 @@ class RigScene:
 
     def path(self, body: int) -> str:
         """Entity of a body: under the moving body that carries it, if any."""
-        root, name = int(self.model.body_weldid[body]), self.model.body(body).name or ("world" if body == 0 else f"body_{body}")
+        root, name = (
+            int(self.model.body_weldid[body]),
+            self.model.body(body).name or ("world" if body == 0 else f"body_{body}"),
+        )
         if root == body and root > 0:
             return f"{ROOT}/{name}"
-        return f"{ROOT}/{(self.model.body(root).name or f'body_{root}') if root > 0 else 'fixed'}/{name}"
+        named = (self.model.body(root).name or f"body_{root}") if root > 0 else "fixed"
+        return f"{ROOT}/{named}/{name}"
 
     def draw(self, rec: rr.RecordingStream) -> None:
         """Draws everything that is constant in its own frame."""
@@ -66,14 +75,18 @@ class RigScene:
                 log_solid(rec, f"{self.path(body)}/shape", Solid.joined(solids), opacity)
         site = self.model.site(ACTIVE + "A").id
         carrier = int(self.model.body_weldid[self.model.site_bodyid[site]])
-        position, rotation = self._relative(carrier, self.data.site_xpos[site], self.data.site_xmat[site])
+        position, rotation = self._relative(
+            carrier, self.data.site_xpos[site], self.data.site_xmat[site]
+        )
         _log_triad(rec, f"{self.path(carrier)}/port_A", position, rotation, "A")
         _log_triad(rec, f"{AT_P}/port_P", np.zeros(3), np.eye(3), "P")
 
     def _body_solids(self, body: int) -> list[Solid]:
         m, root, out = self.model, int(self.model.body_weldid[body]), []
         for geom in np.flatnonzero((m.geom_bodyid == body) & (m.geom_group < DRAWN_GROUPS)):
-            position, rotation = self._relative(root, self.data.geom_xpos[geom], self.data.geom_xmat[geom])
+            position, rotation = self._relative(
+                root, self.data.geom_xpos[geom], self.data.geom_xmat[geom]
+            )
             out.append(geom_solid(m, int(geom)).moved(position, rotation))
         return out
 
@@ -83,10 +96,14 @@ class RigScene:
         return frame.T @ (position - self.data.xpos[root]), frame.T @ matrix.reshape(3, 3)
 
     def body_poses(self, pose: Array, pose_P: Array) -> Array:
-        """``(moving, frames, 7)`` poses in W of the moving bodies, by inverse kinematics, at the poses ``(frames, 7)`` of A in P and of
-        P in W."""
+        """``(moving, frames, 7)`` poses in W of the moving bodies, by inverse kinematics, at the
+        poses ``(frames, 7)`` of A in P and of P in W.
+        """
         qpos = self._joints(pose, pose_P)
-        place, attitude = np.empty((len(pose), len(self.moving), 3)), np.empty((len(pose), len(self.moving), 4))
+        place, attitude = (
+            np.empty((len(pose), len(self.moving), 3)),
+            np.empty((len(pose), len(self.moving), 4)),
+        )
         for f in range(len(pose)):
             self.data.qpos[:] = qpos[f]
             mujoco.mj_kinematics(self.model, self.data)
@@ -104,7 +121,9 @@ class RigScene:
             self._upper_joints(pose_P, qpos)
         return qpos
 
-    def port_poses(self, scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
+    def port_poses(
+        self, scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, pose: Array
+    ) -> Array:
         """``(frames, 7)`` poses of P in W at the rows, at which A has ``pose`` (frames, 7) in P."""
         if self._facility is not None:
             return self._facility.joints(pose)[1]
@@ -124,26 +143,37 @@ class RigScene:
         self._free_joint(f"{UPPER}platform", pose_P, self._home[free : free + 3], qpos)
 
     def _free_joint(self, name: str, pose: Array, offset: Array, qpos: Array) -> None:
-        """A body with its origin at ``offset`` (3,) from the port whose poses in W are ``pose`` (frames, 7)."""
+        """A body with its origin at ``offset`` (3,) from the port whose poses in W are ``pose``
+        (frames, 7).
+        """
         first = int(self.model.joint(name).qposadr[0])
         qpos[:, first : first + 3] = pose[:, :3] + rotation_matrix(pose[:, 3:]) @ offset
         qpos[:, first + 3 : first + 7] = quat_to_mujoco(pose[:, 3:])
 
-    def move(self, rec: rr.RecordingStream, time: rr.TimeColumn, pose: Array, pose_P: Array) -> None:
+    def move(
+        self, rec: rr.RecordingStream, time: rr.TimeColumn, pose: Array, pose_P: Array
+    ) -> None:
         """Poses of the moving bodies and of P at the frames, and the path of A in P."""
         for body, poses in zip(self.moving, self.body_poses(pose, pose_P), strict=True):
             send_poses(rec, self.path(body), time, poses)
         send_poses(rec, AT_P, time, pose_P)
-        rec.log(f"{AT_P}/path_of_A", rr.LineStrips3D([pose[:, :3]], colors=[colors.PATH], radii=[0.0015]), static=True)
+        rec.log(
+            f"{AT_P}/path_of_A",
+            rr.LineStrips3D([pose[:, :3]], colors=[colors.PATH], radii=[0.0015]),
+            static=True,
+        )
 
 
 def port_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array) -> Array:
-    """``(frames, 7)`` poses of P in W at the rows: home, or the planned pose of the upper platform for ``pose_cmd`` (ticks, 7)."""
+    """``(frames, 7)`` poses of P in W at the rows: home, or the planned pose of the upper platform
+    for ``pose_cmd`` (ticks, 7).
+    """
     home = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(rows), 1))
     if scenario.rig.upper.kind == "fixed":
         return home
     shape = Upper.load().shape
-    for out, x in zip(home, upper_coordinates(pose_cmd[np.maximum(rows - 1, 0)]), strict=True):  # commanded one tick before it is reached
+    # commanded one tick before it is reached
+    for out, x in zip(home, upper_coordinates(pose_cmd[np.maximum(rows - 1, 0)]), strict=True):
         place(shape, x, out)
     return home
 
@@ -157,7 +187,9 @@ def _composed(pose_P: Array, pose: Array) -> Array:
 
 @njit(cache=True)
 def _leg_joints(legs, first, pose, qpos):
-    """Slider and revolute joint of every leg at the poses ``(frames, 7)`` of P, into ``qpos`` from the columns ``first`` (3,) on."""
+    """Slider and revolute joint of every leg at the poses ``(frames, 7)`` of P, into ``qpos`` from
+    the columns ``first`` (3,) on.
+    """
     arm = np.empty(3)
     for f in range(pose.shape[0]):
         for j in range(3):
@@ -167,7 +199,9 @@ def _leg_joints(legs, first, pose, qpos):
 
 @njit(cache=True)
 def _limb_joints(limbs, first, pose, qpos):
-    """Slider and universal joint of every limb at the poses ``(frames, 7)`` of A, into ``qpos`` from the columns ``first`` (6,) on."""
+    """Slider and universal joint of every limb at the poses ``(frames, 7)`` of A, into ``qpos``
+    from the columns ``first`` (6,) on.
+    """
     still, q, v = np.zeros(6), np.empty(3), np.empty(3)
     for f in range(pose.shape[0]):
         for j in range(6):
@@ -176,9 +210,15 @@ def _limb_joints(limbs, first, pose, qpos):
                 qpos[f, first[j] + k] = q[k]
 
 
-def _log_triad(rec: rr.RecordingStream, path: str, position: Array, rotation: Array, name: str) -> None:
+def _log_triad(
+    rec: rr.RecordingStream, path: str, position: Array, rotation: Array, name: str
+) -> None:
     """A port's axes, x red, y green, z blue, with its name beside it."""
     axes = [arrow(TRIAD * np.eye(3)[i], 0.005, np.array(colors.AXES[i])) for i in range(3)]
     log_solid(rec, path, Solid.joined(axes).moved(position, rotation))
     at = position + rotation @ np.array([1.15 * TRIAD if name == "P" else -0.4 * TRIAD, 0.0, 0.0])
-    rec.log(f"{path}/name", rr.Points3D([at], radii=[0.002], colors=[colors.TEXT], labels=[name], show_labels=True), static=True)
+    rec.log(
+        f"{path}/name",
+        rr.Points3D([at], radii=[0.002], colors=[colors.TEXT], labels=[name], show_labels=True),
+        static=True,
+    )

@@ -1,15 +1,21 @@
-"""Axis ranges that contain at least two labelled ticks: the viewer places ticks only at powers of ten."""
+"""Axis ranges that contain at least two labelled ticks: the viewer places ticks only at powers of
+ten.
+"""
 
 from __future__ import annotations
 
 import math
 
 MARGIN = 0.06  # of the span, above and below
-UPWARD, ACROSS = 6.0, 4.5  # largest spans, in ticks of one power of ten, for which a contact plot labels them; beyond, the next power
+# largest spans, in ticks of one power of ten, for which a contact plot labels them; beyond, the
+# next power
+UPWARD, ACROSS = 6.0, 4.5
 
 
 def readable(low: float, high: float, most: float = UPWARD) -> tuple[float, float]:
-    """The range from ``low`` to ``high`` with a margin, widened at the nearer end until two multiples of the labelled step lie in it."""
+    """The range from ``low`` to ``high`` with a margin, widened at the nearer end until two
+    multiples of the labelled step lie in it.
+    """
     span = high - low
     if not span > 0.0:
         span = max(abs(high), 1e-9)

@@ -1,4 +1,6 @@
-"""Triangle meshes of MuJoCo's geoms; the edges of boxes and cylinders are bevelled so that they are visible."""
+"""Triangle meshes of MuJoCo's geoms; the edges of boxes and cylinders are bevelled so that they are
+visible.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ PLANE = 4.0  # [m] half side with which an infinite plane is drawn
 
 @dataclass(frozen=True)
 class Solid:
-    """A closed surface: ``vertices`` (v, 3) [m] and unit ``normals`` (v, 3), ``triangles`` (t, 3), ``colors`` (v, 4) 0..255."""
+    """A closed surface: ``vertices`` (v, 3) [m] and unit ``normals`` (v, 3), ``triangles`` (t, 3),
+    ``colors`` (v, 4) 0..255.
+    """
 
     vertices: Array
     normals: Array
@@ -27,7 +31,12 @@ class Solid:
 
     def moved(self, position: Array, rotation: Array) -> Solid:
         """The same solid at ``position`` (3,), rotated by ``rotation`` (3, 3)."""
-        return Solid(self.vertices @ rotation.T + position, self.normals @ rotation.T, self.triangles, self.colors)
+        return Solid(
+            self.vertices @ rotation.T + position,
+            self.normals @ rotation.T,
+            self.triangles,
+            self.colors,
+        )
 
     @staticmethod
     def joined(solids: list[Solid]) -> Solid:
@@ -44,7 +53,9 @@ class Solid:
 def solid(vertices: Array, normals: Array, triangles: NDArray[np.integer], rgba: Array) -> Solid:
     """A mesh in one colour ``rgba`` (4,) 0..1."""
     colors = np.tile(np.round(255.0 * np.asarray(rgba)).astype(np.uint8), (len(vertices), 1))
-    return Solid(np.asarray(vertices, float), np.asarray(normals, float), triangles.astype(np.uint32), colors)
+    return Solid(
+        np.asarray(vertices, float), np.asarray(normals, float), triangles.astype(np.uint32), colors
+    )
 
 
 def box(half: Array, rgba: Array) -> Solid:
@@ -58,7 +69,12 @@ def box(half: Array, rgba: Array) -> Solid:
         inset[axis] = 0.0
         vertices.append(signs * (half - inset))
         normals.append(signs * np.eye(3)[axis])
-    return solid(np.concatenate(vertices), np.concatenate(normals), _outward(np.concatenate(vertices), _box_triangles()), rgba)
+    return solid(
+        np.concatenate(vertices),
+        np.concatenate(normals),
+        _outward(np.concatenate(vertices), _box_triangles()),
+        rgba,
+    )
 
 
 def _box_triangles() -> NDArray[np.integer]:
@@ -69,7 +85,8 @@ def _box_triangles() -> NDArray[np.integer]:
         for side in (0, bits[axis]):
             quad = [8 * axis + side + corner for corner in (0, b, b + c, c)]
             triangles += [quad[:3], [quad[0], *quad[2:]]]
-        for corner in (0, b, c, b + c):  # the edge along this axis joins the faces of the two others
+        # the edge along this axis joins the faces of the two others
+        for corner in (0, b, c, b + c):
             j, k = 8 * ((axis + 1) % 3), 8 * ((axis + 2) % 3)
             quad = [j + corner, j + corner + bits[axis], k + corner + bits[axis], k + corner]
             triangles += [quad[:3], [quad[0], *quad[2:]]]
@@ -87,17 +104,25 @@ def _outward(vertices: Array, triangles: NDArray[np.integer]) -> NDArray[np.inte
 
 
 def revolved(profile: Array, rgba: Array) -> Solid:
-    """A surface of revolution about z from ``profile`` (p, 4): radius and height [m] and its normal, from the bottom up."""
+    """A surface of revolution about z from ``profile`` (p, 4): radius and height [m] and its
+    normal, from the bottom up.
+    """
     angle = np.linspace(0.0, 2.0 * np.pi, SEGMENTS + 1)
     c, s = np.cos(angle), np.sin(angle)
     rings = len(profile)
     r, z, nr, nz = (profile[:, None, i] for i in range(4))
-    vertices = np.stack([r * c, r * s, np.broadcast_to(z, (rings, SEGMENTS + 1))], axis=-1).reshape(-1, 3)
-    normals = np.stack([nr * c, nr * s, np.broadcast_to(nz, (rings, SEGMENTS + 1))], axis=-1).reshape(-1, 3)
+    vertices = np.stack([r * c, r * s, np.broadcast_to(z, (rings, SEGMENTS + 1))], axis=-1).reshape(
+        -1, 3
+    )
+    normals = np.stack(
+        [nr * c, nr * s, np.broadcast_to(nz, (rings, SEGMENTS + 1))], axis=-1
+    ).reshape(-1, 3)
     i, j = np.meshgrid(np.arange(rings - 1), np.arange(SEGMENTS), indexing="ij")
     low = (i * (SEGMENTS + 1) + j).ravel()
     high = low + SEGMENTS + 1
-    triangles = np.concatenate([np.stack([low, low + 1, high + 1], -1), np.stack([low, high + 1, high], -1)])
+    triangles = np.concatenate(
+        [np.stack([low, low + 1, high + 1], -1), np.stack([low, high + 1, high], -1)]
+    )
     return solid(vertices, normals, triangles, rgba)
 
 
@@ -109,7 +134,9 @@ def cylinder(radius: float, half: float, rgba: Array) -> Solid:
 
 
 def capsule(radius: float, half: float, rgba: Array) -> Solid:
-    """About z, of half length ``half`` [m] between the centres of its ends; a sphere for half = 0."""
+    """About z, of half length ``half`` [m] between the centres of its ends; a sphere for half =
+    0.
+    """
     a = np.linspace(-0.5 * np.pi, 0.0, ARC + 1)
     lower = np.stack([radius * np.cos(a), radius * np.sin(a) - half, np.cos(a), np.sin(a)], axis=-1)
     return revolved(np.concatenate([lower, (lower * [1.0, -1.0, 1.0, -1.0])[::-1]]), rgba)
@@ -119,7 +146,12 @@ def ellipsoid(half: Array, rgba: Array) -> Solid:
     """Of half axes ``half`` (3,) [m]."""
     ball = capsule(1.0, 0.0, rgba)
     normals = ball.normals / half
-    return Solid(ball.vertices * half, normals / np.linalg.norm(normals, axis=1, keepdims=True), ball.triangles, ball.colors)
+    return Solid(
+        ball.vertices * half,
+        normals / np.linalg.norm(normals, axis=1, keepdims=True),
+        ball.triangles,
+        ball.colors,
+    )
 
 
 def arrow(vector: Array, radius: float, rgba: Array) -> Solid:
@@ -130,13 +162,21 @@ def arrow(vector: Array, radius: float, rgba: Array) -> Solid:
     slope = np.hypot(head, 2.5 * radius)
     side = (head / slope, 2.5 * radius / slope)
     profile = [
-        [0.0, 0.0, 0.0, -1.0], [radius, 0.0, 0.0, -1.0], [radius, 0.0, 1.0, 0.0], [radius, neck, 1.0, 0.0],
-        [radius, neck, 0.0, -1.0], [2.5 * radius, neck, 0.0, -1.0], [2.5 * radius, neck, *side], [0.0, length, *side],
-    ]  # fmt: skip
+        [0.0, 0.0, 0.0, -1.0],
+        [radius, 0.0, 0.0, -1.0],
+        [radius, 0.0, 1.0, 0.0],
+        [radius, neck, 1.0, 0.0],
+        [radius, neck, 0.0, -1.0],
+        [2.5 * radius, neck, 0.0, -1.0],
+        [2.5 * radius, neck, *side],
+        [0.0, length, *side],
+    ]
     z = np.asarray(vector) / length
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [0.0, 0.0, 1.0], z)
     x /= np.linalg.norm(x)
-    return revolved(np.array(profile), rgba).moved(np.zeros(3), np.stack([x, np.cross(z, x), z], axis=-1))
+    return revolved(np.array(profile), rgba).moved(
+        np.zeros(3), np.stack([x, np.cross(z, x), z], axis=-1)
+    )
 
 
 def geom_solid(m: mujoco.MjModel, geom: int) -> Solid:
@@ -165,11 +205,15 @@ def geom_rgba(m: mujoco.MjModel, geom: int) -> Array:
     """``(4,)`` 0..1: of the material, unless the geom has a colour of its own."""
     material = m.geom_matid[geom]
     own = not np.allclose(m.geom_rgba[geom], [0.5, 0.5, 0.5, 1.0])
-    return np.asarray(m.geom_rgba[geom] if own or material < 0 else m.mat_rgba[material], dtype=float)
+    return np.asarray(
+        m.geom_rgba[geom] if own or material < 0 else m.mat_rgba[material], dtype=float
+    )
 
 
 def _mesh(m: mujoco.MjModel, mesh: int, rgba: Array) -> Solid:
-    """A mesh asset with one vertex per corner of a face: the normals of adjacent faces may differ."""
+    """A mesh asset with one vertex per corner of a face: the normals of adjacent faces may
+    differ.
+    """
     faces = slice(m.mesh_faceadr[mesh], m.mesh_faceadr[mesh] + m.mesh_facenum[mesh])
     vertices = m.mesh_vert[m.mesh_vertadr[mesh] + m.mesh_face[faces].ravel()]
     normals = m.mesh_normal[m.mesh_normaladr[mesh] + m.mesh_facenormal[faces].ravel()]

@@ -1,8 +1,9 @@
 """The two spacecraft of the numerical model in 3-D.
 
-Their poses are not in the trace. They are recomputed with one step per frame, under the mean of the wrench that drove the numerical
-model during the frame. This preserves the impulse, so the velocities after a contact are those of the run. The chaser is then placed by
-the relative pose of the run, so that the relative pose of the two ports is exact.
+Their poses are not in the trace. They are recomputed with one step per frame, under the mean of the
+wrench that drove the numerical model during the frame. This preserves the impulse, so the
+velocities after a contact are those of the run. The chaser is then placed by the relative pose of
+the run, so that the relative pose of the two ports is exact.
 """
 
 from __future__ import annotations
@@ -31,9 +32,11 @@ PANEL = (0.12, 0.20, 0.46, 1.0)
 
 
 def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wrench: Array) -> Array:
-    """``(2, frames, 7)`` poses of chaser and target in the inertial frame, at the rows ``(frames,)`` of the run.
+    """``(2, frames, 7)`` poses of chaser and target in the inertial frame, at the rows
+    ``(frames,)`` of the run.
 
-    ``pose_cmd`` (ticks, 7) and the ``wrench`` (ticks, 6) that drove the numerical model: row k is the state after the wrench of row k.
+    ``pose_cmd`` (ticks, 7) and the ``wrench`` (ticks, 6) that drove the numerical model: row k is
+    the state after the wrench of row k.
     """
     model = NumericalModel([scenario])
     total = np.concatenate([np.zeros((1, 6)), np.cumsum(wrench, axis=0)])
@@ -50,7 +53,9 @@ def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wren
 
 @njit(cache=True)
 def place_chaser(target, port, pose, out):
-    """``out`` (frames, 7): the chaser's poses, from the target's poses, the ports in their bodies, and the poses of A in P."""
+    """``out`` (frames, 7): the chaser's poses, from the target's poses, the ports in their bodies,
+    and the poses of A in P.
+    """
     q_P, q_A, inverse, r, s = np.empty(4), np.empty(4), np.empty(4), np.empty(3), np.empty(3)
     inverse[:3] = -port[CHASER, 3:6]
     inverse[3] = port[CHASER, 6]
@@ -66,7 +71,9 @@ def place_chaser(target, port, pose, out):
 
 
 def cuboid(body: Body) -> tuple[Array, Array]:
-    """Half sizes ``(3,)`` [m] and axes ``(3, 3)`` of the homogeneous cuboid with the body's mass and inertia."""
+    """Half sizes ``(3,)`` [m] and axes ``(3, 3)`` of the homogeneous cuboid with the body's mass
+    and inertia.
+    """
     moments, axes = np.linalg.eigh(inertia_matrix(body.inertia))
     order = [int(np.argmax(np.abs(axes[i]))) for i in range(3)]
     if sorted(order) == [0, 1, 2]:  # each principal axis is assigned to the nearest body axis
@@ -80,24 +87,42 @@ def cuboid(body: Body) -> tuple[Array, Array]:
 def heights(scenario: Scenario) -> tuple[float, float]:
     """[m] extent of the target upward from its port, and of the chaser downward from its port."""
     craft = scenario.spacecraft
-    up, down = (float(np.linalg.norm(body.port.position) + cuboid(body)[0].max()) for body in (craft.target, craft.chaser))
+    up, down = (
+        float(np.linalg.norm(body.port.position) + cuboid(body)[0].max())
+        for body in (craft.target, craft.chaser)
+    )
     return up, down
 
 
 def draw(rec: rr.RecordingStream, scenario: Scenario) -> None:
-    """Both bodies as cuboids with their mass and inertia, each with a port on a boom and a pair of panels."""
+    """Both bodies as cuboids with their mass and inertia, each with a port on a boom and a pair of
+    panels.
+    """
     rec.log(ROOT, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for i, body in ((CHASER, scenario.spacecraft.chaser), (TARGET, scenario.spacecraft.target)):
         half, axes = cuboid(body)
         port, width = port_pose(body)[:3], 0.3 * float(half.min())
-        glass = [box(half, np.array(BODY[i])).moved(np.zeros(3), axes), _tube(np.zeros(3), 0.85 * port, width, np.array(PORT[i]))]
+        glass = [
+            box(half, np.array(BODY[i])).moved(np.zeros(3), axes),
+            _tube(np.zeros(3), 0.85 * port, width, np.array(PORT[i])),
+        ]
         log_solid(rec, f"{ROOT}/{NAMES[i]}/body", Solid.joined(glass), GLASS)
         solids = [_tube(0.85 * port, port, 1.2 * width, np.array(PORT[i]))]
         for side in (-1.0, 1.0):
-            root, panel = side * (half[0] + 0.25), np.array([1.1 * half[1] + 0.3, 0.012, 0.45 * half[2]])
+            root, panel = (
+                side * (half[0] + 0.25),
+                np.array([1.1 * half[1] + 0.3, 0.012, 0.45 * half[2]]),
+            )
             middle = np.array([root + side * panel[0], 0.0, 0.0])
             solids.append(box(panel, np.array(PANEL)).moved(axes @ middle, axes))
-            solids.append(_tube(axes @ [0.99 * side * half[0], 0.0, 0.0], axes @ [root, 0.0, 0.0], 0.03, np.array(BODY[TARGET])))
+            solids.append(
+                _tube(
+                    axes @ [0.99 * side * half[0], 0.0, 0.0],
+                    axes @ [root, 0.0, 0.0],
+                    0.03,
+                    np.array(BODY[TARGET]),
+                )
+            )
         log_solid(rec, f"{ROOT}/{NAMES[i]}/panels", Solid.joined(solids))
 
 
@@ -112,8 +137,17 @@ def _tube(start: Array, end: Array, radius: float, rgba: Array) -> Solid:
     return cylinder(radius, 0.5 * length, rgba).moved(0.5 * (np.asarray(end) + start), rotation)
 
 
-def move(rec: rr.RecordingStream, time: rr.TimeColumn, scenario: Scenario, poses: Array, wrench: Array, scale: float) -> None:
-    """Poses ``(2, frames, 7)`` at the frames, and the force that drove the numerical model, equal and opposite on both bodies."""
+def move(
+    rec: rr.RecordingStream,
+    time: rr.TimeColumn,
+    scenario: Scenario,
+    poses: Array,
+    wrench: Array,
+    scale: float,
+) -> None:
+    """Poses ``(2, frames, 7)`` at the frames, and the force that drove the numerical model, equal
+    and opposite on both bodies.
+    """
     for i, name in NAMES.items():
         send_poses(rec, f"{ROOT}/{name}", time, poses[i])
     attitude = rotation_matrix(poses[TARGET, :, 3:])
@@ -124,6 +158,10 @@ def move(rec: rr.RecordingStream, time: rr.TimeColumn, scenario: Scenario, poses
     vectors = scale * np.stack([force, -force], axis=1)[acts]
     origins = np.repeat(origin[acts, None], 2, axis=1)
     path = f"{ROOT}/force"
-    rec.log(path, rr.Arrows3D.from_fields(colors=[colors.USED], radii=[0.01 * sum(heights(scenario))]), static=True)
+    rec.log(
+        path,
+        rr.Arrows3D.from_fields(colors=[colors.USED], radii=[0.01 * sum(heights(scenario))]),
+        static=True,
+    )
     columns = rr.Arrows3D.columns(vectors=vectors.reshape(-1, 3), origins=origins.reshape(-1, 3))
     rec.send_columns(path, indexes=[time], columns=columns.partition(2 * acts.astype(int)))

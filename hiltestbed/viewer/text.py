@@ -11,7 +11,14 @@ from hiltestbed.result import Run
 def figures(run: Run) -> str:
     """Markdown: description of the run, its figures, and the identified values."""
     summary, scenario = run.summary, run.scenario
-    lines = [f"# {summary['name']}", "", scenario.description or "", "", "| figure | value |", "|---|---:|"]
+    lines = [
+        f"# {summary['name']}",
+        "",
+        scenario.description or "",
+        "",
+        "| figure | value |",
+        "|---|---:|",
+    ]
     rows: list[tuple[str, Any, str]] = [
         ("coefficient of restitution", summary["cor"], ""),
         ("reference: no delay, ideal tracking", summary["cor_reference"], ""),
@@ -27,15 +34,24 @@ def figures(run: Run) -> str:
         lines.append(f"| process monitoring | {' '.join(seen)} |")
     if summary["status"] != "completed":
         lines += ["", f"**{summary['status']}**: {summary['stop_reason']}"]
-    lines += ["", f"Energy: {assess(summary).energy}.", *(f"**Warning:** {warning}." for warning in assess(summary).warnings)]
-    return "\n".join([*lines, "", *_ledger(summary["delay_ledger"]), "", *_identified(summary["identification"])])
+    lines += [
+        "",
+        f"Energy: {assess(summary).energy}.",
+        *(f"**Warning:** {warning}." for warning in assess(summary).warnings),
+    ]
+    return "\n".join(
+        [*lines, "", *_ledger(summary["delay_ledger"]), "", *_identified(summary["identification"])]
+    )
 
 
 def _ledger(entries: list[dict[str, Any]]) -> list[str]:
     if not entries:
         return []
     lines = ["| delay from | ms | as damping, N s/m |", "|---|---:|---:|"]
-    return lines + [f"| {e['source']} | {1e3 * e['delay']:+.3f} | {e['equivalent_damping']:+.1f} |" for e in entries]
+    return lines + [
+        f"| {e['source']} | {1e3 * e['delay']:+.3f} | {e['equivalent_damping']:+.1f} |"
+        for e in entries
+    ]
 
 
 def _identified(identification: dict[str, Any]) -> list[str]:
@@ -48,7 +64,11 @@ def _identified(identification: dict[str, Any]) -> list[str]:
         damping = unit.replace("/", " s/")
         values = [
             _number(a[k], u)
-            for k, u in zip(("stiffness", "stiffness_true", "damping", "damping_true"), (unit, unit, damping, damping), strict=True)
+            for k, u in zip(
+                ("stiffness", "stiffness_true", "damping", "damping_true"),
+                (unit, unit, damping, damping),
+                strict=True,
+            )
         ]
         lines.append(f"| {axis} | {' | '.join(values)} |")
     return lines

@@ -8,22 +8,41 @@ import pytest
 
 from hiltestbed.bench.contacts import bounce, grid, random_rigs
 from hiltestbed.bench.contenders import CONTENDERS
-from hiltestbed.bench.cor import leaderboard, measure, measure_random, stability_boundary, statistics_of
+from hiltestbed.bench.cor import (
+    leaderboard,
+    measure,
+    measure_random,
+    stability_boundary,
+    statistics_of,
+)
 from hiltestbed.bench.cor_report import cell_text, cor_report, worst_errors
 from hiltestbed.campaign.boundary import bounce_delay
 from hiltestbed.simulation import reference_scenario
 
 CONTACTS = grid((4.0,), (0.005, 0.02), damping_ratios=(0.05,))
 RECORD = {
-    "method", "frequency", "delay", "damping_ratio", "contact", "delay_knowledge", "tracking", "cor", "cor_reference", "cor_log_error",
-    "energy_generated", "peak_force_error", "stable",
-}  # fmt: skip
+    "method",
+    "frequency",
+    "delay",
+    "damping_ratio",
+    "contact",
+    "delay_knowledge",
+    "tracking",
+    "cor",
+    "cor_reference",
+    "cor_log_error",
+    "energy_generated",
+    "peak_force_error",
+    "stable",
+}
 
 
 @pytest.fixture(scope="module")
 def records() -> list[dict]:
     reference = bounce([reference_scenario(c.scenario({"kind": "none"})) for c in CONTACTS])
-    return [record for contender in CONTENDERS for record in measure(contender, CONTACTS, reference)]
+    return [
+        record for contender in CONTENDERS for record in measure(contender, CONTACTS, reference)
+    ]
 
 
 def test_every_method_is_on_record(records: list[dict]) -> None:
@@ -40,9 +59,15 @@ def test_the_resynchronised_prediction_wins_a_first_contact(records: list[dict])
 
 
 def test_energy_created_is_what_the_rebound_has_too_much(records: list[dict]) -> None:
-    """mu v^2 (e^2 - e_ref^2)/2 and, since the late force lets it in deeper, what the damper takes on top."""
-    for record, contact in zip((r for r in records if r["method"] == "none"), CONTACTS, strict=True):
-        assert record["energy_generated"] > 0.5 * contact.mass * contact.speed**2 * (record["cor"] ** 2 - record["cor_reference"] ** 2)
+    """mu v^2 (e^2 - e_ref^2)/2 and, since the late force lets it in deeper, what the damper takes
+    on top.
+    """
+    for record, contact in zip(
+        (r for r in records if r["method"] == "none"), CONTACTS, strict=True
+    ):
+        assert record["energy_generated"] > 0.5 * contact.mass * contact.speed**2 * (
+            record["cor"] ** 2 - record["cor_reference"] ** 2
+        )
 
 
 def test_through_the_servo_the_tracking_is_on_record() -> None:
@@ -55,7 +80,9 @@ def test_through_the_servo_the_tracking_is_on_record() -> None:
 
 
 def test_the_boundary_is_where_theory_has_it() -> None:
-    """Without compensation e passes 1 at the delay of the closed form: within a step of the grid of delays, a factor of 1.5."""
+    """Without compensation e passes 1 at the delay of the closed form: within a step of the grid of
+    delays, a factor of 1.5.
+    """
     boundary = stability_boundary(10)
     for frequency, row in zip(boundary["frequency"], boundary["none"], strict=True):
         w = 2.0 * math.pi * frequency
@@ -72,7 +99,13 @@ def test_random_rigs_and_the_page(records: list[dict]) -> None:
     assert found["resynchronised"]["cor_log_error"]["max"] < 0.01
     board = leaderboard(records, {(c.name, c.contact): 0.0 for c in CONTENDERS})
     page = cor_report(
-        records, {"leaderboard": board, "random_rigs": found, "boundary": stability_boundary(3), "failed": {"mine": "too steep"}}
+        records,
+        {
+            "leaderboard": board,
+            "random_rigs": found,
+            "boundary": stability_boundary(3),
+            "failed": {"mine": "too steep"},
+        },
     ).html()
     assert "resynchronised" in page
     assert "mine is left out; it ended with: too steep" in page
@@ -80,15 +113,36 @@ def test_random_rigs_and_the_page(records: list[dict]) -> None:
 
 
 def test_cells_that_round_to_nothing_have_no_sign_and_no_colour() -> None:
-    assert [cell_text(v) for v in (0.0, 4e-4, -4e-4, 0.0012, -0.25, math.nan)] == ["0", "0", "0", "+0.001", "-0.250", "lost"]
+    assert [cell_text(v) for v in (0.0, 4e-4, -4e-4, 0.0012, -0.25, math.nan)] == [
+        "0",
+        "0",
+        "0",
+        "+0.001",
+        "-0.250",
+        "lost",
+    ]
 
 
 def test_a_map_and_the_board_tell_no_rebound_from_not_measured(records: list[dict]) -> None:
-    """`none` where a contact gave no rebound, a dash where nothing was run, the same word in the map."""
+    """`none` where a contact gave no rebound, a dash where nothing was run, the same word in the
+    map.
+    """
     one = {"frequency": 2.0, "delay": 0.005, "cor_log_error": -0.3}
-    found = worst_errors([one, one | {"cor_log_error": 0.1}, one | {"delay": 0.02, "cor_log_error": None}], [2.0], [0.005, 0.02])
+    found = worst_errors(
+        [one, one | {"cor_log_error": 0.1}, one | {"delay": 0.02, "cor_log_error": None}],
+        [2.0],
+        [0.005, 0.02],
+    )
     assert found[0, 0] == -0.3
     assert math.isnan(found[0, 1])
     lost = [r | {"cor_log_error": None} if r["method"] == "none" else r for r in records]
-    (row,) = [r for r in leaderboard(lost, {(c.name, c.contact): 0.0 for c in CONTENDERS}) if r["method"] == "none"]
-    assert (row["largest_log_error"], row["runs"]["largest_log_error"], row["runs"]["delay_jitter"]) == (None, len(CONTACTS), 0)
+    (row,) = [
+        r
+        for r in leaderboard(lost, {(c.name, c.contact): 0.0 for c in CONTENDERS})
+        if r["method"] == "none"
+    ]
+    assert (
+        row["largest_log_error"],
+        row["runs"]["largest_log_error"],
+        row["runs"]["delay_jitter"],
+    ) == (None, len(CONTACTS), 0)

@@ -13,7 +13,16 @@ import pytest
 from hiltestbed.bench import diagnosis as bench
 from hiltestbed.bench.diagnosis import diagnosis
 from hiltestbed.bench.diagnosis_report import diagnosis_report
-from hiltestbed.bench.diagnosis_sets import COMPUTING_FULL, FULL, NOISE_FULL, Task, computing_tasks, docking_tasks, noise_tasks, tasks
+from hiltestbed.bench.diagnosis_sets import (
+    COMPUTING_FULL,
+    FULL,
+    NOISE_FULL,
+    Task,
+    computing_tasks,
+    docking_tasks,
+    noise_tasks,
+    tasks,
+)
 from hiltestbed.bench.diagnosis_summary import groups, summarise
 from hiltestbed.bench.independent_rig import NOISE_KINDS, Nuisances, acting_in, alike
 from hiltestbed.bench.reliability import reliability, wilson
@@ -22,12 +31,25 @@ from hiltestbed.cli import main
 
 def record(task: Task, verdict: str, right: bool) -> dict[str, Any]:
     return {
-        "seed": task.seed, "kind": task.kind, "design": task.design, "scale": 1.0, "hidden": [{"kind": n} for n in task.names or ()],
-        "noise": list(task.noise) if task.noise else None, "computing": task.computing, "strengths": [5.0],
-        "verdict": verdict, "link": None, "right": right,
-        "intervals_held": 0, "intervals": 0, "causes": [], "alarm": {"taken_off": 1.0, "excess": 0.5}, "cpu": 3.0, "gain": None,
+        "seed": task.seed,
+        "kind": task.kind,
+        "design": task.design,
+        "scale": 1.0,
+        "hidden": [{"kind": n} for n in task.names or ()],
+        "noise": list(task.noise) if task.noise else None,
+        "computing": task.computing,
+        "strengths": [5.0],
+        "verdict": verdict,
+        "link": None,
+        "right": right,
+        "intervals_held": 0,
+        "intervals": 0,
+        "causes": [],
+        "alarm": {"taken_off": 1.0, "excess": 0.5},
+        "cpu": 3.0,
+        "gain": None,
         "gain_true": None,
-    }  # fmt: skip
+    }
 
 
 def test_every_effect_that_acts_in_a_docking_comes_up_in_a_design_in_which_it_acts() -> None:
@@ -36,7 +58,12 @@ def test_every_effect_that_acts_in_a_docking_comes_up_in_a_design_in_which_it_ac
     for t in drawn:
         assert t.names is not None
         assert t.names[0] in acting_in(t.design)  # type: ignore[arg-type]
-    everything = [*drawn, *tasks(FULL, True), *noise_tasks(NOISE_FULL), *computing_tasks(COMPUTING_FULL)]
+    everything = [
+        *drawn,
+        *tasks(FULL, True),
+        *noise_tasks(NOISE_FULL),
+        *computing_tasks(COMPUTING_FULL),
+    ]
     assert len({(t.seed, t.scale) for t in everything}) == len(everything)
 
 
@@ -48,14 +75,23 @@ def test_every_kind_of_noise_is_tried_at_each_of_its_strengths() -> None:
 
 def test_bumpers_dockings_and_noises_are_counted_apart() -> None:
     bumper = [Task(1, "healthy"), Task(2, "single", ("sensor.delay",))]
-    docking, noise = Task(3, "single", ("sensor.gain",), design="docking"), Task(4, "healthy", noise=("pink", 1.0))
+    docking, noise = (
+        Task(3, "single", ("sensor.gain",), design="docking"),
+        Task(4, "healthy", noise=("pink", 1.0)),
+    )
     summary = summarise(
         [
-            record(bumper[0], "no_discrepancy", True), record(bumper[1], "named", True), record(docking, "unknown", False),
+            record(bumper[0], "no_discrepancy", True),
+            record(bumper[1], "named", True),
+            record(docking, "unknown", False),
             record(noise, "unknown", False),
         ]
-    )  # fmt: skip
-    assert (summary["named_rate"], summary["docking_named_rate"], summary["false_alarm_rate"]) == (1.0, 0.0, 0.0)
+    )
+    assert (summary["named_rate"], summary["docking_named_rate"], summary["false_alarm_rate"]) == (
+        1.0,
+        0.0,
+        0.0,
+    )
     assert summary["noise_alarms"] == {"pink 1": "1 of 1"}
     assert summary["confusion"] == {"sensor.delay": {"": 1}, "sensor.gain": {"unknown": 1}}
     assert diagnosis_report([], summary | {"planned": 4, "done": 4}) is not None
@@ -63,13 +99,22 @@ def test_bumpers_dockings_and_noises_are_counted_apart() -> None:
 
 def test_false_names_are_counted_in_part_and_for_what_no_name_is_right() -> None:
     def said(task: Task, verdict: str, *names: str) -> dict[str, Any]:
-        causes = [{"effect": name, "indistinguishable_from": [], "probability": 1.0} for name in names]
+        causes = [
+            {"effect": name, "indistinguishable_from": [], "probability": 1.0} for name in names
+        ]
         return record(task, verdict, False) | {"causes": causes}
 
-    in_part = said(Task(1, "single", ("sensor.delay",)), "named_in_part", "sensor.delay", "sensor.gain")
+    in_part = said(
+        Task(1, "single", ("sensor.delay",)), "named_in_part", "sensor.delay", "sensor.gain"
+    )
     foreign = [Task(s, "foreign", ("unknown.play",)) for s in (2, 3, 4)]
     summary = summarise(
-        [in_part, said(foreign[0], "named_in_part", "sensor.lag"), said(foreign[1], "unknown"), said(foreign[2], "unknown")]
+        [
+            in_part,
+            said(foreign[0], "named_in_part", "sensor.lag"),
+            said(foreign[1], "unknown"),
+            said(foreign[2], "unknown"),
+        ]
     )
     assert summary["named_in_part_wrong_rate"] == pytest.approx(2 / 3)
     assert summary["foreign_named_rate"] == pytest.approx(1 / 3)
@@ -79,15 +124,21 @@ def test_false_names_are_counted_in_part_and_for_what_no_name_is_right() -> None
 def test_stated_probabilities_are_counted_against_what_was_hidden() -> None:
     def said(name: str, probability: float) -> dict[str, Any]:
         found = record(Task(1, "single", ("sensor.delay",)), "named", True)
-        return found | {"causes": [{"effect": name, "indistinguishable_from": [], "probability": probability}]}
+        return found | {
+            "causes": [{"effect": name, "indistinguishable_from": [], "probability": probability}]
+        }
 
-    rows = reliability([said("sensor.delay", 1.0)] * 3 + [said("sensor.gain", 0.999), said("sensor.delay", 0.6)])
+    rows = reliability(
+        [said("sensor.delay", 1.0)] * 3 + [said("sensor.gain", 0.999), said("sensor.delay", 0.6)]
+    )
     assert [(r["low"], r["right"], r["causes"]) for r in rows] == [(0.5, 1, 1), (0.99, 3, 4)]
     low, high = wilson(6, 6)
     assert (low, high) == (pytest.approx(6.0 / (6.0 + 1.96**2), rel=1e-3), pytest.approx(1.0))
 
 
-def test_options_of_another_benchmark_are_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_of_another_benchmark_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr("sys.argv", ["hiltestbed", "bench", "cor", "--noise"])
     with pytest.raises(SystemExit) as ended:
         main()
@@ -96,11 +147,22 @@ def test_options_of_another_benchmark_are_refused(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_facility_that_divides_its_ticks_otherwise_keeps_its_clocks() -> None:
-    divided, clocks = (next(t for t in computing_tasks({"single": 6}) if t.computing == way) for way in ("divided", "clocks"))
+    divided, clocks = (
+        next(t for t in computing_tasks({"single": 6}) if t.computing == way)
+        for way in ("divided", "clocks")
+    )
     found = divided.draw().nuisances
     assert (found.substeps, found.lever) != (Nuisances().substeps, None)
-    assert (found.read, found.move, found.encoder, found.step, found.stamps) == (0.0, 0.0, 0.0, 0.0, {})
-    assert all(0.0 < part <= 0.5 for part in (clocks.draw().nuisances.read, clocks.draw().nuisances.move))
+    assert (found.read, found.move, found.encoder, found.step, found.stamps) == (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        {},
+    )
+    assert all(
+        0.0 < part <= 0.5 for part in (clocks.draw().nuisances.read, clocks.draw().nuisances.move)
+    )
 
 
 def test_three_causes_are_none_of_them_alike() -> None:
@@ -111,12 +173,23 @@ def test_three_causes_are_none_of_them_alike() -> None:
 
 
 def test_a_group_is_a_rig_and_a_kind_of_set() -> None:
-    plain, odd = Task(1, "single", ("sensor.delay",)), Task(2, "single", ("platform.lag",), computing="clocks")
+    plain, odd = (
+        Task(1, "single", ("sensor.delay",)),
+        Task(2, "single", ("platform.lag",), computing="clocks"),
+    )
     small = Task(3, "single", ("sensor.delay",), scale=0.1)
-    rows = groups([record(plain, "named", True), record(odd, "unknown", False), record(small, "unknown", False) | {"scale": 0.1}])
+    rows = groups(
+        [
+            record(plain, "named", True),
+            record(odd, "unknown", False),
+            record(small, "unknown", False) | {"scale": 0.1},
+        ]
+    )
     assert [(r["rig"], r["kind"], r["right"], r["sets"]) for r in rows] == [
-        ("bumper", "single", 1, 1), ("bumper", "single, 0.1 of its size", 0, 1), ("clocks", "single", 0, 1)
-    ]  # fmt: skip
+        ("bumper", "single", 1, 1),
+        ("bumper", "single, 0.1 of its size", 0, 1),
+        ("clocks", "single", 0, 1),
+    ]
 
 
 class Threads(ThreadPoolExecutor):
@@ -126,7 +199,9 @@ class Threads(ThreadPoolExecutor):
 
 
 def played(monkeypatch: pytest.MonkeyPatch, last: int) -> list[int]:
-    """Has no set diagnosed: the seeds of those that are asked for, the last of which is interrupted."""
+    """Has no set diagnosed: the seeds of those that are asked for, the last of which is
+    interrupted.
+    """
     asked: list[int] = []
 
     def one_set(task: Task) -> dict[str, Any]:
@@ -140,7 +215,9 @@ def played(monkeypatch: pytest.MonkeyPatch, last: int) -> list[int]:
     return asked
 
 
-def test_a_benchmark_that_was_stopped_goes_on_where_it_was(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_benchmark_that_was_stopped_goes_on_where_it_was(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     keep = tmp_path / "bench.sets.jsonl"
     before = played(monkeypatch, last=5)
     with pytest.raises(KeyboardInterrupt):
@@ -150,11 +227,18 @@ def test_a_benchmark_that_was_stopped_goes_on_where_it_was(monkeypatch: pytest.M
     after = played(monkeypatch, last=0)
     result = diagnosis(quick=True, keep=keep, workers=1)
     assert set(before[:4]).isdisjoint(after)
-    assert len(result.records) == len(set(before) | set(after)) == result.summary["planned"] == result.summary["done"]
+    assert (
+        len(result.records)
+        == len(set(before) | set(after))
+        == result.summary["planned"]
+        == result.summary["done"]
+    )
     assert not keep.exists()
 
 
-def test_records_of_another_program_are_not_taken_over(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_records_of_another_program_are_not_taken_over(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     keep = tmp_path / "bench.sets.jsonl"
     played(monkeypatch, last=5)
     with pytest.raises(KeyboardInterrupt):
@@ -164,7 +248,9 @@ def test_records_of_another_program_are_not_taken_over(monkeypatch: pytest.Monke
     assert len(diagnosis(quick=True, keep=keep, workers=1).records) == len(after)
 
 
-def test_when_the_time_is_up_what_is_done_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_when_the_time_is_up_what_is_done_is_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     played(monkeypatch, last=0)
     result = diagnosis(quick=True, minutes=1e-6, keep=tmp_path / "bench.sets.jsonl", workers=1)
     assert (result.summary["done"], result.records, result.summary["named_rate"]) == (0, [], None)

@@ -1,4 +1,6 @@
-"""The second rig with six axes: momentum, energy, friction, latch and mount against closed forms."""
+"""The second rig with six axes: momentum, energy, friction, latch and mount against closed
+forms.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +23,28 @@ SCENARIO: dict[str, Any] = {
     "rate": 2000,
     "duration": 1.0,
     "spacecraft": {
-        "chaser": {"mass": 500.0, "inertia": [200.0, 180.0, 150.0], "port": {"position": [0, 0, 1.0], "attitude_deg": [0, 0, 0]}},
-        "target": {"mass": 2000.0, "inertia": [900.0, 800.0, 700.0], "port": {"position": [0, 0, -1.0], "attitude_deg": [0, 0, 0]}},
+        "chaser": {
+            "mass": 500.0,
+            "inertia": [200.0, 180.0, 150.0],
+            "port": {"position": [0, 0, 1.0], "attitude_deg": [0, 0, 0]},
+        },
+        "target": {
+            "mass": 2000.0,
+            "inertia": [900.0, 800.0, 700.0],
+            "port": {"position": [0, 0, -1.0], "attitude_deg": [0, 0, 0]},
+        },
     },
-    "approach": {"gap": 0.05, "velocity": [0.0, 0.0, 0.06], "offset": [0.03, -0.02], "attitude_deg": [1, -1, 2], "rate_deg": [0.2, 0.1, 1]},
-    "mechanism": {"kind": "probe_cone", "contact": {"stiffness": 5e4, "damping": 800.0, "friction": 0.1}},
+    "approach": {
+        "gap": 0.05,
+        "velocity": [0.0, 0.0, 0.06],
+        "offset": [0.03, -0.02],
+        "attitude_deg": [1, -1, 2],
+        "rate_deg": [0.2, 0.1, 1],
+    },
+    "mechanism": {
+        "kind": "probe_cone",
+        "contact": {"stiffness": 5e4, "damping": 800.0, "friction": 0.1},
+    },
     "rig": {"platform": {"kind": "pss33", "tracking": "ideal"}},
     "sensor": {"delay": 0.0, "noise": 0.0},
     "compensation": {"force": {"kind": "none"}},
@@ -50,13 +69,16 @@ def _states(rig: Any, wrench: np.ndarray) -> np.ndarray:
 
 def _angular(rig: Any, states: np.ndarray) -> np.ndarray:
     """(n, 3) angular momentum of both bodies about the origin."""
-    return np.array([
-        sum(
-            rig.bodies.mass[b] * np.cross(s[b, model.R], s[b, model.V]) + matrix(s[b, model.Q]) @ rig.bodies.inertia[b] @ s[b, model.W]
-            for b in range(2)
-        )
-        for s in states
-    ])  # fmt: skip
+    return np.array(
+        [
+            sum(
+                rig.bodies.mass[b] * np.cross(s[b, model.R], s[b, model.V])
+                + matrix(s[b, model.Q]) @ rig.bodies.inertia[b] @ s[b, model.W]
+                for b in range(2)
+            )
+            for s in states
+        ]
+    )
 
 
 def test_linear_momentum_is_kept() -> None:
@@ -64,12 +86,19 @@ def test_linear_momentum_is_kept() -> None:
     assert records.touching.any()
     states = _states(rig, records.wrench_comp)
     total = np.einsum("b,kbi->ki", rig.bodies.mass, states[:, :, model.V])
-    np.testing.assert_allclose(total, total[:1].repeat(len(total), axis=0), atol=1e-9 * 500.0 * 0.06)
+    np.testing.assert_allclose(
+        total, total[:1].repeat(len(total), axis=0), atol=1e-9 * 500.0 * 0.06
+    )
 
 
 def test_angular_momentum_of_round_bodies_is_kept_and_of_others_to_first_order() -> None:
-    """Semi-implicit Euler keeps the moment of momentum of the centres; its gyroscopic part is of first order in the tick."""
-    round_ones = {"spacecraft.chaser.inertia": [180.0] * 3, "spacecraft.target.inertia": [800.0] * 3}
+    """Semi-implicit Euler keeps the moment of momentum of the centres; its gyroscopic part is of
+    first order in the tick.
+    """
+    round_ones = {
+        "spacecraft.chaser.inertia": [180.0] * 3,
+        "spacecraft.target.inertia": [800.0] * 3,
+    }
     rig, records = _run(round_ones)
     total = _angular(rig, _states(rig, records.wrench_comp))
     assert np.abs(total - total[0]).max() < 1e-9 * np.abs(total[0]).max()
@@ -83,13 +112,22 @@ def test_angular_momentum_of_round_bodies_is_kept_and_of_others_to_first_order()
 
 
 def test_the_force_changes_the_momentum_by_its_impulse() -> None:
-    """Of the relative motion at the ports, as logged: the target is so heavy that P stays where it is."""
-    heavy = {"spacecraft.target.mass": 1e9, "spacecraft.target.inertia": [1e9] * 3, "spacecraft.chaser.inertia": [1e9] * 3}
+    """Of the relative motion at the ports, as logged: the target is so heavy that P stays where it
+    is.
+    """
+    heavy = {
+        "spacecraft.target.mass": 1e9,
+        "spacecraft.target.inertia": [1e9] * 3,
+        "spacecraft.chaser.inertia": [1e9] * 3,
+    }
     heavy |= {"approach.rate_deg": [0.0, 0.0, 0.0]}
     _, records = _run(heavy)
     velocity = np.diff(records.pose_cmd[:, :3], axis=0) * 2000
     impulse = np.cumsum(records.wrench_comp[:, :3], axis=0) / 2000
-    np.testing.assert_allclose(500.0 * (velocity[-1] - velocity[0]), -(impulse[-1] - impulse[0]), rtol=5e-6)  # of 1e9 kg that do move
+    # of 1e9 kg that do move
+    np.testing.assert_allclose(
+        500.0 * (velocity[-1] - velocity[0]), -(impulse[-1] - impulse[0]), rtol=5e-6
+    )
 
 
 def test_without_damping_and_friction_a_docking_keeps_its_energy_to_first_order() -> None:
@@ -99,11 +137,16 @@ def test_without_damping_and_friction_a_docking_keeps_its_energy_to_first_order(
         quiet = {"mechanism.contact.damping": 0.0, "mechanism.contact.friction": 0.0, "rate": rate}
         rig, records = _run(quiet)
         states = _states(rig, records.wrench_comp)
-        kinetic = np.array([
-            sum(0.5 * rig.bodies.mass[b] * s[b, model.V] @ s[b, model.V] + 0.5 * s[b, model.W] @ rig.bodies.inertia[b] @ s[b, model.W]
-                for b in range(2))
-            for s in states
-        ])  # fmt: skip
+        kinetic = np.array(
+            [
+                sum(
+                    0.5 * rig.bodies.mass[b] * s[b, model.V] @ s[b, model.V]
+                    + 0.5 * s[b, model.W] @ rig.bodies.inertia[b] @ s[b, model.W]
+                    for b in range(2)
+                )
+                for s in states
+            ]
+        )
         force = np.linalg.norm(records.physical[:, :3], axis=1)
         free = np.append(force == 0.0, False)[:-1]
         assert (~free).sum() > 0.05 * rate
@@ -117,9 +160,14 @@ def test_without_damping_and_friction_a_docking_keeps_its_energy_to_first_order(
 
 def test_a_centred_approach_rebounds_as_the_closed_form_of_one_axis_says() -> None:
     straight = {
-        "approach.offset": [0.0, 0.0], "approach.attitude_deg": [0, 0, 0], "approach.rate_deg": [0, 0, 0], "approach.gap": 0.00151,
-        "rate": 8000, "duration": 0.5, "mechanism.contact.damping": 400.0,
-    }  # fmt: skip
+        "approach.offset": [0.0, 0.0],
+        "approach.attitude_deg": [0, 0, 0],
+        "approach.rate_deg": [0, 0, 0],
+        "approach.gap": 0.00151,
+        "rate": 8000,
+        "duration": 0.5,
+        "mechanism.contact.damping": 400.0,
+    }
     for kind in ("probe_cone", "bumper"):
         _, records = _run(straight | {"mechanism.kind": kind})
         rebound = -(records.pose_cmd[-1, 2] - records.pose_cmd[-2, 2]) * 8000 / 0.06
@@ -135,8 +183,12 @@ def _law(**changes: float) -> Contact:
 
 def test_friction_is_the_coefficient_times_the_normal_force_against_the_slip() -> None:
     out, seen, states = np.zeros(6), np.zeros((2, 2)), np.zeros((2, 5))
-    pose = np.array([0.06, 0.0, -0.055, 0.0, 0.0, 0.0, 1.0])  # in touch with the wall at 45 degrees, on +x
-    into, down = np.array([1.0, 0.0, 1.0]) / math.sqrt(2.0), np.array([1.0, 0.0, -1.0]) / math.sqrt(2.0)
+    # in touch with the wall at 45 degrees, on +x
+    pose = np.array([0.06, 0.0, -0.055, 0.0, 0.0, 0.0, 1.0])
+    into, down = (
+        np.array([1.0, 0.0, 1.0]) / math.sqrt(2.0),
+        np.array([1.0, 0.0, -1.0]) / math.sqrt(2.0),
+    )
     for speed in (1e-6, 1e-4, 1e-2, 0.1):
         twist = np.array([*(speed * (0.6 * down + 0.8 * np.array([0.0, 1.0, 0.0]))), 0.0, 0.0, 0.0])
         touch_wrench(_law(), Surfaces(), pose, twist, states, out, seen)
@@ -148,23 +200,35 @@ def test_friction_is_the_coefficient_times_the_normal_force_against_the_slip() -
 
 
 def test_the_lever_of_the_force_is_between_the_surface_and_the_tip() -> None:
-    pose, twist = np.array([0.06, 0.0, -0.055, 0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0])
+    pose, twist = (
+        np.array([0.06, 0.0, -0.055, 0.0, 0.0, 0.0, 1.0]),
+        np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0]),
+    )
     torque = []
     for lever in (0.0, 0.5, 1.0):
         out, seen = np.zeros(6), np.zeros((2, 2))
         touch_wrench(_law(lever=lever), Surfaces(), pose, twist, np.zeros((2, 5)), out, seen)
         into = np.array([1.0, 0.0, 1.0]) / math.sqrt(2.0)
         deepest = pose[:3] - 0.03 * np.array([0.0, 0.0, 1.0]) + 0.03 * into
-        np.testing.assert_allclose(out[3:], np.cross(deepest - (1.0 - lever) * seen[0, 0] * into, out[:3]), atol=1e-9)
-        torque.append(out[5])  # of the friction: the normal force has the same moment anywhere along its line
+        np.testing.assert_allclose(
+            out[3:], np.cross(deepest - (1.0 - lever) * seen[0, 0] * into, out[:3]), atol=1e-9
+        )
+        # of the friction: the normal force has the same moment anywhere along its line
+        torque.append(out[5])
     assert abs(torque[0] - torque[2]) > 0.01 * abs(torque[1])
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.3])
 def test_a_latch_closes_on_its_condition_and_bears_what_the_contact_bore(factor: float) -> None:
     """Also where the contact is stiffer than believed: then so is what holds."""
-    latch = {"mechanism.latch": {"depth": 0.004, "angle_deg": 5.0, "speed": 0.03}, "duration": 4.0, "mechanism.contact.damping": 3000.0}
-    rig = with_effect(docking_rig(overridden(SCENARIO, latch)), {"kind": "contact.stiffness", "factor": factor})
+    latch = {
+        "mechanism.latch": {"depth": 0.004, "angle_deg": 5.0, "speed": 0.03},
+        "duration": 4.0,
+        "mechanism.contact.damping": 3000.0,
+    }
+    rig = with_effect(
+        docking_rig(overridden(SCENARIO, latch)), {"kind": "contact.stiffness", "factor": factor}
+    )
     records = simulate(rig, silence(rig.ticks))
     closed = records.captured
     assert 0 < closed < rig.ticks
@@ -174,7 +238,10 @@ def test_a_latch_closes_on_its_condition_and_bears_what_the_contact_bore(factor:
     due = (records.pose_act[1:, 2] >= -0.004) & (speed <= 0.03)
     assert np.flatnonzero(due)[0] + 1 == closed
     elastic = records.physical[closed, :3] - records.physical[closed + 1, :3]
-    jump = factor * 5e4 * np.linalg.norm(np.diff(records.pose_act[closed : closed + 2, :3], axis=0)) + 3000.0 * speed[closed]
+    jump = (
+        factor * 5e4 * np.linalg.norm(np.diff(records.pose_act[closed : closed + 2, :3], axis=0))
+        + 3000.0 * speed[closed]
+    )
     assert np.linalg.norm(elastic) < jump + 1e-9
     # It pulls as well: the ring-down has both signs.
     after = records.physical[closed:, :3] - records.physical[-1, :3]
@@ -182,12 +249,24 @@ def test_a_latch_closes_on_its_condition_and_bears_what_the_contact_bore(factor:
 
 
 def test_a_latch_from_the_start_is_six_springs_and_dampers() -> None:
-    start = {"approach.gap": -0.001, "approach.offset": [0.002, -0.001], "approach.velocity": [0.0, 0.01, 0.0], "mechanism.kind": "latched"}
-    _, records = _run(start | {"approach.attitude_deg": [0.2, 0.0, 0.0], "approach.rate_deg": [0.0, 0.0, 0.5]})
+    start = {
+        "approach.gap": -0.001,
+        "approach.offset": [0.002, -0.001],
+        "approach.velocity": [0.0, 0.01, 0.0],
+        "mechanism.kind": "latched",
+    }
+    _, records = _run(
+        start | {"approach.attitude_deg": [0.2, 0.0, 0.0], "approach.rate_deg": [0.0, 0.0, 0.5]}
+    )
     force = 5e4 * np.array([0.002, -0.001, 0.001]) + 800.0 * np.array([0.0, 0.01, 0.0])
     np.testing.assert_allclose(records.physical[0, :3], force, rtol=1e-12)
-    turn = 0.15**2 * (5e4 * np.array([math.radians(0.2), 0.0, 0.0]) + 800.0 * np.array([0.0, 0.0, math.radians(0.5)]))
-    np.testing.assert_allclose(records.physical[0, 3:], turn + np.cross([0.002, -0.001, 0.001], force), rtol=1e-9)
+    turn = 0.15**2 * (
+        5e4 * np.array([math.radians(0.2), 0.0, 0.0])
+        + 800.0 * np.array([0.0, 0.0, math.radians(0.5)])
+    )
+    np.testing.assert_allclose(
+        records.physical[0, 3:], turn + np.cross([0.002, -0.001, 0.001], force), rtol=1e-9
+    )
 
 
 MOUNT = {"stiffness": [4e5, 4e5, 9e5, 4e4, 4e4, 2e4], "damping": [0.0] * 6}
@@ -216,15 +295,33 @@ def test_a_mounted_body_swings_at_the_frequency_of_mass_and_spring() -> None:
 
 
 def test_what_the_sensor_feels_is_the_contact_less_what_moves_the_mounted_body() -> None:
-    """Nothing before the body has moved; the whole force of latch and mount in series when it has come to rest."""
-    damped = {"stiffness": MOUNT["stiffness"], "damping": [900.0, 900.0, 1300.0, 100.0, 100.0, 50.0]}
-    _, mounted = _run({"mechanism.mount": damped, "mechanism.kind": "latched", "approach.gap": 0.0, "approach.velocity": [0, 0, 0.0],
-                       "approach.offset": [1e-3, 0.0], "approach.attitude_deg": [0, 0, 0], "approach.rate_deg": [0, 0, 0],
-                       "spacecraft.chaser.mass": 1e9, "spacecraft.chaser.inertia": [1e9] * 3, "spacecraft.target.mass": 1e9,
-                       "spacecraft.target.inertia": [1e9] * 3, "duration": 6.0})  # fmt: skip
+    """Nothing before the body has moved; the whole force of latch and mount in series when it has
+    come to rest.
+    """
+    damped = {
+        "stiffness": MOUNT["stiffness"],
+        "damping": [900.0, 900.0, 1300.0, 100.0, 100.0, 50.0],
+    }
+    _, mounted = _run(
+        {
+            "mechanism.mount": damped,
+            "mechanism.kind": "latched",
+            "approach.gap": 0.0,
+            "approach.velocity": [0, 0, 0.0],
+            "approach.offset": [1e-3, 0.0],
+            "approach.attitude_deg": [0, 0, 0],
+            "approach.rate_deg": [0, 0, 0],
+            "spacecraft.chaser.mass": 1e9,
+            "spacecraft.chaser.inertia": [1e9] * 3,
+            "spacecraft.target.mass": 1e9,
+            "spacecraft.target.inertia": [1e9] * 3,
+            "duration": 6.0,
+        }
+    )
     springs = np.array([[4e5, 0.0], [0.0, 4e4]])  # x and the turn about y of the mount, at P
     latch = np.array([[5e4, 0.0], [0.0, 5e4 * 0.15**2]])
-    # A stays 1 mm beside P. In series: k_latch (d - q) = k_mount q; A's turn against S is less than a milliradian and pulls back.
+    # A stays 1 mm beside P. In series: k_latch (d - q) = k_mount q; A's turn against S is less than
+    # a milliradian and pulls back.
     q = np.linalg.solve(springs + latch, latch @ np.array([mounted.pose_act[-1, 0], 0.0]))
     assert mounted.physical[-1, 0] == pytest.approx((springs @ q)[0], rel=1e-3)
     assert mounted.physical[0, 0] == pytest.approx(0.0, abs=1e-9)  # the body has not moved yet
@@ -253,7 +350,15 @@ def test_the_twist_of_the_numerical_model_is_the_slope_of_its_pose() -> None:
 
 
 def test_a_second_order_platform_trails_a_ramp_on_every_axis() -> None:
-    servo = {"rig.platform": {"kind": "pss33", "tracking": "servo", "bandwidth": 20.0, "damping_ratio": 0.8}, "approach.gap": 0.2}
+    servo = {
+        "rig.platform": {
+            "kind": "pss33",
+            "tracking": "servo",
+            "bandwidth": 20.0,
+            "damping_ratio": 0.8,
+        },
+        "approach.gap": 0.2,
+    }
     _, records = _run(servo | {"approach.rate_deg": [0.0, 0.0, 2.0], "duration": 0.8})
     late = 2.0 * 0.8 / (2.0 * math.pi * 20.0)
     assert not records.touching.any()

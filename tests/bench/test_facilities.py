@@ -14,7 +14,11 @@ from hiltestbed.platform.kinds import PLATFORMS
 def result():
     with pytest.MonkeyPatch.context() as patch:
         entered = bench.facilities_entered()
-        patch.setattr(bench, "facilities_entered", lambda: {name: entered[name] for name in ("serial_arm", "two_arms", "air_bearing")})
+        patch.setattr(
+            bench,
+            "facilities_entered",
+            lambda: {name: entered[name] for name in ("serial_arm", "two_arms", "air_bearing")},
+        )
         return bench.facilities(quick=True)
 
 
@@ -37,7 +41,9 @@ def test_a_record_a_facility_and_treatment(result) -> None:
 
 @pytest.mark.parametrize("facility", ["serial_arm", "two_arms"])
 def test_the_virtual_damper_brings_the_designed_restitution_back(result, facility) -> None:
-    """EPOS' hybrid: designed by the damping that the measured rig takes and tuned by one trial, e is that of the contact within 1 %."""
+    """EPOS' hybrid: designed by the damping that the measured rig takes and tuned by one trial, e
+    is that of the contact within 1 %.
+    """
     by = {r["treatment"]: r for r in result.records if r["facility"] == facility}
     hybrid = next(r for name, r in by.items() if name.startswith("hybrid"))
     assert not by["uncompensated"]["passive"]

@@ -6,7 +6,15 @@ from hiltestbed.bench.contacts import grid
 from hiltestbed.bench.identification import METHODS, leaderboard, measure
 from hiltestbed.bench.identification_report import identification_report
 
-RECORD = {"method", "frequency", "delay", "damping_ratio", "noise", "stiffness_error", "damping_error"}
+RECORD = {
+    "method",
+    "frequency",
+    "delay",
+    "damping_ratio",
+    "noise",
+    "stiffness_error",
+    "damping_error",
+}
 
 
 def test_methods_side_by_side() -> None:
@@ -19,5 +27,8 @@ def test_methods_side_by_side() -> None:
     assert abs(by_name["rls"]["damping_error"]) < 0.02
     assert by_name["rls_raw"]["damping_error"] > 0.1
     assert by_name["rls_delay_estimated"]["delay_error"] < 3e-4
-    page = identification_report(records, {"leaderboard": board, "intervals": {"stiffness": 0.95, "damping": 0.95, "seeds": 400.0}}).html()
+    page = identification_report(
+        records,
+        {"leaderboard": board, "intervals": {"stiffness": 0.95, "damping": 0.95, "seeds": 400.0}},
+    ).html()
     assert "rls_lead" in page

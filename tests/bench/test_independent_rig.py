@@ -1,4 +1,6 @@
-"""The second rig: closed forms, agreement with records of a third one, and effects that stay in their link."""
+"""The second rig: closed forms, agreement with records of a third one, and effects that stay in
+their link.
+"""
 
 from __future__ import annotations
 
@@ -36,11 +38,28 @@ FLAT = {
     "rate": 8000,
     "duration": 0.5,
     "spacecraft": {
-        "chaser": {"mass": 500.0, "inertia": [200.0, 180.0, 150.0], "port": {"position": [0, 0, 1.0], "attitude_deg": [0, 0, 0]}},
-        "target": {"mass": 2000.0, "inertia": [900.0, 900.0, 700.0], "port": {"position": [0, 0, -1.0], "attitude_deg": [0, 0, 0]}},
+        "chaser": {
+            "mass": 500.0,
+            "inertia": [200.0, 180.0, 150.0],
+            "port": {"position": [0, 0, 1.0], "attitude_deg": [0, 0, 0]},
+        },
+        "target": {
+            "mass": 2000.0,
+            "inertia": [900.0, 900.0, 700.0],
+            "port": {"position": [0, 0, -1.0], "attitude_deg": [0, 0, 0]},
+        },
     },
-    "approach": {"gap": 0.00151, "velocity": [0.0, 0.0, 0.03], "offset": [0.0, 0.0], "attitude_deg": [0, 0, 0], "rate_deg": [0, 0, 0]},
-    "mechanism": {"kind": "bumper", "contact": {"stiffness": 1e5, "damping": 400.0, "friction": 0.0}},
+    "approach": {
+        "gap": 0.00151,
+        "velocity": [0.0, 0.0, 0.03],
+        "offset": [0.0, 0.0],
+        "attitude_deg": [0, 0, 0],
+        "rate_deg": [0, 0, 0],
+    },
+    "mechanism": {
+        "kind": "bumper",
+        "contact": {"stiffness": 1e5, "damping": 400.0, "friction": 0.0},
+    },
     "sensor": {"delay": 0.0},
     "compensation": {"force": {"kind": "none"}},
 }
@@ -56,14 +75,17 @@ def _quiet(changes: dict | None = None, effects: tuple[dict, ...] = ()) -> Recor
 
 
 @pytest.mark.parametrize("damping", [0.0, 400.0, 2000.0])
-def test_restitution_without_delay_is_the_closed_form_of_a_separation_at_no_force(damping: float) -> None:
+def test_restitution_without_delay_is_the_closed_form_of_a_separation_at_no_force(
+    damping: float,
+) -> None:
     records = _quiet({"mechanism.contact.damping": damping})
     rebound = -(records.pose_cmd[-1, 2] - records.pose_cmd[-2, 2]) * 8000 / SPEED
     z = damping / (2.0 * math.sqrt(1e5 * REDUCED))
     s = math.sqrt(1.0 - z * z)
     # The integrator is of first order: its error is of the order of c h/mu.
     assert rebound == pytest.approx(
-        math.exp(-(z / s) * (math.pi - math.atan2(2.0 * z * s, 1.0 - 2.0 * z * z))), abs=2e-4 + damping / REDUCED / 8000
+        math.exp(-(z / s) * (math.pi - math.atan2(2.0 * z * s, 1.0 - 2.0 * z * z))),
+        abs=2e-4 + damping / REDUCED / 8000,
     )
 
 
@@ -77,7 +99,8 @@ def test_a_pure_delay_gives_the_series_of_the_delayed_oscillator() -> None:
         x += SPEED * (-w2) ** n * late ** (2 * n + 1) / math.factorial(2 * n + 1)
     inside = (t > 0.0) & (np.cumsum((t > 0.0) & (x < 0.0)) == 0)
     assert inside.sum() > 1000
-    assert np.abs(records.pose_cmd[inside, 2] - x[inside]).max() < 2e-6  # of 1.9 mm: semi-implicit Euler at 8 kHz
+    # of 1.9 mm: semi-implicit Euler at 8 kHz
+    assert np.abs(records.pose_cmd[inside, 2] - x[inside]).max() < 2e-6
 
 
 def test_momentum_is_kept_and_free_bodies_fly_straight_off_centre_too() -> None:
@@ -85,7 +108,9 @@ def test_momentum_is_kept_and_free_bodies_fly_straight_off_centre_too() -> None:
     before = records.pose_cmd[:300]
     np.testing.assert_allclose(np.diff(before[:, 2]) * 8000, SPEED, rtol=1e-9)
     # Turning about z with the target at rest: the quaternion's z part grows with half the angle.
-    np.testing.assert_allclose(before[:, 5], np.sin(0.5 * np.radians(0.5) * np.arange(1, 301) / 8000), atol=1e-12)
+    np.testing.assert_allclose(
+        before[:, 5], np.sin(0.5 * np.radians(0.5) * np.arange(1, 301) / 8000), atol=1e-12
+    )
 
 
 DELAYED = {"sensor.delay": 0.002}
@@ -106,24 +131,67 @@ def test_between_ticks_the_reading_has_the_rate_of_its_tick() -> None:
 
 
 CLOSED = [
-    ({"kind": "sensor.gain", "factor": 1.1, "axis": "z"}, lambda r: (r.wrench_meas[:, 2], 1.1 * r.physical[:, 2])),
-    ({"kind": "sensor.crosstalk", "ratio": 0.03, "source": "z", "axis": "x"}, lambda r: (r.wrench_meas[:, 0], 0.03 * r.physical[:, 2])),
-    ({"kind": "sensor.saturation", "limit": 50.0}, lambda r: (r.wrench_meas[:, 2], np.minimum(r.physical[:, 2], 50.0))),
-    ({"kind": "sensor.deadzone", "width": 30.0}, lambda r: (r.wrench_meas[:, 2], np.where(r.physical[:, 2] < 30.0, 0.0, r.physical[:, 2]))),
-    ({"kind": "sensor.drift", "rate": 2.0, "axis": "y"}, lambda r: (r.wrench_meas[:, 1], 2.0 * np.arange(4000) / 8000)),
-    ({"kind": "contact.preload", "force": 12.0}, lambda r: (r.physical[:, 2], _spring(r, preload=12.0))),
-    ({"kind": "contact.stiffness", "factor": 0.8}, lambda r: (r.physical[:, 2], _spring(r, stiffness=8e4))),
-    ({"kind": "contact.touch_offset", "offset": 2e-4}, lambda r: (r.physical[:, 2], _spring(r, offset=2e-4))),
-    ({"kind": "frame.compliance", "stiffness": 9e5}, lambda r: (r.physical[:, 2], 0.9 * _spring(r))),  # k, c times 1/(1 + k/K)
-    ({"kind": "contact.surface_friction", "coefficient": 0.2}, lambda r: (r.physical[:, 0], 0.0 * r.physical[:, 2])),  # no slip
-    ({"kind": "platform.scale", "factor": 1.05, "axis": "z"}, lambda r: (r.pose_act[1:, 2], 1.05 * r.pose_cmd[:-1, 2])),
-    ({"kind": "platform.delay", "delay": 0.002}, lambda r: (r.pose_act[17:, 2], r.pose_cmd[:-17, 2])),
-    ({"kind": "loop.deadzone", "width": 30.0}, lambda r: (r.wrench_comp[:, 2], np.where(r.used[:, 2] < 30.0, 0.0, r.used[:, 2]))),
+    (
+        {"kind": "sensor.gain", "factor": 1.1, "axis": "z"},
+        lambda r: (r.wrench_meas[:, 2], 1.1 * r.physical[:, 2]),
+    ),
+    (
+        {"kind": "sensor.crosstalk", "ratio": 0.03, "source": "z", "axis": "x"},
+        lambda r: (r.wrench_meas[:, 0], 0.03 * r.physical[:, 2]),
+    ),
+    (
+        {"kind": "sensor.saturation", "limit": 50.0},
+        lambda r: (r.wrench_meas[:, 2], np.minimum(r.physical[:, 2], 50.0)),
+    ),
+    (
+        {"kind": "sensor.deadzone", "width": 30.0},
+        lambda r: (r.wrench_meas[:, 2], np.where(r.physical[:, 2] < 30.0, 0.0, r.physical[:, 2])),
+    ),
+    (
+        {"kind": "sensor.drift", "rate": 2.0, "axis": "y"},
+        lambda r: (r.wrench_meas[:, 1], 2.0 * np.arange(4000) / 8000),
+    ),
+    (
+        {"kind": "contact.preload", "force": 12.0},
+        lambda r: (r.physical[:, 2], _spring(r, preload=12.0)),
+    ),
+    (
+        {"kind": "contact.stiffness", "factor": 0.8},
+        lambda r: (r.physical[:, 2], _spring(r, stiffness=8e4)),
+    ),
+    (
+        {"kind": "contact.touch_offset", "offset": 2e-4},
+        lambda r: (r.physical[:, 2], _spring(r, offset=2e-4)),
+    ),
+    # k, c times 1/(1 + k/K)
+    (
+        {"kind": "frame.compliance", "stiffness": 9e5},
+        lambda r: (r.physical[:, 2], 0.9 * _spring(r)),
+    ),
+    # no slip
+    (
+        {"kind": "contact.surface_friction", "coefficient": 0.2},
+        lambda r: (r.physical[:, 0], 0.0 * r.physical[:, 2]),
+    ),
+    (
+        {"kind": "platform.scale", "factor": 1.05, "axis": "z"},
+        lambda r: (r.pose_act[1:, 2], 1.05 * r.pose_cmd[:-1, 2]),
+    ),
+    (
+        {"kind": "platform.delay", "delay": 0.002},
+        lambda r: (r.pose_act[17:, 2], r.pose_cmd[:-17, 2]),
+    ),
+    (
+        {"kind": "loop.deadzone", "width": 30.0},
+        lambda r: (r.wrench_comp[:, 2], np.where(r.used[:, 2] < 30.0, 0.0, r.used[:, 2])),
+    ),
     ({"kind": "log.skew", "delay": 0.002}, lambda r: (r.wrench_meas[16:, 2], r.used[:-16, 2])),
 ]  # an effect, and records that are to be equal under it
 
 
-def _spring(r: Records, stiffness: float = 1e5, offset: float = 0.0, preload: float = 0.0) -> np.ndarray:
+def _spring(
+    r: Records, stiffness: float = 1e5, offset: float = 0.0, preload: float = 0.0
+) -> np.ndarray:
     z = r.pose_act[:, 2] - offset
     v = np.diff(r.pose_act[:, 2], prepend=r.pose_act[0, 2] - SPEED / 8000) * 8000
     return np.where(z > 0.0, np.maximum(stiffness * z + 400.0 * v + preload, 0.0), 0.0)
@@ -136,9 +204,13 @@ def test_an_effect_does_what_its_definition_says(case) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-def test_damping_that_grows_with_the_force_dissipates_while_a_latch_pushes_and_while_it_pulls() -> None:
-    """Of Hunt-Crossley, y - ln(1 + y) of y = alpha v before a half swing is that of y = -alpha v after it, whichever way the latch is
-    loaded: dv/dx = -k x (1 + alpha v) / (m v)."""
+def test_damping_that_grows_with_the_force_dissipates_while_a_latch_pushes_and_while_it_pulls() -> (
+    None
+):
+    """Of Hunt-Crossley, y - ln(1 + y) of y = alpha v before a half swing is that of y = -alpha v
+    after it, whichever way the latch is
+    loaded: dv/dx = -k x (1 + alpha v) / (m v).
+    """
     alpha = 8.0
     latched = {"mechanism.kind": "latched", "approach.gap": 0.0, "duration": 1.2}
     z = _quiet(latched, ({"kind": "contact.hunt_crossley", "alpha": alpha},)).pose_act[:, 2]
@@ -159,11 +231,19 @@ def test_a_lag_trails_a_ramp_by_its_time_constant_and_play_by_its_half() -> None
 def test_the_models_mass_sets_the_acceleration() -> None:
     records = _quiet(None, ({"kind": "dynamics.mass", "factor": 1.2, "body": "chaser"},))
     acceleration = np.diff(records.pose_cmd[:, 2], 2) * 8000.0**2
-    np.testing.assert_allclose(acceleration, -records.wrench_comp[2:, 2] * (1.0 / 600.0 + 1.0 / 2000.0), atol=1e-6)
+    np.testing.assert_allclose(
+        acceleration, -records.wrench_comp[2:, 2] * (1.0 / 600.0 + 1.0 / 2000.0), atol=1e-6
+    )
 
 
 def test_an_appendage_keeps_the_momentum_of_the_whole_body() -> None:
-    slosh = {"kind": "dynamics.appendage", "mass_ratio": 0.2, "frequency": 3.0, "damping_ratio": 0.2, "body": "chaser"}
+    slosh = {
+        "kind": "dynamics.appendage",
+        "mass_ratio": 0.2,
+        "frequency": 3.0,
+        "damping_ratio": 0.2,
+        "body": "chaser",
+    }
     rig = with_effect(nominal_rig(overridden(FLAT, {"duration": 2.0})), slosh)
     push = np.zeros((rig.ticks, 6))
     push[:80, 2] = 100.0  # 1 N s
@@ -173,22 +253,37 @@ def test_an_appendage_keeps_the_momentum_of_the_whole_body() -> None:
 
 
 CHANGED = {
-    "platform": {"pose_act", "wrench_meas", "wrench_comp"}, "contact": {"wrench_meas", "wrench_comp"},
-    "sensor": {"wrench_meas", "wrench_comp"}, "compensation": {"wrench_comp"}, "dynamics": {"pose_cmd"}, "log": {"wrench_meas"},
-}  # fmt: skip
+    "platform": {"pose_act", "wrench_meas", "wrench_comp"},
+    "contact": {"wrench_meas", "wrench_comp"},
+    "sensor": {"wrench_meas", "wrench_comp"},
+    "compensation": {"wrench_comp"},
+    "dynamics": {"pose_cmd"},
+    "log": {"wrench_meas"},
+}
 
 
 @pytest.mark.parametrize("name", [*EFFECTS, *FOREIGN])
 def test_an_effect_changes_what_its_link_gives_and_nothing_else(name: str) -> None:
-    """The nominal links, each on what the hidden rig's records say that it was given, give those records but for the link's own."""
+    """The nominal links, each on what the hidden rig's records say that it was given, give those
+    records but for the link's own.
+    """
     rng = np.random.default_rng(11)
     facility = draw_facility(rng, frozenset({"slide"}) | NEEDS.get(name, frozenset()))
-    rig, healthy = (rig_of(facility, 3, effects, PLAIN) for effects in (draw_effects(rng, (name,), facility), []))
-    noise = silence(rig.ticks)._replace(delay=rng.standard_normal(rig.ticks), repeat=rng.random(rig.ticks))
+    rig, healthy = (
+        rig_of(facility, 3, effects, PLAIN)
+        for effects in (draw_effects(rng, (name,), facility), [])
+    )
+    noise = silence(rig.ticks)._replace(
+        delay=rng.standard_normal(rig.ticks), repeat=rng.random(rig.ticks)
+    )
     records = simulate(rig, noise)
     replayed = simulate(healthy, noise, pose_cmd=records.pose_cmd, wrench_comp=records.wrench_comp)
     floors = {"pose_cmd": 1e-9, "pose_act": 1e-9, "wrench_meas": 1e-4, "wrench_comp": 1e-3}
-    differs = {c for c, floor in floors.items() if np.abs(getattr(records, c) - getattr(replayed, c)).max() > floor}
+    differs = {
+        c
+        for c, floor in floors.items()
+        if np.abs(getattr(records, c) - getattr(replayed, c)).max() > floor
+    }
     assert differs == CHANGED[link_of(name)]
 
 
@@ -208,22 +303,34 @@ def test_it_agrees_with_the_records_of_a_third_rig(name: str, number: int) -> No
         rig = with_effect(rig, {"kind": kind, **given})
     table = pq.read_table(folder / name / entry["file"])
     channels = ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp")
-    measured = {c: np.stack([table[n].to_numpy() for n in table.column_names if n.startswith(c)], axis=1) for c in channels}
+    measured = {
+        c: np.stack([table[n].to_numpy() for n in table.column_names if n.startswith(c)], axis=1)
+        for c in channels
+    }
     quiet = silence(rig.ticks)
     cut = simulate(rig, quiet, pose_cmd=measured["pose_cmd"], wrench_comp=measured["wrench_comp"])
     noise = scenario["sensor"]["noise"]
-    # The numerical model is computed, not measured: round-off. The others differ by their noise: 2e-6 m, that of the scenario, 0.02 N m.
+    # The numerical model is computed, not measured: round-off. The others differ by their noise:
+    # 2e-6 m, that of the scenario, 0.02 N m.
     np.testing.assert_allclose(measured["pose_cmd"], cut.pose_cmd, atol=1e-12)
-    np.testing.assert_allclose(np.std(measured["pose_act"][:, :3] - cut.pose_act[:, :3], axis=0), 2e-6, rtol=0.1)
+    np.testing.assert_allclose(
+        np.std(measured["pose_act"][:, :3] - cut.pose_act[:, :3], axis=0), 2e-6, rtol=0.1
+    )
     contact = cut.wrench_meas[:, 2] != 0.0
     difference = (measured["wrench_meas"] - cut.wrench_meas)[contact]
     samples = math.sqrt(contact.sum())
     np.testing.assert_allclose(np.std(difference[:, :3], axis=0), noise, rtol=4.0 / samples)
     np.testing.assert_allclose(np.std(difference[:, 3:], axis=0), 0.02, rtol=4.0 / samples)
-    # In closed loop, the force noise through the lead is integrated twice: a random walk of the velocity.
+    # In closed loop, the force noise through the lead is integrated twice: a random walk of the
+    # velocity.
     lead = (scenario["sensor"]["delay"] + 5e-4) * scenario["rate"]
     tick, ticks = 1.0 / scenario["rate"], rig.ticks
-    spread = noise * tick**2 * (ticks**1.5 / math.sqrt(3.0) + lead * math.sqrt(ticks)) * (1.0 / rig.bodies.mass).sum()
+    spread = (
+        noise
+        * tick**2
+        * (ticks**1.5 / math.sqrt(3.0) + lead * math.sqrt(ticks))
+        * (1.0 / rig.bodies.mass).sum()
+    )
     loop = simulate(rig, quiet)
     assert np.abs(loop.pose_cmd[:, 2] - measured["pose_cmd"][:, 2]).max() < 4.0 * spread
 
@@ -233,7 +340,11 @@ def test_sets_come_from_their_seed_and_are_written_as_datasets(tmp_path: Path) -
     assert first.truth == second.truth
     np.testing.assert_array_equal(first.runs[2].wrench_meas, second.runs[2].wrench_meas)
     folder = write_set(tmp_path / "set", first)
-    assert sorted(p.name for p in folder.iterdir()) == ["dataset.yaml", "nominal.yaml", *(f"run_{i}.parquet" for i in range(6))]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "dataset.yaml",
+        "nominal.yaml",
+        *(f"run_{i}.parquet" for i in range(6)),
+    ]
     nominal = YAML(typ="safe").load(folder / "nominal.yaml")
     assert nominal == first.facility.scenario
     assert nominal["effects"] == []
@@ -251,10 +362,15 @@ def test_noise_is_what_the_facility_says() -> None:
     assert np.std(off) == pytest.approx(hidden.facility.pose_noise, rel=0.05)
 
 
-@pytest.mark.parametrize("name", ["sensor.delay", "contact.dry_friction", "dynamics.mass", "platform.lag"])
+@pytest.mark.parametrize(
+    "name", ["sensor.delay", "contact.dry_friction", "dynamics.mass", "platform.lag"]
+)
 def test_the_strength_of_an_effect_grows_with_its_size(name: str) -> None:
     facility = draw_facility(np.random.default_rng(5), frozenset({"slide"}))
-    sized = [draw_effects(np.random.default_rng(6), (name,), facility, scale) for scale in (0.25, 0.5, 2.0)]
+    sized = [
+        draw_effects(np.random.default_rng(6), (name,), facility, scale)
+        for scale in (0.25, 0.5, 2.0)
+    ]
     strengths = [strength(facility, effects, 0, PLAIN) for effects in sized]
     assert strengths[0] < strengths[1] < strengths[2]
 

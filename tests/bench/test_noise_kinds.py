@@ -28,7 +28,9 @@ def _log(force: float = 0.0, rows: int = ROWS) -> Log:
 
 def _noise(name: str, strength: float, force: float = 0.0, seed: int = 1) -> np.ndarray:
     log = _log(force)
-    return NOISE_KINDS[name](log, strength, np.random.default_rng(seed)).wrench_meas - log.wrench_meas
+    return (
+        NOISE_KINDS[name](log, strength, np.random.default_rng(seed)).wrench_meas - log.wrench_meas
+    )
 
 
 def _neighbours(noise: np.ndarray) -> np.ndarray:
@@ -111,7 +113,9 @@ def test_a_slow_drift_begins_at_nought_and_is_slower_than_the_run() -> None:
     assert (np.ptp(smooth, axis=0) < 4.6 * SIGMA).all()
     assert (np.ptp(smooth, axis=0) > 0.3 * SIGMA).all()
     x = np.linspace(-1.0, 1.0, ROWS)
-    left = noise - np.polynomial.polynomial.polyval(x, np.polynomial.polynomial.polyfit(x, noise, 6)).T
+    left = (
+        noise - np.polynomial.polynomial.polyval(x, np.polynomial.polynomial.polyfit(x, noise, 6)).T
+    )
     np.testing.assert_allclose(np.std(left, axis=0), SIGMA, rtol=0.05)
 
 
@@ -121,21 +125,29 @@ def test_mains_are_lines_at_the_harmonics() -> None:
     spectrum = np.abs(np.fft.rfft(noise)) / (ROWS / 2)
     f = np.fft.rfftfreq(ROWS, 1.0 / RATE)
     for n in HARMONICS:
-        assert spectrum[np.argmin(np.abs(f - n * MAINS))] == pytest.approx(strength / n * SIGMA[2], abs=4.0 * SIGMA[2] / np.sqrt(ROWS))
+        assert spectrum[np.argmin(np.abs(f - n * MAINS))] == pytest.approx(
+            strength / n * SIGMA[2], abs=4.0 * SIGMA[2] / np.sqrt(ROWS)
+        )
 
 
 @pytest.mark.parametrize("cutoff", NOISE_KINDS["anti_aliasing"].strengths)
-def test_an_anti_aliasing_filter_takes_what_lies_above_it_and_nothing_of_what_lies_below(cutoff: float) -> None:
+def test_an_anti_aliasing_filter_takes_what_lies_above_it_and_nothing_of_what_lies_below(
+    cutoff: float,
+) -> None:
     log = _log()
     slow = 100.0 * np.sin(2.0 * np.pi * 2.0 * log.t)
     log = replace(log, wrench_meas=np.stack([slow] * 6, axis=1))
     noisy = NOISE_KINDS["white"](log, 1.0, np.random.default_rng(4))
     filtered = NOISE_KINDS["anti_aliasing"](noisy, cutoff, np.random.default_rng(5)).wrench_meas
     left = (filtered - log.wrench_meas)[200:-200]
-    # White noise through a fourth-order Butterworth low-pass keeps 1.026 fc/(rate/2) of its power; part rows take a little more.
-    np.testing.assert_allclose(np.std(left, axis=0), SIGMA * np.sqrt(1.026 * cutoff / (0.5 * RATE)), rtol=0.1)
+    # White noise through a fourth-order Butterworth low-pass keeps 1.026 fc/(rate/2) of its power;
+    # part rows take a little more.
+    np.testing.assert_allclose(
+        np.std(left, axis=0), SIGMA * np.sqrt(1.026 * cutoff / (0.5 * RATE)), rtol=0.1
+    )
     swing = np.abs(np.fft.rfft(filtered[:, 2]))
-    assert swing[int(40 * 2.0 / 2.0)] / (ROWS / 2) == pytest.approx(100.0, rel=1e-3)  # 2 Hz in 20 s; the phase is in `left`
+    # 2 Hz in 20 s; the phase is in `left`
+    assert swing[int(40 * 2.0 / 2.0)] / (ROWS / 2) == pytest.approx(100.0, rel=1e-3)
 
 
 def test_held_rows_repeat_the_row_before() -> None:
@@ -150,8 +162,12 @@ def test_held_rows_repeat_the_row_before() -> None:
 @pytest.mark.parametrize("step", NOISE_KINDS["pose_steps"].strengths)
 def test_the_measured_position_comes_in_steps(step: float) -> None:
     log = NOISE_KINDS["pose_steps"](_log(), step, np.random.default_rng(1))
-    np.testing.assert_allclose(log.pose_act[:, :3] / step, np.round(log.pose_act[:, :3] / step), atol=1e-9)
-    assert np.std(log.pose_act[:, 2] - log.pose_cmd[:, 2]) == pytest.approx(step / np.sqrt(12.0), rel=0.05)
+    np.testing.assert_allclose(
+        log.pose_act[:, :3] / step, np.round(log.pose_act[:, :3] / step), atol=1e-9
+    )
+    assert np.std(log.pose_act[:, 2] - log.pose_cmd[:, 2]) == pytest.approx(
+        step / np.sqrt(12.0), rel=0.05
+    )
     np.testing.assert_array_equal(log.pose_cmd, _log().pose_cmd)
 
 

@@ -25,10 +25,16 @@ from hiltestbed.bench.independent_rig.nuisances import CHANNELS, shifted
 from tests.bench.test_docking_physics import SCENARIO as DOCKING
 from tests.bench.test_independent_rig import FLAT
 
-AT_A_KILOHERTZ = {"rate": 1000, "approach.gap": 0.00151, "duration": 0.3, "mechanism.contact.damping": 400.0}
+AT_A_KILOHERTZ = {
+    "rate": 1000,
+    "approach.gap": 0.00151,
+    "duration": 0.3,
+    "mechanism.contact.damping": 400.0,
+}
 
-# Sums of the absolute values of pose_cmd, pose_act, wrench_meas and wrench_comp of all runs, as the sets were before they could be
-# drawn with other noise, nuisances and designs; the same bytes then gave the same SHA-256.
+# Sums of the absolute values of pose_cmd, pose_act, wrench_meas and wrench_comp of all runs, as the
+# sets were before they could be drawn with other noise, nuisances and designs; the same bytes then
+# gave the same SHA-256.
 BEFORE = {
     ("healthy", 4): [5439.399744729424, 5439.333279362924, 167214.974062837, 173700.7327535198],
     ("single", 5): [6653.8143116311785, 6652.995687939143, 107353.47556938953, 112999.18660569409],
@@ -46,13 +52,17 @@ def test_a_seed_draws_the_set_that_it_drew_before_there_were_choices(kind: str, 
 
 def test_the_default_is_the_plain_rig_to_the_byte() -> None:
     for rig in (nominal_rig(overridden(FLAT, AT_A_KILOHERTZ)), docking_rig(DOCKING)):
-        plain, chosen = (simulate(r, silence(rig.ticks)) for r in (rig, with_nuisances(rig, Nuisances())))
+        plain, chosen = (
+            simulate(r, silence(rig.ticks)) for r in (rig, with_nuisances(rig, Nuisances()))
+        )
         for channel in CHANNELS:
             assert getattr(plain, channel).tobytes() == getattr(chosen, channel).tobytes()
     assert draw_nuisances(np.random.default_rng(1), width=0.0) == Nuisances()
 
 
-def _flat(nuisances: Nuisances, changes: dict | None = None, effects: tuple[dict, ...] = ()) -> Records:
+def _flat(
+    nuisances: Nuisances, changes: dict | None = None, effects: tuple[dict, ...] = ()
+) -> Records:
     rig = nominal_rig(overridden(FLAT, AT_A_KILOHERTZ | (changes or {})))
     for effect in effects:
         rig = with_effect(rig, effect)
@@ -61,7 +71,9 @@ def _flat(nuisances: Nuisances, changes: dict | None = None, effects: tuple[dict
 
 def test_without_states_of_its_own_a_contact_does_not_depend_on_the_sub_steps() -> None:
     for substeps in (2, 13, 200):
-        np.testing.assert_allclose(_flat(Nuisances(substeps=substeps)).pose_cmd, _flat(Nuisances()).pose_cmd, atol=1e-12)
+        np.testing.assert_allclose(
+            _flat(Nuisances(substeps=substeps)).pose_cmd, _flat(Nuisances()).pose_cmd, atol=1e-12
+        )
 
 
 def test_stiction_depends_on_the_sub_steps_by_less_than_the_way_of_one() -> None:
@@ -80,7 +92,11 @@ def test_a_reading_taken_before_its_stamp_is_a_delay_of_the_sensor() -> None:
 @pytest.mark.parametrize("six", [False, True])
 def test_a_command_that_is_obeyed_late_moves_the_platform_late(six: bool) -> None:
     scenario = overridden(DOCKING, {"rate": 1000, "approach.gap": 0.2, "duration": 0.3})
-    rig = docking_rig(scenario) if six else nominal_rig(overridden(FLAT, AT_A_KILOHERTZ | {"approach.gap": 0.05}))
+    rig = (
+        docking_rig(scenario)
+        if six
+        else nominal_rig(overridden(FLAT, AT_A_KILOHERTZ | {"approach.gap": 0.05}))
+    )
     found = simulate(with_nuisances(rig, Nuisances(move=0.3)), silence(rig.ticks))
     between = found.pose_cmd[:-2] + 0.7 * (found.pose_cmd[1:-1] - found.pose_cmd[:-2])
     np.testing.assert_allclose(found.pose_act[2:], between, atol=1e-9)
@@ -88,15 +104,23 @@ def test_a_command_that_is_obeyed_late_moves_the_platform_late(six: bool) -> Non
 
 @pytest.mark.parametrize("six", [False, True])
 def test_an_encoder_read_before_its_stamp_logs_an_earlier_pose(six: bool) -> None:
-    rig = docking_rig(overridden(DOCKING, {"rate": 1000})) if six else nominal_rig(overridden(FLAT, AT_A_KILOHERTZ))
-    now, before = (simulate(with_nuisances(rig, Nuisances(encoder=e)), silence(rig.ticks)) for e in (0.0, 0.25))
+    rig = (
+        docking_rig(overridden(DOCKING, {"rate": 1000}))
+        if six
+        else nominal_rig(overridden(FLAT, AT_A_KILOHERTZ))
+    )
+    now, before = (
+        simulate(with_nuisances(rig, Nuisances(encoder=e)), silence(rig.ticks)) for e in (0.0, 0.25)
+    )
     expected = now.pose_act[1:] - 0.25 * np.diff(now.pose_act, axis=0)
     np.testing.assert_allclose(before.pose_act[1:], expected, atol=1e-9)
     np.testing.assert_array_equal(before.wrench_meas, now.wrench_meas)  # of the log alone
 
 
 def test_a_share_of_the_old_twist_is_a_share_of_explicit_euler() -> None:
-    """Explicit Euler acts as a delay of one step: ln of the restitution grows by (pi/2) w h, and by the share of it."""
+    """Explicit Euler acts as a delay of one step: ln of the restitution grows by (pi/2) w h, and by
+    the share of it.
+    """
     quiet = {"mechanism.contact.damping": 0.0, "compensation.force.kind": "none", "duration": 0.5}
 
     def gain(step: float) -> float:
@@ -108,18 +132,30 @@ def test_a_share_of_the_old_twist_is_a_share_of_explicit_euler() -> None:
 
 
 def test_the_contacts_rate_is_the_slope_of_the_tick_or_of_half_of_it() -> None:
-    """A platform that lags bends its path within a tick: there alone the two differ, by a quarter of a tick of its acceleration."""
+    """A platform that lags bends its path within a tick: there alone the two differ, by a quarter
+    of a tick of its acceleration.
+    """
     lag = ({"kind": "platform.lag", "bandwidth": 15.0},)
-    tick, fine = (_flat(Nuisances(rate=r, substeps=200), {"rate": 250, "duration": 0.6}, lag).physical[:, 2] for r in (0.0, 1.0))
+    tick, fine = (
+        _flat(Nuisances(rate=r, substeps=200), {"rate": 250, "duration": 0.6}, lag).physical[:, 2]
+        for r in (0.0, 1.0)
+    )
     touching = (tick > 0.0) & (fine > 0.0)
     assert 0.1 < np.abs(tick - fine)[touching].max() < 30.0
     same = [_flat(Nuisances(rate=r)).physical for r in (0.0, 1.0)]
     np.testing.assert_allclose(same[0], same[1], atol=1e-6)
 
 
-@pytest.mark.parametrize(("scheme", "share"), [("exact", 1.0 - math.exp(-1.0 / 3.0)), ("semi_implicit", 0.25), ("trapezoidal", 1.0 / 3.5)])
+@pytest.mark.parametrize(
+    ("scheme", "share"),
+    [("exact", 1.0 - math.exp(-1.0 / 3.0)), ("semi_implicit", 0.25), ("trapezoidal", 1.0 / 3.5)],
+)
 def test_schemes_of_the_sensors_lag(scheme: str, share: float) -> None:
-    found = _flat(Nuisances(scheme=scheme), {"compensation.force.kind": "none"}, ({"kind": "sensor.lag", "time_constant": 3e-3},))  # type: ignore[arg-type]
+    found = _flat(
+        Nuisances(scheme=scheme),
+        {"compensation.force.kind": "none"},
+        ({"kind": "sensor.lag", "time_constant": 3e-3},),
+    )  # type: ignore[arg-type]
     y = 0.0
     for k, u in enumerate(found.physical[:, 2]):
         y += (u - y) * share
@@ -130,7 +166,12 @@ def test_schemes_of_the_sensors_lag(scheme: str, share: float) -> None:
 def test_schemes_of_the_platforms_lag_meet_where_the_tick_is_finely_divided(scheme: str) -> None:
     lag = ({"kind": "platform.lag", "bandwidth": 20.0},)
     reference = _flat(Nuisances(scheme="exact", substeps=200), None, lag).pose_act[:, 2]
-    error = [np.abs(_flat(Nuisances(scheme=scheme, substeps=n), None, lag).pose_act[:, 2] - reference).max() for n in (4, 40)]  # type: ignore[arg-type]
+    error = [
+        np.abs(
+            _flat(Nuisances(scheme=scheme, substeps=n), None, lag).pose_act[:, 2] - reference
+        ).max()
+        for n in (4, 40)
+    ]  # type: ignore[arg-type]
     assert error[0] < 2e-5
     assert error[1] < (2e-6 if scheme == "semi_implicit" else 2e-7)
     if scheme == "semi_implicit":
@@ -138,7 +179,11 @@ def test_schemes_of_the_platforms_lag_meet_where_the_tick_is_finely_divided(sche
 
 
 def test_the_lever_is_that_of_the_choice() -> None:
-    off = {"approach.offset": [0.05, 0.0], "approach.velocity": [0.004, 0.0, 0.03], "mechanism.contact.friction": 0.2}
+    off = {
+        "approach.offset": [0.05, 0.0],
+        "approach.velocity": [0.004, 0.0, 0.03],
+        "mechanism.contact.friction": 0.2,
+    }
     arm = []
     for lever in (0.0, 1.0):
         found = _flat(Nuisances(lever=lever), off).physical
@@ -149,10 +194,17 @@ def test_the_lever_is_that_of_the_choice() -> None:
 
 def test_stamps_move_single_channels_by_whole_and_part_rows() -> None:
     base = draw_set(np.random.default_rng(3), "healthy", literal=True)
-    moved = draw_set(np.random.default_rng(3), "healthy", literal=True, nuisances=Nuisances(stamps={"pose_act": 1.0, "wrench_meas": -0.5}))
+    moved = draw_set(
+        np.random.default_rng(3),
+        "healthy",
+        literal=True,
+        nuisances=Nuisances(stamps={"pose_act": 1.0, "wrench_meas": -0.5}),
+    )
     for plain, late, log in zip(base.runs, moved.runs, moved.logs, strict=True):
         np.testing.assert_array_equal(late.pose_act[1:, :3], plain.pose_act[:-1, :3])
-        np.testing.assert_allclose(late.wrench_meas[:-1], 0.5 * (plain.wrench_meas[:-1] + plain.wrench_meas[1:]))
+        np.testing.assert_allclose(
+            late.wrench_meas[:-1], 0.5 * (plain.wrench_meas[:-1] + plain.wrench_meas[1:])
+        )
         np.testing.assert_array_equal(late.pose_cmd, plain.pose_cmd)
         np.testing.assert_array_equal(log.pose_act, late.pose_act)
 

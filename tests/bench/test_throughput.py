@@ -23,5 +23,9 @@ def test_the_oval_cone_is_searched_by_its_triangles(tmp_path: Path) -> None:
 
 def test_every_case_of_a_docking_is_timed() -> None:
     ratios = docking_ratios(1, 2)
-    assert set(ratios) == {"cone by its profile", "cone by its profile, upper platform moving", "cone by its triangles"}
+    assert set(ratios) == {
+        "cone by its profile",
+        "cone by its profile, upper platform moving",
+        "cone by its triangles",
+    }
     assert all(ratio > 0.0 for ratio in ratios.values())

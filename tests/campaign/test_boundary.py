@@ -7,7 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from hiltestbed.campaign.boundary import applies, bounce_cor, bounce_delay, closed_contact_delay, margin, neutral
+from hiltestbed.campaign.boundary import (
+    applies,
+    bounce_cor,
+    bounce_delay,
+    closed_contact_delay,
+    margin,
+    neutral,
+)
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run_batch
 
@@ -15,20 +22,30 @@ from hiltestbed.simulation import run_batch
 @pytest.mark.parametrize("zeta", [0.05, 0.1, 0.2, 0.4])
 def test_without_delay_the_series_is_the_closed_form(zeta: float) -> None:
     s = math.sqrt(1 - zeta**2)
-    parts_at_no_force = math.exp(-(zeta / s) * (math.pi - math.atan2(2 * zeta * s, 1 - 2 * zeta**2)))
+    parts_at_no_force = math.exp(
+        -(zeta / s) * (math.pi - math.atan2(2 * zeta * s, 1 - 2 * zeta**2))
+    )
     assert bounce_cor(zeta, 0.0) == pytest.approx(parts_at_no_force, rel=1e-12)
-    assert bounce_cor(zeta, 0.0, pulls=True) == pytest.approx(math.exp(-math.pi * zeta / s), rel=1e-12)
+    assert bounce_cor(zeta, 0.0, pulls=True) == pytest.approx(
+        math.exp(-math.pi * zeta / s), rel=1e-12
+    )
 
 
-@pytest.mark.parametrize(("w_tau", "e"), [(0.063, 1.104), (0.126, 1.217), (0.251, 1.474), (0.503, 2.102), (1.005, 3.743)])
+@pytest.mark.parametrize(
+    ("w_tau", "e"), [(0.063, 1.104), (0.126, 1.217), (0.251, 1.474), (0.503, 2.102), (1.005, 3.743)]
+)
 def test_without_damping_it_is_the_table_of_independent_simulations(w_tau: float, e: float) -> None:
-    """The table was made with steps of 10 us and w tau is given to three digits, which is 1e-3 of e."""
+    """The table was made with steps of 10 us and w tau is given to three digits, which is 1e-3 of
+    e.
+    """
     assert bounce_cor(0.0, w_tau) == pytest.approx(e, rel=1e-3)
 
 
 @pytest.mark.parametrize("zeta", [0.02, 0.1, 0.2])
 def test_a_bounce_that_may_pull_is_neutral_where_a_closed_contact_is(zeta: float) -> None:
-    """The two differ by the shape of half a period against a whole one: below 2 % in the delay while w tau < 0.5."""
+    """The two differ by the shape of half a period against a whole one: below 2 % in the delay
+    while w tau < 0.5.
+    """
     w_tau = closed_contact_delay(1.0, 2 * zeta, 1.0)
     slope = 0.5 * math.pi  # of ln e over w tau
     assert abs(math.log(bounce_cor(zeta, w_tau, pulls=True))) < 0.02 * slope * w_tau
@@ -36,7 +53,9 @@ def test_a_bounce_that_may_pull_is_neutral_where_a_closed_contact_is(zeta: float
 
 @pytest.mark.parametrize("zeta", [0.02, 0.05, 0.1])
 def test_a_bounce_that_cannot_pull_is_neutral_earlier_by_the_missing_pull(zeta: float) -> None:
-    """Leaving at v0, the force would pull from x = c v0/k to 0, an impulse of c^2 v0/(2 k): 2 zeta^2 in e, so 4 zeta^2/pi in w tau."""
+    """Leaving at v0, the force would pull from x = c v0/k to 0, an impulse of c^2 v0/(2 k): 2
+    zeta^2 in e, so 4 zeta^2/pi in w tau.
+    """
     earlier = closed_contact_delay(1.0, 2 * zeta, 1.0) - neutral(zeta)
     assert earlier == pytest.approx(4 * zeta**2 / math.pi, rel=0.1)
 
@@ -61,22 +80,40 @@ def scenario(delay: float, damping: float) -> Scenario:
 
 
 def test_the_loop_returns_the_speed_it_came_with_on_the_boundary() -> None:
-    """mu = 50 kg and k = 5 kN/m: w = 10 rad/s. A delay off by 2 % would show as 0.02 (pi/2) w tau in ln e; a fifth of it is asked."""
+    """mu = 50 kg and k = 5 kN/m: w = 10 rad/s. A delay off by 2 % would show as 0.02 (pi/2) w tau
+    in ln e; a fifth of it is asked.
+    """
     zetas = np.array([0.05, 0.1, 0.2])
     dampings = 2 * zetas * math.sqrt(5.0e3 * 50.0)
     delays = [bounce_delay(5.0e3, damping, 50.0) for damping in dampings]
-    runs = run_batch([scenario(delay, damping) for delay, damping in zip(delays, dampings, strict=True)])
+    runs = run_batch(
+        [scenario(delay, damping) for delay, damping in zip(delays, dampings, strict=True)]
+    )
     for run, delay in zip(runs, delays, strict=True):
         assert abs(math.log(run.summary["cor"])) < 0.004 * 0.5 * math.pi * 10.0 * delay
 
 
 @pytest.mark.parametrize("zeta", [0.03, 0.1, 0.25])
-def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it(zeta: float) -> None:
+def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it(
+    zeta: float,
+) -> None:
     """Latched, so that it pulls too: 1 % of delay on either side tells, up to w tau = 0.5."""
     damping = 2 * zeta * math.sqrt(5.0e3 * 50.0)
     delay = closed_contact_delay(5.0e3, damping, 50.0)
-    closed = {"mechanism.kind": "latched", "approach.gap": 0.0, "duration": 8.0, "rate": 4000, "physics_rate": 4000}
-    runs = run_batch([scenario_from(scenario(f * delay, damping).model_dump(mode="json"), closed) for f in (0.99, 1.01)], trace=True)
+    closed = {
+        "mechanism.kind": "latched",
+        "approach.gap": 0.0,
+        "duration": 8.0,
+        "rate": 4000,
+        "physics_rate": 4000,
+    }
+    runs = run_batch(
+        [
+            scenario_from(scenario(f * delay, damping).model_dump(mode="json"), closed)
+            for f in (0.99, 1.01)
+        ],
+        trace=True,
+    )
     growth = []
     for run in runs:
         assert run.trace is not None
@@ -84,7 +121,8 @@ def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it(
         first, last = force[4000:12000].max(), force[-8000:].max()  # two seconds hold three periods
         growth.append(math.log(last / first))
     assert growth[0] < 0.0 < growth[1]
-    assert growth[0] == pytest.approx(-growth[1], rel=0.2)  # the boundary lies midway between the two
+    # the boundary lies midway between the two
+    assert growth[0] == pytest.approx(-growth[1], rel=0.2)
 
 
 def test_margins_are_delays_beyond_the_boundaries_and_only_where_they_apply() -> None:
@@ -93,8 +131,12 @@ def test_margins_are_delays_beyond_the_boundaries_and_only_where_they_apply() ->
     closed, bounce = margin(on_it)
     assert bounce == pytest.approx(0.0, abs=1e-12)
     assert closed < 0.0
-    later = scenario_from(on_it.model_dump(mode="json"), {"effects": [{"kind": "sensor.delay", "delay": 0.002}]})
+    later = scenario_from(
+        on_it.model_dump(mode="json"), {"effects": [{"kind": "sensor.delay", "delay": 0.002}]}
+    )
     assert margin(later)[1] == pytest.approx(0.002, abs=1e-12)
     assert applies(later)
     assert not applies(scenario_from(on_it.model_dump(mode="json"), {"sensor.lowpass": 100.0}))
-    assert not applies(scenario_from(on_it.model_dump(mode="json"), {"compensation.force": {"kind": "phase_lead"}}))
+    assert not applies(
+        scenario_from(on_it.model_dump(mode="json"), {"compensation.force": {"kind": "phase_lead"}})
+    )

@@ -1,4 +1,6 @@
-"""A case's row depends on its number and the seed alone: not on its neighbours, on what is kept, or on who runs it."""
+"""A case's row depends on its number and the seed alone: not on its neighbours, on what is kept, or
+on who runs it.
+"""
 
 from __future__ import annotations
 
@@ -21,17 +23,25 @@ from hiltestbed.simulation import run
 
 def test_rows_do_not_depend_on_the_chunk(campaign: LoadedCampaign) -> None:
     whole = table(campaign.spec, run_chunk(campaign, range(24)).rows)
-    parts = [row for start in range(0, 24, 5) for row in run_chunk(campaign, range(start, min(start + 5, 24))).rows]
+    parts = [
+        row
+        for start in range(0, 24, 5)
+        for row in run_chunk(campaign, range(start, min(start + 5, 24))).rows
+    ]
     assert table(campaign.spec, parts).equals(whole)
     assert set(whole["status"].to_pylist()) == {"completed"}
     assert len(set(whole["trace_sha256"].to_pylist())) == 24
 
 
-def test_one_case_run_alone_and_in_full_has_the_row_and_the_trace_of_the_campaign(campaign: LoadedCampaign) -> None:
+def test_one_case_run_alone_and_in_full_has_the_row_and_the_trace_of_the_campaign(
+    campaign: LoadedCampaign,
+) -> None:
     cells = run_chunk(campaign, range(8)).rows
     by_case = {row["case"]: row for row in cells}
     alone = run(case_scenario(campaign, 5))
-    assert {name: by_case[5][name] for name in SCALARS} == {name: alone.summary[name] for name in SCALARS}
+    assert {name: by_case[5][name] for name in SCALARS} == {
+        name: alone.summary[name] for name in SCALARS
+    }
     assert alone.trace is not None
     assert by_case[5]["trace_sha256"] == trace_sha256(alone.trace)
 
@@ -39,7 +49,9 @@ def test_one_case_run_alone_and_in_full_has_the_row_and_the_trace_of_the_campaig
 def test_every_scalar_of_a_summary_is_a_column(campaign: LoadedCampaign) -> None:
     summary = run(campaign.nominal).summary
     scalars = {name for name, value in summary.items() if not isinstance(value, dict | list)}
-    assert scalars - {"payload_left"} == set(SCALARS), "payload_left is a mapping where there is one"
+    assert scalars - {"payload_left"} == set(SCALARS), (
+        "payload_left is a mapping where there is one"
+    )
 
 
 def test_a_record_that_is_stamped_late_has_the_hash_of_its_file(file: Path) -> None:
@@ -52,7 +64,10 @@ def test_a_record_that_is_stamped_late_has_the_hash_of_its_file(file: Path) -> N
 
 @pytest.mark.parametrize(
     ("keep", "files"),
-    [("trace", {"trace.parquet"}), ("all", {"scenario.yaml", "summary.json", "trace.parquet", "recording.rrd"})],
+    [
+        ("trace", {"trace.parquet"}),
+        ("all", {"scenario.yaml", "summary.json", "trace.parquet", "recording.rrd"}),
+    ],
 )
 def test_what_is_kept_beside_the_row(file: Path, keep: str, files: set[str]) -> None:
     campaign = load_campaign(file, {"keep": keep})
@@ -64,9 +79,12 @@ def test_what_is_kept_beside_the_row(file: Path, keep: str, files: set[str]) -> 
 
 
 def test_a_case_that_diverges_or_is_stopped_ends_alone(file: Path) -> None:
-    """k = 1e12 N/m at 1 kHz has w h = 160, where semi-implicit Euler ends at 2: the model is thrown out of the workspace."""
+    """k = 1e12 N/m at 1 kHz has w h = 160, where semi-implicit Euler ends at 2: the model is thrown
+    out of the workspace.
+    """
     file.write_text(
-        "scenario: scenario.yaml\nvary: {mechanism.contact.stiffness: {values: [2.0e4, 1.0e12, 3.0e4]}}\ndesign: {kind: grid}\n"
+        "scenario: scenario.yaml\nvary: {mechanism.contact.stiffness: {values: [2.0e4, 1.0e12, "
+        "3.0e4]}}\ndesign: {kind: grid}\n"
     )
     campaign = load_campaign(file)
     rows = {row["case"]: row for row in run_chunk(campaign, range(3)).rows}
@@ -79,13 +97,21 @@ def test_a_case_that_diverges_or_is_stopped_ends_alone(file: Path) -> None:
 
 
 def test_values_that_do_not_go_together_are_told_in_the_row(file: Path) -> None:
-    """rate and physics_rate are each right beside the scenario's own 1000 Hz; 500 over 1000 is not."""
+    """rate and physics_rate are each right beside the scenario's own 1000 Hz; 500 over 1000 is
+    not.
+    """
     file.write_text(
         "scenario: scenario.yaml\nset: {physics_rate: 2000}\n"
-        "vary: {rate: {values: [1000, 2000]}, physics_rate: {values: [1000, 2000]}}\ndesign: {kind: grid}\n"
+        "vary: {rate: {values: [1000, 2000]}, physics_rate: {values: [1000, 2000]}}\ndesign: "
+        "{kind: grid}\n"
     )
     rows = {row["case"]: row for row in run_chunk(load_campaign(file), range(4)).rows}
-    assert [rows[case]["status"] for case in range(4)] == ["completed", "completed", "invalid", "completed"]
+    assert [rows[case]["status"] for case in range(4)] == [
+        "completed",
+        "completed",
+        "invalid",
+        "completed",
+    ]
     assert "whole multiple of rate" in rows[2]["error"]
 
 
@@ -114,5 +140,9 @@ def test_cases_of_one_structure_go_together(campaign: LoadedCampaign) -> None:
         ("effects", [{"kind": "sensor.delay", "delay": 0.001}], False),
     ],
 )
-def test_a_structure_is_all_but_the_numbers(campaign: LoadedCampaign, key: str, value: object, same: bool) -> None:
-    assert (skeleton(scenario_from(campaign.source, {key: value})) == skeleton(campaign.nominal)) is same
+def test_a_structure_is_all_but_the_numbers(
+    campaign: LoadedCampaign, key: str, value: object, same: bool
+) -> None:
+    assert (
+        skeleton(scenario_from(campaign.source, {key: value})) == skeleton(campaign.nominal)
+    ) is same

@@ -1,4 +1,6 @@
-"""The report of a campaign: choices are never averaged over, axes end where the data end, the command that repeats a case is whole."""
+"""The report of a campaign: choices are never averaged over, axes end where the data end, the
+command that repeats a case is whole.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def swept(campaign: LoadedCampaign) -> Sweep:
 
 def test_each_choice_has_a_row_and_the_best_is_named(swept: Sweep) -> None:
     page = (swept.folder / "report.html").read_text()
-    rows = re.findall(r"<tr><td>(phase_lead \(lag 0\.001\)[^<]*|none[^<]*)</td><td>(\d+)</td>", page)
+    rows = re.findall(
+        r"<tr><td>(phase_lead \(lag 0\.001\)[^<]*|none[^<]*)</td><td>(\d+)</td>", page
+    )
     assert rows == [("phase_lead (lag 0.001) (best)", "36"), ("none", "36")]
     assert "compensation.force (a choice)" in page
     command = re.search(r"<pre>(.*?)</pre>", page)
@@ -81,17 +85,33 @@ def test_edges_end_where_the_data_end() -> None:
 
 def test_the_worst_of_a_cell_is_the_largest_magnitude_with_its_sign() -> None:
     x, y = np.array([0.0, 0.1, 0.2, 1.0]), np.zeros(4)
-    cells = _cells((x, y), (np.array([0.0, 0.5, 1.0]), np.array([-1.0, 1.0])), np.array([0.2, -0.5, 0.3, 0.1]), worst=True)
+    cells = _cells(
+        (x, y),
+        (np.array([0.0, 0.5, 1.0]), np.array([-1.0, 1.0])),
+        np.array([0.2, -0.5, 0.3, 0.1]),
+        worst=True,
+    )
     assert cells[:, 0].tolist() == [-0.5, 0.1]
 
 
 def test_choices_that_do_not_complete_come_last() -> None:
     from hiltestbed.campaign.choices import Choice
 
-    first, second = Choice("a", np.array([True, True, False, False])), Choice("b", np.array([False, False, True, True]))
+    first, second = (
+        Choice("a", np.array([True, True, False, False])),
+        Choice("b", np.array([False, False, True, True])),
+    )
     statuses = np.array(["completed", "diverged", "completed", "completed"])
-    ranked = results([first, second], statuses, np.array([0.5, np.nan, 1.1, 0.9]), np.array([0.01, np.nan, 0.5, -0.4]))
-    assert [(r.label, r.completed, r.active, r.best) for r in ranked] == [("b", 2, 1, True), ("a", 1, 0, False)]
+    ranked = results(
+        [first, second],
+        statuses,
+        np.array([0.5, np.nan, 1.1, 0.9]),
+        np.array([0.01, np.nan, 0.5, -0.4]),
+    )
+    assert [(r.label, r.completed, r.active, r.best) for r in ranked] == [
+        ("b", 2, 1, True),
+        ("a", 1, 0, False),
+    ]
 
 
 def test_words_and_units(campaign: LoadedCampaign) -> None:
@@ -107,7 +127,11 @@ def test_the_criterion_is_the_users(campaign: LoadedCampaign, tmp_path: Path) ->
     from hiltestbed.campaign.report import write_report
 
     by_force = load_campaign(
-        campaign.path, {"criterion": "peak_force", "vary": {"sensor.delay": {"values": [0.0, 0.01]}, "seed": {"values": [1, 2]}}}
+        campaign.path,
+        {
+            "criterion": "peak_force",
+            "vary": {"sensor.delay": {"values": [0.0, 0.01]}, "seed": {"values": [1, 2]}},
+        },
     )
     found = sweep(by_force, tmp_path / "out")
     write_report(found.folder, by_force)

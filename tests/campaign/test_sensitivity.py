@@ -16,7 +16,9 @@ def points(n: int, keys: int) -> np.ndarray:
 
 
 def test_ishigami() -> None:
-    """f = sin a + 7 sin^2 b + 0.1 c^4 sin a on [-pi, pi]^3, of which all indices are known (Ishigami and Homma 1990)."""
+    """f = sin a + 7 sin^2 b + 0.1 c^4 sin a on [-pi, pi]^3, of which all indices are known
+    (Ishigami and Homma 1990).
+    """
     x = math.pi * (2.0 * points(2048, 3) - 1.0)
     f = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
     found = sensitivity(["a", "b", "c"], x, f, [False] * 3)
@@ -28,7 +30,9 @@ def test_ishigami() -> None:
 
 
 def test_a_choice_counts_like_any_key() -> None:
-    """y = x + offset(choice) with no interaction: shares are those of the variances, and total equals first order."""
+    """y = x + offset(choice) with no interaction: shares are those of the variances, and total
+    equals first order.
+    """
     u = points(1024, 2)
     choice = np.floor(3.0 * u[:, 1])
     offset = np.array([0.0, 1.0, -0.5])
@@ -45,7 +49,9 @@ def test_a_choice_that_turns_the_sign_is_interaction_alone() -> None:
     """y = (x - 1/2) s with s = 1 or -1: neither moves the mean, together they are everything."""
     u = points(512, 2)
     sign = np.where(u[:, 1] < 0.5, 1.0, -1.0)
-    found = sensitivity(["x", "s"], np.column_stack([u[:, 0], sign]), (u[:, 0] - 0.5) * sign, [False, True])
+    found = sensitivity(
+        ["x", "s"], np.column_stack([u[:, 0], sign]), (u[:, 0] - 0.5) * sign, [False, True]
+    )
     assert found is not None
     assert [i.total for i in found.indices] == pytest.approx([1.0, 1.0], abs=0.02)
     assert [i.first_order for i in found.indices] == pytest.approx([0.0, 0.0], abs=0.02)

@@ -1,4 +1,6 @@
-"""The result folder: the same bytes whoever ran it, however often it was ended, and never another's."""
+"""The result folder: the same bytes whoever ran it, however often it was ended, and never
+another's.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,16 @@ def expected(in_one_go: Path) -> bytes:
 
 
 def command(file: Path, *more: str) -> list[str]:
-    return [sys.executable, "-m", "hiltestbed.cli", "sweep", str(file), "--out", str(file.parent / "out"), *more]
+    return [
+        sys.executable,
+        "-m",
+        "hiltestbed.cli",
+        "sweep",
+        str(file),
+        "--out",
+        str(file.parent / "out"),
+        *more,
+    ]
 
 
 def wait_for(condition, what: str) -> None:
@@ -65,7 +76,9 @@ def is_gone(group: int) -> bool:
     return False
 
 
-def test_the_same_bytes_whatever_the_chunks(campaign: LoadedCampaign, tmp_path: Path, expected: bytes) -> None:
+def test_the_same_bytes_whatever_the_chunks(
+    campaign: LoadedCampaign, tmp_path: Path, expected: bytes
+) -> None:
     result = sweep(campaign, tmp_path / "out", chunk=7)
     assert (tmp_path / "out" / "cases.parquet").read_bytes() == expected
     assert result.about["status"] == "complete"
@@ -84,7 +97,12 @@ def test_a_second_sweep_has_nothing_to_do(small: LoadedCampaign, tmp_path: Path)
 def begun(file: Path, *more: str) -> subprocess.Popen:
     """A sweep in a process group of its own, after its first chunk."""
     before = chunks_in(file.parent / "out")
-    process = subprocess.Popen(command(file, *more), start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        command(file, *more),
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
     wait_for(lambda: chunks_in(file.parent / "out") > before, "a chunk")
     return process
 
@@ -122,7 +140,9 @@ def killed_with_its_workers(file: Path) -> None:
 def test_ended_in_every_way_it_goes_on_to_the_same_bytes(
     ways: tuple[Callable[[Path], None], ...], file: Path, tmp_path: Path, expected: bytes
 ) -> None:
-    """One way after the other, with other chunks each time, and at last `kill -9` of a worker, which the sweep bears."""
+    """One way after the other, with other chunks each time, and at last `kill -9` of a worker,
+    which the sweep bears.
+    """
     out = tmp_path / "out"
     for way in ways:
         way(file)
@@ -130,21 +150,38 @@ def test_ended_in_every_way_it_goes_on_to_the_same_bytes(
     assert 3 * len(ways) <= int(store.Store(out, load_campaign(file)).done().sum()) < 96
 
     process = begun(file, "--workers", "2", "--chunk", "3")
-    workers = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
-    os.kill(next(pid for pid in workers if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()), signal.SIGKILL)
+    workers = [
+        int(pid)
+        for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    ]
+    os.kill(
+        next(pid for pid in workers if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()),
+        signal.SIGKILL,
+    )
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 0, err
     assert (out / "cases.parquet").read_bytes() == expected
 
 
 @SLOW
-def test_on_a_cluster_with_a_worker_killed_the_same_bytes(file: Path, tmp_path: Path, expected: bytes) -> None:
+def test_on_a_cluster_with_a_worker_killed_the_same_bytes(
+    file: Path, tmp_path: Path, expected: bytes
+) -> None:
     """A scheduler and two workers on the loopback address, started as a user starts them."""
     pytest.importorskip("distributed")
     dask = str(Path(sys.executable).with_name("dask"))
     where = tmp_path / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
-    scheduler = ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(where)]
+    scheduler = [
+        "scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+        "--scheduler-file",
+        str(where),
+    ]
     started = [subprocess.Popen([dask, *scheduler], **quiet)]
     try:
         wait_for(where.exists, "the scheduler")
@@ -152,7 +189,11 @@ def test_on_a_cluster_with_a_worker_killed_the_same_bytes(file: Path, tmp_path: 
         address = json.loads(where.read_text())["address"]
         worker = [dask, "worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
         started += [subprocess.Popen(worker, **quiet) for _ in range(2)]
-        process = subprocess.Popen(command(file, "--scheduler", address, "--chunk", "3"), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        process = subprocess.Popen(
+            command(file, "--scheduler", address, "--chunk", "3"),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
         wait_for(lambda: chunks_in(tmp_path / "out") >= 2, "two chunks")
         started[1].kill()
         _, err = process.communicate(timeout=DEADLINE)
@@ -164,7 +205,9 @@ def test_on_a_cluster_with_a_worker_killed_the_same_bytes(file: Path, tmp_path: 
     assert (tmp_path / "out" / "cases.parquet").read_bytes() == expected
 
 
-def test_a_scheduler_that_does_not_answer_is_said_within_seconds(small: LoadedCampaign, tmp_path: Path) -> None:
+def test_a_scheduler_that_does_not_answer_is_said_within_seconds(
+    small: LoadedCampaign, tmp_path: Path
+) -> None:
     pytest.importorskip("distributed")
     start = time.monotonic()
     with pytest.raises(InputError, match="does not answer within"):
@@ -173,14 +216,20 @@ def test_a_scheduler_that_does_not_answer_is_said_within_seconds(small: LoadedCa
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("address", ["nonsense", "http://127.0.0.1:8786", "tcp://127.0.0.1", "tcp://a b:1"])
-def test_what_is_no_address_is_refused_at_once(small: LoadedCampaign, tmp_path: Path, address: str) -> None:
+@pytest.mark.parametrize(
+    "address", ["nonsense", "http://127.0.0.1:8786", "tcp://127.0.0.1", "tcp://a b:1"]
+)
+def test_what_is_no_address_is_refused_at_once(
+    small: LoadedCampaign, tmp_path: Path, address: str
+) -> None:
     with pytest.raises(InputError, match="is no address of a scheduler"):
         sweep(small, tmp_path / "out", scheduler=address)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_of_another_campaign_is_refused_untouched(file: Path, small: LoadedCampaign, tmp_path: Path) -> None:
+def test_a_folder_of_another_campaign_is_refused_untouched(
+    file: Path, small: LoadedCampaign, tmp_path: Path
+) -> None:
     sweep(small, tmp_path / "out")
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
     for change in (
@@ -195,7 +244,9 @@ def test_a_folder_of_another_campaign_is_refused_untouched(file: Path, small: Lo
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
 
 
-def test_a_folder_with_other_things_in_it_is_refused_untouched(small: LoadedCampaign, tmp_path: Path) -> None:
+def test_a_folder_with_other_things_in_it_is_refused_untouched(
+    small: LoadedCampaign, tmp_path: Path
+) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.tex").write_text("x")
     (tmp_path / "file").write_text("x")
@@ -205,7 +256,9 @@ def test_a_folder_with_other_things_in_it_is_refused_untouched(small: LoadedCamp
     assert [path.name for path in (tmp_path / "thesis").iterdir()] == ["chapter.tex"]
 
 
-def test_a_folder_begun_with_other_versions_is_refused(small: LoadedCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_begun_with_other_versions_is_refused(
+    small: LoadedCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     sweep(small, tmp_path / "out")
     monkeypatch.setattr(store, "versions", lambda: {"mujoco": "9.9"})
     with pytest.raises(InputError, match="other versions of mujoco"):
@@ -213,7 +266,10 @@ def test_a_folder_begun_with_other_versions_is_refused(small: LoadedCampaign, tm
 
 
 def test_two_sweeps_do_not_work_in_one_folder(small: LoadedCampaign, tmp_path: Path) -> None:
-    with Store.opened(tmp_path / "out", small), pytest.raises(InputError, match="another sweep is at work"):
+    with (
+        Store.opened(tmp_path / "out", small),
+        pytest.raises(InputError, match="another sweep is at work"),
+    ):
         sweep(small, tmp_path / "out")
 
 
@@ -267,6 +323,8 @@ def test_what_is_read_back_is_what_was_swept(small: LoadedCampaign, tmp_path: Pa
 
 
 @pytest.mark.parametrize("options", [{"chunk": 0}, {"chunk": 10**6}, {"workers": 0}])
-def test_options_out_of_range_are_refused(small: LoadedCampaign, tmp_path: Path, options: dict[str, int]) -> None:
+def test_options_out_of_range_are_refused(
+    small: LoadedCampaign, tmp_path: Path, options: dict[str, int]
+) -> None:
     with pytest.raises(HiltestbedError, match="out of range"):
         sweep(small, tmp_path / "out", **options)  # type: ignore[arg-type]

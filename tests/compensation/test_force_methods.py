@@ -26,7 +26,9 @@ HEAD_ON = Path(__file__).parents[2] / "scenarios" / "02-bumper.yaml"
 MU = 400.0  # of 500 kg against 2000 kg
 
 
-def _scenario(w: float, zeta: float, delay: float, force: dict[str, object], rate: float = 8000.0) -> Scenario:
+def _scenario(
+    w: float, zeta: float, delay: float, force: dict[str, object], rate: float = 8000.0
+) -> Scenario:
     k = MU * w * w
     changes = {
         "mechanism.contact.stiffness": k,
@@ -48,24 +50,42 @@ def _cors(scenarios: list[Scenario]) -> list[float]:
     return [float(c) for c in cors if c is not None]
 
 
-def _filtered(method: PhaseLeadBlock | SecondOrderLeadBlock | PolynomialBlock, signal: np.ndarray) -> np.ndarray:
+def _filtered(
+    method: PhaseLeadBlock | SecondOrderLeadBlock | PolynomialBlock, signal: np.ndarray
+) -> np.ndarray:
     nothing, out = np.zeros((1, 7)), np.empty_like(signal)
     for k, value in enumerate(signal):
         wrench = np.full((1, 6), value)
-        out[k] = method.compensate(Measurement(wrench, nothing, nothing, nothing, nothing, np.zeros(1, dtype=bool)))[0, 2]
+        out[k] = method.compensate(
+            Measurement(wrench, nothing, nothing, nothing, nothing, np.zeros(1, dtype=bool))
+        )[0, 2]
     return out
 
 
 @pytest.mark.parametrize(
-    ("frequency", "expected"), [(2.0, {1.0: 1.025, 1.1: 1.005}), (4.0, {1.0: 1.058, 1.1: 1.019}), (8.0, {1.0: 1.182, 1.1: 1.106})]
+    ("frequency", "expected"),
+    [
+        (2.0, {1.0: 1.025, 1.1: 1.005}),
+        (4.0, {1.0: 1.058, 1.1: 1.019}),
+        (8.0, {1.0: 1.182, 1.1: 1.106}),
+    ],
 )
-def test_the_phase_lead_leaves_what_was_published(frequency: float, expected: dict[float, float]) -> None:
-    """c = 0, 10 ms, T2 = 1 ms, T1 over the delay to e. Published to some 1 %; to 0.3 % it is the delay that the lead leaves at w,
+def test_the_phase_lead_leaves_what_was_published(
+    frequency: float, expected: dict[float, float]
+) -> None:
+    """c = 0, 10 ms, T2 = 1 ms, T1 over the delay to e. Published to some 1 %; to 0.3 % it is the
+    delay that the lead leaves at w,
 
-    tau + (atan(w T2) - atan(w T1))/w, by ln e = (pi/2) w tau_left, while the lead's gain is within 3 %.
+    tau + (atan(w T2) - atan(w T1))/w, by ln e = (pi/2) w tau_left, while the lead's gain is within
+    3 %.
     """
     w = 2.0 * math.pi * frequency
-    scenarios = [_scenario(w, 0.0, 0.01, {"kind": "phase_lead", "lead": 0.01 * r, "lag": 0.001}, rate=40000.0) for r in expected]
+    scenarios = [
+        _scenario(
+            w, 0.0, 0.01, {"kind": "phase_lead", "lead": 0.01 * r, "lag": 0.001}, rate=40000.0
+        )
+        for r in expected
+    ]
     cors = _cors(scenarios)
     assert cors == pytest.approx(list(expected.values()), rel=0.013)
     left = [0.01 + (math.atan(w * 0.001) - math.atan(w * 0.01 * r)) / w for r in expected]
@@ -74,10 +94,15 @@ def test_the_phase_lead_leaves_what_was_published(frequency: float, expected: di
 
 
 def test_the_lead_turns_active_at_the_published_threshold() -> None:
-    """An ideal differentiator leaves a delay w^2 tau^3/3, hence e = 1 at w tau = (6 zeta)^(1/3), to leading order; zeta = 0.01."""
+    """An ideal differentiator leaves a delay w^2 tau^3/3, hence e = 1 at w tau = (6 zeta)^(1/3), to
+    leading order; zeta = 0.01.
+    """
     zeta, tau = 0.01, 0.01
     threshold = (6.0 * zeta) ** (1.0 / 3.0)
-    below, above = (_scenario(f * threshold / tau, zeta, tau, {"kind": "phase_lead", "lead": tau, "lag": 1e-6}) for f in (0.8, 1.2))
+    below, above = (
+        _scenario(f * threshold / tau, zeta, tau, {"kind": "phase_lead", "lead": tau, "lag": 1e-6})
+        for f in (0.8, 1.2)
+    )
     assert _cors([below])[0] < 1.0 < _cors([above])[0]
 
 
@@ -89,7 +114,9 @@ def test_a_lead_of_order_p_errs_by_the_power_p_plus_1(kind: str, order: int) -> 
     t, errors = np.arange(0, 2.0, 1.0 / scenario.rate), []
     for w in (12.0, 6.0):
         late = np.sin(w * (t - 0.01))
-        errors.append(np.abs(_filtered(method([scenario]), late) - np.sin(w * t))[len(t) // 4 :].max())
+        errors.append(
+            np.abs(_filtered(method([scenario]), late) - np.sin(w * t))[len(t) // 4 :].max()
+        )
     assert errors[0] / errors[1] == pytest.approx(2.0**order, rel=0.15)
 
 
@@ -102,10 +129,16 @@ def test_a_polynomial_is_extrapolated_exactly(order: int) -> None:
 
 
 def test_the_smith_predictor_is_stable_and_slightly_convergent_past_the_leads_threshold() -> None:
-    """w tau = 1: the lead returns more than came in; a predictor whose contact is 10 % too stiff returns a little less than it should."""
+    """w tau = 1: the lead returns more than came in; a predictor whose contact is 10 % too stiff
+    returns a little less than it should.
+    """
     contact = Contact(8.0, 0.02, 0.05)
     reference = _cors([reference_scenario(contact.scenario({"kind": "none"}))])[0]
-    by_name = {c.name: _cors([contact.scenario(c.force(contact))])[0] for c in CONTENDERS if c.contact == "known" or c.name == "phase_lead"}
+    by_name = {
+        c.name: _cors([contact.scenario(c.force(contact))])[0]
+        for c in CONTENDERS
+        if c.contact == "known" or c.name == "phase_lead"
+    }
     assert by_name["phase_lead"] > 1.0
     assert abs(math.log(by_name["smith_predictor"] / reference)) < 0.003
     assert 0.8 * reference < by_name["smith_predictor_10pct_off"] < reference
@@ -113,7 +146,9 @@ def test_the_smith_predictor_is_stable_and_slightly_convergent_past_the_leads_th
 
 
 def test_passivity_control_keeps_the_rebound_below_the_approach_whatever_it_should_be() -> None:
-    """It lets through what does not exceed e = 1 by much, and cannot know that e should be 0.86: without it, e is 1.3 to 3.4."""
+    """It lets through what does not exceed e = 1 by much, and cannot know that e should be 0.86:
+    without it, e is 1.3 to 3.4.
+    """
     contacts = [Contact(8.0, d, 0.05) for d in (0.005, 0.01, 0.02)]
     bare = _cors([c.scenario({"kind": "none"}) for c in contacts])
     held = _cors([c.scenario({"kind": "passivity_control"}) for c in contacts])
@@ -125,7 +160,10 @@ def test_passivity_control_keeps_the_rebound_below_the_approach_whatever_it_shou
 def test_normalised_passivity_balances_a_short_delay() -> None:
     contact = Contact(2.0, 0.005, 0.05)  # w tau = 0.06: uncompensated +0.10
     reference = _cors([reference_scenario(contact.scenario({"kind": "none"}))])[0]
-    assert abs(math.log(_cors([contact.scenario({"kind": "normalised_passivity"})])[0] / reference)) < 0.02
+    assert (
+        abs(math.log(_cors([contact.scenario({"kind": "normalised_passivity"})])[0] / reference))
+        < 0.02
+    )
 
 
 def test_a_virtual_damper_of_k_tau_gives_back_what_the_delay_takes() -> None:
@@ -137,13 +175,20 @@ def test_a_virtual_damper_of_k_tau_gives_back_what_the_delay_takes() -> None:
 
 @pytest.mark.parametrize("zeta", [0.02, 0.05, 0.2])
 def test_the_design_model_without_delay_is_the_closed_form(zeta: float) -> None:
-    assert design_bounce(zeta, 0.0, 0.0) == pytest.approx(cor_at_zero_force(1.0, 2.0 * zeta, 1.0), rel=2e-3)
+    assert design_bounce(zeta, 0.0, 0.0) == pytest.approx(
+        cor_at_zero_force(1.0, 2.0 * zeta, 1.0), rel=2e-3
+    )
 
 
 @pytest.mark.parametrize("desired", [None, 0.7])
 def test_the_designed_damper_gives_the_desired_restitution(desired: float | None) -> None:
     contact = Contact(4.0, 0.01, 0.05)
-    force = {"kind": "cor_designed", "stiffness": contact.stiffness, "damping": contact.damping, "cor": desired}
+    force = {
+        "kind": "cor_designed",
+        "stiffness": contact.stiffness,
+        "damping": contact.damping,
+        "cor": desired,
+    }
     cor = _cors([contact.scenario(force)])[0]
     expected = desired or cor_at_zero_force(contact.stiffness, contact.damping, contact.mass)
     assert cor == pytest.approx(expected, rel=0.01)
@@ -175,25 +220,45 @@ def test_reconstruction_halves_the_error_of_the_bare_delay() -> None:
 
 
 def test_after_a_capture_the_reconstruction_is_exact_about_the_latch() -> None:
-    """Springs and dampers on six axes of a latch 150 mm behind A, felt 2 ms late: the wrench that acts now, in P at P's origin."""
+    """Springs and dampers on six axes of a latch 150 mm behind A, felt 2 ms late: the wrench that
+    acts now, in P at P's origin.
+    """
     keys = {"compensation.force": {"kind": "reconstruction"}, "sensor": {"delay": 0.002}}
     scenario = load_scenario(HEAD_ON.parent / "09-docking.yaml", set=keys)
     block, late = ReconstructionBlock([scenario]), 4
-    stiffness, damping = np.array([5e4, 4e4, 6e4, 900.0, 800.0, 700.0]), np.array([300.0, 200.0, 400.0, 5.0, 6.0, 7.0])
+    stiffness, damping = (
+        np.array([5e4, 4e4, 6e4, 900.0, 800.0, 700.0]),
+        np.array([300.0, 200.0, 400.0, 5.0, 6.0, 7.0]),
+    )
     lever, spin = np.array([0.02, -0.01, -0.15]), 0.05
 
     def state(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pose and twist of A, and the wrench at P's origin."""
-        shift, rate = np.array([2e-3, -1e-3, 3e-3]) * math.sin(20.0 * t), 20.0 * np.array([2e-3, -1e-3, 3e-3]) * math.cos(20.0 * t)
-        turn, omega = np.array([0.0, spin * math.sin(9.0 * t), 0.0]), np.array([0.0, 9.0 * spin * math.cos(9.0 * t), 0.0])
+        shift, rate = (
+            np.array([2e-3, -1e-3, 3e-3]) * math.sin(20.0 * t),
+            20.0 * np.array([2e-3, -1e-3, 3e-3]) * math.cos(20.0 * t),
+        )
+        turn, omega = (
+            np.array([0.0, spin * math.sin(9.0 * t), 0.0]),
+            np.array([0.0, 9.0 * spin * math.cos(9.0 * t), 0.0]),
+        )
         attitude = Rotation.from_rotvec(turn)
         arm = attitude.apply(lever)
         place, velocity = shift + arm, rate + np.cross(omega, arm)
         force = stiffness[:3] * (place - lever) + damping[:3] * velocity
         torque = stiffness[3:] * turn + damping[3:] * omega + np.cross(place, force)
-        return np.concatenate([shift, attitude.as_quat()]), np.concatenate([rate, omega]), np.concatenate([force, torque])
+        return (
+            np.concatenate([shift, attitude.as_quat()]),
+            np.concatenate([rate, omega]),
+            np.concatenate([force, torque]),
+        )
 
-    known = {"stiffness": stiffness[None], "damping": damping[None], "captured": np.array([True]), "lever": lever[None]}
+    known = {
+        "stiffness": stiffness[None],
+        "damping": damping[None],
+        "captured": np.array([True]),
+        "lever": lever[None],
+    }
     for k in range(40):
         pose, twist, wrench = state(k / scenario.rate)
         felt = state((k - late) / scenario.rate)[2]

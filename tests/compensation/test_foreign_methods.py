@@ -1,4 +1,6 @@
-"""What a method of somebody else may do wrong in the loop is told with its name, and no number comes of it."""
+"""What a method of somebody else may do wrong in the loop is told with its name, and no number
+comes of it.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,11 @@ class Method:
 def driven(law: Callable[[np.ndarray], Any], reading: float = 1.0) -> np.ndarray:
     drive = ForceDrive(Free(), Method(law))  # type: ignore[arg-type]
     given = np.full((2, 6), reading)
-    drive.advance(Measurement(given, np.zeros((2, 7)), np.zeros((2, 6)), UNKNOWN, UNKNOWN, np.zeros(2, dtype=bool)))
+    drive.advance(
+        Measurement(
+            given, np.zeros((2, 7)), np.zeros((2, 6)), UNKNOWN, UNKNOWN, np.zeros(2, dtype=bool)
+        )
+    )
     return drive.wrench
 
 

@@ -1,4 +1,6 @@
-"""The Kalman predictor: its gains against the recursion whose limit they are, its poles, its extrapolation, its noise."""
+"""The Kalman predictor: its gains against the recursion whose limit they are, its poles, its
+extrapolation, its noise.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,15 @@ MOVE = np.array([[1.0, H, 0.5 * H * H], [0.0, 1.0, H], [0.0, 0.0, 1.0]])
 
 def block(kind: str, **more: float) -> KalmanBlock | SecondOrderLeadBlock:
     force = {"kind": kind, **more}
-    scenario = load_scenario(HEAD_ON, set={"rate": RATE, "physics_rate": RATE, "sensor.delay": DELAY, "compensation.force": force})
+    scenario = load_scenario(
+        HEAD_ON,
+        set={
+            "rate": RATE,
+            "physics_rate": RATE,
+            "sensor.delay": DELAY,
+            "compensation.force": force,
+        },
+    )
     return KalmanBlock([scenario]) if kind == "kalman" else SecondOrderLeadBlock([scenario])
 
 
@@ -30,15 +40,21 @@ def answered(method: KalmanBlock | SecondOrderLeadBlock, signal: Array) -> Array
     nothing, out = np.zeros((1, 7)), np.empty_like(signal)
     for k, value in enumerate(signal):
         wrench = np.full((1, 6), value)
-        out[k] = method.compensate(Measurement(wrench, nothing, nothing, nothing, nothing, np.zeros(1, dtype=bool)))[0, 2]
+        out[k] = method.compensate(
+            Measurement(wrench, nothing, nothing, nothing, nothing, np.zeros(1, dtype=bool))
+        )[0, 2]
     return out
 
 
 @pytest.mark.parametrize("radius", [2.0 * math.pi * 20.0, 2.0 * math.pi * 300.0])
 def test_the_gains_are_the_limit_of_the_covariance_recursion(radius: float) -> None:
-    """From a covariance of nothing known, the recursion forgets its start within some time constants."""
+    """From a covariance of nothing known, the recursion forgets its start within some time
+    constants.
+    """
     q = radius**6 * H  # r = 1 a reading: a density of H
-    drive = q * np.array([[H**5 / 20, H**4 / 8, H**3 / 6], [H**4 / 8, H**3 / 3, H**2 / 2], [H**3 / 6, H**2 / 2, H]])
+    drive = q * np.array(
+        [[H**5 / 20, H**4 / 8, H**3 / 6], [H**4 / 8, H**3 / 3, H**2 / 2], [H**3 / 6, H**2 / 2, H]]
+    )
     covariance = np.diag([1.0, 1e6, 1e12])
     gain = np.zeros(3)
     for _ in range(round(30.0 / (radius * H))):
@@ -59,7 +75,9 @@ def test_the_poles_lie_on_a_butterworth_circle() -> None:
 
 
 def test_a_parabola_is_extrapolated_over_the_delay() -> None:
-    """The model that it filters is a parabola: once the start is forgotten (50 time constants), nothing is left but round-off."""
+    """The model that it filters is a parabola: once the start is forgotten (50 time constants),
+    nothing is left but round-off.
+    """
     t = H * np.arange(400)
     force = 3.0 - 40.0 * t + 900.0 * t**2
     late = force.copy()
@@ -69,11 +87,17 @@ def test_a_parabola_is_extrapolated_over_the_delay() -> None:
 
 
 def test_it_lets_less_noise_through_than_a_lead_of_second_order() -> None:
-    """Both extrapolate a parabola by 5 ms. Of white noise a filter lets through the root of the sum of its impulse response squared."""
+    """Both extrapolate a parabola by 5 ms. Of white noise a filter lets through the root of the sum
+    of its impulse response squared.
+    """
     pulse = np.zeros(4000)
     pulse[0] = 1.0
     slow, fast, lead = (
         math.sqrt(np.sum(answered(method, pulse) ** 2))
-        for method in (block("kalman", bandwidth=60.0), block("kalman", bandwidth=150.0), block("second_order_lead"))
+        for method in (
+            block("kalman", bandwidth=60.0),
+            block("kalman", bandwidth=150.0),
+            block("second_order_lead"),
+        )
     )
     assert slow < fast < lead

@@ -18,12 +18,16 @@ from hiltestbed.state import arrays_of
 BARE = {"kind": "none"}
 
 
-def _with(contact: Contact, motion: dict[str, object], force: dict[str, object] | None = None) -> Scenario:
+def _with(
+    contact: Contact, motion: dict[str, object], force: dict[str, object] | None = None
+) -> Scenario:
     return replace(contact, changes={"compensation.motion": motion}).scenario(force or BARE)
 
 
 def _error(scenario: Scenario) -> float:
-    error = log_error(bounce([scenario]).figures[0].cor, bounce([reference_scenario(scenario)]).figures[0].cor)
+    error = log_error(
+        bounce([scenario]).figures[0].cor, bounce([reference_scenario(scenario)]).figures[0].cor
+    )
     assert error is not None
     return error
 
@@ -47,14 +51,19 @@ def test_the_lag_of_the_platform_is_taken_out(motion: dict[str, object]) -> None
 
 def test_correcting_the_force_makes_up_for_a_lagging_platform() -> None:
     contact = Contact(2.0, 0.0, 0.05, tracking="servo")
-    assert abs(_error(_with(contact, {"kind": "contact_correction"}))) < 0.1 * _error(_with(contact, {"kind": "none"}))
+    assert abs(_error(_with(contact, {"kind": "contact_correction"}))) < 0.1 * _error(
+        _with(contact, {"kind": "none"})
+    )
 
 
 def test_after_a_contact_noise_is_not_corrected_for_the_lag() -> None:
-    """Half of all noise reads as a push: times k and a lag of 1 mm it pulled the vehicles by up to 90 N, long after they had parted."""
+    """Half of all noise reads as a push: times k and a lag of 1 mm it pulled the vehicles by up to
+    90 N, long after they had parted.
+    """
     result = run(load_scenario(shipped("scenarios") / "26-force-compensation.yaml"))
     assert result.trace is not None
-    apart = np.flatnonzero(result.trace.contact.ravel())[-1] + 40  # 20 ms: the delay of 5 ms, and the memory of the lead
+    # 20 ms: the delay of 5 ms, and the memory of the lead
+    apart = np.flatnonzero(result.trace.contact.ravel())[-1] + 40
     used = result.trace.data["wrench_comp"].reshape(-1, 6)[apart:, 2]
     assert len(used) > 500
     assert np.abs(used).max() < 15.0, "the lead of the noise of 0.38 N, and nothing else"
@@ -63,8 +72,16 @@ def test_after_a_contact_noise_is_not_corrected_for_the_lag() -> None:
 
 
 def test_the_adaptive_series_finds_the_platforms_response() -> None:
-    """A position loop 1/(1 + s/w)^2, w = 2 pi 40 Hz: a0 = 1, a1 = 2/w = 8.0 ms, from a start of 4 ms."""
-    contact = Contact(2.0, 0.0, 0.05, tracking="servo", changes={"compensation.motion": {"kind": "adaptive_time_series", "delay": 0.004}})
+    """A position loop 1/(1 + s/w)^2, w = 2 pi 40 Hz: a0 = 1, a1 = 2/w = 8.0 ms, from a start of 4
+    ms.
+    """
+    contact = Contact(
+        2.0,
+        0.0,
+        0.05,
+        tracking="servo",
+        changes={"compensation.motion": {"kind": "adaptive_time_series", "delay": 0.004}},
+    )
     result = bounce([contact.scenario(BARE)])
     found = arrays_of(result.loop.motion)["_method.coefficients"][0]
     assert found[0] == pytest.approx(1.0, abs=0.01)
@@ -77,19 +94,36 @@ def test_a_compliant_platform_holds_the_peak_force(tracking: str, kind: str) -> 
     contact = Contact(4.0, 0.005, 0.05, tracking=tracking)
     limit = 0.6 * contact.peak
     free = bounce([contact.scenario({"kind": kind})]).figures[0]
-    held = bounce([_with(contact, {"kind": "admittance", "limit": limit}, {"kind": kind})]).figures[0]
+    held = bounce([_with(contact, {"kind": "admittance", "limit": limit}, {"kind": kind})]).figures[
+        0
+    ]
     assert free.peak_force > 1.5 * limit
     assert 0.85 * limit < held.peak_force <= limit
 
 
 def test_the_numerical_model_need_not_notice_that_the_platform_yields() -> None:
-    """The force is corrected for where the platform is: the rebound is that of the unlimited contact."""
+    """The force is corrected for where the platform is: the rebound is that of the unlimited
+    contact.
+    """
     contact = Contact(4.0, 0.005, 0.05)
-    assert abs(_error(_with(contact, {"kind": "admittance", "limit": 0.6 * contact.peak}, {"kind": "resynchronised"}))) < 0.003
+    assert (
+        abs(
+            _error(
+                _with(
+                    contact,
+                    {"kind": "admittance", "limit": 0.6 * contact.peak},
+                    {"kind": "resynchronised"},
+                )
+            )
+        )
+        < 0.003
+    )
 
 
 def test_feed_forward_tells_the_velocity_of_the_tick() -> None:
     result = bounce([Contact(4.0, 0.0, 0.05, tracking="servo").scenario(BARE)], trace=True)
     assert result.trace is not None
-    error = np.abs(result.trace["pose_cmd"][:-1, 0, 2] - result.trace["pose_act"][1:, 0, 2])[: result.loop.k - 1]
+    error = np.abs(result.trace["pose_cmd"][:-1, 0, 2] - result.trace["pose_act"][1:, 0, 2])[
+        : result.loop.k - 1
+    ]
     assert error.max() < 0.02 * np.abs(result.trace["pose_cmd"][: result.loop.k, 0, 2]).max()

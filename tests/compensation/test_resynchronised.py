@@ -18,18 +18,25 @@ SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
 
 def _known(contact: Contact) -> dict[str, object]:
-    return {"kind": "resynchronised", "contact": {"stiffness": contact.stiffness, "damping": contact.damping}}
+    return {
+        "kind": "resynchronised",
+        "contact": {"stiffness": contact.stiffness, "damping": contact.damping},
+    }
 
 
 def _errors(scenarios: list[Scenario]) -> np.ndarray:
     result, reference = bounce(scenarios), bounce([reference_scenario(s) for s in scenarios])
-    errors = [log_error(a.cor, b.cor) for a, b in zip(result.figures, reference.figures, strict=True)]
+    errors = [
+        log_error(a.cor, b.cor) for a, b in zip(result.figures, reference.figures, strict=True)
+    ]
     assert None not in errors
     return np.abs(np.array(errors, dtype=float))
 
 
 def test_a_first_contact_rebounds_as_without_delay() -> None:
-    """1 to 8 Hz, 2 to 20 ms, damping ratio 0.02 to 0.2, noise 0.2 % of the peak force: the measured wrench alone tells the contact."""
+    """1 to 8 Hz, 2 to 20 ms, damping ratio 0.02 to 0.2, noise 0.2 % of the peak force: the measured
+    wrench alone tells the contact.
+    """
     errors = _errors([c.scenario({"kind": "resynchronised"}) for c in grid()])
     assert errors.max() < 0.003
 
@@ -39,29 +46,42 @@ def test_a_known_contact_rebounds_as_without_delay() -> None:
 
 
 def test_the_servo_of_the_platform_does_not_matter() -> None:
-    contacts = grid(damping_ratios=(0.05,), frequencies=(1.0, 4.0, 8.0), delays=(0.002, 0.02), tracking="servo")
+    contacts = grid(
+        damping_ratios=(0.05,), frequencies=(1.0, 4.0, 8.0), delays=(0.002, 0.02), tracking="servo"
+    )
     assert _errors([c.scenario({"kind": "resynchronised"}) for c in contacts]).max() < 0.01
 
 
 def test_a_platform_that_lags_by_8_ms_does_not_matter() -> None:
-    """Position loop of 40 Hz without feed-forward: uncorrected it would leave (pi/2) w 8 ms = 0.31 at 4 Hz."""
+    """Position loop of 40 Hz without feed-forward: uncorrected it would leave (pi/2) w 8 ms = 0.31
+    at 4 Hz.
+    """
     contacts = [Contact(f, 0.005, 0.05, tracking="servo") for f in (1.0, 2.0, 4.0)]
-    assert _errors([c.scenario({"kind": "resynchronised"}, motion="none") for c in contacts]).max() < 0.01
+    assert (
+        _errors([c.scenario({"kind": "resynchronised"}, motion="none") for c in contacts]).max()
+        < 0.01
+    )
 
 
 @pytest.mark.parametrize("delay", [0.00001, 0.00537, 0.01713])
 def test_a_delay_need_not_be_whole_ticks(delay: float) -> None:
     """A fiftieth of a tick of delay left would show as (pi/2) w h/50 = 4e-4."""
-    assert _errors([Contact(4.0, delay, 0.05, noise=0.0).scenario({"kind": "resynchronised"})]).max() < 4e-4
+    assert (
+        _errors([Contact(4.0, delay, 0.05, noise=0.0).scenario({"kind": "resynchronised"})]).max()
+        < 4e-4
+    )
 
 
 def test_the_sensors_low_pass_does_not_matter() -> None:
-    contact = Contact(4.0, 0.005, 0.05, changes={"sensor.lowpass": 60.0})  # 2.7 ms more: (pi/2) w 2.7 ms = 0.10
+    # 2.7 ms more: (pi/2) w 2.7 ms = 0.10
+    contact = Contact(4.0, 0.005, 0.05, changes={"sensor.lowpass": 60.0})
     assert _errors([contact.scenario({"kind": "resynchronised"})]).max() < 0.01
 
 
 def test_a_delay_that_is_off_is_found_from_the_instant_of_touch() -> None:
-    """20 % more than believed. Found to half a tick, which leaves (pi/2) w h/2; the lead is left with the 20 %."""
+    """20 % more than believed. Found to half a tick, which leaves (pi/2) w h/2; the lead is left
+    with the 20 %.
+    """
     contacts = grid((2.0, 8.0), (0.01, 0.02), damping_ratios=(0.05,), delay_knowledge="off")
     ours = _errors([c.scenario({"kind": "resynchronised", "delay": "estimate"}) for c in contacts])
     lead = _errors([c.scenario({"kind": "phase_lead"}) for c in contacts])
@@ -72,9 +92,17 @@ def test_a_delay_that_is_off_is_found_from_the_instant_of_touch() -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 0.2])
 def test_beside_the_axis_both_bodies_leave_as_without_delay(friction: float) -> None:
-    """Tilted, turning and sliding at w tau = 0.48: of what the contact changes of each velocity, 1 % at most is wrong."""
-    changes = {"sensor.delay": 0.03, "mechanism.contact.friction": friction, "compensation.force.kind": "resynchronised"}
-    scenario = load_scenario(SCENARIOS / "05-off-centre.yaml", set=changes | {"rig.platform.tracking": "ideal"})
+    """Tilted, turning and sliding at w tau = 0.48: of what the contact changes of each velocity, 1
+    % at most is wrong.
+    """
+    changes = {
+        "sensor.delay": 0.03,
+        "mechanism.contact.friction": friction,
+        "compensation.force.kind": "resynchronised",
+    }
+    scenario = load_scenario(
+        SCENARIOS / "05-off-centre.yaml", set=changes | {"rig.platform.tracking": "ideal"}
+    )
     result, reference = bounce([scenario]), bounce([reference_scenario(scenario)])
     assert result.figures[0].cor is not None
     change = np.linalg.norm((reference.velocity - reference.start).reshape(4, 3), axis=1)
@@ -84,7 +112,10 @@ def test_beside_the_axis_both_bodies_leave_as_without_delay(friction: float) -> 
 
 def test_the_wrench_that_is_recorded_explains_the_commanded_motion() -> None:
     """wrench_comp through a numerical model of its own gives pose_cmd, to the bit."""
-    scenario = load_scenario(SCENARIOS / "05-off-centre.yaml", set={"compensation.force.kind": "resynchronised", "duration": 0.6})
+    scenario = load_scenario(
+        SCENARIOS / "05-off-centre.yaml",
+        set={"compensation.force.kind": "resynchronised", "duration": 0.6},
+    )
     trace = simulate([scenario], trace=True).trace
     assert trace is not None
     craft = NumericalModel([scenario])
@@ -95,8 +126,14 @@ def test_the_wrench_that_is_recorded_explains_the_commanded_motion() -> None:
 
 def test_a_run_is_the_run_in_a_batch_bit_for_bit() -> None:
     contacts = [Contact(4.0, 0.001 + 1e-4 * i, 0.05, seed=i) for i in range(20)]
-    scenarios = [c.scenario({"kind": "resynchronised"}).model_copy(update={"duration": 0.25}) for c in contacts]
-    together, alone = simulate(scenarios, trace=True).trace, simulate([scenarios[7]], trace=True).trace
+    scenarios = [
+        c.scenario({"kind": "resynchronised"}).model_copy(update={"duration": 0.25})
+        for c in contacts
+    ]
+    together, alone = (
+        simulate(scenarios, trace=True).trace,
+        simulate([scenarios[7]], trace=True).trace,
+    )
     assert together is not None
     assert alone is not None
     for name in ("pose_cmd", "wrench_comp", "pose_act"):
@@ -104,10 +141,23 @@ def test_a_run_is_the_run_in_a_batch_bit_for_bit() -> None:
 
 
 def test_free_flight_is_undisturbed_by_noise() -> None:
-    """Away from the contact the noise of the sensor does not push the numerical model: not a bit of it."""
-    changes = {"rig.platform.tracking": "ideal", "duration": 0.5, "compensation.force.kind": "resynchronised"}
+    """Away from the contact the noise of the sensor does not push the numerical model: not a bit of
+    it.
+    """
+    changes = {
+        "rig.platform.tracking": "ideal",
+        "duration": 0.5,
+        "compensation.force.kind": "resynchronised",
+    }
     quiet, noisy = (
-        simulate([load_scenario(SCENARIOS / "01-free-flight.yaml", set=changes | {"sensor.noise": noise})], trace=True).trace
+        simulate(
+            [
+                load_scenario(
+                    SCENARIOS / "01-free-flight.yaml", set=changes | {"sensor.noise": noise}
+                )
+            ],
+            trace=True,
+        ).trace
         for noise in (0.0, 1.0)
     )
     assert quiet is not None

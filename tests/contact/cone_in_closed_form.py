@@ -1,8 +1,10 @@
-"""The cone in closed form, from the dimensions that its drawing states: a check of what the contact reads from the meshes.
+"""The cone in closed form, from the dimensions that its drawing states: a check of what the contact
+reads from the meshes.
 
-The cone is a shell of thickness 2 e about a mid-surface of revolution: a socket, the inside of a ball of radius R that touches P's
-origin from below, then a straight generator at the half angle alpha, tangent to it, of length L. Its end is the rim, rounded with the
-radius e; past it the outside of the shell.
+The cone is a shell of thickness 2 e about a mid-surface of revolution: a socket, the inside of a
+ball of radius R that touches P's origin from below, then a straight generator at the half angle
+alpha, tangent to it, of length L. Its end is the rim, rounded with the radius e; past it the
+outside of the shell.
 """
 
 from __future__ import annotations
@@ -11,12 +13,22 @@ import math
 
 from hiltestbed.frames import Array
 
-TIP_RADIUS, ROD_RADIUS, ROD_LENGTH, SOCKET_RADIUS, HALF_ANGLE, GENERATOR, SHELL = 0.03, 0.018, 0.35, 0.035, math.radians(45.0), 0.20, 0.012
+TIP_RADIUS, ROD_RADIUS, ROD_LENGTH, SOCKET_RADIUS, HALF_ANGLE, GENERATOR, SHELL = (
+    0.03,
+    0.018,
+    0.35,
+    0.035,
+    math.radians(45.0),
+    0.20,
+    0.012,
+)
 RING_STEPS = 24  # places on the rim from which the one nearest to the rod is refined
 
 
 def cone_distance(p: Array, free: Array) -> float:
-    """Distance [m] of the point ``p`` (3,) from the cone's surface, negative inside its shell; ``free`` (3,) becomes the normal."""
+    """Distance [m] of the point ``p`` (3,) from the cone's surface, negative inside its shell;
+    ``free`` (3,) becomes the normal.
+    """
     big, e = SOCKET_RADIUS, SHELL
     sin, cos = math.sin(HALF_ANGLE), math.cos(HALF_ANGLE)
     rho = math.hypot(p[0], p[1])
@@ -44,10 +56,12 @@ def cone_distance(p: Array, free: Array) -> float:
 
 
 def rod_distance(tip: Array, axis: Array, free: Array, nearest: Array) -> float:
-    """Distance [m] of the rod's axis from the rim's surface; ``free`` (3,) becomes the normal, ``nearest`` (3,) the axis' point.
+    """Distance [m] of the rod's axis from the rim's surface; ``free`` (3,) becomes the normal,
+    ``nearest`` (3,) the axis' point.
 
-    The rim is a ring of radius rho_e in the plane z_e, rounded with the shell's half thickness; the rod runs from ``tip`` (3,)
-    against ``axis`` (3,) for its length, from where the ball of the tip has let go of it.
+    The rim is a ring of radius rho_e in the plane z_e, rounded with the shell's half thickness; the
+    rod runs from ``tip`` (3,) against ``axis`` (3,) for its length, from where the ball of the tip
+    has let go of it.
     """
     big, e, start, length = SOCKET_RADIUS, SHELL, TIP_RADIUS, ROD_LENGTH
     sin, cos = math.sin(HALF_ANGLE), math.cos(HALF_ANGLE)
@@ -59,7 +73,8 @@ def rod_distance(tip: Array, axis: Array, free: Array, nearest: Array) -> float:
         d2 = _ring_to_rod(k * step, ring, level, tip, axis, start, length, free)
         if d2 < best:
             best, at = d2, k * step
-    for _ in range(5):  # the squared distance is smooth in the angle: parabolas through three points
+    # the squared distance is smooth in the angle: parabolas through three points
+    for _ in range(5):
         low = _ring_to_rod(at - step, ring, level, tip, axis, start, length, free)
         high = _ring_to_rod(at + step, ring, level, tip, axis, start, length, free)
         mid = _ring_to_rod(at, ring, level, tip, axis, start, length, free)
@@ -68,14 +83,29 @@ def rod_distance(tip: Array, axis: Array, free: Array, nearest: Array) -> float:
             at += step * min(max(0.5 * (low - high) / bend, -1.0), 1.0)
         step *= 0.1
     distance = math.sqrt(_ring_to_rod(at, ring, level, tip, axis, start, length, free))
-    nearest[0], nearest[1], nearest[2] = ring * math.cos(at) + free[0], ring * math.sin(at) + free[1], level + free[2]
+    nearest[0], nearest[1], nearest[2] = (
+        ring * math.cos(at) + free[0],
+        ring * math.sin(at) + free[1],
+        level + free[2],
+    )
     for j in range(3):
         free[j] /= max(distance, 1e-12)
     return distance - e
 
 
-def _ring_to_rod(angle: float, ring: float, level: float, tip: Array, axis: Array, start: float, length: float, gap: Array) -> float:
-    """Squared distance from the ring's point at ``angle`` to the rod's axis; ``gap`` (3,) becomes the vector."""
+def _ring_to_rod(
+    angle: float,
+    ring: float,
+    level: float,
+    tip: Array,
+    axis: Array,
+    start: float,
+    length: float,
+    gap: Array,
+) -> float:
+    """Squared distance from the ring's point at ``angle`` to the rod's axis; ``gap`` (3,) becomes
+    the vector.
+    """
     gap[0] = tip[0] - ring * math.cos(angle)
     gap[1] = tip[1] - ring * math.sin(angle)
     gap[2] = tip[2] - level

@@ -1,4 +1,6 @@
-"""The contact is a spring and a damper in N/m and N s/m, or the law that effects put in its place."""
+"""The contact is a spring and a damper in N/m and N s/m, or the law that effects put in its
+place.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from tests.platform.rigs import K, Press, fitted, pose, scenario
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (0.1, 0.05), (0.3, 0.0), (0.0, -0.3)])
-@pytest.mark.parametrize(("tracking", "k_within", "c_within"), [("ideal", 1e-9, 1e-9), ("servo", 1e-6, 1e-5)])
+@pytest.mark.parametrize(
+    ("tracking", "k_within", "c_within"), [("ideal", 1e-9, 1e-9), ("servo", 1e-6, 1e-5)]
+)
 def test_the_plants_own_force_and_pose_give_stiffness_and_damping(
     tracking: str, k_within: float, c_within: float, place: tuple[float, float]
 ) -> None:
@@ -24,8 +28,12 @@ def test_the_plants_own_force_and_pose_give_stiffness_and_damping(
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (0.3, 0.0)])
 @pytest.mark.parametrize("stiffness", [1e4, 1e6])
-def test_static_stiffness_under_a_constant_load(place: tuple[float, float], stiffness: float) -> None:
-    """The platform is held pressed in; what the sensor reads over the depth reached is k, damping playing no part."""
+def test_static_stiffness_under_a_constant_load(
+    place: tuple[float, float], stiffness: float
+) -> None:
+    """The platform is held pressed in; what the sensor reads over the depth reached is k, damping
+    playing no part.
+    """
     s = scenario(stiffness=stiffness)
     plant, still = Plant([s]), np.zeros((1, 6))
     goal = pose(*place, 100.0 / stiffness)
@@ -38,7 +46,9 @@ def test_static_stiffness_under_a_constant_load(place: tuple[float, float], stif
 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_the_contact_never_pulls(tracking: str) -> None:
-    """F = k x + c v would pull while the tip leaves: with c v > k x the force is 0, not negative."""
+    """F = k x + c v would pull while the tip leaves: with c v > k x the force is 0, not
+    negative.
+    """
     s = scenario(tracking, stiffness=1e4, damping=2000.0)
     _, _, wrench = Press(Plant([s]), s.rate).run(800).columns()
     assert wrench[:, 2].max() > 10.0
@@ -48,8 +58,13 @@ def test_the_contact_never_pulls(tracking: str) -> None:
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 @pytest.mark.parametrize("place", [0.0, 0.2])
 def test_a_law_in_place_of_the_linear_contact_acts_as_written(tracking: str, place: float) -> None:
-    """Two effects that make F = 3e6 x^1.5 (1 + 2 v) of the contact; under a servo within 1e-6 of the peak."""
-    power, rise = {"kind": "contact.power_law", "exponent": 1.5, "stiffness": 3.0e6}, {"kind": "contact.hunt_crossley", "alpha": 2.0}
+    """Two effects that make F = 3e6 x^1.5 (1 + 2 v) of the contact; under a servo within 1e-6 of
+    the peak.
+    """
+    power, rise = (
+        {"kind": "contact.power_law", "exponent": 1.5, "stiffness": 3.0e6},
+        {"kind": "contact.hunt_crossley", "alpha": 2.0},
+    )
     s = scenario_from(scenario(tracking).model_dump(mode="json") | {"effects": [power, rise]})
     depth, rate, wrench = Press(Plant([s]), s.rate, place).run(800).columns()
     expected = 3.0e6 * np.maximum(depth, 0.0) ** 1.5 * (1.0 + 2.0 * rate)
@@ -66,7 +81,9 @@ def test_each_run_of_a_batch_has_its_own_contact(tracking: str) -> None:
     plant.reset(pose(z=1e-3, n=3), still)
     for _ in range(600):
         plant.advance(pose(z=1e-3, n=3), still, still)
-    np.testing.assert_allclose(plant.wrench_sub[:, -1, 2] / plant.pose_act[:, 2], stiffness, rtol=1e-6)
+    np.testing.assert_allclose(
+        plant.wrench_sub[:, -1, 2] / plant.pose_act[:, 2], stiffness, rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
@@ -78,5 +95,6 @@ def test_sliding_friction_is_at_the_coulomb_limit_and_opposes_the_motion(trackin
     for k in range(400):
         plant.advance(pose(-0.02 + 0.05 * (k + 1) / s.rate, 0.0, 1e-3), twist, np.zeros((1, 6)))
     wrench = plant.wrench_sub[0, -1]
-    assert wrench[0] == pytest.approx(0.2 * wrench[2], rel=1e-2)  # the active side drags the passive one along
+    # the active side drags the passive one along
+    assert wrench[0] == pytest.approx(0.2 * wrench[2], rel=1e-2)
     assert abs(wrench[1]) < 1e-2 * wrench[0]

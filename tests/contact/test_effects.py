@@ -17,7 +17,9 @@ def with_effect(effect: dict[str, Any], **more: Any) -> Scenario:
 
 
 def pressed(effect: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Depth, rate and force of a bumper that is pressed in by 2 mm and drawn out at 2.5 Hz, but for the instants at which x = 0."""
+    """Depth, rate and force of a bumper that is pressed in by 2 mm and drawn out at 2.5 Hz, but for
+    the instants at which x = 0.
+    """
     s = with_effect(effect)
     depth, rate, wrench = Press(Plant([s]), s.rate).run(800).columns()
     assert wrench[:, 2].max() > 50.0
@@ -31,9 +33,13 @@ def linear(x: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 def test_stiffness_and_damping_are_multiplied() -> None:
     x, v, force = pressed({"kind": "contact.stiffness", "factor": 1.3})
-    np.testing.assert_allclose(force, np.where(x > 0.0, np.maximum(1.3 * K * x + C * v, 0.0), 0.0), atol=1e-9)
+    np.testing.assert_allclose(
+        force, np.where(x > 0.0, np.maximum(1.3 * K * x + C * v, 0.0), 0.0), atol=1e-9
+    )
     x, v, force = pressed({"kind": "contact.damping", "factor": 0.4})
-    np.testing.assert_allclose(force, np.where(x > 0.0, np.maximum(K * x + 0.4 * C * v, 0.0), 0.0), atol=1e-9)
+    np.testing.assert_allclose(
+        force, np.where(x > 0.0, np.maximum(K * x + 0.4 * C * v, 0.0), 0.0), atol=1e-9
+    )
 
 
 def test_a_touch_that_is_off_shifts_the_law() -> None:
@@ -46,7 +52,9 @@ def test_dry_friction_opposes_the_motion_and_a_preload_does_not() -> None:
     expected = np.where(x > 0.0, np.maximum(K * x + C * v + 20.0 * np.tanh(v / 2e-4), 0.0), 0.0)
     np.testing.assert_allclose(force, expected, atol=1e-9)
     x, v, force = pressed({"kind": "contact.preload", "force": 15.0})
-    np.testing.assert_allclose(force, np.where(x > 0.0, np.maximum(K * x + C * v + 15.0, 0.0), 0.0), atol=1e-9)
+    np.testing.assert_allclose(
+        force, np.where(x > 0.0, np.maximum(K * x + C * v + 15.0, 0.0), 0.0), atol=1e-9
+    )
 
 
 def test_a_hard_stop_is_a_second_spring() -> None:
@@ -56,7 +64,9 @@ def test_a_hard_stop_is_a_second_spring() -> None:
 
 def test_adhesion_lets_the_contact_pull_no_more_than_its_force() -> None:
     x, v, force = pressed({"kind": "contact.adhesion", "force": 5.0})
-    np.testing.assert_allclose(force, np.where(x > 0.0, np.maximum(K * x + C * v, -5.0), 0.0), atol=1e-9)
+    np.testing.assert_allclose(
+        force, np.where(x > 0.0, np.maximum(K * x + C * v, -5.0), 0.0), atol=1e-9
+    )
     assert force.min() < -4.0
 
 
@@ -68,7 +78,9 @@ def test_a_frame_that_gives_is_a_spring_in_series() -> None:
 
 def test_a_held_relaxation_fades_with_its_time_constant() -> None:
     """A Maxwell branch that was drawn out fast keeps k_b x exp(-t/T)."""
-    s = with_effect({"kind": "contact.relaxation", "stiffness": 4.0e4, "time_constant": 0.05}, damping=0.0)
+    s = with_effect(
+        {"kind": "contact.relaxation", "stiffness": 4.0e4, "time_constant": 0.05}, damping=0.0
+    )
     plant, still = Plant([s]), np.zeros((1, 6))
     plant.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), still)
     goal = np.array([[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0]])
@@ -93,13 +105,17 @@ def test_a_tilted_port_pushes_along_its_own_normal() -> None:
     plant = Plant([with_effect({"kind": "contact.misalignment", "angles_deg": [2.0, -3.0]})])
     plant.reset(np.array([[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 6)))
     force = plant.wrench_sub[0, -1, :3]
-    normal = np.array([np.sin(np.radians(-3.0)) * np.cos(np.radians(2.0)), -np.sin(np.radians(2.0)), 0.0])
+    normal = np.array(
+        [np.sin(np.radians(-3.0)) * np.cos(np.radians(2.0)), -np.sin(np.radians(2.0)), 0.0]
+    )
     np.testing.assert_allclose(force[:2] / np.linalg.norm(force), normal[:2], atol=1e-9)
 
 
 def test_a_frame_that_rings_moves_at_its_own_frequency() -> None:
     """Struck by 1 mm that stays, an undamped frame swings about its rest at sqrt(w^2 + k/m)."""
-    s = with_effect({"kind": "frame.mode", "frequency": 20.0, "damping_ratio": 1e-4, "mass": 80.0}, damping=0.0)
+    s = with_effect(
+        {"kind": "frame.mode", "frequency": 20.0, "damping_ratio": 1e-4, "mass": 80.0}, damping=0.0
+    )
     plant, still = Plant([s]), np.zeros((1, 6))
     plant.reset(np.array([[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0]]), still)
     goal, force = np.array([[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0]]), []
@@ -110,4 +126,6 @@ def test_a_frame_that_rings_moves_at_its_own_frequency() -> None:
     up = np.flatnonzero((swing[:-1] < 0.0) & (swing[1:] >= 0.0))
     at = [k + swing[k] / (swing[k] - swing[k + 1]) for k in up]
     found = (len(at) - 1) / ((at[-1] - at[0]) * s.tick)
-    assert found == pytest.approx(np.sqrt((2.0 * np.pi * 20.0) ** 2 + K / 80.0) / (2.0 * np.pi), rel=2e-3)
+    assert found == pytest.approx(
+        np.sqrt((2.0 * np.pi * 20.0) ** 2 + K / 80.0) / (2.0 * np.pi), rel=2e-3
+    )

@@ -1,4 +1,6 @@
-"""The compliant mount: each axis is the spring and damper that it is said to be, quasi-statically and in motion."""
+"""The compliant mount: each axis is the spring and damper that it is said to be, quasi-statically
+and in motion.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,12 @@ LATCH = 1.0e8  # [N/m] a thousand times the mount's z
 def rig(tracking: str = "ideal") -> Scenario:
     contact = {"stiffness": LATCH, "damping": 1.0e5, "friction": 0.0}
     mount = {"stiffness": list(STIFFNESS), "damping": list(DAMPING)}
-    return scenario(tracking, rate=2000.0, physics_rate=8000.0, mechanism={"kind": "latched", "contact": contact, "mount": mount})
+    return scenario(
+        tracking,
+        rate=2000.0,
+        physics_rate=8000.0,
+        mechanism={"kind": "latched", "contact": contact, "mount": mount},
+    )
 
 
 def displaced(axis: int, amount: float) -> Array:
@@ -51,7 +58,11 @@ def test_each_axis_is_its_spring_when_held(tracking: str, axis: int) -> None:
         for k in range(1600):
             part = min(1.0, (k + 1) / steps)
             plant.advance(displaced(axis, part * amount), still, still)
-        reached = plant.pose_act[0, axis] if axis < 3 else Rotation.from_quat(plant.pose_act[0, 3:]).as_rotvec()[axis - 3]
+        reached = (
+            plant.pose_act[0, axis]
+            if axis < 3
+            else Rotation.from_quat(plant.pose_act[0, 3:]).as_rotvec()[axis - 3]
+        )
         load = plant.wrench_sub[0, -1]
         assert load[axis] / reached == pytest.approx(in_series(axis), rel=1e-3)
         across = np.delete(load[:3] if axis < 3 else load[3:], axis % 3)
@@ -60,9 +71,11 @@ def test_each_axis_is_its_spring_when_held(tracking: str, axis: int) -> None:
 
 @pytest.mark.parametrize("axis", range(6))
 def test_each_axis_is_its_spring_and_damper_in_motion(axis: int) -> None:
-    """A sine of 1.5 Hz through the latch: k within 0.2 %, c within 2 %, by least squares of the reading on the path of A.
+    """A sine of 1.5 Hz through the latch: k within 0.2 %, c within 2 %, by least squares of the
+    reading on the path of A.
 
-    The passive side's inertia, 19 kg m^2 about P, stretches the latch by I w^2/(k LATCH_RADIUS^2) = 0.08 % of the path.
+    The passive side's inertia, 19 kg m^2 about P, stretches the latch by I w^2/(k LATCH_RADIUS^2) =
+    0.08 % of the path.
     """
     s = rig()
     plant, w, amount = Plant([s]), 2.0 * np.pi * 1.5, (1e-3 if axis < 3 else 2e-3)
@@ -72,7 +85,9 @@ def test_each_axis_is_its_spring_and_damper_in_motion(axis: int) -> None:
         t = (k + 1) * s.tick
         goal = displaced(axis, amount * np.sin(w * t))
         plant.advance(goal, np.zeros((1, 6)), np.zeros((1, 6)))
-        rows.append((amount * np.sin(w * t), amount * w * np.cos(w * t), plant.wrench_sub[0, -1, axis]))
+        rows.append(
+            (amount * np.sin(w * t), amount * w * np.cos(w * t), plant.wrench_sub[0, -1, axis])
+        )
     x, v, force = np.array(rows)[667:].T
     k_c, *_ = np.linalg.lstsq(np.column_stack([x, v]), force, rcond=None)
     assert k_c[0] == pytest.approx(in_series(axis), rel=2e-3)
@@ -83,7 +98,9 @@ def test_the_passive_side_swings_free_at_its_own_frequency() -> None:
     """Pushed by a probe that then leaves, 120 kg on 1e5 N/m ring at sqrt(k/m) = 4.59 Hz."""
     contact = {"stiffness": 1e5, "damping": 0.0, "friction": 0.0}
     mount = {"stiffness": list(STIFFNESS), "damping": [0.0] * 6}
-    plant = Plant([scenario("ideal", mechanism={"kind": "bumper", "contact": contact, "mount": mount})])
+    plant = Plant(
+        [scenario("ideal", mechanism={"kind": "bumper", "contact": contact, "mount": mount})]
+    )
     still, h = np.zeros((1, 6)), 1.0 / 2000.0
     plant.reset(displaced(2, 5e-4), still)
     for _ in range(20):

@@ -1,4 +1,6 @@
-"""Probe and cone: a force that is exact anywhere on the surface, friction at its limit, an axis of symmetry that is one."""
+"""Probe and cone: a force that is exact anywhere on the surface, friction at its limit, an axis of
+symmetry that is one.
+"""
 
 from __future__ import annotations
 
@@ -25,17 +27,22 @@ SINGLE = 1e-8  # [m] vertices of a mesh are single precision numbers
 BALLS, ROD = 1, 0  # places of the facets of ball and rod
 
 
-def rig(tracking: str = "ideal", *, damping: float = 0.0, friction: float = 0.0, **more: object) -> Scenario:
+def rig(
+    tracking: str = "ideal", *, damping: float = 0.0, friction: float = 0.0, **more: object
+) -> Scenario:
     contact = {"stiffness": K, "damping": damping, "friction": friction}
     return scenario(tracking, mechanism={"kind": "probe_cone", "contact": contact, **more})
 
 
 def profile(where: str, t: float) -> tuple[Array, Array]:
-    """A point (rho, z) of the surface and its outward normal there, written down from the dimensions alone.
+    """A point (rho, z) of the surface and its outward normal there, written down from the
+    dimensions alone.
 
-    ``t`` in 0..1 runs along the part: socket from the bottom up, cone from socket to rim, rim from inside to outside, outside upwards.
+    ``t`` in 0..1 runs along the part: socket from the bottom up, cone from socket to rim, rim from
+        inside to outside, outside upwards.
     """
-    inward = np.array([-math.cos(ALPHA), -math.sin(ALPHA)])  # of the cone, towards the axis and the opening
+    # of the cone, towards the axis and the opening
+    inward = np.array([-math.cos(ALPHA), -math.sin(ALPHA)])
     along = np.array([math.sin(ALPHA), -math.cos(ALPHA)])
     socket = np.array([0.0, -R])
     start = socket - R * inward
@@ -58,22 +65,30 @@ PLACES += [("rim", 0.2), ("rim", 0.5), ("rim", 0.9), ("outside", 0.1), ("outside
 
 
 def pressed(where: str, t: float, azimuth: float, depth: float) -> tuple[Array, Array]:
-    """The pose ``(1, 7)`` of a probe whose ball is ``depth`` [m] in the surface, and the direction (3,) that it pushes.
+    """The pose ``(1, 7)`` of a probe whose ball is ``depth`` [m] in the surface, and the direction
+    (3,) that it pushes.
 
-    Upright; on the outside, where the rim is in the way of an upright rod, along the direction that it pushes.
+    Upright; on the outside, where the rim is in the way of an upright rod, along the direction that
+    it pushes.
     """
     point, normal = profile(where, t)
     centre = point + (BALL - depth) * normal
     c, s = math.cos(azimuth), math.sin(azimuth)
     push = -np.array([normal[0] * c, normal[0] * s, normal[1]])
-    turn = Rotation.align_vectors(push[None], [[0.0, 0.0, 1.0]])[0] if where == "outside" else Rotation.identity()
+    turn = (
+        Rotation.align_vectors(push[None], [[0.0, 0.0, 1.0]])[0]
+        if where == "outside"
+        else Rotation.identity()
+    )
     tip = np.array([centre[0] * c, centre[0] * s, centre[1]]) + BALL * turn.apply([0.0, 0.0, 1.0])
     return np.concatenate([tip, turn.as_quat()])[None], push
 
 
 @pytest.mark.parametrize(("where", "t"), PLACES)
 @pytest.mark.parametrize("azimuth", [0.0, 1.0, 2.2, -0.7, -2.9])
-def test_force_of_a_penetration_anywhere_on_the_passive_surface(where: str, t: float, azimuth: float) -> None:
+def test_force_of_a_penetration_anywhere_on_the_passive_surface(
+    where: str, t: float, azimuth: float
+) -> None:
     """Magnitude k x within 0.1 %, direction within 0.01 deg, one contact."""
     plant = Plant([rig()])
     start, push = pressed(where, t, azimuth, 1e-3)
@@ -101,10 +116,20 @@ def test_the_servo_feels_the_same_force_at_the_pose_that_it_reaches(where: str, 
 
 @pytest.mark.parametrize("azimuth", [0.0, 0.9, 2.5])
 def test_the_rod_meets_the_rim_in_one_contact(azimuth: float) -> None:
-    """A rod that leans over the rim at 60 deg from the axis, steeper than the cone, is pushed across itself; its ball is clear."""
-    ring = np.array([(R + EDGE) * math.cos(ALPHA) + LENGTH * math.sin(ALPHA), (R + EDGE) * math.sin(ALPHA) - R - LENGTH * math.cos(ALPHA)])
+    """A rod that leans over the rim at 60 deg from the axis, steeper than the cone, is pushed
+    across itself; its ball is clear.
+    """
+    ring = np.array(
+        [
+            (R + EDGE) * math.cos(ALPHA) + LENGTH * math.sin(ALPHA),
+            (R + EDGE) * math.sin(ALPHA) - R - LENGTH * math.cos(ALPHA),
+        ]
+    )
     wanted, lean = 5e-4, math.radians(60.0)
-    back, across = np.array([math.sin(lean), -math.cos(lean)]), np.array([math.cos(lean), math.sin(lean)])
+    back, across = (
+        np.array([math.sin(lean), -math.cos(lean)]),
+        np.array([math.cos(lean), math.sin(lean)]),
+    )
     tip = ring - 0.12 * back - (ROD_RADIUS + EDGE - wanted) * across
     c, s = math.cos(azimuth), math.sin(azimuth)
 
@@ -117,13 +142,17 @@ def test_the_rod_meets_the_rim_in_one_contact(azimuth: float) -> None:
     plant.reset(np.concatenate([centre + BALL * axis, turn.as_quat()])[None], np.zeros((1, 6)))
     met, free, nearest = plant.contacts().met[0], np.empty(3), np.empty(3)
     assert met[BALLS, 0] < 0.0
-    assert met[ROD, 0] == pytest.approx(ROD_RADIUS - rod_distance(centre, axis, free, nearest), abs=SINGLE)
+    assert met[ROD, 0] == pytest.approx(
+        ROD_RADIUS - rod_distance(centre, axis, free, nearest), abs=SINGLE
+    )
     assert met[ROD, 0] == pytest.approx(wanted, abs=SINGLE)
     np.testing.assert_allclose(met[ROD, NORM:SLIP], around(across), atol=1e-6)
 
 
 def test_the_mesh_of_the_cone_is_the_surface_of_its_drawing() -> None:
-    """Balls anywhere within 50 mm of the surface, inside and outside: penetration to 10 nm, normal to 1e-6."""
+    """Balls anywhere within 50 mm of the surface, inside and outside: penetration to 10 nm, normal
+    to 1e-6.
+    """
     plant, rng, free = Plant([rig()]), np.random.default_rng(3), np.empty(3)
     for _ in range(200):
         x, y = rng.uniform(-0.2, 0.2, 2)
@@ -146,10 +175,14 @@ def test_nothing_is_felt_where_nothing_touches() -> None:
 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_sliding_down_the_cone_is_at_the_coulomb_limit(tracking: str) -> None:
-    """Tangential over normal force within 1 % of the coefficient while the tip slides at 0.05 m/s along the generator."""
+    """Tangential over normal force within 1 % of the coefficient while the tip slides at 0.05 m/s
+    along the generator.
+    """
     plant, mu, speed = Plant([rig(tracking, friction=0.2)]), 0.2, 0.05
     start, push = pressed("cone", 0.7, 0.3, 1e-3)
-    down = np.array([-math.sin(ALPHA) * math.cos(0.3), -math.sin(ALPHA) * math.sin(0.3), math.cos(ALPHA)])
+    down = np.array(
+        [-math.sin(ALPHA) * math.cos(0.3), -math.sin(ALPHA) * math.sin(0.3), math.cos(ALPHA)]
+    )
     twist = np.concatenate([speed * down, np.zeros(3)])[None]
     plant.reset(start, twist)
     for k in range(600):

@@ -1,4 +1,6 @@
-"""A mechanism that nobody shipped: built here from boxes, a cylinder, a ball and a mesh, with a plunger on a spring."""
+"""A mechanism that nobody shipped: built here from boxes, a cylinder, a ball and a mesh, with a
+plunger on a spring.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ K = 5.0e4
 
 
 def pyramid() -> str:
-    """A four-sided funnel that opens downwards, 45 deg, concave: four walls with an outside 20 mm behind, its apex at the origin."""
+    """A four-sided funnel that opens downwards, 45 deg, concave: four walls with an outside 20 mm
+    behind, its apex at the origin.
+    """
     s, t = 0.2, 0.02
     inner = [(0, 0, 0), (s, s, -s), (-s, s, -s), (-s, -s, -s), (s, -s, -s)]
     outer = [(x, y, z + t) for x, y, z in inner]
@@ -50,7 +54,9 @@ def pyramid() -> str:
     for k in range(4):
         a, b = 1 + k, 1 + (k + 1) % 4
         faces += [(0, b, a), (5, 5 + a, 5 + b), (a, b, 5 + b), (a, 5 + b, 5 + a)]
-    lines = [f"v {x} {y} {z}" for x, y, z in inner + outer] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    lines = [f"v {x} {y} {z}" for x, y, z in inner + outer] + [
+        f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -103,8 +109,12 @@ def test_it_docks(folder: Path) -> None:
 
 
 def test_a_ball_on_a_wall_of_the_mesh_is_pressed_along_its_normal(folder: Path) -> None:
-    """45 deg: at a lateral place of 60 mm the force is k x along the wall's normal. The plunger stands still at the first instant."""
-    plant = Plant([mine(folder, **{"mechanism.pairs.0.friction": 0.0, "mechanism.pairs.0.damping": 0.0})])
+    """45 deg: at a lateral place of 60 mm the force is k x along the wall's normal. The plunger
+    stands still at the first instant.
+    """
+    plant = Plant(
+        [mine(folder, **{"mechanism.pairs.0.friction": 0.0, "mechanism.pairs.0.damping": 0.0})]
+    )
     depth, r = 1e-3, 0.03
     wall = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)  # from the ball into the wall
     centre = np.array([0.06, 0.0, -0.06]) - (r - depth) * wall
@@ -137,12 +147,25 @@ def refused(folder: Path, side: str, text: str) -> str:
 
 def test_it_runs_in_a_campaign(folder: Path) -> None:
     """A stiffness of one of its pairs is varied like any key: each case is the run alone."""
-    vary = "{mechanism.pairs.0.stiffness: {values: [3.0e4, 6.0e4]}, approach.velocity.2: {values: [0.06, 0.08]}}"
-    (folder / "campaign.yaml").write_text(f"scenario: mine.yaml\nset: {{duration: 1.2}}\nvary: {vary}\ndesign: {{kind: grid}}\n")
-    found = sweep(folder / "campaign.yaml", folder / "out").to_pandas().set_index(["mechanism.pairs.0.stiffness", "approach.velocity.2"])
+    vary = (
+        "{mechanism.pairs.0.stiffness: {values: [3.0e4, 6.0e4]}, approach.velocity.2: "
+        "{values: [0.06, 0.08]}}"
+    )
+    (folder / "campaign.yaml").write_text(
+        f"scenario: mine.yaml\nset: {{duration: 1.2}}\nvary: {vary}\ndesign: {{kind: grid}}\n"
+    )
+    found = (
+        sweep(folder / "campaign.yaml", folder / "out")
+        .to_pandas()
+        .set_index(["mechanism.pairs.0.stiffness", "approach.velocity.2"])
+    )
     peaks = []
     for (stiffness, speed), case in found.iterrows():  # type: ignore[misc]
-        changes = {"duration": 1.2, "mechanism.pairs.0.stiffness": stiffness, "approach.velocity": [0.0, 0.0, speed]}
+        changes = {
+            "duration": 1.2,
+            "mechanism.pairs.0.stiffness": stiffness,
+            "approach.velocity": [0.0, 0.0, speed],
+        }
         peaks.append(simulate([mine(folder, **changes)]).figures[0].peak_force)
         assert case["status"] == "completed"
         assert case["peak_force"] == peaks[-1]
@@ -159,7 +182,9 @@ def test_bad_files_are_refused(folder: Path) -> None:
             'type="sphere"', 'type="sphere" mass="0"'
         ),
     )
-    assert "no geom is called 'ball'" in refused(folder, "active", active.replace('"ball"', '"bulb"'))
+    assert "no geom is called 'ball'" in refused(
+        folder, "active", active.replace('"ball"', '"bulb"')
+    )
     assert "MJCF" in refused(folder, "active", "<mujoco><body>")
     (folder / "parts" / "active.xml").write_text(active)
     with pytest.raises(InputError, match="overlap at the start"):
@@ -167,8 +192,12 @@ def test_bad_files_are_refused(folder: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         mine(folder, **{"mechanism.active": "parts/nowhere.xml"})
     (folder / "parts" / "active.xml").write_text(active)
-    turned = "\n".join(line if line[0] == "v" else "f {0} {2} {1}".format(*line.split()[1:]) for line in pyramid().strip().splitlines())
-    (folder / "parts" / "turned.obj").write_text(turned + "\n")  # MuJoCo remembers a mesh by its name for a second
+    turned = "\n".join(
+        line if line[0] == "v" else "f {0} {2} {1}".format(*line.split()[1:])
+        for line in pyramid().strip().splitlines()
+    )
+    # MuJoCo remembers a mesh by its name for a second
+    (folder / "parts" / "turned.obj").write_text(turned + "\n")
     (folder / "parts" / "passive.xml").write_text(PASSIVE.replace("dish.obj", "turned.obj"))
     with pytest.raises(InputError, match="point inwards"):
         mine(folder)
@@ -179,33 +208,54 @@ def test_its_folder_replays(folder: Path, tmp_path: Path) -> None:
     for file in (folder / "parts").iterdir():
         file.unlink()
     again = load_scenario(tmp_path / "run" / "scenario.yaml")
-    assert scenario_sha256(again) == json.loads((tmp_path / "run" / "summary.json").read_text())["scenario_sha256"]
+    assert (
+        scenario_sha256(again)
+        == json.loads((tmp_path / "run" / "summary.json").read_text())["scenario_sha256"]
+    )
     simulate([again])
 
 
 def recorded(folder: Path, **more: object) -> Path:
-    """The dataset of two runs at two speeds of the mechanism as ``more`` has it, believed to be without effects."""
-    entries, noise = [], {"sensor.noise": 0.1, "sensor.torque_noise": 0.01, "approach.gap": 0.045, "duration": 0.4}
-    believed = {"approach.gap": 0.045} | {key: value for key, value in more.items() if key != "effects"}
+    """The dataset of two runs at two speeds of the mechanism as ``more`` has it, believed to be
+    without effects.
+    """
+    entries, noise = (
+        [],
+        {"sensor.noise": 0.1, "sensor.torque_noise": 0.01, "approach.gap": 0.045, "duration": 0.4},
+    )
+    believed = {"approach.gap": 0.045} | {
+        key: value for key, value in more.items() if key != "effects"
+    }
     for seed, speed in enumerate((0.2, 0.16)):
         changed = {**noise, "approach.velocity.2": speed, "seed": seed, **more}
         write_run(run(mine(folder, **changed)), folder / f"run{seed}", rerun=False, report=False)
-        entries.append({"file": f"run{seed}/trace.parquet", "set": {"approach.velocity": [0, 0, speed], **believed}})
+        entries.append(
+            {
+                "file": f"run{seed}/trace.parquet",
+                "set": {"approach.velocity": [0, 0, speed], **believed},
+            }
+        )
     (folder / "data.yaml").write_text(json.dumps({"scenario": "mine.yaml", "runs": entries}))
     return folder / "data.yaml"
 
 
 def verdict_on(dataset: Path) -> Verdict:
-    """The verdict alone: what else a diagnosis tells, such as how small a cause would have shown, takes replays of its own."""
+    """The verdict alone: what else a diagnosis tells, such as how small a cause would have shown,
+    takes replays of its own.
+    """
     return judge(investigate.investigate(load_dataset(dataset))).verdict
 
 
 @SLOW
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_what_departs_in_it_is_named(folder: Path, tracking: str) -> None:
-    """The plunger moves by itself: its force hangs on how A moved before, which the diagnosis plays."""
+    """The plunger moves by itself: its force hangs on how A moved before, which the diagnosis
+    plays.
+    """
     hidden = [{"kind": "contact.stiffness", "factor": 1.3}]
-    found = diagnose(recorded(folder, **{"rig.platform.tracking": tracking, "effects": hidden})).finding
+    found = diagnose(
+        recorded(folder, **{"rig.platform.tracking": tracking, "effects": hidden})
+    ).finding
     assert found.verdict == "named"
     assert not found.not_judged
     (cause,) = found.causes
@@ -227,8 +277,11 @@ def test_a_diagnosis_does_not_judge_what_hangs_on_motion_within_a_tick(folder: P
     assert any("how A moves within a tick" in why for why in found.not_judged.values())
 
 
-def test_where_copies_agree_on_too_little_contact_and_sensor_are_not_judged(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(investigate, "MIN_COMPARED", 1.01)  # more than there is, in place of a mechanism that does what it likes
+def test_where_copies_agree_on_too_little_contact_and_sensor_are_not_judged(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # more than there is, in place of a mechanism that does what it likes
+    monkeypatch.setattr(investigate, "MIN_COMPARED", 1.01)
     found = verdict_on(recorded(folder, **{"rig.platform.tracking": "servo"}))
     assert found.verdict == "inconclusive"
     assert any("the smallest difference decides" in why for why in found.not_judged.values())

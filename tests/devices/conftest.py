@@ -8,8 +8,11 @@ from hiltestbed.devices import realtime
 
 
 @pytest.fixture(autouse=True)
-def memory_and_garbage_are_left_alone(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A live loop locks all memory and collects all garbage before its first cycle: of a whole test run both are much, a second each time.
+def memory_and_garbage_are_left_alone(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A live loop locks all memory and collects all garbage before its first cycle: of a whole test
+    run both are much, a second each time.
 
     The tests of that step itself do so.
     """

@@ -1,6 +1,8 @@
-"""A run against an emulated rig in one process, tick by tick: what the wire carries is real, the clock is not.
+"""A run against an emulated rig in one process, tick by tick: what the wire carries is real, the
+clock is not.
 
-The wait for a tick moves the emulated devices on by one cycle and then takes in what they have sent; nothing depends on how long it takes.
+The wait for a tick moves the emulated devices on by one cycle and then takes in what they have
+sent; nothing depends on how long it takes.
 """
 
 from __future__ import annotations
@@ -21,15 +23,24 @@ from hiltestbed.simulation import Run
 from tests.devices.running import free_ports, going, until
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
-PATIENT = {"devices.watchdog": None, "devices.communication.stale": 1000.0, "devices.platform.run_up": 0.2}
+PATIENT = {
+    "devices.watchdog": None,
+    "devices.communication.stale": 1000.0,
+    "devices.platform.run_up": 0.2,
+}
 RATES = {"rsi": 250.0, "udp": 1000.0, "shm": 1000.0}
 
 
 def scenario_of(name: str, platform: str, **changes: Any) -> Scenario:
-    """A shipped scenario at the rate of ``platform``, without noise, that does not mind how slow the machine is."""
+    """A shipped scenario at the rate of ``platform``, without noise, that does not mind how slow
+    the machine is.
+    """
     rate = RATES[platform]
     still = {"rate": rate, "physics_rate": 4000.0, "sensor.noise": 0.0, "sensor.torque_noise": 0.0}
-    return load_scenario(SCENARIOS / f"{name}.yaml", still | PATIENT | {key.replace("__", "."): value for key, value in changes.items()})
+    return load_scenario(
+        SCENARIOS / f"{name}.yaml",
+        still | PATIENT | {key.replace("__", "."): value for key, value in changes.items()},
+    )
 
 
 Disturbance = Callable[[int, Emulator, Session], Collection[str]]
@@ -50,13 +61,25 @@ def urls_of(platform: str) -> Urls:
     a, b, c = free_ports(3)
     sensor = f"rdt://127.0.0.1:{a}?counts_per_force=1e6&counts_per_torque=1e6"
     if platform == "rsi":
-        return Urls(sensor, f"rsi://127.0.0.1:{b}?connect=10", f"rdt://127.0.0.1:{a}", f"rsi://127.0.0.1:{b}?late_limit=1000000")
-    return Urls(sensor, f"udp://127.0.0.1:{b}?listen={c}&connect=10", f"rdt://127.0.0.1:{a}", f"udp://127.0.0.1:{b}?peer={c}")
+        return Urls(
+            sensor,
+            f"rsi://127.0.0.1:{b}?connect=10",
+            f"rdt://127.0.0.1:{a}",
+            f"rsi://127.0.0.1:{b}?late_limit=1000000",
+        )
+    return Urls(
+        sensor,
+        f"udp://127.0.0.1:{b}?listen={c}&connect=10",
+        f"rdt://127.0.0.1:{a}",
+        f"udp://127.0.0.1:{b}?peer={c}",
+    )
 
 
 @dataclass
 class Outcome:
-    """What came of a run in lockstep: the run, the emulated devices as they were left, and the session."""
+    """What came of a run in lockstep: the run, the emulated devices as they were left, and the
+    session.
+    """
 
     run: Run
     emulator: Emulator
@@ -74,8 +97,8 @@ def played(
     """Run ``scenario`` against the emulated rig of ``emulated``, the same where it is not given.
 
     Args:
-        disturb: called before each cycle of the devices once the run is armed, with its number; the devices whose record of this cycle
-            does not arrive in it.
+        disturb: called before each cycle of the devices once the run is armed, with its number; the
+            devices whose record of this cycle does not arrive in it.
         record: file that takes the rows as they come.
     """
     begun, cycle = False, 0
@@ -97,12 +120,17 @@ def played(
 
 @contextmanager
 def against(
-    emulated: Scenario, platform: str, before: Callable[[Emulator], Collection[str]] = lambda emulator: (), armed: bool = True
+    emulated: Scenario,
+    platform: str,
+    before: Callable[[Emulator], Collection[str]] = lambda emulator: (),
+    armed: bool = True,
 ) -> Iterator[tuple[Options, Emulator]]:
-    """Options for a session against the emulated rig of ``emulated``, which moves when the session waits for it.
+    """Options for a session against the emulated rig of ``emulated``, which moves when the session
+    waits for it.
 
     Args:
-        before: called before each cycle of the devices; the devices whose record of this cycle does not arrive in it.
+        before: called before each cycle of the devices; the devices whose record of this cycle does
+            not arrive in it.
     """
     urls = urls_of(platform)
     emulator = Emulator(emulated, urls.emulated_sensor, urls.emulated_platform)

@@ -1,4 +1,6 @@
-"""What several tests of devices need: a device that goes on by itself, and a wait for something that another thread will do."""
+"""What several tests of devices need: a device that goes on by itself, and a wait for something
+that another thread will do.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from contextlib import contextmanager
 import numpy as np
 
 PATIENCE = 5.0  # [s] a busy machine may take this long for what is done in a millisecond
-START = np.array([0.1, -0.2, 0.9, *(np.array([0.1, 0.2, -0.3, 0.9]) / np.linalg.norm([0.1, 0.2, -0.3, 0.9]))])
+START = np.array(
+    [0.1, -0.2, 0.9, *(np.array([0.1, 0.2, -0.3, 0.9]) / np.linalg.norm([0.1, 0.2, -0.3, 0.9]))]
+)
 
 
 @contextmanager
@@ -49,7 +53,9 @@ def until(condition: Callable[[], object]) -> None:
 
 
 def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> list[int]:
-    """Ports of the loopback address that nobody uses just now, and that the kernel gives nobody of itself (Linux: those below 32768)."""
+    """Ports of the loopback address that nobody uses just now, and that the kernel gives nobody of
+    itself (Linux: those below 32768).
+    """
     held: list[socket.socket] = []
     while len(held) < count:
         opened = socket.socket(socket.AF_INET, kind)

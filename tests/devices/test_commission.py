@@ -1,4 +1,6 @@
-"""Commissioning against an emulated facility with something hidden in it: found within 1 %, and nothing found where nothing is."""
+"""Commissioning against an emulated facility with something hidden in it: found within 1 %, and
+nothing found where nothing is.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,11 @@ from hiltestbed.yaml_source import dump_yaml, read_source
 from tests.devices.lockstep import against, scenario_of
 from tests.slow import SLOW, slow
 
-BELIEVED: dict[str, Any] = {"sensor__noise": 0.1, "sensor__torque_noise": 0.01, "sensor__delay": 0.002}
+BELIEVED: dict[str, Any] = {
+    "sensor__noise": 0.1,
+    "sensor__torque_noise": 0.01,
+    "sensor__delay": 0.002,
+}
 CAPTURED: dict[str, Any] = BELIEVED | {
     "mechanism": {"kind": "latched", "contact": {"stiffness": 1.0e5, "damping": 200.0}},
     "rig__platform__tracking": "ideal",
@@ -41,7 +47,9 @@ HIDDEN: dict[str, Any] = {
 }
 
 
-def _measured(name: str, believed: dict[str, Any], hidden: dict[str, Any], force: float = 100.0) -> Commissioned:
+def _measured(
+    name: str, believed: dict[str, Any], hidden: dict[str, Any], force: float = 100.0
+) -> Commissioned:
     with against(scenario_of(name, "udp", **(believed | hidden)), "udp") as (options, _):
         return commission(scenario_of(name, "udp", **believed), options, force)
 
@@ -76,7 +84,9 @@ def bumper() -> Commissioned:
 
 
 def test_a_bumper_shows_what_its_one_direction_can(bumper: Commissioned) -> None:
-    """Gain and delays; a leak of the force and a turn look like another turn and a leak of the torque, which is said."""
+    """Gain and delays; a leak of the force and a turn look like another turn and a leak of the
+    torque, which is said.
+    """
     result = bumper
     found = _effects(result)
     assert found["sensor.gain"]["factor"] == pytest.approx(1.08, rel=2e-3)
@@ -101,40 +111,70 @@ def askew() -> Commissioned:
 
 
 @SLOW
-def test_a_sensor_that_is_mounted_askew_is_told_beside_delay_gain_and_crosstalk(askew: Commissioned) -> None:
-    """The attitude within 1 % of the angle, and gain and crosstalk as they are in the sensor's own axes."""
+def test_a_sensor_that_is_mounted_askew_is_told_beside_delay_gain_and_crosstalk(
+    askew: Commissioned,
+) -> None:
+    """The attitude within 1 % of the angle, and gain and crosstalk as they are in the sensor's own
+    axes.
+    """
     result = askew
     assert result.sensor.turn_deg is not None
     assert np.linalg.norm(np.subtract(result.sensor.turn_deg, ASKEW)) < 0.01 * np.linalg.norm(ASKEW)
     found = {e["kind"]: e for e in result.departures}
-    assert set(found) == {"sensor.delay", "sensor.rotation", "sensor.gain", "sensor.crosstalk", "platform.delay"}
+    assert set(found) == {
+        "sensor.delay",
+        "sensor.rotation",
+        "sensor.gain",
+        "sensor.crosstalk",
+        "platform.delay",
+    }
     assert found["sensor.delay"]["delay"] == pytest.approx(0.0043, rel=0.01)
-    assert (found["sensor.gain"]["axis"], found["sensor.gain"]["factor"] - 1.0) == ("z", pytest.approx(0.08, rel=0.01))
+    assert (found["sensor.gain"]["axis"], found["sensor.gain"]["factor"] - 1.0) == (
+        "z",
+        pytest.approx(0.08, rel=0.01),
+    )
     assert (found["sensor.crosstalk"]["source"], found["sensor.crosstalk"]["axis"]) == ("z", "x")
     assert found["sensor.crosstalk"]["ratio"] == pytest.approx(0.05, rel=0.01)
     assert found["platform.delay"]["delay"] == pytest.approx(0.0035, rel=0.01)
-    assert tuple(result.believed.devices.sensor.attitude_deg) == (0.0, 0.0, 0.0)  # the data are as it was believed to be mounted
+    # the data are as it was believed to be mounted
+    assert tuple(result.believed.devices.sensor.attitude_deg) == (0.0, 0.0, 0.0)
     mounted = quat_from_attitude_deg(result.nominal.devices.sensor.attitude_deg)
-    assert _apart_deg(mounted, Rotation.from_rotvec(ASKEW, degrees=True).as_quat()) < 0.3  # a leak beside a turn, in P's axes
+    # a leak beside a turn, in P's axes
+    assert _apart_deg(mounted, Rotation.from_rotvec(ASKEW, degrees=True).as_quat()) < 0.3
 
 
 @SLOW
-def test_a_diagnosis_of_the_dataset_says_the_same_of_a_sensor_that_is_mounted_askew(askew: Commissioned, tmp_path: Path) -> None:
+def test_a_diagnosis_of_the_dataset_says_the_same_of_a_sensor_that_is_mounted_askew(
+    askew: Commissioned, tmp_path: Path
+) -> None:
     """Four causes on one link; without a loop a late record cannot be told from a late sensor."""
     folder = write_commission(askew, tmp_path / "facility")
     found = {c.effect: c for c in diagnose(folder / "dataset.yaml").causes}
     late = next(c for kind, c in found.items() if kind in ("sensor.delay", "log.skew"))
     assert {late.effect, *late.indistinguishable_from} == {"sensor.delay", "log.skew"}
-    assert set(found) == {late.effect, "sensor.rotation", "sensor.gain", "sensor.crosstalk", "platform.delay"}
+    assert set(found) == {
+        late.effect,
+        "sensor.rotation",
+        "sensor.gain",
+        "sensor.crosstalk",
+        "platform.delay",
+    }
     assert late.parameters["delay"].estimate == pytest.approx(0.0043, rel=0.01)
-    assert np.linalg.norm(np.subtract(found["sensor.rotation"].parameters["angles_deg"].estimate, ASKEW)) < 0.01 * np.linalg.norm(ASKEW)
+    assert np.linalg.norm(
+        np.subtract(found["sensor.rotation"].parameters["angles_deg"].estimate, ASKEW)
+    ) < 0.01 * np.linalg.norm(ASKEW)
     assert found["sensor.gain"].parameters["factor"].estimate == pytest.approx(1.08, rel=0.01)
     assert found["sensor.crosstalk"].parameters["ratio"].estimate == pytest.approx(0.05, rel=0.01)
     assert found["platform.delay"].parameters["delay"].estimate == pytest.approx(0.0035, rel=0.01)
 
 
 @pytest.mark.parametrize(
-    ("name", "believed"), [slow("02-bumper", BELIEVED), ("13-ring-down", CAPTURED), slow("03-bumper-delay-uncompensated", BELIEVED)]
+    ("name", "believed"),
+    [
+        slow("02-bumper", BELIEVED),
+        ("13-ring-down", CAPTURED),
+        slow("03-bumper-delay-uncompensated", BELIEVED),
+    ],
 )
 def test_where_nothing_is_hidden_nothing_is_found(name: str, believed: dict[str, Any]) -> None:
     result = _measured(name, believed, {})
@@ -144,7 +184,9 @@ def test_where_nothing_is_hidden_nothing_is_found(name: str, believed: dict[str,
     assert np.abs(attitude_deg_from_quat(result.sensor.attitude)).max() < 0.1
 
 
-def test_the_folder_holds_scenarios_that_load_and_a_dataset_that_the_diagnosis_takes(bumper: Commissioned, tmp_path: Path) -> None:
+def test_the_folder_holds_scenarios_that_load_and_a_dataset_that_the_diagnosis_takes(
+    bumper: Commissioned, tmp_path: Path
+) -> None:
     folder = write_commission(bumper, tmp_path / "facility")
     assert load_scenario(folder / "nominal.yaml") == bumper.nominal
     assert load_scenario(folder / "believed.yaml").sensor.delay == 0.002
@@ -153,7 +195,8 @@ def test_the_folder_holds_scenarios_that_load_and_a_dataset_that_the_diagnosis_t
     assert set(dataset.links()) == {"platform", "contact"}
     assert len(dataset.runs) == 5
     pressed = dataset.runs[1].record.data["wrench_meas"]
-    assert pressed[:, 2].max() == pytest.approx(108.0, rel=0.02)  # a push is positive again, in P: the sign was found
+    # a push is positive again, in P: the sign was found
+    assert pressed[:, 2].max() == pytest.approx(108.0, rel=0.02)
 
 
 def test_unarmed_it_moves_nothing_and_says_so() -> None:
@@ -173,13 +216,19 @@ def test_a_force_that_is_passed_stops_it_with_the_platform_held() -> None:
 
 
 def _says_the_same(result: Commissioned, folder: Path, runs: int) -> None:
-    """The diagnosis of the first ``runs`` motions against what was measured: every effect, within 1 % of its size."""
+    """The diagnosis of the first ``runs`` motions against what was measured: every effect, within 1
+    % of its size.
+    """
     write_commission(result, folder)
     data = read_source(folder / "dataset.yaml").data
     (folder / "dataset.yaml").write_text(dump_yaml(data | {"runs": data["runs"][:runs]}))
     found = diagnose(folder / "dataset.yaml").to_json()
-    measured = _effects(result) | {"sensor.delay": {"delay": result.nominal.sensor.delay - result.believed.sensor.delay}}
-    chosen = {c["effect"]: {n: p["estimate"] for n, p in c["parameters"].items()} for c in found["causes"]}
+    measured = _effects(result) | {
+        "sensor.delay": {"delay": result.nominal.sensor.delay - result.believed.sensor.delay}
+    }
+    chosen = {
+        c["effect"]: {n: p["estimate"] for n, p in c["parameters"].items()} for c in found["causes"]
+    }
     explanations = [chosen]
     for cause in found["causes"]:
         explanations += [{e["kind"]: e for e in told} for told in cause["alternatives"]]

@@ -1,4 +1,6 @@
-"""Faults on the wire: seen in the cycle in which they happen, with their reason; and what is allowed is allowed."""
+"""Faults on the wire: seen in the cycle in which they happen, with their reason; and what is
+allowed is allowed.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +11,22 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from hiltestbed.devices.interface import Event, PlatformClient, PlatformServer, SensorClient, SensorServer
+from hiltestbed.devices.interface import (
+    Event,
+    PlatformClient,
+    PlatformServer,
+    SensorClient,
+    SensorServer,
+)
 from hiltestbed.devices.rdt import RdtServer
 from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
 from hiltestbed.devices.watch import CommunicationLimits, CommunicationWatch, Stop
 from tests.devices.running import PATIENCE, START, free_ports, going
 from tests.devices.wire import Changed, Fault, OneCycleLate, Swapped, Wire, pass_on, take_in
 
-NONE = CommunicationLimits(misses_in_a_row=0, misses_in_window=0, disturbances_in_window=0, stale=PATIENCE)
+NONE = CommunicationLimits(
+    misses_in_a_row=0, misses_in_window=0, disturbances_in_window=0, stale=PATIENCE
+)
 AT = 17  # the cycle in which something happens
 BAD = 0x80020000  # a status word: transducer saturation
 
@@ -24,7 +34,12 @@ BAD = 0x80020000  # a status word: transducer saturation
 class Rig:
     """A device, a wire and a client, moved cycle by cycle."""
 
-    def __init__(self, client: SensorClient | PlatformClient, server: SensorServer | PlatformServer, wire: Wire) -> None:
+    def __init__(
+        self,
+        client: SensorClient | PlatformClient,
+        server: SensorServer | PlatformServer,
+        wire: Wire,
+    ) -> None:
         self.client, self.server, self.wire = client, server, wire
         self.tick = 0
 
@@ -53,7 +68,9 @@ def _rdt() -> Iterator[Rig]:
     assert isinstance(server, RdtServer)
     with server:
         wire = Wire(device=server.address)
-        client = sensor_client(f"rdt://127.0.0.1:{wire.near.getsockname()[1]}?counts_per_force=1e6&counts_per_torque=1e6")
+        client = sensor_client(
+            f"rdt://127.0.0.1:{wire.near.getsockname()[1]}?counts_per_force=1e6&counts_per_torque=1e6"
+        )
         yield from _opened(Rig(client, server, wire))
 
 
@@ -72,7 +89,9 @@ def _udp() -> Iterator[Rig]:
     wire = Wire(device=("127.0.0.1", theirs), client=("127.0.0.1", ours))
     server = platform_server(f"udp://127.0.0.1:{theirs}?peer={wire.far.getsockname()[1]}")
     with server:
-        client = platform_client(f"udp://127.0.0.1:{wire.near.getsockname()[1]}?listen={ours}&connect=5")
+        client = platform_client(
+            f"udp://127.0.0.1:{wire.near.getsockname()[1]}?listen={ours}&connect=5"
+        )
         yield from _opened(Rig(client, server, wire))
 
 
@@ -109,7 +128,13 @@ def _watch(rig: Rig, limits: CommunicationLimits = NONE) -> CommunicationWatch:
     return watch
 
 
-def _run(rig: Rig, watch: CommunicationWatch, fault: Fault, cycles: int, status: Callable[[int], int] = lambda k: 0) -> int | None:
+def _run(
+    rig: Rig,
+    watch: CommunicationWatch,
+    fault: Fault,
+    cycles: int,
+    status: Callable[[int], int] = lambda k: 0,
+) -> int | None:
     """The cycle in which the watch stops; None where it does not."""
     for k in range(cycles):
         if rig.cycle(watch, fault, status(k)) is not None:
@@ -127,7 +152,8 @@ def test_an_undisturbed_connection_is_not_stopped(protocol: str) -> None:
 
 
 FAULTS: dict[str, tuple[Callable[[], Fault], int, Event]] = {
-    "lost": (lambda: Changed({AT}, lambda data: []), AT, Event.LATE),  # its absence shows in its own cycle
+    # its absence shows in its own cycle
+    "lost": (lambda: Changed({AT}, lambda data: []), AT, Event.LATE),
     "late": (lambda: OneCycleLate({AT}), AT, Event.LATE),
     "reordered": (lambda: Swapped({AT}), AT, Event.LATE),
     "burst lost": (lambda: Changed(set(range(AT, AT + 6)), lambda data: []), AT, Event.LATE),
@@ -153,7 +179,9 @@ def test_where_nothing_is_allowed_the_cycle_of_the_fault_stops(protocol: str, fa
         assert event.name.lower() in watch.stop.reason
 
 
-LENIENT = NONE.model_copy(update={"misses_in_a_row": 1, "misses_in_window": 100, "disturbances_in_window": 100})
+LENIENT = NONE.model_copy(
+    update={"misses_in_a_row": 1, "misses_in_window": 100, "disturbances_in_window": 100}
+)
 
 
 @pytest.mark.parametrize(
@@ -165,7 +193,9 @@ LENIENT = NONE.model_copy(update={"misses_in_a_row": 1, "misses_in_window": 100,
     ],
 )
 @pytest.mark.parametrize("protocol", RIGS)
-def test_one_miss_that_is_allowed_is_counted_and_does_not_stop(protocol: str, fault: Callable[[], Fault], event: Event) -> None:
+def test_one_miss_that_is_allowed_is_counted_and_does_not_stop(
+    protocol: str, fault: Callable[[], Fault], event: Event
+) -> None:
     with RIGS[protocol]() as rig:
         watch = _watch(rig, LENIENT)
         before = rig.client.counts[event]
@@ -174,7 +204,9 @@ def test_one_miss_that_is_allowed_is_counted_and_does_not_stop(protocol: str, fa
 
 
 @pytest.mark.parametrize("protocol", RIGS)
-def test_more_misses_in_a_row_than_allowed_stop_in_the_cycle_of_the_first_too_many(protocol: str) -> None:
+def test_more_misses_in_a_row_than_allowed_stop_in_the_cycle_of_the_first_too_many(
+    protocol: str,
+) -> None:
     with RIGS[protocol]() as rig:
         watch = _watch(rig, NONE.model_copy(update={"misses_in_a_row": 3, "misses_in_window": 100}))
         assert _run(rig, watch, Changed(set(range(AT, AT + 9)), lambda data: []), 60) == AT + 3
@@ -185,7 +217,9 @@ def test_more_misses_in_a_row_than_allowed_stop_in_the_cycle_of_the_first_too_ma
 @pytest.mark.parametrize("protocol", RIGS)
 @pytest.mark.parametrize("kind", ["lost", "late"])
 def test_two_in_a_hundred_stop_where_the_window_says(protocol: str, kind: str) -> None:
-    """The 11th in a window of 500 cycles, where 10 are allowed; two that follow each other are two."""
+    """The 11th in a window of 500 cycles, where 10 are allowed; two that follow each other are
+    two.
+    """
     rng = np.random.default_rng(11)
     bad = set(np.flatnonzero(rng.random(1000) < 0.02).tolist())
     misses = np.array([k in bad for k in range(1000)], dtype=int)
@@ -193,7 +227,9 @@ def test_two_in_a_hundred_stop_where_the_window_says(protocol: str, kind: str) -
     expected = int(np.argmax(windows > 10))
     assert windows[expected] == 11
     with RIGS[protocol]() as rig:
-        limits = NONE.model_copy(update={"misses_in_a_row": 5, "misses_in_window": 10, "window": 500})
+        limits = NONE.model_copy(
+            update={"misses_in_a_row": 5, "misses_in_window": 10, "window": 500}
+        )
         watch = _watch(rig, limits)
         fault = Changed(bad, lambda data: []) if kind == "lost" else OneCycleLate(bad)
         assert _run(rig, watch, fault, 1000) == expected
@@ -206,11 +242,16 @@ def test_an_error_status_stops_at_once(protocol: str) -> None:
         assert _run(rig, watch, pass_on, 60, lambda k: BAD if k >= AT else 0) == AT
         assert watch.stop is not None
         assert watch.stop.event is Event.STATUS
-        assert "the device reports an error (status 0x80020000; allowed are 0 in a row)" in watch.stop.reason
+        assert (
+            "the device reports an error (status 0x80020000; allowed are 0 in a row)"
+            in watch.stop.reason
+        )
 
 
 def test_a_device_that_refuses_is_gone() -> None:
-    """What is sent to a port that has been closed comes back: the next cycle sees it, without waiting for misses to add up."""
+    """What is sent to a port that has been closed comes back: the next cycle sees it, without
+    waiting for misses to add up.
+    """
     with _rdt() as rig:
         watch = _watch(rig, LENIENT.model_copy(update={"misses_in_a_row": 50}))
         assert _run(rig, watch, pass_on, 10) is None
@@ -225,7 +266,9 @@ def test_a_device_that_refuses_is_gone() -> None:
 
 def test_an_old_sample_stops_whatever_else_is_allowed() -> None:
     with _rdt() as rig:
-        watch = _watch(rig, CommunicationLimits(misses_in_a_row=10_000, misses_in_window=10_000, stale=1e-9))
+        watch = _watch(
+            rig, CommunicationLimits(misses_in_a_row=10_000, misses_in_window=10_000, stale=1e-9)
+        )
         stop = rig.cycle(watch, pass_on)
         assert stop is not None
         assert stop.event is Event.STALE
@@ -233,7 +276,9 @@ def test_an_old_sample_stops_whatever_else_is_allowed() -> None:
 
 
 def test_answers_that_get_lost_on_the_way_back_are_told_by_the_controller() -> None:
-    """RSI: Delay D counts what the controller did not get in time; the cycle that reads it stops."""
+    """RSI: Delay D counts what the controller did not get in time; the cycle that reads it
+    stops.
+    """
     with _rsi() as rig:
         watch = _watch(rig)
         stopped = None

@@ -68,7 +68,9 @@ def _bounce(step) -> list[float]:
     return path
 
 
-def test_a_bounce_against_the_fmu_is_that_against_what_was_packed(packed: Path, tmp_path: Path) -> None:
+def test_a_bounce_against_the_fmu_is_that_against_what_was_packed(
+    packed: Path, tmp_path: Path
+) -> None:
     scenario = tmp_path / "scenario.yaml"
     scenario.write_text("name: bounce\n", encoding="utf-8")
     side = Spring(scenario)
@@ -78,7 +80,9 @@ def test_a_bounce_against_the_fmu_is_that_against_what_was_packed(packed: Path, 
         return float(side.wrench[2])
 
     with CoSimulation(packed, COMMAND, WRENCH) as fmu:
-        np.testing.assert_array_equal(_bounce(lambda pose: fmu.step(pose, PERIOD)[2]), _bounce(directly))
+        np.testing.assert_array_equal(
+            _bounce(lambda pose: fmu.step(pose, PERIOD)[2]), _bounce(directly)
+        )
 
 
 def test_a_step_of_several_ticks_and_one_that_is_no_whole_number(packed: Path) -> None:
@@ -90,11 +94,16 @@ def test_a_step_of_several_ticks_and_one_that_is_no_whole_number(packed: Path) -
 
 
 def test_what_is_wrong_is_said(packed: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"wrench_meas.fw: is no output of type Float64 \(did you mean 'wrench_meas.f.'\?\)"):
+    with pytest.raises(
+        InputError,
+        match=r"wrench_meas.fw: is no output of type Float64 \(did you mean 'wrench_meas.f.'\?\)",
+    ):
         CoSimulation(packed, COMMAND, ["wrench_meas.fw"])
     other = tmp_path / "other.fmu"
     other.write_text("nothing", encoding="utf-8")
-    with pytest.raises(InputError, match=r"is not an FMU; give a file that a simulation tool has exported"):
+    with pytest.raises(
+        InputError, match=r"is not an FMU; give a file that a simulation tool has exported"
+    ):
         CoSimulation(other, [], [])
     with zipfile.ZipFile(other, "w") as archive:
         archive.writestr("modelDescription.xml", "<fmiModelDescription fmiVersion='3.0'/>")
@@ -107,7 +116,12 @@ def test_what_is_wrong_is_said(packed: Path, tmp_path: Path) -> None:
 
 
 RIG = Path(__file__).parents[2] / "scenarios" / "02-bumper.yaml"
-SHORT = {"duration": 0.9, "compensation.force.kind": "none", "identification": {"kind": "none"}, "sensor.noise": 0.0}
+SHORT = {
+    "duration": 0.9,
+    "compensation.force.kind": "none",
+    "identification": {"kind": "none"},
+    "sensor.noise": 0.0,
+}
 
 
 def test_the_rig_of_a_scenario_in_fmpy_bounces_as_the_run_does(tmp_path: Path) -> None:
@@ -137,7 +151,9 @@ from pythonfmu3 import Fmi3Causality, Fmi3Slave, Fmi3StepResult, Fmi3Status, Flo
 
 
 class Vehicles(Fmi3Slave):
-    """Two point masses on a line: semi-implicit, or exact for a force that is held over the step."""
+    """Two point masses on a line: semi-implicit, or exact for a force that is held over the
+    step.
+    """
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
@@ -176,7 +192,12 @@ def _vehicles(folder: Path, half: int) -> Path:
 
     scenario = load_scenario(RIG, SHORT)
     script = folder / f"vehicles_{half}.py"  # a name of its own: one Python loads them all
-    numbers = {"start": -scenario.approach.gap, "speed": scenario.approach.velocity[2], "mass": effective_mass(scenario), "half": half}
+    numbers = {
+        "start": -scenario.approach.gap,
+        "speed": scenario.approach.velocity[2],
+        "mass": effective_mass(scenario),
+        "half": half,
+    }
     script.write_text(_MODEL.format(**numbers), encoding="utf-8")
     return FmuBuilder.build_FMU(script, folder)
 
@@ -207,10 +228,14 @@ def test_the_half_tick_of_a_force_that_is_held_is_what_the_ledger_says(tmp_path:
     exact = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 1))}}
     scenario = load_scenario(RIG, slower | exact)
     change = math.log(run(scenario).summary["cor"] / run(load_scenario(RIG, slower)).summary["cor"])
-    assert change == pytest.approx(0.25 * math.pi * contact_frequency(scenario) * scenario.tick, rel=0.05)
+    assert change == pytest.approx(
+        0.25 * math.pi * contact_frequency(scenario) * scenario.tick, rel=0.05
+    )
 
 
-def test_the_bounce_of_a_users_model_is_foretold_with_the_vehicles_that_are_given(tmp_path: Path) -> None:
+def test_the_bounce_of_a_users_model_is_foretold_with_the_vehicles_that_are_given(
+    tmp_path: Path,
+) -> None:
     from hiltestbed.scenario import load_scenario
     from hiltestbed.stability import stability
 
@@ -226,6 +251,9 @@ def test_an_fmu_that_starts_elsewhere_is_refused(tmp_path: Path) -> None:
     from hiltestbed.scenario import load_scenario
     from tests.running import run
 
-    own = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))}, "approach.velocity": [0.0, 0.0, 0.01]}
+    own = {
+        "numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))},
+        "approach.velocity": [0.0, 0.0, 0.01],
+    }
     with pytest.raises(InputError, match="starts elsewhere than approach says"):
         run(load_scenario(RIG, SHORT | own))

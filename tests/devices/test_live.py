@@ -1,4 +1,6 @@
-"""`live` against `emulate` is `run`: the loop over the wire makes the run that the simulation makes."""
+"""`live` against `emulate` is `run`: the loop over the wire makes the run that the simulation
+makes.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,11 @@ from tests.slow import SLOW
 
 @pytest.mark.parametrize("platform", ["rsi", "udp"])
 def test_a_bounce_over_the_wire_is_the_bounce_of_the_simulation(platform: str) -> None:
-    """With a force that is 5 ms late and nothing done about it, which is what makes e sensitive: ln(e/e_run) far below 0.01.
+    """With a force that is 5 ms late and nothing done about it, which is what makes e sensitive:
+    ln(e/e_run) far below 0.01.
 
-    What the wire rounds is 1e-9 m (RSI) and 1e-6 N (RDT); the servo makes up to 1e-3 N of the rounded command.
+    What the wire rounds is 1e-9 m (RSI) and 1e-6 N (RDT); the servo makes up to 1e-3 N of the
+    rounded command.
     """
     scenario = scenario_of("03-bumper-delay-uncompensated", platform, duration=0.8)
     alone, live = run(scenario), played(scenario, platform).run
@@ -37,12 +41,16 @@ def test_a_bounce_over_the_wire_is_the_bounce_of_the_simulation(platform: str) -
     assert alone.trace is not None
     np.testing.assert_allclose(live.trace["pose_cmd"], alone.trace["pose_cmd"], atol=1e-7)
     np.testing.assert_allclose(live.trace["wrench_meas"], alone.trace["wrench_meas"], atol=1e-2)
-    assert live.summary["energy_generated"] == pytest.approx(alone.summary["energy_generated"], rel=0.02)
+    assert live.summary["energy_generated"] == pytest.approx(
+        alone.summary["energy_generated"], rel=0.02
+    )
 
 
 @pytest.mark.parametrize("platform", ["rsi", "udp"])
 def test_a_docking_over_the_wire_is_the_docking_of_the_simulation(platform: str) -> None:
-    """Six axes, friction, a lateral offset. e is read off a body that turns: when it is read, makes half a per cent."""
+    """Six axes, friction, a lateral offset. e is read off a body that turns: when it is read, makes
+    half a per cent.
+    """
     scenario = scenario_of("11-rim-bounce", platform, duration=1.6)
     alone, live = run(scenario), played(scenario, platform).run
     assert live.summary["status"] == "completed"
@@ -54,7 +62,9 @@ def test_a_docking_over_the_wire_is_the_docking_of_the_simulation(platform: str)
 
 
 def test_no_kernel_is_bound_anew_in_a_later_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Binding takes several times as long as the kernel: of 100 cycles and of 300 it takes place equally often."""
+    """Binding takes several times as long as the kernel: of 100 cycles and of 300 it takes place
+    equally often.
+    """
     counted, bind = [0, 0], bound.bound
     for i, duration in enumerate((0.1, 0.3)):
 
@@ -64,12 +74,15 @@ def test_no_kernel_is_bound_anew_in_a_later_cycle(monkeypatch: pytest.MonkeyPatc
 
         monkeypatch.setattr(bound, "bound", counting)
         played(scenario_of("02-bumper", "udp", duration=duration), "udp")
-    assert abs(counted[1] - counted[0]) < 50  # whether a cycle more takes place before the run begins depends on the machine
+    # whether a cycle more takes place before the run begins depends on the machine
+    assert abs(counted[1] - counted[0]) < 50
     assert counted[1] > 0
 
 
 def test_a_delay_that_nobody_told_the_loop_shows_as_it_does_in_the_simulation() -> None:
-    """The rig's delay is in the rig: `run` with the same delay, and the compensation that believes in none, is the measure."""
+    """The rig's delay is in the rig: `run` with the same delay, and the compensation that believes
+    in none, is the measure.
+    """
     believed = scenario_of("03-bumper-delay-uncompensated", "udp", duration=0.8, sensor__delay=0.0)
     hidden = scenario_of("03-bumper-delay-uncompensated", "udp", duration=0.8, sensor__delay=0.0043)
     alone, live = run(hidden), played(believed, "udp", emulated=hidden).run
@@ -77,7 +90,9 @@ def test_a_delay_that_nobody_told_the_loop_shows_as_it_does_in_the_simulation() 
 
 
 def test_mounted_elsewhere_it_is_the_same_run() -> None:
-    """Sensor turned and upside down, platform on a base and with a tool of its own: the loop's side undoes what the devices' side does."""
+    """Sensor turned and upside down, platform on a base and with a tool of its own: the loop's side
+    undoes what the devices' side does.
+    """
     mounted = {
         "devices.sensor.position": [0.1, -0.05, 0.3],
         "devices.sensor.attitude_deg": [20.0, -35.0, 110.0],
@@ -86,7 +101,12 @@ def test_mounted_elsewhere_it_is_the_same_run() -> None:
         "devices.platform.tool": {"position": [0.0, 0.02, 0.15], "attitude_deg": [5.0, 0.0, 45.0]},
     }
     straight = scenario_of("02-bumper", "rsi", duration=0.8)
-    turned = scenario_of("02-bumper", "rsi", duration=0.8, **{key.replace(".", "__"): value for key, value in mounted.items()})
+    turned = scenario_of(
+        "02-bumper",
+        "rsi",
+        duration=0.8,
+        **{key.replace(".", "__"): value for key, value in mounted.items()},
+    )
     one, other = played(straight, "rsi").run, played(turned, "rsi").run
     assert one.trace is not None
     assert other.trace is not None
@@ -132,17 +152,60 @@ def test_the_rows_are_on_disk_as_they_come(tmp_path: Path) -> None:
 @SLOW
 @pytest.mark.parametrize("platform", ["rsi", "udp"])
 def test_two_processes_in_real_time(platform: str, tmp_path: Path) -> None:
-    """By the commands themselves; misses are counted, and e is that of the simulation where few have been missed."""
+    """By the commands themselves; misses are counted, and e is that of the simulation where few
+    have been missed.
+    """
     urls, name = urls_of(platform), str(SCENARIOS / "reference-bumper.yaml")
-    sets = ["--set", f"rate={250 if platform == 'rsi' else 1000}", "--set", "physics_rate=4000", "--set", "devices.watchdog=null"]
-    sets += ["--set", "devices.communication={misses_in_a_row: 1000, misses_in_window: 1000, disturbances_in_window: 1000, stale: 5.0}"]
+    sets = [
+        "--set",
+        f"rate={250 if platform == 'rsi' else 1000}",
+        "--set",
+        "physics_rate=4000",
+        "--set",
+        "devices.watchdog=null",
+    ]
+    sets += [
+        "--set",
+        "devices.communication={misses_in_a_row: 1000, misses_in_window: 1000, "
+        "disturbances_in_window: 1000, stale: 5.0}",
+    ]
     program = [sys.executable, "-m", "hiltestbed.cli"]
-    emulated = ["emulate", name, *sets, "--sensor", urls.emulated_sensor, "--platform", urls.emulated_platform, "--for", "25", "--json"]
-    with subprocess.Popen([*program, *emulated], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as device:
+    emulated = [
+        "emulate",
+        name,
+        *sets,
+        "--sensor",
+        urls.emulated_sensor,
+        "--platform",
+        urls.emulated_platform,
+        "--for",
+        "25",
+        "--json",
+    ]
+    with subprocess.Popen(
+        [*program, *emulated], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as device:
         assert device.stderr is not None
         device.stderr.readline()
-        options = ["--sensor", urls.sensor, "--platform", urls.platform, "--arm", "--out", str(tmp_path / "run"), "--for", "1.5", "--json"]
-        done = subprocess.run([*program, "live", name, *sets, *options], capture_output=True, text=True, check=False, timeout=60)
+        options = [
+            "--sensor",
+            urls.sensor,
+            "--platform",
+            urls.platform,
+            "--arm",
+            "--out",
+            str(tmp_path / "run"),
+            "--for",
+            "1.5",
+            "--json",
+        ]
+        done = subprocess.run(
+            [*program, "live", name, *sets, *options],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
         device.terminate()
         told = json.loads(device.communicate()[0])
     assert done.returncode == 0, done.stderr
@@ -159,12 +222,37 @@ def test_a_device_that_is_killed_leaves_a_whole_run_and_no_traceback(tmp_path: P
     urls, name = urls_of("udp"), str(SCENARIOS / "reference-bumper.yaml")
     sets = ["--set", "rate=1000", "--set", "physics_rate=4000"]
     program = [sys.executable, "-m", "hiltestbed.cli"]
-    emulated = ["emulate", name, *sets, "--sensor", urls.emulated_sensor, "--platform", urls.emulated_platform]
-    options = ["--sensor", urls.sensor, "--platform", urls.platform, "--arm", "--out", str(tmp_path / "run"), "--for", "60"]
-    with subprocess.Popen([*program, *emulated], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as device:
+    emulated = [
+        "emulate",
+        name,
+        *sets,
+        "--sensor",
+        urls.emulated_sensor,
+        "--platform",
+        urls.emulated_platform,
+    ]
+    options = [
+        "--sensor",
+        urls.sensor,
+        "--platform",
+        urls.platform,
+        "--arm",
+        "--out",
+        str(tmp_path / "run"),
+        "--for",
+        "60",
+    ]
+    with subprocess.Popen(
+        [*program, *emulated], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as device:
         assert device.stderr is not None
         device.stderr.readline()
-        with subprocess.Popen([*program, "live", name, *sets, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as loop:
+        with subprocess.Popen(
+            [*program, "live", name, *sets, *options],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as loop:
             assert loop.stderr is not None
             assert "armed" in loop.stderr.readline()
             time.sleep(3.0)  # it runs for a minute where nobody kills its devices
@@ -174,21 +262,30 @@ def test_a_device_that_is_killed_leaves_a_whole_run_and_no_traceback(tmp_path: P
     assert "Traceback" not in told
     kept = read_run(tmp_path / "run")
     assert kept.summary["status"] == "stopped"
-    assert "sensor rdt://" in kept.summary["stop_reason"] or "platform udp://" in kept.summary["stop_reason"]
+    assert (
+        "sensor rdt://" in kept.summary["stop_reason"]
+        or "platform udp://" in kept.summary["stop_reason"]
+    )
 
 
 def test_a_sensor_that_tells_its_rate_is_asked_for_it() -> None:
-    """A sensor at 4 kHz behind a platform at 1 kHz: its own rate stands on its page, and is not taken for the loop's."""
+    """A sensor at 4 kHz behind a platform at 1 kHz: its own rate stands on its page, and is not
+    taken for the loop's.
+    """
     from hiltestbed.devices.rdt import RdtServer
     from hiltestbed.devices.session import Options, clients
     from hiltestbed.devices.table import sensor_server
     from tests.devices.running import going
 
-    server = sensor_server("rdt://127.0.0.1:0?http=0&rate=4000&counts_per_force=1e6&counts_per_torque=1e6")
+    server = sensor_server(
+        "rdt://127.0.0.1:0?http=0&rate=4000&counts_per_force=1e6&counts_per_torque=1e6"
+    )
     assert isinstance(server, RdtServer)
     with server:
         assert server.http is not None
         url = f"rdt://127.0.0.1:{server.address[1]}?http={server.http.port}"
-        sensor, _ = clients(scenario_of("02-bumper", "udp"), Options(url, "udp://127.0.0.1:5005?listen=5006"))
+        sensor, _ = clients(
+            scenario_of("02-bumper", "udp"), Options(url, "udp://127.0.0.1:5005?listen=5006")
+        )
         with going(lambda: server.publish(np.zeros(6), 0.0), 0.001), sensor:
             assert sensor.period == pytest.approx(1.0 / 4000.0)

@@ -1,4 +1,6 @@
-"""Faults on the wire while the loop runs: it stops in their cycle, the platform is held or backs out, and a whole run comes of it."""
+"""Faults on the wire while the loop runs: it stops in their cycle, the platform is held or backs
+out, and a whole run comes of it.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,17 @@ from hiltestbed.recording import read_run, write_run
 from hiltestbed.scenario import Scenario
 from tests.devices.lockstep import played, scenario_of
 
-STRICT = CommunicationLimits(misses_in_a_row=0, misses_in_window=0, disturbances_in_window=0, stale=1000.0)
+STRICT = CommunicationLimits(
+    misses_in_a_row=0, misses_in_window=0, disturbances_in_window=0, stale=1000.0
+)
 SATURATED = 0x80020000  # a status word of RDT
 
 
 def _strict(platform: str, **changes: object) -> Scenario:
     scenario = scenario_of("02-bumper", platform, duration=0.5, **changes)
-    return scenario.model_copy(update={"devices": scenario.devices.model_copy(update={"communication": STRICT})})
+    return scenario.model_copy(
+        update={"devices": scenario.devices.model_copy(update={"communication": STRICT})}
+    )
 
 
 def _sends(link: Link, change: Callable[[bytes], list[bytes]]) -> None:
@@ -86,14 +92,20 @@ class Fault:
         return (self.who,)
 
 
-CASES = [(kind, who) for kind in ("lost", "late", "reordered", "truncated", "repeated", "gone") for who in ("sensor", "platform")]
+CASES = [
+    (kind, who)
+    for kind in ("lost", "late", "reordered", "truncated", "repeated", "gone")
+    for who in ("sensor", "platform")
+]
 TRAVEL, TOUCHED = 15, 700  # cycles after arming at 1 kHz: on the way to the start, and in contact
 
 
 @pytest.mark.parametrize("at", [TRAVEL, TOUCHED])
 @pytest.mark.parametrize(("kind", "who"), [*CASES, ("status", "sensor")])
 def test_a_fault_stops_the_run_in_its_cycle(kind: str, who: str, at: int, tmp_path: Path) -> None:
-    """Where nothing is allowed. A record that comes twice is seen with the next one at the latest; all others in their own cycle."""
+    """Where nothing is allowed. A record that comes twice is seen with the next one at the latest;
+    all others in their own cycle.
+    """
     sent: list[int] = []
 
     def watched(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
@@ -109,7 +121,10 @@ def test_a_fault_stops_the_run_in_its_cycle(kind: str, who: str, at: int, tmp_pa
     assert at <= sent[-1] <= at + (kind == "repeated")
     assert ("before the start" in summary["stop_reason"]) is (at == TRAVEL)
     if (kind, who) != ("gone", "platform"):
-        np.testing.assert_allclose(outcome.emulator.platform.command, outcome.session.rig.last, atol=1e-12)  # held
+        # held
+        np.testing.assert_allclose(
+            outcome.emulator.platform.command, outcome.session.rig.last, atol=1e-12
+        )
     if at == TOUCHED:
         assert summary["peak_force"] > 10.0
     write_run(outcome.run, tmp_path / "run", rerun=False)
@@ -126,10 +141,16 @@ def test_a_robot_that_fails_stops_the_run_in_its_cycle(kind: str) -> None:
 
 
 def test_two_in_a_hundred_lost_within_the_limits_are_counted_and_change_e_by_little() -> None:
-    """The loop goes on without the record: the force is held for a tick, and time does not stand still."""
+    """The loop goes on without the record: the force is held for a tick, and time does not stand
+    still.
+    """
     scenario = scenario_of("02-bumper", "udp", duration=0.8)
-    lenient = STRICT.model_copy(update={"misses_in_a_row": 5, "misses_in_window": 1000, "disturbances_in_window": 1000})
-    scenario = scenario.model_copy(update={"devices": scenario.devices.model_copy(update={"communication": lenient})})
+    lenient = STRICT.model_copy(
+        update={"misses_in_a_row": 5, "misses_in_window": 1000, "disturbances_in_window": 1000}
+    )
+    scenario = scenario.model_copy(
+        update={"devices": scenario.devices.model_copy(update={"communication": lenient})}
+    )
     bad = set(np.flatnonzero(np.random.default_rng(4).random(2000) < 0.02).tolist())
 
     def lose(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
@@ -143,22 +164,32 @@ def test_two_in_a_hundred_lost_within_the_limits_are_counted_and_change_e_by_lit
 
 
 def test_a_lost_record_of_the_clock_costs_its_tick_and_not_the_time_base() -> None:
-    """The platform's record is lost five times: the loop still makes as many ticks as the devices, and ends where it would have."""
+    """The platform's record is lost five times: the loop still makes as many ticks as the devices,
+    and ends where it would have.
+    """
     scenario = scenario_of("01-free-flight", "udp", duration=0.4)
     lenient = STRICT.model_copy(update={"misses_in_a_row": 5, "misses_in_window": 1000})
-    scenario = scenario.model_copy(update={"devices": scenario.devices.model_copy(update={"communication": lenient})})
+    scenario = scenario.model_copy(
+        update={"devices": scenario.devices.model_copy(update={"communication": lenient})}
+    )
 
     def lose(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
-        return Fault("lost", "platform", cycle)(cycle, emulator, session) if cycle % 100 == 50 else ()
+        return (
+            Fault("lost", "platform", cycle)(cycle, emulator, session) if cycle % 100 == 50 else ()
+        )
 
     outcome = played(scenario, "udp", lose)
     assert outcome.run.summary["status"] == "completed"
     assert outcome.run.trace is not None
-    np.testing.assert_allclose(outcome.run.trace["pose_act"], outcome.run.trace["pose_cmd"], atol=2e-3)
+    np.testing.assert_allclose(
+        outcome.run.trace["pose_act"], outcome.run.trace["pose_cmd"], atol=2e-3
+    )
 
 
 def test_the_platform_backs_out_where_it_is_told_to() -> None:
-    """With the sensor gone, in contact: 20 mm along -z of P from where it was held, no matter that the sensor stays silent."""
+    """With the sensor gone, in contact: 20 mm along -z of P from where it was held, no matter that
+    the sensor stays silent.
+    """
     scenario = _strict("udp", devices__on_stop__kind="retract")
     outcome = played(scenario, "udp", Fault("gone", "sensor", TOUCHED))
     assert outcome.run.trace is not None
@@ -189,11 +220,15 @@ def test_a_limit_stops_the_run_before_anything_beyond_it_is_sent(key: str) -> No
     if key == "devices.limits.position":  # it stands beyond the limit: nothing at all is sent
         assert outcome.emulator.rig.pose[2] == pytest.approx(-scenario.approach.gap, abs=1e-6)
     else:
-        np.testing.assert_allclose(outcome.emulator.platform.command, outcome.session.rig.last, atol=1e-12)
+        np.testing.assert_allclose(
+            outcome.emulator.platform.command, outcome.session.rig.last, atol=1e-12
+        )
 
 
 def _rubbish(random_: random.Random, template: bytes) -> bytes:
-    """Random bytes, or a good datagram that was cut, lengthened or has had its length kept and its sense lost."""
+    """Random bytes, or a good datagram that was cut, lengthened or has had its length kept and its
+    sense lost.
+    """
     kind = random_.randrange(4)
     if kind == 0:
         return random_.randbytes(random_.randrange(1, 400))
@@ -209,9 +244,14 @@ def test_a_thousand_malformed_datagrams_change_nothing(platform: str) -> None:
     """From a stranger and from the devices' own ports: the trace is the same to the last bit."""
     scenario = scenario_of("02-bumper", platform, duration=0.5)
     lenient = STRICT.model_copy(update={"disturbances_in_window": 1_000_000})
-    scenario = scenario.model_copy(update={"devices": scenario.devices.model_copy(update={"communication": lenient})})
+    scenario = scenario.model_copy(
+        update={"devices": scenario.devices.model_copy(update={"communication": lenient})}
+    )
     chance, stranger, count = random.Random(12), socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0
-    record, telegram = bytes(RECORD.size), b'<Rob Type="KUKA"><RIst X="1" Y="0" Z="0" A="0" B="0" C="0"/><IPOC>7</IPOC></Rob>'
+    record, telegram = (
+        bytes(RECORD.size),
+        b'<Rob Type="KUKA"><RIst X="1" Y="0" Z="0" A="0" B="0" C="0"/><IPOC>7</IPOC></Rob>',
+    )
 
     def pelt(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
         nonlocal count
@@ -219,8 +259,8 @@ def test_a_thousand_malformed_datagrams_change_nothing(platform: str) -> None:
         assert isinstance(sensor, RdtServer)
         assert sensor._socket is not None
         assert sensor._client is not None
-        own = moved._receiver.socket if isinstance(moved, UdpPlatformServer) else getattr(moved, "_socket")  # noqa: B009
-        towards = moved._peer if isinstance(moved, UdpPlatformServer) else getattr(moved, "_towards")  # noqa: B009
+        own = moved._receiver.socket if isinstance(moved, UdpPlatformServer) else moved._socket
+        towards = moved._peer if isinstance(moved, UdpPlatformServer) else moved._towards
         assert own is not None
         for _ in range(2):
             sensor._socket.sendto(_rubbish(chance, record), sensor._client)

@@ -1,4 +1,6 @@
-"""`live` and `emulate` against devices and clients that were written from the protocols' descriptions and share nothing with them."""
+"""`live` and `emulate` against devices and clients that were written from the protocols'
+descriptions and share nothing with them.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +17,24 @@ from tests.devices.lockstep import scenario_of
 from tests.devices.running import free_ports
 
 COUNTS = 1e6
-LENIENT = CommunicationLimits(misses_in_a_row=1_000_000, misses_in_window=1_000_000, disturbances_in_window=1_000_000, stale=1000.0)
+LENIENT = CommunicationLimits(
+    misses_in_a_row=1_000_000,
+    misses_in_window=1_000_000,
+    disturbances_in_window=1_000_000,
+    stale=1000.0,
+)
 
 
 def test_an_independent_robot_and_sensor_play_a_run() -> None:
-    """A free flight: the robot, whose next cycle begins when it has its answer, goes where the numerical model goes."""
-    scenario = scenario_of("02-bumper", "rsi", duration=0.3, approach__gap=0.1, approach__velocity=[0.01, -0.02, 0.04])
-    scenario = scenario.model_copy(update={"devices": scenario.devices.model_copy(update={"communication": LENIENT})})
+    """A free flight: the robot, whose next cycle begins when it has its answer, goes where the
+    numerical model goes.
+    """
+    scenario = scenario_of(
+        "02-bumper", "rsi", duration=0.3, approach__gap=0.1, approach__velocity=[0.01, -0.02, 0.04]
+    )
+    scenario = scenario.model_copy(
+        update={"devices": scenario.devices.model_copy(update={"communication": LENIENT})}
+    )
     (port,) = free_ports(1)
     robot = IndependentRobot(port, position=(0.0, 0.0, -0.1), angles=(0.0, 0.0, 0.0), patience=0.5)
     sensor = IndependentRdtSensor(lambda k: [7_000_000, 0, 0, 0, 0, 0])  # 7 N before the tare
@@ -42,14 +55,23 @@ def test_an_independent_robot_and_sensor_play_a_run() -> None:
     np.testing.assert_allclose(run.trace["wrench_meas"], 0.0, atol=1e-9)
     expected = np.array([0.0, 0.0, -0.1]) + 0.3 * np.array([0.01, -0.02, 0.04])
     np.testing.assert_allclose(run.trace["pose_cmd"][-1, :3], expected, atol=1e-6)
-    np.testing.assert_allclose(followed, session.rig.last[:3], atol=1e-6)  # and then to rest, half a run-up further
-    np.testing.assert_allclose(followed, expected + 0.5 * 0.2 * np.array([0.01, -0.02, 0.04]), atol=1e-4)
+    # and then to rest, half a run-up further
+    np.testing.assert_allclose(followed, session.rig.last[:3], atol=1e-6)
+    np.testing.assert_allclose(
+        followed, expected + 0.5 * 0.2 * np.array([0.01, -0.02, 0.04]), atol=1e-4
+    )
 
 
 def test_independent_clients_move_the_emulated_rig_and_read_its_force() -> None:
-    """Pressed 1 mm into a spring of 1e5 N/m: 100 N, by a client of RDT and a sensor system of RSI of others."""
+    """Pressed 1 mm into a spring of 1e5 N/m: 100 N, by a client of RDT and a sensor system of RSI
+    of others.
+    """
     scenario = scenario_of(
-        "02-bumper", "rsi", sensor__delay=0.0, rig__platform__tracking="ideal", mechanism__contact={"stiffness": 1.0e5, "damping": 0.0}
+        "02-bumper",
+        "rsi",
+        sensor__delay=0.0,
+        rig__platform__tracking="ideal",
+        mechanism__contact={"stiffness": 1.0e5, "damping": 0.0},
     )
     system = IndependentSensorSystem()
     emulator = Emulator(scenario, "rdt://127.0.0.1:0", f"rsi://127.0.0.1:{system.port}")
@@ -61,7 +83,8 @@ def test_independent_clients_move_the_emulated_rig_and_read_its_force() -> None:
         for k in range(60):
             emulator.cycle()
             told, record = system.receive(), client.records()[0]
-            system.answer([0.0, 0.0, 11.0 * min(1.0, (k + 1) / 50), 0.0, 0.0, 0.0])  # mm from -10 to +1
+            # mm from -10 to +1
+            system.answer([0.0, 0.0, 11.0 * min(1.0, (k + 1) / 50), 0.0, 0.0, 0.0])
             while not emulator.platform.wait(1.0):
                 pass
         client.close()

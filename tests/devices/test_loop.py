@@ -1,7 +1,9 @@
-"""A bounce with its physical side behind each protocol is the bounce without one, to the resolution of the records.
+"""A bounce with its physical side behind each protocol is the bounce without one, to the resolution
+of the records.
 
-Cycle k: the device publishes the wrench and the pose at t_k; the loop takes both in, moves its mass on by a tick and commands where it is
-to be at t_(k+1); the device takes that in and is there. No clock is waited for.
+Cycle k: the device publishes the wrench and the pose at t_k; the loop takes both in, moves its mass
+on by a tick and commands where it is to be at t_(k+1); the device takes that in and is there. No
+clock is waited for.
 """
 
 from __future__ import annotations
@@ -13,7 +15,14 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 
-from hiltestbed.devices.interface import Event, Link, PlatformClient, PlatformServer, SensorClient, SensorServer
+from hiltestbed.devices.interface import (
+    Event,
+    Link,
+    PlatformClient,
+    PlatformServer,
+    SensorClient,
+    SensorServer,
+)
 from hiltestbed.devices.rdt import RdtServer
 from hiltestbed.devices.rtde_controller import RtdePlatformServer, RtdeSensorServer
 from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
@@ -47,13 +56,18 @@ class Mass:
 
 
 def _urls(sensor: str, platform: str) -> tuple[str, str, str, str]:
-    """Of sensor client, sensor server, platform client, platform server; rdt and rtde servers find a port of their own."""
+    """Of sensor client, sensor server, platform client, platform server; rdt and rtde servers find
+    a port of their own.
+    """
     a, b, c, d = free_ports(4)
     name = f"shm://hiltestbed-test-{os.getpid()}-loop"
     udp_sensor = f"udp://127.0.0.1:{a}?listen={b}&connect=5", f"udp://127.0.0.1:{a}?peer={b}"
     udp_platform = f"udp://127.0.0.1:{c}?listen={d}&connect=5", f"udp://127.0.0.1:{c}?peer={d}"
     both = {
-        "rdt": ("rdt://127.0.0.1:{port}?counts_per_force=1e6&counts_per_torque=1e6", "rdt://127.0.0.1:0"),
+        "rdt": (
+            "rdt://127.0.0.1:{port}?counts_per_force=1e6&counts_per_torque=1e6",
+            "rdt://127.0.0.1:0",
+        ),
         "rtde": ("rtde://127.0.0.1:{port}?rate=250&connect=5", "rtde://127.0.0.1:0?rate=250"),
         "rsi": (f"rsi://127.0.0.1:{c}?connect=5", f"rsi://127.0.0.1:{c}"),
         "shm": (name, name),
@@ -64,11 +78,17 @@ def _urls(sensor: str, platform: str) -> tuple[str, str, str, str]:
 def _port(server: Link) -> int:
     if isinstance(server, RdtServer):
         return server.address[1]
-    return server.controller.address[1] if isinstance(server, RtdeSensorServer | RtdePlatformServer) else 0
+    return (
+        server.controller.address[1]
+        if isinstance(server, RtdeSensorServer | RtdePlatformServer)
+        else 0
+    )
 
 
 @contextmanager
-def _connected(sensor: str, platform: str) -> Iterator[tuple[SensorClient, SensorServer, PlatformClient, PlatformServer, Callable]]:
+def _connected(
+    sensor: str, platform: str
+) -> Iterator[tuple[SensorClient, SensorServer, PlatformClient, PlatformServer, Callable]]:
     a, b, c, d = _urls(sensor, platform)
     with ExitStack() as stack:
         felt, moved = stack.enter_context(sensor_server(b)), stack.enter_context(platform_server(d))
@@ -80,7 +100,10 @@ def _connected(sensor: str, platform: str) -> Iterator[tuple[SensorClient, Senso
             felt.publish(rig.wrench, PERIOD * tick)
             moved.publish(rig.pose, PERIOD * tick)
 
-        reads, moves = sensor_client(a.format(port=_port(felt))), platform_client(c.format(port=_port(moved)))
+        reads, moves = (
+            sensor_client(a.format(port=_port(felt))),
+            platform_client(c.format(port=_port(moved))),
+        )
         still = Rig()
         with going(lambda: publish(still), 0.001):
             stack.enter_context(reads)

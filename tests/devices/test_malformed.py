@@ -1,4 +1,6 @@
-"""A thousand datagrams that are none of the protocol's: nothing that the loop or the device goes by changes."""
+"""A thousand datagrams that are none of the protocol's: nothing that the loop or the device goes by
+changes.
+"""
 
 from __future__ import annotations
 
@@ -33,20 +35,30 @@ def _state(link: Link) -> list:
     else:
         assert isinstance(link, PlatformServer)
         return [link.command.tolist(), link.commanded, link.stopped]
-    return [values.tolist(), sample.sequence, repr(sample.device_time), sample.status, sample.arrival]
+    return [
+        values.tolist(),
+        sample.sequence,
+        repr(sample.device_time),
+        sample.status,
+        sample.arrival,
+    ]
 
 
 def _rubbish(rng: np.random.Generator, longest: int = 200) -> bytes:
     return rng.bytes(int(rng.integers(0, longest)))
 
 
-def _throw(link: Link, sender: socket.socket, towards: tuple[str, int], make: Callable[[int], bytes]) -> None:
+def _throw(
+    link: Link, sender: socket.socket, towards: tuple[str, int], make: Callable[[int], bytes]
+) -> None:
     """Send a thousand, and see that each is rejected and nothing has changed."""
     state, before = _state(link), link.counts.copy()
     for k in range(COUNT):
         sender.sendto(make(k), towards)
         if k % 50 == 49:
-            until(lambda k=k: link.poll() or int((link.counts - before)[TURNED_AWAY].sum()) >= k + 1)
+            until(
+                lambda k=k: link.poll() or int((link.counts - before)[TURNED_AWAY].sum()) >= k + 1
+            )
     assert _state(link) == state
     happened = link.counts - before
     assert happened[Event.MALFORMED] >= 0.9 * COUNT
@@ -62,7 +74,9 @@ def _udp_socket(port: int = 0) -> socket.socket:
 def test_rdt_client() -> None:
     rng = np.random.default_rng(1)
     device = _udp_socket()
-    client = sensor_client(f"rdt://127.0.0.1:{device.getsockname()[1]}?counts_per_force=1&counts_per_torque=1")
+    client = sensor_client(
+        f"rdt://127.0.0.1:{device.getsockname()[1]}?counts_per_force=1&counts_per_torque=1"
+    )
     device.setblocking(False)
     answered: list[tuple[str, int]] = []
 
@@ -76,7 +90,14 @@ def test_rdt_client() -> None:
     with going(stream):
         client.open()
     # of 36 bytes too: a number of the record that cannot follow the last one is not believed
-    _throw(client, device, answered[-1], lambda k: rng.bytes(36) if k % 3 == 0 else rng.bytes(36 * int(rng.integers(0, 4)) + 1 + k % 35))
+    _throw(
+        client,
+        device,
+        answered[-1],
+        lambda k: (
+            rng.bytes(36) if k % 3 == 0 else rng.bytes(36 * int(rng.integers(0, 4)) + 1 + k % 35)
+        ),
+    )
     client.close()
     device.close()
 
@@ -130,7 +151,11 @@ def _telegram(rng: np.random.Generator, k: int) -> bytes:
     if k % 3 == 0:
         return _rubbish(rng, 1000)
     good = GOOD.format(x="12.5", ipoc=9_000_008).encode()
-    return good[: int(rng.integers(1, len(good)))] if k % 3 == 1 else rng.permutation(np.frombuffer(good, np.uint8)).tobytes()
+    return (
+        good[: int(rng.integers(1, len(good)))]
+        if k % 3 == 1
+        else rng.permutation(np.frombuffer(good, np.uint8)).tobytes()
+    )
 
 
 def test_rsi_client() -> None:
@@ -159,7 +184,12 @@ def test_rsi_server() -> None:
         with server:
             server.publish(START, 0.0)
             data, robot = system.recvfrom(4096)
-            _throw(server, system, robot, lambda k: _telegram(rng, k).replace(b"Rob", b"Sen").replace(b"RIst", b"RKorr"))
+            _throw(
+                server,
+                system,
+                robot,
+                lambda k: _telegram(rng, k).replace(b"Rob", b"Sen").replace(b"RIst", b"RKorr"),
+            )
             assert data.startswith(b"<Rob")
 
 
@@ -191,13 +221,23 @@ def test_udp_client(part: str) -> None:
 def test_udp_server() -> None:
     ours, theirs = free_ports(2)
     rng = np.random.default_rng(6)
-    with platform_server(f"udp://127.0.0.1:{theirs}?peer={ours}") as server, _udp_socket(ours) as client:
+    with (
+        platform_server(f"udp://127.0.0.1:{theirs}?peer={ours}") as server,
+        _udp_socket(ours) as client,
+    ):
         server.publish(START, 0.0)
-        _throw(server, client, ("127.0.0.1", theirs), lambda k: rng.bytes(84) if k % 2 else _rubbish(rng))
+        _throw(
+            server,
+            client,
+            ("127.0.0.1", theirs),
+            lambda k: rng.bytes(84) if k % 2 else _rubbish(rng),
+        )
 
 
 def test_rtde_client() -> None:
-    """Packages with the right frame and the wrong inside; then bytes that are no package at all, which end the connection."""
+    """Packages with the right frame and the wrong inside; then bytes that are no package at all,
+    which end the connection.
+    """
     rng = np.random.default_rng(7)
     values = {"actual_TCP_pose": [0.1] * 6, "safety_status_bits": [1], "robot_status_bits": [3]}
     inside = {"thrown": 0}
@@ -238,7 +278,9 @@ def test_rtde_server() -> None:
         for k in range(COUNT):
             with socket.create_connection(server.controller.address, 2.0) as stranger:
                 data = rng.bytes(int(rng.integers(3, 60)))
-                stranger.sendall(data if k % 2 else struct.pack("!HB", 3 + len(data), ord("UIO"[k % 3])) + data)
+                stranger.sendall(
+                    data if k % 2 else struct.pack("!HB", 3 + len(data), ord("UIO"[k % 3])) + data
+                )
             server.poll()
         until(lambda: server.poll() or not server.controller._clients)
         assert _state(server) == state

@@ -11,7 +11,9 @@ from hiltestbed.devices import poses
 
 def _poses(count: int, seed: int = 1) -> list[np.ndarray]:
     rng = np.random.default_rng(seed)
-    return [np.concatenate([rng.normal(size=3), r.as_quat()]) for r in Rotation.random(count, rng=rng)]
+    return [
+        np.concatenate([rng.normal(size=3), r.as_quat()]) for r in Rotation.random(count, rng=rng)
+    ]
 
 
 def _same(pose: np.ndarray, other: np.ndarray) -> None:
@@ -60,6 +62,8 @@ def test_offsets_in_base_and_tool_axes() -> None:
         r0, r1 = Rotation.from_quat(start[3:]), Rotation.from_quat(pose[3:])
         base, tool = poses.offset_in_base(start, pose), poses.offset_in_tool(start, pose)
         _same(base, np.concatenate([pose[:3] - start[:3], (r1 * r0.inv()).as_quat()]))
-        _same(tool, np.concatenate([r0.inv().apply(pose[:3] - start[:3]), (r0.inv() * r1).as_quat()]))
+        _same(
+            tool, np.concatenate([r0.inv().apply(pose[:3] - start[:3]), (r0.inv() * r1).as_quat()])
+        )
         _same(poses.add_in_base(start, base), pose)
         _same(poses.add_in_tool(start, tool), pose)

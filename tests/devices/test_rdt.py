@@ -102,7 +102,9 @@ def test_counts_end_at_the_limits_of_the_record() -> None:
 
 def test_the_client_reads_an_independent_sensor() -> None:
     sensor = IndependentRdtSensor(lambda k: [k, -k, 1000 * k, 2 * k, -3 * k, 10 * k])
-    with _client(sensor.port, "counts_per_force=1000&counts_per_torque=1e4&internal_rate=3500") as client:
+    with _client(
+        sensor.port, "counts_per_force=1000&counts_per_torque=1e4&internal_rate=3500"
+    ) as client:
         assert sensor.requests[0] == bytes.fromhex("1234000200000000")
         for _ in range(20):
             assert client.wait(5.0)
@@ -113,7 +115,8 @@ def test_the_client_reads_an_independent_sensor() -> None:
         assert client.counts[Event.LOST] == client.counts[Event.MALFORMED] == 0
         client.bias()
         until(lambda: sensor.requests[-1] == bytes.fromhex("1234004200000000"))
-    until(lambda: sensor.requests[-1] == bytes.fromhex("1234000000000000"))  # closing stops the stream
+    # closing stops the stream
+    until(lambda: sensor.requests[-1] == bytes.fromhex("1234000000000000"))
     sensor.close()
 
 
@@ -151,12 +154,18 @@ def test_a_sensor_that_stands_still_and_one_with_an_error_give_nothing_new() -> 
 
 
 def test_the_configuration_page_tells_the_scale() -> None:
-    with _server("counts_per_force=12345&counts_per_torque=678&force_unit=kN&torque_unit=N-mm&rate=500&http=0") as server:
+    with _server(
+        "counts_per_force=12345&counts_per_torque=678&force_unit=kN&torque_unit=N-mm&rate=500&http=0"
+    ) as server:
         assert server.http is not None
-        page = urllib.request.urlopen(f"http://127.0.0.1:{server.http.port}/netftapi2.xml", timeout=5.0).read()
+        page = urllib.request.urlopen(
+            f"http://127.0.0.1:{server.http.port}/netftapi2.xml", timeout=5.0
+        ).read()
         root = ElementTree.fromstring(page)
         assert root.tag == "netft"
-        assert [root.findtext(name) for name in ("cfgcpf", "cfgcpt", "scfgfu", "scfgtu", "comrdtrate")] == [
+        assert [
+            root.findtext(name) for name in ("cfgcpf", "cfgcpt", "scfgfu", "scfgtu", "comrdtrate")
+        ] == [
             "12345",
             "678",
             "kN",
@@ -167,7 +176,8 @@ def test_the_configuration_page_tells_the_scale() -> None:
         clock = iter(range(1, 100_000))
         with going(lambda: server.publish(WRENCH, 0.002 * next(clock))), client:
             assert client.period == pytest.approx(0.002)
-            np.testing.assert_allclose(client.reading.wrench, WRENCH, atol=1000 / 12345 / 2 + 1e-9)  # half a count is 40 mN
+            # half a count is 40 mN
+            np.testing.assert_allclose(client.reading.wrench, WRENCH, atol=1000 / 12345 / 2 + 1e-9)
 
 
 def test_what_keeps_a_client_from_opening_is_said() -> None:
@@ -176,5 +186,7 @@ def test_what_keeps_a_client_from_opening_is_said() -> None:
             _client(server.address[1]).open()  # it is asked, but publishes nothing
         with pytest.raises(DeviceError, match=r"configuration page .* cannot be read"):
             _client(server.address[1], f"http={server.address[1]}").open()
-        with pytest.raises(InputError, match=r"is in use by another program; stop it or give another port"):
+        with pytest.raises(
+            InputError, match=r"is in use by another program; stop it or give another port"
+        ):
             sensor_server(f"rdt://127.0.0.1:{server.address[1]}").open()

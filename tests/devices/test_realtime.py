@@ -1,4 +1,6 @@
-"""The clock of a cycle, what the process is granted, the ring and the recording. No time is asserted that a busy machine could miss."""
+"""The clock of a cycle, what the process is granted, the ring and the recording. No time is
+asserted that a busy machine could miss.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ from tests.devices.running import until
 
 
 def test_cycles_are_due_at_whole_periods_from_the_start_and_none_begins_early() -> None:
-    clock = CycleClock(300.0, 60)  # a period that is no whole number of nanoseconds: nothing may add up
+    # a period that is no whole number of nanoseconds: nothing may add up
+    clock = CycleClock(300.0, 60)
     clock.start()
     numbers, number = [], 0
     for _ in range(60):
@@ -30,7 +33,9 @@ def test_cycles_are_due_at_whole_periods_from_the_start_and_none_begins_early() 
         numbers.append(number)
         clock.done()
     start = clock.due[0] - round(numbers[0] * 1e9 / 300.0)
-    np.testing.assert_array_equal(clock.due - start, np.rint(np.array(numbers) * 1e9 / 300.0).astype(int))
+    np.testing.assert_array_equal(
+        clock.due - start, np.rint(np.array(numbers) * 1e9 / 300.0).astype(int)
+    )
     assert (clock.began >= clock.due).all()
     assert (clock.ended >= clock.began).all()
     np.testing.assert_allclose(clock.latency(), (clock.began - clock.due) * 1e-9)
@@ -61,13 +66,20 @@ def test_of_more_cycles_than_it_can_keep_the_last_are_kept_in_order() -> None:
 
 
 def test_a_rate_that_cannot_be_paced() -> None:
-    with pytest.raises(InputError, match=r"cannot be paced \(got 0 Hz for 5 cycles\); allowed are 0.1 to 1e5 Hz"):
+    with pytest.raises(
+        InputError, match=r"cannot be paced \(got 0 Hz for 5 cycles\); allowed are 0.1 to 1e5 Hz"
+    ):
         CycleClock(0.0, 5)
 
 
 def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone() -> None:
     cpu = min(os.sched_getaffinity(0))
-    before = os.sched_getaffinity(0), os.sched_getscheduler(0), sys.getswitchinterval(), gc.isenabled()
+    before = (
+        os.sched_getaffinity(0),
+        os.sched_getscheduler(0),
+        sys.getswitchinterval(),
+        gc.isenabled(),
+    )
     with prepared(cpu=cpu, priority=1) as given:
         asked = {"garbage collector off", "memory locked", f"processor {cpu}", "SCHED_FIFO 1"}
         assert asked <= set(given.granted) | set(given.refused)
@@ -78,14 +90,28 @@ def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone() -> None:
             assert os.sched_getscheduler(0) == os.SCHED_FIFO
         if f"processor {cpu}" in given.granted:
             assert os.sched_getaffinity(0) == {cpu}
-    assert (os.sched_getaffinity(0), os.sched_getscheduler(0), sys.getswitchinterval(), gc.isenabled()) == before
+    assert (
+        os.sched_getaffinity(0),
+        os.sched_getscheduler(0),
+        sys.getswitchinterval(),
+        gc.isenabled(),
+    ) == before
     assert gc.get_freeze_count() == 0
 
 
 def test_a_processor_or_a_priority_that_there_is_not() -> None:
-    with pytest.raises(InputError, match=r"cpu: is not one that this process may run on \(got 9999\); allowed: 0"), prepared(cpu=9999):
+    with (
+        pytest.raises(
+            InputError,
+            match=r"cpu: is not one that this process may run on \(got 9999\); allowed: 0",
+        ),
+        prepared(cpu=9999),
+    ):
         pass
-    with pytest.raises(InputError, match=r"priority: is out of range \(got 0\); allowed is 1 to 99"), prepared(priority=0):
+    with (
+        pytest.raises(InputError, match=r"priority: is out of range \(got 0\); allowed is 1 to 99"),
+        prepared(priority=0),
+    ):
         pass
 
 
@@ -121,7 +147,9 @@ def test_a_recording_holds_every_row(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("interrupted", [False, True])
 def test_a_recording_survives_the_loop(tmp_path: Path, interrupted: bool) -> None:
-    """The loop's process ends at once, without a word, Ctrl-C in its terminal before or not: what it had pushed is in the file."""
+    """The loop's process ends at once, without a word, Ctrl-C in its terminal before or not: what
+    it had pushed is in the file.
+    """
     path = tmp_path / "rows.f64"
     program = f"""
 import os, signal, numpy as np
@@ -135,14 +163,21 @@ for k in range(50):
     recorder.push(np.array([k, -k], dtype=float))
 os._exit(9)
 """
-    died = subprocess.run([sys.executable, "-c", program], stderr=subprocess.DEVNULL, check=False, start_new_session=True)
+    died = subprocess.run(
+        [sys.executable, "-c", program],
+        stderr=subprocess.DEVNULL,
+        check=False,
+        start_new_session=True,
+    )
     assert died.returncode == 9
     until(lambda: path.stat().st_size == 50 * 2 * 8)
     np.testing.assert_array_equal(np.fromfile(path).reshape(-1, 2)[:, 0], np.arange(50.0))
 
 
 def test_a_recording_that_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(HiltestbedError, match=r"did not start; check that the folder can be written to"):
+    with pytest.raises(
+        HiltestbedError, match=r"did not start; check that the folder can be written to"
+    ):
         Recorder(2, 100, tmp_path / "no folder" / "rows.f64")
 
 
@@ -163,13 +198,20 @@ def test_the_measurement_accounts_for_every_cycle(device: bool) -> None:
 
 
 def test_a_measurement_that_cannot_be_made() -> None:
-    with pytest.raises(InputError, match=r"cannot be made \(got 0.5 Hz for 1 s\); allowed are 1 to 20000 Hz and up to a day"):
+    with pytest.raises(
+        InputError,
+        match=r"cannot be made \(got 0.5 Hz for 1 s\); allowed are 1 to 20000 Hz and up to a day",
+    ):
         measure(0.5, 1.0)
 
 
 def test_what_a_hypervisor_takes_away_is_told() -> None:
-    """user, nice, system, idle, iowait, irq, softirq, steal: 3 of 200 ticks went to others; a system without the line says nothing."""
-    assert _stolen([10, 0, 5, 100, 0, 0, 0, 7], [60, 0, 12, 240, 0, 0, 0, 10]) == pytest.approx(3.0 / 200.0)
+    """user, nice, system, idle, iowait, irq, softirq, steal: 3 of 200 ticks went to others; a
+    system without the line says nothing.
+    """
+    assert _stolen([10, 0, 5, 100, 0, 0, 0, 7], [60, 0, 12, 240, 0, 0, 0, 10]) == pytest.approx(
+        3.0 / 200.0
+    )
     assert _stolen(None, None) is None
     found = measure(1000.0, 0.1).stolen
     assert found is None or 0.0 <= found <= 1.0

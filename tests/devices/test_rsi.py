@@ -10,7 +10,12 @@ from hiltestbed.devices.interface import Clock, DeviceError, Event
 from hiltestbed.devices.rsi import RsiClient, RsiServer
 from hiltestbed.devices.table import platform_client, platform_server
 from hiltestbed.errors import InputError
-from tests.devices.independent.rsi_peer import IndependentRobot, IndependentSensorSystem, from_frame, to_frame
+from tests.devices.independent.rsi_peer import (
+    IndependentRobot,
+    IndependentSensorSystem,
+    from_frame,
+    to_frame,
+)
 from tests.devices.running import START, free_ports, until
 
 
@@ -32,7 +37,9 @@ def _pose(position, rotation: Rotation) -> np.ndarray:
 
 def _far(pose: np.ndarray, position, rotation: Rotation) -> tuple[float, float]:
     """Distance [m] and angle [rad] of a pose from another."""
-    return float(np.linalg.norm(pose[:3] - position)), float((Rotation.from_quat(pose[3:]) * rotation.inv()).magnitude())
+    return float(np.linalg.norm(pose[:3] - position)), float(
+        (Rotation.from_quat(pose[3:]) * rotation.inv()).magnitude()
+    )
 
 
 @pytest.mark.parametrize("correction", ["absolute", "relative"])
@@ -53,10 +60,16 @@ def test_the_client_moves_an_independent_robot(correction: str) -> None:
                 client.command(_pose(position, rotation))
                 assert client.wait(5.0)
                 distance, angle = _far(client.state.pose, position, rotation)
-                steps = k if correction == "relative" else 1  # each telegram is rounded to 1e-6 mm and 1e-6 deg; relative ones add up
+                # each telegram is rounded to 1e-6 mm and 1e-6 deg; relative ones add up
+                steps = k if correction == "relative" else 1
                 assert distance < 2e-9 * (steps + 1)
                 assert angle < 5e-8 * (steps + 1)
-            assert client.counts[Event.MALFORMED] == client.counts[Event.SENDER] == client.counts[Event.LOST] == 0
+            assert (
+                client.counts[Event.MALFORMED]
+                == client.counts[Event.SENDER]
+                == client.counts[Event.LOST]
+                == 0
+            )
     finally:
         robot.close()
 
@@ -90,7 +103,9 @@ def test_the_client_holds_and_counts_what_the_controller_calls_late() -> None:
 
 @pytest.mark.parametrize("reference", ["base", "tool"])
 @pytest.mark.parametrize("correction", ["absolute", "relative"])
-def test_an_independent_sensor_system_moves_the_emulated_robot(correction: str, reference: str) -> None:
+def test_an_independent_sensor_system_moves_the_emulated_robot(
+    correction: str, reference: str
+) -> None:
     system = IndependentSensorSystem()
     server = _server(system.port, f"correction={correction}&reference={reference}")
     with server:
@@ -101,14 +116,24 @@ def test_an_independent_sensor_system_moves_the_emulated_robot(correction: str, 
             server.publish(pose, 0.004 * k)
             telegram = system.receive()
             np.testing.assert_allclose(telegram["frame"][:3], 1e3 * pose[:3], atol=1e-6)
-            np.testing.assert_allclose(telegram["frame"], to_frame(pose[:3], Rotation.from_quat(pose[3:])), atol=1e-5)
+            np.testing.assert_allclose(
+                telegram["frame"], to_frame(pose[:3], Rotation.from_quat(pose[3:])), atol=1e-5
+            )
             assert telegram["ipoc"] == RsiServer.FIRST_IPOC + 4 * (k + 1)
             frame = [*rng.uniform(-3, 3, 3), *rng.uniform(-2, 2, 3)]
             system.answer(frame)
             until(server.poll)
             shift, turn = from_frame(frame)
-            p0, r0 = (position, rotation) if correction == "relative" else (START[:3], Rotation.from_quat(START[3:]))
-            position, rotation = (p0 + shift, turn * r0) if reference == "base" else (p0 + r0.apply(shift), r0 * turn)
+            p0, r0 = (
+                (position, rotation)
+                if correction == "relative"
+                else (START[:3], Rotation.from_quat(START[3:]))
+            )
+            position, rotation = (
+                (p0 + shift, turn * r0)
+                if reference == "base"
+                else (p0 + r0.apply(shift), r0 * turn)
+            )
             distance, angle = _far(server.command, position, rotation)
             steps = k + 1 if correction == "relative" else 1
             assert distance < 1e-11 * steps  # telegrams here have eight decimals
@@ -142,7 +167,9 @@ def test_late_and_missing_answers_are_counted_held_and_stop_the_controller() -> 
 
 
 def test_a_relative_correction_that_is_held_goes_on() -> None:
-    """HOLDON = 1: the last step is taken again in each cycle without an answer; HOLDON = 0: none."""
+    """HOLDON = 1: the last step is taken again in each cycle without an answer; HOLDON = 0:
+    none.
+    """
     for hold, expected in (("true", 3e-3), ("false", 1e-3)):
         system = IndependentSensorSystem()
         with _server(system.port, f"correction=relative&hold={hold}") as server:
@@ -158,9 +185,14 @@ def test_a_relative_correction_that_is_held_goes_on() -> None:
 
 def test_what_keeps_a_client_from_opening_is_said() -> None:
     (port,) = free_ports(1)
-    with pytest.raises(DeviceError, match=r"no telegram of a robot in 0.05 s; check IP_NUMBER and PORT"):
+    with pytest.raises(
+        DeviceError, match=r"no telegram of a robot in 0.05 s; check IP_NUMBER and PORT"
+    ):
         platform_client(f"rsi://127.0.0.1:{port}?connect=0.05").open()
     robot = IndependentRobot(port)
-    with _client(port), pytest.raises(InputError, match=rf"UDP 127.0.0.1:{port} is in use by another program"):
+    with (
+        _client(port),
+        pytest.raises(InputError, match=rf"UDP 127.0.0.1:{port} is in use by another program"),
+    ):
         _client(port).open()
     robot.close()

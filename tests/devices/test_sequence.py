@@ -8,7 +8,9 @@ from hiltestbed.devices.interface import Event
 from hiltestbed.devices.sequence import Sequence
 
 
-def _follow(numbers: list[int], bits: int = 32, step: int = 1) -> tuple[list[bool], np.ndarray, Sequence]:
+def _follow(
+    numbers: list[int], bits: int = 32, step: int = 1
+) -> tuple[list[bool], np.ndarray, Sequence]:
     counts = np.zeros(len(Event), dtype=np.int64)
     sequence = Sequence(counts, bits, step, longest_gap=10 if bits == 8 else 10_000)
     return [sequence.judge(n) for n in numbers], counts, sequence
@@ -57,7 +59,9 @@ def test_a_device_that_counts_from_the_start_again_goes_on_with_the_second_recor
 
 
 def test_a_stream_with_losses_and_swaps_is_accounted_for() -> None:
-    """Every record is new, lost or out of order; those that are both lost at first and late after are counted as both."""
+    """Every record is new, lost or out of order; those that are both lost at first and late after
+    are counted as both.
+    """
     rng = np.random.default_rng(8)
     sent = np.arange(5000)
     kept = sent[rng.random(5000) > 0.02]

@@ -34,9 +34,13 @@ def _name(what: str) -> str:
 
 
 def test_a_reader_gets_whole_messages_from_another_process() -> None:
-    """The writer writes as fast as it can: each message that is read has six equal numbers, and its own time and number."""
+    """The writer writes as fast as it can: each message that is read has six equal numbers, and its
+    own time and number.
+    """
     name = _name("torn")
-    writer = subprocess.Popen([sys.executable, "-c", WRITER, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    writer = subprocess.Popen(
+        [sys.executable, "-c", WRITER, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
     assert writer.stdout is not None
     assert writer.stdin is not None
     try:
@@ -58,7 +62,9 @@ def test_a_reader_gets_whole_messages_from_another_process() -> None:
 
 
 def test_a_reader_that_has_paused_gets_the_newest_message() -> None:
-    """However many were written meanwhile: a process may stand still for longer than a writer takes for 10,000 messages."""
+    """However many were written meanwhile: a process may stand still for longer than a writer takes
+    for 10,000 messages.
+    """
     name = _name("paused")
     with sensor_server(f"shm://{name}") as server:
         server.publish(np.zeros(6), 0.0)
@@ -120,7 +126,11 @@ def test_a_message_that_is_not_whole_is_not_taken() -> None:
 def test_names_that_are_taken_or_missing() -> None:
     name = _name("taken")
     box = make(f"{name}.state", "here")
-    with pytest.raises(InputError, match=r"is there already; stop the other device, remove what one has left, or give another name"):
+    with pytest.raises(
+        InputError,
+        match=r"is there already; stop the other device, remove what one has left, or give "
+        r"another name",
+    ):
         platform_server(f"shm://{name}").open()
     box.close()
     assert attach(f"{name}.state") is None

@@ -99,7 +99,8 @@ def test_poses_as_rotation_vector_and_as_quaternion(tmp_path: Path) -> None:
     assert math.isnan(state.time)
     data = command.pack(START, 1, 0.0, flag=1)
     assert struct.unpack(">7dB", data) == (*START[:3], START[6], *START[3:6], 1)
-    assert not command.unpack(struct.pack(">7dB", *START[:3], 1.0, 1.0, 0.0, 0.0, 0))  # not a unit quaternion
+    # not a unit quaternion
+    assert not command.unpack(struct.pack(">7dB", *START[:3], 1.0, 1.0, 0.0, 0.0, 0))
     assert not command.unpack(struct.pack(">7dB", math.nan, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0))
 
 
@@ -111,13 +112,20 @@ def test_the_default_layout_ends_with_the_crc_32_of_all_before_it() -> None:
 
 
 def test_faults_of_a_layout_are_told_by_line_and_column(tmp_path: Path) -> None:
-    text = LAYOUT.replace("type: crc16}", "type: uint16}").replace("{name: fy, type: int16", "{name: fx, type: int16")
-    text = text.replace("{name: sequence, type: uint8}", "{name: sequence, type: float32}").replace("value: 0x5AA5", "value: 0x5AA55")
+    text = LAYOUT.replace("type: crc16}", "type: uint16}").replace(
+        "{name: fy, type: int16", "{name: fx, type: int16"
+    )
+    text = text.replace("{name: sequence, type: uint8}", "{name: sequence, type: float32}").replace(
+        "value: 0x5AA5", "value: 0x5AA55"
+    )
     with pytest.raises(InputError) as raised:
         read_layout(_file(tmp_path, text))
     said = {fault.key: fault.message for fault in raised.value.faults}
     assert "needs a whole number as value that fits its type" in said["sensor.0"]
-    assert said["sensor.1.type"] == "does not fit sequence (got 'float32'); allowed: uint8, uint16, uint32, uint64"
+    assert (
+        said["sensor.1.type"]
+        == "does not fit sequence (got 'float32'); allowed: uint8, uint16, uint32, uint64"
+    )
     assert said["sensor.5.name"] == "is given twice (got 'fx'); each value may stand once"
     assert "a crc is the last field" in said["sensor.10.type"]
     assert said["sensor"].endswith("needed: fx fy fz tx ty tz")
@@ -130,9 +138,12 @@ def test_a_sensor_over_the_loopback_address(tmp_path: Path) -> None:
     ticks = iter(range(1_000_000))
     wrench = np.array([10.5, -0.3, 310.125, 0.5, -0.125, -7.75])
     server = sensor_server(f"udp://127.0.0.1:{theirs}?layout={path}&peer={ours}")
-    client = sensor_client(f"udp://127.0.0.1:{theirs}?layout={path}&listen=127.0.0.1:{ours}&connect=5")
+    client = sensor_client(
+        f"udp://127.0.0.1:{theirs}?layout={path}&listen=127.0.0.1:{ours}&connect=5"
+    )
     with server, going(lambda: server.publish(wrench, 0.001 * next(ticks)), 0.0005), client:
-        until(lambda: client.wait(1.0) and client.reading.sequence > 600)  # an 8-bit counter, unwrapped
+        # an 8-bit counter, unwrapped
+        until(lambda: client.wait(1.0) and client.reading.sequence > 600)
         np.testing.assert_allclose(client.reading.wrench, wrench, rtol=1e-6)
         stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         stranger.sendto(b"x" * 40, ("127.0.0.1", ours))
@@ -145,7 +156,15 @@ def test_a_platform_over_the_loopback_address_and_its_stop() -> None:
     server = platform_server(f"udp://127.0.0.1:{theirs}?peer=127.0.0.1:{ours}")
     client = platform_client(f"udp://127.0.0.1:{theirs}?listen={ours}&connect=5")
     ticks = iter(range(1_000_000))
-    with server, going(lambda: server.publish(server.command if server.commanded else START, 0.001 * next(ticks))), client:
+    with (
+        server,
+        going(
+            lambda: server.publish(
+                server.command if server.commanded else START, 0.001 * next(ticks)
+            )
+        ),
+        client,
+    ):
         np.testing.assert_array_equal(client.state.pose, START)
         target = START.copy()
         target[0] += 0.01
@@ -159,14 +178,22 @@ def test_a_platform_over_the_loopback_address_and_its_stop() -> None:
 
 
 def test_what_is_missing_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"listen: is missing; give the end of this machine where the device's records arrive as listen="):
+    with pytest.raises(
+        InputError,
+        match=r"listen: is missing; give the end of this machine where the device's records "
+        r"arrive as listen=",
+    ):
         sensor_client("udp://127.0.0.1").open()
     with pytest.raises(InputError, match=r"peer: is missing; give the controller's end"):
         sensor_server("udp://127.0.0.1")
     with pytest.raises(InputError, match=r"peer: is not address:port"):
         sensor_server("udp://127.0.0.1?peer=here")
     with pytest.raises(InputError, match=r"has no state record; describe it there"):
-        platform_client(f"udp://127.0.0.1?layout={_file(tmp_path, LAYOUT.partition('state:')[0])}&listen=1")
+        platform_client(
+            f"udp://127.0.0.1?layout={_file(tmp_path, LAYOUT.partition('state:')[0])}&listen=1"
+        )
     (port,) = free_ports(1)
-    with pytest.raises(DeviceError, match=r"no good record in 0.05 s .0 malformed, 0 from other senders"):
+    with pytest.raises(
+        DeviceError, match=r"no good record in 0.05 s .0 malformed, 0 from other senders"
+    ):
         sensor_client(f"udp://127.0.0.1?listen={port}&connect=0.05").open()

@@ -36,7 +36,12 @@ class MadeUp(SensorClient):
         return new
 
 
-LOOSE = {"misses_in_a_row": 1000, "misses_in_window": 1000, "disturbances_in_window": 1000, "stale": 1000.0}
+LOOSE = {
+    "misses_in_a_row": 1000,
+    "misses_in_window": 1000,
+    "disturbances_in_window": 1000,
+    "stale": 1000.0,
+}
 
 
 def _watch(**limits: float) -> tuple[MadeUp, CommunicationWatch]:
@@ -75,7 +80,9 @@ def test_a_record_that_was_waited_for_in_vain_and_then_found_lost_is_one_miss() 
 
 @pytest.mark.parametrize("limit", ["misses_in_window", "disturbances_in_window"])
 def test_the_window_slides(limit: str) -> None:
-    """Two in any ten cycles are allowed: one each five cycles goes on for ever, one each four does not."""
+    """Two in any ten cycles are allowed: one each five cycles goes on for ever, one each four does
+    not.
+    """
     event = {"misses_in_window": "lost", "disturbances_in_window": "reordered"}[limit]
     link, watch = _watch(**{limit: 2, "window": 10})
     for k in range(200):
@@ -105,7 +112,10 @@ def test_status_in_a_row() -> None:
     link.reading.status = 0x21
     stop = watch.check(link.gets(False, status=1))
     assert stop is not None
-    assert stop.reason == "sensor made-up://: the device reports an error (status 0x21; allowed are 2 in a row)"
+    assert (
+        stop.reason
+        == "sensor made-up://: the device reports an error (status 0x21; allowed are 2 in a row)"
+    )
 
 
 def test_the_first_reason_stays() -> None:

@@ -25,7 +25,10 @@ def _urls(scheme: str) -> tuple[str, str]:
     """Of the client and of the device."""
     if scheme == "udp":
         ours, theirs = free_ports(2)
-        return f"udp://127.0.0.1:{theirs}?listen={ours}&connect=5", f"udp://127.0.0.1:{theirs}?peer={ours}"
+        return (
+            f"udp://127.0.0.1:{theirs}?listen={ours}&connect=5",
+            f"udp://127.0.0.1:{theirs}?peer={ours}",
+        )
     if scheme == "rsi":
         (port,) = free_ports(1)
         return f"rsi://127.0.0.1:{port}?connect=5", f"rsi://127.0.0.1:{port}?late_limit=1000000"
@@ -131,19 +134,37 @@ def test_a_loop_that_is_killed_stops_the_platform(interrupted: list[str]) -> Non
 def test_what_cannot_be_set_is_said() -> None:
     url, device_url = _urls("udp")
     client = platform_client(url)
-    with pytest.raises(InputError, match=r"got timeout 0 s, action 'hold', lasting 2 s\); allowed are 0.005 to 10 s, hold or stop"):
+    with pytest.raises(
+        InputError,
+        match=r"got timeout 0 s, action 'hold', lasting 2 s\); allowed are 0.005 to 10 s, hold or "
+        r"stop",
+    ):
         Watchdog(url, client, timeout=0.0)
-    with platform_server(device_url), pytest.raises(DeviceError, match="the watchdog did not start"):
+    with (
+        platform_server(device_url),
+        pytest.raises(DeviceError, match="the watchdog did not start"),
+    ):
         Watchdog("udp://127.0.0.1:1?layout=/no/such/file.yaml", client, timeout=1.0)
 
 
 @pytest.mark.parametrize("gone", ["rings", "pipe"])
 @pytest.mark.parametrize("part", ["watchdog", "recorder"])
-def test_a_process_whose_loop_was_killed_while_it_started_ends_without_a_word(part: str, gone: str, tmp_path: Path) -> None:
+def test_a_process_whose_loop_was_killed_while_it_started_ends_without_a_word(
+    part: str, gone: str, tmp_path: Path
+) -> None:
     rings, udp = [Ring(10, 8), Ring(1, 4)], socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     names = [ring.name for ring in rings]
     of = {
-        "watchdog": [*names, "udp://127.0.0.1:49152", "hold", "0.1", "1", "0.1", str(udp.fileno()), str(os.getpid())],
+        "watchdog": [
+            *names,
+            "udp://127.0.0.1:49152",
+            "hold",
+            "0.1",
+            "1",
+            "0.1",
+            str(udp.fileno()),
+            str(os.getpid()),
+        ],
         "recorder": [names[0], str(tmp_path / "rows"), str(os.getpid())],
     }
     if gone == "rings":

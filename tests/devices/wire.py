@@ -1,7 +1,8 @@
-"""A wire between a device and a client that loses, delays, swaps and cuts what goes over it, one cycle at a time.
+"""A wire between a device and a client that loses, delays, swaps and cuts what goes over it, one
+cycle at a time.
 
-Nothing here waits for a clock: the test sends, moves the datagrams over the wire, and reads. A fault says what becomes of the datagrams of
-a cycle, and may keep some for the next.
+Nothing here waits for a clock: the test sends, moves the datagrams over the wire, and reads. A
+fault says what becomes of the datagrams of a cycle, and may keep some for the next.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ def pass_on(datagrams: list[bytes]) -> list[bytes]:
 
 
 class Wire:
-    """``near`` faces the client, ``far`` the device; an end that is not known is learned from what it sends."""
+    """``near`` faces the client, ``far`` the device; an end that is not known is learned from what
+    it sends.
+    """
 
     def __init__(self, device: Address | None = None, client: Address | None = None) -> None:
         self.near, self.far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
@@ -119,4 +122,8 @@ class Changed:
 
     def __call__(self, datagrams: list[bytes]) -> list[bytes]:
         self.cycle += 1
-        return [new for data in datagrams for new in self.change(data)] if self.cycle in self.cycles else datagrams
+        return (
+            [new for data in datagrams for new in self.change(data)]
+            if self.cycle in self.cycles
+            else datagrams
+        )

@@ -1,4 +1,6 @@
-"""Datasets made by the simulation itself, for what follows once a cause is named; naming is tested on an independent rig."""
+"""Datasets made by the simulation itself, for what follows once a cause is named; naming is tested
+on an independent rig.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,16 @@ NOMINAL: dict[str, Any] = {
     "rate": 1000.0,
     "physics_rate": 2000.0,
     "spacecraft": {
-        "chaser": {"mass": 500.0, "inertia": [200.0, 180.0, 150.0], "port": {"position": [0, 0, 1.0]}},
-        "target": {"mass": 2000.0, "inertia": [900.0, 900.0, 700.0], "port": {"position": [0, 0, -1.0]}},
+        "chaser": {
+            "mass": 500.0,
+            "inertia": [200.0, 180.0, 150.0],
+            "port": {"position": [0, 0, 1.0]},
+        },
+        "target": {
+            "mass": 2000.0,
+            "inertia": [900.0, 900.0, 700.0],
+            "port": {"position": [0, 0, -1.0]},
+        },
     },
     "approach": {"gap": 0.002, "velocity": [0, 0, 0.02]},
     "mechanism": {"kind": "bumper", "contact": {"stiffness": 1.0e5, "damping": 400.0}},
@@ -38,19 +48,27 @@ def recorded(
     without: Sequence[str] = (),
     beside: Mapping[str, Any] | None = None,
 ) -> Path:
-    """The dataset file of two runs of a rig that has `effects`, which its ``nominal`` scenario does not.
+    """The dataset file of two runs of a rig that has `effects`, which its ``nominal`` scenario does
+    not.
 
     without: groups that were not recorded. beside: settings of the second run alone.
     """
-    sets: list[dict[str, Any]] = [{"approach.velocity.2": v, "approach.gap": 0.1 * v} for v in SPEEDS]
+    sets: list[dict[str, Any]] = [
+        {"approach.velocity.2": v, "approach.gap": 0.1 * v} for v in SPEEDS
+    ]
     sets[1] |= beside or {}
     for i, s in enumerate(sets):
-        trace = simulate([scenario_from({**nominal, "effects": effects, "seed": i}, s)], trace=True).trace
+        trace = simulate(
+            [scenario_from({**nominal, "effects": effects, "seed": i}, s)], trace=True
+        ).trace
         assert trace is not None
         file = folder / f"run_{i}.parquet"
         write_trace(trace.run(0), file)
         table = pq.read_table(file)
-        pq.write_table(table.select([c for c in table.column_names if c.partition(".")[0] not in without]), file)
+        pq.write_table(
+            table.select([c for c in table.column_names if c.partition(".")[0] not in without]),
+            file,
+        )
     yaml = YAML(typ="safe")
     yaml.dump(dict(nominal), folder / "nominal.yaml")
     runs = [{"file": f"run_{i}.parquet", "set": s} for i, s in enumerate(sets)]

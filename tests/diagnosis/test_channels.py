@@ -1,4 +1,6 @@
-"""Records with some channels only: nothing is found in a healthy rig, whatever is not on record, and a hidden effect is still named."""
+"""Records with some channels only: nothing is found in a healthy rig, whatever is not on record,
+and a hidden effect is still named.
+"""
 
 from __future__ import annotations
 
@@ -23,38 +25,69 @@ from hiltestbed.simulation import simulate
 
 from ..slow import SLOW, slow
 
-DAMPED = ("06-two-eight-tonne-vehicles", {"duration": 1.2, "approach.gap": 0.02})  # a quarter of a tick of its rate is worth 2 N of 5700 N
+# a quarter of a tick of its rate is worth 2 N of 5700 N
+DAMPED = ("06-two-eight-tonne-vehicles", {"duration": 1.2, "approach.gap": 0.02})
 SLIDE = ("05-off-centre", {"duration": 0.7})
 RINGING = ("13-ring-down", {"duration": 1.5})
 DOCKING = ("09-docking", {})
 MEASURED = ("pose_act", "wrench_meas")
 AXIAL = ("pose_act.pz", "wrench_meas.fz")
 NOT_REACHED = ("pose_cmd", "wrench_meas", "wrench_comp")
-POSITIONS = tuple(f"{group}.{part}" for group in ("pose_act", "pose_cmd") for part in ("px", "py", "pz"))
-FORCES = tuple(f"{group}.{part}" for group in ("wrench_meas", "wrench_comp") for part in ("fx", "fy", "fz"))
+POSITIONS = tuple(
+    f"{group}.{part}" for group in ("pose_act", "pose_cmd") for part in ("px", "py", "pz")
+)
+FORCES = tuple(
+    f"{group}.{part}" for group in ("wrench_meas", "wrench_comp") for part in ("fx", "fy", "fz")
+)
 POSE_NOISE = 2e-6  # [m]
-STIFFER, LATE = {"kind": "contact.stiffness", "factor": 1.1}, {"kind": "sensor.delay", "delay": 0.002}
+STIFFER, LATE = (
+    {"kind": "contact.stiffness", "factor": 1.1},
+    {"kind": "sensor.delay", "delay": 0.002},
+)
 
 
 def partial(
-    folder: Path, rig: tuple[str, Mapping[str, Any]], kept: Sequence[str], effects: Sequence[Mapping[str, Any]] = (), noise: float = 0.0
+    folder: Path,
+    rig: tuple[str, Mapping[str, Any]],
+    kept: Sequence[str],
+    effects: Sequence[Mapping[str, Any]] = (),
+    noise: float = 0.0,
 ) -> Path:
-    """The dataset file of two runs of a shipped scenario with ``effects``, at its speed and 1.5 times that, of which the groups and columns
-    ``kept`` were recorded; noise: of the measured position [m]."""
+    """The dataset file of two runs of a shipped scenario with ``effects``, at its speed and 1.5
+    times that, of which the groups and columns ``kept`` were recorded; noise: of the measured
+    position [m].
+    """
     name, changes = rig
     nominal, rng = hiltestbed.load_scenario(name, changes), np.random.default_rng(7)
-    runs: list[dict[str, Any]] = [{}, {"set": {"approach.velocity": [1.5 * v for v in nominal.approach.velocity]}}]
+    runs: list[dict[str, Any]] = [
+        {},
+        {"set": {"approach.velocity": [1.5 * v for v in nominal.approach.velocity]}},
+    ]
     for i, run in enumerate(runs):
-        done = hiltestbed.load_scenario(name, {**changes, **run.get("set", {}), "seed": 100 + i, "effects": [dict(e) for e in effects]})
+        done = hiltestbed.load_scenario(
+            name,
+            {
+                **changes,
+                **run.get("set", {}),
+                "seed": 100 + i,
+                "effects": [dict(e) for e in effects],
+            },
+        )
         trace = simulate([done], trace=True).trace
         assert trace is not None
         run["file"] = f"run_{i}.parquet"
         write_trace(trace.run(0), folder / run["file"])
         table = pq.read_table(folder / run["file"])
-        table = table.select([c for c in table.column_names if c == "t" or c in kept or c.partition(".")[0] in kept])
+        table = table.select(
+            [c for c in table.column_names if c == "t" or c in kept or c.partition(".")[0] in kept]
+        )
         for at, column in enumerate(table.column_names):
             if noise and column in POSITIONS[:3]:
-                table = table.set_column(at, column, pa.array(table[column].to_numpy() + noise * rng.standard_normal(len(table))))
+                table = table.set_column(
+                    at,
+                    column,
+                    pa.array(table[column].to_numpy() + noise * rng.standard_normal(len(table))),
+                )
         pq.write_table(table, folder / run["file"])
     (folder / "nominal.yaml").write_text(hiltestbed.dump_scenario(nominal), "utf-8")
     YAML(typ="safe").dump({"scenario": "nominal.yaml", "runs": runs}, folder / "dataset.yaml")
@@ -77,28 +110,46 @@ def partial(
         pytest.param(RINGING, NOT_REACHED, 0.0, id="ring-down, not reached", marks=SLOW),
     ],
 )
-def test_nothing_is_found_in_a_healthy_rig(tmp_path: Path, rig: tuple[str, dict[str, Any]], kept: Sequence[str], noise: float) -> None:
-    """A servo moves A within a tick as no record shows: c v differs, dry friction turns, axes that are not on record move."""
+def test_nothing_is_found_in_a_healthy_rig(
+    tmp_path: Path, rig: tuple[str, dict[str, Any]], kept: Sequence[str], noise: float
+) -> None:
+    """A servo moves A within a tick as no record shows: c v differs, dry friction turns, axes that
+    are not on record move.
+    """
     found = hiltestbed.diagnose(partial(tmp_path, rig, kept, noise=noise))
     assert (found.verdict, found.causes) == ("inconclusive", ())
 
 
 @SLOW
-def test_a_late_sensor_is_not_taken_for_a_lag_where_the_path_yields_to_its_reading(tmp_path: Path) -> None:
-    """Delay and lag of 2 ms differ by 0.03 N at 2 Hz; a path with the noise of the late reading is smoother behind a lag. Whether the loop
-    or the record alone had it late is not on record."""
+def test_a_late_sensor_is_not_taken_for_a_lag_where_the_path_yields_to_its_reading(
+    tmp_path: Path,
+) -> None:
+    """Delay and lag of 2 ms differ by 0.03 N at 2 Hz; a path with the noise of the late reading is
+    smoother behind a lag. Whether the loop or the record alone had it late is not on record.
+    """
     found = hiltestbed.diagnose(partial(tmp_path, RINGING, NOT_REACHED, [LATE]))
-    assert {"sensor.delay", "log.skew"} == {found.causes[0].effect, *found.causes[0].indistinguishable_from}
+    assert {"sensor.delay", "log.skew"} == {
+        found.causes[0].effect,
+        *found.causes[0].indistinguishable_from,
+    }
 
 
 def test_noise_on_axes_that_are_not_on_record_is_no_departure_of_the_drives(tmp_path: Path) -> None:
-    """All is centred, so that only noise turns A; the legs follow each other, and nanometres across the axis show it."""
-    found = hiltestbed.diagnose(partial(tmp_path, ("18-stewart", {"duration": 0.6}), (*POSITIONS, *FORCES)))
+    """All is centred, so that only noise turns A; the legs follow each other, and nanometres across
+    the axis show it.
+    """
+    found = hiltestbed.diagnose(
+        partial(tmp_path, ("18-stewart", {"duration": 0.6}), (*POSITIONS, *FORCES))
+    )
     assert (found.verdict, found.causes) == ("no_discrepancy", ())
 
 
-def test_forces_without_torques_are_not_balanced_against_a_motion_that_torques_make(tmp_path: Path) -> None:
-    """A latch holds A by torques: about ports a metre or two from the centres of mass they move it more than the forces do."""
+def test_forces_without_torques_are_not_balanced_against_a_motion_that_torques_make(
+    tmp_path: Path,
+) -> None:
+    """A latch holds A by torques: about ports a metre or two from the centres of mass they move it
+    more than the forces do.
+    """
     kept = partial(tmp_path, ("13-ring-down", {"duration": 0.5}), (*POSITIONS, *FORCES))
     assert "needs all axes of wrench_comp" in lay_out(load_dataset(kept)).missing["dynamics"]
 
@@ -108,25 +159,39 @@ def test_what_the_drives_yield_to_must_be_on_record_where_the_pose_is_not(tmp_pa
     assert "needs pose_act, or all axes of wrench_meas" in missing["wrench"]
 
 
-@pytest.mark.parametrize(("effect", "kept"), [(STIFFER, MEASURED), slow(LATE, MEASURED), slow(STIFFER, NOT_REACHED), (LATE, NOT_REACHED)])
-def test_a_hidden_effect_is_named(tmp_path: Path, effect: dict[str, Any], kept: Sequence[str]) -> None:
-    """Where the pose that was reached is not on record, a late sensor also misleads about what the drives bore and when."""
+@pytest.mark.parametrize(
+    ("effect", "kept"),
+    [(STIFFER, MEASURED), slow(LATE, MEASURED), slow(STIFFER, NOT_REACHED), (LATE, NOT_REACHED)],
+)
+def test_a_hidden_effect_is_named(
+    tmp_path: Path, effect: dict[str, Any], kept: Sequence[str]
+) -> None:
+    """Where the pose that was reached is not on record, a late sensor also misleads about what the
+    drives bore and when.
+    """
     found = hiltestbed.diagnose(partial(tmp_path, SLIDE, kept, [effect]))
     assert (found.verdict, [c.effect for c in found.causes]) == ("named", [effect["kind"]])
 
 
 def test_the_noise_of_the_force_is_not_in_the_path_that_yields_to_it(tmp_path: Path) -> None:
-    """The noise of a force makes 6 nm of the drives, in path and reading alike: what filters it would explain the readings. Under the force
-    of the believed contact, whose mount is softer than the drives, less than half is left. What acts in the last 5 ms is not on record."""
+    """The noise of a force makes 6 nm of the drives, in path and reading alike: what filters it
+    would explain the readings. Under the force of the believed contact, whose mount is softer than
+    the drives, less than half is left. What acts in the last 5 ms is not on record.
+    """
     rig = ("13-ring-down", {"duration": 1.0})
     for name in ("all", "some"):
         (tmp_path / name).mkdir()
     partial(tmp_path / "all", rig, (*MEASURED, "pose_cmd"))
     layout = lay_out(load_dataset(partial(tmp_path / "some", rig, NOT_REACHED)))
     assert layout.deflection is not None
-    for i, (run, path, found) in enumerate(zip(layout.runs, best_path(layout, None).path.poses, layout.deflection, strict=True)):
+    for i, (run, path, found) in enumerate(
+        zip(layout.runs, best_path(layout, None).path.poses, layout.deflection, strict=True)
+    ):
         reached = pq.read_table(tmp_path / "all" / f"run_{i}.parquet")["pose_act.pz"].to_numpy()
-        errors = [np.std((z - reached)[400:-10]) for z in (path[:, 2], told_pose(run)[:, 2] + found.away[:, 2])]
+        errors = [
+            np.std((z - reached)[400:-10])
+            for z in (path[:, 2], told_pose(run)[:, 2] + found.away[:, 2])
+        ]
         assert errors[0] < 0.5 * errors[1]
 
 
@@ -148,11 +213,18 @@ def test_an_axis_that_a_rig_cannot_move_need_not_be_on_record(tmp_path: Path) ->
         assert ("wrench" in missing) == bool(dropped)
 
 
-def test_a_compensation_that_hangs_on_the_measured_rate_is_not_judged_by_a_differentiated_one(tmp_path: Path) -> None:
-    """It identifies c = 11 kN s/m: the two ways of taking the slope, a tick apart, lead it to forces that differ by more than a tenth."""
+def test_a_compensation_that_hangs_on_the_measured_rate_is_not_judged_by_a_differentiated_one(
+    tmp_path: Path,
+) -> None:
+    """It identifies c = 11 kN s/m: the two ways of taking the slope, a tick apart, lead it to
+    forces that differ by more than a tenth.
+    """
     rates = ("twist_act", "twist_cmd")
     groups = ("pose_act", "pose_cmd", "wrench_meas", "wrench_comp")
-    assert "needs twist_act" in lay_out(load_dataset(partial(tmp_path, DAMPED, groups))).missing["compensation"]
+    assert (
+        "needs twist_act"
+        in lay_out(load_dataset(partial(tmp_path, DAMPED, groups))).missing["compensation"]
+    )
     assert lay_out(load_dataset(partial(tmp_path, DAMPED, (*groups, *rates)))).missing == {}
 
 
@@ -163,9 +235,16 @@ def test_a_compensation_that_does_nothing_may_copy_an_axis(tmp_path: Path) -> No
 
 
 def test_a_latch_that_waits_for_slow_motion_may_close_a_row_later() -> None:
-    """Its springs hold the force k x + c v at which it closed, and k x on from there, whenever that is: a row later changes c v alone."""
+    """Its springs hold the force k x + c v at which it closed, and k x on from there, whenever that
+    is: a row later changes c v alone.
+    """
     scenario = hiltestbed.load_scenario(
-        "09-docking", {"approach.offset": [0, 0], "approach.attitude_deg": [0, 0, 0], "mechanism.contact.friction": 0}
+        "09-docking",
+        {
+            "approach.offset": [0, 0],
+            "approach.attitude_deg": [0, 0, 0],
+            "mechanism.contact.friction": 0,
+        },
     )
     latch, h = scenario.mechanism.latch, scenario.tick
     assert latch is not None
@@ -180,4 +259,6 @@ def test_a_latch_that_waits_for_slow_motion_may_close_a_row_later() -> None:
     assert nuisances is not None
     closed = int(np.argmax(speed <= latch.speed))
     shown = closed + 2 + round(scenario.sensor.delay / h)
-    assert nuisances[shown:, 2, 1] == pytest.approx(scenario.mechanism.contact.damping * (speed[closed + 1] - speed[closed]), rel=1e-3)
+    assert nuisances[shown:, 2, 1] == pytest.approx(
+        scenario.mechanism.contact.damping * (speed[closed + 1] - speed[closed]), rel=1e-3
+    )

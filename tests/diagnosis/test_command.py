@@ -1,4 +1,6 @@
-"""`hiltestbed diagnose`: its folder, its one JSON object, and what it does with data that cannot be used."""
+"""`hiltestbed diagnose`: its folder, its one JSON object, and what it does with data that cannot be
+used.
+"""
 
 from __future__ import annotations
 
@@ -35,13 +37,23 @@ def test_a_healthy_rig_is_told_so_in_one_json_object(
     assert printed["causes"] == []
     assert printed["extended_scenario"] is None
     assert all(r["white"] for r in printed["residuals"] if r["channel"].startswith("wrench_meas"))
-    assert {k: v for k, v in printed.items() if k != "folder"} == json.loads((out / "diagnosis.json").read_text())
-    assert sorted(f.name for f in out.iterdir()) == ["diagnosis.json", "extended.yaml", "recording.rrd", "report.html"]
+    assert {k: v for k, v in printed.items() if k != "folder"} == json.loads(
+        (out / "diagnosis.json").read_text()
+    )
+    assert sorted(f.name for f in out.iterdir()) == [
+        "diagnosis.json",
+        "extended.yaml",
+        "recording.rrd",
+        "report.html",
+    ]
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1 this is no parquet file", b"t,pose_cmd.pz\n"])
 def test_bad_data_leave_nothing_behind(
-    content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    content: bytes,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     dataset = recorded(tmp_path, [])
     (tmp_path / "run_1.parquet").write_bytes(content)
@@ -51,19 +63,28 @@ def test_bad_data_leave_nothing_behind(
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_folder_with_other_things_is_refused_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_with_other_things_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     assert command(monkeypatch, str(tmp_path / "missing.yaml"), "--out", str(tmp_path)) == 2
     assert [f.name for f in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_progress_says_which_link_of_how_many_and_which_step_is_left(tmp_path: Path) -> None:
-    """The links in their order, each begun before it is searched, then the closing steps in theirs."""
+    """The links in their order, each begun before it is searched, then the closing steps in
+    theirs.
+    """
     told: list[str] = []
     diagnose(recorded(tmp_path, [{"kind": "contact.stiffness", "factor": 1.2}]), told.append)
     links = [re.match(r"link (\d) of (\d), ([a-z ]+): ", text) for text in told]
     begun = {m[1]: m[3] for m in links if m}
-    assert begun == {"1": "compensation", "2": "numerical model", "3": "platform", "4": "contact and sensor"}
+    assert begun == {
+        "1": "compensation",
+        "2": "numerical model",
+        "3": "platform",
+        "4": "contact and sensor",
+    }
     assert [m[1] for m in links if m] == sorted(m[1] for m in links if m)
     assert {m[2] for m in links if m} == {"4"}
     steps = [m[1] for text in told if (m := re.match(r"closing step (\d) of 4: ", text))]
@@ -73,9 +94,16 @@ def test_progress_says_which_link_of_how_many_and_which_step_is_left(tmp_path: P
 
 
 def test_every_link_has_the_sizes_that_would_show_or_the_reason_why_not(tmp_path: Path) -> None:
-    """A gain shows on the axis of the contact force, whichever axis is tried first; links without a channel say so."""
+    """A gain shows on the axis of the contact force, whichever axis is tried first; links without a
+    channel say so.
+    """
     file = recorded(tmp_path, [])
-    _rewrite(tmp_path, lambda table: table.drop_columns([n for n in table.column_names if n.startswith("wrench_comp")]))
+    _rewrite(
+        tmp_path,
+        lambda table: table.drop_columns(
+            [n for n in table.column_names if n.startswith("wrench_comp")]
+        ),
+    )
     result = diagnose(file)
     sizes = {i.effect: i.smallest for i in result.finding.isolability}
     assert {EFFECTS[effect].link for effect in sizes} >= {"platform", "contact", "sensor"}
@@ -83,14 +111,20 @@ def test_every_link_has_the_sizes_that_would_show_or_the_reason_why_not(tmp_path
     assert all("wrench_comp" in why for why in result.finding.unsized.values())
     assert sizes["sensor.gain"] is not None
     assert sizes["contact.stiffness"] is not None
-    # a scale of fz and of k change the force alike, but for the damper: 2 zeta = c/sqrt(k mu) of the force
+    # a scale of fz and of k change the force alike, but for the damper: 2 zeta = c/sqrt(k mu) of
+    # the force
     assert sizes["sensor.gain"] == pytest.approx(sizes["contact.stiffness"], rel=0.2)
 
 
 def test_an_overridden_check_is_stated_with_what_is_assumed(tmp_path: Path) -> None:
     file = recorded(tmp_path, [])
     names = ("wrench_meas.fz", "wrench_comp.fz")
-    _rewrite(tmp_path, lambda t: t.set_column(t.column_names.index(names[0]), names[0], pa.chunked_array([-t[names[0]].to_numpy()])))
+    _rewrite(
+        tmp_path,
+        lambda t: t.set_column(
+            t.column_names.index(names[0]), names[0], pa.chunked_array([-t[names[0]].to_numpy()])
+        ),
+    )
     file.write_text(f"{file.read_text()}accept: [sign]\n")
     result = diagnose(file)
     (stated,) = result.to_json()["overridden"]

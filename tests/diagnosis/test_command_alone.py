@@ -1,4 +1,6 @@
-"""Records without the pose that was reached: A went where the believed drives took it, under the recorded force."""
+"""Records without the pose that was reached: A went where the believed drives took it, under the
+recorded force.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +31,15 @@ def replayed(folder: Path, effects: list[dict[str, Any]]) -> tuple[Layout, Wrenc
 
 
 def test_the_path_is_the_one_on_which_the_drives_followed_the_command(tmp_path: Path) -> None:
-    """The drives are late by some 8 ms, 500 um at 0.06 m/s, and yield by 10 um; the recorded force is late by whole ticks, which are
-    shifted back, and its noise of 0.1 N over drives of some 1e7 N/m makes 10 nm."""
+    """The drives are late by some 8 ms, 500 um at 0.06 m/s, and yield by 10 um; the recorded force
+    is late by whole ticks, which are shifted back, and its noise of 0.1 N over drives of some 1e7
+    N/m makes 10 nm.
+    """
     reached = recorded(tmp_path, [], SERVO)
-    poses = [np.asarray(pq.read_table(reached.parent / f"run_{i}.parquet", columns=["pose_act.pz"])[0]) for i in range(2)]
+    poses = [
+        np.asarray(pq.read_table(reached.parent / f"run_{i}.parquet", columns=["pose_act.pz"])[0])
+        for i in range(2)
+    ]
     layout, link = replayed(tmp_path, [])
     assert layout.deflection is not None
     for path, pose, found in zip(link.paths, poses, layout.deflection, strict=True):
@@ -41,8 +48,12 @@ def test_the_path_is_the_one_on_which_the_drives_followed_the_command(tmp_path: 
 
 
 @pytest.mark.parametrize("effects", [[], [LATE]], ids=["healthy", "late"])
-def test_what_the_sensor_read_follows_from_the_command(tmp_path: Path, effects: list[dict[str, Any]]) -> None:
-    """An effect of the platform acts before its drives, which are linear: the reading is that of the drives behind the late command."""
+def test_what_the_sensor_read_follows_from_the_command(
+    tmp_path: Path, effects: list[dict[str, Any]]
+) -> None:
+    """An effect of the platform acts before its drives, which are linear: the reading is that of
+    the drives behind the late command.
+    """
     layout, link = replayed(tmp_path, effects)
     known = [effect(e["kind"], delay=e["delay"]) for e in effects]
     for i, run in enumerate(layout.runs):

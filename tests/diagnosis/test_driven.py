@@ -1,4 +1,6 @@
-"""A platform under its own servo is no departure: what the drives yield to the force is replayed, not named."""
+"""A platform under its own servo is no departure: what the drives yield to the force is replayed,
+not named.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,11 @@ NOISE = 0.2  # [N]
 SPEEDS = (0.02, 0.04, 0.06)
 
 
-RESPONDING = {"kind": "pss33", "tracking": "response", "response": {"order": 2, "bandwidth": 40.0, "damping_ratio": 0.8}}
+RESPONDING = {
+    "kind": "pss33",
+    "tracking": "response",
+    "response": {"order": 2, "bandwidth": 40.0, "damping_ratio": 0.8},
+}
 
 
 def driven(
@@ -35,21 +41,37 @@ def driven(
     speeds: tuple[float, ...] = SPEEDS,
     platform: dict[str, Any] | None = None,
 ) -> MeasuredDataset:
-    """Runs of the reference bumper under its servo, with noise in the sensor, and with `effects` that are not believed.
+    """Runs of the reference bumper under its servo, with noise in the sensor, and with `effects`
+    that are not believed.
 
     platform: in place of the servo, believed.
     """
-    believed = load_scenario(SCENARIO, set={"rig.platform": platform, "compensation.motion": {"kind": "none"}} if platform else {})
-    (folder / "nominal.yaml").write_text(dump_yaml(believed.model_dump(mode="json")), encoding="utf-8")
+    believed = load_scenario(
+        SCENARIO,
+        set={"rig.platform": platform, "compensation.motion": {"kind": "none"}} if platform else {},
+    )
+    (folder / "nominal.yaml").write_text(
+        dump_yaml(believed.model_dump(mode="json")), encoding="utf-8"
+    )
     entries = []
     for seed, speed in enumerate(speeds):
         approach = {"approach.velocity": [0.0, 0.0, speed], "duration": 0.9}
-        given = approach | {"sensor.noise": NOISE, "sensor.torque_noise": 0.02, "seed": seed, "effects": list(effects)}
+        given = approach | {
+            "sensor.noise": NOISE,
+            "sensor.torque_noise": 0.02,
+            "seed": seed,
+            "effects": list(effects),
+        }
         trace = run(load_scenario(folder / "nominal.yaml", set=given)).trace
         assert trace is not None
         write_trace(trace, folder / f"run_{seed}.parquet")
-        entries.append(f"  - {{file: run_{seed}.parquet, set: {{approach.velocity: [0, 0, {speed}], duration: 0.9}}}}")
-    (folder / "dataset.yaml").write_text("\n".join(["scenario: nominal.yaml", "runs:", *entries, ""]), encoding="utf-8")
+        entries.append(
+            f"  - {{file: run_{seed}.parquet, set: {{approach.velocity: [0, 0, {speed}], "
+            f"duration: 0.9}}}}"
+        )
+    (folder / "dataset.yaml").write_text(
+        "\n".join(["scenario: nominal.yaml", "runs:", *entries, ""]), encoding="utf-8"
+    )
     return load_dataset(folder / "dataset.yaml")
 
 
@@ -59,11 +81,15 @@ def healthy(tmp_path_factory: pytest.TempPathFactory) -> MeasuredDataset:
 
 
 def test_where_the_drives_yield_to_is_known_to_their_doubt(healthy: MeasuredDataset) -> None:
-    """Told the recorded command under the recorded force, 5 ms late and with its noise: 0.2 N on 4e7 N/m is what is not told."""
+    """Told the recorded command under the recorded force, 5 ms late and with its noise: 0.2 N on
+    4e7 N/m is what is not told.
+    """
     measured = healthy.runs[-1]
     found = deflection(measured, NOISE)
     assert found is not None
-    told = np.concatenate([measured.record.filled("pose_act")[:1], measured.record.filled("pose_cmd")[:-1]])
+    told = np.concatenate(
+        [measured.record.filled("pose_act")[:1], measured.record.filled("pose_cmd")[:-1]]
+    )
     left = measured.record.filled("pose_act") - told
     known = np.isfinite(found.doubt[:, 2])
     assert np.abs(left[known, 2]).max() > 4e-6
@@ -73,7 +99,9 @@ def test_where_the_drives_yield_to_is_known_to_their_doubt(healthy: MeasuredData
 
 
 @SLOW
-def test_of_a_driven_platform_nothing_is_named_where_nothing_is_hidden(healthy: MeasuredDataset) -> None:
+def test_of_a_driven_platform_nothing_is_named_where_nothing_is_hidden(
+    healthy: MeasuredDataset,
+) -> None:
     finding = find(investigate(healthy))
     assert finding.verdict == "no_discrepancy"
     assert finding.causes == ()
@@ -89,21 +117,33 @@ def test_of_a_driven_platform_only_what_is_hidden_is_named(tmp_path: Path) -> No
     assert ends[0] <= hidden["width"] <= ends[1]
 
 
-def test_where_the_drives_yield_to_is_known_to_their_doubt_when_the_sensor_is_later_than_believed(tmp_path: Path) -> None:
-    """At the touch, where the reading does not show the force yet that bends the rig already: 3 ms of a rise by k v."""
+def test_where_the_drives_yield_to_is_known_to_their_doubt_when_the_sensor_is_later_than_believed(
+    tmp_path: Path,
+) -> None:
+    """At the touch, where the reading does not show the force yet that bends the rig already: 3 ms
+    of a rise by k v.
+    """
     late = driven(tmp_path, ({"kind": "sensor.delay", "delay": 0.003},), SPEEDS[-1:])
     for measured in late.runs:
         found = deflection(measured, NOISE)
         assert found is not None
-        told = np.concatenate([measured.record.filled("pose_act")[:1], measured.record.filled("pose_cmd")[:-1]])
+        told = np.concatenate(
+            [measured.record.filled("pose_act")[:1], measured.record.filled("pose_cmd")[:-1]]
+        )
         known = np.isfinite(found.doubt[:, 2])
-        off = np.abs(flat_pose(measured.record.filled("pose_act") - told)[known, 2] - found.away[known, 2])
+        off = np.abs(
+            flat_pose(measured.record.filled("pose_act") - told)[known, 2] - found.away[known, 2]
+        )
         assert (off > 2e-8).any()
         assert (off <= found.doubt[known, 2] + 1e-9).all()
 
 
-def test_what_a_platform_makes_of_its_command_is_known_whatever_the_force_reads(tmp_path: Path) -> None:
-    """By a response of its own it lags by mm, which no force has a part in: no explanation of the platform is good for that alone."""
+def test_what_a_platform_makes_of_its_command_is_known_whatever_the_force_reads(
+    tmp_path: Path,
+) -> None:
+    """By a response of its own it lags by mm, which no force has a part in: no explanation of the
+    platform is good for that alone.
+    """
     lagging = driven(tmp_path, (), SPEEDS[-1:], RESPONDING)
     found = deflection(lagging.runs[0], NOISE)
     assert found is not None
@@ -121,7 +161,9 @@ def test_beside_a_platform_that_lags_as_believed_a_late_sensor_is_found(tmp_path
     assert ends[0] <= hidden["delay"] <= ends[1]
 
 
-def test_a_command_that_the_drives_cannot_follow_is_not_taken_for_their_yield(healthy: MeasuredDataset) -> None:
+def test_a_command_that_the_drives_cannot_follow_is_not_taken_for_their_yield(
+    healthy: MeasuredDataset,
+) -> None:
     first = healthy.runs[0]
     record = first.record
     jumped = record.data["pose_cmd"].copy()

@@ -1,4 +1,6 @@
-"""The experiment that is proposed does separate what it is meant to separate: checked against the equations, not the words."""
+"""The experiment that is proposed does separate what it is meant to separate: checked against the
+equations, not the words.
+"""
 
 from __future__ import annotations
 
@@ -22,22 +24,57 @@ from .recorded import recorded
 
 MASS = 400.0  # kg, reduced
 NAMED = {  # how a text calls what an effect does
-    "sensor.bias": "bias", "sensor.drift": "drift", "sensor.hum": "hum|tone", "sensor.gain": "gain|scale error", "sensor.crosstalk":
-    "[Cc]ross-talk", "sensor.deadzone": "dead zone of the sensor", "sensor.saturation": "saturation", "sensor.delay": "delay",
-    "sensor.jitter": "jitter", "sensor.lag": "lag", "sensor.highpass": "leaking charge", "sensor.map": "a map", "sensor.rotation":
-    "rotated", "contact.damping": "damper|damping", "contact.hunt_crossley": "Hunt-Crossley", "contact.dry_friction": "dry friction",
-    "contact.relaxation": "relaxing", "frame.compliance": "[Aa] frame of|compliant frame", "frame.mode": "frame's mode", "contact.map":
-    "a map", "contact.stiffness": "stiffness|spring|wrong factor", "contact.power_law": "power law", "contact.hard_stop": "stop",
-    "contact.preload": "preload", "contact.surface_friction": "[Ff]riction", "contact.adhesion": "adhesion",
-    "contact.touch_offset": "offset", "contact.backlash": "play", "contact.misalignment": "tilt", "platform.delay": "delay",
-    "platform.lag": "lag", "platform.mode": "mode", "platform.backlash": "[Pp]lay", "platform.friction": "stiction", "platform.scale":
-    "scale error", "platform.speed_limit": "speed limit", "platform.drive": "a drive", "platform.response": "platform.response",
-    "dynamics.mass": "mass", "dynamics.inertia": "inertia", "dynamics.port_offset": "port in another place", "dynamics.appendage":
-    "appendage", "dynamics.force": "resists the motion", "dynamics.step_delay": "transport", "dynamics.integrator": "integrator",
-    "loop.deadzone": "of the loop", "log.skew": "stamped late|log.skew",
-}  # fmt: skip
+    "sensor.bias": "bias",
+    "sensor.drift": "drift",
+    "sensor.hum": "hum|tone",
+    "sensor.gain": "gain|scale error",
+    "sensor.crosstalk": "[Cc]ross-talk",
+    "sensor.deadzone": "dead zone of the sensor",
+    "sensor.saturation": "saturation",
+    "sensor.delay": "delay",
+    "sensor.jitter": "jitter",
+    "sensor.lag": "lag",
+    "sensor.highpass": "leaking charge",
+    "sensor.map": "a map",
+    "sensor.rotation": "rotated",
+    "contact.damping": "damper|damping",
+    "contact.hunt_crossley": "Hunt-Crossley",
+    "contact.dry_friction": "dry friction",
+    "contact.relaxation": "relaxing",
+    "frame.compliance": "[Aa] frame of|compliant frame",
+    "frame.mode": "frame's mode",
+    "contact.map": "a map",
+    "contact.stiffness": "stiffness|spring|wrong factor",
+    "contact.power_law": "power law",
+    "contact.hard_stop": "stop",
+    "contact.preload": "preload",
+    "contact.surface_friction": "[Ff]riction",
+    "contact.adhesion": "adhesion",
+    "contact.touch_offset": "offset",
+    "contact.backlash": "play",
+    "contact.misalignment": "tilt",
+    "platform.delay": "delay",
+    "platform.lag": "lag",
+    "platform.mode": "mode",
+    "platform.backlash": "[Pp]lay",
+    "platform.friction": "stiction",
+    "platform.scale": "scale error",
+    "platform.speed_limit": "speed limit",
+    "platform.drive": "a drive",
+    "platform.response": "platform.response",
+    "dynamics.mass": "mass",
+    "dynamics.inertia": "inertia",
+    "dynamics.port_offset": "port in another place",
+    "dynamics.appendage": "appendage",
+    "dynamics.force": "resists the motion",
+    "dynamics.step_delay": "transport",
+    "dynamics.integrator": "integrator",
+    "loop.deadzone": "of the loop",
+    "log.skew": "stamped late|log.skew",
+}
 ALIKE = sorted(
-    {tuple(sorted((a, b))) for a, effect in EFFECTS.items() for b in effect.resembles} | {("frame.compliance", "sensor.rotation")}
+    {tuple(sorted((a, b))) for a, effect in EFFECTS.items() for b in effect.resembles}
+    | {("frame.compliance", "sensor.rotation")}
 )
 CONFOUNDED = [  # literature, Section 5, and what must be in the proposal
     ("contact.damping", "sensor.delay", "spring"),
@@ -64,26 +101,37 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> MeasuredDataset:
 
 
 def finding(effect: str, rival: str, **parameters: float | str) -> Finding:
-    cause = Cause(effect, {name: Parameter(value, None) for name, value in parameters.items()}, 0.5, (rival,))
+    cause = Cause(
+        effect, {name: Parameter(value, None) for name, value in parameters.items()}, 0.5, (rival,)
+    )
     return Finding("ambiguous", EFFECTS[effect].link, (cause,))
 
 
 @pytest.mark.parametrize(("effect", "rival", "words"), CONFOUNDED)
-def test_each_confounded_set_has_its_own_experiment(dataset: MeasuredDataset, effect: str, rival: str, words: str):
-    given: dict[str, float | str] = {"body": "chaser", "factor": 1.1} if effect == "dynamics.mass" else {}
+def test_each_confounded_set_has_its_own_experiment(
+    dataset: MeasuredDataset, effect: str, rival: str, words: str
+):
+    given: dict[str, float | str] = (
+        {"body": "chaser", "factor": 1.1} if effect == "dynamics.mass" else {}
+    )
     for a, b in ((effect, rival), (rival, effect)):
-        experiment = next_experiment(finding(a, b, **(given if a == "dynamics.mass" else {})), dataset)
+        experiment = next_experiment(
+            finding(a, b, **(given if a == "dynamics.mass" else {})), dataset
+        )
         assert experiment is not None
         assert re.search(words, experiment.text), experiment.text
         assert {effect, rival} <= set(experiment.separates)
 
 
 def test_a_lag_and_a_delay_part_ways_where_w_tau_is_beyond_three_tenths(dataset: MeasuredDataset):
-    experiment = next_experiment(finding("sensor.lag", "sensor.delay", time_constant=0.003), dataset)
+    experiment = next_experiment(
+        finding("sensor.lag", "sensor.delay", time_constant=0.003), dataset
+    )
     assert experiment is not None
     k = experiment.runs[0]["mechanism.contact.stiffness"]
     assert math.sqrt(k / MASS) * 0.003 > 0.3
-    force = experiment.runs[0]["approach.velocity.2"] * math.sqrt(k * MASS)  # v sqrt(k mu), no larger than what the rig has seen
+    # v sqrt(k mu), no larger than what the rig has seen
+    force = experiment.runs[0]["approach.velocity.2"] * math.sqrt(k * MASS)
     assert force <= 1.05 * max(c.peak_force or 0.0 for r in dataset.runs for c in r.survey.contacts)
 
 
@@ -98,10 +146,16 @@ def test_damper_and_delay_are_separated_by_springs_and_never_by_masses(dataset: 
 
 
 def test_which_body_is_wrong_is_open_even_where_the_mass_is_named(dataset: MeasuredDataset):
-    """1/mu = 1/m1 + 1/m2: the relative pose cannot tell; 500 kg by 1.15 beside 2000 kg is 2000 kg by 2.091 beside 500 kg."""
+    """1/mu = 1/m1 + 1/m2: the relative pose cannot tell; 500 kg by 1.15 beside 2000 kg is 2000 kg
+    by 2.091 beside 500 kg.
+    """
     from hiltestbed.diagnosis.report.experiments import mass_of_either_body
 
-    cause = Cause("dynamics.mass", {"factor": Parameter(1.15, (1.14, 1.16), "-"), "body": Parameter("chaser", None)}, 1.0)
+    cause = Cause(
+        "dynamics.mass",
+        {"factor": Parameter(1.15, (1.14, 1.16), "-"), "body": Parameter("chaser", None)},
+        1.0,
+    )
     named = Finding("named", "dynamics", (cause,))
     text = mass_of_either_body(named, dataset)
     assert text is not None
@@ -116,8 +170,12 @@ def test_what_is_not_open_needs_no_experiment(dataset: MeasuredDataset):
     assert next_experiment(Finding("named", "contact", (settled,)), dataset) is None
 
 
-@pytest.mark.parametrize("link", ["platform", "contact", "sensor", "compensation", "dynamics", None])
-def test_an_unknown_departure_gets_an_experiment_on_its_link(dataset: MeasuredDataset, link: str | None):
+@pytest.mark.parametrize(
+    "link", ["platform", "contact", "sensor", "compensation", "dynamics", None]
+)
+def test_an_unknown_departure_gets_an_experiment_on_its_link(
+    dataset: MeasuredDataset, link: str | None
+):
     assert next_experiment(Finding("unknown", link), dataset) is not None
 
 
@@ -131,48 +189,75 @@ def test_every_pair_of_effects_of_a_link_has_one(dataset: MeasuredDataset):
 
 
 @pytest.mark.parametrize(("effect", "rival"), ALIKE)
-def test_what_is_easily_mistaken_has_a_rule_that_says_what_both_do(dataset: MeasuredDataset, effect: str, rival: str):
-    """Whichever of the two was named, whichever link departs first; and the data lack no channel, so that none is asked for."""
+def test_what_is_easily_mistaken_has_a_rule_that_says_what_both_do(
+    dataset: MeasuredDataset, effect: str, rival: str
+):
+    """Whichever of the two was named, whichever link departs first; and the data lack no channel,
+    so that none is asked for.
+    """
     assert any(rule.separates(effect, rival) for rule in RULES)
     for link in ("log", "sensor", "platform"):
         cause = Cause(effect, {}, 0.5, (rival,))
         experiment = next_experiment(Finding("ambiguous", link, (cause,)), dataset)
         assert experiment is not None
         assert all(re.search(NAMED[e], experiment.text) for e in (effect, rival)), experiment.text
-        assert not re.search(r"\b([Rr]ecord|[Ll]og)\b[^.;:]*\b(wrench|pose)_\w+", experiment.text), experiment.text
+        assert not re.search(
+            r"\b([Rr]ecord|[Ll]og)\b[^.;:]*\b(wrench|pose)_\w+", experiment.text
+        ), experiment.text
 
 
 def test_the_advice_does_not_depend_on_which_was_named_or_departs_first():
     for a, b in combinations(EFFECTS, 2):
         assert plan_for(a, b) == plan_for(b, a) or EFFECTS[a].link == EFFECTS[b].link
         if "log" not in (EFFECTS[a].link, EFFECTS[b].link):
-            assert plan_for(a, b) is not rebound or {a, b} <= {"sensor.delay", "dynamics.step_delay"}
+            assert plan_for(a, b) is not rebound or {a, b} <= {
+                "sensor.delay",
+                "dynamics.step_delay",
+            }
 
 
 def test_each_rival_gets_its_own_experiment(dataset: MeasuredDataset):
     cause = Cause("sensor.delay", {}, 0.4, ("contact.damping", "log.skew", "sensor.lag"))
     experiment = next_experiment(Finding("ambiguous", "sensor", (cause,)), dataset)
     assert experiment is not None
-    assert all(words in experiment.text for words in ("two other known springs", "stamped late", "w tau > 0.3"))
+    assert all(
+        words in experiment.text
+        for words in ("two other known springs", "stamped late", "w tau > 0.3")
+    )
 
 
 def test_a_channel_is_asked_for_where_it_is_lacking(tmp_path: Path):
     file = recorded(tmp_path, [])
     for run in tmp_path.glob("*.parquet"):
         table = pq.read_table(run)
-        pq.write_table(table.drop_columns([name for name in table.column_names if name.startswith("wrench_comp")]), run)
+        pq.write_table(
+            table.drop_columns(
+                [name for name in table.column_names if name.startswith("wrench_comp")]
+            ),
+            run,
+        )
     experiment = next_experiment(finding("log.skew", "sensor.delay"), load_dataset(file))
     assert experiment is not None
     assert "record wrench_comp" in experiment.text
 
 
 def test_a_rotated_sensor_reads_under_three_weights_what_the_text_says(dataset: MeasuredDataset):
-    """f = R^T F: a weight along z on the lateral axes, one along a lateral axis with the other sign on z."""
+    """f = R^T F: a weight along z on the lateral axes, one along a lateral axis with the other sign
+    on z.
+    """
     angle = 3.0
-    cause = Cause("sensor.rotation", {"angles_deg": Parameter([angle, 0.0, 0.0], None)}, 0.5, ("frame.compliance",))  # type: ignore[arg-type]
+    cause = Cause(
+        "sensor.rotation",
+        {"angles_deg": Parameter([angle, 0.0, 0.0], None)},
+        0.5,
+        ("frame.compliance",),
+    )  # type: ignore[arg-type]
     experiment = next_experiment(Finding("ambiguous", "log", (cause,)), dataset)
     assert experiment is not None
-    load, side = (float(re.search(p, experiment.text)[1]) for p in (r"weight of ([\d.e+]+) N along z", r"reads ([\d.e+]+) N"))  # type: ignore[index]
+    load, side = (
+        float(re.search(p, experiment.text)[1])
+        for p in (r"weight of ([\d.e+]+) N along z", r"reads ([\d.e+]+) N")
+    )  # type: ignore[index]
     sensor = SensorParameters.believed(dataset.nominal.sensor, dataset.nominal.tick)
     EFFECTS["sensor.rotation"].hypothesis({}, angles_deg=[angle, 0.0, 0.0]).apply(sensor)
     under_z, under_y = (sensor.calibration[:3, :3] @ (load * np.eye(3)[axis]) for axis in (2, 1))
@@ -187,6 +272,10 @@ def test_proposed_runs_are_scenarios(dataset: MeasuredDataset):
     file = Path(dataset.path).parent / "nominal.yaml"
     for effect, rival, _ in CONFOUNDED:
         cause = Cause(effect, {}, 0.5, (rival,))
-        experiment = next_experiment(Finding("ambiguous", "contact", (cause,)), dataset) if effect != "dynamics.mass" else None
+        experiment = (
+            next_experiment(Finding("ambiguous", "contact", (cause,)), dataset)
+            if effect != "dynamics.mass"
+            else None
+        )
         for run in experiment.runs if experiment else ():
             load_scenario(file, set=run)

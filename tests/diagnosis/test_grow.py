@@ -20,17 +20,28 @@ from hiltestbed.scenario import scenario_from
 from .made import effect
 
 H, ROWS, NOISE = 0.01, 1500, 1e-6
-TRUTH = [effect("platform.lag", bandwidth=3.0), effect("platform.backlash", width=2e-4), effect("platform.scale", factor=0.9, axis="x")]
+TRUTH = [
+    effect("platform.lag", bandwidth=3.0),
+    effect("platform.backlash", width=2e-4),
+    effect("platform.scale", factor=0.9, axis="x"),
+]
 
 
 def link() -> PlatformLink:
     """Two runs of a platform with three effects: sweeps of 2 mm, from 0.2 Hz up, on x."""
     body = {"mass": 500.0, "inertia": [200.0, 180.0, 150.0]}
-    s = scenario_from({
-        "name": "grow", "duration": ROWS * H, "rate": 1 / H, "physics_rate": 4 / H, "spacecraft": {"chaser": body, "target": body},
-        "approach": {"velocity": [0, 0, 0], "gap": 0.1}, "mechanism": {"contact": {"stiffness": 1e5, "damping": 0.0}},
-        "rig": {"platform": {"tracking": "ideal"}},
-    })  # fmt: skip
+    s = scenario_from(
+        {
+            "name": "grow",
+            "duration": ROWS * H,
+            "rate": 1 / H,
+            "physics_rate": 4 / H,
+            "spacecraft": {"chaser": body, "target": body},
+            "approach": {"velocity": [0, 0, 0], "gap": 0.1},
+            "mechanism": {"contact": {"stiffness": 1e5, "damping": 0.0}},
+            "rig": {"platform": {"tracking": "ideal"}},
+        }
+    )
     rng, t, commands, runs = np.random.default_rng(4), (np.arange(ROWS) + 1) * H, [], []
     for fastest in (1.0, 1.6):
         command = np.zeros((ROWS, 7))
@@ -43,7 +54,12 @@ def link() -> PlatformLink:
     still = [np.zeros((ROWS, 6))] * 2
     shown = PlatformLink(runs, commands, still).predict([(i, TRUTH) for i in range(2)])
     return PlatformLink(
-        [replace(r, measured=m + NOISE * rng.standard_normal(m.shape)) for r, m in zip(runs, shown, strict=True)], commands, still
+        [
+            replace(r, measured=m + NOISE * rng.standard_normal(m.shape))
+            for r, m in zip(runs, shown, strict=True)
+        ],
+        commands,
+        still,
     )
 
 
@@ -51,11 +67,15 @@ def one_of_three() -> Explanation:
     """The explanation that a lag alone gives."""
     residual = Residual(link())
     scales = Scales(1.0, 1e-3, 1e5, H, 1.0, 0.01, 0.02, ROWS * H, travel=4e-3, substeps=4)
-    candidates = tuple(c for e in EFFECTS.values() if e.link == "platform" for c in e.candidates(scales))
+    candidates = tuple(
+        c for e in EFFECTS.values() if e.link == "platform" for c in e.candidates(scales)
+    )
     lag = next(c for c in candidates if c.kind == "platform.lag")
     one = fit(residual, (lag,), lag.grid)
     before, left = (contact_leftovers(residual, effects) for effects in ((), one.effects()))
-    return Explanation(residual, candidates, null_fit(residual), one, False, True, left, before, (one,))
+    return Explanation(
+        residual, candidates, null_fit(residual), one, False, True, left, before, (one,)
+    )
 
 
 def test_three_causes_are_found_from_one() -> None:
@@ -69,8 +89,14 @@ def test_three_causes_are_found_from_one() -> None:
 
 
 def test_nothing_is_added_to_causes_that_leave_noise_alone() -> None:
-    """What still pays then is another size of what the noise hides, or what a record does not state."""
+    """What still pays then is another size of what the noise hides, or what a record does not
+    state.
+    """
     found = one_of_three()
-    of_noise = {name: replace(left, variance=1.0, block=1.0) for name, left in found.leftovers.items()}
+    of_noise = {
+        name: replace(left, variance=1.0, block=1.0) for name, left in found.leftovers.items()
+    }
     assert all(left.noise for left in of_noise.values())
-    assert grow(found, Search(found.candidates, judge=lambda *_: of_noise)).kinds == ("platform.lag",)
+    assert grow(found, Search(found.candidates, judge=lambda *_: of_noise)).kinds == (
+        "platform.lag",
+    )

@@ -1,4 +1,6 @@
-"""A cause holds where something else is at work as well; what stands in for something else does not."""
+"""A cause holds where something else is at work as well; what stands in for something else does
+not.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,15 @@ from .test_verdict import SPEEDS, WEIGHED, candidates
 
 @cache
 def disturbed(*hidden: Effect, size: float = 1.0) -> Explanation:
-    """What a search makes of contacts with `hidden` and a chirp [N] in them that the vocabulary has no name for."""
+    """What a search makes of contacts with `hidden` and a chirp [N] in them that the vocabulary has
+    no name for.
+    """
     link = contact_link(hidden, speeds=SPEEDS)
     t = np.arange(500) * H
-    wave = [run.measured + size * (np.sin(2 * np.pi * 40 * t**1.7 + i) * run.touching)[:, None] for i, run in enumerate(link.runs)]
+    wave = [
+        run.measured + size * (np.sin(2 * np.pi * 40 * t**1.7 + i) * run.touching)[:, None]
+        for i, run in enumerate(link.runs)
+    ]
     return Search(candidates(*WEIGHED)).explain(Residual(reread(link, wave)))
 
 
@@ -51,7 +58,10 @@ def test_a_cause_has_one_size_in_each_run_and_a_stand_in_has_not() -> None:
     preload = candidates("contact.preload")[0]
     steady = Residual(contact_link([effect("contact.preload", force=6.0)], speeds=SPEEDS))
     growing = contact_link(speeds=SPEEDS)
-    steps = [run.measured + 200.0 * v * run.touching[:, None] * (np.arange(6) == 2) for run, v in zip(growing.runs, SPEEDS, strict=True)]
+    steps = [
+        run.measured + 200.0 * v * run.touching[:, None] * (np.arange(6) == 2)
+        for run, v in zip(growing.runs, SPEEDS, strict=True)
+    ]
     for residual, same in ((steady, True), (Residual(reread(growing, steps)), False)):
         chosen = fit(residual, (preload,), preload.grid)
         alone = [[fit(residual.on([i]), (preload,), preload.grid)] for i in residual.runs]
@@ -60,7 +70,9 @@ def test_a_cause_has_one_size_in_each_run_and_a_stand_in_has_not() -> None:
 
 @pytest.mark.parametrize("what", ["steady", "with the force", "in contact", "with time"])
 def test_the_size_of_a_stand_in_varies_with_a_condition(what: str) -> None:
-    """A bias that is always there is one. What grows with the force, acts in contact only, or fades, is none."""
+    """A bias that is always there is one. What grows with the force, acts in contact only, or
+    fades, is none.
+    """
     bias = candidates("sensor.bias")[0]
     link = contact_link(speeds=SPEEDS)
     rows = np.arange(len(link.runs[0].measured))
@@ -71,14 +83,19 @@ def test_the_size_of_a_stand_in_varies_with_a_condition(what: str) -> None:
         "with time": lambda run, v: 4.0 - 4.0 * rows / rows[-1],
     }
     along = np.arange(6) == 2
-    logged = [run.measured + sizes[what](run, v)[:, None] * along for run, v in zip(link.runs, SPEEDS, strict=True)]
+    logged = [
+        run.measured + sizes[what](run, v)[:, None] * along
+        for run, v in zip(link.runs, SPEEDS, strict=True)
+    ]
     residual = Residual(reread(link, logged))
     chosen = fit(residual, (bias,), bias.grid)
     assert varies(residual, chosen, 0, list(range(len(bias.names))), 0.0) is (what != "steady")
 
 
 def test_a_run_that_any_size_fits_says_nothing_of_it() -> None:
-    """Three of five tell: as many as asked agree, one more than there are does not; and one that differs is too many then."""
+    """Three of five tell: as many as asked agree, one more than there are does not; and one that
+    differs is too many then.
+    """
     preload = candidates("contact.preload")[0]
     residual = Residual(contact_link([effect("contact.preload", force=6.0)], speeds=SPEEDS))
     chosen = fit(residual, (preload,), preload.grid)
@@ -90,17 +107,33 @@ def test_a_run_that_any_size_fits_says_nothing_of_it() -> None:
 
 
 def test_a_size_that_the_runs_do_not_bear_on_is_the_same_in_none() -> None:
-    """Damping makes a force of 8 N and more of each touch: what is below is not met, neither the end of a dead zone nor a bias within it.
+    """Damping makes a force of 8 N and more of each touch: what is below is not met, neither the
+    end of a dead zone nor a bias within it.
 
     Both stay where a fit starts, in every run alone too; a stiffness is found again.
     """
-    stiffness, zone, bias = (candidates(kind)[0] for kind in ("contact.stiffness", "sensor.deadzone", "sensor.bias"))
-    residual = Residual(contact_link([effect("contact.stiffness", factor=1.1), effect("sensor.deadzone", width=5.0)], speeds=SPEEDS))
-    chosen = fit(residual, (stiffness, zone, bias), [[1.1, 5.0, 0.0, -3.0, 0.0, 0.0, 0.0, 0.0]], tries=1)
+    stiffness, zone, bias = (
+        candidates(kind)[0] for kind in ("contact.stiffness", "sensor.deadzone", "sensor.bias")
+    )
+    residual = Residual(
+        contact_link(
+            [effect("contact.stiffness", factor=1.1), effect("sensor.deadzone", width=5.0)],
+            speeds=SPEEDS,
+        )
+    )
+    chosen = fit(
+        residual, (stiffness, zone, bias), [[1.1, 5.0, 0.0, -3.0, 0.0, 0.0, 0.0, 0.0]], tries=1
+    )
     assert chosen.part(2)[1] == -3.0
     none = contact_leftovers(residual, chosen.effects())
-    found = Explanation(residual, chosen.causes, null_fit(residual), chosen, True, True, none, none, (chosen,))
-    assert [same_in_each(chosen, in_each_run(found), i, 3) for i in range(3)] == [True, False, False]
+    found = Explanation(
+        residual, chosen.causes, null_fit(residual), chosen, True, True, none, none, (chosen,)
+    )
+    assert [same_in_each(chosen, in_each_run(found), i, 3) for i in range(3)] == [
+        True,
+        False,
+        False,
+    ]
 
 
 def test_what_fits_all_runs_is_among_what_fits_each_that_it_fits_as_well() -> None:
@@ -111,8 +144,12 @@ def test_what_fits_all_runs_is_among_what_fits_each_that_it_fits_as_well() -> No
     chosen = fit(Residual(link), (stiffness,), stiffness.grid)
     residual = Residual(reread(link, changed))
     none = contact_leftovers(residual, chosen.effects())
-    found = Explanation(residual, chosen.causes, null_fit(residual), chosen, True, True, none, none, (chosen,))
-    assert [any((f.theta == chosen.theta).all() for f in fits) for fits in in_each_run(found)] == [False] + [True] * (len(SPEEDS) - 1)
+    found = Explanation(
+        residual, chosen.causes, null_fit(residual), chosen, True, True, none, none, (chosen,)
+    )
+    assert [any((f.theta == chosen.theta).all() for f in fits) for fits in in_each_run(found)] == [
+        False
+    ] + [True] * (len(SPEEDS) - 1)
 
 
 @pytest.mark.parametrize(("factor", "there"), [(1.3, False), (20.0, True)])

@@ -1,4 +1,6 @@
-"""Laws learned from readings that were made by formulas in plain NumPy: recovered, no larger than needed, and worth what the truth is."""
+"""Laws learned from readings that were made by formulas in plain NumPy: recovered, no larger than
+needed, and worth what the truth is.
+"""
 
 from __future__ import annotations
 
@@ -31,15 +33,23 @@ def linear(x: Array, v: Array, k: float) -> Array:
     return k * x + DAMPING * v
 
 
-def recorded(force: Force, show: Callable[[Array], Array] = lambda f: f, springs: Sequence[float] = (1, 1, 1, 1, 1)) -> Residual:
-    """Bounces on a wall of this ``force``, pushing alone, read 5 ms later through a sensor that ``show``s it, with noise."""
+def recorded(
+    force: Force,
+    show: Callable[[Array], Array] = lambda f: f,
+    springs: Sequence[float] = (1, 1, 1, 1, 1),
+) -> Residual:
+    """Bounces on a wall of this ``force``, pushing alone, read 5 ms later through a sensor that
+    ``show``s it, with noise.
+    """
     rng, late = np.random.default_rng(3), round(scenario().sensor.delay / H)
     runs, paths = [], []
     for speed, part in zip(SPEEDS, springs, strict=True):
         path = bounce(speed=speed)
         x = path[:, 2]
         v = np.diff(x, prepend=x[0] - speed * H) / H
-        pushed = np.where(x > 0.0, np.maximum(force(np.maximum(x, 0.0), v, part * STIFFNESS), 0.0), 0.0)
+        pushed = np.where(
+            x > 0.0, np.maximum(force(np.maximum(x, 0.0), v, part * STIFFNESS), 0.0), 0.0
+        )
         read = show(np.concatenate([np.zeros(late), pushed[:-late]]))
         measured = NOISE * rng.standard_normal((len(x), 6))
         measured[:, 2] += read
@@ -50,7 +60,9 @@ def recorded(force: Force, show: Callable[[Array], Array] = lambda f: f, springs
 
 
 def _stiffer(part: float) -> Scenario:
-    return scenario_from(resolved(scenario()), set={"mechanism.contact.stiffness": part * STIFFNESS})
+    return scenario_from(
+        resolved(scenario()), set={"mechanism.contact.stiffness": part * STIFFNESS}
+    )
 
 
 def worth(residual: Residual, gain: Heldout) -> float:
@@ -68,17 +80,25 @@ def test_a_cubic_spring_is_recovered() -> None:
     residual = recorded(lambda x, v, k: linear(x, v, k) + 3e9 * x**3)
     law, gain = learned(residual)
     assert law.effect.kind == "contact.map"
-    assert worth(residual, gain) > 0.8, "the deepest run is left out, too, and lies past all that was fitted"
+    assert worth(residual, gain) > 0.8, (
+        "the deepest run is left out, too, and lies past all that was fitted"
+    )
     assert carries_over(gain)
     knots = np.array(law.effect.parameters()["penetration"] or law.effect.parameters()["spring"])
     x = np.linspace(0.0005, knots[-1, 0], 100)
-    force = np.interp(x, *knots.T) * (1.0 if law.effect.parameters()["penetration"] else STIFFNESS * x)
+    force = np.interp(x, *knots.T) * (
+        1.0 if law.effect.parameters()["penetration"] else STIFFNESS * x
+    )
     assert np.abs(force - 3e9 * x**3).max() < 0.03 * 3e9 * x[-1] ** 3
 
 
 def test_a_kink_with_a_friction_that_no_effect_has() -> None:
-    """A spring of 60 kN/m more past 1 mm, and a force on the way in that is not there on the way out."""
-    residual = recorded(lambda x, v, k: linear(x, v, k) + 6e4 * np.maximum(x - 1e-3, 0.0) + 8.0 * (v > 0.0))
+    """A spring of 60 kN/m more past 1 mm, and a force on the way in that is not there on the way
+    out.
+    """
+    residual = recorded(
+        lambda x, v, k: linear(x, v, k) + 6e4 * np.maximum(x - 1e-3, 0.0) + 8.0 * (v > 0.0)
+    )
     _, gain = learned(residual)
     assert worth(residual, gain) > 0.8
     assert carries_over(gain)
@@ -122,7 +142,9 @@ def test_the_answer_of_a_platform_to_a_step_is_recovered() -> None:
     s = w * np.sqrt(1.0 - zeta**2)
     answer = 1.0 - np.exp(-zeta * w * t) * (np.cos(s * t) + zeta * w / s * np.sin(s * t))
     true = tuple((float(a) + 0.002, float(b)) for a, b in zip(t, answer, strict=True))
-    residual = Residual(platform_link([effect("platform.response", step=true)], speeds=(0.02, 0.03, 0.045, 0.06)))
+    residual = Residual(
+        platform_link([effect("platform.response", step=true)], speeds=(0.02, 0.03, 0.045, 0.06))
+    )
     law, gain = learned(residual)
     assert law.effect.kind == "platform.response"
     assert worth(residual, gain) > 0.8
@@ -143,14 +165,18 @@ def test_what_is_of_another_size_in_every_run_does_not_carry_over() -> None:
     assert found is None or not carries_over(found[1])
 
 
-@pytest.mark.parametrize("choice", choices(Block("rate", np.linspace(-1.0, 1.0, 17), True, (3, 5, 9, 17))))
+@pytest.mark.parametrize(
+    "choice", choices(Block("rate", np.linspace(-1.0, 1.0, 17), True, (3, 5, 9, 17)))
+)
 def test_fewer_knots_give_curves_of_the_finest(choice: Choice) -> None:
     """Straight between its own knots, nothing at 0, and odd where that is asked."""
     block = Block("rate", np.linspace(-1.0, 1.0, 17), True, (3, 5, 9, 17))
     basis = shape_of(block, choice)
     values = basis @ np.random.default_rng(0).standard_normal(basis.shape[1])
     every = choice.every(17)
-    np.testing.assert_allclose(values, np.interp(block.places, block.places[::every], values[::every]), atol=1e-12)
+    np.testing.assert_allclose(
+        values, np.interp(block.places, block.places[::every], values[::every]), atol=1e-12
+    )
     assert values[8] == pytest.approx(0.0, abs=1e-12)
     assert not choice.odd or np.allclose(values, -values[::-1])
 
@@ -183,14 +209,24 @@ def test_a_curve_that_no_equation_fits_has_none() -> None:
 
 def law_of(numbers: int, *left: float, carries: bool = True) -> Learned:
     after = float(np.sqrt(np.mean(np.square(left))))
-    gain = Heldout((0, 1), 20.0, after, 1.0 - after / 20.0, (0.5, 0.9), 0.0, {i: (20.0, x) for i, x in enumerate(left)})
+    gain = Heldout(
+        (0, 1),
+        20.0,
+        after,
+        1.0 - after / 20.0,
+        (0.5, 0.9),
+        0.0,
+        {i: (20.0, x) for i, x in enumerate(left)},
+    )
     return Learned("contact.map", {}, "contact", numbers, gain, 0.9, carries, None, ())
 
 
 def test_a_name_falls_where_curves_alone_do_as_well_with_fewer_numbers() -> None:
     assert needless(law_of(16, 2.0), law_of(17, 2.0), named=2)
     assert not needless(law_of(4, 2.0), law_of(17, 2.0), named=2), "the name makes the law simpler"
-    assert not needless(law_of(16, 1.0), law_of(17, 2.0), named=2), "the curves leave more without it"
+    assert not needless(law_of(16, 1.0), law_of(17, 2.0), named=2), (
+        "the curves leave more without it"
+    )
     assert not needless(law_of(16, 2.0), law_of(17, 2.0, carries=False), named=2)
 
 

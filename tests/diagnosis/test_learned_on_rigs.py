@@ -1,4 +1,6 @@
-"""Learned laws on records of whole rigs: one that shares no code with the simulation, and the loop itself with a law hidden in it."""
+"""Learned laws on records of whole rigs: one that shares no code with the simulation, and the loop
+itself with a law hidden in it.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ from tests.slow import slow
 
 from .recorded import recorded
 
-LOSS = {"kind": "contact.map", "spring_rate": [[-1e-3, -0.1], [1e-3, 0.0]]}  # a tenth of the spring's force is lost on the way out
+# a tenth of the spring's force is lost on the way out
+LOSS = {"kind": "contact.map", "spring_rate": [[-1e-3, -0.1], [1e-3, 0.0]]}
 
 
 def residual_of(dataset: MeasuredDataset) -> Residual:
@@ -34,9 +37,15 @@ def residual_of(dataset: MeasuredDataset) -> Residual:
     return Residual(make_wrench_link(layout, best_path(layout, None), layout.rows))
 
 
-@pytest.mark.parametrize("name", ["unknown.curve", slow("unknown.unloading"), slow("unknown.speeding")])
-def test_a_foreign_law_of_an_independent_rig_is_worth_nearly_what_the_truth_is(name: str, tmp_path: Path) -> None:
-    """The true model leaves noise: its gain is 1 - 1/before. A fifth less is what a law that is known from five runs may lose."""
+@pytest.mark.parametrize(
+    "name", ["unknown.curve", slow("unknown.unloading"), slow("unknown.speeding")]
+)
+def test_a_foreign_law_of_an_independent_rig_is_worth_nearly_what_the_truth_is(
+    name: str, tmp_path: Path
+) -> None:
+    """The true model leaves noise: its gain is 1 - 1/before. A fifth less is what a law that is
+    known from five runs may lose.
+    """
     write_set(tmp_path, draw_set(np.random.default_rng(1), "foreign", names=(name,)))
     found = learn(residual_of(load_dataset(tmp_path / "dataset.yaml")))
     assert found is not None
@@ -46,7 +55,9 @@ def test_a_foreign_law_of_an_independent_rig_is_worth_nearly_what_the_truth_is(n
     assert carries_over(gain)
 
 
-def test_the_extended_scenario_runs_with_the_law_and_rebounds_as_the_rig_did(tmp_path: Path) -> None:
+def test_the_extended_scenario_runs_with_the_law_and_rebounds_as_the_rig_did(
+    tmp_path: Path,
+) -> None:
     dataset = load_dataset(recorded(tmp_path, [LOSS]))
     residual = residual_of(dataset)
     null = null_fit(residual)
@@ -54,8 +65,14 @@ def test_the_extended_scenario_runs_with_the_law_and_rebounds_as_the_rig_did(tmp
     assert result is not None
     learned, effect = result
     assert learned.carries_over
-    diagnosis = conclude(dataset, Finding("unknown", "contact", series=link_series(residual.link, [effect]), learned=learned))
-    for measured, nominal, extended in zip(*(getattr(diagnosis.closed_loop, n) for n in ("measured", "nominal", "extended")), strict=True):
+    diagnosis = conclude(
+        dataset,
+        Finding("unknown", "contact", series=link_series(residual.link, [effect]), learned=learned),
+    )
+    for measured, nominal, extended in zip(
+        *(getattr(diagnosis.closed_loop, n) for n in ("measured", "nominal", "extended")),
+        strict=True,
+    ):
         assert measured.cor is not None
         assert nominal.cor is not None
         assert abs(nominal.cor - measured.cor) > 0.02

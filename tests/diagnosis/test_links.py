@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, PlatformLink, Timing, WrenchLink, flat_pose
+from hiltestbed.diagnosis.links import (
+    CompensationLink,
+    DynamicsLink,
+    LinkRun,
+    PlatformLink,
+    Timing,
+    WrenchLink,
+    flat_pose,
+)
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.numerical_model.model import NumericalModel
@@ -23,7 +31,10 @@ def free_run(s: Scenario, rows: int) -> LinkRun:
 
 
 def compensated(method: dict) -> CompensationLink:
-    s = scenario_from(scenario().model_dump(mode="json") | {"compensation": {"force": method, "motion": {"kind": "none"}}})
+    s = scenario_from(
+        scenario().model_dump(mode="json")
+        | {"compensation": {"force": method, "motion": {"kind": "none"}}}
+    )
     return CompensationLink([free_run(s, 10)], [np.zeros((10, 6))], {})
 
 
@@ -42,9 +53,12 @@ def test_a_body_with_an_appendage_keeps_the_momentum_of_the_whole() -> None:
     wrench = np.zeros((4000, 6))
     wrench[:100, 2] = 50.0
     link = DynamicsLink([free_run(scenario(), 4000)], [wrench])
-    swing = effect("dynamics.appendage", mass_ratio=0.2, frequency=2.0, damping_ratio=0.3, body="chaser")
+    swing = effect(
+        "dynamics.appendage", mass_ratio=0.2, frequency=2.0, damping_ratio=0.3, body="chaser"
+    )
     rebound = [np.diff(link.shown(0, effects)[-2:, 2])[0] for effects in ([], [swing])]
-    assert rebound[1] == pytest.approx(rebound[0], rel=1e-6)  # damped out, both parts move as one body of the believed mass
+    # damped out, both parts move as one body of the believed mass
+    assert rebound[1] == pytest.approx(rebound[0], rel=1e-6)
 
 
 def test_a_lag_trails_a_ramp_by_its_own_delay() -> None:
@@ -57,7 +71,11 @@ def test_a_lag_trails_a_ramp_by_its_own_delay() -> None:
 def test_runs_of_different_length_are_each_replayed_to_their_end() -> None:
     link = platform_link()
     commands = [link.commands[0], link.commands[1][:200]]
-    short = type(link)([link.runs[0], free_run(scenario(), 200)], commands, [np.zeros((len(c), 6)) for c in commands])
+    short = type(link)(
+        [link.runs[0], free_run(scenario(), 200)],
+        commands,
+        [np.zeros((len(c), 6)) for c in commands],
+    )
     shown = short.predict([(0, ()), (1, ()), (1, [effect("platform.delay", delay=2 * H)])])
     assert [len(s) for s in shown] == [len(commands[0]), 200, 200]
     np.testing.assert_array_equal(shown[1], link.shown(1)[:200])
@@ -82,7 +100,9 @@ def test_the_rate_of_a_reading_is_its_slope() -> None:
 
 
 def test_a_reading_hangs_on_the_facilitys_instants_where_one_lies_at_the_touch() -> None:
-    """The step of c v = 12 N at the touch, 0.7 ms before a row: 0.6 ms late, a reading lies 0.1 ms after it, the instant before it not."""
+    """The step of c v = 12 N at the touch, 0.7 ms before a row: 0.6 ms late, a reading lies 0.1 ms
+    after it, the instant before it not.
+    """
     link = contact_link(seed=None)
     clear, near = link.doubt(0, ()), link.doubt(0, [effect("sensor.delay", delay=0.6 * H)])
     assert clear is not None
@@ -94,9 +114,13 @@ def test_a_reading_hangs_on_the_facilitys_instants_where_one_lies_at_the_touch()
 
 
 @pytest.mark.parametrize("grid", [None, 20])
-def test_a_reading_that_is_stamped_before_its_contact_is_one_read_later_but_not_interpolated(grid: int | None) -> None:
-    """Of the step of c v = 12 N at the touch, 0.7 ms before a row, interpolation between rows would give a part. The sensor is late by
-    5 rows: a shift of -5.3 reads 0.3 ms after the row's contact, as one of -0.3 does 5 rows later."""
+def test_a_reading_that_is_stamped_before_its_contact_is_one_read_later_but_not_interpolated(
+    grid: int | None,
+) -> None:
+    """Of the step of c v = 12 N at the touch, 0.7 ms before a row, interpolation between rows would
+    give a part. The sensor is late by
+    5 rows: a shift of -5.3 reads 0.3 ms after the row's contact, as one of -0.3 does 5 rows later.
+    """
     link = contact_link(seed=None).interpreted(grid=grid)
     before, after = (link.with_timing(Timing(delay=-rows * H)) for rows in (5.3, 0.3))
     np.testing.assert_allclose(before.shown(0)[:-5], after.shown(0)[5:], rtol=0, atol=1e-9)
@@ -104,11 +128,15 @@ def test_a_reading_that_is_stamped_before_its_contact_is_one_read_later_but_not_
     assert doubts[0] is not None
     assert doubts[1] is not None
     np.testing.assert_allclose(doubts[0][:-5], doubts[1][5:], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(before.slopes(())[0][:-5], after.slopes(())[0][5:], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        before.slopes(())[0][:-5], after.slopes(())[0][5:], rtol=0, atol=1e-6
+    )
 
 
 def test_a_reading_at_the_edge_of_a_dead_zone_hangs_on_the_noise() -> None:
-    """The spread of 400,000 draws of the noise about the reading without noise, to some parts of sigma/w, which its size differs from w."""
+    """The spread of 400,000 draws of the noise about the reading without noise, to some parts of
+    sigma/w, which its size differs from w.
+    """
     sigma, width = 2.0, 60.0
     link = contact_link(seed=None)
     runs = [replace(run, sigma=np.full_like(run.sigma, sigma)) for run in link.runs]
@@ -116,13 +144,16 @@ def test_a_reading_at_the_edge_of_a_dead_zone_hangs_on_the_noise() -> None:
     plain, read = link.shown(0)[:, 2], link.shown(0, [zone])[:, 2]
     spread = WrenchLink(runs, link.paths).doubt(0, [zone])
     assert spread is not None
-    crosses = np.diff(read > 0.0, prepend=False) | np.diff(read > 0.0, append=False)  # there it hangs on the instant, too
+    # there it hangs on the instant, too
+    crosses = np.diff(read > 0.0, prepend=False) | np.diff(read > 0.0, append=False)
     edge = np.flatnonzero((np.abs(plain - width) < 3.5 * sigma) & ~crosses)
     assert len(edge) > 2
     noisy = plain[edge] + sigma * np.random.default_rng(4).standard_normal((400_000, len(edge)))
     off = np.where(np.abs(noisy) < width, 0.0, noisy) - read[edge]
     expected = np.sqrt(np.mean(off**2, axis=0))
-    np.testing.assert_allclose(np.hypot(spread[edge, 2], np.where(read[edge] > 0.0, sigma, 0.0)), expected, rtol=0.12)
+    np.testing.assert_allclose(
+        np.hypot(spread[edge, 2], np.where(read[edge] > 0.0, sigma, 0.0)), expected, rtol=0.12
+    )
     assert spread[plain < width - 8.0 * sigma, 2].max() < 2e-6  # 60 N times the root of Q(8)
 
 
@@ -130,12 +161,17 @@ def test_a_pose_there_and_back() -> None:
     rng = np.random.default_rng(2)
     flat = np.concatenate([rng.normal(size=(20, 3)), 0.02 * rng.normal(size=(20, 3))], axis=1)
     np.testing.assert_allclose(flat_pose(poses_of(flat)), flat, atol=1e-12)
-    np.testing.assert_allclose(flat_pose(-poses_of(flat) * [-1, -1, -1, 1, 1, 1, 1]), flat, atol=1e-12)  # q and -q are one attitude
+    # q and -q are one attitude
+    np.testing.assert_allclose(
+        flat_pose(-poses_of(flat) * [-1, -1, -1, 1, 1, 1, 1]), flat, atol=1e-12
+    )
 
 
 def test_noise_is_raised_as_the_weights_of_the_extrapolation_say() -> None:
     """4 F_0 - 6 F_1 + 4 F_2 - F_3: the root of 16 + 36 + 16 + 1."""
-    assert compensated({"kind": "polynomial", "order": 3}).noise_gain() == pytest.approx(np.sqrt(69.0), rel=1e-9)
+    assert compensated({"kind": "polynomial", "order": 3}).noise_gain() == pytest.approx(
+        np.sqrt(69.0), rel=1e-9
+    )
     assert compensated({"kind": "none"}).noise_gain() == pytest.approx(1.0)
 
 
@@ -147,26 +183,37 @@ def test_where_nobody_measured_the_pose_the_platforms_effects_are_felt_in_the_fo
     effects = [effect("platform.lag", bandwidth=20.0)]
     platform = platform_link(speeds=(0.03,))
     commands, s = platform.commands, platform.runs[0].scenario
-    runs = [LinkRun(s, np.zeros((len(c), 6)), np.ones((len(c), 6)), np.ones(len(c), dtype=bool)) for c in commands]
+    runs = [
+        LinkRun(s, np.zeros((len(c), 6)), np.ones((len(c), 6)), np.ones(len(c), dtype=bool))
+        for c in commands
+    ]
     reached, believed = platform.paths(effects), platform.paths([])
     delay = effect("sensor.delay", delay=0.002)
     link = WrenchLink(runs, believed).commanded(commands, [np.zeros((len(c), 6)) for c in commands])
     felt = WrenchLink(runs, reached).shown(0, [delay])
     np.testing.assert_allclose(link.shown(0, [*effects, delay]), felt, rtol=0, atol=1e-9)
-    np.testing.assert_array_equal(link.shown(0, [delay]), WrenchLink(runs, believed).shown(0, [delay]))
+    np.testing.assert_array_equal(
+        link.shown(0, [delay]), WrenchLink(runs, believed).shown(0, [delay])
+    )
     assert np.abs(felt - link.shown(0, [delay])).max() > 1.0
 
 
 @pytest.mark.parametrize("part", [0.25, 0.5])
-def test_a_response_between_rows_takes_off_what_it_averages_of_a_rounded_command(part: float) -> None:
+def test_a_response_between_rows_takes_off_what_it_averages_of_a_rounded_command(
+    part: float,
+) -> None:
     """Of (1 - p) e_k + p e_(k-1) the variance is 1 - 2 p (1 - p) of that of e."""
     link, rounding = platform_link(), 1e-6  # [m]
     errors = [np.full((len(c), 3), rounding) for c in link.commands]
     residual = Residual(link.with_rounding(errors))
     counted = 3 * sum(map(len, link.commands))
     expected = 2.0 * part * (1.0 - part) * counted * (rounding / POSE_NOISE) ** 2
-    assert residual.smoothed_away([effect("platform.delay", delay=part * H)]) == pytest.approx(expected, rel=0.1)
-    assert residual.smoothed_away([effect("platform.delay", delay=H)]) == pytest.approx(0.0, abs=0.01 * expected)
+    assert residual.smoothed_away([effect("platform.delay", delay=part * H)]) == pytest.approx(
+        expected, rel=0.1
+    )
+    assert residual.smoothed_away([effect("platform.delay", delay=H)]) == pytest.approx(
+        0.0, abs=0.01 * expected
+    )
     assert Residual(link).smoothed_away([effect("platform.delay", delay=part * H)]) == 0.0
 
 
@@ -175,9 +222,9 @@ def test_rounding_errors_of_a_path_pass_through_spring_and_damper(factor: float)
     """Of k e_k + c (e_k - e_(k-1)) / h the variance is (k + c/h)^2 + (c/h)^2 times that of e."""
     link = contact_link(seed=None)
     rounded, contact = 1e-6, link.runs[0].scenario.mechanism.contact  # [m]
-    passed = link.with_rounding([np.full((len(p), 3), rounded) for p in link.paths]).passed_from_input(
-        0, [effect("contact.damping", factor=factor)]
-    )
+    passed = link.with_rounding(
+        [np.full((len(p), 3), rounded) for p in link.paths]
+    ).passed_from_input(0, [effect("contact.damping", factor=factor)])
     assert passed is not None
     inside = link.runs[0].measured[:, 2] > 20.0
     slope = factor * contact.damping / H
@@ -187,35 +234,46 @@ def test_rounding_errors_of_a_path_pass_through_spring_and_damper(factor: float)
 
 
 def test_a_command_stamped_late_begins_with_the_approach() -> None:
-    """Its first rows are not on record, which repeats what it begins with; a mode would see a stop and a jump there."""
+    """Its first rows are not on record, which repeats what it begins with; a mode would see a stop
+    and a jump there.
+    """
     t, mode = np.arange(1, 301) * H, [effect("platform.mode", frequency=40.0, damping_ratio=0.02)]
     command = np.zeros((300, 7))
     command[:, 2], command[:, 6] = -0.003 + 0.03 * (t - 0.5 * np.maximum(t - 0.15, 0.0)), 1.0
     link = PlatformLink([free_run(scenario(), 300)], [command], [np.zeros((300, 6))])
     late = np.concatenate([command[:1], command[:-1]])
     other = PlatformLink(link.runs, [late], link.deflection)
-    reached = other.with_timing(Timing(before=-H)).paths(mode)[0]  # as it is stamped: a row before the command
+    # as it is stamped: a row before the command
+    reached = other.with_timing(Timing(before=-H)).paths(mode)[0]
     np.testing.assert_allclose(reached[:-1, 2], link.shown(0, mode)[:-1, 2], rtol=0, atol=1e-12)
     unknown = other.shown(0, mode)[1:, 2] - link.shown(0, mode)[:-1, 2]
     assert np.abs(unknown[:20]).max() > 1e-5
 
 
 def test_an_unknown_rate_is_worth_a_tick_of_the_damping_force() -> None:
-    """The readings of rates taken a tick later differ by c a h, with a = -x w^2 in contact and the damping c = 400 N s/m."""
+    """The readings of rates taken a tick later differ by c a h, with a = -x w^2 in contact and the
+    damping c = 400 N s/m.
+    """
     link = contact_link(seed=None).with_unknown_rate()
     term, back = link.runs[0].nuisances, 5  # rows of the sensor's delay
     assert term is not None
     assert term.shape == (500, 6, 1)
     inside = np.arange(150, 350)
     expected = -400.0 * H * (math.pi / 0.3) ** 2 * bounce()[inside - back, 2]
-    np.testing.assert_allclose(term[inside, 2, 0], expected, rtol=0, atol=0.03 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        term[inside, 2, 0], expected, rtol=0, atol=0.03 * np.abs(expected).max()
+    )
     assert np.abs(term[:90, 2, 0]).max() == 0.0  # the approach is uniform
     assert link.with_unknown_rate().runs[0].nuisances.shape == (500, 6, 2)  # type: ignore[union-attr]
 
 
 def test_a_wrench_that_is_not_on_record_makes_the_bodies_drift() -> None:
-    """A force f in the first tick gives two bodies of 500 kg each the relative velocity f h (1/500 + 1/500)."""
-    link = DynamicsLink([free_run(scenario(), 200)], [np.zeros((200, 6))]).with_unknown_start(np.full(6, 2.0))
+    """A force f in the first tick gives two bodies of 500 kg each the relative velocity f h (1/500
+    + 1/500).
+    """
+    link = DynamicsLink([free_run(scenario(), 200)], [np.zeros((200, 6))]).with_unknown_start(
+        np.full(6, 2.0)
+    )
     terms = link.runs[0].nuisances
     assert terms is not None
     assert terms.shape == (200, 6, 6)

@@ -21,7 +21,9 @@ def forces(seed: int, finer: int = 1) -> Array:
     rng = np.random.default_rng(seed)
     t = np.arange(ROWS * finer) / (ROWS * finer)
     bounce = 100.0 * np.sin(np.pi * np.clip((t - 0.3) / 0.4, 0.0, 1.0))
-    return np.column_stack([bounce, 0.2 * bounce]) + np.repeat(rng.standard_normal((ROWS, 2)), finer, axis=0)
+    return np.column_stack([bounce, 0.2 * bounce]) + np.repeat(
+        rng.standard_normal((ROWS, 2)), finer, axis=0
+    )
 
 
 @pytest.mark.parametrize(
@@ -30,13 +32,17 @@ def forces(seed: int, finer: int = 1) -> Array:
 )
 @pytest.mark.parametrize("prompt", [True, False])
 def test_an_analogue_filter_is_found(order: int, cutoff: float, prompt: bool) -> None:
-    """Sixteen samples a row stand for a filter before the converter: near half the rate a digital one of the next order is the same."""
+    """Sixteen samples a row stand for a filter before the converter: near half the rate a digital
+    one of the next order is the same.
+    """
     fine = forces(1, FINER)
     sections = signal.butter(order, cutoff / FINER, fs=1.0, output="sos")
     start = signal.sosfilt_zi(sections)[:, :, None] * fine[0]
     through = np.asarray(signal.sosfilt(sections, fine, axis=0, zi=start)[0])
     late = round(FINER * LowPass(order, cutoff).delay) if prompt else 0
-    behind = np.concatenate([through[late:], np.repeat(through[-1:], late, axis=0)])[FINER - 1 :: FINER]
+    behind = np.concatenate([through[late:], np.repeat(through[-1:], late, axis=0)])[
+        FINER - 1 :: FINER
+    ]
     before = fine[FINER - 1 :: FINER]
     found = low_pass_between([before], [behind], [np.ones(ROWS, dtype=bool)])
     assert found is not None
@@ -57,7 +63,8 @@ def test_behind_it_white_noise_has_its_colour() -> None:
     one = LowPass(4, 0.05)
     through = one(np.random.default_rng(2).standard_normal((200_000, 1)))[1000:-1000, 0]
     density = np.mean([np.mean(block) ** 2 for block in through.reshape(-1, 1000)]) * 1000.0
-    assert one.colour == pytest.approx(np.sqrt(density / np.var(through)), rel=0.15)  # 198 blocks tell a root of a variance to a tenth
+    # 198 blocks tell a root of a variance to a tenth
+    assert one.colour == pytest.approx(np.sqrt(density / np.var(through)), rel=0.15)
 
 
 def _late(values: Array) -> Array:

@@ -1,4 +1,6 @@
-"""Runs of mechanisms with moving parts under a servo, the default: what the loop records, its own diagnosis explains."""
+"""Runs of mechanisms with moving parts under a servo, the default: what the loop records, its own
+diagnosis explains.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,15 @@ def recorded(folder: Path, name: str, duration: float, effects: list[dict[str, A
     file, entries = find_scenario(Path(name)), []
     for seed, part in enumerate((1.0, 0.8)):
         velocity = [part * v for v in load_scenario(file).approach.velocity]
-        scenario = load_scenario(file, set={"duration": duration, "approach.velocity": velocity, "seed": seed, "effects": effects})
+        scenario = load_scenario(
+            file,
+            set={
+                "duration": duration,
+                "approach.velocity": velocity,
+                "seed": seed,
+                "effects": effects,
+            },
+        )
         write_run(run(scenario), folder / f"run{seed}", rerun=False, report=False)
         entries.append({"file": f"run{seed}/trace.parquet", "set": {"approach.velocity": velocity}})
     (folder / "data.yaml").write_text(json.dumps({"scenario": str(file), "runs": entries}))
@@ -51,17 +61,24 @@ def test_where_nothing_departs_nothing_is_found(tmp_path: Path, name: str, durat
 
 def test_a_gain_is_told_by_what_comes_before_the_jaws_slip(tmp_path: Path) -> None:
     """Three per cent of the 0.7 kN of the touch are 70 standard deviations of one sample."""
-    finding = found(tmp_path, "17-gripper", 2.1, [{"kind": "sensor.gain", "factor": 1.03, "axis": "z"}])
+    finding = found(
+        tmp_path, "17-gripper", 2.1, [{"kind": "sensor.gain", "factor": 1.03, "axis": "z"}]
+    )
     assert finding.verdict == "named"
     (cause,) = finding.causes
     assert cause.effect == "sensor.gain"
     assert cause.parameters["factor"].estimate == pytest.approx(1.03, abs=0.001)
 
 
-def test_drives_yield_to_a_captured_ring_also_where_its_force_passes_through_zero(tmp_path: Path) -> None:
-    """The rings hold each other by 4 N m; from 4.50 to 4.56 s their force is below the noise of 0.3 N, as if they were apart."""
+def test_drives_yield_to_a_captured_ring_also_where_its_force_passes_through_zero(
+    tmp_path: Path,
+) -> None:
+    """The rings hold each other by 4 N m; from 4.50 to 4.56 s their force is below the noise of 0.3
+    N, as if they were apart.
+    """
     measured = load_dataset(recorded(tmp_path, "15-ring-docking", 4.7, [])).runs[0]
-    force, late = 0.3, round(measured.scenario.sensor.delay * measured.scenario.rate)  # [N], [ticks]
+    # [N], [ticks]
+    force, late = 0.3, round(measured.scenario.sensor.delay * measured.scenario.rate)
     apart = ~measured.survey.touching(measured.record.ticks, late, GATE_SIGMA * force)
     deflected = deflection(measured, force, engaged=engagement(measured))
     assert deflected is not None

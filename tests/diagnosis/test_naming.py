@@ -1,4 +1,5 @@
-"""Effects hidden in data of a rig that shares no code with the simulation, with their decoys; and the practice sets.
+"""Effects hidden in data of a rig that shares no code with the simulation, with their decoys; and
+the practice sets.
 
 ``./check --all`` goes through the whole vocabulary.
 """
@@ -24,8 +25,16 @@ from tests.slow import ALL, SLOW, slow
 
 HIDDEN = [name for name in EFFECTS if name in SIZES]  # learned laws are not drawn
 QUICK = ("sensor.drift",)
-SETS = {1: (), 2: ("sensor.delay",), 3: ("contact.dry_friction",), 4: ("platform.lag",), 5: ("dynamics.mass",),
-        6: ("sensor.crosstalk", "platform.backlash"), 7: None, 8: ()}  # fmt: skip
+SETS = {
+    1: (),
+    2: ("sensor.delay",),
+    3: ("contact.dry_friction",),
+    4: ("platform.lag",),
+    5: ("dynamics.mass",),
+    6: ("sensor.crosstalk", "platform.backlash"),
+    7: None,
+    8: (),
+}
 
 
 @pytest.mark.parametrize("effect", [e for e in HIDDEN if ALL or e in QUICK])
@@ -36,10 +45,17 @@ def test_a_hidden_effect_is_named(effect):
 
 @SLOW
 @pytest.mark.parametrize(
-    ("seed", "effect"), [(400_027, "contact.misalignment"), (400_040, "dynamics.inertia"), (400_021, "contact.backlash")]
+    ("seed", "effect"),
+    [
+        (400_027, "contact.misalignment"),
+        (400_040, "dynamics.inertia"),
+        (400_021, "contact.backlash"),
+    ],
 )
 def test_that_a_facility_takes_the_tip_for_a_point_is_no_cause(seed, effect):
-    """On bodies that turn, and on a port that is tilted, a ball touches beside its foremost point: 11 um of lever are not a crosstalk."""
+    """On bodies that turn, and on a port that is tilted, a ball touches beside its foremost point:
+    11 um of lever are not a crosstalk.
+    """
     record = one_set(Task(seed, "single", (effect,)))
     assert record["right"], record
     assert [c["effect"] for c in record["causes"]] == [effect]
@@ -47,7 +63,9 @@ def test_that_a_facility_takes_the_tip_for_a_point_is_no_cause(seed, effect):
 
 @SLOW
 def test_in_a_docking_a_record_that_is_stamped_late_is_no_friction():
-    """A lever that was chosen under a late record is wrong, and a friction that is the believed one pays for the right one."""
+    """A lever that was chosen under a late record is wrong, and a friction that is the believed one
+    pays for the right one.
+    """
     record = one_set(Task(500_017, "single", ("log.skew",), design="docking"))
     assert record["right"], record
     assert [c["effect"] for c in record["causes"]] == ["log.skew"]
@@ -59,7 +77,9 @@ def test_in_a_docking_a_record_that_is_stamped_late_is_no_friction():
     [
         100,
         slow(104),
-        slow(400_105),  # a late record beside a damping: which of its two readings is right shows beside the damping alone
+        # a late record beside a damping: which of its two readings is right shows beside the
+        # damping alone
+        slow(400_105),
         slow(400_112),  # a hum in free flight, which ends where the bodies meet, and that is early
     ],
 )
@@ -70,10 +90,19 @@ def test_two_hidden_effects_are_both_named(seed):
 @SLOW
 @pytest.mark.parametrize(
     ("seed", "kind", "effect"),
-    [(500_030, "single", "sensor.jitter"), (500_046, "single", "sensor.highpass"), (500_098, "healthy", None), (500_126, "healthy", None)],
+    [
+        (500_030, "single", "sensor.jitter"),
+        (500_046, "single", "sensor.highpass"),
+        (500_098, "healthy", None),
+        (500_126, "healthy", None),
+    ],
 )
-def test_on_a_mount_in_steps_of_its_own_jitter_is_named_and_a_healthy_rig_left_alone(seed, kind, effect):
-    """In 500098 two touches fall between the facility's steps, in 500126 friction reverses just before a latch closes."""
+def test_on_a_mount_in_steps_of_its_own_jitter_is_named_and_a_healthy_rig_left_alone(
+    seed, kind, effect
+):
+    """In 500098 two touches fall between the facility's steps, in 500126 friction reverses just
+    before a latch closes.
+    """
     record = one_set(Task(seed, kind, (effect,) if effect else None, design="mounted"))
     assert record["right"], record["verdict"]
 
@@ -101,7 +130,9 @@ def test_practice_sets(number):
         return
     causes = [cause_of(findings, c) for c in verdict.causes]
     sets = [(c.effect, *c.indistinguishable_from) for c in causes]
-    assert judged_right("single" if answers else "healthy", list(answers), [], verdict.verdict, verdict.link, sets)
+    assert judged_right(
+        "single" if answers else "healthy", list(answers), [], verdict.verdict, verdict.link, sets
+    )
     for cause in causes:
         for name, true in answers.get(cause.effect, {}).items():
             if isinstance(true, float):
@@ -114,4 +145,6 @@ def test_the_judgement_wants_every_cause_and_no_more():
     assert not judged_right("single", ["a"], [], "ambiguous", "contact", [("b", "c", "d", "a")])
     assert not judged_right("healthy", [], [], "unknown", "contact", [])
     assert judged_right("foreign", [], ["sensor"], "unknown", "contact", [])
-    assert np.all([not judged_right("single", ["a"], [], v, None, []) for v in ("unknown", "no_discrepancy")])
+    assert np.all(
+        [not judged_right("single", ["a"], [], v, None, []) for v in ("unknown", "no_discrepancy")]
+    )

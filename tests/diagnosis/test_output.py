@@ -1,4 +1,6 @@
-"""What follows from a named cause, with the cause written by hand: the extended model, its gain in closed loop, and the folder."""
+"""What follows from a named cause, with the cause written by hand: the extended model, its gain in
+closed loop, and the folder.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,15 @@ from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.report.conclude import conclude
 from hiltestbed.diagnosis.report.evidence import channel_residuals, link_series
 from hiltestbed.diagnosis.report.extend import in_words
-from hiltestbed.diagnosis.result import Cause, Diagnosis, Finding, Heldout, Isolable, Parameter, Ranked
+from hiltestbed.diagnosis.result import (
+    Cause,
+    Diagnosis,
+    Finding,
+    Heldout,
+    Isolable,
+    Parameter,
+    Ranked,
+)
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import InputError
 from hiltestbed.measured import MeasuredDataset, load_dataset
@@ -25,13 +35,26 @@ from .recorded import NOMINAL, recorded
 
 DELAY = 0.004
 NAMED = [EFFECTS["sensor.delay"].model_validate({"delay": DELAY})]
-LATE = Cause("sensor.delay", {"delay": Parameter(DELAY, (0.0039, 0.0041), "s")}, 0.9, ("sensor.lag",))
-KEYS = {"verdict", "link", "causes", "residuals", "heldout", "closed_loop", "next_experiment", "extended_scenario"}
+LATE = Cause(
+    "sensor.delay", {"delay": Parameter(DELAY, (0.0039, 0.0041), "s")}, 0.9, ("sensor.lag",)
+)
+KEYS = {
+    "verdict",
+    "link",
+    "causes",
+    "residuals",
+    "heldout",
+    "closed_loop",
+    "next_experiment",
+    "extended_scenario",
+}
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> MeasuredDataset:
-    return load_dataset(recorded(tmp_path_factory.mktemp("late"), [{"kind": "sensor.delay", "delay": DELAY}]))
+    return load_dataset(
+        recorded(tmp_path_factory.mktemp("late"), [{"kind": "sensor.delay", "delay": DELAY}])
+    )
 
 
 @pytest.fixture(scope="module")
@@ -43,14 +66,25 @@ def link(dataset: MeasuredDataset) -> WrenchLink:
 @pytest.fixture(scope="module")
 def diagnosis(dataset: MeasuredDataset, link: WrenchLink) -> Diagnosis:
     gain = Heldout((0, 1), 20.0, 1.0, 0.95, (0.9, 0.97), 0.1, {0: (15.0, 1.0), 1: (24.0, 1.0)})
-    ranking = (Ranked(("sensor.delay",), 0.0, "wrench", "delay 0.004", 1.0, True), Ranked(("sensor.lag",), 300.0, "wrench"))
-    table = (Isolable("sensor.delay", "delay", "s", 1e-5, ("log.skew",), 0.99), Isolable("sensor.drift", "rate", "N/s", None))
+    ranking = (
+        Ranked(("sensor.delay",), 0.0, "wrench", "delay 0.004", 1.0, True),
+        Ranked(("sensor.lag",), 300.0, "wrench"),
+    )
+    table = (
+        Isolable("sensor.delay", "delay", "s", 1e-5, ("log.skew",), 0.99),
+        Isolable("sensor.drift", "rate", "N/s", None),
+    )
     series = link_series(link, NAMED)
-    return conclude(dataset, Finding("ambiguous", "sensor", (LATE,), series, {}, gain, ranking, table))
+    return conclude(
+        dataset, Finding("ambiguous", "sensor", (LATE,), series, {}, gain, ranking, table)
+    )
 
 
 def test_a_named_delay_takes_the_residual_down_to_the_noise(link: WrenchLink):
-    before, after = ({r.channel: r for r in channel_residuals(link_series(link, effects), extends=True)} for effects in ([], NAMED))
+    before, after = (
+        {r.channel: r for r in channel_residuals(link_series(link, effects), extends=True)}
+        for effects in ([], NAMED)
+    )
     force = after["wrench_meas.fz"]
     assert force.rms > 5 * force.noise_floor
     assert not force.white
@@ -69,13 +103,18 @@ def test_the_extended_model_rebounds_as_the_rig_did(diagnosis: Diagnosis):
     for measured, nominal, extended in zip(loop.measured, loop.nominal, loop.extended, strict=True):
         assert measured.cor is not None
         assert nominal.cor is not None
-        assert extended.cor == pytest.approx(measured.cor, rel=3e-3)  # the noise of 0.1 N goes round the loop
+        # the noise of 0.1 N goes round the loop
+        assert extended.cor == pytest.approx(measured.cor, rel=3e-3)
         assert extended.peak_force == pytest.approx(measured.peak_force, rel=0.01)
-        assert math.log(measured.cor / nominal.cor) == pytest.approx(0.5 * math.pi * rate * DELAY, rel=0.15)
+        assert math.log(measured.cor / nominal.cor) == pytest.approx(
+            0.5 * math.pi * rate * DELAY, rel=0.15
+        )
 
 
 def test_an_unknown_delay_is_seen_as_missing_damping(diagnosis: Diagnosis):
-    """c_app = c - k tau, k_app = k + c w^2 tau to first order; the extended model shows the same."""
+    """c_app = c - k tau, k_app = k + c w^2 tau to first order; the extended model shows the
+    same.
+    """
     loop = diagnosis.closed_loop
     measured, nominal, extended = (f[1] for f in (loop.measured, loop.nominal, loop.extended))
     assert nominal.stiffness == pytest.approx(1e5, rel=0.02)
@@ -88,13 +127,34 @@ def test_an_unknown_delay_is_seen_as_missing_damping(diagnosis: Diagnosis):
 
 def test_the_folder_holds_four_files_that_can_be_used(diagnosis: Diagnosis, tmp_path: Path):
     folder = diagnosis.write(tmp_path / "out")
-    assert sorted(f.name for f in folder.iterdir()) == ["diagnosis.json", "extended.yaml", "recording.rrd", "report.html"]
+    assert sorted(f.name for f in folder.iterdir()) == [
+        "diagnosis.json",
+        "extended.yaml",
+        "recording.rrd",
+        "report.html",
+    ]
     data = json.loads((folder / "diagnosis.json").read_text())
     assert set(data) >= KEYS
-    assert data["causes"][0]["parameters"] == {"delay": {"estimate": DELAY, "ci95": [0.0039, 0.0041], "unit": "s"}}
+    assert data["causes"][0]["parameters"] == {
+        "delay": {"estimate": DELAY, "ci95": [0.0039, 0.0041], "unit": "s"}
+    }
     assert data["causes"][0]["indistinguishable_from"] == ["sensor.lag"]
-    assert set(data["heldout"]) >= {"runs", "rms_before", "rms_after", "reduction", "ci95", "placebo_reduction"}
-    assert set(data["residuals"][0]) >= {"channel", "rms", "noise_floor", "rms_free", "rms_contact", "white"}
+    assert set(data["heldout"]) >= {
+        "runs",
+        "rms_before",
+        "rms_after",
+        "reduction",
+        "ci95",
+        "placebo_reduction",
+    }
+    assert set(data["residuals"][0]) >= {
+        "channel",
+        "rms",
+        "noise_floor",
+        "rms_free",
+        "rms_contact",
+        "white",
+    }
     assert len(data["closed_loop"]["cor_extended"]) == 2
     extended = load_scenario(folder / data["extended_scenario"])
     assert list(extended.effects) == NAMED
@@ -102,7 +162,7 @@ def test_the_folder_holds_four_files_that_can_be_used(diagnosis: Diagnosis, tmp_
     assert "sensor.delay" in page
     assert "sensor.lag" in page
     assert "Next experiment" in page
-    assert not any(fetched in page for fetched in ("src=\"http", "href=", "<script", "<link"))  # fmt: skip
+    assert not any(fetched in page for fetched in ('src="http', "href=", "<script", "<link"))
     assert diagnosis.write(folder) == folder  # an earlier diagnosis is replaced
 
 
@@ -137,11 +197,15 @@ def test_nothing_named_extends_nothing(dataset: MeasuredDataset, link: WrenchLin
     assert data["heldout"] is None
     assert data["closed_loop"]["cor_extended"] == data["closed_loop"]["cor_nominal"]
     healthy.write(tmp_path / "out")
-    assert scenario_sha256(load_scenario(tmp_path / "out" / "extended.yaml")) == scenario_sha256(dataset.nominal)
+    assert scenario_sha256(load_scenario(tmp_path / "out" / "extended.yaml")) == scenario_sha256(
+        dataset.nominal
+    )
 
 
 @pytest.mark.parametrize(("low", "placebo"), [(-0.02, 0.0), (0.01, 0.3)])
-def test_a_gain_that_is_not_significant_is_not_claimed(dataset: MeasuredDataset, low: float, placebo: float):
+def test_a_gain_that_is_not_significant_is_not_claimed(
+    dataset: MeasuredDataset, low: float, placebo: float
+):
     """Its interval holds zero, or a wrong effect gains as much."""
     weak = Heldout((0, 1), 1.2, 1.0, 0.2, (low, 0.4), placebo)
     result = conclude(dataset, Finding("named", "sensor", (LATE,), heldout=weak))
@@ -152,15 +216,26 @@ def test_a_gain_that_is_not_significant_is_not_claimed(dataset: MeasuredDataset,
 
 @pytest.mark.parametrize("e", [0.4, 0.95, 1.1])
 def test_restitution_of_two_straight_lines_in_noise(e: float):
-    """The slope of n samples h apart has a spread of sigma sqrt(12/n^3)/h: here 2e-5 of 0.05 m/s."""
+    """The slope of n samples h apart has a spread of sigma sqrt(12/n^3)/h: here 2e-5 of 0.05
+    m/s.
+    """
     t = np.arange(600) / 1000.0
-    z = np.where(t < 0.2, 0.05 * (t - 0.2), -e * 0.05 * (t - 0.3)) + np.random.default_rng(1).normal(0.0, 2e-6, 600)
-    assert restitution(Motion(t, z, None, None, (200, 300, 600)), scenario_from(NOMINAL)) == pytest.approx(e, abs=3e-3)
+    z = np.where(t < 0.2, 0.05 * (t - 0.2), -e * 0.05 * (t - 0.3)) + np.random.default_rng(
+        1
+    ).normal(0.0, 2e-6, 600)
+    assert restitution(
+        Motion(t, z, None, None, (200, 300, 600)), scenario_from(NOMINAL)
+    ) == pytest.approx(e, abs=3e-3)
 
 
 def test_no_restitution_without_a_rebound():
     t = np.arange(400) / 1000.0
-    assert restitution(Motion(t, 0.05 * (t - 0.2), None, None, (200, 400, 400)), scenario_from(NOMINAL)) is None
+    assert (
+        restitution(
+            Motion(t, 0.05 * (t - 0.2), None, None, (200, 400, 400)), scenario_from(NOMINAL)
+        )
+        is None
+    )
 
 
 def test_stiffness_and_damping_of_a_spring_and_damper_read_late():
@@ -170,13 +245,20 @@ def test_stiffness_and_damping_of_a_spring_and_damper_read_late():
     inside = (t >= start) & (t < start + 0.2)
     x = np.where(inside, 1e-3 * np.sin(w * (t - start)), 0.0)
     s = t - start - late
-    force = np.where((s >= 0) & (s < 0.2), np.maximum(0.0, 1e-3 * (1e5 * np.sin(w * s) + 400.0 * w * np.cos(w * s))), 0.0)
+    force = np.where(
+        (s >= 0) & (s < 0.2),
+        np.maximum(0.0, 1e-3 * (1e5 * np.sin(w * s) + 400.0 * w * np.cos(w * s))),
+        0.0,
+    )
     k, c = identified(Motion(t, None, x, force, (100, 300, 400)), scenario_from(NOMINAL))
     assert k == pytest.approx(1e5, rel=5e-3)
     assert c == pytest.approx(400.0, rel=0.03)
 
 
 def test_an_estimate_is_written_as_far_as_its_interval_bears_it_out():
-    assert in_words(Parameter(0.00330045, (0.0032938, 0.0033071), "s")) == "0.0033 (0.003294 to 0.003307) s"
+    assert (
+        in_words(Parameter(0.00330045, (0.0032938, 0.0033071), "s"))
+        == "0.0033 (0.003294 to 0.003307) s"
+    )
     assert in_words(Parameter(9.0, (7.0, 11.0), "N")) == "9 (7 to 11) N"
     assert in_words(Parameter("chaser", None)) == "chaser"

@@ -1,4 +1,6 @@
-"""The rebound tells rivals apart that one link alone cannot: what the loop made of a departure shows in the speed after the contact."""
+"""The rebound tells rivals apart that one link alone cannot: what the loop made of a departure
+shows in the speed after the contact.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ from tests.slow import slow
 
 from .recorded import NOMINAL, recorded
 
-FORCES = {name: NOMINAL | {"compensation": {"force": {"kind": name}}} for name in ("none", "phase_lead", "resynchronised")}
+FORCES = {
+    name: NOMINAL | {"compensation": {"force": {"kind": name}}}
+    for name in ("none", "phase_lead", "resynchronised")
+}
 
 
 @pytest.mark.parametrize(
@@ -35,8 +40,12 @@ FORCES = {name: NOMINAL | {"compensation": {"force": {"kind": name}}} for name i
 def test_a_late_sensor_and_a_late_record_are_told_apart_without_what_the_loop_was_driven_with(
     tmp_path: Path, kind: str, delay: float, force: str
 ) -> None:
-    """A delay raises the rebound by exp(pi w tau/2), 1.12 of it at 5 ms; a record that is stamped late leaves it as it is."""
-    dataset = load_dataset(recorded(tmp_path, [{"kind": kind, "delay": delay}], FORCES[force], ("wrench_comp",)))
+    """A delay raises the rebound by exp(pi w tau/2), 1.12 of it at 5 ms; a record that is stamped
+    late leaves it as it is.
+    """
+    dataset = load_dataset(
+        recorded(tmp_path, [{"kind": kind, "delay": delay}], FORCES[force], ("wrench_comp",))
+    )
     judged = judge(investigate(dataset))
     assert judged.verdict.verdict == "named"
     cause = cause_of(judged.findings, judged.verdict.causes[0])
@@ -47,9 +56,13 @@ def test_a_late_sensor_and_a_late_record_are_told_apart_without_what_the_loop_wa
 
 
 def test_where_no_rebound_is_on_record_both_are_left_open(tmp_path: Path) -> None:
-    """The record ends in the contact; the one is then as likely as the other, whatever lies between the rows of the log."""
+    """The record ends in the contact; the one is then as likely as the other, whatever lies between
+    the rows of the log.
+    """
     short = NOMINAL | {"duration": 0.25}
-    dataset = load_dataset(recorded(tmp_path, [{"kind": "sensor.delay", "delay": 0.0024}], short, ("wrench_comp",)))
+    dataset = load_dataset(
+        recorded(tmp_path, [{"kind": "sensor.delay", "delay": 0.0024}], short, ("wrench_comp",))
+    )
     verdict = judge(investigate(dataset)).verdict
     assert verdict.verdict == "ambiguous"
     (cause,) = verdict.causes
@@ -58,15 +71,26 @@ def test_where_no_rebound_is_on_record_both_are_left_open(tmp_path: Path) -> Non
 
 
 def test_the_speed_after_a_contact_spreads_by_the_impulse_of_the_noise() -> None:
-    """White noise of a force is a random walk of the speed; while in contact, half a swing, the spring turns half of its variance into
-    position. 24 samples give a standard deviation to 15 %."""
+    """White noise of a force is a random walk of the speed; while in contact, half a swing, the
+    spring turns half of its variance into position. 24 samples give a standard deviation to 15 %.
+    """
     noise = 2.0
     rig = {"sensor": {"delay": 0.005, "noise": noise}, "compensation": {"force": {"kind": "none"}}}
-    scenarios = [scenario_from(NOMINAL | rig | {"seed": i}, {"approach.velocity.2": 0.04}) for i in range(24)]
-    bounces = [bounce_of(motion, scenarios[0]) for t in traces_of(scenarios) if (motion := trace_motion(t)) is not None]
+    scenarios = [
+        scenario_from(NOMINAL | rig | {"seed": i}, {"approach.velocity.2": 0.04}) for i in range(24)
+    ]
+    bounces = [
+        bounce_of(motion, scenarios[0])
+        for t in traces_of(scenarios)
+        if (motion := trace_motion(t)) is not None
+    ]
     known = [b for b in bounces if b is not None and b.approach_speed and b.rebound_speed]
     assert len(known) == len(scenarios)
-    gained = [b.rebound_speed - b.approach_speed for b in known if b.approach_speed and b.rebound_speed]
+    gained = [
+        b.rebound_speed - b.approach_speed for b in known if b.approach_speed and b.rebound_speed
+    ]
     rows = 0.5 * (sum(known[0].after) - sum(known[0].before))
     assert 0.5 < np.std(gained) / speed_noise(scenarios[0], noise, rows) < 1.5
-    assert speed_noise(scenarios[0], noise, 100.0) == pytest.approx(noise / 400.0 * 1e-3 * math.sqrt(100.0))
+    assert speed_noise(scenarios[0], noise, 100.0) == pytest.approx(
+        noise / 400.0 * 1e-3 * math.sqrt(100.0)
+    )

@@ -27,17 +27,31 @@ SCALES = Scales(1.0, 1e-3, 1e5, H, 1.0, 0.01, 0.02, ROWS * H, travel=4e-3, subst
 
 
 def candidates(rich: bool = False) -> tuple[Candidate, ...]:
-    return tuple(c for e in EFFECTS.values() if e.link == "platform" and e.rich is rich for c in e.candidates(SCALES))
+    return tuple(
+        c
+        for e in EFFECTS.values()
+        if e.link == "platform" and e.rich is rich
+        for c in e.candidates(SCALES)
+    )
 
 
 def link(hidden: Sequence[Effect]) -> PlatformLink:
-    """Three runs of a platform that departs: sweeps of 2 mm from 0.2 Hz up on x, of which nothing else is measured."""
+    """Three runs of a platform that departs: sweeps of 2 mm from 0.2 Hz up on x, of which nothing
+    else is measured.
+    """
     body = {"mass": 500.0, "inertia": [200.0, 180.0, 150.0]}
-    s = scenario_from({
-        "name": "driven", "duration": ROWS * H, "rate": 1 / H, "physics_rate": 4 / H, "spacecraft": {"chaser": body, "target": body},
-        "approach": {"velocity": [0, 0, 0], "gap": 0.1}, "mechanism": {"contact": {"stiffness": 1e5, "damping": 0.0}},
-        "rig": {"platform": {"tracking": "ideal"}},
-    })  # fmt: skip
+    s = scenario_from(
+        {
+            "name": "driven",
+            "duration": ROWS * H,
+            "rate": 1 / H,
+            "physics_rate": 4 / H,
+            "spacecraft": {"chaser": body, "target": body},
+            "approach": {"velocity": [0, 0, 0], "gap": 0.1},
+            "mechanism": {"contact": {"stiffness": 1e5, "damping": 0.0}},
+            "rig": {"platform": {"tracking": "ideal"}},
+        }
+    )
     rng, t, commands, runs = np.random.default_rng(7), (np.arange(ROWS) + 1) * H, [], []
     for fastest in (0.6, 1.0, 1.6):
         command = np.zeros((ROWS, 7))
@@ -50,17 +64,35 @@ def link(hidden: Sequence[Effect]) -> PlatformLink:
     still = [np.zeros((ROWS, 6))] * len(runs)
     shown = PlatformLink(runs, commands, still).predict([(i, hidden) for i in range(len(runs))])
     return PlatformLink(
-        [replace(r, measured=m + NOISE * rng.standard_normal(m.shape)) for r, m in zip(runs, shown, strict=True)], commands, still
+        [
+            replace(r, measured=m + NOISE * rng.standard_normal(m.shape))
+            for r, m in zip(runs, shown, strict=True)
+        ],
+        commands,
+        still,
     )
 
 
 def explained_by(residual: Residual, *kinds: str) -> Explanation:
     """The explanation that the first hypotheses of effects with few numbers give together."""
     chosen = tuple(next(c for c in candidates() if c.kind == kind) for kind in kinds)
-    starts = [np.concatenate(start) for start in ([c.grid[i % len(c.grid)] for c in chosen] for i in range(7))]
+    starts = [
+        np.concatenate(start)
+        for start in ([c.grid[i % len(c.grid)] for c in chosen] for i in range(7))
+    ]
     found = fit(residual, chosen, starts)
     before, left = (contact_leftovers(residual, effects) for effects in ((), found.effects()))
-    return Explanation(residual, candidates(), null_fit(residual), found, noise_alone(left), True, left, before, (found,))
+    return Explanation(
+        residual,
+        candidates(),
+        null_fit(residual),
+        found,
+        noise_alone(left),
+        True,
+        left,
+        before,
+        (found,),
+    )
 
 
 @cache
@@ -69,7 +101,9 @@ def richer() -> Richer:
 
 
 def test_a_drive_is_found_with_its_numbers_where_a_lag_stood_in_for_it() -> None:
-    stood_in = explained_by(Residual(link([effect("platform.drive", None, **DRIVE)])), "platform.lag")
+    stood_in = explained_by(
+        Residual(link([effect("platform.drive", None, **DRIVE)])), "platform.lag"
+    )
     assert not stood_in.adequate
     found = richer().in_place_of(stood_in)
     assert found.adequate
@@ -81,9 +115,13 @@ def test_a_drive_is_found_with_its_numbers_where_a_lag_stood_in_for_it() -> None
         assert high - low < 0.05 * abs(DRIVE[name]), name
 
 
-def test_a_drive_beside_a_limit_of_the_speed_leaves_the_limit_and_takes_the_place_of_the_lag() -> None:
+def test_a_drive_beside_a_limit_of_the_speed_leaves_the_limit_and_takes_the_place_of_the_lag() -> (
+    None
+):
     hidden = [effect("platform.drive", None, **DRIVE), effect("platform.speed_limit", speed=6e-3)]
-    stood_in = explained_by(Residual(link(hidden)), "platform.speed_limit", "platform.lag", "platform.backlash")
+    stood_in = explained_by(
+        Residual(link(hidden)), "platform.speed_limit", "platform.lag", "platform.backlash"
+    )
     assert not stood_in.adequate
     found = richer().in_place_of(stood_in)
     assert found.adequate
@@ -102,18 +140,30 @@ def test_what_a_lag_explains_stays_a_lag() -> None:
 
 
 def test_what_it_resembles_is_not_sought_beside_it() -> None:
-    residual = Residual(link([effect("platform.drive", None, **DRIVE), effect("platform.backlash", width=2e-4)]))
+    residual = Residual(
+        link([effect("platform.drive", None, **DRIVE), effect("platform.backlash", width=2e-4)])
+    )
     cause = next(c for c in candidates(rich=True) if "offset" in c.names)
     drive = fit(residual, (cause,), cause.grid)
     further = Search((*candidates(), *candidates(rich=True))).extend(residual, drive)
     assert further
-    assert not {f.causes[-1].kind for f in further} & {*EFFECTS["platform.drive"].resembles, "platform.drive"}
+    assert not {f.causes[-1].kind for f in further} & {
+        *EFFECTS["platform.drive"].resembles,
+        "platform.drive",
+    }
 
 
 def test_a_lag_beside_something_without_a_name_is_not_taken_for_a_drive() -> None:
-    """A chirp of 20 um that no effect makes bends the numbers of a drive, and what is bent does not carry over."""
+    """A chirp of 20 um that no effect makes bends the numbers of a drive, and what is bent does not
+    carry over.
+    """
     clean, t = link([effect("platform.lag", bandwidth=3.0)]), np.arange(ROWS) * H
-    runs = [replace(run, measured=run.measured + 2e-5 * np.sin(2 * np.pi * 4.0 * t**1.3 + i)[:, None]) for i, run in enumerate(clean.runs)]
-    found = explained_by(Residual(PlatformLink(runs, clean.commands, clean.deflection)), "platform.lag")
+    runs = [
+        replace(run, measured=run.measured + 2e-5 * np.sin(2 * np.pi * 4.0 * t**1.3 + i)[:, None])
+        for i, run in enumerate(clean.runs)
+    ]
+    found = explained_by(
+        Residual(PlatformLink(runs, clean.commands, clean.deflection)), "platform.lag"
+    )
     assert not found.adequate
     assert richer().in_place_of(found) is found

@@ -29,40 +29,76 @@ from hiltestbed.frames import Array
 
 from .made import NOISE, H, bounce, contact_link, effect, reread, scenario
 
-SCALES = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=0.1, slow=0.02, fast=0.1, duration=0.5, substeps=4)
+SCALES = Scales(
+    force=300.0,
+    depth=3e-3,
+    stiffness=1e5,
+    tick=H,
+    noise=0.1,
+    slow=0.02,
+    fast=0.1,
+    duration=0.5,
+    substeps=4,
+)
 
 
 class Along(Link):
-    """A link whose output is a vector's components, each on a channel of its own, in units of the noise."""
+    """A link whose output is a vector's components, each on a channel of its own, in units of the
+    noise.
+    """
 
     name, channels = "dynamics", ("x", "y", "z")
 
     def __init__(self, measured: Array) -> None:
-        self.runs = [LinkRun(scenario(), measured, np.ones_like(measured), np.ones(len(measured), dtype=bool))]
+        self.runs = [
+            LinkRun(
+                scenario(), measured, np.ones_like(measured), np.ones(len(measured), dtype=bool)
+            )
+        ]
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         rows = len(self.runs[0].measured)
         return [
-            np.tile(np.sum([e.parameters()["offset"] for e in effects], axis=0) * 1e3 if effects else np.zeros(3), (rows, 1))
+            np.tile(
+                np.sum([e.parameters()["offset"] for e in effects], axis=0) * 1e3
+                if effects
+                else np.zeros(3),
+                (rows, 1),
+            )
             for _, effects in lanes
         ]
 
 
 @pytest.mark.parametrize("direction", [(1, 1, 1), (1, -1, 0), (-1, -1, 2), (0, 1, -1)])
-def test_a_vector_is_found_in_whichever_direction_it_points(direction: tuple[int, int, int]) -> None:
+def test_a_vector_is_found_in_whichever_direction_it_points(
+    direction: tuple[int, int, int],
+) -> None:
     measured = np.tile(1e3 * 0.02 * np.array(direction, dtype=float), (10, 1))
     residual = Residual(Along(measured))
     starts = [(0, 0, 0), (0.05, 0.05, 0.05)]
-    c = candidate(EFFECTS["dynamics.port_offset"], {f"offset.{j}": [0.0] for j in range(3)}, starts=starts, body="chaser")
-    found = Search((c,)).extend(residual, null_fit(residual))  # weighed first: at a start it may make things worse
+    c = candidate(
+        EFFECTS["dynamics.port_offset"],
+        {f"offset.{j}": [0.0] for j in range(3)},
+        starts=starts,
+        body="chaser",
+    )
+    # weighed first: at a start it may make things worse
+    found = Search((c,)).extend(residual, null_fit(residual))
     assert len(found) == 1
     assert found[0].theta == pytest.approx(0.02 * np.array(direction), abs=1e-8)
 
 
 def test_below_a_bound_on_an_error_nothing_departs_though_an_effect_fits() -> None:
-    """A hundred rows off by the same 0.8 of a level: in noise of that level they are an effect, below a bound on an error they are none."""
+    """A hundred rows off by the same 0.8 of a level: in noise of that level they are an effect,
+    below a bound on an error they are none.
+    """
     residual = Residual(Along(np.full((100, 3), 0.8)))
-    c = candidate(EFFECTS["dynamics.port_offset"], {f"offset.{j}": [0.0] for j in range(3)}, starts=[(0, 0, 0)], body="chaser")
+    c = candidate(
+        EFFECTS["dynamics.port_offset"],
+        {f"offset.{j}": [0.0] for j in range(3)},
+        starts=[(0, 0, 0)],
+        body="chaser",
+    )
 
     def judge(of: Residual, effects: Effects) -> dict[str, Leftover]:
         return {"x": Leftover(square(of(effects)) / 300.0, 0.0, 1.0, 1.0, 100)}
@@ -81,12 +117,16 @@ def test_a_drift_is_found_up_to_the_size_of_the_contact() -> None:
 
 @pytest.mark.parametrize("ticks", [3.4, 6.4, 9.7, 16.6])
 def test_a_delay_is_found_where_the_mechanism_moves_in_jumps(ticks: float) -> None:
-    """At each jump of 0.15 mm within a tick the damper gives a peak of a tick: a delay that is a tick off fits no better than none."""
+    """At each jump of 0.15 mm within a tick the damper gives a peak of a tick: a delay that is a
+    tick off fits no better than none.
+    """
     path = bounce()
     path[:, 2] = 1.5e-4 * np.round(path[:, 2] / 1.5e-4)
     clean = WrenchLink(contact_link(seed=None).runs, [path])
     late = clean.shown(0, [effect("sensor.delay", delay=ticks * H)])
-    residual = Residual(reread(clean, [late + NOISE * np.random.default_rng(5).standard_normal(late.shape)]))
+    residual = Residual(
+        reread(clean, [late + NOISE * np.random.default_rng(5).standard_normal(late.shape)])
+    )
     candidates = tuple(EFFECTS["sensor.delay"].candidates(replace(SCALES, jumps=True)))
     found = Search(candidates).explain(residual)
     assert found.adequate
@@ -101,21 +141,33 @@ def test_a_reading_that_is_late_throughout_is_no_varying_delay() -> None:
 def test_a_delay_that_varies_is_found_with_its_size() -> None:
     sigma, link, rng = 0.4e-3, contact_link(), np.random.default_rng(3)
     slope = link.slopes(())[0]
-    residual = Residual(reread(link, [link.runs[0].measured - slope * sigma * rng.standard_normal((len(slope), 1))]))
+    residual = Residual(
+        reread(link, [link.runs[0].measured - slope * sigma * rng.standard_normal((len(slope), 1))])
+    )
     found = jitter_beside(residual, null_fit(residual))
     assert found is not None
-    # Some 300 rows in contact: 1/sqrt(2 x 300) is a relative error of 0.04 of the deviation; three of them, and the edges.
+    # Some 300 rows in contact: 1/sqrt(2 x 300) is a relative error of 0.04 of the deviation; three
+    # of them, and the edges.
     assert found.theta[-1] == pytest.approx(sigma, rel=0.15)
 
 
 @pytest.mark.parametrize("outliers", [0, 6])
-def test_a_delay_that_grows_with_the_force_is_no_jitter_whatever_a_few_samples_leave(outliers: int) -> None:
-    """Neighbouring samples follow one another; samples that are far off, as at a touch, do not hide it."""
+def test_a_delay_that_grows_with_the_force_is_no_jitter_whatever_a_few_samples_leave(
+    outliers: int,
+) -> None:
+    """Neighbouring samples follow one another; samples that are far off, as at a touch, do not hide
+    it.
+    """
     link, rng = contact_link(), np.random.default_rng(4)
     run, slope = link.runs[0], link.slopes(())[0]
     force = np.abs(run.measured[:, 2:3])
-    mean = np.sum(slope**2 * force) / np.sum(slope**2)  # about which it varies without a trend in the rate of the reading
-    measured = run.measured - slope * 0.4e-3 * (force - mean) / force.max() + NOISE * rng.standard_normal(slope.shape)
+    # about which it varies without a trend in the rate of the reading
+    mean = np.sum(slope**2 * force) / np.sum(slope**2)
+    measured = (
+        run.measured
+        - slope * 0.4e-3 * (force - mean) / force.max()
+        + NOISE * rng.standard_normal(slope.shape)
+    )
     far = rng.choice(np.flatnonzero(force[:, 0] > 0.5 * force.max()), outliers, replace=False)
     measured[far, 2] += 30.0 * NOISE * rng.choice([-1, 1], outliers)
     residual = Residual(reread(link, [measured]))
@@ -143,17 +195,22 @@ def test_a_hum_behind_a_dead_zone_is_found_in_the_contact() -> None:
     zone = effect("sensor.deadzone", width=30.0)
     hum = effect("sensor.hum", frequency=130.0, amplitude=1.5, phase=0.4, axis="z")
     residual = Residual(contact_link([zone, hum]))
-    base = fit(residual, (candidate(EFFECTS["sensor.deadzone"], {"width": [25.0, 30.0]}),), [(30.0,)])
+    base = fit(
+        residual, (candidate(EFFECTS["sensor.deadzone"], {"width": [25.0, 30.0]}),), [(30.0,)]
+    )
     found = hum_beside(residual, base)
     assert found is not None
-    # 300 rows: the frequency of a tone 15 times the noise is known to sqrt(6)/(pi T 15 sqrt(300)) = 0.01 Hz in T = 0.3 s.
+    # 300 rows: the frequency of a tone 15 times the noise is known to sqrt(6)/(pi T 15 sqrt(300)) =
+    # 0.01 Hz in T = 0.3 s.
     second = found.effects()[1].parameters()
     assert second["frequency"] == pytest.approx(130.0, abs=0.05)
     assert second["amplitude"] == pytest.approx(1.5, rel=0.05)
 
 
 @pytest.mark.parametrize("variant", [{}, {"reread": True}])
-def test_a_record_stamped_whole_ticks_late_is_the_record_so_many_rows_on(variant: dict[str, bool]) -> None:
+def test_a_record_stamped_whole_ticks_late_is_the_record_so_many_rows_on(
+    variant: dict[str, bool],
+) -> None:
     link = contact_link()
     hum = effect("sensor.hum", frequency=61.0, amplitude=2.0, phase=0.3, axis="z")
     stamped = link.shown(0, [hum, effect("log.skew", variant, delay=3 * H)])
@@ -167,35 +224,46 @@ def test_what_the_loop_read_is_had_from_a_late_record_across_a_touch() -> None:
     in_time, late = link.shown(0), link.shown(0, [skew])
     run = replace(link.runs[0], measured=late + np.concatenate([np.zeros((3, 6)), noise[:-3]]))
     used = used_readings(run, late, in_time, 3)
-    assert used[:-3] == pytest.approx((in_time + noise)[:-3], abs=4.0 * NOISE)  # beyond which nothing is taken for noise
+    # beyond which nothing is taken for noise
+    assert used[:-3] == pytest.approx((in_time + noise)[:-3], abs=4.0 * NOISE)
     kept = np.abs(noise[:-3]) < 4.0 * NOISE
     assert used[:-3][kept] == pytest.approx((in_time + noise)[:-3][kept], abs=1e-9)
 
 
 def test_where_a_reading_lies_on_the_steps_of_the_facility_the_data_bear_it_out() -> None:
-    """A damper's force jumps from tick to tick: between two instants a reading is on neither side of the jump, or on the line across."""
+    """A damper's force jumps from tick to tick: between two instants a reading is on neither side
+    of the jump, or on the line across.
+    """
     delay, grid = 2.7 * H, 2  # in the first half of a tick, whose start the line crosses
     exact = contact_link(seed=None)
     stepped = exact.interpreted(grid=grid)
     c = candidate(EFFECTS["sensor.delay"], {"delay": [2.0 * H, 2.8 * H]})
     for own, other in ((exact, stepped), (stepped, exact)):
         measured = [own.shown(0, [effect("sensor.delay", delay=delay)])]
-        right, wrong = (fit(Residual(reread(link, measured)), (c,), c.grid) for link in (own, other))
+        right, wrong = (
+            fit(Residual(reread(link, measured)), (c,), c.grid) for link in (own, other)
+        )
         assert right.theta[0] == pytest.approx(delay, rel=1e-4)
         assert right.chi2 < 1e-3 * wrong.chi2
 
 
 def test_what_cannot_come_near_the_best_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     residual = Residual(contact_link([effect("contact.stiffness", factor=1.3)]))
-    candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
+    candidates = tuple(
+        c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES)
+    )
     fitted: list[list[str]] = []
     best = []
     for margin in (math.inf, search.LINEAR_GAIN_MARGIN):
         monkeypatch.setattr(search, "LINEAR_GAIN_MARGIN", margin)
         fitted.append([])
         told = fitted[-1]
-        found = Search(candidates, progress=lambda text, told=told: told.append(text)).extend(residual, null_fit(residual))
-        assert [f"fit {i} of at most" in text for i, text in enumerate(told, 1)] == [True] * len(told)
+        found = Search(candidates, progress=lambda text, told=told: told.append(text)).extend(
+            residual, null_fit(residual)
+        )
+        assert [f"fit {i} of at most" in text for i, text in enumerate(told, 1)] == [True] * len(
+            told
+        )
         assert len(told) <= int(told[0].split(" at most ")[1].split(":")[0].split(",")[0])
         told[:] = [text.rpartition(": ")[2] for text in told]
         best.append(found[0])
@@ -206,35 +274,65 @@ def test_what_cannot_come_near_the_best_is_not_fitted(monkeypatch: pytest.Monkey
     assert fitted[1] == fitted[0][: len(fitted[1])]
 
 
-def test_where_a_replay_is_costly_some_runs_lead_to_the_causes_that_all_lead_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beside a stiffness that was found, dry friction: the fits and their order are the same, from fewer replays of a run."""
+def test_where_a_replay_is_costly_some_runs_lead_to_the_causes_that_all_lead_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Beside a stiffness that was found, dry friction: the fits and their order are the same, from
+    fewer replays of a run.
+    """
     hidden = [effect("contact.stiffness", factor=1.3), effect("contact.dry_friction", force=8.0)]
     residual = Residual(contact_link(hidden, speeds=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06)))
-    candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
+    candidates = tuple(
+        c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES)
+    )
     base = fit(residual, [c for c in candidates if c.kind == "contact.stiffness"][:1], [[1.3]])
     replayed, found, replay = [0, 0], [], WrenchLink._replay
     for i, costly in enumerate((False, True)):
         monkeypatch.setattr(WrenchLink, "costly", costly)
-        monkeypatch.setattr(WrenchLink, "_replay", lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes))
-        found.append(rate(residual, base, [c for c in candidates if c.kind != "contact.stiffness"], 6))
+        monkeypatch.setattr(
+            WrenchLink,
+            "_replay",
+            lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes),
+        )
+        found.append(
+            rate(residual, base, [c for c in candidates if c.kind != "contact.stiffness"], 6)
+        )
     monkeypatch.undo()
     assert replayed[1] < 0.7 * replayed[0]
     assert [c.kind for _, c, _ in found[0][:6]] == [c.kind for _, c, _ in found[1][:6]]
     assert found[1][0][1].kind == "contact.dry_friction"
 
 
-def test_what_a_cause_explains_of_a_large_departure_in_a_few_costly_runs_it_explains_in_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stiffness alone, in runs at six speeds: its gain is known to a tenth, and it comes first, from less than half of the replays."""
-    residual = Residual(contact_link([effect("contact.stiffness", factor=1.3)], speeds=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06)))
-    candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
+def test_what_a_cause_explains_of_a_large_departure_in_a_few_costly_runs_it_explains_in_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A stiffness alone, in runs at six speeds: its gain is known to a tenth, and it comes first,
+    from less than half of the replays.
+    """
+    residual = Residual(
+        contact_link(
+            [effect("contact.stiffness", factor=1.3)], speeds=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
+        )
+    )
+    candidates = tuple(
+        c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES)
+    )
     replayed, found, replay = [0, 0], [], WrenchLink._replay
     for i, costly in enumerate((False, True)):
         monkeypatch.setattr(WrenchLink, "costly", costly)
-        monkeypatch.setattr(WrenchLink, "_replay", lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes))
+        monkeypatch.setattr(
+            WrenchLink,
+            "_replay",
+            lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes),
+        )
         found.append(rate(residual, null_fit(residual), candidates, 40))
     monkeypatch.undo()
     assert replayed[1] < 0.5 * replayed[0]
-    assert [c.kind for _, c, _ in found[1][:1]] == [c.kind for _, c, _ in found[0][:1]] == ["contact.stiffness"]
+    assert (
+        [c.kind for _, c, _ in found[1][:1]]
+        == [c.kind for _, c, _ in found[0][:1]]
+        == ["contact.stiffness"]
+    )
     assert found[1][0][0] == pytest.approx(found[0][0][0], rel=0.1)
 
 
@@ -242,11 +340,17 @@ def count(replayed: list[int], i: int, lanes: Sequence[Lane]) -> None:
     replayed[i] += len(lanes)
 
 
-def test_with_another_timing_a_costly_search_is_made_again_unless_it_is_as_far_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its causes are fitted again where they leave ten times the noise there too; else others are sought as well."""
+def test_with_another_timing_a_costly_search_is_made_again_unless_it_is_as_far_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its causes are fitted again where they leave ten times the noise there too; else others are
+    sought as well.
+    """
     monkeypatch.setattr(WrenchLink, "costly", True)
     link = contact_link([effect("contact.stiffness", factor=1.3)])
-    wanted = tuple(c for kind in ("contact.stiffness", "sensor.lag") for c in EFFECTS[kind].candidates(SCALES))
+    wanted = tuple(
+        c for kind in ("contact.stiffness", "sensor.lag") for c in EFFECTS[kind].candidates(SCALES)
+    )
     lags = Search(tuple(c for c in wanted if c.kind == "sensor.lag"))
     found = lags.explain(Residual(link))
     assert found.worst > MIN_EXCESS_TO_GROW
@@ -263,14 +367,26 @@ def test_with_another_timing_a_costly_search_is_made_again_unless_it_is_as_far_o
 
 
 @pytest.mark.parametrize(("factor", "counts"), [(1.00015, False), (1.1, True)])
-def test_a_descent_that_will_not_count_is_not_finished(factor: float, counts: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fewer replays, and what counts is found where it was. Of 1.5e-4 of the stiffness, a chi-square of some 20 shows."""
+def test_a_descent_that_will_not_count_is_not_finished(
+    factor: float, counts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fewer replays, and what counts is found where it was. Of 1.5e-4 of the stiffness, a
+    chi-square of some 20 shows.
+    """
     residual = Residual(contact_link([effect("contact.stiffness", factor=factor)]))
-    candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
+    candidates = tuple(
+        c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES)
+    )
     null, replays, found = null_fit(residual), [0, 0], []
     many = Residual.many
     for i, worth in enumerate((0.0, DETECTION)):
-        monkeypatch.setattr(Residual, "many", lambda self, tried, i=i: replays.__setitem__(i, replays[i] + len(tried)) or many(self, tried))
+        monkeypatch.setattr(
+            Residual,
+            "many",
+            lambda self, tried, i=i: (
+                replays.__setitem__(i, replays[i] + len(tried)) or many(self, tried)
+            ),
+        )
         found.append(Search(candidates).extend(residual, null, worth=worth)[0])
     assert all((null.chi2 - f.chi2 > DETECTION) == counts for f in found)
     if counts:
@@ -280,59 +396,97 @@ def test_a_descent_that_will_not_count_is_not_finished(factor: float, counts: bo
 
 
 @pytest.mark.parametrize("speed", [0.002, 0.05, 0.3])
-def test_a_damping_that_grows_with_depth_is_sought_to_where_little_is_left_of_a_rebound(speed: float) -> None:
-    """e of F = k x (1 + alpha v): with y = alpha v it is where y - ln(1 + y) has the value of the approach, whatever mass and spring."""
+def test_a_damping_that_grows_with_depth_is_sought_to_where_little_is_left_of_a_rebound(
+    speed: float,
+) -> None:
+    """e of F = k x (1 + alpha v): with y = alpha v it is where y - ln(1 + y) has the value of the
+    approach, whatever mass and spring.
+    """
     (c,) = EFFECTS["contact.hunt_crossley"].candidates(replace(SCALES, slow=speed, fast=speed))
     most = float(c.high[0]) * speed
     gone: Any = brentq(lambda y: y + math.log1p(-y) + most - math.log1p(most), 1e-12, 1.0 - 1e-12)
     assert gone / most < 0.2
     assert c.low[0] == 0.0
-    assert [1.0 - 2.0 / 3.0 * s[0] * speed > 0.9 for s in c.grid] == [True, True, False, False]  # starts of small losses and of large ones
+    # starts of small losses and of large ones
+    assert [1.0 - 2.0 / 3.0 * s[0] * speed > 0.9 for s in c.grid] == [True, True, False, False]
 
 
-def test_a_costly_link_is_explained_as_any_other_from_fewer_replays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_costly_link_is_explained_as_any_other_from_fewer_replays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Fits on a few runs come first; what all runs then give is the same."""
     hidden = [effect("contact.stiffness", factor=1.3), effect("contact.dry_friction", force=8.0)]
     residual = Residual(contact_link(hidden, speeds=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06)))
-    candidates = tuple(c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES))
+    candidates = tuple(
+        c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES)
+    )
     replayed, found, replay = [0, 0], [], WrenchLink._replay
     for i, costly in enumerate((False, True)):
         monkeypatch.setattr(WrenchLink, "costly", costly)
-        monkeypatch.setattr(WrenchLink, "_replay", lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes))
+        monkeypatch.setattr(
+            WrenchLink,
+            "_replay",
+            lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes),
+        )
         found.append(Search(candidates).explain(residual))
     monkeypatch.undo()
     assert replayed[1] < 0.9 * replayed[0]
     assert found[0].adequate
     assert found[1].adequate
-    assert sorted(found[1].chosen.kinds) == sorted(found[0].chosen.kinds) == ["contact.dry_friction", "contact.stiffness"]
-    np.testing.assert_allclose(found[1].chosen.of(found[0].chosen.causes), found[0].chosen.theta, rtol=1e-4)
+    assert (
+        sorted(found[1].chosen.kinds)
+        == sorted(found[0].chosen.kinds)
+        == ["contact.dry_friction", "contact.stiffness"]
+    )
+    np.testing.assert_allclose(
+        found[1].chosen.of(found[0].chosen.causes), found[0].chosen.theta, rtol=1e-4
+    )
     assert found[1].chosen.chi2 == pytest.approx(found[0].chosen.chi2, abs=0.1)
 
 
-def test_on_a_costly_link_a_descent_that_is_far_off_stops_where_little_is_gained(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_costly_link_a_descent_that_is_far_off_stops_where_little_is_gained(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Three causes of which none is hidden: to 0.2 % of the misfit, from fewer replays."""
     residual = Residual(contact_link([effect("contact.stiffness", factor=1.3)]))
-    causes = [next(c for c in EFFECTS[kind].candidates(SCALES) if not c.variant) for kind in ("sensor.delay", "sensor.lag", "frame.mode")]
+    causes = [
+        next(c for c in EFFECTS[kind].candidates(SCALES) if not c.variant)
+        for kind in ("sensor.delay", "sensor.lag", "frame.mode")
+    ]
     starts = [np.concatenate([c.grid[0] for c in causes])]
     replayed, found, replay = [0, 0], [], WrenchLink._replay
     for i, costly in enumerate((False, True)):
         monkeypatch.setattr(WrenchLink, "costly", costly)
-        monkeypatch.setattr(WrenchLink, "_replay", lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes))
+        monkeypatch.setattr(
+            WrenchLink,
+            "_replay",
+            lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes),
+        )
         found.append(fit(residual, causes, starts, tries=1))
     assert found[0].chi2 > 10.0 * residual.link.runs[0].measured.size * len(residual.runs)
     assert replayed[1] < 0.7 * replayed[0]
     assert found[1].chi2 == pytest.approx(found[0].chi2, rel=2e-3)
 
 
-def test_a_cause_is_continued_with_the_variant_that_leaves_more_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A power law whose damper acts, felt late: alone, one without a damper comes nearer, and beside that one a lag gains nothing. Here no
-    other cause is continued."""
+def test_a_cause_is_continued_with_the_variant_that_leaves_more_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A power law whose damper acts, felt late: alone, one without a damper comes nearer, and
+    beside that one a lag gains nothing. Here no other cause is continued.
+    """
     monkeypatch.setattr(search, "BEAM_WIDTH", 1)
-    hidden = (effect("contact.power_law", exponent=1.41, stiffness=1.6e6), effect("sensor.lag", time_constant=0.007),
-              effect("sensor.crosstalk", ratio=-0.06, source="z", axis="x"))  # fmt: skip
+    hidden = (
+        effect("contact.power_law", exponent=1.41, stiffness=1.6e6),
+        effect("sensor.lag", time_constant=0.007),
+        effect("sensor.crosstalk", ratio=-0.06, source="z", axis="x"),
+    )
     kinds = [e.kind for e in hidden]
     residual = Residual(contact_link(hidden, speeds=(0.02, 0.04, 0.08)))
-    candidates = [c for kind in (*kinds, "contact.relaxation", "contact.dry_friction") for c in EFFECTS[kind].candidates(SCALES)]
+    candidates = [
+        c
+        for kind in (*kinds, "contact.relaxation", "contact.dry_friction")
+        for c in EFFECTS[kind].candidates(SCALES)
+    ]
     found = Search(tuple(candidates)).explain(residual)
     alone = [f for f in found.singles if f.kinds == ("contact.power_law",)]
     assert alone[0].causes[0].variant == {"damper": "none"}
@@ -342,9 +496,14 @@ def test_a_cause_is_continued_with_the_variant_that_leaves_more_alone(monkeypatc
 
 @pytest.mark.parametrize(("sigma", "counts"), [(1e-3, True), (0.2, False)])
 def test_a_jitter_at_the_end_of_its_search_is_none(sigma: float, counts: bool) -> None:
-    """It would explain any misfit: here noise in proportion to the rate of the reading, ten times as large as the largest jitter's."""
+    """It would explain any misfit: here noise in proportion to the rate of the reading, ten times
+    as large as the largest jitter's.
+    """
     link, rng = contact_link(), np.random.default_rng(5)
-    shaken = [r.measured + sigma * s * rng.standard_normal((len(s), 1)) for r, s in zip(link.runs, link.slopes(()), strict=True)]
+    shaken = [
+        r.measured + sigma * s * rng.standard_normal((len(s), 1))
+        for r, s in zip(link.runs, link.slopes(()), strict=True)
+    ]
     residual = Residual(reread(link, shaken))
     found = jitter_beside(residual, null_fit(residual))
     assert (found is not None) == counts
@@ -353,17 +512,27 @@ def test_a_jitter_at_the_end_of_its_search_is_none(sigma: float, counts: bool) -
 
 @pytest.mark.parametrize("damping", [1.0, 1.4])
 def test_a_cause_that_only_led_to_a_better_estimate_of_another_is_none(damping: float) -> None:
-    """A stiffness and a damping fitted together, where the damping is hidden as well, and where it is not."""
-    hidden = [effect("contact.stiffness", factor=1.3), *([effect("contact.damping", factor=damping)] if damping > 1.0 else [])]
+    """A stiffness and a damping fitted together, where the damping is hidden as well, and where it
+    is not.
+    """
+    hidden = [
+        effect("contact.stiffness", factor=1.3),
+        *([effect("contact.damping", factor=damping)] if damping > 1.0 else []),
+    ]
     residual = Residual(contact_link(hidden))
-    causes = [next(iter(EFFECTS[kind].candidates(SCALES))) for kind in ("contact.stiffness", "contact.damping")]
+    causes = [
+        next(iter(EFFECTS[kind].candidates(SCALES)))
+        for kind in ("contact.stiffness", "contact.damping")
+    ]
     found = Search(tuple(causes)).needed(residual, fit(residual, causes, [[1.2, 1.1]]))
     assert found.kinds == tuple(e.kind for e in hidden)
     assert found.theta[0] == pytest.approx(1.3, rel=1e-3)
 
 
 class Late(Along):
-    """As many ticks late as a hypothesis says: n v of the first channel, and n^2 w of the second, little of it."""
+    """As many ticks late as a hypothesis says: n v of the first channel, and n^2 w of the second,
+    little of it.
+    """
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         counts = [effects[0].parameters()["ticks"] if effects else 0 for _, effects in lanes]
@@ -371,8 +540,12 @@ class Late(Along):
 
 
 def test_a_number_of_ticks_is_rated_by_what_it_explains_as_it_stands() -> None:
-    """Twelve ticks lie best in the direction of what is on record, and are seven too many: a number of ticks has no other size."""
+    """Twelve ticks lie best in the direction of what is on record, and are seven too many: a number
+    of ticks has no other size.
+    """
     residual = Residual(Late(np.tile([5e3, 60.0, 0.0], (10, 1))))
-    rated = rate(residual, null_fit(residual), tuple(EFFECTS["dynamics.step_delay"].candidates(SCALES)), 3)
+    rated = rate(
+        residual, null_fit(residual), tuple(EFFECTS["dynamics.step_delay"].candidates(SCALES)), 3
+    )
     assert [c.fixed["ticks"] for _, c, _ in rated[:3]] in ([5, 4, 6], [5, 6, 4])
     assert rated[0][0] == pytest.approx(10 * (5e3**2 + 60.0**2 - 35.0**2))

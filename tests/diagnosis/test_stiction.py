@@ -1,4 +1,6 @@
-"""A platform with stiction is found with its stick, the instants at which it moves, and how late its pose is stamped."""
+"""A platform with stiction is found with its stick, the instants at which it moves, and how late
+its pose is stamped.
+"""
 
 from __future__ import annotations
 
@@ -21,23 +23,41 @@ def sticks(instants: int, stick: float, phase: float = 0.0) -> list:
 
 
 def approaching(effects: list, speeds: tuple[float, ...]) -> PlatformLink:
-    """Poses of a platform with `effects` and noise, in runs that each begin where, and as fast as, their scenario says."""
+    """Poses of a platform with `effects` and noise, in runs that each begin where, and as fast as,
+    their scenario says.
+    """
     paths, rng, runs = [bounce(speed=v) for v in speeds], np.random.default_rng(2), []
     for path, v in zip(paths, speeds, strict=True):
         believed = scenario()
-        approach = believed.approach.model_copy(update={"gap": -float(path[0, 2]), "velocity": (0.0, 0.0, v)})
+        approach = believed.approach.model_copy(
+            update={"gap": -float(path[0, 2]), "velocity": (0.0, 0.0, v)}
+        )
         sigma = np.full((len(path) - 1, 6), POSE_NOISE)
-        runs.append(LinkRun(believed.model_copy(update={"approach": approach}), 0.0 * sigma, sigma, np.ones(len(sigma), dtype=bool)))
+        runs.append(
+            LinkRun(
+                believed.model_copy(update={"approach": approach}),
+                0.0 * sigma,
+                sigma,
+                np.ones(len(sigma), dtype=bool),
+            )
+        )
     commands, still = [p[1:] for p in paths], [np.zeros((len(p) - 1, 6)) for p in paths]
     shown = PlatformLink(runs, commands, still).predict([(i, effects) for i in range(len(runs))])
-    runs = [replace(run, measured=m + POSE_NOISE * rng.standard_normal(m.shape)) for run, m in zip(runs, shown, strict=True)]
+    runs = [
+        replace(run, measured=m + POSE_NOISE * rng.standard_normal(m.shape))
+        for run, m in zip(runs, shown, strict=True)
+    ]
     return PlatformLink(runs, commands, still)
 
 
 def left_by(link: PlatformLink, found: Sticking) -> tuple[float, float]:
     """Chi-square of the best of the starts, and that start [m]."""
     residual = Residual(link if found.timing is None else link.with_timing(found.timing))
-    return min((square(residual(sticks(m, s, phase))), s) for (m, phase), near in found.starts.items() for s in near)
+    return min(
+        (square(residual(sticks(m, s, phase))), s)
+        for (m, phase), near in found.starts.items()
+        for s in near
+    )
 
 
 def allowed(link: PlatformLink) -> float:
@@ -50,31 +70,50 @@ def test_a_stick_is_found_to_where_the_last_jump_ends() -> None:
     stick = 8.37e-5
     link = platform_link(sticks(20, stick))
     found = sticking(link, POSE_NOISE, 4)
-    # 9.5 mm in and out at 0.06 m/s are some 230 jumps: a noise of 2 um at their end is 2e-6/230/stick = 1e-4 of the stick.
+    # 9.5 mm in and out at 0.06 m/s are some 230 jumps: a noise of 2 um at their end is
+    # 2e-6/230/stick = 1e-4 of the stick.
     assert found.starts[20, 0.0][0] == pytest.approx(stick, rel=1e-4)
     assert left_by(link, found)[0] < allowed(link)
 
 
 @pytest.mark.parametrize(
     ("instants", "stick"),
-    [(2, 1.1e-4), (7, 9.1e-5), (57, 8.46e-5), slow(3, 4.7e-5), slow(33, 6.3e-5), slow(60, 8.46e-5), slow(86, 8.46e-5), slow(171, 2.9e-5)],
+    [
+        (2, 1.1e-4),
+        (7, 9.1e-5),
+        (57, 8.46e-5),
+        slow(3, 4.7e-5),
+        slow(33, 6.3e-5),
+        slow(60, 8.46e-5),
+        slow(86, 8.46e-5),
+        slow(171, 2.9e-5),
+    ],
 )
 def test_a_stick_is_found_however_finely_a_tick_is_divided(instants: int, stick: float) -> None:
     link = platform_link(sticks(instants, stick))
     assert left_by(link, sticking(link, POSE_NOISE, 4))[0] < allowed(link)
 
 
-@pytest.mark.parametrize(("instants", "phase", "late"), [(5, 0.3, 0.62), slow(12, 0.9, -0.4), slow(31, 0.5, 1.2), slow(3, 0.05, -1.3)])
-def test_a_stick_is_found_whenever_the_platform_obeys_and_the_pose_is_stamped(instants: int, phase: float, late: float) -> None:
-    """The jumps tell it: chi-square comes within a tenth of what the true instants leave, which differ from those found by what noise
-    hides. A platform that moves at few instants shows in its rows only between which of them it is late."""
+@pytest.mark.parametrize(
+    ("instants", "phase", "late"),
+    [(5, 0.3, 0.62), slow(12, 0.9, -0.4), slow(31, 0.5, 1.2), slow(3, 0.05, -1.3)],
+)
+def test_a_stick_is_found_whenever_the_platform_obeys_and_the_pose_is_stamped(
+    instants: int, phase: float, late: float
+) -> None:
+    """The jumps tell it: chi-square comes within a tenth of what the true instants leave, which
+    differ from those found by what noise hides. A platform that moves at few instants shows in its
+    rows only between which of them it is late.
+    """
     stick, whole = 9.3e-5, math.floor(late)
     timing = Timing(obeyed=(late - whole) * H, delay=whole * H)
     hidden = sticks(instants, stick, phase)
     link = approaching([*hidden, timing], (0.01, 0.016, 0.025))
     found = sticking(link, POSE_NOISE, 4)
     assert found.timing is not None
-    assert (found.timing.obeyed + found.timing.delay) / H == pytest.approx(late, abs=0.05 + 0.5 / instants)
+    assert (found.timing.obeyed + found.timing.delay) / H == pytest.approx(
+        late, abs=0.05 + 0.5 / instants
+    )
     there = square(Residual(link.with_timing(timing))(hidden))
     assert there < allowed(link)
     best, stick_found = left_by(link, found)
@@ -83,18 +122,26 @@ def test_a_stick_is_found_whenever_the_platform_obeys_and_the_pose_is_stamped(in
 
 
 def test_noise_is_not_taken_from_an_axis_that_jumps() -> None:
-    """Third differences take the jumps for noise of ten times the size; while the axis is held, differences show what it is."""
+    """Third differences take the jumps for noise of ten times the size; while the axis is held,
+    differences show what it is.
+    """
     link = platform_link(sticks(20, 8.37e-5))
     runs = [replace(run, sigma=10.0 * run.sigma) for run in link.runs]
     loud = PlatformLink(runs, link.commands, link.deflection)
-    assert sticking(loud, 10.0 * POSE_NOISE, 4).starts[20, 0.0][0] == pytest.approx(8.37e-5, rel=1e-4)
+    assert sticking(loud, 10.0 * POSE_NOISE, 4).starts[20, 0.0][0] == pytest.approx(
+        8.37e-5, rel=1e-4
+    )
 
 
 def test_rows_that_are_not_known_do_not_count() -> None:
     made = platform_link(sticks(20, 8.37e-5))
     measured, sigma = made.runs[0].measured.copy(), made.runs[0].sigma.copy()
     sigma[40:60], measured[40:60] = np.inf, 0.0
-    link = PlatformLink([replace(made.runs[0], sigma=sigma, measured=measured), *made.runs[1:]], made.commands, made.deflection)
+    link = PlatformLink(
+        [replace(made.runs[0], sigma=sigma, measured=measured), *made.runs[1:]],
+        made.commands,
+        made.deflection,
+    )
     assert sticking(link, POSE_NOISE, 4).starts[20, 0.0][0] == pytest.approx(8.37e-5, rel=1e-4)
 
 
@@ -129,14 +176,19 @@ def test_a_stick_is_found_where_no_noise_is_left() -> None:
 
 
 def test_a_stick_of_some_three_times_the_noise_is_found_by_all_its_rows() -> None:
-    """No row lies six times the noise away; the mean square of them all is twice that of the noise and more."""
+    """No row lies six times the noise away; the mean square of them all is twice that of the noise
+    and more.
+    """
     stick = 3.3 * POSE_NOISE
     link = platform_link(sticks(20, stick), speeds=(0.0011, 0.0017))
-    departed = max(float(np.abs(run.measured - link.shown(i)).max()) for i, run in enumerate(link.runs))
+    departed = max(
+        float(np.abs(run.measured - link.shown(i)).max()) for i, run in enumerate(link.runs)
+    )
     assert departed < 7.0 * POSE_NOISE
     left, best = left_by(link, sticking(link, POSE_NOISE, 4))
     assert left < allowed(link)
-    assert best == pytest.approx(stick, rel=0.01)  # a command so slow tells little of the instants a tick
+    # a command so slow tells little of the instants a tick
+    assert best == pytest.approx(stick, rel=0.01)
 
 
 def test_a_platform_that_follows_its_command_has_no_stick() -> None:

@@ -26,8 +26,25 @@ from hiltestbed.frames import Array
 
 from .made import NOISE, H, contact_link, effect, reread
 
-SCALES = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=NOISE, slow=0.02, fast=0.1, duration=0.5, substeps=4)
-WEIGHED = ("contact.stiffness", "contact.damping", "contact.preload", "sensor.gain", "sensor.delay", "sensor.bias")
+SCALES = Scales(
+    force=300.0,
+    depth=3e-3,
+    stiffness=1e5,
+    tick=H,
+    noise=NOISE,
+    slow=0.02,
+    fast=0.1,
+    duration=0.5,
+    substeps=4,
+)
+WEIGHED = (
+    "contact.stiffness",
+    "contact.damping",
+    "contact.preload",
+    "sensor.gain",
+    "sensor.delay",
+    "sensor.bias",
+)
 SPEEDS = (0.02, 0.03, 0.045)
 
 
@@ -74,7 +91,10 @@ def test_a_cause_is_named_with_its_size() -> None:
 
 
 def test_two_causes_are_named_the_stronger_first() -> None:
-    e = explained(effect("contact.preload", force=6.0), effect("sensor.bias", force=(0.0, 0.0, 0.6), torque=(0.0, 0.0, 0.0)))
+    e = explained(
+        effect("contact.preload", force=6.0),
+        effect("sensor.bias", force=(0.0, 0.0, 0.6), torque=(0.0, 0.0, 0.0)),
+    )
     verdict = decide(findings(wrench=e))
     assert verdict.verdict == "named"
     assert [c.effect for c in verdict.causes] == ["contact.preload", "sensor.bias"]
@@ -83,7 +103,9 @@ def test_two_causes_are_named_the_stronger_first() -> None:
 
 def test_two_causes_that_do_the_same_are_both_said() -> None:
     """Along z a stiffness and a damping by one factor are a gain."""
-    e = explained(effect("sensor.gain", factor=1.2, axis="z"), kinds=("sensor.gain", "contact.stiffness"))
+    e = explained(
+        effect("sensor.gain", factor=1.2, axis="z"), kinds=("sensor.gain", "contact.stiffness")
+    )
     assert decide(findings(wrench=e)).verdict == "named"  # the damper tells
     twin = replace(e, rivals=((e.singles[1],),))
     verdict = decide(findings(wrench=twin))
@@ -92,15 +114,21 @@ def test_two_causes_that_do_the_same_are_both_said() -> None:
     assert 0.5 < verdict.causes[0].probability <= 1.0
     other = effect("sensor.delay", delay=2e-3)
     both = Named("sensor.delay", "dynamics", explained(other, kinds=("sensor.delay",)).chosen, 0)
-    (told,) = cause_of(findings(wrench=twin), verdict.causes[0], None, (*verdict.causes, both)).alternatives
-    assert [entry["kind"] for entry in told] == ["contact.stiffness", "sensor.delay"]  # all of it, with what is named elsewhere
+    (told,) = cause_of(
+        findings(wrench=twin), verdict.causes[0], None, (*verdict.causes, both)
+    ).alternatives
+    # all of it, with what is named elsewhere
+    assert [entry["kind"] for entry in told] == ["contact.stiffness", "sensor.delay"]
     assert told[0]["factor"] == e.singles[1].theta[0]
     assert told[1]["delay"] == pytest.approx(2e-3, rel=1e-3)
 
 
 def test_a_second_spring_that_acts_from_the_touch_on_is_no_rival_of_a_stiffness() -> None:
-    e = explained(effect("contact.stiffness", factor=1.08), kinds=("contact.stiffness", "contact.hard_stop"))
-    assert len(e.singles) == 2  # it was tried, and fits: noise lets its position be anything near nought
+    e = explained(
+        effect("contact.stiffness", factor=1.08), kinds=("contact.stiffness", "contact.hard_stop")
+    )
+    # it was tried, and fits: noise lets its position be anything near nought
+    assert len(e.singles) == 2
     assert e.singles[1].chi2 < e.chosen.chi2 + AMBIGUITY
     assert decide(findings(wrench=e)).verdict == "named"
     assert e.rivals == ((),)
@@ -109,7 +137,10 @@ def test_a_second_spring_that_acts_from_the_touch_on_is_no_rival_of_a_stiffness(
 def test_what_no_cause_explains_is_unknown_and_what_is_known_elsewhere_is_kept() -> None:
     lopsided = contact_link(speeds=SPEEDS)
     t = np.arange(500) * H
-    wave = [run.measured + 3.0 * (np.sin(2 * np.pi * 40 * t**1.7) * run.touching)[:, None] for run in lopsided.runs]
+    wave = [
+        run.measured + 3.0 * (np.sin(2 * np.pi * 40 * t**1.7) * run.touching)[:, None]
+        for run in lopsided.runs
+    ]
     e = Search(candidates(*WEIGHED)).explain(Residual(reread(lopsided, wave)))
     known = explained(effect("contact.preload", force=6.0))
     verdict = decide(findings(wrench=e, dynamics=known))
@@ -119,10 +150,17 @@ def test_what_no_cause_explains_is_unknown_and_what_is_known_elsewhere_is_kept()
 
 def test_stages_leave_what_they_are_given_as_it_is() -> None:
     residual = Residual(contact_link([effect("contact.preload", force=6.0)], speeds=SPEEDS))
-    before = [run.measured.copy() for run in residual.link.runs], [w.copy() for w in residual.weight]
+    before = (
+        [run.measured.copy() for run in residual.link.runs],
+        [w.copy() for w in residual.weight],
+    )
     found = MappingProxyType({"wrench": Search(candidates(*WEIGHED)).explain(residual)})
     decide(Findings(None, found, {}, {}))  # type: ignore[arg-type]
-    for was, now in zip(before[0] + before[1], [r.measured for r in residual.link.runs] + list(residual.weight), strict=True):
+    for was, now in zip(
+        before[0] + before[1],
+        [r.measured for r in residual.link.runs] + list(residual.weight),
+        strict=True,
+    ):
         np.testing.assert_array_equal(was, now)
 
 
@@ -145,16 +183,26 @@ def noise(rows: int, smooth: int = 1, size: float = 1.0) -> Array:
 def test_white_noise_at_its_floor_passes_and_what_is_smooth_below_it_does_not() -> None:
     assert leftover([noise(1000), noise(800)]).noise
     assert not leftover([noise(3000, size=1.2)]).noise
-    wave = noise(3000) + 0.5 * np.sin(np.arange(3000) / 40.0)  # adds an eighth to the variance, and a whole to that of means of eight
+    # adds an eighth to the variance, and a whole to that of means of eight
+    wave = noise(3000) + 0.5 * np.sin(np.arange(3000) / 40.0)
     assert not leftover([wave]).noise
 
 
-def test_a_log_slower_than_the_loop_knows_its_noise_floor_from_its_samples_and_not_from_its_ticks() -> None:
-    """The floor of a variance errs by 8 % from 1500 samples, and by the root of their number more from fewer."""
+def test_a_log_slower_than_the_loop_knows_its_noise_floor_from_its_samples_and_not_from_its_ticks() -> (
+    None
+):
+    """The floor of a variance errs by 8 % from 1500 samples, and by the root of their number more
+    from fewer.
+    """
     link = contact_link((), speeds=SPEEDS)
-    fourth = [np.where(np.arange(run.rows)[:, None] % 4 == 0, run.sigma, np.inf) for run in link.runs]
+    fourth = [
+        np.where(np.arange(run.rows)[:, None] % 4 == 0, run.sigma, np.inf) for run in link.runs
+    ]
     link.runs = [replace(run, sigma=sigma) for run, sigma in zip(link.runs, fourth, strict=True)]
-    samples = sum(int(np.isfinite(s[~run.touching, 2]).sum()) for run, s in zip(link.runs, fourth, strict=True))
+    samples = sum(
+        int(np.isfinite(s[~run.touching, 2]).sum())
+        for run, s in zip(link.runs, fourth, strict=True)
+    )
     left = contact_leftovers(Residual(link), ())["wrench_meas.fz"]
     assert samples < 1500
     chance = chi2.isf(norm.sf(4.5), left.samples) / left.samples
@@ -163,8 +211,9 @@ def test_a_log_slower_than_the_loop_knows_its_noise_floor_from_its_samples_and_n
 
 @pytest.mark.parametrize("rows", [24, 80, 400, 8000])
 def test_a_few_samples_of_noise_are_exceeded_as_rarely_as_many(rows: int) -> None:
-    """Of sums of squares the chi-square distribution knows how often. A normal one would put the limit of 3 means of eight at 4.7: exceeded
-    in 3 of 1000, not in 3 of a million."""
+    """Of sums of squares the chi-square distribution knows how often. A normal one would put the
+    limit of 3 means of eight at 4.7: exceeded in 3 of 1000, not in 3 of a million.
+    """
     left = leftover([noise(rows)])
     for limit, count in ((left.variance_limit, rows), (left.block_limit, rows // 8)):
         assert limit - 0.08 == pytest.approx(chi2.isf(norm.sf(4.5), count) / count, rel=0.07)

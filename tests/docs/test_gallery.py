@@ -1,4 +1,6 @@
-"""The notebooks of the gallery: each runs, ends in a picture, and is kept without what it showed."""
+"""The notebooks of the gallery: each runs, ends in a picture, and is kept without what it
+showed.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,14 @@ def module(path: Path) -> ModuleType:
     return found
 
 
-@pytest.mark.parametrize("path", [slow(p) if p.stem in LONG else p for p in NOTEBOOKS], ids=[p.stem for p in NOTEBOOKS])
-def test_a_notebook_runs_and_ends_in_a_picture(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("MPLBACKEND", raising=False)  # the kernel's own shows the picture in the notebook
+@pytest.mark.parametrize(
+    "path", [slow(p) if p.stem in LONG else p for p in NOTEBOOKS], ids=[p.stem for p in NOTEBOOKS]
+)
+def test_a_notebook_runs_and_ends_in_a_picture(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the kernel's own shows the picture in the notebook
+    monkeypatch.delenv("MPLBACKEND", raising=False)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     pictures = module(GALLERY / "pictures.py")
     picture = pictures.picture(pictures.executed(path, tmp_path))

@@ -1,4 +1,6 @@
-"""The documentation: every block that can run does run, and the reference has every key, effect, method, column and public name."""
+"""The documentation: every block that can run does run, and the reference has every key, effect,
+method, column and public name.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,15 @@ from hiltestbed.signals import GROUPS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-BLOCK = re.compile(r"(?P<skip><!-- not run: [^>]*-->\n)?```(?P<language>python|console)\n(?P<text>.*?)```", re.DOTALL)
-PAGES = sorted(p for p in (*DOCS.rglob("*.md"), ROOT / "README.md") if any(not b["skip"] for b in BLOCK.finditer(p.read_text())))
+BLOCK = re.compile(
+    r"(?P<skip><!-- not run: [^>]*-->\n)?```(?P<language>python|console)\n(?P<text>.*?)```",
+    re.DOTALL,
+)
+PAGES = sorted(
+    p
+    for p in (*DOCS.rglob("*.md"), ROOT / "README.md")
+    if any(not b["skip"] for b in BLOCK.finditer(p.read_text()))
+)
 OPEN = ("view",)  # commands that need a display
 
 
@@ -47,7 +56,9 @@ def pages(reference: ModuleType) -> dict[str, str]:
 
 @pytest.mark.usefixtures("tables_as_shipped")
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_the_blocks_of_a_page_run_one_after_the_other(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_blocks_of_a_page_run_one_after_the_other(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In one folder and one namespace, as a reader would type them."""
     pytest.importorskip("pandas")
     pytest.importorskip("matplotlib").use("Agg")
@@ -57,11 +68,16 @@ def test_the_blocks_of_a_page_run_one_after_the_other(page: Path, tmp_path: Path
         if block["skip"]:
             continue
         if block["language"] == "python":
-            exec(compile(block["text"], str(page), "exec"), namespace)  # what is run is this repository's own documentation
+            # what is run is this repository's own documentation
+            exec(compile(block["text"], str(page), "exec"), namespace)
             continue
         for line in block["text"].splitlines():
             if line.startswith("$ hiltestbed "):
-                arguments = shlex.split(line.removeprefix("$ hiltestbed ").replace("PLUGINS", str(ROOT / "examples" / "plugins")))
+                arguments = shlex.split(
+                    line.removeprefix("$ hiltestbed ").replace(
+                        "PLUGINS", str(ROOT / "examples" / "plugins")
+                    )
+                )
                 if arguments[0] not in OPEN:
                     assert status(arguments, monkeypatch) == 0, line
 
@@ -89,7 +105,9 @@ def test_every_key_is_in_the_reference_with_its_meaning(kind: str, pages: dict[s
         assert meaning, f"{kind}: {key} has no description"
 
 
-def test_every_effect_method_column_and_name_is_in_the_reference(pages: dict[str, str], reference: ModuleType) -> None:
+def test_every_effect_method_column_and_name_is_in_the_reference(
+    pages: dict[str, str], reference: ModuleType
+) -> None:
     for kind, cls in EFFECTS.items():
         assert f"### `{kind}`" in pages["reference/effects.md"]
         assert cls.equation in pages["reference/effects.md"]
@@ -97,7 +115,18 @@ def test_every_effect_method_column_and_name_is_in_the_reference(pages: dict[str
         assert all(f"`{column}`" in pages["reference/columns.md"] for column in group.columns)
     for name in hiltestbed.__all__:
         assert f"## `{name}`" in pages["reference/python.md"]
-    for command in ("run", "check", "sweep", "diagnose", "compare", "new", "doctor", "bench", "schema", "view"):
+    for command in (
+        "run",
+        "check",
+        "sweep",
+        "diagnose",
+        "compare",
+        "new",
+        "doctor",
+        "bench",
+        "schema",
+        "view",
+    ):
         assert f"## `hiltestbed {command}`" in pages["reference/commands.md"]
     assert set(reference.EXIT_STATUS) == {0, 1, 2, 3}
 
@@ -120,4 +149,6 @@ def test_links_lead_somewhere_on_the_site(pages: dict[str, str]) -> None:
         for target in LINK.findall(links.for_the_site(page.read_text(), here.as_posix())):
             path = (page.parent / target).resolve()
             assert path.is_relative_to(DOCS.resolve()), f"{here}: {target} leaves the site"
-            assert path.exists() or str(path.relative_to(DOCS.resolve())) in pages, f"{here}: {target}"
+            assert path.exists() or str(path.relative_to(DOCS.resolve())) in pages, (
+                f"{here}: {target}"
+            )

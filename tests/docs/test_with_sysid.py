@@ -1,4 +1,6 @@
-"""The comparison with mujoco.sysid: its record is right, and both sides find the same numbers where sysid's extras are installed."""
+"""The comparison with mujoco.sysid: its record is right, and both sides find the same numbers where
+sysid's extras are installed.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,15 @@ def test_the_bounce_in_closed_form_is_that_of_the_differential_equation(contact:
         def rates(_: float, y: np.ndarray) -> list[float]:
             return [y[1], -max(k * y[0] + c * y[1], 0.0) / contact.MASS if y[0] > 0.0 else 0.0]
 
-        exact = solve_ivp(rates, (0.0, t[-1]), [-contact.GAP, speed], t_eval=t, rtol=1e-10, atol=1e-13, max_step=5e-4).y
+        exact = solve_ivp(
+            rates,
+            (0.0, t[-1]),
+            [-contact.GAP, speed],
+            t_eval=t,
+            rtol=1e-10,
+            atol=1e-13,
+            max_step=5e-4,
+        ).y
         np.testing.assert_allclose(place, exact[0], atol=1e-8)
         inside = force > 5.0
         np.testing.assert_allclose(force[inside], (k * exact[0] + c * exact[1])[inside], atol=5e-3)

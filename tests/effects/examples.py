@@ -39,24 +39,46 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "platform.mode": {"frequency": 25.0, "damping_ratio": 0.05},
     "platform.scale": {"factor": 1.05, "axis": "z"},
     "platform.speed_limit": {"speed": 0.02},
-    "platform.drive": {"bandwidth": 20.0, "damping_ratio": 0.6, "friction": 5.0e-5, "offset": 1.0e-4, "acceleration_limit": 1.0},
+    "platform.drive": {
+        "bandwidth": 20.0,
+        "damping_ratio": 0.6,
+        "friction": 5.0e-5,
+        "offset": 1.0e-4,
+        "acceleration_limit": 1.0,
+    },
     "platform.response": {"step": [[0.0, 0.1], [0.004, 0.6], [0.012, 1.15], [0.03, 1.0]]},
     "dynamics.mass": {"factor": 1.2, "body": "target"},
     "dynamics.inertia": {"factor": 1.4, "body": "chaser"},
     "dynamics.port_offset": {"offset": [0.02, -0.03, 0.01], "body": "chaser"},
-    "dynamics.appendage": {"mass_ratio": 0.2, "frequency": 1.5, "damping_ratio": 0.05, "body": "target"},
-    "dynamics.force": {"viscous": 40.0, "coulomb": 0.5, "offset": 0.3, "static": 0.8, "stribeck_speed": 0.002},
+    "dynamics.appendage": {
+        "mass_ratio": 0.2,
+        "frequency": 1.5,
+        "damping_ratio": 0.05,
+        "body": "target",
+    },
+    "dynamics.force": {
+        "viscous": 40.0,
+        "coulomb": 0.5,
+        "offset": 0.3,
+        "static": 0.8,
+        "stribeck_speed": 0.002,
+    },
     "dynamics.step_delay": {"ticks": 3},
     "dynamics.integrator": {"scheme": "explicit_euler"},
     "loop.deadzone": {"width": 8.0},
     "log.skew": {"delay": 0.0012},
     "contact.map": {
-        "penetration": [[0.0, 0.0], [1.0e-4, 2.0], [3.0e-4, 15.0]], "rate": [[-0.02, -30.0], [0.02, 40.0]],
+        "penetration": [[0.0, 0.0], [1.0e-4, 2.0], [3.0e-4, 15.0]],
+        "rate": [[-0.02, -30.0], [0.02, 40.0]],
         "stretch": [[-1.0e-5, -6.0], [0.0, 0.0], [1.0e-5, 6.0]],
-        "spring": [[0.0, 0.1], [1.0e-4, -0.05], [3.0e-4, 0.1]], "spring_rate": [[-0.02, -0.1], [0.0, 0.0], [0.02, 0.1]],
+        "spring": [[0.0, 0.1], [1.0e-4, -0.05], [3.0e-4, 0.1]],
+        "spring_rate": [[-0.02, -0.1], [0.0, 0.0], [0.02, 0.1]],
     },
-    "sensor.map": {"reading": [[-100.0, -100.0], [0.0, 0.0], [50.0, 49.0], [100.0, 90.0]], "axis": "z"},
-}  # fmt: skip
+    "sensor.map": {
+        "reading": [[-100.0, -100.0], [0.0, 0.0], [50.0, 49.0], [100.0, 90.0]],
+        "axis": "z",
+    },
+}
 
 
 def example(kind: str) -> dict[str, Any]:

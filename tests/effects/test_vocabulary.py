@@ -1,4 +1,6 @@
-"""The vocabulary of effects: each one is described, searched and acts; a new effect that lacks a part fails here."""
+"""The vocabulary of effects: each one is described, searched and acts; a new effect that lacks a
+part fails here.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,13 @@ VOCABULARY: dict[str, dict[str, str | None]] = {
     "dynamics.mass": {"factor": "-", "body": None},
     "dynamics.inertia": {"factor": "-", "body": None},
     "dynamics.port_offset": {"offset": "m", "body": None},
-    "dynamics.appendage": {"mass_ratio": "-", "frequency": "Hz", "damping_ratio": "-", "body": None, "place": "m"},
+    "dynamics.appendage": {
+        "mass_ratio": "-",
+        "frequency": "Hz",
+        "damping_ratio": "-",
+        "body": None,
+        "place": "m",
+    },
     "dynamics.force": {
         "viscous": "N s/m",
         "coulomb": "N",
@@ -90,11 +98,18 @@ VOCABULARY: dict[str, dict[str, str | None]] = {
     "dynamics.integrator": {"scheme": None},
     "loop.deadzone": {"width": "N"},
     "log.skew": {"delay": "s"},
-    "contact.map": {"penetration": "m, N", "rate": "m/s, N", "stretch": "m, N", "spring": "m, -", "spring_rate": "m/s, -"},
+    "contact.map": {
+        "penetration": "m, N",
+        "rate": "m/s, N",
+        "stretch": "m, N",
+        "spring": "m, -",
+        "spring_rate": "m/s, -",
+    },
     "sensor.map": {"reading": "N, N", "axis": None},
 }
 
-# The size at which an effect does nothing; None where there is none: a limit (the larger the less), or a law in place of another.
+# The size at which an effect does nothing; None where there is none: a limit (the larger the less),
+# or a law in place of another.
 NEUTRAL: dict[str, dict[str, Any] | None] = {
     "sensor.delay": {"delay": 0.0},
     "sensor.lag": None,
@@ -156,29 +171,71 @@ PARAMETERS: dict[str, Callable[[], Any]] = {
     "log": LogParameters,
 }
 SCALES = Scales(
-    force=200.0, depth=2e-3, stiffness=1e5, tick=5e-4, noise=0.3, slow=0.02, fast=0.06, reading=(190.0, 120.0), travel=0.02, substeps=2,
-    lines={"z": (50.0, 2.0, 0.4)}, sticks={(2, 0.0): (1e-5, 3e-5)},
-)  # fmt: skip
-HELD_SCALES = Scales(force=150.0, depth=5e-4, stiffness=5e7, tick=5e-4, noise=0.1, slow=4e-3, fast=5e-3, captured=True, slides=False)
+    force=200.0,
+    depth=2e-3,
+    stiffness=1e5,
+    tick=5e-4,
+    noise=0.3,
+    slow=0.02,
+    fast=0.06,
+    reading=(190.0, 120.0),
+    travel=0.02,
+    substeps=2,
+    lines={"z": (50.0, 2.0, 0.4)},
+    sticks={(2, 0.0): (1e-5, 3e-5)},
+)
+HELD_SCALES = Scales(
+    force=150.0,
+    depth=5e-4,
+    stiffness=5e7,
+    tick=5e-4,
+    noise=0.1,
+    slow=4e-3,
+    fast=5e-3,
+    captured=True,
+    slides=False,
+)
 DRIVEN_SCALES = Scales(
-    force=100.0, depth=1e-3, stiffness=1e5, tick=1e-3, noise=0.1, slow=0.01, fast=0.1,
-    driven=DrivenAxis(factor=0.95, viscous=200.0, coulomb=20.0, offset=-3.0, fastest=0.15, stamp=1.5e-3, stamps=3e-3),
-)  # fmt: skip
+    force=100.0,
+    depth=1e-3,
+    stiffness=1e5,
+    tick=1e-3,
+    noise=0.1,
+    slow=0.01,
+    fast=0.1,
+    driven=DrivenAxis(
+        factor=0.95,
+        viscous=200.0,
+        coulomb=20.0,
+        offset=-3.0,
+        fastest=0.15,
+        stamp=1.5e-3,
+        stamps=3e-3,
+    ),
+)
 Kind = type[Effect]
 EVERY = list(EFFECTS.items())
 
 
 def candidates(effect: Kind) -> list[Candidate]:
-    return [*effect.candidates(SCALES), *effect.candidates(HELD_SCALES)] or list(effect.candidates(DRIVEN_SCALES))
+    return [*effect.candidates(SCALES), *effect.candidates(HELD_SCALES)] or list(
+        effect.candidates(DRIVEN_SCALES)
+    )
 
 
 def flat(parameters: Any) -> dict[str, Any]:
     """Numbers of a link in a form that can be compared."""
-    return {name: value.tolist() if isinstance(value, np.ndarray) else copy.deepcopy(value) for name, value in vars(parameters).items()}
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else copy.deepcopy(value)
+        for name, value in vars(parameters).items()
+    }
 
 
 def test_names_parameters_and_units_stay_what_users_rely_on() -> None:
-    found = {kind: {name: effect.unit(name) or None for name in effect.model_fields if name != "kind"} for kind, effect in EFFECTS.items()}
+    found = {
+        kind: {name: effect.unit(name) or None for name in effect.model_fields if name != "kind"}
+        for kind, effect in EFFECTS.items()
+    }
     assert found == VOCABULARY
 
 
@@ -205,7 +262,9 @@ class TestEveryEffect:
         assert set(effect.resembles) <= set(EFFECTS)
         assert kind not in effect.resembles
 
-    def test_each_quantity_has_a_unit_a_meaning_and_each_that_is_searched_a_range(self, kind: str, effect: Kind) -> None:
+    def test_each_quantity_has_a_unit_a_meaning_and_each_that_is_searched_a_range(
+        self, kind: str, effect: Kind
+    ) -> None:
         searched = {name.partition(".")[0] for c in candidates(effect) for name in c.names}
         for name, field in effect.model_fields.items():
             if name == "kind":
@@ -217,10 +276,14 @@ class TestEveryEffect:
                 assert low < high
                 assert low > 0.0 or not ratio
 
-    def test_a_search_for_it_starts_within_its_bounds_at_effects_that_act(self, kind: str, effect: Kind) -> None:
+    def test_a_search_for_it_starts_within_its_bounds_at_effects_that_act(
+        self, kind: str, effect: Kind
+    ) -> None:
         found = candidates(effect)
         if not found:
-            assert (effect.candidates.__doc__ or "").startswith("None: "), "an effect that no search finds says how it is found"
+            assert (effect.candidates.__doc__ or "").startswith("None: "), (
+                "an effect that no search finds says how it is found"
+            )
             return
         assert len({c.key for c in found}) >= len(found) // 2, "candidates can be told apart"
         for c in found:
@@ -235,7 +298,9 @@ class TestEveryEffect:
                 assert inside.all() or not c.names, (c.names, start, c.low, c.high)
                 c.at(np.array(start)).apply(PARAMETERS[effect.link]())
 
-    def test_it_changes_the_parameters_of_its_link_and_no_others(self, kind: str, effect: Kind) -> None:
+    def test_it_changes_the_parameters_of_its_link_and_no_others(
+        self, kind: str, effect: Kind
+    ) -> None:
         believed, departing = PARAMETERS[effect.link](), PARAMETERS[effect.link]()
         effect(**example(kind)).apply(departing)
         assert flat(believed) != flat(departing)
@@ -255,7 +320,9 @@ class TestEveryEffect:
         s = base.model_copy(update={"effects": (effect(**example(kind)),)})
         again = Scenario.model_validate(s.model_dump(mode="json"))
         assert again.effects == s.effects
-        assert again.effects[0].parameters() == {name: getattr(s.effects[0], name) for name in VOCABULARY[kind]}
+        assert again.effects[0].parameters() == {
+            name: getattr(s.effects[0], name) for name in VOCABULARY[kind]
+        }
         assert s.effects[0].unfit(base) is None
 
     def test_the_delay_that_it_is_worth_is_a_time_or_none(self, kind: str, effect: Kind) -> None:

@@ -1,4 +1,6 @@
-"""Shift and turn that a latched pair couples: both are found where both move, and nothing is taken in that is not there."""
+"""Shift and turn that a latched pair couples: both are found where both move, and nothing is taken
+in that is not there.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,19 @@ SCENARIO = Path(__file__).parents[2] / "scenarios" / "13-ring-down.yaml"
 RATE = 2000
 TICKS = 2000
 NOISE = np.array([0.3] * 3 + [0.02] * 3)  # [N], [N m]
-OWN_STIFFNESS, OWN_DAMPING = np.array([8e4, 8e4, 2e5, 1.2e4, 1.2e4, 3e4]), np.array([500.0, 500.0, 900.0, 60.0, 60.0, 90.0])
-JOINT, JOINT_DAMPING, BEHIND = 4e4, 250.0, 0.17  # [N/m], [N s/m] of a ball joint, [m] behind the latched place
+OWN_STIFFNESS, OWN_DAMPING = (
+    np.array([8e4, 8e4, 2e5, 1.2e4, 1.2e4, 3e4]),
+    np.array([500.0, 500.0, 900.0, 60.0, 60.0, 90.0]),
+)
+# [N/m], [N s/m] of a ball joint, [m] behind the latched place
+JOINT, JOINT_DAMPING, BEHIND = 4e4, 250.0, 0.17
 INERTIA = np.array([400.0, 400.0, 400.0, 60.0, 60.0, 60.0])  # [kg], [kg m^2]
 
 
 def joined(own: np.ndarray, joint: float) -> np.ndarray:
-    """(6, 6) of six separate springs and of a ball joint behind them: its stretch is x + L ry, y - L rx, z."""
+    """(6, 6) of six separate springs and of a ball joint behind them: its stretch is x + L ry, y -
+    L rx, z.
+    """
     stretch = np.zeros((3, 6))
     stretch[:, :3] = np.eye(3)
     stretch[0, 4], stretch[1, 3] = BEHIND, -BEHIND
@@ -32,21 +40,37 @@ def joined(own: np.ndarray, joint: float) -> np.ndarray:
 STIFFNESS, DAMPING = joined(OWN_STIFFNESS, JOINT), joined(OWN_DAMPING, JOINT_DAMPING)
 
 
-def ring_down(stiffness: np.ndarray, damping: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Motion ``(T, 6)`` and rate of I q'' + C q' + K q = 0 from rest at ``start`` (6,), as the sum of its modes."""
-    system = np.block([[np.zeros((6, 6)), np.eye(6)], [-stiffness / INERTIA[:, None], -damping / INERTIA[:, None]]])
+def ring_down(
+    stiffness: np.ndarray, damping: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Motion ``(T, 6)`` and rate of I q'' + C q' + K q = 0 from rest at ``start`` (6,), as the sum
+    of its modes.
+    """
+    system = np.block(
+        [
+            [np.zeros((6, 6)), np.eye(6)],
+            [-stiffness / INERTIA[:, None], -damping / INERTIA[:, None]],
+        ]
+    )
     values, modes = np.linalg.eig(system)
     weights = np.linalg.solve(modes, np.concatenate([start, np.zeros(6)]).astype(complex))
     states = (np.exp(np.outer(np.arange(TICKS) / RATE, values)) * weights @ modes.T).real
     return states[:, :6], states[:, 6:]
 
 
-def identified(motion: np.ndarray, rate: np.ndarray, force: np.ndarray, runs: int) -> tuple[np.ndarray, np.ndarray]:
-    """k, c, their standard deviations ``(4, runs, 6)`` of a latched pair that moves so, each run with noise of its own.
+def identified(
+    motion: np.ndarray, rate: np.ndarray, force: np.ndarray, runs: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """k, c, their standard deviations ``(4, runs, 6)`` of a latched pair that moves so, each run
+    with noise of its own.
 
-    Beside them what was felt ``(T, runs, 6)``, the torque about the latched place, of the ticks that count.
+    Beside them what was felt ``(T, runs, 6)``, the torque about the latched place, of the ticks
+    that count.
     """
-    scenario = load_scenario(SCENARIO, set={"sensor.noise": NOISE[0], "sensor.torque_noise": NOISE[3], "sensor.delay": 0.0})
+    scenario = load_scenario(
+        SCENARIO,
+        set={"sensor.noise": NOISE[0], "sensor.torque_noise": NOISE[3], "sensor.delay": 0.0},
+    )
     estimate = Rls.start([scenario] * runs)
     estimate.source.captured[:] = True
     pose, twist = np.zeros((runs, 7)), np.zeros((runs, 6))
@@ -61,7 +85,9 @@ def identified(motion: np.ndarray, rate: np.ndarray, force: np.ndarray, runs: in
         seen[:] = wrench
         seen[:, 3:] -= np.cross(x[:3], wrench[:, :3])
     first = TICKS - 1 - int(estimate.samples[0, 0])
-    return np.stack([estimate.stiffness, estimate.damping, estimate.stiffness_sd, estimate.damping_sd]), felt[first : TICKS - 1]
+    return np.stack(
+        [estimate.stiffness, estimate.damping, estimate.stiffness_sd, estimate.damping_sd]
+    ), felt[first : TICKS - 1]
 
 
 def two_regressors(x: np.ndarray, v: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -71,7 +97,8 @@ def two_regressors(x: np.ndarray, v: np.ndarray, force: np.ndarray) -> np.ndarra
 
 
 def test_a_joint_off_the_latched_place_is_no_part_of_k_and_c() -> None:
-    """Two modes of x with ry and of y with rx: errors over standard deviations as of a normal distribution, over the seeds.
+    """Two modes of x with ry and of y with rx: errors over standard deviations as of a normal
+    distribution, over the seeds.
 
     Mean and spread within four standard deviations of either: 4/sqrt(N), 4/sqrt(2 N).
     """
@@ -90,7 +117,9 @@ def test_a_joint_off_the_latched_place_is_no_part_of_k_and_c() -> None:
 
 
 def test_motion_that_goes_together_is_explained_by_the_axis_alone() -> None:
-    """In one mode the turn is a fixed part of the shift: no data can part them, and what the axis shows is k + part k'."""
+    """In one mode the turn is a fixed part of the shift: no data can part them, and what the axis
+    shows is k + part k'.
+    """
     part = -0.9
     x, v = ring_down(STIFFNESS, DAMPING, np.array([0.0, 0.0, 1e-3, 0.0, 0.0, 0.0]))
     motion, rate = np.zeros_like(x), np.zeros_like(v)
@@ -100,22 +129,40 @@ def test_motion_that_goes_together_is_explained_by_the_axis_alone() -> None:
     (k, c, k_sd, c_sd), felt = identified(motion, rate, force, 20)
     used = slice(TICKS - 1 - len(felt), TICKS - 1)
     for axis, other, times in ((0, 4, part), (4, 0, 1.0 / part)):
-        assert k[:, axis] == pytest.approx(STIFFNESS[axis, axis] + times * STIFFNESS[axis, other], abs=4.0 * k_sd[0, axis])
-        assert c[:, axis] == pytest.approx(DAMPING[axis, axis] + times * DAMPING[axis, other], abs=4.0 * c_sd[0, axis])
-        alone = [two_regressors(motion[used, axis], rate[used, axis], felt[:, run, axis]) for run in range(20)]
+        assert k[:, axis] == pytest.approx(
+            STIFFNESS[axis, axis] + times * STIFFNESS[axis, other], abs=4.0 * k_sd[0, axis]
+        )
+        assert c[:, axis] == pytest.approx(
+            DAMPING[axis, axis] + times * DAMPING[axis, other], abs=4.0 * c_sd[0, axis]
+        )
+        alone = [
+            two_regressors(motion[used, axis], rate[used, axis], felt[:, run, axis])
+            for run in range(20)
+        ]
         np.testing.assert_allclose(np.stack([k[:, axis], c[:, axis]], axis=1), alone, rtol=1e-7)
 
 
 def test_without_coupling_the_axis_stays_alone() -> None:
-    """Of six separate springs that all move, no run of any axis is other than by two regressors: chances of 1/n^2 at each of n samples."""
+    """Of six separate springs that all move, no run of any axis is other than by two regressors:
+    chances of 1/n^2 at each of n samples.
+    """
     runs = 20
-    motion, rate = ring_down(np.diag(OWN_STIFFNESS), np.diag(OWN_DAMPING), np.array([1e-3, -0.8e-3, 1e-3, 2e-3, -1e-3, 2e-3]))
+    motion, rate = ring_down(
+        np.diag(OWN_STIFFNESS),
+        np.diag(OWN_DAMPING),
+        np.array([1e-3, -0.8e-3, 1e-3, 2e-3, -1e-3, 2e-3]),
+    )
     force = motion * OWN_STIFFNESS + rate * OWN_DAMPING
     (k, c, *_), felt = identified(motion, rate, force, runs)
     used = slice(TICKS - 1 - len(felt), TICKS - 1)
     for axis in range(6):
-        alone = [two_regressors(motion[used, axis], rate[used, axis], felt[:, run, axis]) for run in range(runs)]
-        np.testing.assert_allclose(np.stack([k[:, axis], c[:, axis]], axis=1), alone, rtol=1e-7, err_msg=AXES[axis])
+        alone = [
+            two_regressors(motion[used, axis], rate[used, axis], felt[:, run, axis])
+            for run in range(runs)
+        ]
+        np.testing.assert_allclose(
+            np.stack([k[:, axis], c[:, axis]], axis=1), alone, rtol=1e-7, err_msg=AXES[axis]
+        )
 
 
 def sums_of(x: np.ndarray, v: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -123,8 +170,11 @@ def sums_of(x: np.ndarray, v: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.array([len(x), x.sum(), v.sum(), y.sum(), x @ x, x @ v, v @ v, x @ y, v @ y, y @ y])
 
 
-def taken_in(x: np.ndarray, y: np.ndarray, variance: float, swapped: bool = False) -> tuple[np.ndarray, bool]:
-    """k, c and their standard deviations of ``y`` (n,) on ``x`` (4, n), the axis's own motion before the partner's; whether it is taken in.
+def taken_in(
+    x: np.ndarray, y: np.ndarray, variance: float, swapped: bool = False
+) -> tuple[np.ndarray, bool]:
+    """k, c and their standard deviations of ``y`` (n,) on ``x`` (4, n), the axis's own motion
+    before the partner's; whether it is taken in.
 
     swapped: the axis is the second of its pair.
     """
@@ -160,13 +210,21 @@ def test_four_regressors_are_least_squares(swapped: bool) -> None:
 def test_one_of_n_squared_is_taken_in_for_nothing(n: int) -> None:
     """Without coupling; at most one of n of those is left out again, for what it leaves."""
     random, trials = np.random.default_rng(4), 20000
-    count = sum(taken_in(random.normal(size=(4, n)), random.normal(size=n), 1.0)[1] for _ in range(trials))
+    count = sum(
+        taken_in(random.normal(size=(4, n)), random.normal(size=n), 1.0)[1] for _ in range(trials)
+    )
     expected = trials / n**2
-    assert expected * (1.0 - 1.0 / n) - 4.0 * np.sqrt(expected) < count < expected + 4.0 * np.sqrt(expected)
+    assert (
+        expected * (1.0 - 1.0 / n) - 4.0 * np.sqrt(expected)
+        < count
+        < expected + 4.0 * np.sqrt(expected)
+    )
 
 
 def test_what_the_noise_hides_is_not_taken_in() -> None:
-    """A coupling of a hundredth of the noise in 300 samples; one as large as the noise is; with noise of an unknown size none is."""
+    """A coupling of a hundredth of the noise in 300 samples; one as large as the noise is; with
+    noise of an unknown size none is.
+    """
     random = np.random.default_rng(5)
     x = random.normal(size=(4, 300))
     y = np.array([3.0, 0.5, 0.01, 0.0]) @ x + random.normal(size=300)
@@ -177,7 +235,9 @@ def test_what_the_noise_hides_is_not_taken_in() -> None:
 
 
 def test_where_a_surface_rubs_too_the_axis_stays_alone() -> None:
-    """Friction of twice the noise leaves more than the noise, although the partner explains a part of the force."""
+    """Friction of twice the noise leaves more than the noise, although the partner explains a part
+    of the force.
+    """
     random = np.random.default_rng(6)
     x = random.normal(size=(4, 300))
     x[1] = x[2]  # the partner shifts as the axis runs

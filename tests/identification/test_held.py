@@ -1,4 +1,6 @@
-"""After capture: six axes of the latched place, against the Jacobian of the wrench in MuJoCo and against a law written down here."""
+"""After capture: six axes of the latched place, against the Jacobian of the wrench in MuJoCo and
+against a law written down here.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,14 @@ def ended(name: str, **changes: object) -> Loop:
 
 
 def jacobian(loop: Loop, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness and damping ``(6, 6)`` at A of a captured pair under ideal tracking: what the wrench makes of a step of each axis, a tick
-    after it and while it lasts."""
-    plant, tick, start = cast(Plant, loop.plant), loop.scenarios[0].tick, loop.plant.pose_act[0].copy()
+    """Stiffness and damping ``(6, 6)`` at A of a captured pair under ideal tracking: what the
+    wrench makes of a step of each axis, a tick after it and while it lasts.
+    """
+    plant, tick, start = (
+        cast(Plant, loop.plant),
+        loop.scenarios[0].tick,
+        loop.plant.pose_act[0].copy(),
+    )
 
     def wrench_at(offset: np.ndarray) -> np.ndarray:
         turned = Rotation.from_rotvec(offset[3:]) * Rotation.from_quat(start[3:])
@@ -46,22 +53,31 @@ def jacobian(loop: Loop, step: float) -> tuple[np.ndarray, np.ndarray]:
     for axis, offset in enumerate(step * np.eye(6)):
         _, still = wrench_at(0.0 * offset), wrench_at(0.0 * offset)
         moving, shifted = wrench_at(offset), wrench_at(offset)
-        stiffness[:, axis], damping[:, axis] = (shifted - still) / step, (moving - shifted) * tick / step
+        stiffness[:, axis], damping[:, axis] = (
+            (shifted - still) / step,
+            (moving - shifted) * tick / step,
+        )
     return stiffness, damping
 
 
 @pytest.mark.parametrize("name", [slow("09-docking"), "10-glancing"])
 def test_a_latch_is_found_on_six_axes_as_its_jacobian_has_it(name: str) -> None:
-    """Through servo and delay, off the axis and askew; the Jacobian is that of the same latch under ideal tracking.
+    """Through servo and delay, off the axis and askew; the Jacobian is that of the same latch under
+    ideal tracking.
 
-    Across the axes it has half the angle by which the latch is turned, under half a degree here: turns do not add up like shifts.
+    Across the axes it has half the angle by which the latch is turned, under half a degree here:
+    turns do not add up like shifts.
     """
     found = ended(name)
     ideal = ended(name, **{"rig.platform.tracking": "ideal", "duration": 4.0, "sensor.delay": 0.0})
     assert found.plant.captured[0]
     assert ideal.plant.captured[0]
     assert found.identification is not None
-    for estimate, true in zip((found.identification.stiffness, found.identification.damping), jacobian(ideal, 1e-7), strict=True):
+    for estimate, true in zip(
+        (found.identification.stiffness, found.identification.damping),
+        jacobian(ideal, 1e-7),
+        strict=True,
+    ):
         np.testing.assert_allclose(estimate[0], np.diag(true), rtol=1e-3)
         scale = np.sqrt(np.outer(np.diag(true), np.diag(true)))
         assert np.abs((true - np.diag(np.diag(true))) / scale).max() < 0.5 * np.radians(0.5)
@@ -75,7 +91,9 @@ def swing(t: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("scenario", ["15-ring-docking", "16-probe-drogue", "17-gripper"])
 def test_the_lever_of_a_latch_is_taken_out(scenario: str) -> None:
-    """Every shipped hard capture as a law of its own: K (r - r_hold) + C r' at the latch's site, K radius^2 against turning."""
+    """Every shipped hard capture as a law of its own: K (r - r_hold) + C r' at the latch's site, K
+    radius^2 against turning.
+    """
     loaded = load_scenario(SCENARIOS / f"{scenario}.yaml", set=QUIET)
     phases = loaded.mechanism.phases()
     close = phases[-1].close
@@ -94,7 +112,9 @@ def test_the_lever_of_a_latch_is_taken_out(scenario: str) -> None:
     pose = np.column_stack([place - arm, turned.as_quat()])
     twist = np.column_stack([rate[:, :3] - np.cross(spin, arm), spin])
     force = close.stiffness * (place - held) + close.damping * rate[:, :3]
-    torque = close.radius**2 * (close.stiffness * motion[:, 3:] + close.damping * spin) + np.cross(place, force)
+    torque = close.radius**2 * (close.stiffness * motion[:, 3:] + close.damping * spin) + np.cross(
+        place, force
+    )
     wrench = np.column_stack([force, torque])
     estimate = Rls.start([loaded])
     estimate.source.captured[:], estimate.source.steps[:] = True, len(phases)
@@ -103,17 +123,25 @@ def test_the_lever_of_a_latch_is_taken_out(scenario: str) -> None:
     turning = close.radius**2
     for axis in range(6):
         factor = 1.0 if axis < 3 else turning
-        assert estimate.stiffness[0, axis] == pytest.approx(close.stiffness * factor, rel=1e-3), AXES[axis]
-        assert estimate.damping[0, axis] == pytest.approx(close.damping * factor, rel=1e-3), AXES[axis]
+        assert estimate.stiffness[0, axis] == pytest.approx(close.stiffness * factor, rel=1e-3), (
+            AXES[axis]
+        )
+        assert estimate.damping[0, axis] == pytest.approx(close.damping * factor, rel=1e-3), AXES[
+            axis
+        ]
 
 
 def body_rate(vector: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Angular velocity (3,) in the frame of the rotation vector (3,), to second order in it: w = r' + r x r'/2 (3,)."""
+    """Angular velocity (3,) in the frame of the rotation vector (3,), to second order in it: w = r'
+    + r x r'/2 (3,).
+    """
     return rate + 0.5 * np.cross(vector, rate)
 
 
 def test_what_rubs_or_stands_still_is_not_told() -> None:
-    """The gripper's jaws share every load, and after the clamping nothing moves: no wild numbers."""
+    """The gripper's jaws share every load, and after the clamping nothing moves: no wild
+    numbers.
+    """
     loop = ended("17-gripper", duration=9.0)
     assert loop.plant.phases is not None
     assert loop.plant.phases.begun[0] == 3

@@ -18,7 +18,9 @@ K, C, MU, V0 = 1.0e5, 400.0, 400.0, 0.03
 
 
 def _bounce(rate: int, substeps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One bounce in closed form at ``substeps`` instants a tick: x, v, F, beginning and ending free."""
+    """One bounce in closed form at ``substeps`` instants a tick: x, v, F, beginning and ending
+    free.
+    """
     w, z = math.sqrt(K / MU), C / (2.0 * math.sqrt(K * MU))
     wd = w * math.sqrt(1.0 - z * z)
     t = np.arange(-0.05, 0.4, 1.0 / (rate * substeps))
@@ -50,8 +52,15 @@ def _identify(scenarios, offset: float = 0.0) -> RecursiveLeastSquares:
 @pytest.mark.parametrize("delay", [0.0, 0.005, 0.00537, 0.02])
 @pytest.mark.parametrize("lowpass", [None, 200.0, 50.0])
 def test_delay_and_filter_do_not_bias_the_estimate(delay: float, lowpass: float | None) -> None:
-    """Without noise what is left is the sensor's interpolation and the tick-wise filter: far below 0.1 % of k and 1 % of c."""
-    s = {"sensor.delay": delay, "sensor.noise": 0.0, "sensor.lowpass": lowpass, "rig.platform.tracking": "servo"}
+    """Without noise what is left is the sensor's interpolation and the tick-wise filter: far below
+    0.1 % of k and 1 % of c.
+    """
+    s = {
+        "sensor.delay": delay,
+        "sensor.noise": 0.0,
+        "sensor.lowpass": lowpass,
+        "rig.platform.tracking": "servo",
+    }
     estimator = _identify([load_scenario(SCENARIO, set=s)])
     assert estimator.stiffness[0, 2] == pytest.approx(K, rel=1e-3)
     assert estimator.damping[0, 2] == pytest.approx(C, rel=1e-2)
@@ -65,15 +74,17 @@ def test_a_high_pass_and_a_touch_point_that_is_off_do_not_bias_the_estimate() ->
 
 
 def test_the_scatter_is_what_theory_says_and_what_is_reported() -> None:
-    """sd(k)/k = (sigma/F_peak) sqrt(2/N), sd(c)/c = that/(2 zeta), over an exact half cycle; the intercept makes sd(k) larger.
+    """sd(k)/k = (sigma/F_peak) sqrt(2/N), sd(c)/c = that/(2 zeta), over an exact half cycle; the
+    intercept makes sd(k) larger.
 
-    With the intercept k is told from the force's variance about its mean: for a half sine var = 1/2 - (2/pi)^2, against 1/2 about
-    zero, so sd(k) grows by sqrt(0.5/(0.5 - 4/pi^2)) = 2.3.
+    With the intercept k is told from the force's variance about its mean: for a half sine var = 1/2
+    - (2/pi)^2, against 1/2 about zero, so sd(k) grows by sqrt(0.5/(0.5 - 4/pi^2)) = 2.3.
     """
     s = {"rig.platform.tracking": "servo"}
     runs = 200
     estimator = _identify([load_scenario(SCENARIO, set=s | {"seed": i}) for i in range(runs)])
-    sigma, peak = 0.38, 0.03 * math.sqrt(K * MU) * 0.955  # closed form of the peak force at zeta = 0.032
+    # closed form of the peak force at zeta = 0.032
+    sigma, peak = 0.38, 0.03 * math.sqrt(K * MU) * 0.955
     samples = estimator.samples[0, 2]
     zeta = C / (2.0 * math.sqrt(K * MU))
     sd_k = K * sigma / peak * math.sqrt(2.0 / samples) * math.sqrt(0.5 / (0.5 - 4.0 / math.pi**2))

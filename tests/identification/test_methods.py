@@ -18,9 +18,13 @@ from hiltestbed.identification.settings import IDENTIFIERS
 RESYNCHRONISED = {"kind": "resynchronised"}
 
 
-def _errors(contacts: list[Contact], identification: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:
+def _errors(
+    contacts: list[Contact], identification: dict[str, object]
+) -> tuple[np.ndarray, np.ndarray]:
     """Relative errors of k and c."""
-    estimate = bounce([c.scenario(RESYNCHRONISED, identification) for c in contacts]).loop.identification
+    estimate = bounce(
+        [c.scenario(RESYNCHRONISED, identification) for c in contacts]
+    ).loop.identification
     assert estimate is not None
     k, c = np.array([x.stiffness for x in contacts]), np.array([x.damping for x in contacts])
     return estimate.stiffness[:, 2] / k - 1.0, estimate.damping[:, 2] / c - 1.0
@@ -28,7 +32,9 @@ def _errors(contacts: list[Contact], identification: dict[str, object]) -> tuple
 
 @pytest.mark.parametrize("kind", ["rls", "kalman", "instrumental"])
 def test_one_contact_tells_k_and_c_over_the_whole_grid(kind: str) -> None:
-    """0.2 % noise; the scatter is largest at 8 Hz: sd(k)/k = 2.3 x 0.002 sqrt(2/125) = 0.06 %, sd(c)/c = 0.6 % at zeta = 0.02."""
+    """0.2 % noise; the scatter is largest at 8 Hz: sd(k)/k = 2.3 x 0.002 sqrt(2/125) = 0.06 %,
+    sd(c)/c = 0.6 % at zeta = 0.02.
+    """
     k, c = _errors(grid(), {"kind": kind})
     assert np.abs(k).max() < 3.0 * 0.0006
     assert np.abs(c).max() < 0.02
@@ -44,13 +50,16 @@ def test_without_alignment_a_delay_is_a_damping() -> None:
 
 
 def _stiffness_behind_a_lead(contact: Contact, lag: float) -> float:
-    """Relative error of k by least squares on x and v of a bounce in closed form, its force late and led tick by tick.
+    """Relative error of k by least squares on x and v of a bounce in closed form, its force late
+    and led tick by tick.
 
-    As the gate is on the led force itself, it holds while that is above the noise, past the end of the contact, too.
+    As the gate is on the led force itself, it holds while that is above the noise, past the end of
+    the contact, too.
     """
     w, z, tick = contact.w, contact.damping_ratio, 1.0 / RATE
     wd = w * math.sqrt(1.0 - z**2)
-    t = np.arange(0.5 * tick, math.pi / wd + 2.0 * contact.delay, tick)  # a touch lies anywhere between two ticks
+    # a touch lies anywhere between two ticks
+    t = np.arange(0.5 * tick, math.pi / wd + 2.0 * contact.delay, tick)
     x = np.exp(-z * w * t) * np.sin(wd * t) / wd
     v = np.exp(-z * w * t) * np.cos(wd * t) - z * w * x
     force = w**2 * x + 2.0 * z * w * v
@@ -65,8 +74,12 @@ def _stiffness_behind_a_lead(contact: Contact, lag: float) -> float:
     return float(k) / w**2 - 1.0
 
 
-@pytest.mark.parametrize("contact", [(2.0, 0.01, 0.05), (4.0, 0.01, 0.05), (4.0, 0.01, 0.1), (2.0, 0.02, 0.05)])
-def test_the_lead_stiffens_the_contact_by_what_it_does_to_a_bounce(contact: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "contact", [(2.0, 0.01, 0.05), (4.0, 0.01, 0.05), (4.0, 0.01, 0.1), (2.0, 0.02, 0.05)]
+)
+def test_the_lead_stiffens_the_contact_by_what_it_does_to_a_bounce(
+    contact: tuple[float, float, float],
+) -> None:
     """By 1 to 5 %, and by a tenth of that where in its edges the gate opens and closes.
 
     The aligned regression is off by parts of one, in c as well, which the lead shifts by per cents.
@@ -88,7 +101,9 @@ def test_the_reported_intervals_hold_the_truth() -> None:
 
 
 def test_a_delay_that_is_not_known_is_found_from_the_touch() -> None:
-    """Believed 20 % too short; found to within a tick, well inside 0.3 ms, and k with it; c keeps what half a tick is worth."""
+    """Believed 20 % too short; found to within a tick, well inside 0.3 ms, and k with it; c keeps
+    what half a tick is worth.
+    """
     contacts = grid((1.0, 4.0), (0.005, 0.02), damping_ratios=(0.05, 0.2), delay_knowledge="off")
     scenarios = [c.scenario(RESYNCHRONISED, {"kind": "rls", "delay": "estimate"}) for c in contacts]
     estimate = bounce(scenarios).loop.identification
@@ -101,9 +116,13 @@ def test_a_delay_that_is_not_known_is_found_from_the_touch() -> None:
 
 
 def test_where_the_force_rises_slowly_the_delay_is_told_to_be_uncertain() -> None:
-    """No damping, no step at touch: at 1 Hz the force takes 1.6 ms to come out of 5 sigma of 0.2 %."""
+    """No damping, no step at touch: at 1 Hz the force takes 1.6 ms to come out of 5 sigma of 0.2
+    %.
+    """
     contact = Contact(1.0, 0.01, 1e-9, delay_knowledge="off")
-    estimate = bounce([contact.scenario(RESYNCHRONISED, {"kind": "rls", "delay": "estimate"})]).loop.identification
+    estimate = bounce(
+        [contact.scenario(RESYNCHRONISED, {"kind": "rls", "delay": "estimate"})]
+    ).loop.identification
     assert isinstance(estimate, RecursiveLeastSquares)
     sd = float(estimate.source.delay_sd(estimate.stiffness[:, 2])[0])
     assert sd > 1e-3
@@ -111,7 +130,10 @@ def test_where_the_force_rises_slowly_the_delay_is_told_to_be_uncertain() -> Non
 
 
 def _feed(
-    estimator: HuntCrossleyFit | InstrumentVariables | RecursiveLeastSquares, x: np.ndarray, v: np.ndarray, force: np.ndarray
+    estimator: HuntCrossleyFit | InstrumentVariables | RecursiveLeastSquares,
+    x: np.ndarray,
+    v: np.ndarray,
+    force: np.ndarray,
 ) -> None:
     pose, twist, wrench = np.zeros((1, 7)), np.zeros((1, 6)), np.zeros((1, 6))
     pose[0, 6] = 1.0
@@ -130,7 +152,9 @@ def test_hunt_crossley_finds_its_own_law() -> None:
     k, n, alpha = 3.0e6, 1.5, 0.8
     x, v = _half_sine(400)
     force = np.where(x > 0, k * np.abs(x) ** n * (1.0 + alpha * v), 0.0)
-    scenario = Contact(4.0, 0.0, 0.05, noise=0.0).scenario({"kind": "none"}, {"kind": "hunt_crossley"})
+    scenario = Contact(4.0, 0.0, 0.05, noise=0.0).scenario(
+        {"kind": "none"}, {"kind": "hunt_crossley"}
+    )
     estimator = IDENTIFIERS[scenario.identification.kind].start([scenario])
     assert isinstance(estimator, HuntCrossleyFit)
     _feed(estimator, x, v, force)
@@ -142,7 +166,8 @@ def test_hunt_crossley_finds_its_own_law() -> None:
 def test_instruments_take_out_the_bias_of_a_noisy_pose() -> None:
     """Noise of 5 % of the largest x: var(x) about its mean is 0.067 of that squared
 
-    until the force is clipped at 2.6 rad, so that k comes out by 0.05^2/0.067 = 3.7 % low, a little more as x goes with v.
+    until the force is clipped at 2.6 rad, so that k comes out by 0.05^2/0.067 = 3.7 % low, a little
+    more as x goes with v.
     """
     rng = np.random.default_rng(5)
     x, v = _half_sine(4000)
@@ -162,7 +187,9 @@ def test_instruments_take_out_the_bias_of_a_noisy_pose() -> None:
 def test_a_method_in_a_batch_is_the_method_alone_bit_for_bit() -> None:
     contacts = [Contact(4.0, 0.005, 0.05, seed=i) for i in range(5)]
     for kind in ("rls", "rls_lead", "kalman", "hunt_crossley", "instrumental"):
-        together = bounce([c.scenario({"kind": "none"}, {"kind": kind}) for c in contacts]).loop.identification
+        together = bounce(
+            [c.scenario({"kind": "none"}, {"kind": kind}) for c in contacts]
+        ).loop.identification
         alone = bounce([contacts[3].scenario({"kind": "none"}, {"kind": kind})]).loop.identification
         assert together is not None
         assert alone is not None

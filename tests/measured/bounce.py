@@ -1,4 +1,6 @@
-"""A bounce in closed form as measured data: two free bodies, a spring, no damping; the law is x = (v/w) sin(w t) while they touch."""
+"""A bounce in closed form as measured data: two free bodies, a spring, no damping; the law is x =
+(v/w) sin(w t) while they touch.
+"""
 
 from __future__ import annotations
 
@@ -34,15 +36,31 @@ compensation: {{force: {{kind: none}}, motion: {{kind: none}}}}
 """
 
 
-def columns(rate: float = RATE, force_noise: float = 0.1, pose_noise: float = 1e-6, seed: int = 5) -> dict[str, np.ndarray]:
-    """Column name to samples at ``rate`` [Hz] over DURATION, pose and measured wrench with white noise of known size."""
+def columns(
+    rate: float = RATE, force_noise: float = 0.1, pose_noise: float = 1e-6, seed: int = 5
+) -> dict[str, np.ndarray]:
+    """Column name to samples at ``rate`` [Hz] over DURATION, pose and measured wrench with white
+    noise of known size.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(round(DURATION * rate)) / rate
     force = STIFFNESS * np.maximum(_depth(t), 0.0)
     out = {"t": t}
-    for group, noise, at in (("pose_cmd", 0.0, t + 1 / RATE), ("pose_act", pose_noise, t)):  # a command is reached a tick later
-        pose = {"px": SIDE * at, "py": 0 * t, "pz": _depth(at), "qx": 0 * t, "qy": 0 * t, "qz": 0 * t, "qw": 1 + 0 * t}
-        out |= {f"{group}.{part}": values + noise * rng.standard_normal(len(t)) for part, values in pose.items()}
+    # a command is reached a tick later
+    for group, noise, at in (("pose_cmd", 0.0, t + 1 / RATE), ("pose_act", pose_noise, t)):
+        pose = {
+            "px": SIDE * at,
+            "py": 0 * t,
+            "pz": _depth(at),
+            "qx": 0 * t,
+            "qy": 0 * t,
+            "qz": 0 * t,
+            "qw": 1 + 0 * t,
+        }
+        out |= {
+            f"{group}.{part}": values + noise * rng.standard_normal(len(t))
+            for part, values in pose.items()
+        }
     for part in ("fx", "fy", "fz", "tx", "ty", "tz"):
         noise = force_noise * rng.standard_normal(len(t)) * (1.0 if part[0] == "f" else 0.2)
         out[f"wrench_meas.{part}"] = noise + (force if part == "fz" else 0.0)
@@ -58,8 +76,12 @@ def _depth(t: np.ndarray) -> np.ndarray:
     return pz
 
 
-def write_dataset(folder: Path, *tables: dict[str, Any], channels: str = "", files: tuple[str, ...] = ()) -> Path:
-    """A dataset of Parquet files (or of ``files`` that are there already), with its scenario; the path of dataset.yaml."""
+def write_dataset(
+    folder: Path, *tables: dict[str, Any], channels: str = "", files: tuple[str, ...] = ()
+) -> Path:
+    """A dataset of Parquet files (or of ``files`` that are there already), with its scenario; the
+    path of dataset.yaml.
+    """
     (folder / "nominal.yaml").write_text(SCENARIO)
     names = list(files)
     for index, table in enumerate(tables):

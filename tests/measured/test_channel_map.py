@@ -22,7 +22,9 @@ def test_value_is_scale_times_unit_times_file_plus_offset(tmp_path: Path) -> Non
     table["Fz"] = -1e-3 * (table.pop("wrench_meas.fz") - 2.0)  # kN, pulling positive, tare of 2 N
     channels = "channels: {wrench_meas.fz: {column: Fz, unit: kN, scale: -1.0, offset: 2.0}}\n"
     record = load_dataset(bounce.write_dataset(tmp_path, table, channels=channels)).runs[0].record
-    np.testing.assert_allclose(record.column("wrench_meas.fz"), bounce.columns()["wrench_meas.fz"], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        record.column("wrench_meas.fz"), bounce.columns()["wrench_meas.fz"], rtol=1e-12, atol=1e-12
+    )
 
 
 def test_clock_with_unit_and_offset(tmp_path: Path) -> None:
@@ -31,13 +33,23 @@ def test_clock_with_unit_and_offset(tmp_path: Path) -> None:
     channels = 'channels: {t: {column: "Time [ms]", unit: ms, offset: -0.25}}\n'
     dataset = load_dataset(bounce.write_dataset(tmp_path, table, channels=channels))
     assert dataset.remarks == ()
-    np.testing.assert_allclose(dataset.runs[0].record.column("pose_act.pz"), bounce.columns()["pose_act.pz"], atol=1e-9)
+    np.testing.assert_allclose(
+        dataset.runs[0].record.column("pose_act.pz"), bounce.columns()["pose_act.pz"], atol=1e-9
+    )
 
 
 def test_what_is_not_mapped_is_found_under_its_own_name(tmp_path: Path) -> None:
     table = bounce.columns()
     table["F"] = table.pop("wrench_meas.fz")
-    record = load_dataset(bounce.write_dataset(tmp_path, table, channels="channels: {wrench_meas.fz: {column: F}}\n")).runs[0].record
+    record = (
+        load_dataset(
+            bounce.write_dataset(
+                tmp_path, table, channels="channels: {wrench_meas.fz: {column: F}}\n"
+            )
+        )
+        .runs[0]
+        .record
+    )
     assert set(record.columns()) == set(bounce.columns()) - {"t"}
 
 
@@ -47,7 +59,9 @@ def test_one_file_may_be_mapped_differently(tmp_path: Path) -> None:
     for name in ("wrench_meas.fz", "wrench_comp.fz"):
         turned[name] = -turned[name]
     path = bounce.write_dataset(tmp_path, bounce.columns(), turned)
-    with pytest.raises(InputError, match=r"run_1\.parquet: wrench_comp\.fz, wrench_meas\.fz: pulls while pushing"):
+    with pytest.raises(
+        InputError, match=r"run_1\.parquet: wrench_comp\.fz, wrench_meas\.fz: pulls while pushing"
+    ):
         load_dataset(path)
     own = "{wrench_meas.fz: {scale: -1.0}, wrench_comp.fz: {scale: -1.0}}"
     path.write_text(path.read_text().replace("run_1.parquet}", f"run_1.parquet, channels: {own}}}"))
@@ -55,7 +69,9 @@ def test_one_file_may_be_mapped_differently(tmp_path: Path) -> None:
     np.testing.assert_array_equal(first.column("wrench_meas.fz"), second.column("wrench_meas.fz"))
 
 
-def test_data_may_lie_where_the_environment_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_data_may_lie_where_the_environment_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "elsewhere").mkdir()
     pq.write_table(pa.table(bounce.columns()), tmp_path / "elsewhere" / "run.parquet")
     path = bounce.write_dataset(tmp_path, files=('"${RIG_RECORDS}/run.parquet"',))
@@ -69,7 +85,10 @@ def test_data_may_lie_where_the_environment_says(tmp_path: Path, monkeypatch: py
 @pytest.mark.parametrize(
     ("entry", "fault"),
     [
-        ("wrench_meas.fz: {unit: mm}", r"no unit of this channel \(got 'mm'\); allowed: N, daN, kN"),
+        (
+            "wrench_meas.fz: {unit: mm}",
+            r"no unit of this channel \(got 'mm'\); allowed: N, daN, kN",
+        ),
         ("wrench_meas.fy: {scale: 0.0}", "is out of range"),
         ("wrench_mes.fz: {column: F}", "unknown channel"),
     ],
@@ -94,8 +113,12 @@ def test_a_faulty_entry_is_refused_with_its_line(tmp_path: Path, entry: str, fau
         ("banana.peel", None),
     ],
 )
-def test_an_unknown_channel_is_taken_for_a_measured_one(tmp_path: Path, name: str, meant: str | None) -> None:
-    path = bounce.write_dataset(tmp_path, bounce.columns(), channels=f"channels:\n  {name}: {{column: F}}\n")
+def test_an_unknown_channel_is_taken_for_a_measured_one(
+    tmp_path: Path, name: str, meant: str | None
+) -> None:
+    path = bounce.write_dataset(
+        tmp_path, bounce.columns(), channels=f"channels:\n  {name}: {{column: F}}\n"
+    )
     with pytest.raises(InputError) as raised:
         load_dataset(path)
     found = re.search(r"did you mean '([\w.]+)'", raised.value.faults[0].message)
@@ -103,7 +126,9 @@ def test_an_unknown_channel_is_taken_for_a_measured_one(tmp_path: Path, name: st
 
 
 def test_one_message_for_a_mistake_that_six_channels_share(tmp_path: Path) -> None:
-    """In the map, in the names of columns, and in the data: each is one line that names all channels and what each would be."""
+    """In the map, in the names of columns, and in the data: each is one line that names all
+    channels and what each would be.
+    """
     parts = ("fx", "fy", "fz", "tx", "ty", "tz")
     unknown = "".join(f"  force.{part}: {{column: {part}}}\n" for part in parts)
     lacking = "".join(f"  wrench_meas.{part}: {{column: Force_{part}}}\n" for part in parts)
@@ -117,17 +142,25 @@ def test_one_message_for_a_mistake_that_six_channels_share(tmp_path: Path) -> No
     table = bounce.columns()
     for group in ("wrench_meas", "wrench_comp"):
         table |= {f"{group}.fx": -0.3 * table[f"{group}.fz"], f"{group}.fz": -table[f"{group}.fz"]}
-    table |= {f"{group}.px": bounce.SIDE * at + 0.3 * (table[f"{group}.pz"] - bounce.SPEED * at) for group in ("pose_cmd", "pose_act")
-              for at in [table["t"]]}  # fmt: skip
+    table |= {
+        f"{group}.px": bounce.SIDE * at + 0.3 * (table[f"{group}.pz"] - bounce.SPEED * at)
+        for group in ("pose_cmd", "pose_act")
+        for at in [table["t"]]
+    }
     with pytest.raises(InputError) as raised:
         load_dataset(bounce.write_dataset(tmp_path, table))
     (wrong,) = (fault for fault in raised.value.faults if "pulls while pushing" in fault.message)
     assert wrong.key == "wrench_comp.fz, wrench_comp.fx, wrench_meas.fz, wrench_meas.fx"
-    assert "{wrench_comp.fz: {scale: -1}}; likewise for wrench_comp.fx, wrench_meas.fz, wrench_meas.fx" in wrong.message
+    assert (
+        "{wrench_comp.fz: {scale: -1}}; likewise for wrench_comp.fx, wrench_meas.fz, wrench_meas.fx"
+        in wrong.message
+    )
 
 
 def test_units_are_what_they_are_defined_to_be() -> None:
-    """A unit of each kind against the others: 1 lbf = 0.45359237 kgf, 12 in = 1 ft, 60 rpm = 360 deg/s."""
+    """A unit of each kind against the others: 1 lbf = 0.45359237 kgf, 12 in = 1 ft, 60 rpm = 360
+    deg/s.
+    """
     assert UNITS["N"]["lbf"] == pytest.approx(0.45359237 * UNITS["N"]["kgf"], rel=1e-14)
     assert UNITS["N m"]["lbf ft"] == pytest.approx(12 * UNITS["N m"]["lbf in"], rel=1e-14)
     assert 60 * UNITS["rad/s"]["rpm"] == pytest.approx(360 * UNITS["rad/s"]["deg/s"], rel=1e-14)

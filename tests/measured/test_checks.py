@@ -1,4 +1,6 @@
-"""Bad data, each with a clear error or a stated loss; good data, however the rig departs from its model, with neither."""
+"""Bad data, each with a clear error or a stated loss; good data, however the rig departs from its
+model, with neither.
+"""
 
 from __future__ import annotations
 
@@ -56,30 +58,117 @@ def _swap_axes(table: Table) -> None:
 
 
 MISTAKES = {
-    "force of the other sign": (_scaled("wrench", -1.0), "wrench_meas.fz", "pulls while pushing", "{wrench_meas.fz: {scale: -1}}"),
-    "compensated force of the other sign": (_scaled("wrench_comp", -1.0), "wrench_comp.fz", "pulls while pushing", "scale: -1"),
-    "force in kN": (_scaled("wrench", 1e-3), "wrench_meas.fz", "another unit", "{wrench_meas.fz: {scale: 1000}}"),
-    "force in mN": (_scaled("wrench", 1e3), "wrench_meas.fz", "another unit", "{wrench_meas.fz: {scale: 0.001}}"),
-    "compensated force in kN": (_scaled("wrench_comp", 1e-3), "wrench_comp.fz", "another unit", "{wrench_comp.fz: {scale: 1000}}"),
-    "pose in mm": (_scaled("pose", 1e3, "px py pz"), "pose_act.pz", "another unit", "{pose_act.pz: {scale: 0.001}}"),
-    "reached pose in mm": (_scaled("pose_act", 1e3, "px py pz"), "pose_act.px", "another unit", "{pose_act.px: {scale: 0.001}}"),
-    "pose scaled twice": (_scaled("pose", 1e-3, "px py pz"), "pose_cmd.pz", "another unit", "{pose_cmd.pz: {scale: 1000}}"),
-    "pz that falls on the way in": (_scaled("pose", -1.0, "pz"), "pose_act.pz", "is reversed", "{pose_act.pz: {scale: -1}}"),
-    "px of the other sign": (_scaled("pose", -1.0, "px"), "pose_cmd.px", "is reversed", "{pose_cmd.px: {scale: -1}}"),
+    "force of the other sign": (
+        _scaled("wrench", -1.0),
+        "wrench_meas.fz",
+        "pulls while pushing",
+        "{wrench_meas.fz: {scale: -1}}",
+    ),
+    "compensated force of the other sign": (
+        _scaled("wrench_comp", -1.0),
+        "wrench_comp.fz",
+        "pulls while pushing",
+        "scale: -1",
+    ),
+    "force in kN": (
+        _scaled("wrench", 1e-3),
+        "wrench_meas.fz",
+        "another unit",
+        "{wrench_meas.fz: {scale: 1000}}",
+    ),
+    "force in mN": (
+        _scaled("wrench", 1e3),
+        "wrench_meas.fz",
+        "another unit",
+        "{wrench_meas.fz: {scale: 0.001}}",
+    ),
+    "compensated force in kN": (
+        _scaled("wrench_comp", 1e-3),
+        "wrench_comp.fz",
+        "another unit",
+        "{wrench_comp.fz: {scale: 1000}}",
+    ),
+    "pose in mm": (
+        _scaled("pose", 1e3, "px py pz"),
+        "pose_act.pz",
+        "another unit",
+        "{pose_act.pz: {scale: 0.001}}",
+    ),
+    "reached pose in mm": (
+        _scaled("pose_act", 1e3, "px py pz"),
+        "pose_act.px",
+        "another unit",
+        "{pose_act.px: {scale: 0.001}}",
+    ),
+    "pose scaled twice": (
+        _scaled("pose", 1e-3, "px py pz"),
+        "pose_cmd.pz",
+        "another unit",
+        "{pose_cmd.pz: {scale: 1000}}",
+    ),
+    "pz that falls on the way in": (
+        _scaled("pose", -1.0, "pz"),
+        "pose_act.pz",
+        "is reversed",
+        "{pose_act.pz: {scale: -1}}",
+    ),
+    "px of the other sign": (
+        _scaled("pose", -1.0, "px"),
+        "pose_cmd.px",
+        "is reversed",
+        "{pose_cmd.px: {scale: -1}}",
+    ),
     "quaternion w first": (_w_first, "pose_act.q*", "order is w, x, y, z", "exchange the columns"),
-    "quaternion in per cent": (_scaled("pose_act", 100.0, "qx qy qz qw"), "pose_act.q*", "no unit quaternion", "check scale"),
-    "force on the wrong axis": (_swap_axes, "wrench_meas.fz", "axes are swapped", "exchange the columns"),
-    "torque without lever": (_scaled("wrench_meas", 1e6, "tx"), "wrench_meas.tx", "lever arm", "scale: 0.001"),
-    "another speed": (_moved("pose_cmd.pz", 0.0, 0.005), "pose_cmd.pz", "begins at 0.035 m/s", "{approach.velocity.2: 0.035}"),
-    "another start": (_moved("pose_cmd.pz", -0.002), "pose_cmd.pz", "by its approach the scenario is at", "set: {approach.gap: 0.00"),
-    "a reached pose from elsewhere": (_moved("pose_act.pz", 0.25), "pose_act.pz", "by its approach", "{pose_act.pz: {offset: -0.25}}"),
-    "a command from elsewhere": (_moved("pose_cmd.pz", 0.002), "pose_cmd.pz", "by its approach", "{pose_cmd.pz: {offset: -0.002}}"),
+    "quaternion in per cent": (
+        _scaled("pose_act", 100.0, "qx qy qz qw"),
+        "pose_act.q*",
+        "no unit quaternion",
+        "check scale",
+    ),
+    "force on the wrong axis": (
+        _swap_axes,
+        "wrench_meas.fz",
+        "axes are swapped",
+        "exchange the columns",
+    ),
+    "torque without lever": (
+        _scaled("wrench_meas", 1e6, "tx"),
+        "wrench_meas.tx",
+        "lever arm",
+        "scale: 0.001",
+    ),
+    "another speed": (
+        _moved("pose_cmd.pz", 0.0, 0.005),
+        "pose_cmd.pz",
+        "begins at 0.035 m/s",
+        "{approach.velocity.2: 0.035}",
+    ),
+    "another start": (
+        _moved("pose_cmd.pz", -0.002),
+        "pose_cmd.pz",
+        "by its approach the scenario is at",
+        "set: {approach.gap: 0.00",
+    ),
+    "a reached pose from elsewhere": (
+        _moved("pose_act.pz", 0.25),
+        "pose_act.pz",
+        "by its approach",
+        "{pose_act.pz: {offset: -0.25}}",
+    ),
+    "a command from elsewhere": (
+        _moved("pose_cmd.pz", 0.002),
+        "pose_cmd.pz",
+        "by its approach",
+        "{pose_cmd.pz: {offset: -0.002}}",
+    ),
     "time in ms": (_scaled("t", 1e3), "t", "lasts 599 s", "{t: {scale: 0.001}}"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_what_contradicts_the_physics_is_an_error_with_its_fix(tmp_path: Path, mistake: str) -> None:
+def test_what_contradicts_the_physics_is_an_error_with_its_fix(
+    tmp_path: Path, mistake: str
+) -> None:
     change, channel, text, fix = MISTAKES[mistake]
     table = bounce.columns()
     if "torque" in mistake:
@@ -97,7 +186,9 @@ def test_what_contradicts_the_physics_is_an_error_with_its_fix(tmp_path: Path, m
 
 
 def test_two_numbers_that_are_alike_on_coarse_steps_are_no_copy(tmp_path: Path) -> None:
-    """Two axes at rest at the edge of a step show its two numbers; four in the same order are a copy."""
+    """Two axes at rest at the edge of a step show its two numbers; four in the same order are a
+    copy.
+    """
     table = bounce.columns()
     rows, random = np.arange(len(table["t"])), np.random.default_rng(2)
     table["pose_act.px"] = np.where(rows < 250, -2e-5, 0.0)
@@ -107,16 +198,25 @@ def test_two_numbers_that_are_alike_on_coarse_steps_are_no_copy(tmp_path: Path) 
     assert [r for r in _examine(tmp_path, table).remarks if "a copy" in r.text]
 
 
-@pytest.mark.parametrize("mistake", ["force of the other sign", "force in kN", "reached pose in mm", "time in ms"])
+@pytest.mark.parametrize(
+    "mistake", ["force of the other sign", "force in kN", "reached pose in mm", "time in ms"]
+)
 def test_the_fix_that_is_named_puts_it_right(tmp_path: Path, mistake: str) -> None:
-    """The entries of the channel map that the errors spell out, written down: no error is left and the data are what they were."""
+    """The entries of the channel map that the errors spell out, written down: no error is left and
+    the data are what they were.
+    """
     import re
 
     table = bounce.columns()
     MISTAKES[mistake][0](table)
     entries: dict[str, str] = {}
     for _ in range(3):
-        channels = "channels:\n" + "\n".join(f"  {name}: {{scale: {scale}}}" for name, scale in entries.items()) if entries else ""
+        channels = (
+            "channels:\n"
+            + "\n".join(f"  {name}: {{scale: {scale}}}" for name, scale in entries.items())
+            if entries
+            else ""
+        )
         errors = [r for r in _examine(tmp_path, table, channels).remarks if r.severity == "error"]
         for remark in errors:
             for name, scale in re.findall(r"\{([\w.]+): \{scale: ([-\w.+]+)\}\}", remark.fix):
@@ -151,7 +251,11 @@ def _no_contact(table: Table) -> None:
 
 
 LOSSES = {
-    "missing samples": (_nan_stretch, "wrench_meas.fz", "missing (NaN) in 40 of 600 samples, at most 40 in a row from 0.1 s"),
+    "missing samples": (
+        _nan_stretch,
+        "wrench_meas.fz",
+        "missing (NaN) in 40 of 600 samples, at most 40 in a row from 0.1 s",
+    ),
     "mostly missing": (_nan_most, "pose_act.pz", "left out of this run"),
     "clipped": (_clip, "wrench_meas.fz", "clipped"),
     "no compensated wrench": (_no_comp, "wrench_comp", "compensation and dynamics"),
@@ -165,7 +269,11 @@ def test_a_loss_is_stated_and_does_not_stop(tmp_path: Path, case: str) -> None:
     table = bounce.columns()
     change(table)
     dataset = load_dataset(bounce.write_dataset(tmp_path, table))
-    assert [r for r in dataset.remarks if r.severity == "loss" and r.channel == channel and text in r.text]
+    assert [
+        r
+        for r in dataset.remarks
+        if r.severity == "loss" and r.channel == channel and text in r.text
+    ]
 
 
 def test_masks_mark_what_was_lost(tmp_path: Path) -> None:
@@ -187,9 +295,15 @@ def test_a_link_without_an_end_is_not_offered(tmp_path: Path) -> None:
 
 
 def test_one_axis_is_a_record(tmp_path: Path) -> None:
-    """Displacement and force alone: the other axes are stated as absent, and are zero where a model must be driven."""
+    """Displacement and force alone: the other axes are stated as absent, and are zero where a model
+    must be driven.
+    """
     table = bounce.columns()
-    few = {"s": table["t"], "displacement_mm": 1e3 * table["pose_act.pz"], "load_kN": -1e-3 * table["wrench_meas.fz"]}
+    few = {
+        "s": table["t"],
+        "displacement_mm": 1e3 * table["pose_act.pz"],
+        "load_kN": -1e-3 * table["wrench_meas.fz"],
+    }
     channels = (
         "channels:\n  t: {column: s}\n  pose_act.pz: {column: displacement_mm, unit: mm}\n"
         "  wrench_meas.fz: {column: load_kN, unit: kN, scale: -1.0}\n"
@@ -198,9 +312,16 @@ def test_one_axis_is_a_record(tmp_path: Path) -> None:
     record = dataset.runs[0].record
     assert record.columns() == ("pose_act.pz", "wrench_meas.fz")
     assert dataset.links() == ("contact",)
-    assert {r.channel for r in dataset.remarks if r.severity == "loss"} == {"pose_cmd", "wrench_comp", "pose_act", "wrench_meas"}
+    assert {r.channel for r in dataset.remarks if r.severity == "loss"} == {
+        "pose_cmd",
+        "wrench_comp",
+        "pose_act",
+        "wrench_meas",
+    }
     np.testing.assert_allclose(record.column("wrench_meas.fz"), table["wrench_meas.fz"], rtol=1e-12)
-    np.testing.assert_array_equal(record.filled("pose_act")[:, 3:], np.tile([0, 0, 0, 1.0], (record.ticks, 1)))
+    np.testing.assert_array_equal(
+        record.filled("pose_act")[:, 3:], np.tile([0, 0, 0, 1.0], (record.ticks, 1))
+    )
 
 
 def test_a_column_that_is_mapped_and_not_there_is_an_error_with_the_nearest(tmp_path: Path) -> None:
@@ -225,7 +346,10 @@ def test_all_files_are_heard_before_the_error(tmp_path: Path) -> None:
         (tmp_path / f"{name}.parquet").write_bytes(b"PAR1 but nothing more")
     with pytest.raises(InputError) as raised:
         load_dataset(path)
-    assert [Path(fault.file).name for fault in raised.value.faults] == ["run_0.parquet", "run_2.parquet"]
+    assert [Path(fault.file).name for fault in raised.value.faults] == [
+        "run_0.parquet",
+        "run_2.parquet",
+    ]
 
 
 def test_noise_and_contact_are_read_as_they_were_made(tmp_path: Path) -> None:
@@ -233,12 +357,15 @@ def test_noise_and_contact_are_read_as_they_were_made(tmp_path: Path) -> None:
     run = _examine(tmp_path, bounce.columns(rate=bounce.RATE)).runs[0]
     free = round(bounce.TOUCH * bounce.RATE)
     assert free - 10 <= run.survey.free <= free
-    assert run.survey.noise["wrench_meas.fz"].rms == pytest.approx(0.1, rel=0.25)  # 98 samples: 1 sigma is 7 %
+    # 98 samples: 1 sigma is 7 %
+    assert run.survey.noise["wrench_meas.fz"].rms == pytest.approx(0.1, rel=0.25)
     assert run.survey.noise["wrench_meas.fz"].white == pytest.approx(0.1, rel=0.5)
     assert run.survey.noise["pose_act.pz"].rms == pytest.approx(1e-6, rel=0.25)
     (contact,) = run.survey.contacts
     assert contact.start / bounce.RATE == pytest.approx(bounce.TOUCH, abs=2e-3)
-    assert (contact.end - contact.start) / bounce.RATE == pytest.approx(np.pi / bounce.OMEGA, abs=3e-3)
+    assert (contact.end - contact.start) / bounce.RATE == pytest.approx(
+        np.pi / bounce.OMEGA, abs=3e-3
+    )
     assert contact.peak_force == pytest.approx(bounce.PEAK, rel=0.01)
     assert contact.speed == pytest.approx(bounce.SPEED, rel=0.01)
     assert "pose_act.px" in run.survey.excited
@@ -261,7 +388,9 @@ EFFECTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "dead zone": lambda t, f: np.where(np.abs(f) < 60.0, 0.0, f),
     "delay": lambda t, f: np.r_[np.zeros(30), f[:-30]],
     "charge leak": lambda t, f: f - np.convolve(f, 0.05 * np.exp(-np.arange(600) / 20.0))[: len(f)],
-    "adhesion": lambda t, f: np.where((t > bounce.PARTING - 0.01) & (t < bounce.PARTING), f - 150.0, f),
+    "adhesion": lambda t, f: np.where(
+        (t > bounce.PARTING - 0.01) & (t < bounce.PARTING), f - 150.0, f
+    ),
     "coarse steps": lambda t, f: 5.0 * np.round(f / 5.0),
     "fine steps": lambda t, f: 0.05 * np.round(f / 0.05),
 }
@@ -271,7 +400,8 @@ EFFECTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 def test_what_a_diagnosis_looks_for_is_no_fault_of_the_data(tmp_path: Path, effect: str) -> None:
     """Departures of the rig, far beyond a moderate size, raise no error and lose no channel."""
     table = bounce.columns()
-    late = ("wrench_meas.fz",) if effect == "delay" else ("wrench_meas.fz", "wrench_comp.fz")  # the model moves by what it is given
+    # the model moves by what it is given
+    late = ("wrench_meas.fz",) if effect == "delay" else ("wrench_meas.fz", "wrench_comp.fz")
     for name in late:
         table[name] = EFFECTS[effect](table["t"], table[name])
     assert [r for r in _examine(tmp_path, table).remarks if r.severity != "note"] == []
@@ -294,7 +424,9 @@ def test_the_step_of_a_channel_is_found() -> None:
     assert step_of(np.random.default_rng(4).standard_normal(2000)) is None
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"measured data are not at {DATA} (set HILTESTBED_DATA)")
+@pytest.mark.skipif(
+    not DATA.is_dir(), reason=f"measured data are not at {DATA} (set HILTESTBED_DATA)"
+)
 @pytest.mark.parametrize("number", range(1, 9))
 def test_no_alarm_on_the_practice_sets(number: int) -> None:
     dataset = load_dataset(DATA / "rig_practice" / f"set_{number}" / "dataset.yaml")
@@ -302,25 +434,41 @@ def test_no_alarm_on_the_practice_sets(number: int) -> None:
     assert dataset.links() == ("platform", "contact", "compensation", "dynamics")
     for run in dataset.runs:
         assert len(run.survey.contacts) == 1
-        assert run.survey.noise["wrench_meas.fz"].rms == pytest.approx(run.scenario.sensor.noise, rel=0.25)
+        assert run.survey.noise["wrench_meas.fz"].rms == pytest.approx(
+            run.scenario.sensor.noise, rel=0.25
+        )
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"measured data are not at {DATA} (set HILTESTBED_DATA)")
+@pytest.mark.skipif(
+    not DATA.is_dir(), reason=f"measured data are not at {DATA} (set HILTESTBED_DATA)"
+)
 @pytest.mark.parametrize(
     ("change", "channel"),
-    [(_scaled("wrench", -1.0), "wrench_meas.fz"), (_scaled("pose_act", 1e3, "px py pz"), "pose_act.pz"), (_w_first, "pose_act.q*")],
+    [
+        (_scaled("wrench", -1.0), "wrench_meas.fz"),
+        (_scaled("pose_act", 1e3, "px py pz"), "pose_act.pz"),
+        (_w_first, "pose_act.q*"),
+    ],
     ids=["sign", "unit", "order"],
 )
-def test_a_practice_set_with_a_mistake_put_in(tmp_path: Path, change: Callable[[Table], None], channel: str) -> None:
+def test_a_practice_set_with_a_mistake_put_in(
+    tmp_path: Path, change: Callable[[Table], None], channel: str
+) -> None:
     source = DATA / "rig_practice" / "set_3"
     for file in source.iterdir():
         if file.suffix == ".parquet":
-            table = {name: column.to_numpy().copy() for name, column in zip(*_table(file), strict=True)}
+            table = {
+                name: column.to_numpy().copy() for name, column in zip(*_table(file), strict=True)
+            }
             change(table)
             pq.write_table(pa.table(table), tmp_path / file.name)
         else:
             (tmp_path / file.name).write_text(file.read_text())
-    errors = [r for r in examine(tmp_path / "dataset.yaml").remarks if r.severity == "error" and r.channel == channel]
+    errors = [
+        r
+        for r in examine(tmp_path / "dataset.yaml").remarks
+        if r.severity == "error" and r.channel == channel
+    ]
     assert len(errors) == 6
 
 
@@ -330,26 +478,34 @@ def _table(file: Path) -> tuple[list[str], list[pa.ChunkedArray]]:
 
 
 def test_the_axis_of_insertion_alone_is_balanced_where_nothing_else_moves(tmp_path: Path) -> None:
-    """fz and pz of a centred approach: the other axes are zero by symmetry, so that pounds are told from newtons; off it they are not."""
+    """fz and pz of a centred approach: the other axes are zero by symmetry, so that pounds are told
+    from newtons; off it they are not.
+    """
     table = {n: v for n, v in bounce.columns().items() if n == "t" or n.endswith((".pz", ".fz"))}
     table["wrench_meas.fz"] = table["wrench_meas.fz"] / 4.4482216152605
     path = bounce.write_dataset(tmp_path, table)
     assert not [r for r in examine(path).remarks if r.severity == "error"]
-    (tmp_path / "nominal.yaml").write_text(bounce.SCENARIO.replace(f"velocity: [{bounce.SIDE},", "velocity: [0.0,"))
+    (tmp_path / "nominal.yaml").write_text(
+        bounce.SCENARIO.replace(f"velocity: [{bounce.SIDE},", "velocity: [0.0,")
+    )
     (error,) = [r for r in examine(path).remarks if r.severity == "error"]
     assert (error.channel, error.check) == ("wrench_meas.fz", "unit")
     assert "lbf" in error.text
 
 
 def test_an_axis_that_a_port_beside_its_place_moves_is_not_called_turned(tmp_path: Path) -> None:
-    """Along y a hum pushes hardly, and a lever of the port that nobody believes in moves it the other way, several times as far."""
+    """Along y a hum pushes hardly, and a lever of the port that nobody believes in moves it the
+    other way, several times as far.
+    """
     names = ("platform.speed_limit", "sensor.hum", "dynamics.port_offset")
     write_set(tmp_path, draw_set(np.random.default_rng(910_001), "pair", names))
     assert [r for r in examine(tmp_path / "dataset.yaml").remarks if r.severity == "error"] == []
 
 
 def test_a_run_is_called_by_its_file(tmp_path: Path) -> None:
-    """Whatever number its file has: remarks, and what a whole dataset lacks, name the file; two of one name by their folders."""
+    """Whatever number its file has: remarks, and what a whole dataset lacks, name the file; two of
+    one name by their folders.
+    """
     (tmp_path / "logs").mkdir()
     whole, cut = bounce.columns(), bounce.columns()
     whole["wrench_meas.fz"][100] = float("nan")
@@ -363,7 +519,9 @@ def test_a_run_is_called_by_its_file(tmp_path: Path) -> None:
 
 
 def _beside_the_axis(x: float, y: float, **torques: tuple[str, float]) -> dict[str, np.ndarray]:
-    """A bounce at (x, y) [m] with its torques; ``torques``: what stands in a column instead: another torque, times a factor."""
+    """A bounce at (x, y) [m] with its torques; ``torques``: what stands in a column instead:
+    another torque, times a factor.
+    """
     table = bounce.columns()
     for group in ("pose_cmd", "pose_act"):
         table[f"{group}.px"] = table[f"{group}.px"] * 0.0 + x
@@ -373,7 +531,9 @@ def _beside_the_axis(x: float, y: float, **torques: tuple[str, float]) -> dict[s
         true = {"tx": y * force + table[f"{group}.tx"], "ty": -x * force + table[f"{group}.ty"]}
         table |= {f"{group}.{name}": values for name, values in true.items()}
         if group == "wrench_meas":
-            table |= {f"{group}.{name}": factor * true[other] for name, (other, factor) in torques.items()}
+            table |= {
+                f"{group}.{name}": factor * true[other] for name, (other, factor) in torques.items()
+            }
     return table
 
 
@@ -390,13 +550,31 @@ def _beside_the_axis(x: float, y: float, **torques: tuple[str, float]) -> dict[s
 def test_torques_follow_the_force_beside_the_axis(torques, check, tmp_path: Path) -> None:
     """tx = y fz, ty = -x fz: about P's origin, of a plane."""
     path = bounce.write_dataset(tmp_path, _beside_the_axis(0.08, -0.06, **torques))
-    beside = bounce.SCENARIO.replace("approach: {", "approach: {offset: [0.08, -0.06], ").replace(f"[{bounce.SIDE}, 0.0,", "[0.0, 0.0,")
+    beside = bounce.SCENARIO.replace("approach: {", "approach: {offset: [0.08, -0.06], ").replace(
+        f"[{bounce.SIDE}, 0.0,", "[0.0, 0.0,"
+    )
     (tmp_path / "nominal.yaml").write_text(beside)
-    found = [(r.check, r.channel) for r in examine(path).remarks if r.severity == "error" and r.channel.startswith("wrench_meas.t")]
-    expected = {None: [], "sign": [("sign", "wrench_meas.tx"), ("sign", "wrench_meas.ty")], "axes": [("axes", "wrench_meas.tx")]}[check]
+    found = [
+        (r.check, r.channel)
+        for r in examine(path).remarks
+        if r.severity == "error" and r.channel.startswith("wrench_meas.t")
+    ]
+    expected = {
+        None: [],
+        "sign": [("sign", "wrench_meas.tx"), ("sign", "wrench_meas.ty")],
+        "axes": [("axes", "wrench_meas.tx")],
+    }[check]
     assert found == expected
 
 
-def test_where_the_place_beside_the_axis_was_not_logged_no_torque_is_held_against_it(tmp_path: Path) -> None:
-    table = {name: values for name, values in _beside_the_axis(0.08, -0.06).items() if name[-2:] not in ("px", "py")}
-    assert not [r for r in examine(bounce.write_dataset(tmp_path, table)).remarks if r.severity == "error"]
+def test_where_the_place_beside_the_axis_was_not_logged_no_torque_is_held_against_it(
+    tmp_path: Path,
+) -> None:
+    table = {
+        name: values
+        for name, values in _beside_the_axis(0.08, -0.06).items()
+        if name[-2:] not in ("px", "py")
+    }
+    assert not [
+        r for r in examine(bounce.write_dataset(tmp_path, table)).remarks if r.severity == "error"
+    ]

@@ -45,14 +45,18 @@ def test_interpolation_error_is_of_second_order() -> None:
     for rate in (1000.0, 2000.0):
         t = 0.3 / rate + np.arange(round(rate)) / rate
         out, valid = to_ticks(t, np.sin(20 * t), 1000, TICK, 1 / rate)
-        errors.append(np.abs(out - np.sin(20 * TICK * np.arange(1000, dtype=np.float64)))[valid].max())
+        errors.append(
+            np.abs(out - np.sin(20 * TICK * np.arange(1000, dtype=np.float64)))[valid].max()
+        )
     assert errors[0] < (20 * TICK) ** 2 / 8
     assert errors[0] / errors[1] > 3.0
 
 
 @pytest.mark.parametrize("rate", [250.0, 640.0, 870.0])
 def test_a_smooth_curve_through_the_samples_takes_off_what_straight_lines_miss(rate: float) -> None:
-    """Away from the ends, of a sine: lines miss up to (w h)^2/8, a cubic spline less than 5/384 (w h)^4 (de Boor, 2001, chapter V)."""
+    """Away from the ends, of a sine: lines miss up to (w h)^2/8, a cubic spline less than 5/384 (w
+    h)^4 (de Boor, 2001, chapter V).
+    """
     w, h = 20.0, 1.0 / rate
     t = 0.3 * h + h * np.arange(round(rate), dtype=np.float64)
     at = TICK * np.arange(1000, dtype=np.float64)
@@ -67,9 +71,11 @@ def test_a_smooth_curve_through_the_samples_takes_off_what_straight_lines_miss(r
 
 
 def test_the_noise_of_samples_between_ticks_counts_as_much_as_that_of_ticks(tmp_path: Path) -> None:
-    """Put between two rows, white noise w keeps 2/3 of its variance and all that it adds up to: the level that is judged by stays w.
+    """Put between two rows, white noise w keeps 2/3 of its variance and all that it adds up to: the
+    level that is judged by stays w.
 
-    By less than a tenth: third differences see 6 % less of noise whose neighbours go along, and the means of 499 blocks spread by 3 %.
+    By less than a tenth: third differences see 6 % less of noise whose neighbours go along, and the
+        means of 499 blocks spread by 3 %.
     """
     rng, sigma, tick = np.random.default_rng(3), 2e-6, 1.0 / 2000.0
     loop = np.arange(4000) * tick
@@ -87,8 +93,12 @@ def test_the_noise_of_samples_between_ticks_counts_as_much_as_that_of_ticks(tmp_
 
 @pytest.mark.parametrize("rate", [500.0, 900.0, 1200.0, 1700.0, 2600.0])
 @pytest.mark.parametrize("by_the_logger", [True, False])
-def test_a_touch_between_two_rows_is_off_by_three_times_its_uncertainty_at_most(tmp_path: Path, rate: float, by_the_logger: bool) -> None:
-    """A ramp that begins anywhere in a tick, as a force does at a touch; rows interpolated by the logger, or sampled at their stamps."""
+def test_a_touch_between_two_rows_is_off_by_three_times_its_uncertainty_at_most(
+    tmp_path: Path, rate: float, by_the_logger: bool
+) -> None:
+    """A ramp that begins anywhere in a tick, as a force does at a touch; rows interpolated by the
+    logger, or sampled at their stamps.
+    """
     loop, rng = np.arange(600) / 2000.0, np.random.default_rng(11)
     scenario = load_scenario("reference-bumper", {"rate": 2000, "duration": 0.3})
     t = np.arange(int(loop[-1] * rate) + 1) / rate
@@ -106,13 +116,19 @@ def test_a_touch_between_two_rows_is_off_by_three_times_its_uncertainty_at_most(
 
 @pytest.mark.parametrize("rate", [500.0, 900.0, 1200.0, 1700.0])
 def test_noise_of_a_log_at_another_rate_is_no_kink(tmp_path: Path, rate: float) -> None:
-    """At most 3e-4 of the rows exceed the ratio, each with five ticks around it, and three times as many by chance in one record. Ticks
-    without a row, a seventh at 1700 Hz, are no kinks."""
+    """At most 3e-4 of the rows exceed the ratio, each with five ticks around it, and three times as
+    many by chance in one record. Ticks without a row, a seventh at 1700 Hz, are no kinks.
+    """
     loop, rng = np.arange(6000) / 2000.0, np.random.default_rng(5)
     t = np.arange(int(loop[-1] * rate) + 1) / rate
     logged = np.interp(t, loop, rng.standard_normal(6000))
     pq.write_table(pa.table({"t": t, "wrench_meas.fz": logged}), tmp_path / "run.parquet")
-    record, _ = read_record(0, tmp_path / "run.parquet", {}, load_scenario("reference-bumper", {"rate": 2000, "duration": 3.0}))
+    record, _ = read_record(
+        0,
+        tmp_path / "run.parquet",
+        {},
+        load_scenario("reference-bumper", {"rate": 2000, "duration": 3.0}),
+    )
     assert record is not None
     assert np.mean(kink_errors(record, "wrench_meas")[:, 2] > 0.0) < 5 * 1e-3
 

@@ -14,11 +14,15 @@ ROOT = Path(__file__).parents[2]
 DATA = Path(os.environ.get("HILTESTBED_DATA", ROOT.parent / "shared" / "data"))
 EXAMPLES = ROOT / "docs" / "examples"
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"measured data are not at {DATA} (set HILTESTBED_DATA)")
+pytestmark = pytest.mark.skipif(
+    not DATA.is_dir(), reason=f"measured data are not at {DATA} (set HILTESTBED_DATA)"
+)
 
 
 def test_servo_is_a_platform_record(monkeypatch: pytest.MonkeyPatch) -> None:
-    """0.15 rad of amplitude at 10 mm are 1.5 mm; 4096 counts a turn are steps of 2 pi/4096 x 10 mm."""
+    """0.15 rad of amplitude at 10 mm are 1.5 mm; 4096 counts a turn are steps of 2 pi/4096 x 10
+    mm.
+    """
     monkeypatch.setenv("HILTESTBED_DATA", str(DATA))
     dataset = load_dataset(EXAMPLES / "so101_servo" / "dataset.yaml")
     assert dataset.links() == ("platform",)
@@ -26,8 +30,12 @@ def test_servo_is_a_platform_record(monkeypatch: pytest.MonkeyPatch) -> None:
         assert run.record.columns() == ("pose_cmd.px", "pose_act.px")
         assert run.record.measured("pose_act.px").mean() > 0.999
         assert run.record.steps["pose_act.px"] == pytest.approx(2e-2 * np.pi / 4096, rel=1e-3)
-        assert run.survey.noise["pose_act.px"].white >= run.record.steps["pose_act.px"] / np.sqrt(12)
-    assert np.nanmax(dataset.runs[0].record.column("pose_cmd.px")) == pytest.approx(1.5e-3, rel=0.01)
+        assert run.survey.noise["pose_act.px"].white >= run.record.steps["pose_act.px"] / np.sqrt(
+            12
+        )
+    assert np.nanmax(dataset.runs[0].record.column("pose_cmd.px")) == pytest.approx(
+        1.5e-3, rel=0.01
+    )
 
 
 def test_damper_is_a_contact_record(monkeypatch: pytest.MonkeyPatch) -> None:

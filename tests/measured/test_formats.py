@@ -1,4 +1,6 @@
-"""Every format gives back the samples that went in, bit by bit, and says clearly what it cannot read."""
+"""Every format gives back the samples that went in, bit by bit, and says clearly what it cannot
+read.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ def _hdf5(path: Path, table: Table) -> None:
     with h5py.File(path, "w") as file:
         file["t"] = table["t"]
         for group in ("pose_cmd", "pose_act"):
-            file[group] = np.stack([table[name] for name in table if name.startswith(group)], axis=1)
+            file[group] = np.stack(
+                [table[name] for name in table if name.startswith(group)], axis=1
+            )
         for name in table:
             if name.startswith("wrench"):
                 file[name.replace(".", "/")] = table[name]
@@ -57,7 +61,9 @@ def _mat_5(path: Path, table: Table) -> None:
 
 
 def _mat_73(path: Path, table: Table) -> None:
-    """As MATLAB's -v7.3 writes it: 512 bytes of its own, column-major matrices, so (1, rows) and (parts, rows) in HDF5."""
+    """As MATLAB's -v7.3 writes it: 512 bytes of its own, column-major matrices, so (1, rows) and
+    (parts, rows) in HDF5.
+    """
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w", userblock_size=512) as file:
         file["t"] = table["t"][None, :]
@@ -73,16 +79,30 @@ def _mdf(path: Path, table: Table) -> None:
     asammdf = pytest.importorskip("asammdf")
     with asammdf.MDF(version="4.10") as mdf:
         for group in ("pose", "wrench"):
-            signals = [asammdf.Signal(values, table["t"], name=name) for name, values in table.items() if name.startswith(group)]
+            signals = [
+                asammdf.Signal(values, table["t"], name=name)
+                for name, values in table.items()
+                if name.startswith(group)
+            ]
             mdf.append(signals)
         mdf.save(path)
 
 
 def _tdms(path: Path, table: Table) -> None:
     nptdms = pytest.importorskip("nptdms")
-    properties = {"wf_increment": 1.0 / bounce.RATE, "wf_start_offset": 0.0, "wf_samples": len(table["t"])}
+    properties = {
+        "wf_increment": 1.0 / bounce.RATE,
+        "wf_start_offset": 0.0,
+        "wf_samples": len(table["t"]),
+    }
     with nptdms.TdmsWriter(path) as writer:
-        writer.write_segment([nptdms.ChannelObject(*name.split("."), values, properties) for name, values in table.items() if name != "t"])
+        writer.write_segment(
+            [
+                nptdms.ChannelObject(*name.split("."), values, properties)
+                for name, values in table.items()
+                if name != "t"
+            ]
+        )
 
 
 def _mcap(path: Path, table: Table) -> None:
@@ -93,19 +113,34 @@ def _mcap(path: Path, table: Table) -> None:
         writer = Writer(file)
         writer.start()
         groups = ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp")
-        topics = {g: writer.register_channel(topic=f"/{g}", message_encoding="json", schema_id=0) for g in groups}
+        topics = {
+            g: writer.register_channel(topic=f"/{g}", message_encoding="json", schema_id=0)
+            for g in groups
+        }
         for k, t in enumerate(table["t"]):
             stamp = 1_700_000_000_000_000_000 + round(t * 1e9)
             for group, channel in topics.items():
-                message = {name.split(".")[1]: float(values[k]) for name, values in table.items() if name.startswith(group)}
-                writer.add_message(channel, log_time=stamp, data=json.dumps(message).encode(), publish_time=stamp)
+                message = {
+                    name.split(".")[1]: float(values[k])
+                    for name, values in table.items()
+                    if name.startswith(group)
+                }
+                writer.add_message(
+                    channel, log_time=stamp, data=json.dumps(message).encode(), publish_time=stamp
+                )
         writer.finish()
 
 
 WRITERS = {
-    "run.csv": _csv, "run.parquet": _parquet, "run.h5": _hdf5, "five.mat": _mat_5, "seven.mat": _mat_73,
-    "run.mf4": _mdf, "run.tdms": _tdms, "run.mcap": _mcap,
-}  # fmt: skip
+    "run.csv": _csv,
+    "run.parquet": _parquet,
+    "run.h5": _hdf5,
+    "five.mat": _mat_5,
+    "seven.mat": _mat_73,
+    "run.mf4": _mdf,
+    "run.tdms": _tdms,
+    "run.mcap": _mcap,
+}
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -124,10 +159,14 @@ def test_samples_come_back_as_they_went_in(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_file_that_was_cut_short_is_refused(tmp_path: Path, name: str) -> None:
-    """Half a file, or any bytes under the suffix: an error that names the file, never a traceback of the library."""
+    """Half a file, or any bytes under the suffix: an error that names the file, never a traceback
+    of the library.
+    """
     WRITERS[name](tmp_path / name, bounce.columns())
     whole = (tmp_path / name).read_bytes()
-    (tmp_path / name).write_bytes(b"\x00\xff" * 400 if name.endswith("csv") else whole[: len(whole) // 2])
+    (tmp_path / name).write_bytes(
+        b"\x00\xff" * 400 if name.endswith("csv") else whole[: len(whole) // 2]
+    )
     with pytest.raises(InputError, match=name.replace(".", r"\.")):
         load_dataset(bounce.write_dataset(tmp_path, files=(name,)))
 
@@ -141,9 +180,16 @@ def test_an_empty_file_is_refused(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize(
     ("suffix", "module", "extra"),
-    [("h5", "h5py", "hdf5"), ("mf4", "asammdf", "mdf"), ("tdms", "nptdms", "tdms"), ("mcap", "mcap.reader", "mcap")],
+    [
+        ("h5", "h5py", "hdf5"),
+        ("mf4", "asammdf", "mdf"),
+        ("tdms", "nptdms", "tdms"),
+        ("mcap", "mcap.reader", "mcap"),
+    ],
 )
-def test_a_missing_reader_is_an_install_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str, extra: str) -> None:
+def test_a_missing_reader_is_an_install_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str, extra: str
+) -> None:
     path = tmp_path / f"run.{suffix}"
     path.write_bytes(b"anything")
     monkeypatch.setitem(sys.modules, module, None)
@@ -157,10 +203,19 @@ FILL = "x = bytearray(1 << 44)"
 
 
 @pytest.mark.parametrize(
-    ("what", "said"), [(CRASH, "crashes its reader \\(signal 11\\)"), (HANG, "is not read within 3 s"), (FILL, "more memory than")]
+    ("what", "said"),
+    [
+        (CRASH, "crashes its reader \\(signal 11\\)"),
+        (HANG, "is not read within 3 s"),
+        (FILL, "more memory than"),
+    ],
 )
-def test_a_reader_that_fails_takes_nothing_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, said: str) -> None:
-    """A parser of foreign formats that crashes, hangs or believes any size, in place of the one that is installed."""
+def test_a_reader_that_fails_takes_nothing_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, said: str
+) -> None:
+    """A parser of foreign formats that crashes, hangs or believes any size, in place of the one
+    that is installed.
+    """
     (tmp_path / "h5py").mkdir()
     (tmp_path / "h5py" / "__init__.py").write_text(what)
     (tmp_path / "run.h5").write_bytes(b"anything")
@@ -179,14 +234,21 @@ def test_unknown_suffix_names_the_known_ones(tmp_path: Path) -> None:
 def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
     """The table of a spreadsheet in Central Europe."""
     table = bounce.columns()
-    rows = [";".join(repr(float(v)).replace(".", ",") for v in row) for row in zip(*table.values(), strict=True)]
-    (tmp_path / "run.csv").write_text("# recorded by hand\n" + ";".join(table) + "\n" + "\n".join(rows))
+    rows = [
+        ";".join(repr(float(v)).replace(".", ",") for v in row)
+        for row in zip(*table.values(), strict=True)
+    ]
+    (tmp_path / "run.csv").write_text(
+        "# recorded by hand\n" + ";".join(table) + "\n" + "\n".join(rows)
+    )
     record = load_dataset(bounce.write_dataset(tmp_path, files=("run.csv",))).runs[0].record
     np.testing.assert_array_equal(record.column("wrench_meas.fz"), table["wrench_meas.fz"])
 
 
 def test_a_large_csv_is_refused_before_it_is_read(tmp_path: Path) -> None:
-    """2 GB of which the file system holds a few blocks: the estimate of its rows from the first of them is enough."""
+    """2 GB of which the file system holds a few blocks: the estimate of its rows from the first of
+    them is enough.
+    """
     path = tmp_path / "run.csv"
     _csv(path, bounce.columns(rate=10_000.0))
     assert path.stat().st_size > 2e6
@@ -196,7 +258,9 @@ def test_a_large_csv_is_refused_before_it_is_read(tmp_path: Path) -> None:
         load_dataset(bounce.write_dataset(tmp_path, files=("run.csv",)))
 
 
-def test_a_csv_is_streamed_for_its_mapped_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_csv_is_streamed_for_its_mapped_columns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Twenty columns that nobody asked for count neither in memory nor against the limit."""
     table = bounce.columns() | {f"temperature {i}": np.arange(600.0) for i in range(20)}
     _csv(tmp_path / "run.csv", table)
@@ -214,16 +278,25 @@ def test_text_in_a_column_is_refused_with_its_place(tmp_path: Path) -> None:
         load_dataset(bounce.write_dataset(tmp_path, files=("run.csv",)))
 
 
-@pytest.mark.parametrize(("units", "unit"), [("s;N;m", "kN"), ("[ms];[kN];[mm]", "ms"), ("(s);(lbf);(m)", "lbf")])
+@pytest.mark.parametrize(
+    ("units", "unit"), [("s;N;m", "kN"), ("[ms];[kN];[mm]", "ms"), ("(s);(lbf);(m)", "lbf")]
+)
 def test_a_row_of_units_is_refused_with_what_to_do(tmp_path: Path, units: str, unit: str) -> None:
-    """A file without the row is read as it is, and the unit that the message proposes is one of the channel map's."""
+    """A file without the row is read as it is, and the unit that the message proposes is one of the
+    channel map's.
+    """
     (tmp_path / "run.csv").write_text(f"# logger\nt;F z;x\n{units}\n0;1;2\n1;2;3\n")
-    with pytest.raises(InputError, match=r"in line 3, as a row of units .*; delete this line") as raised:
+    with pytest.raises(
+        InputError, match=r"in line 3, as a row of units .*; delete this line"
+    ) as raised:
         read_columns(tmp_path / "run.csv", frozenset({"t", "F z"}))
     assert f"unit: {unit}}}" in str(raised.value)
     assert any(unit in known for known in UNITS.values())
     (tmp_path / "run.csv").write_text("# logger\nt;F z;x\n0;1;2\n1;2;3\n")
-    assert read_columns(tmp_path / "run.csv", frozenset({"t", "F z"})).data["F z"].tolist() == [1.0, 2.0]
+    assert read_columns(tmp_path / "run.csv", frozenset({"t", "F z"})).data["F z"].tolist() == [
+        1.0,
+        2.0,
+    ]
 
 
 def test_a_file_without_header_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,6 @@
-"""The force's impulse against the logged motion in closed form: the force's record may be late, filtered, reversed, in another unit."""
+"""The force's impulse against the logged motion in closed form: the force's record may be late,
+filtered, reversed, in another unit.
+"""
 
 from __future__ import annotations
 
@@ -35,13 +37,22 @@ def _late(delay: float, time_constant: float = 0.0) -> np.ndarray:
     if time_constant:
         part = -math.expm1(-step / time_constant)
         force = lfilter([part], [1.0, part - 1.0], force)
-    return np.asarray(force[::100]) + NOISE * np.random.default_rng(3).standard_normal(len(force[::100]))
+    return np.asarray(force[::100]) + NOISE * np.random.default_rng(3).standard_normal(
+        len(force[::100])
+    )
 
 
 @pytest.mark.parametrize("factor", [1.0, -1.0, 1 / POUND_FORCE, -0.6])
-@pytest.mark.parametrize(("delay", "time_constant"), [(0.0, 0.0), (0.0023, 0.0), (0.005, 0.0), (0.020, 0.0), (0.003, 0.006)])
-def test_a_late_record_has_the_impulse_of_the_force(tmp_path: Path, factor: float, delay: float, time_constant: float) -> None:
-    """Mass times change of velocity is 1/factor times the impulse. The fit is exact for a delay; a lag leaves the third order of w T."""
+@pytest.mark.parametrize(
+    ("delay", "time_constant"),
+    [(0.0, 0.0), (0.0023, 0.0), (0.005, 0.0), (0.020, 0.0), (0.003, 0.006)],
+)
+def test_a_late_record_has_the_impulse_of_the_force(
+    tmp_path: Path, factor: float, delay: float, time_constant: float
+) -> None:
+    """Mass times change of velocity is 1/factor times the impulse. The fit is exact for a delay; a
+    lag leaves the third order of w T.
+    """
     table = bounce.columns()
     table["wrench_meas.fz"] = factor * _late(delay, time_constant)
     pair = _balance(tmp_path, table)
@@ -52,17 +63,24 @@ def test_a_late_record_has_the_impulse_of_the_force(tmp_path: Path, factor: floa
 
 
 @pytest.mark.parametrize("factor", [1.0, -1.0])
-def test_an_oscillation_without_free_flight_shows_its_delay_too(tmp_path: Path, factor: float) -> None:
-    """On a sinusoid the force is proportional to the motion, so that delay and scale follow from phase and amplitude alone."""
+def test_an_oscillation_without_free_flight_shows_its_delay_too(
+    tmp_path: Path, factor: float
+) -> None:
+    """On a sinusoid the force is proportional to the motion, so that delay and scale follow from
+    phase and amplitude alone.
+    """
     table = bounce.columns()
     amplitude, delay = 2e-3, 0.008
     for group, at in (("pose_cmd", table["t"] + 1 / bounce.RATE), ("pose_act", table["t"])):
         table[f"{group}.pz"] = amplitude * np.sin(bounce.OMEGA * at)
     force = bounce.STIFFNESS * amplitude * np.sin(bounce.OMEGA * (table["t"] - delay))
     force[table["t"] < delay] = 0.0
-    table["wrench_meas.fz"] = factor * (force + NOISE * np.random.default_rng(3).standard_normal(len(force)))
+    table["wrench_meas.fz"] = factor * (
+        force + NOISE * np.random.default_rng(3).standard_normal(len(force))
+    )
     pair = _balance(tmp_path, table)
-    # the impulse between -delay and 0 is not in the record: k A w delay^2/2 of a velocity amplitude's k A/w
+    # the impulse between -delay and 0 is not in the record: k A w delay^2/2 of a velocity
+    # amplitude's k A/w
     assert pair.scale * factor == pytest.approx(1.0, abs=BY_NOISE + (bounce.OMEGA * delay) ** 2 / 2)
     assert pair.late == pytest.approx(delay, abs=0.2e-3)
 
@@ -73,7 +91,11 @@ def test_pounds_are_recognised_behind_a_delay(tmp_path: Path) -> None:
     for group in ("wrench_meas", "wrench_comp"):
         table[f"{group}.fz"] = table[f"{group}.fz"] / POUND_FORCE
     table["wrench_meas.fz"] = _late(0.012) / POUND_FORCE
-    errors = [r for r in examine(bounce.write_dataset(tmp_path, table)).remarks if r.channel == "wrench_meas.fz" and r.check == "unit"]
+    errors = [
+        r
+        for r in examine(bounce.write_dataset(tmp_path, table)).remarks
+        if r.channel == "wrench_meas.fz" and r.check == "unit"
+    ]
     assert errors[0].evidence["scale"] == pytest.approx(POUND_FORCE, rel=BY_NOISE)
     assert "lbf" in errors[0].text
     assert f"{POUND_FORCE:.8g}" in errors[0].fix

@@ -16,13 +16,17 @@ from hiltestbed.scenario import load_scenario
 
 @pytest.mark.parametrize("peak", [200.0, -200.0, None])
 def test_what_pulls_touches_as_well_as_what_pushes(peak: float | None) -> None:
-    survey = Survey(0, {}, (Contact(10, 20, peak, 1e-3, None, None if peak is None else abs(peak)),), (), 0.0)
+    survey = Survey(
+        0, {}, (Contact(10, 20, peak, 1e-3, None, None if peak is None else abs(peak)),), (), 0.0
+    )
     assert survey.touching(40, late=4, least=50.0).sum() == 10 + 2 + 4 + 3
     assert survey.touching(40, late=4, least=500.0).any() == (peak is None)
 
 
 @pytest.mark.parametrize("ends", ["held", "leaves"])
-def test_what_a_latch_holds_stays_in_contact_while_its_force_passes_through_zero(tmp_path: Path, ends: str) -> None:
+def test_what_a_latch_holds_stays_in_contact_while_its_force_passes_through_zero(
+    tmp_path: Path, ends: str
+) -> None:
     scenario = load_scenario(find_scenario(Path("09-docking")))
     assert scenario.mechanism.latch is not None
     t = np.arange(8000) / scenario.rate
@@ -45,17 +49,23 @@ def test_what_a_latch_holds_stays_in_contact_while_its_force_passes_through_zero
 
 
 def test_a_tilted_port_that_is_met_in_the_first_rows_before_the_pose_says_so() -> None:
-    """Beside the axis a tilt of 2 degrees brings a plane 5 mm nearer: it is met while pz says that there is a gap, as the record begins."""
+    """Beside the axis a tilt of 2 degrees brings a plane 5 mm nearer: it is met while pz says that
+    there is a gap, as the record begins.
+    """
     scenario = load_scenario(find_scenario(Path("02-bumper")))
     assert scenario.mechanism.flat
     t = np.arange(1400) / scenario.rate
     force = np.where((t > 0.004) & (t < 0.1), 300.0 * np.sin(np.pi * (t - 0.004) / 0.096), 0.0)
     pose, wrench = np.zeros((len(t), 7)), np.random.default_rng(1).standard_normal((len(t), 6))
-    pose[:, 2], pose[:, 6] = -0.0048 + 0.04 * np.minimum(t, 0.05) - 0.04 * np.maximum(t - 0.05, 0.0), 1.0
+    pose[:, 2], pose[:, 6] = (
+        -0.0048 + 0.04 * np.minimum(t, 0.05) - 0.04 * np.maximum(t - 0.05, 0.0),
+        1.0,
+    )
     wrench[:, 2] += force
     valid = {"pose_act": np.ones(pose.shape, bool), "wrench_meas": np.ones(wrench.shape, bool)}
     found = look(Record(1, Path(), t, {"pose_act": pose, "wrench_meas": wrench}, valid), scenario)
-    late = 2.5e-3 * scenario.rate  # the force is 10 times its noise, with two sigma to spare, after 1 ms
+    # the force is 10 times its noise, with two sigma to spare, after 1 ms
+    late = 2.5e-3 * scenario.rate
     assert abs(found.free - 0.004 * scenario.rate) < late
     assert len(found.contacts) == 1
     assert abs(found.contacts[0].start - 0.004 * scenario.rate) < late
@@ -63,8 +73,12 @@ def test_a_tilted_port_that_is_met_in_the_first_rows_before_the_pose_says_so() -
 
 
 @pytest.mark.parametrize(("name", "found"), [("16-probe-drogue", 1), ("02-bumper", 0)])
-def test_what_swings_on_its_side_is_in_contact_where_it_is_pressed_across(name: str, found: int) -> None:
-    """A head on a rod that stays in its socket, the stroke at rest; a plane is pressed along its normal."""
+def test_what_swings_on_its_side_is_in_contact_where_it_is_pressed_across(
+    name: str, found: int
+) -> None:
+    """A head on a rod that stays in its socket, the stroke at rest; a plane is pressed along its
+    normal.
+    """
     scenario = load_scenario(find_scenario(Path(name)))
     t = np.arange(2000) / scenario.rate
     pose, wrench = np.zeros((len(t), 7)), np.random.default_rng(1).standard_normal((len(t), 6))
@@ -78,33 +92,51 @@ def test_what_swings_on_its_side_is_in_contact_where_it_is_pressed_across(name: 
 
 @pytest.mark.parametrize("speed", [0.037, 3.3])
 @pytest.mark.parametrize("noise", [0.4, 1.0])
-def test_the_noise_of_a_quantised_motion_is_that_of_its_samples_and_of_its_steps(speed: float, noise: float) -> None:
-    """Independent of each other where noise dithers the steps; third differences of them are whole steps, and so is their median."""
+def test_the_noise_of_a_quantised_motion_is_that_of_its_samples_and_of_its_steps(
+    speed: float, noise: float
+) -> None:
+    """Independent of each other where noise dithers the steps; third differences of them are whole
+    steps, and so is their median.
+    """
     rng = np.random.default_rng(6)
     read = np.round(speed * np.arange(6000) + noise * rng.standard_normal(6000))
-    assert white_noise(1e-5 * read, 1e-5) == pytest.approx(1e-5 * np.hypot(noise, 1.0 / np.sqrt(12.0)), rel=0.05)
+    assert white_noise(1e-5 * read, 1e-5) == pytest.approx(
+        1e-5 * np.hypot(noise, 1.0 / np.sqrt(12.0)), rel=0.05
+    )
     touched = 1e-5 * (read + np.where(np.arange(6000) == 3000, 50.0, 0.0))
     assert white_noise(touched, 1e-5) == pytest.approx(white_noise(1e-5 * read, 1e-5), rel=0.02)
 
 
 def test_a_command_in_steps_is_smooth_where_it_creeps_and_jumps_where_it_was_told_to() -> None:
-    """A slow ramp keeps within a step of what was rounded, and within less where it moves; a hold stays what it is up to its jump."""
+    """A slow ramp keeps within a step of what was rounded, and within less where it moves; a hold
+    stays what it is up to its jump.
+    """
     t, step = np.arange(4000, dtype=np.float64) * 0.001, 1e-4
     creep = np.where(t < 2.0, 0.004 * t, 0.008)
     told = creep + np.where(t >= 2.5, 0.05, 0.0) + np.where(t >= 3.2, -0.02, 0.0)
-    pose, valid = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(t), 1)), {"pose_cmd": np.ones((len(t), 7), dtype=bool)}
+    pose, valid = (
+        np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(t), 1)),
+        {"pose_cmd": np.ones((len(t), 7), dtype=bool)},
+    )
     pose[:, 2] = step * np.round(told / step)
-    filled = Record(1, Path(), t, {"pose_cmd": pose}, valid, steps={"pose_cmd.pz": step}).filled("pose_cmd")[:, 2]
+    filled = Record(1, Path(), t, {"pose_cmd": pose}, valid, steps={"pose_cmd.pz": step}).filled(
+        "pose_cmd"
+    )[:, 2]
     np.testing.assert_allclose(filled, told, atol=1.01 * step)
     np.testing.assert_allclose(filled[100:1900], told[100:1900], atol=0.1 * step)
     np.testing.assert_array_equal(filled[2400:], pose[2400:, 2])
 
 
 def test_a_smooth_command_in_few_digits_is_smoothed_and_a_jerk_is_not() -> None:
-    """Rounding errors of a command that moves by several steps a row: a local cubic takes off two thirds, and leaves a jerk as it was."""
+    """Rounding errors of a command that moves by several steps a row: a local cubic takes off two
+    thirds, and leaves a jerk as it was.
+    """
     t, step = np.arange(2000, dtype=np.float64) * 0.001, 1e-5
     told = 1e-3 * np.sin(2.0 * np.pi * 7.0 * t) + np.where(t >= 1.0, 3.0 * step, 0.0)
-    pose, valid = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(t), 1)), {"pose_cmd": np.ones((len(t), 7), dtype=bool)}
+    pose, valid = (
+        np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(t), 1)),
+        {"pose_cmd": np.ones((len(t), 7), dtype=bool)},
+    )
     pose[:, 2] = step * np.round(told / step)
     record = Record(1, Path(), t, {"pose_cmd": pose}, valid, steps={"pose_cmd.pz": step})
     filled, left = record.filled("pose_cmd")[:, 2], record.unsmoothed()[:, 2]

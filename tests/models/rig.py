@@ -1,7 +1,9 @@
-"""Two free bodies that carry the sides of a shipped mechanism, in MuJoCo alone: contacts, latches and phases as mechanism.yaml says.
+"""Two free bodies that carry the sides of a shipped mechanism, in MuJoCo alone: contacts, latches
+and phases as mechanism.yaml says.
 
-A contact's stiffness is that of the pair over the number of its points, written before each step; a ball or a rod on a mesh touches
-a facet in the mesh's tangent plane; friction is MuJoCo's cone, viscous below it.
+A contact's stiffness is that of the pair over the number of its points, written before each step; a
+ball or a rod on a mesh touches a facet in the mesh's tangent plane; friction is MuJoCo's cone,
+viscous below it.
 """
 
 from __future__ import annotations
@@ -20,8 +22,9 @@ from hiltestbed.contact.surfaces import Surface, of_mesh, segment_distance, sign
 MODELS = Path(__file__).resolve().parents[2] / "models"
 IMPEDANCE = 1e-4
 SOLIMP = (IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 1.0)
-# MuJoCo's cone: friction is full from the speed CREEP on at 100 N, viscous below. The solver raises the normal force by the share
-# mu^2 v/CREEP (1/IMPRATIO + IMPEDANCE) at the speed v: 5e-4 for mu = 0.3 at 5 cm/s.
+# MuJoCo's cone: friction is full from the speed CREEP on at 100 N, viscous below. The solver raises
+# the normal force by the share mu^2 v/CREEP (1/IMPRATIO + IMPEDANCE) at the speed v: 5e-4 for mu =
+# 0.3 at 5 cm/s.
 IMPRATIO = 1e5
 CREEP = 1e-3  # [m/s]
 POS = int(mujoco.mjtStage.mjSTAGE_POS)
@@ -31,7 +34,9 @@ FACET = 0.01  # [m] half thickness
 
 
 class Facet:
-    """The tangent plane of a mesh under a ball or a rod, and the ball that stands for the rod's nearest place."""
+    """The tangent plane of a mesh under a ball or a rod, and the ball that stands for the rod's
+    nearest place.
+    """
 
     def __init__(self, model: mujoco.MjModel, ball: int, mesh: int, facet: int, proxy: int) -> None:
         self.ball, self.mesh, self.facet, self.proxy = ball, mesh, facet, proxy
@@ -49,7 +54,8 @@ class Rig:
     """A chaser of 500 kg and a target of 2,000 kg; at first A is ``gap`` before P.
 
     Attributes:
-        rules: the rule of each pair. done: names of the phases that have begun. data: after each step, positions as new as the state.
+        rules: the rule of each pair. done: names of the phases that have begun. data: after each
+            step, positions as new as the state.
     """
 
     def __init__(
@@ -61,17 +67,29 @@ class Rig:
         dissipative: bool = True,
         friction: float | None = None,
     ) -> None:
-        """``edit`` changes the spec before it is compiled; not ``dissipative``: nothing damps; ``friction`` replaces that of all pairs."""
+        """``edit`` changes the spec before it is compiled; not ``dissipative``: nothing damps;
+        ``friction`` replaces that of all pairs.
+        """
         self.description = read(MODELS / name / "mechanism.yaml")
         if friction is not None or not dissipative:
-            rules = [r.model_copy(update={"friction": friction or 0.0}) for r in self.description.contact]
+            rules = [
+                r.model_copy(update={"friction": friction or 0.0}) for r in self.description.contact
+            ]
             self.description = self.description.model_copy(update={"contact": rules})
         self.spec = spec = mujoco.MjSpec()
         option = spec.option
-        option.timestep, option.gravity, option.cone, option.impratio = timestep, [0.0, 0.0, 0.0], mujoco.mjtCone.mjCONE_ELLIPTIC, IMPRATIO
+        option.timestep, option.gravity, option.cone, option.impratio = (
+            timestep,
+            [0.0, 0.0, 0.0],
+            mujoco.mjtCone.mjCONE_ELLIPTIC,
+            IMPRATIO,
+        )
         option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        sides = {side: mujoco.MjSpec.from_file(str(MODELS / name / f"{side}.xml")) for side in ("active", "passive")}
+        sides = {
+            side: mujoco.MjSpec.from_file(str(MODELS / name / f"{side}.xml"))
+            for side in ("active", "passive")
+        }
         self._carry(sides["passive"], "passive", "P", 2000.0, 1.0, free_target)
         self._carry(sides["active"], "active", "A", 500.0, -1.0, True)
         if edit is not None:
@@ -88,18 +106,29 @@ class Rig:
         self.held = 0.0
         self.closed: dict[str, float] = {}
 
-    def _carry(self, side: mujoco.MjSpec, prefix: str, port: str, mass: float, arm: float, free: bool) -> None:
-        """A body which with the mechanism's ``side`` has the ``mass`` [kg], its centre ``arm`` [m] behind the port."""
+    def _carry(
+        self, side: mujoco.MjSpec, prefix: str, port: str, mass: float, arm: float, free: bool
+    ) -> None:
+        """A body which with the mechanism's ``side`` has the ``mass`` [kg], its centre ``arm`` [m]
+        behind the port.
+        """
         body = self.spec.worldbody.add_body(name=f"{prefix}_bus")
         if free:
             body.add_freejoint(name=f"{prefix}_free")
         mass -= sum(b.mass for b in side.bodies)
-        body.mass, body.ipos, body.inertia, body.explicitinertial = mass, [0.0, 0.0, arm], [0.4 * mass] * 3, True
+        body.mass, body.ipos, body.inertia, body.explicitinertial = (
+            mass,
+            [0.0, 0.0, arm],
+            [0.4 * mass] * 3,
+            True,
+        )
         offset = np.array(side.site(port).pos)
         self.spec.attach(side, prefix=f"{prefix}_", frame=body.add_frame(pos=-offset))
 
     def _pair(self, model: mujoco.MjModel) -> None:
-        """One explicit pair for each pair of geoms of a rule, and a sensor of the number of its points."""
+        """One explicit pair for each pair of geoms of a rule, and a sensor of the number of its
+        points.
+        """
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         names = [model.geom(i).name for i in range(model.ngeom)]
@@ -116,9 +145,18 @@ class Rig:
             a, p = self._with_facet(model, a, p)
         k = len(self.rules)
         mu = max(rule.friction, 1e-5)
-        pair = {"condim": 3 if rule.friction > 0.0 else 1, "solimp": SOLIMP, "friction": [mu, mu, 0.005, 1e-4, 1e-4]}
+        pair = {
+            "condim": 3 if rule.friction > 0.0 else 1,
+            "solimp": SOLIMP,
+            "friction": [mu, mu, 0.005, 1e-4, 1e-4],
+        }
         self.spec.add_pair(name=f"pair_{k}", geomname1=a, geomname2=p, **pair)
-        sensor = self.spec.add_sensor(name=f"found_{k}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=a)
+        sensor = self.spec.add_sensor(
+            name=f"found_{k}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM,
+            objname=a,
+        )
         sensor.reftype, sensor.refname, sensor.intprm = mujoco.mjtObj.mjOBJ_GEOM, p, [1, 0, 1]
         self.rules.append(rule)
 
@@ -128,18 +166,42 @@ class Rig:
         bodies = [self.spec.body(model.body(model.geom(g).bodyid[0]).name) for g in (a, p)]
         free = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 5}
         bodies[1].add_geom(
-            name=facet, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.2, 0.2, FACET], pos=[0, 0, 1], quat=[0.9, 0.1, 0.2, 0.3], **free
+            name=facet,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.2, 0.2, FACET],
+            pos=[0, 0, 1],
+            quat=[0.9, 0.1, 0.2, 0.3],
+            **free,
         )
-        bodies[0].add_geom(name=proxy, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[model.geom(a).size[0], 0, 0], pos=[0, 0, -1], **free)
+        bodies[0].add_geom(
+            name=proxy,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[model.geom(a).size[0], 0, 0],
+            pos=[0, 0, -1],
+            **free,
+        )
         self._facets.append((a, p, facet, proxy))
         return proxy, facet
 
     def _latches(self) -> None:
         for phase in self.description.phases:
             if phase.close is not None:
-                bodies = [self.spec.site(f"{s}_{getattr(phase.close, s)}").parent.name for s in ("passive", "active")]
-                kind = mujoco.mjtEq.mjEQ_WELD if phase.close.kind == "weld" else mujoco.mjtEq.mjEQ_CONNECT
-                eq = self.spec.add_equality(name=phase.name, type=kind, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=bodies[0], name2=bodies[1])
+                bodies = [
+                    self.spec.site(f"{s}_{getattr(phase.close, s)}").parent.name
+                    for s in ("passive", "active")
+                ]
+                kind = (
+                    mujoco.mjtEq.mjEQ_WELD
+                    if phase.close.kind == "weld"
+                    else mujoco.mjtEq.mjEQ_CONNECT
+                )
+                eq = self.spec.add_equality(
+                    name=phase.name,
+                    type=kind,
+                    objtype=mujoco.mjtObj.mjOBJ_BODY,
+                    name1=bodies[0],
+                    name2=bodies[1],
+                )
                 eq.active, eq.solimp = False, SOLIMP
 
     def _bind(self) -> None:
@@ -147,32 +209,54 @@ class Rig:
         weight = m.body_invweight0
         pairs = np.stack([m.geom_bodyid[m.pair_geom1], m.geom_bodyid[m.pair_geom2]])
         self._inverse = weight[pairs, 0].sum(axis=0)
-        order = np.argsort([m.pair(f"pair_{k}").id for k in range(m.npair)])  # MuJoCo sorts its pairs
+        # MuJoCo sorts its pairs
+        order = np.argsort([m.pair(f"pair_{k}").id for k in range(m.npair)])
         self.rules = [self.rules[k] for k in order]
         self._count = np.array([m.sensor(f"found_{k}").adr[0] for k in order])
         self.stiffness = np.array([r.stiffness for r in self.rules])
         self.damping = np.array([r.damping if self.dissipative else 0.0 for r in self.rules])
         self.batch = b = Batch(m, 1, 1, persistent=True)
         self.solref, friction = b.expand("pair_solref")[0], b.expand("pair_solreffriction")[0]
-        viscous = np.array([max(r.friction, 1e-9) for r in self.rules]) * 100.0 / CREEP * (1.0 + IMPEDANCE * IMPRATIO)
+        viscous = (
+            np.array([max(r.friction, 1e-9) for r in self.rules])
+            * 100.0
+            / CREEP
+            * (1.0 + IMPEDANCE * IMPRATIO)
+        )
         friction[:, 0], friction[:, 1] = -1e-9 * self._inverse, -viscous * self._inverse / IMPRATIO
         self.facets = [Facet(m, *(m.geom(n).id for n in names)) for names in self._facets]
         self._place, self._turn = b.expand("geom_pos")[0], b.expand("geom_quat")[0]
         self.qpos, self.qvel, self.ctrl = b.bind("qpos")[0], b.bind("qvel")[0], b.bind("ctrl")[0]
         self.found, self.energy = b.bind("sensordata")[0], b.bind("energy")[0]
-        self._site, self._site_mat = b.bind("site_xpos")[0], b.bind("site_xmat")[0].reshape(-1, 3, 3)
+        self._site, self._site_mat = (
+            b.bind("site_xpos")[0],
+            b.bind("site_xmat")[0].reshape(-1, 3, 3),
+        )
         self._xpos, self._xmat = b.bind("xpos")[0], b.bind("xmat")[0].reshape(-1, 3, 3)
-        self._geom, self._geom_mat = b.bind("geom_xpos")[0], b.bind("geom_xmat")[0].reshape(-1, 3, 3)
-        self._eq_solref, self._eq_data, self._eq_active = b.expand("eq_solref")[0], b.expand("eq_data")[0], b.bind("eq_active")[0]
+        self._geom, self._geom_mat = (
+            b.bind("geom_xpos")[0],
+            b.bind("geom_xmat")[0].reshape(-1, 3, 3),
+        )
+        self._eq_solref, self._eq_data, self._eq_active = (
+            b.expand("eq_solref")[0],
+            b.expand("eq_data")[0],
+            b.bind("eq_active")[0],
+        )
         self.dropped = np.zeros(m.npair, dtype=bool)
         self._before = self._site.copy()
 
-    def start(self, gap: float, velocity=(0.0, 0.0, 0.0), offset=(0.0, 0.0), attitude_deg=(0.0, 0.0, 0.0)) -> None:
-        """A stands ``gap`` [m] before P, aside by ``offset`` [m], turned about x, y, z, and moves with ``velocity`` [m/s]."""
+    def start(
+        self, gap: float, velocity=(0.0, 0.0, 0.0), offset=(0.0, 0.0), attitude_deg=(0.0, 0.0, 0.0)
+    ) -> None:
+        """A stands ``gap`` [m] before P, aside by ``offset`` [m], turned about x, y, z, and moves
+        with ``velocity`` [m/s].
+        """
         self.batch.reset(stage=0)
         q, v = self.model.joint("active_free").qposadr[0], self.model.joint("active_free").dofadr[0]
         self.qpos[q : q + 3] = (*offset, -gap)
-        self.qpos[q + 3 : q + 7] = Rotation.from_euler("xyz", attitude_deg, degrees=True).as_quat(scalar_first=True)
+        self.qpos[q + 3 : q + 7] = Rotation.from_euler("xyz", attitude_deg, degrees=True).as_quat(
+            scalar_first=True
+        )
         self.qvel[v : v + 3] = velocity
         self.batch.forward(stage=POS)
         self._share()
@@ -201,14 +285,17 @@ class Rig:
         normal, nearest = np.zeros(3), local.copy()
         if f.half > 0.0:
             d = segment_distance(f.surface, local - along, local + along, f.radius, normal, nearest)
-            d += FACET if d >= f.radius else 0.0  # beyond its reach it gives the reach itself, where ball and facet would just touch
+            # beyond its reach it gives the reach itself, where ball and facet would just touch
+            d += FACET if d >= f.radius else 0.0
         else:
             d = signed_distance(f.surface, local, math.inf, normal)
         body = self.model.geom_bodyid
         place = turn @ (nearest - (d + FACET) * normal) + centre
         self._place[f.facet] = self._xmat[body[f.facet]].T @ (place - self._xpos[body[f.facet]])
         self._turn[f.facet] = _towards(self._xmat[body[f.facet]].T @ (turn @ normal))
-        self._place[f.proxy] = self._xmat[body[f.proxy]].T @ (turn @ nearest + centre - self._xpos[body[f.proxy]])
+        self._place[f.proxy] = self._xmat[body[f.proxy]].T @ (
+            turn @ nearest + centre - self._xpos[body[f.proxy]]
+        )
 
     def holds(self, when: Condition) -> bool:
         """Whether the condition holds at this instant."""
@@ -218,9 +305,15 @@ class Rig:
                 return False
         for a, p in when.pairs:
             i, j = self.model.site(f"active_{a}").id, self.model.site(f"passive_{p}").id
-            angle = math.degrees(math.acos(min(float(self._site_mat[i, :, 2] @ self._site_mat[j, :, 2]), 1.0)))
+            angle = math.degrees(
+                math.acos(min(float(self._site_mat[i, :, 2] @ self._site_mat[j, :, 2]), 1.0))
+            )
             slow = np.linalg.norm(self.speed(i) - self.speed(j)) <= when.speed
-            near += bool(np.linalg.norm(self._site[i] - self._site[j]) <= when.within and angle <= when.angle_deg and slow)
+            near += bool(
+                np.linalg.norm(self._site[i] - self._site[j]) <= when.within
+                and angle <= when.angle_deg
+                and slow
+            )
         return near >= (when.count or len(when.pairs))
 
     def speed(self, site: int) -> np.ndarray:
@@ -228,7 +321,9 @@ class Rig:
         return (self._site[site] - self._before[site]) / self.model.opt.timestep
 
     def advance(self, elapsed: float) -> None:
-        """Begin the next phase if its condition has held for as long as it must, ``elapsed`` [s] after it was last asked."""
+        """Begin the next phase if its condition has held for as long as it must, ``elapsed`` [s]
+        after it was last asked.
+        """
         if len(self.done) == len(self.description.phases):
             return
         phase = self.description.phases[len(self.done)]
@@ -242,7 +337,9 @@ class Rig:
         for geom in phase.drop_contacts:
             of = self.model.geom(f"active_{geom}").id
             balls = [f.proxy if f.ball == of else -1 for f in self.facets] + [of]
-            self.dropped |= np.isin(self.model.pair_geom1, balls) | np.isin(self.model.pair_geom2, balls)
+            self.dropped |= np.isin(self.model.pair_geom1, balls) | np.isin(
+                self.model.pair_geom2, balls
+            )
         if phase.close is not None:
             self._close(phase.name, phase.close)
 
@@ -255,13 +352,19 @@ class Rig:
             sites[0] = sites[1]
         turn = self._site_mat[sites]
         self._eq_solref[e] = -latch.stiffness * a, -latch.damping * a
-        on1, on2 = (self._xmat[i].T @ (self._site[s] - self._xpos[i]) for i, s in zip((b1, b2), sites, strict=True))
+        on1, on2 = (
+            self._xmat[i].T @ (self._site[s] - self._xpos[i])
+            for i, s in zip((b1, b2), sites, strict=True)
+        )
         if latch.radius is None:
             self._eq_data[e, 0:3], self._eq_data[e, 3:6] = on1, on2
         else:  # the anchor in the second body, then in the first
             relative = Rotation.from_matrix(self._xmat[b1].T @ turn[0] @ turn[1].T @ self._xmat[b2])
             self._eq_data[e, 0:3], self._eq_data[e, 3:6] = on2, on1
-            self._eq_data[e, 6:10], self._eq_data[e, 10] = relative.as_quat(scalar_first=True), 2.0 * latch.radius * math.sqrt(b / a)
+            self._eq_data[e, 6:10], self._eq_data[e, 10] = (
+                relative.as_quat(scalar_first=True),
+                2.0 * latch.radius * math.sqrt(b / a),
+            )
         self._eq_active[e] = 1.0
 
     def run(self, duration: float, phases: bool = True) -> None:
@@ -281,7 +384,9 @@ class Rig:
         mujoco.mj_forward(self.model, data)
         mujoco.mj_subtreeVel(self.model, data)
         linear = data.subtree_linvel[0] * self.model.body_subtreemass[0]
-        return np.concatenate([linear, data.subtree_angmom[0] + np.cross(data.subtree_com[0], linear)])
+        return np.concatenate(
+            [linear, data.subtree_angmom[0] + np.cross(data.subtree_com[0], linear)]
+        )
 
 
 def _apart(model: mujoco.MjModel, data: mujoco.MjData, a: str, p: str) -> float:

@@ -17,7 +17,10 @@ SHIPPED = ["idss_ring", "probe_drogue", "marman_gripper", "kinematic_coupling"]
 @pytest.mark.parametrize("name", SHIPPED)
 def test_every_name_is_in_the_files_and_the_ports_are_there(name: str) -> None:
     description = read(MODELS / name / "mechanism.yaml")
-    sides = {s: mujoco.MjModel.from_xml_path(str(MODELS / name / f"{s}.xml")) for s in ("active", "passive")}
+    sides = {
+        s: mujoco.MjModel.from_xml_path(str(MODELS / name / f"{s}.xml"))
+        for s in ("active", "passive")
+    }
     geoms = {s: [m.geom(i).name for i in range(m.ngeom)] for s, m in sides.items()}
     sites = {s: {m.site(i).name for i in range(m.nsite)} for s, m in sides.items()}
     assert "A" in sites["active"]
@@ -62,11 +65,13 @@ def test_moving_parts_do_not_sag_on_the_ground(name: str) -> None:
         ("contact: [{active: a, passive: p, stiffness: -1}]", "stiffness"),
         ("contact: [{active: a, passive: p, stiffness: 1, stifness: 2}]", "stifness"),
         (
-            "contact: [{active: a, passive: p, stiffness: 1}]\nphases: [{name: x, when: {pairs: [[a, b]], within: 1, speed: 1, count: 2}}]",
+            "contact: [{active: a, passive: p, stiffness: 1}]\nphases: [{name: x, when: {pairs: "
+            "[[a, b]], within: 1, speed: 1, count: 2}}]",
             "count",
         ),
         (
-            "contact: [{active: a, passive: p, stiffness: 1}]\nphases: [{name: x, when: {pairs: [[a, b]], within: 1, speed: 1},"
+            "contact: [{active: a, passive: p, stiffness: 1}]\nphases: [{name: x, when: {pairs: "
+            "[[a, b]], within: 1, speed: 1},"
             " close: {kind: weld, active: a, passive: b, stiffness: 1, damping: 0}}]",
             "radius",
         ),

@@ -1,4 +1,6 @@
-"""The androgynous ring with three guide petals: energy, shared load, friction, capture in its phases."""
+"""The androgynous ring with three guide petals: energy, shared load, friction, capture in its
+phases.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def petal_forces(rig: Rig) -> dict[str, np.ndarray]:
         names = [model.geom(int(g)).name for g in contact.geom]
         for name in (n for n in names if "petal" in n):
             petal = f"{name.split('_')[0]} {name[-1]}"
-            forces[petal] = forces.get(petal, np.zeros(3)) + contact.frame.reshape(3, 3).T @ local[:3]
+            forces[petal] = (
+                forces.get(petal, np.zeros(3)) + contact.frame.reshape(3, 3).T @ local[:3]
+            )
     return forces
 
 
@@ -52,7 +56,9 @@ def petal_forces(rig: Rig) -> dict[str, np.ndarray]:
     ],
 )
 def test_nothing_is_lost_or_gained_in_a_bounce_that_nothing_damps(offset, attitude) -> None:
-    """Kinetic energy with that of the attenuation's springs, before and after; through one to six contacts at a time."""
+    """Kinetic energy with that of the attenuation's springs, before and after; through one to six
+    contacts at a time.
+    """
     rig = Rig("idss_ring", dissipative=False)
     rig.start(0.17, (0.0, 0.0, 0.05), offset, attitude)
     rig.step()
@@ -68,7 +74,9 @@ def test_nothing_is_lost_or_gained_in_a_bounce_that_nothing_damps(offset, attitu
 
 
 def test_the_petals_share_a_load() -> None:
-    """Pressed on straight by 1 mm, all six petals bear the same on their middle rods: K times 1 mm sin 45 deg."""
+    """Pressed on straight by 1 mm, all six petals bear the same on their middle rods: K times 1 mm
+    sin 45 deg.
+    """
     rig = Rig("idss_ring", edit=stiff_attenuation, dissipative=False)
     rig.start(-0.001)
     forces = petal_forces(rig)
@@ -76,7 +84,8 @@ def test_the_petals_share_a_load() -> None:
     sizes = np.array([np.linalg.norm(f) for f in forces.values()])
     assert np.ptp(sizes) < 1e-9 * sizes.mean()
     axial, radial = abs(forces["active 0"][2]), np.linalg.norm(forces["active 0"][:2])
-    assert axial == pytest.approx(1e5 * 0.001 * math.sin(WEDGE) ** 2, rel=5e-3)  # the first 2 um are rounding of the dimensions
+    # the first 2 um are rounding of the dimensions
+    assert axial == pytest.approx(1e5 * 0.001 * math.sin(WEDGE) ** 2, rel=5e-3)
     assert axial == pytest.approx(radial, rel=1e-3)
     total = np.sum([forces[f"active {k}"] for k in range(3)], axis=0)
     assert np.linalg.norm(total[:2]) < 1e-9 * axial
@@ -84,7 +93,9 @@ def test_the_petals_share_a_load() -> None:
 
 @pytest.mark.parametrize("mu", [0.0, 0.3, 0.8])
 def test_below_the_friction_angle_a_ring_slides_off_a_petal_as_statics_say(mu: float) -> None:
-    """Pushed along the axis on one petal of each side: along the wedge (F/m) (sin 45 - mu cos 45) = (F/m) (1 - mu)/sqrt 2."""
+    """Pushed along the axis on one petal of each side: along the wedge (F/m) (sin 45 - mu cos 45) =
+    (F/m) (1 - mu)/sqrt 2.
+    """
     moved, duration, force, mass = slide(mu)
     free = 0.5 * force / mass * math.sin(WEDGE) * duration**2
     assert moved == pytest.approx(free * (1.0 - mu / math.tan(WEDGE)), abs=0.02 * free)
@@ -97,10 +108,13 @@ def test_beyond_the_friction_angle_a_ring_jams_on_a_petal() -> None:
 
 
 def slide(mu: float) -> tuple[float, float, float, float]:
-    """How far [m] along the petal a ring slides in a time [s], under a force [N], with a mass [kg] that it moves."""
+    """How far [m] along the petal a ring slides in a time [s], under a force [N], with a mass [kg]
+    that it moves.
+    """
     rig = Rig("idss_ring", edit=as_a_wall, free_target=False, friction=mu)
     force, duration = 100.0, 0.6
-    # Two petals bear F cos 45 across the wedge between them: 0.35 mm each, 0.5 mm along the axis past the touch at 30 mm.
+    # Two petals bear F cos 45 across the wedge between them: 0.35 mm each, 0.5 mm along the axis
+    # past the touch at 30 mm.
     rig.start(0.03 - force * math.cos(WEDGE) / 2e5 * math.sqrt(2.0), offset=(0.03, 0.0))
     rig.batch.bind("xfrc_applied")[0, rig.model.body("active_bus").id, 2] = force
     mass = float(rig.model.body("active_bus").subtreemass[0])
@@ -110,7 +124,10 @@ def slide(mu: float) -> tuple[float, float, float, float]:
     return float(rig.site("active_A") @ down - start), duration, force, mass
 
 
-@pytest.mark.parametrize(("offset", "speed", "attitude"), [slow((0.0, 0.0), 0.05, (0, 0, 0)), ((0.05, 0.03), 0.08, (2, -1, 1.5))])
+@pytest.mark.parametrize(
+    ("offset", "speed", "attitude"),
+    [slow((0.0, 0.0), 0.05, (0, 0, 0)), ((0.05, 0.03), 0.08, (2, -1, 1.5))],
+)
 def test_soft_capture_ring_down_hard_capture(offset, speed, attitude) -> None:
     rig = Rig("idss_ring", timestep=5e-4)
     rig.start(0.17, (0.0, 0.0, speed), offset, attitude)
@@ -119,4 +136,6 @@ def test_soft_capture_ring_down_hard_capture(offset, speed, attitude) -> None:
     assert np.linalg.norm(rig.site("active_base") - rig.site("passive_P")) < 0.015
     together = 500.0 * speed / 2500.0
     assert rig.momentum()[2] == pytest.approx(500.0 * speed, rel=1e-5)
-    assert rig.qvel[rig.model.joint("active_free").dofadr[0] + 2] == pytest.approx(together, abs=0.01)
+    assert rig.qvel[rig.model.joint("active_free").dofadr[0] + 2] == pytest.approx(
+        together, abs=0.01
+    )

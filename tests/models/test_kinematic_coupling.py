@@ -1,4 +1,6 @@
-"""The kinematic coupling: its seat's stiffness in closed form, capture from beside and turned, energy kept where nothing damps."""
+"""The kinematic coupling: its seat's stiffness in closed form, capture from beside and turned,
+energy kept where nothing damps.
+"""
 
 from __future__ import annotations
 
@@ -20,28 +22,43 @@ def wrench(shift: np.ndarray) -> np.ndarray:
     contact = {"stiffness": K, "damping": 0.0, "friction": 0.0}
     plant = Plant([scenario("ideal", mechanism={"kind": "kinematic_coupling", "contact": contact})])
     place = shift[:3] + np.array([0.0, 0.0, PRELOAD])
-    plant.reset(np.concatenate([place, Rotation.from_rotvec(shift[3:]).as_quat()])[None], np.zeros((1, 6)))
+    plant.reset(
+        np.concatenate([place, Rotation.from_rotvec(shift[3:]).as_quat()])[None], np.zeros((1, 6))
+    )
     return plant.wrench_sub[0, -1].copy()
 
 
 def test_a_seat_is_six_springs_that_do_not_act_on_each_other() -> None:
-    """The sum of k J^T J over six points, J = (n, p x n): k diag(3/2, 3/2, 3) and k R^2 diag(3/2, 3/2, 3), nothing beside the diagonal.
+    """The sum of k J^T J over six points, J = (n, p x n): k diag(3/2, 3/2, 3) and k R^2 diag(3/2,
+    3/2, 3), nothing beside the diagonal.
 
-    A turned pair's forces also move with their points, by PRELOAD/R of the stiffness at most (8e-4): of an entry of 3, three times that.
+    A turned pair's forces also move with their points, by PRELOAD/R of the stiffness at most
+    (8e-4): of an entry of 3, three times that.
     """
     steps = np.diag([SHIFT] * 3 + [SHIFT / R] * 3)
     found = np.stack([(wrench(s) - wrench(-s)) / (2.0 * s.sum()) for s in steps], axis=1)
     scale = np.array([1.0] * 3 + [R] * 3)
-    assert found / (K * np.outer(scale, scale)) == pytest.approx(np.diag([1.5, 1.5, 3.0] * 2), abs=3.0 * PRELOAD / R)
+    assert found / (K * np.outer(scale, scale)) == pytest.approx(
+        np.diag([1.5, 1.5, 3.0] * 2), abs=3.0 * PRELOAD / R
+    )
 
 
 def test_a_seat_bears_its_preload_on_six_faces_at_45_degrees() -> None:
-    """Each face is met PRELOAD/sqrt(2) deep and pushes at 45 degrees: 6 k PRELOAD/2 in all; the files give places to 1e-9 m."""
-    assert wrench(np.zeros(6)) == pytest.approx([0.0, 0.0, 3.0 * K * PRELOAD, 0.0, 0.0, 0.0], abs=6.0 * K * 1e-9)
+    """Each face is met PRELOAD/sqrt(2) deep and pushes at 45 degrees: 6 k PRELOAD/2 in all; the
+    files give places to 1e-9 m.
+    """
+    assert wrench(np.zeros(6)) == pytest.approx(
+        [0.0, 0.0, 3.0 * K * PRELOAD, 0.0, 0.0, 0.0], abs=6.0 * K * 1e-9
+    )
 
 
 @pytest.mark.parametrize(
-    ("offset", "attitude"), [((0.02, -0.01), (0.0, 0.0, 2.0)), slow((0.0, 0.0), (0, 0, 0)), slow((0.03, 0.02), (1.0, -1.0, 2.0))]
+    ("offset", "attitude"),
+    [
+        ((0.02, -0.01), (0.0, 0.0, 2.0)),
+        slow((0.0, 0.0), (0, 0, 0)),
+        slow((0.03, 0.02), (1.0, -1.0, 2.0)),
+    ],
 )
 def test_it_seats_and_is_latched(offset, attitude) -> None:
     rig = Rig("kinematic_coupling", timestep=5e-4)
@@ -61,7 +78,11 @@ def test_a_bounce_that_nothing_damps_keeps_its_energy() -> None:
     for _ in range(round(4.0 / rig.model.opt.timestep)):
         rig.step()
         touched |= bool(rig.found.any())
-        if touched and not rig.found.any() and rig.site("active_A")[2] - rig.site("passive_P")[2] < -0.02:
+        if (
+            touched
+            and not rig.found.any()
+            and rig.site("active_A")[2] - rig.site("passive_P")[2] < -0.02
+        ):
             break
     assert touched
     assert rig.energy.sum() == pytest.approx(energy, rel=1e-3)

@@ -15,7 +15,11 @@ FINGERS = 4  # of a jaw
 
 @pytest.mark.parametrize(
     ("offset", "speed", "attitude"),
-    [((0.0, 0.0), 0.01, (0, 0, 0)), ((0.005, 0.003), 0.01, (0.3, -0.2, 1.0)), ((0.01, 0.006), 0.02, (0.5, -0.5, 1))],
+    [
+        ((0.0, 0.0), 0.01, (0, 0, 0)),
+        ((0.005, 0.003), 0.01, (0.3, -0.2, 1.0)),
+        ((0.01, 0.006), 0.02, (0.5, -0.5, 1)),
+    ],
 )
 def test_the_jaws_centre_clamp_and_hold(offset, speed, attitude) -> None:
     rig = Rig("marman_gripper")
@@ -27,7 +31,9 @@ def test_the_jaws_centre_clamp_and_hold(offset, speed, attitude) -> None:
 
 
 def test_the_groove_turns_the_drive_into_normal_force_as_a_wedge_does() -> None:
-    """Without friction F = 4 N sin 20 deg at each jaw: the drive's kp (0.078 - q) against 4 K x sin 20, x the penetration."""
+    """Without friction F = 4 N sin 20 deg at each jaw: the drive's kp (0.078 - q) against 4 K x sin
+    20, x the penetration.
+    """
     rig = Rig("marman_gripper", friction=0.0)
     rig.start(0.0)
     rig.ctrl[:] = 0.078
@@ -36,7 +42,10 @@ def test_the_groove_turns_the_drive_into_normal_force_as_a_wedge_does() -> None:
     drive = 2e4 * (0.078 - stroke)
     data = rig.batch.get_data(0)
     depth = -data.contact.dist[
-        [rig.model.geom(int(g[1])).name.startswith("active_jaw") or "finger" in _names(rig, g) for g in data.contact.geom]
+        [
+            rig.model.geom(int(g[1])).name.startswith("active_jaw") or "finger" in _names(rig, g)
+            for g in data.contact.geom
+        ]
     ]
     assert len(depth) == 3 * FINGERS
     assert depth * 5e5 == pytest.approx(drive.mean() / (FINGERS * math.sin(GROOVE)), rel=0.02)
@@ -53,7 +62,9 @@ def test_a_closed_gripper_pulls_its_target_along() -> None:
     rig.start(0.0)
     rig.ctrl[:] = 0.078
     rig.run(1.0, phases=False)
-    before = rig.qvel[[rig.model.joint(f"{s}_free").dofadr[0] + 2 for s in ("active", "passive")]].copy()
+    before = rig.qvel[
+        [rig.model.joint(f"{s}_free").dofadr[0] + 2 for s in ("active", "passive")]
+    ].copy()
     rig.batch.bind("xfrc_applied")[0, rig.model.body("active_bus").id, 2] = -100.0
     rig.run(1.0, phases=False)
     after = rig.qvel[[rig.model.joint(f"{s}_free").dofadr[0] + 2 for s in ("active", "passive")]]

@@ -1,4 +1,6 @@
-"""The probe with a latching head on its attenuator, and the drogue: capture in its phases, what the attenuator does."""
+"""The probe with a latching head on its attenuator, and the drogue: capture in its phases, what the
+attenuator does.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ def test_the_drogue_is_the_funnel_of_its_dimensions() -> None:
 
 
 @pytest.mark.parametrize(
-    ("offset", "speed", "attitude", "gap"), [slow((0.0, 0.0), 0.1, (0, 0, 0), 0.02), ((0.1, 0.05), 0.1, (2, -2, 0), 0.15)]
+    ("offset", "speed", "attitude", "gap"),
+    [slow((0.0, 0.0), 0.1, (0, 0, 0), 0.02), ((0.1, 0.05), 0.1, (2, -2, 0), 0.15)],
 )
 def test_soft_capture_ring_down_hard_capture(offset, speed, attitude, gap) -> None:
     rig = Rig("probe_drogue", timestep=5e-4)

@@ -1,4 +1,6 @@
-"""A part of a body that hangs on a spring at a place of its own: momentum, frequency, and MuJoCo as another integrator."""
+"""A part of a body that hangs on a spring at a place of its own: momentum, frequency, and MuJoCo as
+another integrator.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,13 @@ from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.scenario import Scenario, scenario_from
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml"
-PANEL: dict[str, Any] = {"kind": "dynamics.appendage", "mass_ratio": 0.1, "frequency": 0.8, "damping_ratio": 0.03, "body": "chaser"}
+PANEL: dict[str, Any] = {
+    "kind": "dynamics.appendage",
+    "mass_ratio": 0.1,
+    "frequency": 0.8,
+    "damping_ratio": 0.03,
+    "body": "chaser",
+}
 PLACE = [0.4, -0.2, 0.1]
 WRENCH = np.array([20.0, -10.0, 100.0, 3.0, 2.0, -4.0])
 
@@ -35,21 +43,30 @@ def momentum(model: NumericalModel, ratio: float) -> Array:
     place, velocity = model._swing[0, CHASER, 0]
     mass = model.mass[0] * np.array([1.0 - ratio, 1.0])
     linear = ratio * model.mass[0, CHASER] * velocity
-    return pair_momentum(mass, model._inertia[0], model.q[0], model.v[0]) + np.concatenate([linear, np.cross(place, linear)])
+    return pair_momentum(mass, model._inertia[0], model.q[0], model.v[0]) + np.concatenate(
+        [linear, np.cross(place, linear)]
+    )
 
 
 @pytest.mark.parametrize("damping_ratio", [0.0, 0.03, 0.5])
 def test_momentum_of_the_whole_is_kept(damping_ratio: float) -> None:
-    """A push of half a second and its swing thereafter: linear and angular momentum to 1e-12 and 1e-9 of their scale.
+    """A push of half a second and its swing thereafter: linear and angular momentum to 1e-12 and
+    1e-9 of their scale.
 
-    The rest of the chaser and the target are balls here: the step of a body's spin keeps its angular momentum only then.
+    The rest of the chaser and the target are balls here: the step of a body's spin keeps its
+    angular momentum only then.
     """
     scenario = with_panel(damping_ratio=damping_ratio)
     ball = 150.0 * np.eye(3)
-    whole = ball + ball - rest_inertia(scenario.spacecraft.chaser.mass, ball, [0.1], np.array([PLACE]))
+    whole = (
+        ball + ball - rest_inertia(scenario.spacecraft.chaser.mass, ball, [0.1], np.array([PLACE]))
+    )
     six = whole[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     data = scenario.model_dump(mode="json")
-    data["spacecraft"]["chaser"]["inertia"], data["spacecraft"]["target"]["inertia"] = six.tolist(), [900.0] * 3
+    data["spacecraft"]["chaser"]["inertia"], data["spacecraft"]["target"]["inertia"] = (
+        six.tolist(),
+        [900.0] * 3,
+    )
     model = NumericalModel([scenario_from(data)])
     before = momentum(model, 0.1)
     for k in range(8000):
@@ -61,7 +78,9 @@ def test_momentum_of_the_whole_is_kept(damping_ratio: float) -> None:
 
 
 def test_it_is_at_rest_what_is_believed_of_the_whole_body() -> None:
-    """The rest of the body and the panel at its place: mass, centre of mass and inertia of the scenario's chaser."""
+    """The rest of the body and the panel at its place: mass, centre of mass and inertia of the
+    scenario's chaser.
+    """
     scenario = with_panel()
     model = NumericalModel([scenario])
     body, ratio = scenario.spacecraft.chaser, 0.1
@@ -77,13 +96,17 @@ def test_it_is_at_rest_what_is_believed_of_the_whole_body() -> None:
 
 
 def test_the_frequency_is_that_with_the_body_held() -> None:
-    """A body a million times heavier than its panel is held; the panel rings at 0.8 Hz after a jerk."""
+    """A body a million times heavier than its panel is held; the panel rings at 0.8 Hz after a
+    jerk.
+    """
     model = NumericalModel([with_panel(rate=4000, mass_ratio=1e-6, damping_ratio=0.0)])
     away = np.empty(8000)
     for k in range(len(away)):
         model.advance((1e3 * WRENCH if k == 0 else 0.0 * WRENCH)[None])
         turn = Rotation.from_quat(model.q[0, CHASER, 3:7])
-        away[k] = (model._swing[0, CHASER, 0, 0] - model.centres()[0, CHASER, :3] - turn.apply(PLACE))[2]
+        away[k] = (
+            model._swing[0, CHASER, 0, 0] - model.centres()[0, CHASER, :3] - turn.apply(PLACE)
+        )[2]
     crossings = np.flatnonzero(np.diff(np.sign(away)) != 0)
     crossings = crossings + away[crossings] / (away[crossings] - away[crossings + 1])
     half_period = np.diff(crossings).mean() / 4000.0
@@ -91,16 +114,26 @@ def test_the_frequency_is_that_with_the_body_held() -> None:
 
 
 def in_mujoco(scenario: Scenario, duration: float) -> tuple[Array, Array]:
-    """Places and attitudes (2, 3), (2, 4) of both bodies' centres at the end: free bodies, the panel on three slides."""
+    """Places and attitudes (2, 3), (2, 4) of both bodies' centres at the end: free bodies, the
+    panel on three slides.
+    """
     model = NumericalModel([scenario])
     ratio, bodies = PANEL["mass_ratio"], (scenario.spacecraft.chaser, scenario.spacecraft.target)
     spec = mujoco.MjSpec()
-    spec.option.gravity, spec.option.timestep, spec.option.integrator = [0, 0, 0], 1e-3, mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.gravity, spec.option.timestep, spec.option.integrator = (
+        [0, 0, 0],
+        1e-3,
+        mujoco.mjtIntegrator.mjINT_RK4,
+    )
     for b, name in ((CHASER, "chaser"), (TARGET, "target")):
         body = spec.worldbody.add_body(name=name)
         body.add_freejoint(name=name)
         rest = -ratio * np.array(PLACE) / (1.0 - ratio) if b == CHASER else np.zeros(3)
-        body.explicitinertial, body.mass, body.ipos = True, bodies[b].mass * ((1.0 - ratio) if b == CHASER else 1.0), rest
+        body.explicitinertial, body.mass, body.ipos = (
+            True,
+            bodies[b].mass * ((1.0 - ratio) if b == CHASER else 1.0),
+            rest,
+        )
         whole = inertia_matrix(bodies[b].inertia)
         if b == CHASER:
             for mass, at in ((body.mass, rest), (ratio * bodies[b].mass, np.array(PLACE))):
@@ -108,7 +141,12 @@ def in_mujoco(scenario: Scenario, duration: float) -> tuple[Array, Array]:
         body.fullinertia = whole[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     panel = spec.body("chaser").add_body(name="panel", pos=PLACE)
     mass, w = ratio * bodies[CHASER].mass, 2.0 * math.pi * PANEL["frequency"]
-    panel.explicitinertial, panel.mass, panel.ipos, panel.inertia = True, mass, np.zeros(3), np.full(3, 1e-9)
+    panel.explicitinertial, panel.mass, panel.ipos, panel.inertia = (
+        True,
+        mass,
+        np.zeros(3),
+        np.full(3, 1e-9),
+    )
     for axis in np.eye(3):
         joint = panel.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         joint.stiffness[0], joint.damping[0] = mass * w * w, 2.0 * PANEL["damping_ratio"] * mass * w
@@ -131,7 +169,9 @@ def in_mujoco(scenario: Scenario, duration: float) -> tuple[Array, Array]:
         point = d.body("target").xpos + turn.apply(port.position)
         d.qfrc_applied[:] = 0.0
         for name, sign in (("chaser", -1.0), ("target", 1.0)):
-            mujoco.mj_applyFT(m, d, sign * force, sign * torque, point, m.body(name).id, d.qfrc_applied)
+            mujoco.mj_applyFT(
+                m, d, sign * force, sign * torque, point, m.body(name).id, d.qfrc_applied
+            )
 
     mujoco.set_mjcb_control(push)
     try:
@@ -145,7 +185,9 @@ def in_mujoco(scenario: Scenario, duration: float) -> tuple[Array, Array]:
 
 
 def test_the_step_converges_to_another_integrator_in_first_order() -> None:
-    """Two bodies and the panel in MuJoCo, fourth order, a constant wrench: half the tick, half the error; and a panel that turns."""
+    """Two bodies and the panel in MuJoCo, fourth order, a constant wrench: half the tick, half the
+    error; and a panel that turns.
+    """
     places, attitudes = in_mujoco(with_panel(), 1.5)
     errors, turned = [], []
     for rate in (1000, 2000, 4000):
@@ -153,7 +195,9 @@ def test_the_step_converges_to_another_integrator_in_first_order() -> None:
         for _ in range(round(1.5 * rate)):
             model.advance(WRENCH[None])
         centres = model.centres()[0]
-        turn = Rotation.from_quat(attitudes[CHASER]).inv() * Rotation.from_quat(centres[CHASER, 3:7])
+        turn = Rotation.from_quat(attitudes[CHASER]).inv() * Rotation.from_quat(
+            centres[CHASER, 3:7]
+        )
         errors.append(np.abs(centres[:, :3] - places).max())
         turned.append(np.abs(turn.as_rotvec()).max())
     for kind in (errors, turned):
@@ -163,10 +207,14 @@ def test_the_step_converges_to_another_integrator_in_first_order() -> None:
     still = NumericalModel([with_panel(4000, place=[0.0, 0.0, 0.0])])
     for _ in range(6000):
         still.advance(WRENCH[None])
-    apart = Rotation.from_quat(attitudes[CHASER]).inv() * Rotation.from_quat(still.q[0, CHASER, 3:7])
+    apart = Rotation.from_quat(attitudes[CHASER]).inv() * Rotation.from_quat(
+        still.q[0, CHASER, 3:7]
+    )
     assert np.abs(apart.as_rotvec()).max() > 30.0 * turned[2]
 
 
 def test_a_place_that_takes_more_inertia_than_there_is_is_refused() -> None:
-    with pytest.raises(InputError, match=r"takes more inertia than the chaser has: 50 kg at \[0\.0, 0\.0, 3\.0\] m"):
+    with pytest.raises(
+        InputError, match=r"takes more inertia than the chaser has: 50 kg at \[0\.0, 0\.0, 3\.0\] m"
+    ):
         with_panel(place=[0.0, 0.0, 3.0])

@@ -1,4 +1,6 @@
-"""The compiled copy of the numerical model against Pinocchio's, and its shortcuts against the steps that they replace."""
+"""The compiled copy of the numerical model against Pinocchio's, and its shortcuts against the steps
+that they replace.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,16 @@ import pytest
 
 from hiltestbed import load_scenario
 from hiltestbed.numerical_model.free_flyers import FreeFlyers
-from hiltestbed.numerical_model.kernels import SCRATCH, carry, mobility, newton_euler, solve, step, wrench_at_A, wrench_at_P
+from hiltestbed.numerical_model.kernels import (
+    SCRATCH,
+    carry,
+    mobility,
+    newton_euler,
+    solve,
+    step,
+    wrench_at_A,
+    wrench_at_P,
+)
 from hiltestbed.numerical_model.model import NumericalModel
 
 SCENARIO = load_scenario(Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml")
@@ -37,7 +48,9 @@ def test_a_step_is_pinocchios(craft: NumericalModel) -> None:
 
 
 def test_newton_and_euler_are_pinocchios() -> None:
-    """40 pairs of bodies of any shape, attitude and speed under any load: to 1e-12 of what they change."""
+    """40 pairs of bodies of any shape, attitude and speed under any load: to 1e-12 of what they
+    change.
+    """
     rng = np.random.default_rng(7)
     n, h = 40, 1e-3
     mass = np.exp(rng.uniform(np.log(50.0), np.log(2e4), (n, 2)))
@@ -54,11 +67,23 @@ def test_newton_and_euler_are_pinocchios() -> None:
 
 
 def test_carrying_is_stepping_where_nothing_turns_much(craft: NumericalModel) -> None:
-    """40 ticks under a wrench: bodies turn by some 1e-4 rad, so that positions agree to 1e-4 of what the wrench moves them by."""
+    """40 ticks under a wrench: bodies turn by some 1e-4 rad, so that positions agree to 1e-4 of
+    what the wrench moves them by.
+    """
     port, mass, _, inverse = _bodies(craft)
     q, v, work = craft.q[0].copy(), craft.v[0].copy(), np.empty((SCRATCH, 7))
     ticks = 40
-    carry(q, v, port, mass, inverse, ticks * H, ticks * H * WRENCH, H * H * ticks * (ticks + 1) / 2 * WRENCH, work)
+    carry(
+        q,
+        v,
+        port,
+        mass,
+        inverse,
+        ticks * H,
+        ticks * H * WRENCH,
+        H * H * ticks * (ticks + 1) / 2 * WRENCH,
+        work,
+    )
     start, speed = craft.q[0].copy(), craft.v[0].copy()
     for _ in range(ticks):
         craft.advance(WRENCH[None])
@@ -74,7 +99,12 @@ def test_mobility_is_the_change_of_the_twist_by_a_wrench_at_A(craft: NumericalMo
     mobility(craft.q[0], port, craft.pose[0, :3], mass, inverse, work, matrix)
     assert np.abs(matrix - matrix.T).max() < 1e-12 * np.abs(matrix).max()
     assert np.linalg.eigvalsh(matrix).min() > 0.0
-    free, pushed, at_A, at_P = NumericalModel([SCENARIO]), NumericalModel([SCENARIO]), WRENCH.copy(), np.empty(6)
+    free, pushed, at_A, at_P = (
+        NumericalModel([SCENARIO]),
+        NumericalModel([SCENARIO]),
+        WRENCH.copy(),
+        np.empty(6),
+    )
     free.tick = pushed.tick = 1e-6
     wrench_at_P(at_A, craft.pose[0, :3], at_P)
     free.advance(np.zeros((1, 6)))

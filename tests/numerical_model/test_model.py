@@ -29,7 +29,9 @@ def test_the_start_is_what_approach_says() -> None:
 
 
 def _newton_euler(scenario, wrench, duration):
-    """Both bodies under a constant wrench in P at P's origin, by an eighth-order integrator, from the same start."""
+    """Both bodies under a constant wrench in P at P's origin, by an eighth-order integrator, from
+    the same start.
+    """
     craft = NumericalModel([scenario])
     bodies = (scenario.spacecraft.chaser, scenario.spacecraft.target)
     inertia = [inertia_matrix(b.inertia) for b in bodies]
@@ -50,7 +52,11 @@ def _newton_euler(scenario, wrench, duration):
         return out.ravel()
 
     start = np.concatenate([craft.q[0], craft.v[0]], axis=1).ravel()
-    return solve_ivp(rates, (0.0, duration), start, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1].reshape(2, 13)
+    return (
+        solve_ivp(rates, (0.0, duration), start, method="DOP853", rtol=1e-12, atol=1e-14)
+        .y[:, -1]
+        .reshape(2, 13)
+    )
 
 
 def test_the_step_converges_to_newton_and_euler_in_first_order() -> None:
@@ -61,14 +67,18 @@ def test_the_step_converges_to_newton_and_euler_in_first_order() -> None:
         for _ in range(round(duration * rate)):
             craft.advance(wrench[None])
         truth = _newton_euler(scenario, wrench, duration)
-        errors.append(np.abs(craft.q[0, :, :3] - truth[:, :3]).max() + np.abs(craft.v[0] - truth[:, 7:]).max())
+        errors.append(
+            np.abs(craft.q[0, :, :3] - truth[:, :3]).max() + np.abs(craft.v[0] - truth[:, 7:]).max()
+        )
     assert errors[-1] < 2e-5
     assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.1)
     assert errors[1] / errors[2] == pytest.approx(2.0, abs=0.1)
 
 
 def test_the_relative_twist_is_the_derivative_of_the_relative_pose() -> None:
-    scenario = load_scenario(SCENARIO, set={"rate": 100000, "physics_rate": 100000, "duration": 0.01})
+    scenario = load_scenario(
+        SCENARIO, set={"rate": 100000, "physics_rate": 100000, "duration": 0.01}
+    )
     craft = NumericalModel([scenario])
     craft.v[0, TARGET, 3:] = [0.02, -0.03, 0.01]  # P turns: the rate is that of the components in P
     craft.advance(np.zeros((1, 6)))

@@ -12,8 +12,9 @@ from scipy.optimize import brentq
 def cor_at_zero_force(k: float, c: float, mu: float) -> float:
     """Coefficient of restitution of ``mu x'' = -(k x + c x')`` from x = 0 to the first F = 0.
 
-    With z = c/(2 sqrt(k mu)), s = sqrt(1 - z^2), the phase at which F vanishes is pi - atan2(2 z s, 1 - 2 z^2), and the speed has
-    decayed by exp(-z/s times that phase) while F = 0 makes the velocity -v0 times the decay.
+    With z = c/(2 sqrt(k mu)), s = sqrt(1 - z^2), the phase at which F vanishes is pi - atan2(2 z s,
+    1 - 2 z^2), and the speed has decayed by exp(-z/s times that phase) while F = 0 makes the
+    velocity -v0 times the decay.
     """
     z = c / (2.0 * math.sqrt(k * mu))
     s = math.sqrt(1.0 - z * z)
@@ -23,12 +24,20 @@ def cor_at_zero_force(k: float, c: float, mu: float) -> float:
 def cor_pure_delay(w: float, tau: float) -> float:
     """Coefficient of restitution of an undamped contact whose force arrives ``tau`` late.
 
-    The method of steps on ``x'' = -w^2 x(t - tau)``, x = v0 t before: x(t) = v0 sum_n (-1)^n w^(2n) (t - n tau)_+^(2n+1)/(2n+1)!,
-    contact until its first zero, and the whole impulse arrives: e = w^2/v0 times the integral of x, less 1.
+    The method of steps on ``x'' = -w^2 x(t - tau)``, x = v0 t before: x(t) = v0 sum_n (-1)^n w^(2n)
+    (t - n tau)_+^(2n+1)/(2n+1)!,
+    contact until its first zero, and the whole impulse arrives: e = w^2/v0 times the integral of x,
+    less 1.
     """
 
     def x(t: float) -> float:
-        return sum((-1) ** n * w ** (2 * n) * max(t - n * tau, 0.0) ** (2 * n + 1) / math.factorial(2 * n + 1) for n in range(60))
+        return sum(
+            (-1) ** n
+            * w ** (2 * n)
+            * max(t - n * tau, 0.0) ** (2 * n + 1)
+            / math.factorial(2 * n + 1)
+            for n in range(60)
+        )
 
     times = np.linspace(1e-6, 6.0 / w, 2000)
     after = int(np.argmax(np.array([x(t) for t in times]) < 0.0))

@@ -1,4 +1,6 @@
-"""A captured pair that rings down on one axis at a time: stiffness and damping of that axis, and nothing on the others."""
+"""A captured pair that rings down on one axis at a time: stiffness and damping of that axis, and
+nothing on the others.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ DELAY_TICKS = 10  # 5 ms at 2 kHz
 
 @cache
 def _ring_downs(tracking: str, compensation: str) -> Batch:
-    """Six runs, each set going along one axis. Ports at the centres of mass: no lever arm turns a push into a rotation."""
+    """Six runs, each set going along one axis. Ports at the centres of mass: no lever arm turns a
+    push into a rotation.
+    """
     scenarios = []
     for axis in range(6):
         speed = np.zeros(6)
@@ -39,7 +43,12 @@ def _ring_downs(tracking: str, compensation: str) -> Batch:
 
 @pytest.mark.parametrize(
     ("tracking", "compensation"),
-    [("ideal", "phase_lead"), slow("servo", "phase_lead"), slow("ideal", "resynchronised"), slow("servo", "resynchronised")],
+    [
+        ("ideal", "phase_lead"),
+        slow("servo", "phase_lead"),
+        slow("ideal", "resynchronised"),
+        slow("servo", "resynchronised"),
+    ],
 )
 def test_each_axis_is_found_through_the_delay(tracking: str, compensation: str) -> None:
     batch = _ring_downs(tracking, compensation)
@@ -51,13 +60,23 @@ def test_each_axis_is_found_through_the_delay(tracking: str, compensation: str) 
 
 
 def test_an_axis_does_not_show_on_another() -> None:
-    """The force across that moves with x, as a stiffness over the geometric mean of both axes' own."""
+    """The force across that moves with x, as a stiffness over the geometric mean of both axes'
+    own.
+    """
     batch = _ring_downs("ideal", "phase_lead")
     assert batch.trace is not None
     for i, axis in enumerate(AXES):
         true = [batch.identification[i][name]["stiffness_true"] for name in AXES]
-        motion = batch.trace["pose_act"][:-DELAY_TICKS, i, i] if i < 3 else 2.0 * batch.trace["pose_act"][:-DELAY_TICKS, i, i]
-        regressors = np.column_stack([motion, batch.trace["twist_act"][:-DELAY_TICKS, i, i], np.ones(len(motion))])
-        stiffness = np.linalg.lstsq(regressors, batch.trace["wrench_meas"][DELAY_TICKS:, i], rcond=None)[0][0]
+        motion = (
+            batch.trace["pose_act"][:-DELAY_TICKS, i, i]
+            if i < 3
+            else 2.0 * batch.trace["pose_act"][:-DELAY_TICKS, i, i]
+        )
+        regressors = np.column_stack(
+            [motion, batch.trace["twist_act"][:-DELAY_TICKS, i, i], np.ones(len(motion))]
+        )
+        stiffness = np.linalg.lstsq(
+            regressors, batch.trace["wrench_meas"][DELAY_TICKS:, i], rcond=None
+        )[0][0]
         across = np.abs(np.delete(stiffness / np.sqrt(np.array(true) * true[i]), i))
         assert across.max() < 1e-2, axis

@@ -21,7 +21,10 @@ W = math.sqrt(K / MU)
 
 
 def head_on(**changes: object) -> Scenario:
-    return load_scenario(SCENARIOS / "02-bumper.yaml", set={key.replace("__", "."): value for key, value in changes.items()})
+    return load_scenario(
+        SCENARIOS / "02-bumper.yaml",
+        set={key.replace("__", "."): value for key, value in changes.items()},
+    )
 
 
 @pytest.mark.parametrize("damping", [0.0, 400.0, 2500.0])
@@ -39,7 +42,8 @@ def test_a_pure_delay_makes_the_energy_of_the_exact_series(w_tau: float) -> None
     figures = simulate([scenario]).figures[0]
     assert figures.cor is not None
     assert figures.cor == pytest.approx(cor_pure_delay(W, w_tau / W), rel=5e-3)
-    made = 0.5 * MU * 0.03**2 * (figures.cor**2 - 1.0)  # what the rebound has more than the approach
+    # what the rebound has more than the approach
+    made = 0.5 * MU * 0.03**2 * (figures.cor**2 - 1.0)
     assert figures.energy_generated == pytest.approx(made, rel=1e-3)
 
 
@@ -50,19 +54,29 @@ def test_the_delay_ledger_predicts_the_rebound(w_tau: float, damping: float) -> 
     figures = simulate([scenario]).figures[0]
     assert figures.cor is not None
     predicted = predicted_log_error(scenario, delay_ledger(scenario, figures))
-    assert predicted == pytest.approx(math.log(figures.cor / cor_at_zero_force(K, damping, MU)), abs=0.01)
+    assert predicted == pytest.approx(
+        math.log(figures.cor / cor_at_zero_force(K, damping, MU)), abs=0.01
+    )
 
 
 @pytest.mark.parametrize("rate", [1000, 2000, 4000])
 def test_the_coupling_adds_no_delay(rate: int) -> None:
-    """Half a tick, which a hold would add, shows as ln e = (pi/2) w h/2; less than a twentieth of a tick is there."""
+    """Half a tick, which a hold would add, shows as ln e = (pi/2) w h/2; less than a twentieth of a
+    tick is there.
+    """
     figures = simulate([head_on(rate=rate, physics_rate=2 * rate)]).figures[0]
     assert figures.cor is not None
-    assert abs(math.log(figures.cor / cor_at_zero_force(K, 400.0, MU))) < 0.5 * math.pi * W * 0.05 / rate
+    assert (
+        abs(math.log(figures.cor / cor_at_zero_force(K, 400.0, MU)))
+        < 0.5 * math.pi * W * 0.05 / rate
+    )
 
 
 def test_momentum_is_constant_off_centre() -> None:
-    scenario = load_scenario(SCENARIOS / "05-off-centre.yaml", set={"rig.platform.tracking": "ideal", "rate": 8000, "physics_rate": 16000})
+    scenario = load_scenario(
+        SCENARIOS / "05-off-centre.yaml",
+        set={"rig.platform.tracking": "ideal", "rate": 8000, "physics_rate": 16000},
+    )
     loop = Loop([scenario])
     craft = loop.model
     before = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)[0]
@@ -77,7 +91,10 @@ def test_momentum_is_constant_off_centre() -> None:
 
 
 def test_free_flight_makes_neither_force_nor_energy() -> None:
-    batch = simulate([load_scenario(SCENARIOS / "01-free-flight.yaml", set={"rig.platform.tracking": "ideal"})], trace=True)
+    batch = simulate(
+        [load_scenario(SCENARIOS / "01-free-flight.yaml", set={"rig.platform.tracking": "ideal"})],
+        trace=True,
+    )
     assert batch.trace is not None
     assert not batch.trace.contact.any()
     assert not batch.trace["wrench_true"].any()
@@ -87,9 +104,14 @@ def test_free_flight_makes_neither_force_nor_energy() -> None:
 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_stiffness_and_damping_are_identified_through_the_delay(tracking: str) -> None:
-    """5 ms late, noise 0.2 % of the peak, one contact. c within 3 %: sd(c)/c = sqrt(2/N) 0.002/(2 zeta) = 0.2 % with N = 390."""
+    """5 ms late, noise 0.2 % of the peak, one contact. c within 3 %: sd(c)/c = sqrt(2/N) 0.002/(2
+    zeta) = 0.2 % with N = 390.
+    """
     name = "04-bumper-delay-compensated.yaml"
-    scenarios = [load_scenario(SCENARIOS / name, set={"rig.platform.tracking": tracking, "seed": seed}) for seed in range(8)]
+    scenarios = [
+        load_scenario(SCENARIOS / name, set={"rig.platform.tracking": tracking, "seed": seed})
+        for seed in range(8)
+    ]
     batch = simulate(scenarios)
     for identified in batch.identification:
         assert identified["z"]["stiffness"] == pytest.approx(K, rel=5e-3)
@@ -99,7 +121,11 @@ def test_stiffness_and_damping_are_identified_through_the_delay(tracking: str) -
 def test_the_same_seed_gives_the_same_bytes_alone_and_in_a_batch() -> None:
     base = load_scenario(SCENARIOS / "05-off-centre.yaml", set={"duration": 0.5})
     others = [
-        load_scenario(SCENARIOS / "05-off-centre.yaml", set={"duration": 0.5, "seed": 50 + i, "sensor.delay": 1e-4 * i}) for i in range(63)
+        load_scenario(
+            SCENARIOS / "05-off-centre.yaml",
+            set={"duration": 0.5, "seed": 50 + i, "sensor.delay": 1e-4 * i},
+        )
+        for i in range(63)
     ]
     alone = simulate([base], trace=True).trace
     again = simulate([base], trace=True).trace
@@ -113,7 +139,11 @@ def test_the_same_seed_gives_the_same_bytes_alone_and_in_a_batch() -> None:
 
 
 def test_the_reference_is_the_closed_form() -> None:
-    runs = run_batch([head_on(sensor__delay=0.01, mechanism__contact__damping=c) for c in (0.0, 400.0)])
+    runs = run_batch(
+        [head_on(sensor__delay=0.01, mechanism__contact__damping=c) for c in (0.0, 400.0)]
+    )
     for run, damping in zip(runs, (0.0, 400.0), strict=True):
-        assert abs(math.log(run.summary["cor_reference"] / cor_at_zero_force(K, damping, MU))) < 2e-3
+        assert (
+            abs(math.log(run.summary["cor_reference"] / cor_at_zero_force(K, damping, MU))) < 2e-3
+        )
         assert run.summary["cor_log_error"] > 0.2

@@ -1,4 +1,6 @@
-"""A docking in the simulation and in a second rig that was written independently: the same closed loop with all six axes."""
+"""A docking in the simulation and in a second rig that was written independently: the same closed
+loop with all six axes.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,21 @@ from hiltestbed.simulation import simulate as simulated_here
 
 DOCKING = Path(__file__).parents[2] / "scenarios" / "09-docking.yaml"
 QUIET = {
-    "rig.platform.tracking": "ideal", "compensation.motion": {"kind": "none"}, "compensation.force": {"kind": "none"},
-    "sensor.delay": 0.0, "sensor.noise": 0.0, "sensor.torque_noise": 0.0, "rate": 1000, "physics_rate": 20000, "duration": 4.0,
-}  # fmt: skip
+    "rig.platform.tracking": "ideal",
+    "compensation.motion": {"kind": "none"},
+    "compensation.force": {"kind": "none"},
+    "sensor.delay": 0.0,
+    "sensor.noise": 0.0,
+    "sensor.torque_noise": 0.0,
+    "rate": 1000,
+    "physics_rate": 20000,
+    "duration": 4.0,
+}
 NO_LATCH: dict[str, Any] = {"mechanism.latch": None, "duration": 2.0}
 MOUNT = {"stiffness": [3e5, 3e5, 8e5, 3e4, 3e4, 2e4], "damping": [500, 500, 900, 60, 60, 40]}
 LATE = {"sensor.delay": 0.0023}
-POSE, WRENCH = 1e-8, 1e-5  # [m], of the peak: here the cone is a mesh, whose vertices are single precision numbers
+# [m], of the peak: here the cone is a mesh, whose vertices are single precision numbers
+POSE, WRENCH = 1e-8, 1e-5
 
 
 def _both(changes: dict, effects: tuple[dict, ...] = ()) -> tuple[Any, Any]:
@@ -35,7 +45,9 @@ def _both(changes: dict, effects: tuple[dict, ...] = ()) -> tuple[Any, Any]:
 
 
 def _agree(trace: Any, records: Any, pose: float, force: float) -> None:
-    """Positions within `pose` [m], attitudes within as much of a radian, forces within `force` of the peak."""
+    """Positions within `pose` [m], attitudes within as much of a radian, forces within `force` of
+    the peak.
+    """
     here = trace["wrench_true"][:, 0]
     peak = np.abs(here[:, :3]).max()
     assert peak > 50.0
@@ -60,55 +72,94 @@ def test_a_docking_on_a_compliant_mount_is_the_same_but_for_how_the_mount_is_int
 
 
 METHODS = [
-    {"kind": "phase_lead"}, {"kind": "second_order_lead"}, {"kind": "polynomial", "order": 2}, {"kind": "dead_zone", "width": 5.0},
-    {"kind": "smith_predictor", "stiffness": 4e4, "damping": 3000.0}, {"kind": "virtual_contact", "stiffness": 0.0, "damping": 100.0},
-    {"kind": "smith_predictor", "stiffness": 4e4, "damping": 3000.0, "lead_rest": True}, {"kind": "passivity_control"},
+    {"kind": "phase_lead"},
+    {"kind": "second_order_lead"},
+    {"kind": "polynomial", "order": 2},
+    {"kind": "dead_zone", "width": 5.0},
+    {"kind": "smith_predictor", "stiffness": 4e4, "damping": 3000.0},
+    {"kind": "virtual_contact", "stiffness": 0.0, "damping": 100.0},
+    {"kind": "smith_predictor", "stiffness": 4e4, "damping": 3000.0, "lead_rest": True},
+    {"kind": "passivity_control"},
     {"kind": "reconstruction"},
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda m: "-".join(map(str, m.values())))
 def test_a_compensation_method_drives_both_alike(method: dict) -> None:
-    trace, records = _both(LATE | {"compensation.force": method, "physics_rate": 10000, "duration": 3.6})
-    if method["kind"] == "reconstruction":  # it switches where a force passes a threshold: 4 nm may move that, and a bounce, by ticks
+    trace, records = _both(
+        LATE | {"compensation.force": method, "physics_rate": 10000, "duration": 3.6}
+    )
+    # it switches where a force passes a threshold: 4 nm may move that, and a bounce, by ticks
+    if method["kind"] == "reconstruction":
         assert np.abs(trace["pose_act"][:, 0] - records.pose_act).max() < 1e-3
         return
     _agree(trace, records, POSE, WRENCH)
-    assert np.abs(trace["wrench_comp"][:, 0] - records.wrench_comp).max() < 1e-3  # [N] 20 nm of the stiffness
+    # [N] 20 nm of the stiffness
+    assert np.abs(trace["wrench_comp"][:, 0] - records.wrench_comp).max() < 1e-3
 
 
 EFFECTS = [
-    {"kind": "contact.stiffness", "factor": 1.2}, {"kind": "contact.damping", "factor": 0.6},
-    {"kind": "contact.surface_friction", "coefficient": 0.25}, {"kind": "contact.touch_offset", "offset": 3e-4},
+    {"kind": "contact.stiffness", "factor": 1.2},
+    {"kind": "contact.damping", "factor": 0.6},
+    {"kind": "contact.surface_friction", "coefficient": 0.25},
+    {"kind": "contact.touch_offset", "offset": 3e-4},
     {"kind": "contact.touch_offset", "offset": -3e-4},
-    {"kind": "contact.misalignment", "angles_deg": [1.5, -1.0]}, {"kind": "contact.power_law", "exponent": 1.3, "stiffness": 2.5e5},
-    {"kind": "contact.hunt_crossley", "alpha": 8.0}, {"kind": "contact.dry_friction", "force": 10.0},
-    {"kind": "contact.dry_friction", "force": 10.0, "stiffness": 1e5}, {"kind": "contact.preload", "force": 15.0},
-    {"kind": "contact.relaxation", "stiffness": 2e4, "time_constant": 0.02}, {"kind": "frame.compliance", "stiffness": 4e5},
-    {"kind": "sensor.lag", "time_constant": 0.003}, {"kind": "platform.delay", "delay": 0.003}, {"kind": "platform.lag", "bandwidth": 30.0},
-    {"kind": "dynamics.mass", "factor": 1.1, "body": "chaser"}, {"kind": "dynamics.inertia", "factor": 1.3, "body": "chaser"},
+    {"kind": "contact.misalignment", "angles_deg": [1.5, -1.0]},
+    {"kind": "contact.power_law", "exponent": 1.3, "stiffness": 2.5e5},
+    {"kind": "contact.hunt_crossley", "alpha": 8.0},
+    {"kind": "contact.dry_friction", "force": 10.0},
+    {"kind": "contact.dry_friction", "force": 10.0, "stiffness": 1e5},
+    {"kind": "contact.preload", "force": 15.0},
+    {"kind": "contact.relaxation", "stiffness": 2e4, "time_constant": 0.02},
+    {"kind": "frame.compliance", "stiffness": 4e5},
+    {"kind": "sensor.lag", "time_constant": 0.003},
+    {"kind": "platform.delay", "delay": 0.003},
+    {"kind": "platform.lag", "bandwidth": 30.0},
+    {"kind": "dynamics.mass", "factor": 1.1, "body": "chaser"},
+    {"kind": "dynamics.inertia", "factor": 1.3, "body": "chaser"},
     {"kind": "dynamics.port_offset", "offset": [0.03, 0.02, 0.0], "body": "target"},
-    {"kind": "dynamics.appendage", "mass_ratio": 0.15, "frequency": 2.0, "damping_ratio": 0.03, "body": "chaser"},
-]  # fmt: skip
+    {
+        "kind": "dynamics.appendage",
+        "mass_ratio": 0.15,
+        "frequency": 2.0,
+        "damping_ratio": 0.03,
+        "body": "chaser",
+    },
+]
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=str)
 def test_an_effect_in_a_docking_does_the_same_in_both(effect: dict) -> None:
-    trace, records = _both(LATE | NO_LATCH | {"compensation.force": {"kind": "phase_lead"}, "physics_rate": 10000}, (effect,))
+    trace, records = _both(
+        LATE | NO_LATCH | {"compensation.force": {"kind": "phase_lead"}, "physics_rate": 10000},
+        (effect,),
+    )
     _agree(trace, records, 1e-7, 1e-6)
 
 
 def test_a_frame_that_rings_does_the_same_in_both_but_for_how_it_is_integrated() -> None:
     mode = {"kind": "frame.mode", "frequency": 25.0, "damping_ratio": 0.05, "mass": 20.0}
-    trace, records = _both(LATE | NO_LATCH | {"compensation.force": {"kind": "phase_lead"}, "physics_rate": 40000}, (mode,))
+    trace, records = _both(
+        LATE | NO_LATCH | {"compensation.force": {"kind": "phase_lead"}, "physics_rate": 40000},
+        (mode,),
+    )
     _agree(trace, records, 1e-6, 5e-3)
 
 
 def test_a_bumper_met_with_tilt_and_spin_and_a_latch_from_the_start_are_the_same_in_both() -> None:
-    tilted = {"mechanism.latch": None, "approach.gap": 0.01, "approach.offset": [0.05, 0.02], "duration": 0.8}
+    tilted = {
+        "mechanism.latch": None,
+        "approach.gap": 0.01,
+        "approach.offset": [0.05, 0.02],
+        "duration": 0.8,
+    }
     for kind in ("bumper", "latched"):
         changes = tilted | {"mechanism.kind": kind, "mechanism.contact.friction": 0.1}
         if kind == "latched":
-            changes |= {"approach.gap": -0.002, "approach.offset": [0.001, -0.002], "approach.velocity": [0.0, 0.01, 0.02]}
+            changes |= {
+                "approach.gap": -0.002,
+                "approach.offset": [0.001, -0.002],
+                "approach.velocity": [0.0, 0.01, 0.02],
+            }
         trace, records = _both(changes)
         _agree(trace, records, POSE, WRENCH)

@@ -1,4 +1,6 @@
-"""The same effect in the simulation and in a second rig that was written independently: the same closed loop."""
+"""The same effect in the simulation and in a second rig that was written independently: the same
+closed loop.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +11,56 @@ import pytest
 from ruamel.yaml import YAML
 
 from hiltestbed import load_scenario
-from hiltestbed.bench.independent_rig import draw_effects, draw_facility, nominal_rig, overridden, silence, simulate, with_effect
+from hiltestbed.bench.independent_rig import (
+    draw_effects,
+    draw_facility,
+    nominal_rig,
+    overridden,
+    silence,
+    simulate,
+    with_effect,
+)
 from hiltestbed.simulation import simulate as simulated
 
 EFFECTS = (
-    "sensor.delay", "sensor.lag", "sensor.highpass", "sensor.drift", "sensor.bias", "sensor.gain", "sensor.crosstalk", "sensor.deadzone",
-    "sensor.saturation", "sensor.hum", "contact.stiffness", "contact.damping", "contact.power_law", "contact.hunt_crossley",
-    "contact.dry_friction", "contact.preload", "contact.hard_stop", "contact.relaxation", "contact.adhesion", "contact.surface_friction",
-    "contact.touch_offset", "frame.compliance", "frame.mode", "platform.delay", "platform.lag", "platform.backlash", "platform.mode",
-    "platform.scale", "platform.speed_limit", "dynamics.mass", "dynamics.inertia", "dynamics.port_offset", "dynamics.appendage",
-    "dynamics.step_delay", "dynamics.integrator", "loop.deadzone", "log.skew",
-)  # fmt: skip
+    "sensor.delay",
+    "sensor.lag",
+    "sensor.highpass",
+    "sensor.drift",
+    "sensor.bias",
+    "sensor.gain",
+    "sensor.crosstalk",
+    "sensor.deadzone",
+    "sensor.saturation",
+    "sensor.hum",
+    "contact.stiffness",
+    "contact.damping",
+    "contact.power_law",
+    "contact.hunt_crossley",
+    "contact.dry_friction",
+    "contact.preload",
+    "contact.hard_stop",
+    "contact.relaxation",
+    "contact.adhesion",
+    "contact.surface_friction",
+    "contact.touch_offset",
+    "frame.compliance",
+    "frame.mode",
+    "platform.delay",
+    "platform.lag",
+    "platform.backlash",
+    "platform.mode",
+    "platform.scale",
+    "platform.speed_limit",
+    "dynamics.mass",
+    "dynamics.inertia",
+    "dynamics.port_offset",
+    "dynamics.appendage",
+    "dynamics.step_delay",
+    "dynamics.integrator",
+    "loop.deadzone",
+    "log.skew",
+)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -39,8 +80,9 @@ def test_two_rigs_run_alike_under_the_same_effect(name: str, tmp_path: Path) -> 
     records = simulate(rig, silence(rig.ticks))
     depth = records.pose_act[:, 2].max()
     peak = np.abs(records.physical[:, 2]).max()
-    # What is left is sub-steps: one rig has 2 or 4 a tick, the other 20. A reading between two ticks and just after the touch is
-    # interpolated over a sub-step by the one and exact in the other: c v over half a sub-step of 0.25 ms, of a contact of 100 ms.
+    # What is left is sub-steps: one rig has 2 or 4 a tick, the other 20. A reading between two
+    # ticks and just after the touch is interpolated over a sub-step by the one and exact in the
+    # other: c v over half a sub-step of 0.25 ms, of a contact of 100 ms.
     assert np.abs(trace["pose_cmd"][:, 0, :3] - records.pose_cmd[:, :3]).max() < 5e-3 * depth
     assert np.abs(trace["pose_act"][1:, 0, :3] - records.pose_act[1:, :3]).max() < 5e-3 * depth
     difference = np.abs(trace["wrench_meas"][:, 0, :3] - records.wrench_meas[:, :3])

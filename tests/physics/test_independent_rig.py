@@ -1,4 +1,6 @@
-"""The closed loop against records of a rig that shares no code with it, healthy and with 3.3 ms of extra sensor delay."""
+"""The closed loop against records of a rig that shares no code with it, healthy and with 3.3 ms of
+extra sensor delay.
+"""
 
 from __future__ import annotations
 
@@ -28,13 +30,21 @@ def test_the_loop_runs_as_the_independent_rig(name: str, number: int) -> None:
     free = ~trace.contact[:, 0]
     # Both records carry noise of their own: the difference has sqrt(2) sigma while nothing touches.
     assert np.std(force[free]) == pytest.approx(np.sqrt(2.0) * scenario.sensor.noise, rel=0.1)
-    # The lead makes white noise of sigma (T1/h)/(1 + T2/h) out of sigma; integrated twice it spreads as sigma h^2 n^1.5/(sqrt(3) mu).
+    # The lead makes white noise of sigma (T1/h)/(1 + T2/h) out of sigma; integrated twice it
+    # spreads as sigma h^2 n^1.5/(sqrt(3) mu).
     lead = (scenario.sensor.delay + 0.0005) * scenario.rate
     bodies = scenario.spacecraft
     mu = 1.0 / (1.0 / bodies.chaser.mass + 1.0 / bodies.target.mass)
-    spread = np.sqrt(2.0 / 3.0) * scenario.sensor.noise * scenario.tick**2 * scenario.ticks**1.5 / mu + lead * scenario.tick**2
+    spread = (
+        np.sqrt(2.0 / 3.0) * scenario.sensor.noise * scenario.tick**2 * scenario.ticks**1.5 / mu
+        + lead * scenario.tick**2
+    )
     pose = trace["pose_cmd"][:, 0, 2] - table["pose_cmd.pz"].to_numpy()
     assert np.abs(pose).max() < 4.0 * spread
-    # In contact the force differs by that noise and by the stiffness times the difference of the poses.
-    allowed = np.sqrt(2.0) * scenario.sensor.noise + scenario.mechanism.contact.stiffness * np.abs(pose).max()
+    # In contact the force differs by that noise and by the stiffness times the difference of the
+    # poses.
+    allowed = (
+        np.sqrt(2.0) * scenario.sensor.noise
+        + scenario.mechanism.contact.stiffness * np.abs(pose).max()
+    )
     assert np.median(np.abs(force[~free])) < allowed

@@ -1,4 +1,6 @@
-"""The shipped mechanisms in the loop, without delay, against two free bodies that carry them in MuJoCo alone."""
+"""The shipped mechanisms in the loop, without delay, against two free bodies that carry them in
+MuJoCo alone.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ RATE = 2000.0
 
 
 def whole(rig: Rig, side: str) -> tuple[float, list[float], list[float]]:
-    """Mass [kg], centre in the port's frame [m] and inertia (3,) about it [kg m^2] of a bus with all that it carries."""
+    """Mass [kg], centre in the port's frame [m] and inertia (3,) about it [kg m^2] of a bus with
+    all that it carries.
+    """
     model, data = rig.batch.get_model(0), rig.batch.get_data(0)
     mujoco.mj_forward(model, data)
     root = model.body(f"{side}_bus").id
@@ -26,14 +30,24 @@ def whole(rig: Rig, side: str) -> tuple[float, list[float], list[float]]:
     inertia = np.zeros((3, 3))
     for b, m in zip(bodies, mass, strict=True):
         axes, arm = data.ximat[b].reshape(3, 3), data.xipos[b] - centre
-        inertia += axes @ np.diag(model.body_inertia[b]) @ axes.T + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        inertia += axes @ np.diag(model.body_inertia[b]) @ axes.T + m * (
+            arm @ arm * np.eye(3) - np.outer(arm, arm)
+        )
     turn = port.xmat.reshape(3, 3)
-    return float(mass.sum()), list(turn.T @ (centre - port.xpos)), list(np.diag(turn.T @ inertia @ turn))
+    return (
+        float(mass.sum()),
+        list(turn.T @ (centre - port.xpos)),
+        list(np.diag(turn.T @ inertia @ turn)),
+    )
 
 
 def vehicle(rig: Rig, side: str) -> dict:
     mass, centre, inertia = whole(rig, side)
-    return {"mass": mass, "inertia": inertia, "port": {"position": [-c for c in centre], "attitude_deg": [0.0, 0.0, 0.0]}}
+    return {
+        "mass": mass,
+        "inertia": inertia,
+        "port": {"position": [-c for c in centre], "attitude_deg": [0.0, 0.0, 0.0]},
+    }
 
 
 CASES = [
@@ -43,27 +57,46 @@ CASES = [
 ]
 
 
-def in_the_loop(rig: Rig, name: str, gap: float, velocity, offset, attitude, duration: float) -> Batch:
+def in_the_loop(
+    rig: Rig, name: str, gap: float, velocity, offset, attitude, duration: float
+) -> Batch:
     """The same in the loop, without delay and with ideal tracking."""
     return simulate(
         [
             scenario_from(
                 {
-                    "name": name, "duration": duration, "rate": RATE, "physics_rate": 2.0 * RATE,
-                    "spacecraft": {"chaser": vehicle(rig, "active"), "target": vehicle(rig, "passive")},
-                    "approach": {"gap": gap, "velocity": list(velocity), "offset": list(offset), "attitude_deg": list(attitude)},
-                    "mechanism": {"kind": name}, "compensation": {"force": {"kind": "none"}}, "identification": {"kind": "none"},
+                    "name": name,
+                    "duration": duration,
+                    "rate": RATE,
+                    "physics_rate": 2.0 * RATE,
+                    "spacecraft": {
+                        "chaser": vehicle(rig, "active"),
+                        "target": vehicle(rig, "passive"),
+                    },
+                    "approach": {
+                        "gap": gap,
+                        "velocity": list(velocity),
+                        "offset": list(offset),
+                        "attitude_deg": list(attitude),
+                    },
+                    "mechanism": {"kind": name},
+                    "compensation": {"force": {"kind": "none"}},
+                    "identification": {"kind": "none"},
                     "rig": {"platform": {"tracking": "ideal"}},
                 }
             )
         ],
         trace=True,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(("name", "gap", "velocity", "offset", "attitude", "duration"), CASES)
-def test_soft_capture_comes_when_two_free_bodies_say_so(name, gap, velocity, offset, attitude, duration) -> None:
-    """Time of the first phase within 2 %, and where A is then within 2 mm: the loop counts the moving part's mass to the rig."""
+def test_soft_capture_comes_when_two_free_bodies_say_so(
+    name, gap, velocity, offset, attitude, duration
+) -> None:
+    """Time of the first phase within 2 %, and where A is then within 2 mm: the loop counts the
+    moving part's mass to the rig.
+    """
     rig = Rig(name)
     rig.start(gap, velocity, offset, attitude)
     elapsed = 0.0
@@ -82,7 +115,9 @@ def test_soft_capture_comes_when_two_free_bodies_say_so(name, gap, velocity, off
 
 @pytest.mark.parametrize(("miss", "captured"), [slow(0.08, True), slow(0.13, False)])
 def test_the_ring_reaches_as_far_as_two_free_bodies_say(miss, captured) -> None:
-    """0.08 m beside a petal's middle it is guided in, within 2 % of the time; 0.13 m beside it the petals strike and throw it off."""
+    """0.08 m beside a petal's middle it is guided in, within 2 % of the time; 0.13 m beside it the
+    petals strike and throw it off.
+    """
     start = (0.17, (0.0, 0.0, 0.05), (miss, 0.0), (0.0, 0.0, 0.0))
     rig = Rig("idss_ring")
     rig.start(*start)

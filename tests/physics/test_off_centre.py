@@ -1,4 +1,6 @@
-"""Hits beside the axis against an integration that shares nothing with the loop: eighth order, adaptive, contact in closed form."""
+"""Hits beside the axis against an integration that shares nothing with the loop: eighth order,
+adaptive, contact in closed form.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +25,16 @@ TIP = 0.02  # [m] radius of the bumper's tip, models/bumper
 
 
 class TwoBodies:
-    """Two rigid bodies, a sphere on one and a plane on the other: state (p, q, v, w) of chaser then target, w in the body."""
+    """Two rigid bodies, a sphere on one and a plane on the other: state (p, q, v, w) of chaser then
+    target, w in the body.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
         self.bodies = (scenario.spacecraft.chaser, scenario.spacecraft.target)
         self.inertia = [inertia_matrix(b.inertia) for b in self.bodies]
-        self.ports = [Rotation.from_euler("xyz", b.port.attitude_deg, degrees=True) for b in self.bodies]
+        self.ports = [
+            Rotation.from_euler("xyz", b.port.attitude_deg, degrees=True) for b in self.bodies
+        ]
         self.contact = scenario.mechanism.contact
 
     def start(self, scenario: Scenario) -> np.ndarray:
@@ -40,24 +46,41 @@ class TwoBodies:
         turn = Rotation.from_quat(approach[3:7]) * self.ports[CHASER].inv()
         arm = turn.apply(self.bodies[CHASER].port.position)
         state[CHASER] = np.concatenate(
-            [approach[:3] - arm, turn.as_quat(), approach[7:10] - np.cross(approach[10:], arm), turn.inv().apply(approach[10:])]
+            [
+                approach[:3] - arm,
+                turn.as_quat(),
+                approach[7:10] - np.cross(approach[10:], arm),
+                turn.inv().apply(approach[10:]),
+            ]
         )
         return state.ravel()
 
     def wrench(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """World force on the target, the point it acts at, and k x + c v before it is kept from pulling."""
+        """World force on the target, the point it acts at, and k x + c v before it is kept from
+        pulling.
+        """
         turns = [Rotation.from_quat(s[3:7]) for s in state]
         plane = turns[TARGET] * self.ports[TARGET]
         origin = state[TARGET, :3] + turns[TARGET].apply(self.bodies[TARGET].port.position)
         port = turns[CHASER] * self.ports[CHASER]
-        centre = state[CHASER, :3] + turns[CHASER].apply(self.bodies[CHASER].port.position) - TIP * port.apply([0, 0, 1])
+        centre = (
+            state[CHASER, :3]
+            + turns[CHASER].apply(self.bodies[CHASER].port.position)
+            - TIP * port.apply([0, 0, 1])
+        )
         normal = plane.apply([0, 0, 1])
         depth = normal @ (centre - origin) + TIP
         point = centre + (TIP - 0.5 * depth) * normal
         rates = [turn.apply(s[10:]) for turn, s in zip(turns, state, strict=True)]
-        speeds = [s[7:10] + np.cross(rate, point - s[:3]) for rate, s in zip(rates, state, strict=True)]
+        speeds = [
+            s[7:10] + np.cross(rate, point - s[:3]) for rate, s in zip(rates, state, strict=True)
+        ]
         relative = speeds[CHASER] - speeds[TARGET]
-        push = self.contact.stiffness * depth + self.contact.damping * (normal @ relative) if depth > 0 else 0.0
+        push = (
+            self.contact.stiffness * depth + self.contact.damping * (normal @ relative)
+            if depth > 0
+            else 0.0
+        )
         slip = relative - (normal @ relative) * normal
         drag = self.contact.friction * max(push, 0.0) * slip / math.sqrt(slip @ slip + 1e-8)
         return max(push, 0.0) * normal + drag, point, push if depth > 0 else -1.0
@@ -71,11 +94,21 @@ class TwoBodies:
             out[b, :3] = v
             out[b, 3:7] = 0.5 * np.concatenate([q[3] * w + np.cross(q[:3], w), [-q[:3] @ w]])
             out[b, 7:10] = sign * force / self.bodies[b].mass
-            out[b, 10:] = np.linalg.solve(self.inertia[b], moment - np.cross(w, self.inertia[b] @ w))
+            out[b, 10:] = np.linalg.solve(
+                self.inertia[b], moment - np.cross(w, self.inertia[b] @ w)
+            )
         return out.ravel()
 
     def rebound(self, scenario: Scenario) -> np.ndarray:
-        y = solve_ivp(self.rates, (0.0, scenario.duration), self.start(scenario), method="DOP853", rtol=1e-9, atol=1e-12, max_step=2e-3)
+        y = solve_ivp(
+            self.rates,
+            (0.0, scenario.duration),
+            self.start(scenario),
+            method="DOP853",
+            rtol=1e-9,
+            atol=1e-12,
+            max_step=2e-3,
+        )
         return y.y[:, -1].reshape(2, 13)
 
 
@@ -88,8 +121,15 @@ class TwoBodies:
     ],
     ids=["smooth", "sliding", "far off the axis"],
 )
-def test_the_rebound_of_both_bodies_is_that_of_an_independent_integration(changes: dict[str, Any]) -> None:
-    ideal = {"rig.platform.tracking": "ideal", "sensor": {}, "compensation.force": {"kind": "none"}, "duration": 0.8}
+def test_the_rebound_of_both_bodies_is_that_of_an_independent_integration(
+    changes: dict[str, Any],
+) -> None:
+    ideal = {
+        "rig.platform.tracking": "ideal",
+        "sensor": {},
+        "compensation.force": {"kind": "none"},
+        "duration": 0.8,
+    }
     scenario = load_scenario(SCENARIO, set=ideal | {"rate": 8000, "physics_rate": 16000} | changes)
     loop = Loop([scenario])
     for _ in range(scenario.ticks):
@@ -99,6 +139,9 @@ def test_the_rebound_of_both_bodies_is_that_of_an_independent_integration(change
     start = TwoBodies(scenario).start(scenario).reshape(2, 13)
     assert loop.tally.contacts[0] == 1
     for body in (CHASER, TARGET):
-        for part, ours in ((slice(7, 10), craft.v[0, body, :3]), (slice(10, 13), craft.v[0, body, 3:])):
+        for part, ours in (
+            (slice(7, 10), craft.v[0, body, :3]),
+            (slice(10, 13), craft.v[0, body, 3:]),
+        ):
             change = np.linalg.norm(truth[body, part] - start[body, part])  # what the hit did
             assert np.linalg.norm(ours - truth[body, part]) < 5e-3 * change

@@ -21,7 +21,8 @@ from hiltestbed.platform.shipped.two_arms import TwoArmsSettings
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 DIRECT = {"controller_rate": None, "delay_cycles": 0}
 
-# A bridge crane with a ram and a wrist below it: six position servos, drawn with its mount looking down.
+# A bridge crane with a ram and a wrist below it: six position servos, drawn with its mount looking
+# down.
 GANTRY = """
 <mujoco model="gantry">
   <compiler angle="radian" autolimits="true"/>
@@ -65,16 +66,31 @@ GANTRY = """
 """
 
 
-def stewart(kind: str = "hydraulic", command: dict[str, Any] | None = None, **drive: Any) -> Stewart:
-    return Stewart(StewartSettings.model_validate({"kind": "stewart", "drive": {"kind": kind} | drive, "command": command or {}}))
+def stewart(
+    kind: str = "hydraulic", command: dict[str, Any] | None = None, **drive: Any
+) -> Stewart:
+    return Stewart(
+        StewartSettings.model_validate(
+            {"kind": "stewart", "drive": {"kind": kind} | drive, "command": command or {}}
+        )
+    )
 
 
 def arm(command: dict[str, Any] | None = None, **controller: Any) -> SerialArm:
-    return SerialArm(SerialArmSettings.model_validate({"kind": "serial_arm", "controller": controller, "command": command or DIRECT}))
+    return SerialArm(
+        SerialArmSettings.model_validate(
+            {"kind": "serial_arm", "controller": controller, "command": command or DIRECT}
+        )
+    )
 
 
 def arms(command: dict[str, Any] | None = None, share: Any = 0.5, **controller: Any) -> TwoArms:
-    given = {"kind": "two_arms", "passive_share": share, "controller": controller, "command": command or DIRECT}
+    given = {
+        "kind": "two_arms",
+        "passive_share": share,
+        "controller": controller,
+        "command": command or DIRECT,
+    }
     return TwoArms(TwoArmsSettings.model_validate(given))
 
 
@@ -86,7 +102,12 @@ def poses(n: int, reach: float, turn_deg: float, seed: int = 3) -> Array:
     """``(n, 7)`` poses over +-reach and +-turn, the corners among them."""
     part = np.random.default_rng(seed).uniform(-1.0, 1.0, (n, 6))
     part[: n // 4] = np.sign(part[: n // 4])
-    return np.hstack([reach * part[:, :3], Rotation.from_euler("xyz", turn_deg * part[:, 3:], degrees=True).as_quat()])
+    return np.hstack(
+        [
+            reach * part[:, :3],
+            Rotation.from_euler("xyz", turn_deg * part[:, 3:], degrees=True).as_quat(),
+        ]
+    )
 
 
 def apart(a: Array, b: Array) -> tuple[float, float]:
@@ -100,11 +121,15 @@ def mujoco_pose(m: mujoco.MjModel, q: Array, site: str) -> Array:
     data = mujoco.MjData(m)
     data.qpos[:] = q
     mujoco.mj_kinematics(m, data)
-    return np.concatenate([data.site(site).xpos, Rotation.from_matrix(data.site(site).xmat.reshape(3, 3)).as_quat()])
+    return np.concatenate(
+        [data.site(site).xpos, Rotation.from_matrix(data.site(site).xmat.reshape(3, 3)).as_quat()]
+    )
 
 
 def mass_and_jacobian(m: mujoco.MjModel, q: Array, site: str) -> tuple[Array, Array, Array]:
-    """MuJoCo's own mass matrix (nv, nv), Jacobian of a site (6, nv), and motions (nv, f) that the loops allow, at ``q``."""
+    """MuJoCo's own mass matrix (nv, nv), Jacobian of a site (6, nv), and motions (nv, f) that the
+    loops allow, at ``q``.
+    """
     data = mujoco.MjData(m)
     data.qpos[:] = q
     mujoco.mj_forward(m, data)
@@ -115,7 +140,9 @@ def mass_and_jacobian(m: mujoco.MjModel, q: Array, site: str) -> tuple[Array, Ar
         return mass, jac, np.eye(m.nv)
     loops = np.zeros((data.nefc, m.nv))
     if mujoco.mj_isSparse(m):
-        mujoco.mju_sparse2dense(loops, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+        mujoco.mju_sparse2dense(
+            loops, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
+        )
     else:
         loops[:] = data.efc_J.reshape(data.nefc, m.nv)
     loops = loops[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]

@@ -24,7 +24,9 @@ def scenario(
     damping: float = C,
     friction: float = 0.0,
 ) -> Scenario:
-    """A bumper between two 800 kg bodies; ``mechanism`` adds to or replaces the keys of the scenario's own."""
+    """A bumper between two 800 kg bodies; ``mechanism`` adds to or replaces the keys of the
+    scenario's own.
+    """
     body = {"mass": 800.0, "inertia": [200.0, 200.0, 200.0]}
     contact = {"stiffness": stiffness, "damping": damping, "friction": friction}
     return scenario_from(
@@ -46,7 +48,9 @@ def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0, n: int = 1) -> Array:
 
 
 class Press:
-    """A plant that is driven along pz = -depth cos(2 pi f t) at a fixed place, and what it reads: depth, rate and force at t_k."""
+    """A plant that is driven along pz = -depth cos(2 pi f t) at a fixed place, and what it reads:
+    depth, rate and force at t_k.
+    """
 
     def __init__(self, plant: Plant, rate: float, x: float = 0.0, y: float = 0.0) -> None:
         self.plant, self.rate, self.x, self.y = plant, rate, x, y
@@ -62,7 +66,9 @@ class Press:
             accel[:, 2] = depth * w * w * math.cos(w * (t - 0.5 * h))
             self.plant.advance(pose(self.x, self.y, -depth * math.cos(w * t), n), twist, accel)
             plant = self.plant
-            self.rows.append((plant.pose_act[0, 2], plant.twist_act[0, 2], plant.wrench_sub[0, -1].copy()))
+            self.rows.append(
+                (plant.pose_act[0, 2], plant.twist_act[0, 2], plant.wrench_sub[0, -1].copy())
+            )
         return self
 
     def columns(self) -> tuple[Array, Array, Array]:
@@ -74,5 +80,7 @@ class Press:
 def fitted(depth: Array, rate: Array, force: Array) -> tuple[float, float]:
     """Stiffness and damping by least squares over the samples in contact with a force."""
     touching = (depth > 0.0) & (force > 0.0)
-    (k, c), *_ = np.linalg.lstsq(np.column_stack([depth, rate])[touching], force[touching], rcond=None)
+    (k, c), *_ = np.linalg.lstsq(
+        np.column_stack([depth, rate])[touching], force[touching], rcond=None
+    )
     return float(k), float(c)

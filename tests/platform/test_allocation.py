@@ -6,15 +6,29 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import Array, quat_from_attitude_deg
-from hiltestbed.platform.prs3.allocation import BLEND, DOCKING, LONGEST, MOST_BENT, lower_pose, upper_coordinates
+from hiltestbed.platform.prs3.allocation import (
+    BLEND,
+    DOCKING,
+    LONGEST,
+    MOST_BENT,
+    lower_pose,
+    upper_coordinates,
+)
 from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
 from hiltestbed.platform.prs3.upper import SETTLE
 from tests.contact.cone_in_closed_form import ROD_RADIUS, TIP_RADIUS, cone_distance, rod_distance
 
 
-def poses(gap: Array, attitude_deg: tuple[float, float, float] = (0.0, 0.0, 0.0), x: float = 0.0, y: float = 0.0) -> Array:
+def poses(
+    gap: Array,
+    attitude_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    x: float = 0.0,
+    y: float = 0.0,
+) -> Array:
     """``(n, 7)`` relative poses with the gaps ``(n,)``."""
-    out = np.tile(np.concatenate([[x, y, 0.0], quat_from_attitude_deg(attitude_deg)]), (len(gap), 1))
+    out = np.tile(
+        np.concatenate([[x, y, 0.0], quat_from_attitude_deg(attitude_deg)]), (len(gap), 1)
+    )
     out[:, 2] = -gap
     return out
 
@@ -32,8 +46,12 @@ def test_the_relative_pose_is_realised_exactly() -> None:
     for x, pose in zip(upper_coordinates(relative), pose_WP, strict=True):
         place(Upper.load().shape, x, pose)
     attitude_P, attitude_A = Rotation.from_quat(pose_WP[:, 3:]), Rotation.from_quat(lower[:, 3:])
-    np.testing.assert_allclose(attitude_P.inv().apply(lower[:, :3] - pose_WP[:, :3]), relative[:, :3], atol=1e-14)
-    assert (attitude_P.inv() * attitude_A * Rotation.from_quat(relative[:, 3:]).inv()).magnitude().max() < 1e-14
+    np.testing.assert_allclose(
+        attitude_P.inv().apply(lower[:, :3] - pose_WP[:, :3]), relative[:, :3], atol=1e-14
+    )
+    assert (
+        attitude_P.inv() * attitude_A * Rotation.from_quat(relative[:, 3:]).inv()
+    ).magnitude().max() < 1e-14
 
 
 def test_the_lower_platform_stays_in_its_workspace_over_the_whole_approach() -> None:
@@ -42,16 +60,21 @@ def test_the_lower_platform_stays_in_its_workspace_over_the_whole_approach() -> 
     lower = lower_pose(relative)
     assert np.abs(lower[:, :3]).max() < 0.25
     assert np.degrees(np.abs(Rotation.from_quat(lower[:, 3:]).as_euler("xyz"))).max() < 10.0
-    assert (lower[:, 2] <= np.maximum(relative[:, 2], -DOCKING) + 1e-3).all()  # no touch while the upper platform is away
+    # no touch while the upper platform is away
+    assert (lower[:, 2] <= np.maximum(relative[:, 2], -DOCKING) + 1e-3).all()
 
 
 def test_nothing_touches_before_the_upper_platform_is_clamped() -> None:
-    """Neither tip nor rod reaches cone, rim or its outside from as far away as it takes to come to rest at 0.3 m/s."""
+    """Neither tip nor rod reaches cone, rim or its outside from as far away as it takes to come to
+    rest at 0.3 m/s.
+    """
     rng = np.random.default_rng(2)
     free, nearest = np.empty(3), np.empty(3)
     for _ in range(500):
         x, y = rng.uniform(-0.25, 0.25, 2)
-        pose = poses(np.array([DOCKING - 0.3 * SETTLE]), tuple(rng.uniform(-10.0, 10.0, 3)), x, y)[0]
+        pose = poses(np.array([DOCKING - 0.3 * SETTLE]), tuple(rng.uniform(-10.0, 10.0, 3)), x, y)[
+            0
+        ]
         axis = Rotation.from_quat(pose[3:]).apply([0.0, 0.0, 1.0])
         centre = pose[:3] - TIP_RADIUS * axis
         assert cone_distance(centre, free) > TIP_RADIUS
@@ -66,8 +89,10 @@ def test_heave_and_tilt_keep_their_limits() -> None:
 
 
 def test_speed_and_acceleration_follow_without_a_step() -> None:
-    """At a steady approach v the heave's speed is between 0 and v, its acceleration below 15/8 v^2/BLEND, and continuous: from
-    one sample to the next it changes by no more than the bound of its derivative, 10/sqrt(3) v^3/BLEND^2, allows."""
+    """At a steady approach v the heave's speed is between 0 and v, its acceleration below 15/8
+    v^2/BLEND, and continuous: from one sample to the next it changes by no more than the bound of
+    its derivative, 10/sqrt(3) v^3/BLEND^2, allows.
+    """
     v, h = 0.3, 1e-4
     t = np.arange(0.0, LONGEST / v, h)
     heave = upper_coordinates(poses(LONGEST - v * t))[:, 0]

@@ -1,4 +1,6 @@
-"""Air bearing and suspension: momentum, periods, drifts against closed forms, and starts that are refused."""
+"""Air bearing and suspension: momentum, periods, drifts against closed forms, and starts that are
+refused.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,28 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.air_bearing import AirBearing
 from hiltestbed.platform.facilities.bodies import GRAVITY, Article
 from hiltestbed.platform.facilities.facility import compiled
-from hiltestbed.platform.facilities.suspension import HOOK, Suspension, SuspensionSettings, swing_frequency
+from hiltestbed.platform.facilities.suspension import (
+    HOOK,
+    Suspension,
+    SuspensionSettings,
+    swing_frequency,
+)
 from hiltestbed.platform.shipped.air_bearing import AirBearingSettings
 
 STEP = 2.5e-4
-CHASER = Article(500.0, np.diag([200.0, 180.0, 150.0]), np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]))
-TARGET = Article(2000.0, np.diag([900.0, 900.0, 700.0]), np.array([0.2, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]))
-QUIET = {"tilt": [0.0, 0.0], "film_damping": 0.0, "friction": 0.0, "hose_stiffness": 0.0, "hose_damping": 0.0}
+CHASER = Article(
+    500.0, np.diag([200.0, 180.0, 150.0]), np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+)
+TARGET = Article(
+    2000.0, np.diag([900.0, 900.0, 700.0]), np.array([0.2, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0])
+)
+QUIET = {
+    "tilt": [0.0, 0.0],
+    "film_damping": 0.0,
+    "friction": 0.0,
+    "hose_stiffness": 0.0,
+    "hose_damping": 0.0,
+}
 SMOOTH = {"winch_friction": 0.0, "tension_error": 0.0, "gimbal_offset": 0.0, "winch_mass": 0.0}
 
 
@@ -43,7 +60,9 @@ class Hall:
         self.batch.forward()
 
     def run(self, time: float, push: Array | None = None) -> Array:
-        """``(steps, 7)`` place of A in W; ``push`` (3,) [N] acts on the target at P and back on the chaser there."""
+        """``(steps, 7)`` place of A in W; ``push`` (3,) [N] acts on the target at P and back on the
+        chaser there.
+        """
         out = []
         for _ in range(round(time / STEP)):
             self.bodies.observe(self.qpos, self.qvel, 1e3, self.diverged)
@@ -76,19 +95,25 @@ def cables(**over: Any) -> Suspension:
 
 
 PLUMB = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])  # the cables hang straight
-MOUNT = np.array([0.0, 0.0, -0.61, 0.0, 0.0, 0.0, 1.0])  # A is 0.60 m above the mount: 10 mm before P
+# A is 0.60 m above the mount: 10 mm before P
+MOUNT = np.array([0.0, 0.0, -0.61, 0.0, 0.0, 0.0, 1.0])
 
 
 def test_momentum_is_kept_on_a_quiet_floor() -> None:
-    """Linear momentum and moment of momentum about W's origin, while the ports push each other off the axis."""
+    """Linear momentum and moment of momentum about W's origin, while the ports push each other off
+    the axis.
+    """
     hall = Hall(floor())
     hall.start(MOUNT, np.array([0.01, 0.0, 0.05, 0.0, 0.02, 0.0]))
     before = hall.bodies.momentum(hall.qpos, hall.qvel)
-    assert before[[0, 2]] == pytest.approx([560 * (0.01 - 0.02 * 0.4), 560 * 0.05], rel=1e-6)  # the centre is 0.4 m behind the mount
+    # the centre is 0.4 m behind the mount
+    assert before[[0, 2]] == pytest.approx([560 * (0.01 - 0.02 * 0.4), 560 * 0.05], rel=1e-6)
     hall.run(2.0, np.array([3.0, 0.0, 40.0]))
     after = hall.bodies.momentum(hall.qpos, hall.qvel)
     assert abs(hall.qvel[0, 3:]).max() > 1e-3
-    np.testing.assert_allclose(after[[0, 2, 4]], before[[0, 2, 4]], atol=5e-3 * np.abs(before).max())
+    np.testing.assert_allclose(
+        after[[0, 2, 4]], before[[0, 2, 4]], atol=5e-3 * np.abs(before).max()
+    )
 
 
 def test_the_film_slows_an_article_as_an_exponential() -> None:
@@ -98,7 +123,9 @@ def test_the_film_slows_an_article_as_an_exponential() -> None:
     hall.run(4.0)
     assert hall.qvel[0, 1] / start[0, 1] == pytest.approx(math.exp(-30.0 * 4.0 / 560.0), rel=5e-3)
     inertia = 180.0 + 0.5 * 60.0 * 0.6**2
-    assert hall.qvel[0, 2] / start[0, 2] == pytest.approx(math.exp(-30.0 * 0.36 * 4.0 / inertia), rel=5e-3)
+    assert hall.qvel[0, 2] / start[0, 2] == pytest.approx(
+        math.exp(-30.0 * 0.36 * 4.0 / inertia), rel=5e-3
+    )
 
 
 def test_a_tilted_floor_pulls_with_its_share_of_gravity() -> None:
@@ -106,7 +133,9 @@ def test_a_tilted_floor_pulls_with_its_share_of_gravity() -> None:
     hall.start(MOUNT, np.zeros(6))
     place = hall.run(3.0)
     shift = place[-1, :3] - place[0, :3]
-    np.testing.assert_allclose(shift[[0, 2]], 0.5 * GRAVITY * np.array([2e-4, 1e-4]) * (3.0 - STEP) ** 2, rtol=5e-3)
+    np.testing.assert_allclose(
+        shift[[0, 2]], 0.5 * GRAVITY * np.array([2e-4, 1e-4]) * (3.0 - STEP) ** 2, rtol=5e-3
+    )
 
 
 def test_a_hose_is_a_spring() -> None:
@@ -132,20 +161,28 @@ def test_a_hung_article_swings_as_its_formula_says(cable_mass: float) -> None:
 
 
 def test_a_hung_article_keeps_its_attitude_and_height() -> None:
-    """The gimbal at the centre of mass lets it turn freely; the winch holds the weight, so that a vertical push moves mass alone."""
+    """The gimbal at the centre of mass lets it turn freely; the winch holds the weight, so that a
+    vertical push moves mass alone.
+    """
     hall = Hall(cables(winch_mass=30.0, cable_mass=1e-6))
     hall.start(MOUNT, np.array([0.0, 0.0, 0.0, 0.01, 0.02, 0.03]))
     hall.bodies.observe(hall.qpos, hall.qvel, 1e3, hall.diverged)
     spin = hall.bodies.motion_A[0, 3:].copy()
     hall.run(0.5)
     inertia = np.array([200.0, 180.0, 150.0])
-    assert np.linalg.norm(inertia * spin) == pytest.approx(np.linalg.norm(inertia * [0.01, 0.02, 0.03]), rel=1e-6)
-    assert np.linalg.norm(hall.bodies.motion_A[0, 3:]) == pytest.approx(np.linalg.norm(spin), rel=5e-3)
+    assert np.linalg.norm(inertia * spin) == pytest.approx(
+        np.linalg.norm(inertia * [0.01, 0.02, 0.03]), rel=1e-6
+    )
+    assert np.linalg.norm(hall.bodies.motion_A[0, 3:]) == pytest.approx(
+        np.linalg.norm(spin), rel=5e-3
+    )
     hall.start(MOUNT, np.zeros(6))
     hall.applied[:] = 0.0
     hall.pushed[0, hall.model.body("chaser").id, 1] = 20.0
     hall.run(1.0)
-    assert hall.bodies.motion_A[0, 1] == pytest.approx(20.0 * 1.0 / (CHASER.mass + HOOK + 30.0), rel=5e-3)
+    assert hall.bodies.motion_A[0, 1] == pytest.approx(
+        20.0 * 1.0 / (CHASER.mass + HOOK + 30.0), rel=5e-3
+    )
 
 
 def test_a_tension_that_is_off_drifts() -> None:
@@ -156,7 +193,9 @@ def test_a_tension_that_is_off_drifts() -> None:
 
 
 def test_an_unbalanced_gimbal_is_a_pendulum() -> None:
-    """With the gimbal d above the centre: w^2 = m g d/(I + m d^2), the cable too long to swing with it."""
+    """With the gimbal d above the centre: w^2 = m g d/(I + m d^2), the cable too long to swing with
+    it.
+    """
     offset = 0.02
     hall = Hall(cables(gimbal_offset=offset, length=200.0, target="fixed"))
     hall.start(MOUNT, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.002]))

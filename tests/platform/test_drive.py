@@ -1,4 +1,6 @@
-"""A controller against dry friction, with a limited force: its closed forms, and an integrator that shares nothing with it."""
+"""A controller against dry friction, with a limited force: its closed forms, and an integrator that
+shares nothing with it.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +21,28 @@ from hiltestbed.scenario import Scenario
 from tests.platform.rigs import scenario
 
 H = 0.02  # [s] a tick, a part of a time constant of the drives here
-ROUND_OFF = 2e-15  # [m] of motions of some 30 mm: a few units in the last place of each of 500 ticks
+# [m] of motions of some 30 mm: a few units in the last place of each of 500 ticks
+ROUND_OFF = 2e-15
 
 
 def numbers(
-    w: float, zeta: float, r: float = 0.0, o: float = 0.0, a: float = math.inf, ti: float = math.inf, static: float = 1.0
+    w: float,
+    zeta: float,
+    r: float = 0.0,
+    o: float = 0.0,
+    a: float = math.inf,
+    ti: float = math.inf,
+    static: float = 1.0,
 ) -> np.ndarray:
     return np.array([w, zeta, r, o, a, ti, static])
 
 
-def reached(command: np.ndarray, drive: np.ndarray, parts: int = 1, start: float = 0.0, dt: float = H) -> np.ndarray:
-    """Positions (N,) at the instants of a command (N,) that runs straight between them, from rest."""
+def reached(
+    command: np.ndarray, drive: np.ndarray, parts: int = 1, start: float = 0.0, dt: float = H
+) -> np.ndarray:
+    """Positions (N,) at the instants of a command (N,) that runs straight between them, from
+    rest.
+    """
     state = np.array([start, 0.0, 0.0])
     out = [start]
     for before, after in pairwise(command):
@@ -52,9 +65,15 @@ def test_without_friction_and_limit_it_is_the_second_order(zeta: float) -> None:
     for before, after in pairwise(u):
         rate = (after - before) / H
         error, slip = state[0] - (before - kernel[4] * rate), state[1] - rate
-        state = np.array([after - kernel[4] * rate + kernel[0] * error + kernel[1] * slip, rate + kernel[2] * error + kernel[3] * slip])
+        state = np.array(
+            [
+                after - kernel[4] * rate + kernel[0] * error + kernel[1] * slip,
+                rate + kernel[2] * error + kernel[3] * slip,
+            ]
+        )
         expected.append(state[0])
-    closed_form = 1e-13 if zeta != 1.0 else 1e-7  # two poles that are one are taken 1e-6 apart there
+    # two poles that are one are taken 1e-6 apart there
+    closed_form = 1e-13 if zeta != 1.0 else 1e-7
     np.testing.assert_allclose(reached(u, numbers(w, zeta)), expected, atol=closed_form)
 
 
@@ -62,24 +81,34 @@ def test_an_integral_part_is_the_third_order_of_its_transfer_function() -> None:
     w, zeta, ti = 25.0, 0.7, 0.3
     system = TransferFunction([w * w, w * w / ti], [1.0, 2.0 * zeta * w, w * w, w * w / ti])
     t = np.arange(500) * H
-    np.testing.assert_allclose(reached(sweep(), numbers(w, zeta, ti=ti)), lsim(system, sweep(), t)[1], atol=1e-12)
+    np.testing.assert_allclose(
+        reached(sweep(), numbers(w, zeta, ti=ti)), lsim(system, sweep(), t)[1], atol=1e-12
+    )
 
 
 def test_an_integral_part_leaves_no_error_under_a_load() -> None:
-    assert reached(np.zeros(1500), numbers(25.0, 0.7, o=1e-3, ti=0.3))[-1] == pytest.approx(0.0, abs=1e-9)
+    assert reached(np.zeros(1500), numbers(25.0, 0.7, o=1e-3, ti=0.3))[-1] == pytest.approx(
+        0.0, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize(("bandwidth", "zeta"), [(5.0, 0.7), (80.0, 0.05), (0.3, 4.0)])
 def test_a_controller_that_is_unstable_by_itself_is_refused(bandwidth: float, zeta: float) -> None:
-    """The limit is where a pole of s^3 + 2 zeta w s^2 + w^2 s + w^2/T_i reaches the imaginary axis."""
+    """The limit is where a pole of s^3 + 2 zeta w s^2 + w^2 s + w^2/T_i reaches the imaginary
+    axis.
+    """
     w, s = 2.0 * math.pi * bandwidth, scenario("ideal")
     least = 1.0 / (2.0 * zeta * w)
     for part, allowed in ((0.99, False), (1.01, True)):
         poles = np.roots([1.0, 2.0 * zeta * w, w * w, w * w / (part * least)])
         assert bool((poles.real < 0.0).all()) is allowed
-        why = PlatformDrive(bandwidth=bandwidth, damping_ratio=zeta, integral_time=part * least).unfit(s)
+        why = PlatformDrive(
+            bandwidth=bandwidth, damping_ratio=zeta, integral_time=part * least
+        ).unfit(s)
         assert (why is None) is allowed
-    assert "allowed is more than" in (PlatformDrive(bandwidth=5.0, damping_ratio=0.0, integral_time=1.0).unfit(s) or "")
+    assert "allowed is more than" in (
+        PlatformDrive(bandwidth=5.0, damping_ratio=0.0, integral_time=1.0).unfit(s) or ""
+    )
 
 
 @pytest.mark.parametrize("offset", [0.0, 8e-4, -3e-3])
@@ -92,15 +121,21 @@ def test_it_comes_to_rest_within_its_friction_of_where_the_load_lets_it(offset: 
 
 
 def test_dry_friction_takes_twice_its_width_off_each_half_swing() -> None:
-    """Released at 10.5 r without other damping: it turns at -8.5, 6.5, -4.5, 2.5 and -0.5 r, pi/w apart, and stays there, within r."""
+    """Released at 10.5 r without other damping: it turns at -8.5, 6.5, -4.5, 2.5 and -0.5 r, pi/w
+    apart, and stays there, within r.
+    """
     w, r = 20.0, 1e-3
     half = math.pi / w
     x = reached(np.zeros(9), numbers(w, 0.0, r), start=10.5 * r, dt=half)
-    np.testing.assert_allclose(x / r, [10.5, -8.5, 6.5, -4.5, 2.5, -0.5, -0.5, -0.5, -0.5], atol=1e-11)
+    np.testing.assert_allclose(
+        x / r, [10.5, -8.5, 6.5, -4.5, 2.5, -0.5, -0.5, -0.5, -0.5], atol=1e-11
+    )
 
 
 def test_on_a_ramp_it_trails_by_friction_and_damping() -> None:
-    """2 zeta v/w as a linear drive, and r beside it; before it breaks loose, the command has to be r away."""
+    """2 zeta v/w as a linear drive, and r beside it; before it breaks loose, the command has to be
+    r away.
+    """
     w, zeta, r, v = 20.0, 0.8, 1e-3, 0.01
     u = v * H * np.arange(300)
     x = reached(u, numbers(w, zeta, r))
@@ -121,16 +156,23 @@ def test_at_its_limit_it_accelerates_evenly_and_tends_to_the_speed_that_damping_
     far = np.full(16, 1.0)
     t = np.arange(16) * H
     push = a + w * w * (o - r)
-    np.testing.assert_allclose(reached(far, numbers(w, 0.0, r, o, a)), 0.5 * push * t**2, atol=1e-14)
+    np.testing.assert_allclose(
+        reached(far, numbers(w, 0.0, r, o, a)), 0.5 * push * t**2, atol=1e-14
+    )
     state = np.zeros(STATE)
     drive_over(100.0, 100.0, 2.0, numbers(w, 0.5, r, o, a), state)
     assert state[RATE] == pytest.approx(push / w, rel=1e-12)  # 2 zeta w = w
 
 
 EVERYTHING = [
-    numbers(60.0, 0.05), numbers(40.0, 0.05, 1e-3, 3e-4), numbers(40.0, 0.0, 1e-3), numbers(20.0, 0.7, 1e-3, 5e-4, 1.5),
-    numbers(20.0, 0.7, 1e-3, 1e-3, ti=0.3), numbers(20.0, 0.5, 1e-3, 5e-4, 1.5, 0.3, 1.3), numbers(200.0, 2.0, 1e-4, -2e-4, 20.0),
-]  # fmt: skip
+    numbers(60.0, 0.05),
+    numbers(40.0, 0.05, 1e-3, 3e-4),
+    numbers(40.0, 0.0, 1e-3),
+    numbers(20.0, 0.7, 1e-3, 5e-4, 1.5),
+    numbers(20.0, 0.7, 1e-3, 1e-3, ti=0.3),
+    numbers(20.0, 0.5, 1e-3, 5e-4, 1.5, 0.3, 1.3),
+    numbers(200.0, 2.0, 1e-4, -2e-4, 20.0),
+]
 
 
 @pytest.mark.parametrize("drive", EVERYTHING)
@@ -144,8 +186,9 @@ def test_it_does_not_hang_on_how_finely_a_tick_is_divided(drive: np.ndarray) -> 
 
 @pytest.mark.parametrize("drive", EVERYTHING[1:6])
 def test_an_integrator_that_stops_at_each_switch_finds_the_same(drive: np.ndarray) -> None:
-    """SciPy's DOP853 to 1e-12, started anew at each end of a tick and at each stop; the kink at the limit of the force it steps over,
-    which costs it some digits."""
+    """SciPy's DOP853 to 1e-12, started anew at each end of a tick and at each stop; the kink at the
+    limit of the force it steps over, which costs it some digits.
+    """
     w, zeta, r, o, a, ti, static = drive
     u = sweep()[:150]
 
@@ -162,10 +205,18 @@ def test_an_integrator_that_stops_at_each_switch_finds_the_same(drive: np.ndarra
         t, side = k * H, float(np.sign(y[1]))
         while t < end:
             if y[1] == 0.0:
-                side = 0.0 if abs(force(y[0], y[2], command(t))) <= w * w * r * static else float(np.sign(force(y[0], y[2], command(t))))
+                side = (
+                    0.0
+                    if abs(force(y[0], y[2], command(t))) <= w * w * r * static
+                    else float(np.sign(force(y[0], y[2], command(t))))
+                )
 
             def law(at: float, y: np.ndarray, side: float = side, command=command) -> list[float]:
-                moving = (force(y[0], y[2], command(at)) - 2.0 * zeta * w * y[1] - w * w * r * side) if side else 0.0
+                moving = (
+                    (force(y[0], y[2], command(at)) - 2.0 * zeta * w * y[1] - w * w * r * side)
+                    if side
+                    else 0.0
+                )
                 return [y[1], moving, (command(at) - y[0]) / ti]
 
             def stops(at: float, y: np.ndarray, side: float = side) -> float:
@@ -176,7 +227,9 @@ def test_an_integrator_that_stops_at_each_switch_finds_the_same(drive: np.ndarra
 
             event = stops if side else breaks
             event.terminal, event.direction = True, -1.0 if side else 1.0  # type: ignore[attr-defined]
-            found = solve_ivp(law, (t, end), y, "DOP853", events=event, rtol=1e-12, atol=1e-14, max_step=H / 2)
+            found = solve_ivp(
+                law, (t, end), y, "DOP853", events=event, rtol=1e-12, atol=1e-14, max_step=H / 2
+            )
             t, y = float(found.t[-1]), found.y[:, -1]
             if found.status == 1:
                 y[1] = 0.0
@@ -194,12 +247,17 @@ def _driven(s: Scenario, commands: np.ndarray, drive: PlatformDrive) -> np.ndarr
 
 def test_an_axis_that_is_never_told_to_move_sags_under_a_load_beyond_its_friction() -> None:
     base = scenario("ideal")
-    s = base.model_copy(update={"approach": base.approach.model_copy(update={"velocity": (0.0, 0.0, 0.0)})})
+    s = base.model_copy(
+        update={"approach": base.approach.model_copy(update={"velocity": (0.0, 0.0, 0.0)})}
+    )
     command = np.tile([*s.approach.offset, -s.approach.gap, 0.0, 0.0, 0.0, 1.0], (3000, 1))
     held = _driven(s, command, PlatformDrive(bandwidth=10.0, friction=2e-4, offset=1e-4))
     np.testing.assert_array_equal(held, np.tile(command[0, :3], (3000, 1)))
-    sunk = _driven(s, command, PlatformDrive(bandwidth=10.0, damping_ratio=1.0, friction=2e-4, offset=5e-4))
-    np.testing.assert_allclose(sunk[-1] - command[0, :3], 3e-4, atol=1e-9)  # o - r: it creeps there and never swings past
+    sunk = _driven(
+        s, command, PlatformDrive(bandwidth=10.0, damping_ratio=1.0, friction=2e-4, offset=5e-4)
+    )
+    # o - r: it creeps there and never swings past
+    np.testing.assert_allclose(sunk[-1] - command[0, :3], 3e-4, atol=1e-9)
 
 
 def test_what_it_is_worth_is_the_lateness_of_a_slow_motion() -> None:
@@ -213,5 +271,7 @@ def test_what_it_is_worth_is_the_lateness_of_a_slow_motion() -> None:
     late = slow.worth(s, 3.0)
     assert late is not None
     x = reached(u, numbers(w, 0.5, ti=0.5), dt=5e-3)[2000:]
-    a, b = np.linalg.lstsq(np.column_stack([np.sin(3.0 * t), np.cos(3.0 * t)])[2000:], x, rcond=None)[0]
+    a, b = np.linalg.lstsq(
+        np.column_stack([np.sin(3.0 * t), np.cos(3.0 * t)])[2000:], x, rcond=None
+    )[0]
     assert late == pytest.approx(-math.atan2(b, a) / 3.0, rel=1e-3)

@@ -1,4 +1,6 @@
-"""What all drives share: starts without a transient, states that can be saved, runs of a batch that do not know of each other."""
+"""What all drives share: starts without a transient, states that can be saved, runs of a batch that
+do not know of each other.
+"""
 
 from __future__ import annotations
 
@@ -31,13 +33,19 @@ def moved(stand: Stand, ticks: int, scale: Array) -> Array:
     pose, twist, accel = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6)), np.zeros((n, 6))
     for k in range(1, ticks + 1):
         t = k * stand.tick
-        pose[:, 2], twist[:, 2], accel[:, 2] = scale * np.sin(8 * t), 8 * scale * np.cos(8 * t), -64 * scale * np.sin(8 * t)
+        pose[:, 2], twist[:, 2], accel[:, 2] = (
+            scale * np.sin(8 * t),
+            8 * scale * np.cos(8 * t),
+            -64 * scale * np.sin(8 * t),
+        )
         stand.advance(pose, twist, accel)
     return stand.pose.copy()
 
 
 def test_it_stands_still_where_it_was_put(kind: str) -> None:
-    """Weight, leakage and gears are in balance from the start: no transient above the encoder's and the integrator's steps."""
+    """Weight, leakage and gears are in balance from the start: no transient above the encoder's and
+    the integrator's steps.
+    """
     stand = Stand(KINDS[kind]())
     start = UPRIGHT[None].copy()
     start[0, :3] = [0.05, -0.04, -0.03]
@@ -52,7 +60,12 @@ def test_a_state_written_back_goes_on_from_there(kind: str) -> None:
     stand = Stand(KINDS[kind](), feed=True)
     stand.reset(UPRIGHT[None], STILL)
     moved(stand, 60, np.array([0.004]))
-    parts = stand.drives.state() | {"qpos": stand.qpos, "qvel": stand.qvel, "ctrl": stand.ctrl, "warm": stand.warmstart}
+    parts = stand.drives.state() | {
+        "qpos": stand.qpos,
+        "qvel": stand.qvel,
+        "ctrl": stand.ctrl,
+        "warm": stand.warmstart,
+    }
     kept = {name: array.copy() for name, array in parts.items()}
     first = moved(stand, 40, np.array([0.004]))
     for name, array in parts.items():
@@ -113,9 +126,11 @@ def test_the_watch_names_the_joint_and_its_limit() -> None:
 
 def test_the_workspace_ends_where_a_joint_does() -> None:
     reach = {found.axis: found for found in workspace(stewart())}
-    assert reach["z"].high == pytest.approx(0.57, abs=0.01)  # 0.52 m of a leg, over the cosine of its lean on the way up
+    # 0.52 m of a leg, over the cosine of its lean on the way up
+    assert reach["z"].high == pytest.approx(0.57, abs=0.01)
     assert "leg_0" in reach["z"].stops[1]
-    assert reach["x"].high == pytest.approx(-reach["x"].low, abs=1e-3)  # the platform is the same on both sides of y-z
+    # the platform is the same on both sides of y-z
+    assert reach["x"].high == pytest.approx(-reach["x"].low, abs=1e-3)
 
 
 def test_every_pose_of_the_nominal_workspace_is_reached(kind: str) -> None:

@@ -1,4 +1,6 @@
-"""Friction of the drives: what holds, what slides, what a differential pair leaves of it, and that it only takes energy."""
+"""Friction of the drives: what holds, what slides, what a differential pair leaves of it, and that
+it only takes energy.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ class Sled:
 
 
 def test_a_slider_breaks_away_at_the_stiction() -> None:
-    """Pushed by what grows by 100 N/s. Before it goes the speed is that of the bristle, far below the Stribeck speed."""
+    """Pushed by what grows by 100 N/s. Before it goes the speed is that of the bristle, far below
+    the Stribeck speed.
+    """
     sled = Sled("single")
     for k in range(20_000):
         force = 100.0 * k * DT
@@ -60,7 +64,9 @@ def test_a_slider_breaks_away_at_the_stiction() -> None:
 
 
 def test_below_break_away_it_holds_and_does_not_creep() -> None:
-    """Ten minutes' worth of shaking at two thirds of the break-away, in 20 s: it stays on its bristle, 200 N/5e7 N/m = 4 um."""
+    """Ten minutes' worth of shaking at two thirds of the break-away, in 20 s: it stays on its
+    bristle, 200 N/5e7 N/m = 4 um.
+    """
     sled = Sled("single")
     for k in range(80_000):
         sled.push(200.0 * math.sin(2.0 * math.pi * 30.0 * k * DT))
@@ -73,12 +79,18 @@ def test_below_break_away_it_holds_and_does_not_creep() -> None:
 @pytest.mark.parametrize("speed", [1e-3, 5e-3, 2e-2, 0.3])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_sliding_friction_is_the_stribeck_curve(speed: float, sign: float) -> None:
-    expected = COULOMB + (STICTION - COULOMB) * math.exp(-((speed / STRIBECK) ** 2)) + VISCOUS * speed
+    expected = (
+        COULOMB + (STICTION - COULOMB) * math.exp(-((speed / STRIBECK) ** 2)) + VISCOUS * speed
+    )
     assert Sled("single").drag(sign * speed) == pytest.approx(sign * expected, rel=1e-9)
 
 
-def test_a_pair_has_no_friction_to_overcome_at_standstill_and_half_the_viscous_part_beyond() -> None:
-    """(f(v/2 + b) + f(v/2 - b))/2: the Coulomb terms cancel, and (f_v (v/2 + b) + f_v (v/2 - b))/2 = f_v v/2."""
+def test_a_pair_has_no_friction_to_overcome_at_standstill_and_half_the_viscous_part_beyond() -> (
+    None
+):
+    """(f(v/2 + b) + f(v/2 - b))/2: the Coulomb terms cancel, and (f_v (v/2 + b) + f_v (v/2 - b))/2
+    = f_v v/2.
+    """
     for speed in (-0.2, -1e-3, -1e-6, 0.0, 1e-6, 1e-3, 0.2):
         assert Sled("dual").drag(speed) == pytest.approx(0.5 * VISCOUS * speed, abs=1e-9)
 
@@ -89,7 +101,9 @@ def test_past_twice_the_bias_a_motor_of_the_pair_reverses_too() -> None:
 
 @pytest.mark.parametrize("kind", ["single", "dual"])
 def test_friction_only_takes_energy(kind: str) -> None:
-    """Six sliders thrown and left alone: kinetic energy and that of the bristles never grows beyond what the step makes, (v dt)^2."""
+    """Six sliders thrown and left alone: kinetic energy and that of the bristles never grows beyond
+    what the step makes, (v dt)^2.
+    """
     sled = Sled(kind)
     sled.v[0] = [0.2, -0.1, 0.01, 1e-3, -1e-4, 0.05]
     if kind == "dual":
@@ -130,8 +144,11 @@ def test_a_run_with_friction_is_the_run_in_a_batch_bit_for_bit(kind: str) -> Non
 
 
 def test_a_single_drive_makes_energy_at_the_reversal_and_a_pair_does_not() -> None:
-    """Head on at 10 mm/s, k = 1e5 N/m, mu = 400 kg. Each slider lags by f_c/kp against its motion, so that the contact is short of
-    k d going in and long of it coming out: 2 k d x a bounce of depth x = v sqrt(mu/k) on k x^2/2, ln e = 2 d/x."""
+    """Head on at 10 mm/s, k = 1e5 N/m, mu = 400 kg. Each slider lags by f_c/kp against its motion,
+    so that the contact is short of
+    k d going in and long of it coming out: 2 k d x a bounce of depth x = v sqrt(mu/k) on k x^2/2,
+        ln e = 2 d/x.
+    """
     base = scenario(damping=0.0)
     data = base.model_dump(mode="json")
     data["approach"] |= {"velocity": [0.0, 0.0, 0.01], "gap": 0.002}

@@ -25,7 +25,9 @@ def workspace(n: int) -> Array:
 
 
 def test_inverse_kinematics_is_mujocos_own() -> None:
-    """Placed by the inverse kinematics, every link of MuJoCo's tree ends on its anchor of the platform."""
+    """Placed by the inverse kinematics, every link of MuJoCo's tree ends on its anchor of the
+    platform.
+    """
     m = load("pss33/pss33").compile()
     data = mujoco.MjData(m)
     poses = workspace(200)
@@ -66,8 +68,14 @@ def test_the_jacobian_is_the_derivative_of_the_inverse_kinematics() -> None:
         ends = np.empty((2, 6))
         for k, step in enumerate((-e, e)):
             turn = Rotation.from_rotvec(step * twist[3:]) * Rotation.from_quat(pose[3:])
-            inverse(PLATFORM.limbs, np.hstack([pose[:3] + step * twist[:3], turn.as_quat()])[None], ends[k : k + 1])
-        np.testing.assert_allclose(jac @ twist, (ends[1] - ends[0]) / (2.0 * e), rtol=1e-6, atol=1e-7)
+            inverse(
+                PLATFORM.limbs,
+                np.hstack([pose[:3] + step * twist[:3], turn.as_quat()])[None],
+                ends[k : k + 1],
+            )
+        np.testing.assert_allclose(
+            jac @ twist, (ends[1] - ends[0]) / (2.0 * e), rtol=1e-6, atol=1e-7
+        )
 
 
 def test_joint_rates_are_the_derivative_of_the_joints() -> None:
@@ -81,13 +89,21 @@ def test_joint_rates_are_the_derivative_of_the_joints() -> None:
             joints(limb, pose, twist, q, rate)
             for out, step in ((before, -e), (after, e)):
                 turn = Rotation.from_rotvec(step * twist[3:]) * Rotation.from_quat(pose[3:])
-                joints(limb, np.hstack([pose[:3] + step * twist[:3], turn.as_quat()]), twist, out, ignored)
+                joints(
+                    limb,
+                    np.hstack([pose[:3] + step * twist[:3], turn.as_quat()]),
+                    twist,
+                    out,
+                    ignored,
+                )
             np.testing.assert_allclose(rate, (after - before) / (2.0 * e), rtol=1e-5, atol=1e-6)
 
 
 def test_jacobian_at_home_decouples_into_two_groups() -> None:
-    """About the centre of the anchors' plane J^T J = diag(1.5, 1.5, 3, 1.5 r^2, 1.5 r^2, 3 R^2): s' = u.v + (b x u).w with three
-    vertical links at 120 deg on radius r and three tangential ones on radius R; sum of cos^2 over three spokes is 3/2."""
+    """About the centre of the anchors' plane J^T J = diag(1.5, 1.5, 3, 1.5 r^2, 1.5 r^2, 3 R^2): s'
+    = u.v + (b x u).w with three vertical links at 120 deg on radius r and three tangential ones on
+    radius R; sum of cos^2 over three spokes is 3/2.
+    """
     jac, sliders = np.empty((6, 6)), np.empty(6)
     jacobian(PLATFORM.limbs, HOME, sliders, jac)
     np.testing.assert_allclose(sliders, 0.0, atol=1e-9)

@@ -1,4 +1,6 @@
-"""Both platforms together: one relative pose, a sensor that forgets its payload, and docking as if there were no upper platform."""
+"""Both platforms together: one relative pose, a sensor that forgets its payload, and docking as if
+there were no upper platform.
+"""
 
 from __future__ import annotations
 
@@ -31,13 +33,16 @@ def nine_axes(tracking: str = "servo", upper: str = "servo", **keys: Any) -> Sce
 
 
 def relative(t: Array, middle: float = 1.0) -> tuple[Array, Array, Array]:
-    """A relative motion that shakes the upper platform: poses (t, 7), twists (t, 6) of the ticks, accelerations (t, 6).
+    """A relative motion that shakes the upper platform: poses (t, 7), twists (t, 6) of the ticks,
+    accelerations (t, 6).
 
     Heave 0.2 m at 0.35 Hz, 0.97 m/s^2; tilts of 1.5 deg at 0.5 Hz, 0.26 rad/s^2.
     """
     h = t[1] - t[0]
     gap = middle + 0.2 * np.sin(2.2 * t)
-    tilt = np.radians(1.5) * np.column_stack([np.sin(np.pi * t), np.cos(np.pi * t), np.zeros_like(t)])
+    tilt = np.radians(1.5) * np.column_stack(
+        [np.sin(np.pi * t), np.cos(np.pi * t), np.zeros_like(t)]
+    )
     turn = Rotation.from_rotvec(tilt)
     pose = np.column_stack([0.02 * np.sin(t), 0.0 * t, -gap, turn.as_quat()])
     twist = np.zeros((len(t), 6))
@@ -50,7 +55,9 @@ def relative(t: Array, middle: float = 1.0) -> tuple[Array, Array, Array]:
 
 
 def shaken(plant: Plant, seconds: float = 3.0, middle: float = 1.0) -> dict[str, Array]:
-    """What a plant gives on that motion: the reached pose less the one commanded, and the wrench at every instant."""
+    """What a plant gives on that motion: the reached pose less the one commanded, and the wrench at
+    every instant.
+    """
     t = np.arange(0.0, seconds, 1.0 / 2000.0)
     pose, twist, accel = relative(t, middle)
     n = len(plant.pose_act)
@@ -65,12 +72,20 @@ def shaken(plant: Plant, seconds: float = 3.0, middle: float = 1.0) -> dict[str,
 
 
 def test_what_moves_a_load_is_what_its_momentum_takes() -> None:
-    """f = d(m v_c)/dt + m g, and about P's origin t = d(R I R^T omega)/dt + r x f, by differences of an analytic motion."""
-    mass, com, inertia = 120.0, np.array([0.03, -0.02, 0.3]), np.array([[8.0, 0.3, -0.2], [0.3, 9.0, 0.1], [-0.2, 0.1, 10.0]])
+    """f = d(m v_c)/dt + m g, and about P's origin t = d(R I R^T omega)/dt + r x f, by differences
+    of an analytic motion.
+    """
+    mass, com, inertia = (
+        120.0,
+        np.array([0.03, -0.02, 0.3]),
+        np.array([[8.0, 0.3, -0.2], [0.3, 9.0, 0.1], [-0.2, 0.1, 10.0]]),
+    )
     e, times = 1e-4, np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 
     def attitude(t: Array) -> Rotation:
-        return Rotation.from_rotvec(np.column_stack([0.3 * np.sin(2.0 * t), 0.2 * np.cos(3.0 * t), 0.1 * t]))
+        return Rotation.from_rotvec(
+            np.column_stack([0.3 * np.sin(2.0 * t), 0.2 * np.cos(3.0 * t), 0.1 * t])
+        )
 
     def origin(t: Array) -> Array:
         return np.column_stack([0.1 * np.sin(3.0 * t), 0.2 * t**2, 0.3 * np.cos(2.0 * t)])
@@ -83,7 +98,9 @@ def test_what_moves_a_load_is_what_its_momentum_takes() -> None:
     centre = origin(t) + turn.apply(com)
     force = mass * ((centre[3] - 2.0 * centre[2] + centre[1]) / e**2 + [0.0, 0.0, GRAVITY])
     torque = (momentum[2] - momentum[1]) / e + np.cross(turn[2].apply(com), force)
-    accel = np.concatenate([(origin(t)[3] - 2.0 * origin(t)[2] + origin(t)[1]) / e**2, (spin[2] - spin[1]) / e])
+    accel = np.concatenate(
+        [(origin(t)[3] - 2.0 * origin(t)[2] + origin(t)[1]) / e**2, (spin[2] - spin[1]) / e]
+    )
     wrench = np.empty(6)
     load = np.concatenate([[mass], com, inertia.ravel()])
     carry(load, turn[2].as_quat(), 0.5 * (spin[1] + spin[2]), accel, wrench)
@@ -91,7 +108,9 @@ def test_what_moves_a_load_is_what_its_momentum_takes() -> None:
 
 
 def test_the_sensor_loses_weight_and_inertia_of_its_payload() -> None:
-    """120 kg shaken by 1 m/s^2 and 0.3 rad/s^2 (inertia 116 N, and 31 N across by the tilt): less than 0.05 % of the weight is left."""
+    """120 kg shaken by 1 m/s^2 and 0.3 rad/s^2 (inertia 116 N, and 31 N across by the tilt): less
+    than 0.05 % of the weight is left.
+    """
     plant = Plant([nine_axes()])
     wrench = shaken(plant)["wrench"].reshape(-1, 6)
     tracking = plant._tracking
@@ -100,14 +119,18 @@ def test_the_sensor_loses_weight_and_inertia_of_its_payload() -> None:
     weight = tracking.upper.drives.payload[0] * GRAVITY
     assert weight == pytest.approx(120.0 * GRAVITY)
     assert np.linalg.norm(wrench[:, :3], axis=1).max() < 5e-4 * weight
-    assert np.linalg.norm(wrench[:, 3:], axis=1).max() < 5e-4 * weight * 0.30  # over the lever of its centre of mass
+    # over the lever of its centre of mass
+    assert np.linalg.norm(wrench[:, 3:], axis=1).max() < 5e-4 * weight * 0.30
     heavier = tracking.upper.drives.payload
-    heavier[0] *= 1.01  # believed 1 % heavier than it is: 1 % of weight and inertia is left, and nothing hides it
+    # believed 1 % heavier than it is: 1 % of weight and inertia is left, and nothing hides it
+    heavier[0] *= 1.01
     left = np.linalg.norm(shaken(plant, 0.2)["wrench"].reshape(-1, 6)[:, :3], axis=1)
     assert left.max() == pytest.approx(0.01 * weight, rel=0.15)
 
 
-@pytest.mark.parametrize(("tracking", "upper", "most"), [("ideal", "ideal", 1e-12), ("servo", "servo", 1e-5)])
+@pytest.mark.parametrize(
+    ("tracking", "upper", "most"), [("ideal", "ideal", 1e-12), ("servo", "servo", 1e-5)]
+)
 def test_both_platforms_realise_the_relative_pose(tracking: str, upper: str, most: float) -> None:
     result = shaken(Plant([nine_axes(tracking, upper)]))
     assert np.abs(result["error"]).max() < most
@@ -115,11 +138,16 @@ def test_both_platforms_realise_the_relative_pose(tracking: str, upper: str, mos
 
 
 def test_coming_home_and_leaving_again_leaves_no_step() -> None:
-    """The gap swings from 0.05 m, where the upper platform is clamped, to 0.45 m: the reached pose has no jump beyond 2 um."""
+    """The gap swings from 0.05 m, where the upper platform is clamped, to 0.45 m: the reached pose
+    has no jump beyond 2 um.
+    """
     result = shaken(Plant([nine_axes()]), 6.0, middle=0.25)
     assert np.abs(result["error"]).max() < 1e-5
     assert np.abs(np.diff(result["error"], axis=0)).max() < 2e-6
-    assert np.linalg.norm(result["wrench"].reshape(-1, 6)[:, :3], axis=1).max() < 5e-4 * 120.0 * GRAVITY
+    assert (
+        np.linalg.norm(result["wrench"].reshape(-1, 6)[:, :3], axis=1).max()
+        < 5e-4 * 120.0 * GRAVITY
+    )
 
 
 @pytest.mark.parametrize("tracking", ["ideal", slow("servo")])
@@ -138,7 +166,9 @@ def test_docking_is_what_it_is_without_an_upper_platform_bit_for_bit(tracking: s
 
 def test_a_run_alone_is_the_run_in_a_batch_bit_for_bit() -> None:
     """One far away, one near, so that some upper platforms are stepped and others clamped."""
-    runs = [nine_axes(approach={"gap": gap, "velocity": [0.0, 0.0, 0.2]}) for gap in (0.5, 0.22, 0.05)]
+    runs = [
+        nine_axes(approach={"gap": gap, "velocity": [0.0, 0.0, 0.2]}) for gap in (0.5, 0.22, 0.05)
+    ]
     together, alone = Plant(runs, nthread=2), [Plant([s]) for s in runs]
     start = np.array([[0.0, 0.0, -s.approach.gap, 0.0, 0.0, 0.0, 1.0] for s in runs])
     twist, still = np.tile([0.0, 0.0, 0.2, 0.0, 0.0, 0.0], (3, 1)), np.zeros((3, 6))
@@ -173,35 +203,62 @@ def test_the_state_between_two_ticks_is_all_of_it(tracking: str) -> None:
 
 
 def test_the_upper_platform_is_clamped_when_the_ports_touch() -> None:
-    """From 0.4 m at 0.3 m/s: what the sensor reads in contact is the contact's, k x + c v of the pose reached."""
+    """From 0.4 m at 0.3 m/s: what the sensor reads in contact is the contact's, k x + c v of the
+    pose reached.
+    """
     s = nine_axes(approach={"gap": 0.4, "velocity": [0.0, 0.0, 0.3]}, duration=1.6)
     trace = run(s).trace
     assert trace is not None
     touch = trace.contact & (trace["pose_act"][:, 2] > 1e-4)
-    law = s.mechanism.contact.stiffness * trace["pose_act"][touch, 2] + s.mechanism.contact.damping * trace["twist_act"][touch, 2]
-    np.testing.assert_allclose(trace["wrench_true"][touch, 2], np.maximum(law, 0.0), atol=0.5, rtol=1e-3)
+    law = (
+        s.mechanism.contact.stiffness * trace["pose_act"][touch, 2]
+        + s.mechanism.contact.damping * trace["twist_act"][touch, 2]
+    )
+    np.testing.assert_allclose(
+        trace["wrench_true"][touch, 2], np.maximum(law, 0.0), atol=0.5, rtol=1e-3
+    )
 
 
 def test_an_effect_of_the_lower_platform_is_seen_where_the_lower_platform_moves() -> None:
-    """10 ms of transport delay at 0.2 m/s are 2 mm behind on the last stretch, and nothing while the upper platform alone moves."""
+    """10 ms of transport delay at 0.2 m/s are 2 mm behind on the last stretch, and nothing while
+    the upper platform alone moves.
+    """
     approach = {"gap": 0.6, "velocity": [0.0, 0.0, 0.2]}
-    trace = run(nine_axes("ideal", "ideal", approach=approach, duration=2.9, effects=[{"kind": "platform.delay", "delay": 0.01}])).trace
+    trace = run(
+        nine_axes(
+            "ideal",
+            "ideal",
+            approach=approach,
+            duration=2.9,
+            effects=[{"kind": "platform.delay", "delay": 0.01}],
+        )
+    ).trace
     assert trace is not None
     behind = trace["pose_cmd"][:-1, 2] - trace["pose_act"][1:, 2]
     gap = -trace["pose_act"][1:, 2]
     np.testing.assert_allclose(behind[gap > DOCKING + BLEND], 0.0, atol=1e-12)
-    np.testing.assert_allclose(behind[(gap < DOCKING - 0.005) & (gap > 0.05)], 0.2 * 0.01, atol=1e-9)
+    np.testing.assert_allclose(
+        behind[(gap < DOCKING - 0.005) & (gap > 0.05)], 0.2 * 0.01, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
         ({"approach": {"gap": 2.3}}, "0 to 2.19 m"),
-        ({"approach": {"gap": 1.0, "velocity": [0.0, 0.0, 0.6]}}, "to come to rest before the touch"),
-        ({"approach": {"gap": 2.0, "attitude_deg": [4.0, 4.0, 0.0], "offset": [0.2, 0.2]}}, "outside the workspace"),
+        (
+            {"approach": {"gap": 1.0, "velocity": [0.0, 0.0, 0.6]}},
+            "to come to rest before the touch",
+        ),
+        (
+            {"approach": {"gap": 2.0, "attitude_deg": [4.0, 4.0, 0.0], "offset": [0.2, 0.2]}},
+            "outside the workspace",
+        ),
     ],
 )
-def test_a_start_that_the_nine_axes_cannot_hold_is_refused(keys: dict[str, Any], message: str) -> None:
+def test_a_start_that_the_nine_axes_cannot_hold_is_refused(
+    keys: dict[str, Any], message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         nine_axes(**keys)
 

@@ -1,4 +1,6 @@
-"""The overhead gantry: its kinematics, and its drives against the linear equations of MuJoCo's own matrices."""
+"""The overhead gantry: its kinematics, and its drives against the linear equations of MuJoCo's own
+matrices.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,11 @@ NEAR = 1e-6  # [m], [rad]
 
 @pytest.fixture(scope="module")
 def gantry() -> Facility:
-    return PLATFORMS["overhead_gantry"].model_validate({"kind": "overhead_gantry", "command": DIRECT}).facility()
+    return (
+        PLATFORMS["overhead_gantry"]
+        .model_validate({"kind": "overhead_gantry", "command": DIRECT})
+        .facility()
+    )
 
 
 def matrices(gantry: Facility) -> tuple[Array, Array, Array, Array]:
@@ -28,9 +34,17 @@ def matrices(gantry: Facility) -> tuple[Array, Array, Array, Array]:
     stand = Stand(gantry)
     m = stand.model
     mass, jac, _ = mass_and_jacobian(m, stand.drives.kinematics.home, TOOL)
-    gains = [(int(m.actuator_trnid[a, 0]), m.actuator_gainprm[a, 0], -m.actuator_biasprm[a, 2]) for a in range(m.nu)]
+    gains = [
+        (int(m.actuator_trnid[a, 0]), m.actuator_gainprm[a, 0], -m.actuator_biasprm[a, 2])
+        for a in range(m.nu)
+    ]
     dofs = [int(m.jnt_dofadr[j]) for j, _, _ in gains]
-    return mass[np.ix_(dofs, dofs)], jac[:, dofs], np.array([k for _, k, _ in gains]), np.array([c for _, _, c in gains])
+    return (
+        mass[np.ix_(dofs, dofs)],
+        jac[:, dofs],
+        np.array([k for _, k, _ in gains]),
+        np.array([c for _, _, c in gains]),
+    )
 
 
 def test_inverse_and_forward_kinematics_agree_over_metres(gantry: Facility) -> None:
@@ -50,7 +64,11 @@ def test_it_follows_as_its_linear_equations_say(gantry: Facility) -> None:
     f = [2.0, 4.0, 8.0, 12.0]
     found = frequency_response(gantry, f, axes=[0, 1, 2])
     for n, s in enumerate(2j * math.pi * np.array(f)):
-        law = jac @ np.linalg.solve(mass * s**2 + np.diag(kv * s + kp), np.diag(kp)) @ np.linalg.inv(jac)
+        law = (
+            jac
+            @ np.linalg.solve(mass * s**2 + np.diag(kv * s + kp), np.diag(kp))
+            @ np.linalg.inv(jac)
+        )
         for axis, highest in ((0, 6.0), (1, 9.0), (2, 12.0)):
             if f[n] <= highest:
                 ratio = found.own[axis][n] / law[axis, axis]
@@ -59,7 +77,11 @@ def test_it_follows_as_its_linear_equations_say(gantry: Facility) -> None:
 
 
 def test_it_is_as_stiff_as_its_drives(gantry: Facility) -> None:
-    """Compliance J K^-1 J^T of A, without the weight: on the axes of the slides, levers of the wrist and all."""
+    """Compliance J K^-1 J^T of A, without the weight: on the axes of the slides, levers of the
+    wrist and all.
+    """
     _, jac, kp, _ = matrices(gantry)
     expected = jac @ np.diag(1.0 / kp) @ jac.T
-    assert np.diag(static_compliance(gantry, settle=2.0))[:3] == pytest.approx(np.diag(expected)[:3], rel=0.02)
+    assert np.diag(static_compliance(gantry, settle=2.0))[:3] == pytest.approx(
+        np.diag(expected)[:3], rel=0.02
+    )

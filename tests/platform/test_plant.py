@@ -1,4 +1,6 @@
-"""The plant: runs that do not know of each other, forces that are current, a platform that follows."""
+"""The plant: runs that do not know of each other, forces that are current, a platform that
+follows.
+"""
 
 from __future__ import annotations
 
@@ -49,8 +51,10 @@ def test_a_run_alone_is_the_run_in_a_batch_bit_for_bit(tracking: str, friction: 
 @pytest.mark.parametrize("friction", [0.0, 0.1])
 @pytest.mark.parametrize("substeps", [1, 2, 5])
 def test_a_force_told_late_is_the_force_told_at_once(friction: float, substeps: int) -> None:
-    """Told once the tick has begun, from its first step, it differs by what the drives' new push adds to MuJoCo's soft contact: 1e-4 of
-    that push; and of the late and the prompt in one batch each is what it is alone."""
+    """Told once the tick has begun, from its first step, it differs by what the drives' new push
+    adds to MuJoCo's soft contact: 1e-4 of that push; and of the late and the prompt in one batch
+    each is what it is alone.
+    """
     s = scenario(friction=friction, physics_rate=2000.0 * substeps)
 
     def rows(late: list[bool], i: int) -> np.ndarray:
@@ -60,7 +64,8 @@ def test_a_force_told_late_is_the_force_told_at_once(friction: float, substeps: 
     assert np.array_equal(told, rows([True, False], 0))
     assert np.array_equal(at_once, rows([False, True], 0))
     assert np.array_equal(rows([False, False], 1), rows([True, False], 1))
-    forces = slice(13, 13 + 6 * substeps)  # after pose and twist; before the first tick nothing was told
+    # after pose and twist; before the first tick nothing was told
+    forces = slice(13, 13 + 6 * substeps)
     assert np.abs(at_once[:, forces]).max() > 50.0
     assert np.abs(told - at_once)[1:, forces].max() < 2e-4 * np.abs(at_once[:, forces]).max()
     assert np.array_equal(np.delete(told, forces, axis=1), np.delete(at_once, forces, axis=1))
@@ -78,7 +83,9 @@ def test_the_force_at_a_tick_belongs_to_the_pose_at_that_tick(tracking: str) -> 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 @pytest.mark.parametrize("substeps", [1, 2, 5])
 def test_the_forces_at_the_sub_instants_run_on_evenly(tracking: str, substeps: int) -> None:
-    """Pressed in at constant speed the force grows by k v dt from one sub-instant to the next, across ticks as within them."""
+    """Pressed in at constant speed the force grows by k v dt from one sub-instant to the next,
+    across ticks as within them.
+    """
     s = scenario(tracking, physics_rate=2000.0 * substeps, damping=0.0)
     plant, v = Plant([s]), 0.02
     twist = np.array([[0.0, 0.0, v, 0.0, 0.0, 0.0]])
@@ -92,7 +99,9 @@ def test_the_forces_at_the_sub_instants_run_on_evenly(tracking: str, substeps: i
 
 
 def test_in_free_motion_the_platform_is_where_it_was_told_to_be() -> None:
-    """Sine of 10 mm at 1 Hz on all axes: the drives' feed-forward carries the motion, position feedback next to nothing."""
+    """Sine of 10 mm at 1 Hz on all axes: the drives' feed-forward carries the motion, position
+    feedback next to nothing.
+    """
     s = scenario()
     plant, h, w = Plant([s]), 1.0 / s.rate, 2.0 * np.pi
     amplitude = np.array([0.01, 0.008, 0.006])
@@ -128,7 +137,9 @@ def test_the_state_between_two_ticks_is_all_of_it() -> None:
 
 
 def test_a_run_that_diverges_is_named_and_leaves_the_others_alone() -> None:
-    """A contact of 1e16 N/m is far past what steps of 0.25 ms can follow: 2/dt = sqrt(k/m) at 4e10 N/m for 600 kg."""
+    """A contact of 1e16 N/m is far past what steps of 0.25 ms can follow: 2/dt = sqrt(k/m) at 4e10
+    N/m for 600 kg.
+    """
     wild, calm = scenario(stiffness=1e16, damping=0.0), scenario()
     plant, alone = Plant([calm, wild, calm]), Plant([calm])
     twist = np.tile([0.0, 0.0, 0.02, 0.0, 0.0, 0.0], (3, 1))
@@ -151,13 +162,19 @@ def test_runs_of_two_structures_are_refused() -> None:
 
 
 def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
-    """The platform yields by F/(Kp + Kv s), Kp = 3 kp and Kv = 3 kv along z: a series spring that takes out c = k^2 Kv/Kp^2 [N s/m].
+    """The platform yields by F/(Kp + Kv s), Kp = 3 kp and Kv = 3 kv along z: a series spring that
+    takes out c = k^2 Kv/Kp^2 [N s/m].
 
-    With ln e = -pi c/(2 sqrt(k mu)) that is -4.8e-4 for 1e5 N/m and 400 kg. Everything else in the servo costs less than a third of it.
+    With ln e = -pi c/(2 sqrt(k mu)) that is -4.8e-4 for 1e5 N/m and 400 kg. Everything else in the
+    servo costs less than a third of it.
     """
     s = scenario(damping=0.0)
     plant, h, mu = Plant([s]), s.tick, 400.0
-    position, twist, accel = pose(z=-2e-3), np.array([[0.0, 0.0, 0.03, 0.0, 0.0, 0.0]]), np.zeros((1, 6))
+    position, twist, accel = (
+        pose(z=-2e-3),
+        np.array([[0.0, 0.0, 0.03, 0.0, 0.0, 0.0]]),
+        np.zeros((1, 6)),
+    )
     plant.reset(position, twist)
     for _ in range(700):
         accel[0, 2] = -plant.wrench_sub[0, -1, 2] / mu
@@ -175,11 +192,19 @@ def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
 @pytest.mark.parametrize("name", ["15-ring-docking", "16-probe-drogue", "17-gripper"])
 @pytest.mark.parametrize("kind", ["pss33", "stewart"])
 def test_what_moves_on_a_side_rubs_the_same_on_whatever_carries_it(name: str, kind: str) -> None:
-    """A joint's friction creeps by its inverse weight while it sticks: that of the mechanism, in which no limb of a platform counts."""
+    """A joint's friction creeps by its inverse weight while it sticks: that of the mechanism, in
+    which no limb of a platform counts.
+    """
     found = []
     for platform in ({"kind": "pss33", "tracking": "ideal"}, {"kind": kind, "tracking": "servo"}):
-        model = Plant([load_scenario(find_scenario(Path(name)), set={"rig.platform": platform})]).model
-        parts = [b for b in range(model.nbody) if model.body(b).name.startswith("active_") and model.body_jntnum[b]]
+        model = Plant(
+            [load_scenario(find_scenario(Path(name)), set={"rig.platform": platform})]
+        ).model
+        parts = [
+            b
+            for b in range(model.nbody)
+            if model.body(b).name.startswith("active_") and model.body_jntnum[b]
+        ]
         assert parts
         dofs = np.flatnonzero(np.isin(model.dof_bodyid, parts))
         found.append((model.dof_invweight0[dofs], model.body_invweight0[parts]))

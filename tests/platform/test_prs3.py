@@ -11,7 +11,16 @@ from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import Array
 from hiltestbed.models import load
-from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, inverse, jacobian, motion, place, revolute
+from hiltestbed.platform.prs3.geometry import (
+    HEAVE,
+    TILT,
+    Upper,
+    inverse,
+    jacobian,
+    motion,
+    place,
+    revolute,
+)
 
 UPPER = Upper.load()
 
@@ -20,7 +29,9 @@ def coordinates(n: int, tilt: float = TILT) -> Array:
     """``(n, 3)`` over the whole heave and tilts up to ``tilt`` [rad] in any direction."""
     rng = np.random.default_rng(4)
     size, towards = tilt * np.sqrt(rng.uniform(size=n)), rng.uniform(0.0, 2.0 * np.pi, n)
-    return np.column_stack([rng.uniform(0.0, HEAVE, n), size * np.cos(towards), size * np.sin(towards)])
+    return np.column_stack(
+        [rng.uniform(0.0, HEAVE, n), size * np.cos(towards), size * np.sin(towards)]
+    )
 
 
 def placed(x: Array) -> Array:
@@ -30,8 +41,12 @@ def placed(x: Array) -> Array:
 
 
 @pytest.mark.parametrize("tilt", [TILT, 0.2])
-def test_placed_by_the_inverse_kinematics_every_link_of_mujocos_ends_on_its_anchor(tilt: float) -> None:
-    """Slider and revolute joint alone: were the parasitic motion wrong, the anchor would leave the plane in which the link swings."""
+def test_placed_by_the_inverse_kinematics_every_link_of_mujocos_ends_on_its_anchor(
+    tilt: float,
+) -> None:
+    """Slider and revolute joint alone: were the parasitic motion wrong, the anchor would leave the
+    plane in which the link swings.
+    """
     m = load("prs3/prs3").compile()
     data = mujoco.MjData(m)
     sliders = np.empty((1, 3))
@@ -46,12 +61,17 @@ def test_placed_by_the_inverse_kinematics_every_link_of_mujocos_ends_on_its_anch
             data.joint(f"revolute_{j}").qpos[:] = revolute(UPPER.legs[j], pose, np.empty(3))
         mujoco.mj_kinematics(m, data)
         for j in range(3):
-            assert np.linalg.norm(data.site(f"link_end_{j}").xpos - data.site(f"anchor_{j}").xpos) < 1e-9
+            assert (
+                np.linalg.norm(data.site(f"link_end_{j}").xpos - data.site(f"anchor_{j}").xpos)
+                < 1e-9
+            )
         np.testing.assert_allclose(data.site("mount").xpos, pose[:3], atol=1e-12)
 
 
 def test_mujocos_own_mechanism_moves_sideways_as_the_closed_form_says() -> None:
-    """Its joints are released, its sliders pulled to those of a tilt; what the platform then does is MuJoCo's own solution."""
+    """Its joints are released, its sliders pulled to those of a tilt; what the platform then does
+    is MuJoCo's own solution.
+    """
     m = load("prs3/prs3").compile()
     m.opt.gravity[:] = 0.0
     m.opt.timestep = 1e-3
@@ -87,7 +107,9 @@ def test_motion_is_the_derivative_of_the_pose() -> None:
         motion(UPPER.shape, x, out)
         for j in range(3):
             before, after = (placed(x + s * np.eye(3)[j]) for s in (-e, e))
-            turn = (Rotation.from_quat(after[3:]) * Rotation.from_quat(before[3:]).inv()).as_rotvec()
+            turn = (
+                Rotation.from_quat(after[3:]) * Rotation.from_quat(before[3:]).inv()
+            ).as_rotvec()
             slope = np.concatenate([after[:3] - before[:3], turn]) / (2.0 * e)
             np.testing.assert_allclose(out[:, j], slope, atol=2e-9)
 
@@ -100,7 +122,9 @@ def test_the_jacobian_is_the_derivative_of_the_inverse_kinematics() -> None:
         for j in range(3):
             ends = np.empty((2, 3))
             inverse(UPPER.legs, np.array([placed(x + s * np.eye(3)[j]) for s in (-e, e)]), ends)
-            np.testing.assert_allclose(jac @ rates[:, j], (ends[1] - ends[0]) / (2.0 * e), atol=2e-8)
+            np.testing.assert_allclose(
+                jac @ rates[:, j], (ends[1] - ends[0]) / (2.0 * e), atol=2e-8
+            )
 
 
 def test_heave_alone_moves_every_slider_as_far() -> None:

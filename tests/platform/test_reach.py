@@ -37,7 +37,9 @@ def test_home_is_where_every_facility_has_it(facility: Facility) -> None:
 
 
 def test_inverse_and_forward_kinematics_agree_over_the_workspace(facility: Facility) -> None:
-    """Joints from the pose, pose from the joints: by MuJoCo's kinematics, and by closing the loops for the driven joints alone."""
+    """Joints from the pose, pose from the joints: by MuJoCo's kinematics, and by closing the loops
+    for the driven joints alone.
+    """
     m = compiled(facility.spec())
     kinematics = facility.kinematics(m)
     goals = poses(40, 0.25, 10.0)
@@ -61,14 +63,18 @@ def test_legs_have_the_length_between_their_ends() -> None:
     home = np.array(m.body("platform").pos)
     length = np.linalg.norm(home + anchor - base, axis=1)
     for goal in poses(40, 0.3, 12.0, seed=5):
-        centre = goal[:3] + MOUNT_HOME[:3] + Rotation.from_quat(goal[3:]).apply(home - MOUNT_HOME[:3])
+        centre = (
+            goal[:3] + MOUNT_HOME[:3] + Rotation.from_quat(goal[3:]).apply(home - MOUNT_HOME[:3])
+        )
         ends = centre + Rotation.from_quat(goal[3:]).apply(anchor)
         legs = np.linalg.norm(ends - base, axis=1) - length
         np.testing.assert_allclose(kinematics.inverse(goal + LIFT)[0], legs, atol=1e-9)
 
 
 def wrist_solution(flange: Array, base: Array) -> Array:
-    """Joints of the arm by its spherical wrist (elbow up), a1 to a3 from the wrist's centre, a4 to a6 from the attitude left."""
+    """Joints of the arm by its spherical wrist (elbow up), a1 to a3 from the wrist's centre, a4 to
+    a6 from the attitude left.
+    """
     at = between(base, flange)
     turn = Rotation.from_quat(at[3:]).as_matrix()
     wrist = at[:3] - 0.215 * turn[:, 2]
@@ -79,15 +85,17 @@ def wrist_solution(flange: Array, base: Array) -> Array:
     elbow = math.acos((1.15**2 + forearm**2 - reach**2) / (2 * 1.15 * forearm))
     a2 = -(math.atan2(h, r) + shoulder)
     a3 = math.pi - elbow - math.atan2(0.041, 1.2)
-    left = (Rotation.from_euler("z", -a1) * Rotation.from_euler("y", a2 + a3)).inv() * Rotation.from_matrix(
-        turn @ Rotation.from_euler("y", -90, degrees=True).as_matrix()
-    )
+    left = (
+        Rotation.from_euler("z", -a1) * Rotation.from_euler("y", a2 + a3)
+    ).inv() * Rotation.from_matrix(turn @ Rotation.from_euler("y", -90, degrees=True).as_matrix())
     a4, a5, a6 = left.as_euler("XYX")
     return np.array([a1, a2, a3, -a4, a5, -a6])
 
 
 def test_the_arm_solves_as_its_spherical_wrist_does() -> None:
-    """The closed form of six axes with a spherical wrist (Pieper 1968), of which the arm's is the solution that home lies on."""
+    """The closed form of six axes with a spherical wrist (Pieper 1968), of which the arm's is the
+    solution that home lies on.
+    """
     facility = arm()
     m = compiled(facility.spec())
     kinematics = facility.kinematics(m)
@@ -96,7 +104,11 @@ def test_the_arm_solves_as_its_spherical_wrist_does() -> None:
         goal = goal + LIFT
         joints = kinematics.inverse(goal)[0]
         closed = wrist_solution(goal, base)
-        closed[3:] = closed[3:] if closed[4] * joints[4] > 0 else [closed[3] + math.pi, -closed[4], closed[5] + math.pi]
+        closed[3:] = (
+            closed[3:]
+            if closed[4] * joints[4] > 0
+            else [closed[3] + math.pi, -closed[4], closed[5] + math.pi]
+        )
         difference = (joints - closed + math.pi) % (2 * math.pi) - math.pi
         assert np.abs(difference).max() < 1e-8
 
@@ -104,21 +116,31 @@ def test_the_arm_solves_as_its_spherical_wrist_does() -> None:
 def test_rates_are_the_slopes_of_the_joints(facility: Facility) -> None:
     kinematics = facility.kinematics(compiled(facility.spec()))
     goal = poses(1, 0.15, 6.0)[0] + LIFT
-    twist, accel, h = np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3]), np.array([1.0, 0.5, -2.0, 0.3, -0.6, 0.2]), 1e-4
+    twist, accel, h = (
+        np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3]),
+        np.array([1.0, 0.5, -2.0, 0.3, -0.6, 0.2]),
+        1e-4,
+    )
     q, _ = kinematics.solve(goal)
     found = []
     for side in (-1.0, 0.0, 1.0):
         at = np.empty(7)
         pose_step(goal, twist + 0.5 * side * h * accel, side * h, at)
         found.append(kinematics.solve(at, start=q)[0][kinematics.q])
-    np.testing.assert_allclose(kinematics.rates(q, twist)[kinematics.v], (found[2] - found[0]) / (2 * h), atol=1e-6)
     np.testing.assert_allclose(
-        kinematics.accelerations(q, twist, accel)[kinematics.v], (found[2] - 2 * found[1] + found[0]) / h**2, atol=2e-4
+        kinematics.rates(q, twist)[kinematics.v], (found[2] - found[0]) / (2 * h), atol=1e-6
+    )
+    np.testing.assert_allclose(
+        kinematics.accelerations(q, twist, accel)[kinematics.v],
+        (found[2] - 2 * found[1] + found[0]) / h**2,
+        atol=2e-4,
     )
 
 
 def test_two_arms_share_the_relative_pose() -> None:
-    """Whatever the share, A in P is what was asked for; near the touch the arms move in the given ratio, far away the rail alone."""
+    """Whatever the share, A in P is what was asked for; near the touch the arms move in the given
+    ratio, far away the rail alone.
+    """
     facility = arms(share=0.3)
     m = compiled(facility.spec())
     kinematics = facility.kinematics(m)
@@ -144,8 +166,13 @@ def test_what_cannot_be_reached_is_said_with_its_place() -> None:
     assert "out of reach" in arm().complaints(far)[0]
     assert "(3.000, 0.000, -0.600) m" in arm().complaints(far)[0]
     low = np.array([0.0, 0.0, -0.93, 0.0, 0.0, 0.0, 1.0])
-    assert any("joint a5" in found and "-125 to 125 deg" in found for found in arm().complaints(low))
-    assert any("leg_0" in found for found in stewart().complaints(np.array([0.0, 0.0, 0.7, 0.0, 0.0, 0.0, 1.0])))
+    assert any(
+        "joint a5" in found and "-125 to 125 deg" in found for found in arm().complaints(low)
+    )
+    assert any(
+        "leg_0" in found
+        for found in stewart().complaints(np.array([0.0, 0.0, 0.7, 0.0, 0.0, 0.0, 1.0]))
+    )
 
 
 def test_a_stretched_wrist_is_a_singularity_with_its_place() -> None:
@@ -159,11 +186,15 @@ def test_a_stretched_wrist_is_a_singularity_with_its_place() -> None:
     assert lost is not None
     assert lost.startswith("no motion")
     found = kinematics.complaints(kinematics.poses(q))
-    assert any(text.startswith("singular: no motion") and " m, rotated by " in text for text in found)
+    assert any(
+        text.startswith("singular: no motion") and " m, rotated by " in text for text in found
+    )
 
 
 def test_a_platform_turned_by_a_right_angle_is_not_held() -> None:
-    """Turned by 90 deg about its axis a symmetric Stewart platform gains a motion (Fichter, Int. J. Robotics Research 5(2), 1986)."""
+    """Turned by 90 deg about its axis a symmetric Stewart platform gains a motion (Fichter, Int. J.
+    Robotics Research 5(2), 1986).
+    """
     facility = stewart()
     kinematics = facility.kinematics(compiled(facility.spec()))
     turned = np.array([*MOUNT_HOME[:3], *Rotation.from_euler("z", 89.9, degrees=True).as_quat()])

@@ -42,14 +42,21 @@ def test_the_exact_advance_is_the_linear_systems_own(zeta: float, base: float) -
     for before, after in pairwise(u):
         rate = (after - before) / dt
         error, slip = state[0] - (before - kernel[4] * rate), state[1] - rate
-        state = np.array([after - kernel[4] * rate + kernel[0] * error + kernel[1] * slip, rate + kernel[2] * error + kernel[3] * slip])
+        state = np.array(
+            [
+                after - kernel[4] * rate + kernel[0] * error + kernel[1] * slip,
+                rate + kernel[2] * error + kernel[3] * slip,
+            ]
+        )
         ours.append(state[0])
     system = TransferFunction([2.0 * zeta * w * base, w * w], [1.0, 2.0 * zeta * w, w * w])
     np.testing.assert_allclose(ours, lsim(system, u, t)[1], atol=2e-6)
 
 
 def test_a_limit_of_the_speed_does_not_hang_on_how_finely_a_tick_is_divided() -> None:
-    """A command that turns faster than the platform may go: it is met on the way back, within a tick, and left behind at once."""
+    """A command that turns faster than the platform may go: it is met on the way back, within a
+    tick, and left behind at once.
+    """
     limit, dt = 0.06, 1e-3
     rng = np.random.default_rng(4)
     command = np.cumsum(np.repeat(rng.uniform(-0.2, 0.2, 60), 7)) * dt
@@ -65,7 +72,8 @@ def test_a_limit_of_the_speed_does_not_hang_on_how_finely_a_tick_is_divided() ->
 
     whole = reached(1)
     np.testing.assert_allclose(reached(7), whole, atol=1e-13)
-    fine, at, n = [], 0.0, 1000  # so finely that where within a part it meets its command does not matter
+    # so finely that where within a part it meets its command does not matter
+    fine, at, n = [], 0.0, 1000
     for before, after in pairwise(command):
         for u in np.linspace(before, after, n + 1)[1:]:
             at += min(max(u - at, -limit * dt / n), limit * dt / n)

@@ -1,6 +1,8 @@
-"""Tracking of every drive against its closed form, up to 1.5 times its bandwidth; stiffness and modes against hand calculations.
+"""Tracking of every drive against its closed form, up to 1.5 times its bandwidth; stiffness and
+modes against hand calculations.
 
-The closed forms are made from MuJoCo's own mass matrix, Jacobians and loop rows, and from the settings; nothing of the drives is used.
+The closed forms are made from MuJoCo's own mass matrix, Jacobians and loop rows, and from the
+settings; nothing of the drives is used.
 """
 
 from __future__ import annotations
@@ -13,14 +15,23 @@ import pytest
 
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.facility import compiled
-from hiltestbed.platform.facilities.measure import dynamic_stiffness, frequency_response, modes, static_compliance
+from hiltestbed.platform.facilities.measure import (
+    dynamic_stiffness,
+    frequency_response,
+    modes,
+    static_compliance,
+)
 from hiltestbed.platform.facilities.stand import TOOL, Stand
 from hiltestbed.platform.facilities.stewart import ARMATURE, STROKE, Stewart
 from hiltestbed.platform.shipped.stewart import HydraulicDrive
 from tests.platform.halls import GANTRY, arm, arms, mass_and_jacobian, own, stewart
 
-NO_SEALS: dict[str, Any] = {"friction": {"coulomb": 0.0, "stiction": 0.0, "stribeck_speed": 0.005, "viscous": 0.0}}
-NO_GEAR_FRICTION: dict[str, Any] = {"friction": {"coulomb": 0.0, "stiction": 0.0, "stribeck_speed": 0.005, "viscous": 0.0}}
+NO_SEALS: dict[str, Any] = {
+    "friction": {"coulomb": 0.0, "stiction": 0.0, "stribeck_speed": 0.005, "viscous": 0.0}
+}
+NO_GEAR_FRICTION: dict[str, Any] = {
+    "friction": {"coulomb": 0.0, "stiction": 0.0, "stribeck_speed": 0.005, "viscous": 0.0}
+}
 DB, DEG = 1.0, 5.0
 
 
@@ -39,7 +50,9 @@ def hydraulics(facility: Stewart) -> HydraulicDrive:
 
 
 def leg_terms(facility) -> tuple[Array, Array]:
-    """Legs' rates per twist of A (6, 6), and mass that the legs feel (6, 6), from MuJoCo's matrices."""
+    """Legs' rates per twist of A (6, 6), and mass that the legs feel (6, 6), from MuJoCo's
+    matrices.
+    """
     stand = Stand(facility)
     mass, jac, allowed = mass_and_jacobian(stand.model, stand.drives.kinematics.home, TOOL)
     legs = allowed[[int(stand.model.joint(f"leg_{j}").dofadr[0]) for j in range(6)]]
@@ -49,7 +62,9 @@ def leg_terms(facility) -> tuple[Array, Array]:
 
 def test_electric_legs_follow_as_a_second_order() -> None:
     f = [5.0, 15.0, 25.0, 37.5]
-    found = frequency_response(stewart("electric", bandwidth=25.0, damping_ratio=0.7), f, axes=[0, 2, 3])
+    found = frequency_response(
+        stewart("electric", bandwidth=25.0, damping_ratio=0.7), f, axes=[0, 2, 3]
+    )
     s, w = 2j * np.pi * np.array(f), 2 * np.pi * 25.0
     agree(found, {a: w**2 / (s**2 + 1.4 * w * s + w**2) for a in range(6)}, f, [0, 2, 3])
 
@@ -60,7 +75,9 @@ def test_feed_forward_takes_the_lag_out() -> None:
 
 
 def test_hydraulic_legs_follow_their_linear_equations_in_all_axes() -> None:
-    """M s^2 x = A p,  p s = c (Q - A s x - C p),  Q = G_v (A K (r - x) - C_f h p), h the feedback's high-pass; in leg coordinates."""
+    """M s^2 x = A p,  p s = c (Q - A s x - C p),  Q = G_v (A K (r - x) - C_f h p), h the feedback's
+    high-pass; in leg coordinates.
+    """
     facility = stewart("hydraulic", **NO_SEALS)
     drive = hydraulics(facility)
     legs, mass = leg_terms(facility)
@@ -76,14 +93,20 @@ def test_hydraulic_legs_follow_their_linear_equations_in_all_axes() -> None:
         den = s + c * drive.leakage + c * valve * feedback
         flow = drive.area * c * valve * drive.area * drive.gain / den
         back = drive.area * c * (valve * drive.area * drive.gain + drive.area * s) / den
-        whole = np.linalg.inv(legs) @ np.linalg.solve(mass * s**2 + np.eye(6) * back, np.eye(6) * flow) @ legs
+        whole = (
+            np.linalg.inv(legs)
+            @ np.linalg.solve(mass * s**2 + np.eye(6) * back, np.eye(6) * flow)
+            @ legs
+        )
         for a in range(6):
             expected[a].append(whole[a, a])
     agree(found, expected, f, [0, 2, 3])
 
 
 def heave_mass(armature: float) -> float:
-    """What a heave feels [kg], by hand: platform and payload, legs along their axes and swinging about the floor's joints."""
+    """What a heave feels [kg], by hand: platform and payload, legs along their axes and swinging
+    about the floor's joints.
+    """
     lean, length = math.radians(27.5995), 2.0875477
     rod = 25 * ((length - 0.6) ** 2 + 1.1**2 / 12 + 0.0225**2 / 4)
     cylinder = 95 * (0.78**2 + 1.36**2 / 12 + 0.075**2 / 4)
@@ -92,16 +115,37 @@ def heave_mass(armature: float) -> float:
 
 
 def heave_oil(drive: HydraulicDrive) -> float:
-    """Stiffness of six columns of oil against heave [N/m], by hand: 2 beta A^2/V a leg, twice the cosine of its lean."""
-    return 6 * math.cos(math.radians(27.5995)) ** 2 * 2 * drive.bulk_modulus * drive.area**2 / (drive.dead_volume + drive.area * STROKE / 2)
+    """Stiffness of six columns of oil against heave [N/m], by hand: 2 beta A^2/V a leg, twice the
+    cosine of its lean.
+    """
+    return (
+        6
+        * math.cos(math.radians(27.5995)) ** 2
+        * 2
+        * drive.bulk_modulus
+        * drive.area**2
+        / (drive.dead_volume + drive.area * STROKE / 2)
+    )
 
 
 def test_a_hydraulic_leg_with_a_fast_valve_is_a_third_order() -> None:
-    """Heave by hand, valve far above the oil, feedback that does not let go: K w_h^2/(s^3 + 2 zeta w_h s^2 + w_h^2 s + K w_h^2)."""
-    facility = stewart("hydraulic", feedback_corner=1e-4, valve={"bandwidth": 600.0, "damping_ratio": 0.7}, **NO_SEALS)
+    """Heave by hand, valve far above the oil, feedback that does not let go: K w_h^2/(s^3 + 2 zeta
+    w_h s^2 + w_h^2 s + K w_h^2).
+    """
+    facility = stewart(
+        "hydraulic",
+        feedback_corner=1e-4,
+        valve={"bandwidth": 600.0, "damping_ratio": 0.7},
+        **NO_SEALS,
+    )
     drive = hydraulics(facility)
     w2 = heave_oil(drive) / heave_mass(0.0)
-    damp = 2 * drive.bulk_modulus / (drive.dead_volume + drive.area * STROKE / 2) * (drive.leakage + drive.pressure_feedback)
+    damp = (
+        2
+        * drive.bulk_modulus
+        / (drive.dead_volume + drive.area * STROKE / 2)
+        * (drive.leakage + drive.pressure_feedback)
+    )
     f = [4.0, 8.0, 12.0, 18.0]  # bandwidth 12 Hz
     s = 2j * np.pi * np.array(f)
     found = frequency_response(facility, f, axes=[2])
@@ -119,7 +163,9 @@ def test_the_oil_under_a_shut_valve_rings_as_by_hand() -> None:
     drive = {"gain": 1e-3, "pressure_feedback": 0.0, "leakage": 0.0, **NO_SEALS}
     facility = stewart("hydraulic", **drive)
     by_hand = math.sqrt(heave_oil(hydraulics(facility)) / heave_mass(0.0)) / (2 * math.pi)
-    heave = [mode for mode in modes(facility) if abs(mode.shape[2]) == 1.0 and mode.damping_ratio < 0.1]
+    heave = [
+        mode for mode in modes(facility) if abs(mode.shape[2]) == 1.0 and mode.damping_ratio < 0.1
+    ]
     assert heave[0].frequency == pytest.approx(by_hand, rel=0.02)
 
 
@@ -135,23 +181,32 @@ def test_electric_legs_are_as_stiff_as_by_hand() -> None:
 
 
 def arm_terms(facility):
-    """Mass of motors and gears (12, 12), stiffness and damping of the gears, motors' gains, Jacobian of A, of an arm at home."""
+    """Mass of motors and gears (12, 12), stiffness and damping of the gears, motors' gains,
+    Jacobian of A, of an arm at home.
+    """
     stand = Stand(facility)
     m = stand.model
     mass, jac, _ = mass_and_jacobian(m, stand.drives.kinematics.home, TOOL)
     order = [int(m.joint(f"{kind}{j + 1}").dofadr[0]) for kind in "ag" for j in range(6)]
     mass, jac = mass[np.ix_(order, order)], jac[:, order]
     gears = order[6:]
-    stiffness = np.diag([0.0] * 6 + [float(np.ravel(m.jnt_stiffness[m.dof_jntid[d]])[0]) for d in gears])
+    stiffness = np.diag(
+        [0.0] * 6 + [float(np.ravel(m.jnt_stiffness[m.dof_jntid[d]])[0]) for d in gears]
+    )
     damping = np.diag([0.0] * 6 + [float(np.ravel(m.dof_damping[d])[0]) for d in gears])
     return mass, stiffness, damping, mass[:6, :6], jac
 
 
 def test_an_arm_follows_as_its_elastic_joints_say() -> None:
-    """[M s^2 + D s + K + controller] x = B r over motors and gears; the controller's M is that of the locked gears."""
+    """[M s^2 + D s + K + controller] x = B r over motors and gears; the controller's M is that of
+    the locked gears.
+    """
     facility = arm(**NO_GEAR_FRICTION)
     mass, stiffness, damping, rigid, jac = arm_terms(facility)
-    w, zeta = 2 * np.pi * facility.settings.controller.bandwidth, facility.settings.controller.damping_ratio
+    w, zeta = (
+        2 * np.pi * facility.settings.controller.bandwidth,
+        facility.settings.controller.damping_ratio,
+    )
     f = [2.0, 4.5, 7.0, 10.0]
     found = frequency_response(facility, f, axes=[0, 2, 4], amplitude=5e-4)
     reach = np.linalg.inv(jac[:, :6])  # what the motors are told for a pose of A
@@ -172,24 +227,38 @@ def test_an_arm_is_as_stiff_as_its_gears_and_motors_in_series() -> None:
     w = 2 * np.pi * facility.settings.controller.bandwidth
     yields = np.diag(1.0 / np.diag(stiffness)[6:]) + np.linalg.inv(rigid * w**2)
     compliance = static_compliance(facility, settle=3.0)
-    np.testing.assert_allclose(np.diag(compliance), np.diag(jac[:, :6] @ yields @ jac[:, :6].T), rtol=0.02)
+    np.testing.assert_allclose(
+        np.diag(compliance), np.diag(jac[:, :6] @ yields @ jac[:, :6].T), rtol=0.02
+    )
 
 
 def test_an_arms_first_modes_are_those_of_its_linear_equations() -> None:
     facility = arm(**NO_GEAR_FRICTION)
     mass, stiffness, damping, rigid, _ = arm_terms(facility)
-    w, zeta = 2 * np.pi * facility.settings.controller.bandwidth, facility.settings.controller.damping_ratio
+    w, zeta = (
+        2 * np.pi * facility.settings.controller.bandwidth,
+        facility.settings.controller.damping_ratio,
+    )
     stiffness[:6, :6], damping[:6, :6] = rigid * w**2, rigid * 2 * zeta * w
-    first = np.block([[np.zeros((12, 12)), np.eye(12)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]])
+    first = np.block(
+        [
+            [np.zeros((12, 12)), np.eye(12)],
+            [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)],
+        ]
+    )
     values = np.linalg.eigvals(first)
-    by_hand = sorted(abs(x) / (2 * math.pi) for x in values if x.imag > 0 and -x.real < 0.9 * abs(x))
+    by_hand = sorted(
+        abs(x) / (2 * math.pi) for x in values if x.imag > 0 and -x.real < 0.9 * abs(x)
+    )
     found = [mode.frequency for mode in modes(facility) if mode.damping_ratio < 0.9]
     np.testing.assert_allclose(found[:3], by_hand[:3], rtol=0.02)
 
 
 @pytest.mark.parametrize(("cycles", "late"), [(8, 0), (8, 2)])
 def test_the_controller_is_late_by_whole_cycles(cycles: int, late: int) -> None:
-    """A pose that is due at the end of its tick is referred to at the end of a cycle, d cycles on: (c - 1) + c d ticks late."""
+    """A pose that is due at the end of its tick is referred to at the end of a cycle, d cycles on:
+    (c - 1) + c d ticks late.
+    """
     facility = arm({"controller_rate": 2000.0 / cycles, "delay_cycles": late}, **NO_GEAR_FRICTION)
     stand = Stand(facility, 1, feed=True)
     speed = np.array([[0.02, 0.0, 0.03, 0.0, 0.0, 0.0]])
@@ -204,19 +273,24 @@ def test_the_controller_is_late_by_whole_cycles(cycles: int, late: int) -> None:
     told[stand.drives.kinematics.q] += stand.drives.reference[0]
     referred = stand.drives.kinematics.poses(told)[0]
     np.testing.assert_allclose(pose[0, :3] - referred[:3], speed[0, :3] * behind, atol=1e-8)
-    np.testing.assert_allclose(pose[0, :3] - stand.pose[0, :3], speed[0, :3] * behind, atol=3e-5)  # the gears sag elsewhere
+    # the gears sag elsewhere
+    np.testing.assert_allclose(pose[0, :3] - stand.pose[0, :3], speed[0, :3] * behind, atol=3e-5)
     assert facility.response(2000.0, True).late() == pytest.approx(behind)
 
 
 def test_two_arms_follow_together() -> None:
-    """Both sides' motors are the same second order, so that the relative pose follows as one arm's does where the gears are stiff."""
+    """Both sides' motors are the same second order, so that the relative pose follows as one arm's
+    does where the gears are stiff.
+    """
     found = frequency_response(arms(**NO_GEAR_FRICTION), [1.0], axes=[2])
     s, w = 2j * np.pi, 2 * np.pi * 12.0
     assert abs(found.own[2, 0] / (w**2 / (s**2 + 1.8 * w * s + w**2)) - 1.0) < 0.05
 
 
 def test_a_users_rig_follows_as_its_servos_do(tmp_path) -> None:
-    """Along z a gantry's ram is one servo on its mass: kp/(m s^2 + kv s + kp), with m the ram, wrist and payload."""
+    """Along z a gantry's ram is one servo on its mass: kp/(m s^2 + kv s + kp), with m the ram,
+    wrist and payload.
+    """
     path = tmp_path / "gantry.xml"
     path.write_text(GANTRY)
     facility, f = own(path), [5.0, 15.0, 25.0, 37.0]

@@ -19,11 +19,15 @@ SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
 
 def test_the_shipped_platform_yields_by_its_gains() -> None:
-    """F/(3 kp) along z, kp = m w^2 of a drive's share: the servo's own numbers; without feed-forward it is a second order."""
+    """F/(3 kp) along z, kp = m w^2 of a drive's share: the servo's own numbers; without
+    feed-forward it is a second order.
+    """
     s = load_scenario(SCENARIOS / "reference-bumper.yaml")
     facility = s.rig.platform.facility()
     kp = 214.0 * (2.0 * np.pi * 40.0) ** 2
-    assert abs(dynamic_stiffness(facility, [1.0], mechanism=s.mechanism)[2, 0]) == pytest.approx(3.0 * kp, rel=0.01)
+    assert abs(dynamic_stiffness(facility, [1.0], mechanism=s.mechanism)[2, 0]) == pytest.approx(
+        3.0 * kp, rel=0.01
+    )
     f = np.array([10.0, 40.0])
     measured = frequency_response(facility, f, axes=[2], mechanism=s.mechanism).own[2]
     w, p = 2.0 * np.pi * 40.0, 2j * np.pi * f
@@ -37,12 +41,17 @@ def test_the_folder_holds_figures_and_drawings(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(rig_report, "POINTS", 4)
     scenario = load_scenario(SCENARIOS / "21-own-rig.yaml")
     figures = measure_rig(scenario)
-    unused = replace(figures, scenario=load_scenario(SCENARIOS / "21-own-rig.yaml", {"rig.platform.tracking": "ideal"}))
+    unused = replace(
+        figures,
+        scenario=load_scenario(SCENARIOS / "21-own-rig.yaml", {"rig.platform.tracking": "ideal"}),
+    )
     told = ("these are the drives", "with tracking ideal a run does not use them")
     assert (told in figures.lines(), told in unused.lines()) == (False, True)
     folder = write_rig(figures, tmp_path / "rig")
     about = json.loads((folder / "rig.json").read_text())
-    assert {"workspace.png", "response.png", "stiffness.png", "report.html"} <= {p.name for p in folder.iterdir()}
+    assert {"workspace.png", "response.png", "stiffness.png", "report.html"} <= {
+        p.name for p in folder.iterdir()
+    }
     assert [w["axis"] for w in about["workspace"]] == ["x", "y", "z", "rx", "ry", "rz"]
     assert about["workspace"][0]["high"] == pytest.approx(0.4, abs=1e-3)  # the range of its joint
     first = about["modes"][0]["frequency"]

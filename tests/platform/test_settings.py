@@ -1,4 +1,6 @@
-"""What a scenario may say of a facility: units and sources at every number, and a table that knows the kinds."""
+"""What a scenario may say of a facility: units and sources at every number, and a table that knows
+the kinds.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +14,18 @@ from pydantic import BaseModel, ValidationError
 from hiltestbed.platform.facilities.settings import ResponseSettings
 from hiltestbed.platform.kinds import PLATFORMS, Platform
 
-KINDS = [kind for kind, cls in PLATFORMS.items() if cls.__module__.startswith("hiltestbed.platform.shipped.")]
+KINDS = [
+    kind
+    for kind, cls in PLATFORMS.items()
+    if cls.__module__.startswith("hiltestbed.platform.shipped.")
+]
 
 
 def bare(kind: str, **more: object) -> Platform:
     """A platform of which nothing is said but its kind."""
-    return PLATFORMS[kind].model_validate({"kind": kind, **({"model": "rig.xml"} if kind == "mjcf" else {}), **more})
+    return PLATFORMS[kind].model_validate(
+        {"kind": kind, **({"model": "rig.xml"} if kind == "mjcf" else {}), **more}
+    )
 
 
 def sections(model: type[BaseModel]) -> list[type[BaseModel]]:
@@ -35,11 +43,20 @@ def test_every_number_has_a_default_and_says_its_unit(kind: str) -> None:
     settings = bare(kind)
     for section in sections(type(settings)):
         for name, field in section.model_fields.items():
-            if name == "kind" or any(isinstance(part, type) and issubclass(part, BaseModel) for part in (field.annotation,)):
+            if name == "kind" or any(
+                isinstance(part, type) and issubclass(part, BaseModel)
+                for part in (field.annotation,)
+            ):
                 continue
             described = field.description or ""
-            worded = "Literal" in str(field.annotation) or field.annotation is str or "Drive" in str(field.annotation)
-            assert worded or "[" in described, f"{section.__name__}.{name} has no unit: {described!r}"
+            worded = (
+                "Literal" in str(field.annotation)
+                or field.annotation is str
+                or "Drive" in str(field.annotation)
+            )
+            assert worded or "[" in described, (
+                f"{section.__name__}.{name} has no unit: {described!r}"
+            )
 
 
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - {"mjcf"}))
@@ -62,6 +79,12 @@ def test_settings_are_read_without_the_physics() -> None:
     """A scenario is checked before MuJoCo or compiled code is loaded."""
     code = (
         "import sys; from hiltestbed.platform.kinds import PLATFORMS; "
-        "assert len(PLATFORMS) > 5; print([m for m in ('mujoco', 'numba', 'scipy') if m in sys.modules])"
+        "assert len(PLATFORMS) > 5; print([m for m in ('mujoco', 'numba', 'scipy') if m in "
+        "sys.modules])"
     )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        == "[]"
+    )

@@ -16,7 +16,8 @@ from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pos
 from hiltestbed.platform.facilities.tree import build_tree
 from tests.platform.halls import apart, arms, mujoco_pose
 
-# Every type of joint, off their bodies' origins, with references that are not zero and several in one body.
+# Every type of joint, off their bodies' origins, with references that are not zero and several in
+# one body.
 CHAIN = """
 <mujoco><compiler angle="radian"/><option gravity="1 -2 -9"/><worldbody>
  <body name="a" pos="0.1 0.2 0.3" quat="0.8 0.2 -0.4 0.4"><inertial pos="0.1 -0.2 0.05" mass="3" fullinertia="0.3 0.4 0.5 0.01 0.02 -0.03"/>
@@ -39,7 +40,14 @@ def random_state(m: mujoco.MjModel, seed: int) -> tuple[mujoco.MjData, Array]:
     return data, rng.normal(size=m.nv)
 
 
-@pytest.mark.parametrize("make", [lambda: mujoco.MjSpec.from_string(CHAIN), lambda: load("stewart/stewart"), lambda: arms().spec()])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: mujoco.MjSpec.from_string(CHAIN),
+        lambda: load("stewart/stewart"),
+        lambda: arms().spec(),
+    ],
+)
 def test_places_velocities_and_forces_are_mujocos_own(make) -> None:
     m = compiled(make())
     m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
@@ -83,7 +91,9 @@ LINKAGE = """
 
 @pytest.mark.parametrize("kind", ["connect", "weld"])
 def test_a_slider_crank_closes_as_its_formula_says(kind: str) -> None:
-    """Crank r = 0.3 m and rod 1 m: x = r sin a + sqrt(1 - (0.3 - r cos a)^2). A planar loop closed in space has redundant rows."""
+    """Crank r = 0.3 m and rod 1 m: x = r sin a + sqrt(1 - (0.3 - r cos a)^2). A planar loop closed
+    in space has redundant rows.
+    """
     m = compiled(mujoco.MjSpec.from_string(LINKAGE.format(kind=kind)))
     drive = Axis("crank", "rad", -3.0, 3.0, 1.0, 1.0, 1.0)
     kinematics = Kinematics(m, ["tool"], [drive])
@@ -91,14 +101,20 @@ def test_a_slider_crank_closes_as_its_formula_says(kind: str) -> None:
         q = kinematics.home.copy()
         q[0] = angle
         q = kinematics.closed(q)
-        assert q[2] == pytest.approx(0.3 * np.sin(angle) + np.sqrt(1.0 - (0.3 - 0.3 * np.cos(angle)) ** 2) - 1.0, abs=1e-9)
+        assert q[2] == pytest.approx(
+            0.3 * np.sin(angle) + np.sqrt(1.0 - (0.3 - 0.3 * np.cos(angle)) ** 2) - 1.0, abs=1e-9
+        )
         assert q[4] == pytest.approx(0.1 + 2.0 * angle, abs=1e-9)
 
 
 def test_a_loop_closed_by_a_tendon_is_refused_by_name() -> None:
     text = LINKAGE.format(kind="connect").replace(
-        '<joint joint1="gear" joint2="crank" polycoef="0.1 2 0 0 0"/>', '<tendon name="belt" tendon1="t"/>'
+        '<joint joint1="gear" joint2="crank" polycoef="0.1 2 0 0 0"/>',
+        '<tendon name="belt" tendon1="t"/>',
     )
-    text = text.replace("</mujoco>", '<tendon><fixed name="t"><joint joint="gear" coef="1"/></fixed></tendon></mujoco>')
+    text = text.replace(
+        "</mujoco>",
+        '<tendon><fixed name="t"><joint joint="gear" coef="1"/></fixed></tendon></mujoco>',
+    )
     with pytest.raises(InputError, match="'belt' closes a loop by tendon"):
         build_tree(mujoco.MjSpec.from_string(text).compile(), ["tool"])

@@ -30,7 +30,8 @@ def rig(tmp_path):
 def test_the_rig_is_turned_so_that_its_mount_looks_along_the_insertion(rig) -> None:
     facility = rig(GANTRY)
     m = compiled(facility.spec())
-    np.testing.assert_allclose(m.opt.gravity, [0.0, 0.0, 9.81], atol=1e-9)  # the gantry hangs over its work
+    # the gantry hangs over its work
+    np.testing.assert_allclose(m.opt.gravity, [0.0, 0.0, 9.81], atol=1e-9)
     assert [axis.joint for axis in facility.axes] == [f"rig/{name}" for name in "xyzcba"]
     assert facility.axes[2].low == -0.8
     assert facility.complaints(UPRIGHT) == []
@@ -54,29 +55,53 @@ def test_a_site_passive_is_where_the_passive_port_stands(rig) -> None:
 
 
 def test_joints_of_the_mechanisms_are_not_the_rigs(rig) -> None:
-    """A compliant mount on the passive side, and a loose part of the user's own beside the rig, leave the kinematics alone."""
-    loose = '<body name="lamp" pos="2 0 0"><joint axis="1 0 0"/><inertial pos="0 0 -1" mass="1" diaginertia="0.1 0.1 0.1"/></body>'
+    """A compliant mount on the passive side, and a loose part of the user's own beside the rig,
+    leave the kinematics alone.
+    """
+    loose = (
+        '<body name="lamp" pos="2 0 0"><joint axis="1 0 0"/><inertial pos="0 0 -1" '
+        'mass="1" diaginertia="0.1 0.1 0.1"/></body>'
+    )
     facility = rig(GANTRY.replace("</worldbody>", loose + "</worldbody>"))
     spec = facility.spec()
-    body = spec.body("passive_carrier").add_body(name="passive_mechanism", mass=50.0, inertia=[1.0, 1.0, 1.0])
+    body = spec.body("passive_carrier").add_body(
+        name="passive_mechanism", mass=50.0, inertia=[1.0, 1.0, 1.0]
+    )
     for k, axis in enumerate("xyz"):
-        body.add_joint(name=f"mount_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[k], stiffness=1e5)
+        body.add_joint(
+            name=f"mount_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[k], stiffness=1e5
+        )
     kinematics = facility.kinematics(compiled(spec))
     assert kinematics.complaints(kinematics.home_poses) == []
-    assert not set(kinematics.tree.unknown) & {int(compiled(spec).joint(f"mount_{axis}").dofadr[0]) for axis in "xyz"}
+    assert not set(kinematics.tree.unknown) & {
+        int(compiled(spec).joint(f"mount_{axis}").dofadr[0]) for axis in "xyz"
+    }
 
 
 def test_meshes_are_found_beside_the_file(rig, tmp_path) -> None:
     (tmp_path / "shapes").mkdir()
-    (tmp_path / "shapes" / "part.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
-    text = GANTRY.replace('autolimits="true"/>', 'autolimits="true" meshdir="shapes"/><asset><mesh name="part" file="part.obj"/></asset>')
-    facility = rig(text.replace('<site name="mount"', '<geom type="mesh" mesh="part"/><site name="mount"'))
+    (tmp_path / "shapes" / "part.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    )
+    text = GANTRY.replace(
+        'autolimits="true"/>',
+        'autolimits="true" meshdir="shapes"/><asset><mesh name="part" file="part.obj"/></asset>',
+    )
+    facility = rig(
+        text.replace('<site name="mount"', '<geom type="mesh" mesh="part"/><site name="mount"')
+    )
     assert facility.spec().compile().nmesh == 1
 
 
 def test_parallel_rigs_work_as_well(rig) -> None:
-    """The shipped 3-3 PSS platform with position servos in place of its motors, loops and all, tracks within a servo's lag."""
-    text = (models_folder() / "pss33" / "pss33.xml").read_text().replace("<motor ", '<position kp="1.3e7" kv="8e4" ')
+    """The shipped 3-3 PSS platform with position servos in place of its motors, loops and all,
+    tracks within a servo's lag.
+    """
+    text = (
+        (models_folder() / "pss33" / "pss33.xml")
+        .read_text()
+        .replace("<motor ", '<position kp="1.3e7" kv="8e4" ')
+    )
     facility = rig(text)
     stand = Stand(facility, feed=True)
     pose, twist = UPRIGHT[None].copy(), np.array([[0.05, 0.0, 0.0, 0.0, 0.0, 0.1]])
@@ -94,8 +119,14 @@ def test_parallel_rigs_work_as_well(rig) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (GANTRY.replace('name="mount"', 'name="flange"'), r"has no site 'mount'.*sites: flange.*add one"),
-        (GANTRY.replace(B_DRIVE, "").replace(B_JOINT, ""), r"5 position actuators do not move 'mount' in six axes: no motion about y"),
+        (
+            GANTRY.replace('name="mount"', 'name="flange"'),
+            r"has no site 'mount'.*sites: flange.*add one",
+        ),
+        (
+            GANTRY.replace(B_DRIVE, "").replace(B_JOINT, ""),
+            r"5 position actuators do not move 'mount' in six axes: no motion about y",
+        ),
         (GANTRY.replace(B_DRIVE, ""), r"'rig/b' is neither driven nor constrained"),
         (GANTRY.replace(B_DRIVE, '<motor joint="b"/>'), r"not position servos do not count"),
         (GANTRY.replace("</worldbody>", ""), r"is not a model that MuJoCo compiles"),
@@ -115,17 +146,25 @@ def test_a_start_out_of_the_workspace_names_the_joint(rig) -> None:
     stand = Stand(rig(GANTRY))
     pose = UPRIGHT[None].copy()
     pose[0, 2] = -0.9
-    with pytest.raises(InputError, match=r"the start cannot be: joint rig/z would be at .*-0.8 to 0.8 m"):
+    with pytest.raises(
+        InputError, match=r"the start cannot be: joint rig/z would be at .*-0.8 to 0.8 m"
+    ):
         stand.reset(pose, np.zeros((1, 6)))
 
 
 def test_a_start_in_a_singularity_names_the_lost_motion(rig) -> None:
-    """With the wrist's middle axis at a right angle its first and last axes fall together: no turn about the third direction."""
-    text = GANTRY.replace('name="b" axis="0 1 0" range="-1 1"', 'name="b" axis="0 1 0" range="-2 2"')
+    """With the wrist's middle axis at a right angle its first and last axes fall together: no turn
+    about the third direction.
+    """
+    text = GANTRY.replace(
+        'name="b" axis="0 1 0" range="-1 1"', 'name="b" axis="0 1 0" range="-2 2"'
+    )
     facility = rig(text)
     turned = np.array([0.0, 0.0, 0.0, 0.0, np.sin(np.pi / 4), 0.0, np.cos(np.pi / 4)])
     pose = turned[None].copy()
-    with pytest.raises(InputError, match=r"the start cannot be: .*singular: no motion about [xz] at "):
+    with pytest.raises(
+        InputError, match=r"the start cannot be: .*singular: no motion about [xz] at "
+    ):
         Stand(facility).reset(pose, np.zeros((1, 6)))
 
 

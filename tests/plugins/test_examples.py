@@ -1,4 +1,6 @@
-"""The worked plugins under examples/plugins: found by --plugin and by an entry point, run, in the benchmark, and named by a diagnosis."""
+"""The worked plugins under examples/plugins: found by --plugin and by an entry point, run, in the
+benchmark, and named by a diagnosis.
+"""
 
 from __future__ import annotations
 
@@ -29,9 +31,17 @@ IDEAL = {"rig.platform.tracking": "ideal"}
 pytestmark = pytest.mark.usefixtures("tables_as_shipped")
 
 
-def command(*arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+def command(
+    *arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
     """The command line in a process of its own, as a user runs it."""
-    return subprocess.run([sys.executable, "-m", "hiltestbed.cli", *arguments], capture_output=True, text=True, cwd=cwd, env=env)
+    return subprocess.run(
+        [sys.executable, "-m", "hiltestbed.cli", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env=env,
+    )
 
 
 def shipped(name: str, **changes: Any) -> hiltestbed.Scenario:
@@ -45,12 +55,17 @@ def test_an_effect_acts_as_its_equation_says() -> None:
     assert (p.stiffness, p.damping) == (0.75e5, 400.0)
     worn = shipped("02-bumper", effects=[{"kind": "contact.worn_pad", "wear": 0.25}])
     k, c = worn.mechanism.contact.stiffness, worn.mechanism.contact.damping
-    other = shipped("02-bumper", **{"mechanism.contact.stiffness": 0.75 * k, "mechanism.contact.damping": 2.0 * c})
+    other = shipped(
+        "02-bumper",
+        **{"mechanism.contact.stiffness": 0.75 * k, "mechanism.contact.damping": 2.0 * c},
+    )
     assert hiltestbed.run(worn).summary["cor"] == hiltestbed.run(other).summary["cor"]
 
 
 def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
-    """One number moves stiffness and damping together: the worn pad explains with one what two built-in effects need two for."""
+    """One number moves stiffness and damping together: the worn pad explains with one what two
+    built-in effects need two for.
+    """
     plugins.load([str(EXAMPLES / "worn_pad.py")])
     found = hiltestbed.diagnose(recorded(tmp_path, [{"kind": "contact.worn_pad", "wear": 0.2}]))
     assert found.finding.verdict == "named"
@@ -60,11 +75,21 @@ def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
 
 
 def test_a_compensation_takes_the_delay_out(tmp_path: Path) -> None:
-    """Extrapolated to second order, |ln(e/e_ref)| falls from (pi/2) w tau = 0.124 to a few per cent of it."""
+    """Extrapolated to second order, |ln(e/e_ref)| falls from (pi/2) w tau = 0.124 to a few per cent
+    of it.
+    """
     done = command(
-        "run", "03-bumper-delay-uncompensated", "--json", "--no-rerun", "--out", str(tmp_path / "r"),
-        "--plugin", str(EXAMPLES / "slope_lead.py"), "--set", "compensation.force={kind: slope_lead}",
-    )  # fmt: skip
+        "run",
+        "03-bumper-delay-uncompensated",
+        "--json",
+        "--no-rerun",
+        "--out",
+        str(tmp_path / "r"),
+        "--plugin",
+        str(EXAMPLES / "slope_lead.py"),
+        "--set",
+        "compensation.force={kind: slope_lead}",
+    )
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert abs(summary["cor_log_error"]) < 0.01
@@ -94,7 +119,10 @@ def test_a_method_of_the_users_that_raises_is_left_out_and_a_built_in_one_is_not
         raise HiltestbedError("mine.py:59: ValueError: too steep")
 
     failed: dict[str, str] = {}
-    mine, theirs = (Contender(name, "first", lambda c: {}, own=own) for name, own in (("mine", True), (BEST, False)))
+    mine, theirs = (
+        Contender(name, "first", lambda c: {}, own=own)
+        for name, own in (("mine", True), (BEST, False))
+    )
     assert _unless_failed(mine, failed, lambda: [1]) == [1]
     assert _unless_failed(mine, failed, breaks) is None
     assert failed == {"mine": "mine.py:59: ValueError: too steep"}
@@ -106,47 +134,83 @@ def test_a_method_of_the_users_that_raises_is_left_out_and_a_built_in_one_is_not
 def test_one_batch_and_many_give_the_same_bytes() -> None:
     plugins.load([str(EXAMPLES / "slope_lead.py")])
     scenarios = [
-        shipped("03-bumper-delay-uncompensated", **{"sensor.delay": d, "compensation.force": {"kind": "slope_lead", "ticks": n}})
+        shipped(
+            "03-bumper-delay-uncompensated",
+            **{"sensor.delay": d, "compensation.force": {"kind": "slope_lead", "ticks": n}},
+        )
         for d, n in ((0.002, 3), (0.005, 6))
     ]
     together = hiltestbed.run_batch(scenarios, trace=True)
     for scenario, run in zip(scenarios, together, strict=True):
-        np.testing.assert_array_equal(hiltestbed.run(scenario).trace["pose_act"], run.trace["pose_act"])  # type: ignore[index]
+        np.testing.assert_array_equal(
+            hiltestbed.run(scenario).trace["pose_act"], run.trace["pose_act"]
+        )  # type: ignore[index]
 
 
 def test_a_mechanism_touches_with_all_of_its_pads() -> None:
-    """Three springs side by side: head-on it is a bumper of three times the stiffness and damping of a pad."""
+    """Three springs side by side: head-on it is a bumper of three times the stiffness and damping
+    of a pad.
+    """
     plugins.load([str(EXAMPLES / "three_pads.py")])
     slower = {"rate": 2000, "physics_rate": 4000}
     bumper = shipped("02-bumper", **slower)
     contact = bumper.mechanism.contact
     pad = {"stiffness": contact.stiffness / 3.0, "damping": contact.damping / 3.0}
-    pads = hiltestbed.run(shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **slower))
+    pads = hiltestbed.run(
+        shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **slower)
+    )
     plain = hiltestbed.run(bumper)
     assert pads.summary["cor"] == pytest.approx(plain.summary["cor"], rel=1e-4)
     assert pads.summary["peak_force"] == pytest.approx(plain.summary["peak_force"], rel=1e-4)
     tilted = hiltestbed.run(
-        shipped("02-bumper", mechanism={"kind": "three_pads", "contact": pad}, **slower, **{"approach.attitude_deg": [1.0, 0, 0]})
+        shipped(
+            "02-bumper",
+            mechanism={"kind": "three_pads", "contact": pad},
+            **slower,
+            **{"approach.attitude_deg": [1.0, 0, 0]},
+        )
     )
     assert tilted.trace is not None
     assert np.abs(tilted.trace["wrench_true.tx"]).max() > 1.0  # one pad is met first, off the axis
 
 
 def test_a_platform_follows_as_late_as_it_says(tmp_path: Path) -> None:
-    """A gantry under position control without feed-forward of the acceleration lags; the delay ledger predicts what that does to e."""
+    """A gantry under position control without feed-forward of the acceleration lags; the delay
+    ledger predicts what that does to e.
+    """
     plugins.load([str(EXAMPLES / "gantry.py")])
-    summary = hiltestbed.run(shipped("02-bumper", **{"rig.platform": {"kind": "gantry"}, "rate": 2000, "physics_rate": 4000})).summary
+    summary = hiltestbed.run(
+        shipped(
+            "02-bumper", **{"rig.platform": {"kind": "gantry"}, "rate": 2000, "physics_rate": 4000}
+        )
+    ).summary
     assert summary["cor_log_error"] == pytest.approx(summary["cor_log_error_predicted"], abs=0.01)
-    assert next(e["delay"] for e in summary["delay_ledger"] if e["source"] == "platform.servo") > 0.0
+    assert (
+        next(e["delay"] for e in summary["delay_ledger"] if e["source"] == "platform.servo") > 0.0
+    )
 
 
 def test_a_campaign_runs_them_in_worker_processes(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(
         "scenario: s.yaml\nset: {duration: 0.3}\ndesign: {kind: grid}\n"
-        "vary: {compensation.force: {values: [{kind: none}, {kind: slope_lead}]}, sensor.delay: {values: [0.002, 0.004]}}\n"
+        "vary: {compensation.force: {values: [{kind: none}, {kind: slope_lead}]}, sensor.delay: "
+        "{values: [0.002, 0.004]}}\n"
     )
-    (tmp_path / "s.yaml").write_text((hiltestbed.shipped("scenarios") / "02-bumper.yaml").read_text())
-    done = command("sweep", "c.yaml", "--workers", "2", "--chunk", "1", "--json", "--plugin", str(EXAMPLES / "slope_lead.py"), cwd=tmp_path)
+    (tmp_path / "s.yaml").write_text(
+        (hiltestbed.shipped("scenarios") / "02-bumper.yaml").read_text()
+    )
+    done = command(
+        "sweep",
+        "c.yaml",
+        "--workers",
+        "2",
+        "--chunk",
+        "1",
+        "--json",
+        "--plugin",
+        str(EXAMPLES / "slope_lead.py"),
+        cwd=tmp_path,
+    )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["counts"] == {"completed": 4}
 
@@ -160,33 +224,47 @@ def test_an_installed_package_needs_no_option(tmp_path: Path) -> None:
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my-rig\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text(f"[{plugins.GROUP}]\nmine = my_worn_pad\n")
     (tmp_path / "my_worn_pad.py").write_text((EXAMPLES / "worn_pad.py").read_text())
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(hiltestbed.__file__).parents[1])])}
+    env = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(hiltestbed.__file__).parents[1])])
+    }
     done = command("schema", env=env)
     assert done.returncode == 0, done.stderr
     assert '"contact.worn_pad"' in done.stdout
     assert '"contact.worn_pad"' not in command("schema").stdout
 
 
-BASE = "from hiltestbed.effects import Effect, quantity\nfrom hiltestbed.plugins import register\nfrom typing import Literal\n"
+BASE = (
+    "from hiltestbed.effects import Effect, quantity\nfrom hiltestbed.plugins import "
+    "register\nfrom typing import Literal\n"
+)
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (BASE + "@register\nclass Half(Effect):\n    '''Half.'''\n    kind: Literal['x.half'] = 'x.half'\n", "lacks link"),
+        (
+            BASE + "@register\nclass Half(Effect):\n    '''Half.'''\n    kind: Literal['x.half'] = "
+            "'x.half'\n",
+            "lacks link",
+        ),
         (BASE + "@register\nclass Nameless(Effect):\n    '''No kind.'''\n", "lacks `kind`"),
         (BASE + "@register\nclass Stranger:\n    kind = 'x'\n", "derives from nothing"),
         ("def broken(:\n", "SyntaxError"),
         ("import a_package_that_is_not_there\n", "a_package_that_is_not_there"),
         ("1 / 0\n", "ZeroDivisionError"),
-        ((EXAMPLES / "worn_pad.py").read_text().replace("contact.worn_pad", "contact.stiffness"), "exists already"),
+        (
+            (EXAMPLES / "worn_pad.py").read_text().replace("contact.worn_pad", "contact.stiffness"),
+            "exists already",
+        ),
         (
             (EXAMPLES / "slope_lead.py").read_text().replace('{"wrench"}', '{"wrench", "force"}'),
             "'captured', 'identified', 'model', 'pose'",
         ),
     ],
 )
-def test_a_bad_plugin_is_bad_input(text: str, words: str, tmp_path: Path, call: Callable[..., tuple[int, str, str]]) -> None:
+def test_a_bad_plugin_is_bad_input(
+    text: str, words: str, tmp_path: Path, call: Callable[..., tuple[int, str, str]]
+) -> None:
     (tmp_path / "mine.py").write_text(text)
     status, _, told = call("check", "02-bumper", "--plugin", str(tmp_path / "mine.py"))
     assert status == 2
@@ -194,7 +272,9 @@ def test_a_bad_plugin_is_bad_input(text: str, words: str, tmp_path: Path, call: 
 
 
 @pytest.mark.parametrize("name", ["no_such_module", "no/such/file.py"])
-def test_an_unknown_plugin_is_bad_input(name: str, call: Callable[..., tuple[int, str, str]]) -> None:
+def test_an_unknown_plugin_is_bad_input(
+    name: str, call: Callable[..., tuple[int, str, str]]
+) -> None:
     status, _, told = call("run", "02-bumper", f"--plugin={name}")
     assert status == 2
     assert name.rpartition("/")[2] in told
@@ -202,13 +282,18 @@ def test_an_unknown_plugin_is_bad_input(name: str, call: Callable[..., tuple[int
 
 def test_a_scenario_that_needs_a_plugin_says_what_is_there() -> None:
     with pytest.raises(InputError, match="unknown kind"):
-        scenario_from(shipped("02-bumper").model_dump(mode="json") | {"effects": [{"kind": "contact.worn_pad", "wear": 0.1}]})
+        scenario_from(
+            shipped("02-bumper").model_dump(mode="json")
+            | {"effects": [{"kind": "contact.worn_pad", "wear": 0.1}]}
+        )
     assert "slope_lead" not in FORCE_METHODS
     assert "three_pads" not in MECHANISMS
 
 
 def test_the_benchmark_enters_a_method_of_the_users_in_every_column() -> None:
-    """Also where it is quick: delay off and servo, and the random rigs; a built-in one that leads in nothing is left out there."""
+    """Also where it is quick: delay off and servo, and the random rigs; a built-in one that leads
+    in nothing is left out there.
+    """
     from hiltestbed.bench.contenders import contenders
     from hiltestbed.bench.cor import _takes_part
 
@@ -222,9 +307,18 @@ def test_the_benchmark_enters_a_method_of_the_users_in_every_column() -> None:
 def test_a_run_that_a_plugin_made_says_which_one_it_needs(tmp_path: Path) -> None:
     plugin, folder = EXAMPLES / "slope_lead.py", tmp_path / "run"
     made = command(
-        "run", "03-bumper-delay-uncompensated", "--plugin", str(plugin), "--set", "compensation.force={kind: slope_lead}",
-        "--set", "duration=0.3", "--no-rerun", "--out", str(folder),
-    )  # fmt: skip
+        "run",
+        "03-bumper-delay-uncompensated",
+        "--plugin",
+        str(plugin),
+        "--set",
+        "compensation.force={kind: slope_lead}",
+        "--set",
+        "duration=0.3",
+        "--no-rerun",
+        "--out",
+        str(folder),
+    )
     assert made.returncode == 0, made.stderr
     refused = command("compare", str(folder), str(folder))
     assert refused.returncode == 2

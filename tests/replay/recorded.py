@@ -1,4 +1,6 @@
-"""Runs of the loop whose own records are replayed: without noise, so that nothing but the models is between record and replay."""
+"""Runs of the loop whose own records are replayed: without noise, so that nothing but the models is
+between record and replay.
+"""
 
 from __future__ import annotations
 
@@ -26,16 +28,23 @@ from hiltestbed.simulation import simulate
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 QUIET = {"sensor.noise": 0.0, "sensor.torque_noise": 0.0}
 
-# A hit beside the axis at once, tilted, sliding and turning: everything that the contact can do is in a third of a second.
+# A hit beside the axis at once, tilted, sliding and turning: everything that the contact can do is
+# in a third of a second.
 HIT = {"approach.gap": 0.001, "duration": 0.35, "compensation.force": {"kind": "phase_lead"}}
 # Probe and cone from just before the touch: down the cone, into the socket, latched at 0.5 s.
 DOCKING = {
-    "approach.gap": 0.055, "approach.offset": [0.05, -0.02], "approach.velocity": [0.0, 0.0, 0.1], "duration": 1.6,
+    "approach.gap": 0.055,
+    "approach.offset": [0.05, -0.02],
+    "approach.velocity": [0.0, 0.0, 0.1],
+    "duration": 1.6,
     "mechanism.latch": {"depth": 0.006, "angle_deg": 5.0, "speed": 0.2},
-}  # fmt: skip
+}
 # Held from the start, at a rate at which no drive has to follow anything.
 HELD = {"duration": 0.4, "compensation.force": {"kind": "phase_lead"}}
-MOUNT = {"stiffness": [2e5, 2e5, 3e5, 2e4, 2e4, 1e4], "damping": [1500.0, 1500.0, 2000.0, 12.0, 12.0, 8.0]}
+MOUNT = {
+    "stiffness": [2e5, 2e5, 3e5, 2e4, 2e4, 1e4],
+    "damping": [1500.0, 1500.0, 2000.0, 12.0, 12.0, 8.0],
+}
 
 RIGS: dict[str, tuple[str, dict[str, Any]]] = {
     "bumper": ("02-bumper", {"approach.gap": 0.001, "duration": 0.25}),
@@ -44,15 +53,28 @@ RIGS: dict[str, tuple[str, dict[str, Any]]] = {
     "probe and cone": ("09-docking", DOCKING | {"mechanism.latch": None}),
     "probe and cone with latch": ("09-docking", DOCKING),
     "probe and cone with latch on a mount": ("09-docking", DOCKING | {"mechanism.mount": MOUNT}),
-    "latched": ("13-ring-down", HELD | {"mechanism.mount": None, "mechanism.contact.stiffness": 2e5, "mechanism.contact.damping": 2e3}),
+    "latched": (
+        "13-ring-down",
+        HELD
+        | {
+            "mechanism.mount": None,
+            "mechanism.contact.stiffness": 2e5,
+            "mechanism.contact.damping": 2e3,
+        },
+    ),
     "latched on a mount": ("13-ring-down", HELD),
 }
 
 
-def scenario(rig: str, tracking: str = "ideal", changes: Mapping[str, Any] | None = None) -> Scenario:
+def scenario(
+    rig: str, tracking: str = "ideal", changes: Mapping[str, Any] | None = None
+) -> Scenario:
     """The scenario of one of the :data:`RIGS`, without noise."""
     name, own = RIGS[rig]
-    return load_scenario(SCENARIOS / f"{name}.yaml", set=QUIET | own | {"rig.platform.tracking": tracking} | dict(changes or {}))
+    return load_scenario(
+        SCENARIOS / f"{name}.yaml",
+        set=QUIET | own | {"rig.platform.tracking": tracking} | dict(changes or {}),
+    )
 
 
 @dataclass
@@ -89,19 +111,26 @@ def record(scenarios: Sequence[Scenario]) -> Recorded:
 
 
 def felt(recorded: Recorded) -> Felt:
-    """What the lanes of :func:`readings` share; under a servo the twist that the rig had is on record, too."""
+    """What the lanes of :func:`readings` share; under a servo the twist that the rig had is on
+    record, too.
+    """
     first = recorded.scenarios[0]
     before = np.empty((len(recorded.scenarios), 7))
     for i in range(len(before)):
         pose_step(recorded["pose_act"][i, 0], recorded["twist_act"][i, 0], -first.tick, before[i])
     driven = first.rig.platform.tracking == "servo"
     return Felt(
-        recorded["pose_act"], before, first.tick, sides_of(first.mechanism).geometry,
-        np.array([s.mechanism.captured for s in recorded.scenarios]), latch_limits(recorded.scenarios),
-        MountDynamics.of(recorded.scenarios), first.substeps,
+        recorded["pose_act"],
+        before,
+        first.tick,
+        sides_of(first.mechanism).geometry,
+        np.array([s.mechanism.captured for s in recorded.scenarios]),
+        latch_limits(recorded.scenarios),
+        MountDynamics.of(recorded.scenarios),
+        first.substeps,
         least_creep=creep_of(first),
         rates=recorded["twist_act"] if driven else None,
-    )  # fmt: skip
+    )
 
 
 def lane(s: Scenario, run: int, effects: Sequence[Effect] | None = None) -> Lane:
@@ -109,7 +138,12 @@ def lane(s: Scenario, run: int, effects: Sequence[Effect] | None = None) -> Lane
     effects = s.effects if effects is None else effects
     contacts = [c.with_effects(effects) for c in believed_contacts(s.mechanism)]
     contact = contact_rows(contacts, sides_of(s.mechanism).rules, s.mechanism.captured)
-    return Lane(run, contact, SensorParameters.believed(s.sensor, s.tick).with_effects(effects), log_parameters(effects))
+    return Lane(
+        run,
+        contact,
+        SensorParameters.believed(s.sensor, s.tick).with_effects(effects),
+        log_parameters(effects),
+    )
 
 
 def readings(recorded: Recorded) -> Array:

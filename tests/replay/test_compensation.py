@@ -1,4 +1,6 @@
-"""Every compensation on recorded readings and poses gives the wrench that drove the numerical model."""
+"""Every compensation on recorded readings and poses gives the wrench that drove the numerical
+model.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from hiltestbed.scenario import Scenario
 from tests.effects.examples import example
 from tests.replay.recorded import record, scenario
 
-ROUND_OFF = 1e-12  # of the peak. The resynchronised one looks at poses, whose last bit decides its own
+# of the peak. The resynchronised one looks at poses, whose last bit decides its own
+ROUND_OFF = 1e-12
 K, C = 1e5, 300.0
 NOISE = {"sensor.noise": 0.3, "sensor.torque_noise": 0.02}
 SETTINGS: dict[str, dict[str, Any]] = {  # what a method must be given
@@ -26,38 +29,56 @@ SETTINGS: dict[str, dict[str, Any]] = {  # what a method must be given
     "virtual_contact": {"damping": 500.0},
     "admittance": {"limit": 100.0},
 }
-VARIANTS = [{"kind": "resynchronised", "delay": "estimate"}, {"kind": "resynchronised", "contact": {"stiffness": K, "damping": C}}]
+VARIANTS = [
+    {"kind": "resynchronised", "delay": "estimate"},
+    {"kind": "resynchronised", "contact": {"stiffness": K, "damping": C}},
+]
 FORCE = [{"kind": kind} | SETTINGS.get(kind, {}) for kind in FORCE_METHODS] + VARIANTS
 MOTION = [{"kind": kind} | SETTINGS.get(kind, {}) for kind in MOTION_METHODS]
 
 
 def error(s: Scenario) -> float:
-    """Of the replayed wrench, over its peak, from no more of the record than the method says that it needs."""
+    """Of the replayed wrench, over its peak, from no more of the record than the method says that
+    it needs.
+    """
     recorded = record([s])
     needed = needs(s) - {"wrench_meas"}
-    records = {group: recorded[group] for name in needed for group in (name, name.replace("pose", "twist"))}
-    found = replay_compensation([s], [InputParameters.of(s.effects)], records, recorded["wrench_meas"], recorded.lanes)
+    records = {
+        group: recorded[group] for name in needed for group in (name, name.replace("pose", "twist"))
+    }
+    found = replay_compensation(
+        [s], [InputParameters.of(s.effects)], records, recorded["wrench_meas"], recorded.lanes
+    )
     peak = np.abs(recorded["wrench_comp"]).max()
     assert peak > 30.0
     return float(np.abs(found - recorded["wrench_comp"]).max() / peak)
 
 
-@pytest.mark.parametrize("rig", ["bumper with friction", "probe and cone with latch", "latched on a mount"])
-@pytest.mark.parametrize("force", FORCE, ids=lambda f: "-".join([f["kind"], *(k for k in f if k != "kind")]))
+@pytest.mark.parametrize(
+    "rig", ["bumper with friction", "probe and cone with latch", "latched on a mount"]
+)
+@pytest.mark.parametrize(
+    "force", FORCE, ids=lambda f: "-".join([f["kind"], *(k for k in f if k != "kind")])
+)
 def test_a_method_gives_what_it_gave_in_the_loop(force: dict[str, Any], rig: str) -> None:
     assert error(scenario(rig, "ideal", NOISE | {"compensation.force": force})) < ROUND_OFF
 
 
 @pytest.mark.parametrize("force", ["phase_lead", "resynchronised", "reconstruction"])
 @pytest.mark.parametrize("motion", MOTION, ids=lambda m: m["kind"])
-def test_so_it_does_beside_every_way_to_tell_the_platform_where_to_go(motion: dict[str, Any], force: str) -> None:
+def test_so_it_does_beside_every_way_to_tell_the_platform_where_to_go(
+    motion: dict[str, Any], force: str
+) -> None:
     changes = {"compensation.force": {"kind": force}, "compensation.motion": motion}
     assert error(scenario("bumper with friction", "servo", NOISE | changes)) < ROUND_OFF
 
 
 @pytest.mark.parametrize("identification", [kind for kind in IDENTIFIERS if kind != "none"])
 def test_so_it_does_with_every_estimator(identification: str) -> None:
-    changes = {"compensation.force": {"kind": "reconstruction"}, "identification": {"kind": identification}}
+    changes = {
+        "compensation.force": {"kind": "reconstruction"},
+        "identification": {"kind": identification},
+    }
     assert error(scenario("bumper", "servo", NOISE | changes)) < ROUND_OFF
 
 

@@ -26,7 +26,9 @@ BESIDE_STICTION = {
     "speed limit and lag": ("platform.speed_limit", "platform.lag"),
     "lag and mode": ("platform.lag", "platform.mode"),
 }
-ROUND_OFF = 1e-14  # [m]: a response is advanced exactly, in the loop at each instant of the physics, in the replay once a tick
+# [m]: a response is advanced exactly, in the loop at each instant of the physics, in the replay
+# once a tick
+ROUND_OFF = 1e-14
 PLATFORM = [kind for kind, cls in EFFECTS.items() if cls.link == "platform"]
 
 
@@ -37,7 +39,9 @@ def test_every_effect_of_the_platform_acts_in_the_replay_as_in_the_loop(rig: str
     parameters = [PlatformParameters.believed(s).with_effects(s.effects) for s in scenarios]
     reached = replay_platform(scenarios, parameters, recorded["pose_cmd"], recorded.lanes)
     assert np.abs(reached - recorded["pose_act"][..., :3]).max() < ROUND_OFF
-    lagging = np.abs(recorded["pose_act"][:, 1:, :3] - recorded["pose_cmd"][:, :-1, :3]).max(axis=(1, 2))
+    lagging = np.abs(recorded["pose_act"][:, 1:, :3] - recorded["pose_cmd"][:, :-1, :3]).max(
+        axis=(1, 2)
+    )
     assert (lagging > 1e-6).sum() >= len(PLATFORM) - 1, "a limit of the speed need not show"
 
 
@@ -45,21 +49,31 @@ def test_without_an_effect_the_pose_is_the_command_a_tick_later() -> None:
     recorded = record([scenario("bumper with friction")])
     s = recorded.scenarios[0]
     assert follows_exactly(s)
-    reached = replay_platform([s], [PlatformParameters.believed(s)], recorded["pose_cmd"], recorded.lanes)
+    reached = replay_platform(
+        [s], [PlatformParameters.believed(s)], recorded["pose_cmd"], recorded.lanes
+    )
     assert np.abs(reached[0, 1:] - recorded["pose_cmd"][0, :-1, :3]).max() < 1e-16
     assert np.abs(reached[0] - recorded["pose_act"][0, :, :3]).max() < 1e-16
 
 
 @pytest.mark.parametrize("beside", BESIDE_STICTION)
 @pytest.mark.parametrize("ticks_late", [0.0, 2.0, 0.03, 1.37, 0.98])
-def test_a_platform_with_stiction_stands_still_exactly_as_long_as_in_the_loop(beside: str, ticks_late: float) -> None:
-    """The loop looks at every instant whether the platform moves; the replay only in ticks in which it may. Commands, sizes and instants
-    are drawn at random, over three orders of magnitude of travel within a tick per width of the stiction."""
+def test_a_platform_with_stiction_stands_still_exactly_as_long_as_in_the_loop(
+    beside: str, ticks_late: float
+) -> None:
+    """The loop looks at every instant whether the platform moves; the replay only in ticks in which
+    it may. Commands, sizes and instants are drawn at random, over three orders of magnitude of
+    travel within a tick per width of the stiction.
+    """
     rng = np.random.default_rng([list(BESIDE_STICTION).index(beside), round(100 * ticks_late)])
     s, held, moved = scenario("bumper with friction"), 0, 0
     for _ in range(6):
         p, ticks = PlatformParameters(s.tick), 400
-        p.delay, p.stick, p.instants = ticks_late * s.tick, 10.0 ** rng.uniform(-5.0, -3.0), int(rng.integers(1, 40))
+        p.delay, p.stick, p.instants = (
+            ticks_late * s.tick,
+            10.0 ** rng.uniform(-5.0, -3.0),
+            int(rng.integers(1, 40)),
+        )
         for kind in BESIDE_STICTION[beside]:
             if kind == "platform.lag":
                 p.lag = [(2.0 * np.pi * 10.0 ** rng.uniform(0.0, 2.0), rng.uniform(0.3, 2.0))]
@@ -70,13 +84,18 @@ def test_a_platform_with_stiction_stands_still_exactly_as_long_as_in_the_loop(be
             else:
                 p.speed = 10.0 ** rng.uniform(-2.5, 0.0)
         pose = np.zeros((1, ticks, 7))
-        sizes, w = 10.0 ** rng.uniform(-4.5, -2.5, (3, 4)), 2.0 * np.pi * 10.0 ** rng.uniform(-0.5, 1.7, (3, 4))
+        sizes, w = (
+            10.0 ** rng.uniform(-4.5, -2.5, (3, 4)),
+            2.0 * np.pi * 10.0 ** rng.uniform(-0.5, 1.7, (3, 4)),
+        )
         t = (1 + np.arange(ticks)) * s.tick
         start = np.array([*s.approach.offset, -s.approach.gap])
         pose[0, :, :3] = start + (sizes[..., None] * (1.0 - np.cos(w[..., None] * t))).sum(axis=1).T
         response = PlatformResponse([s], [p], p.instants)
         response.begin(0, start, np.zeros(3))
-        still = s.model_copy(update={"approach": s.approach.model_copy(update={"velocity": (0.0, 0.0, 0.0)})})
+        still = s.model_copy(
+            update={"approach": s.approach.model_copy(update={"velocity": (0.0, 0.0, 0.0)})}
+        )
         path = np.array([response.advance(k, pose[:, k])[0, -1].copy() for k in range(ticks - 1)])
         reached = replay_platform([still], [p], pose, np.zeros(1, int))[0]
         assert np.abs(reached[1:] - path).max() < 1e-13
@@ -88,16 +107,36 @@ def test_a_platform_with_stiction_stands_still_exactly_as_long_as_in_the_loop(be
 
 @pytest.mark.parametrize("late", [0.0, 0.62, 2.0])
 def test_each_path_of_a_stick_is_that_of_every_stick_up_to_the_next(late: float) -> None:
-    """All paths in a range cover it without a gap, and chi-square of each is that of the replay for any stick in between; also where the
-    instants at which the platform may move are no even parts of the tick, and the command is obeyed between two ticks."""
+    """All paths in a range cover it without a gap, and chi-square of each is that of the replay for
+    any stick in between; also where the instants at which the platform may move are no even parts
+    of the tick, and the command is obeyed between two ticks.
+    """
     s, pose = approaching(120)
     rng, low, high = np.random.default_rng(5), 2e-5, 2e-4
     p = PlatformParameters(s.tick, instants=9, phase=0.4)
     commands = pose[:, :, :3].copy()
-    goal, moves = commands + 1e-5 * rng.standard_normal(commands.shape), np.array([[False, False, True]])
-    start, velocity = np.array([[*s.approach.offset, -s.approach.gap]]), np.array([s.approach.velocity])
+    goal, moves = (
+        commands + 1e-5 * rng.standard_normal(commands.shape),
+        np.array([[False, False, True]]),
+    )
+    start, velocity = (
+        np.array([[*s.approach.offset, -s.approach.gap]]),
+        np.array([s.approach.velocity]),
+    )
     out, rows = np.empty((5000, 3)), np.array([commands.shape[1]])
-    fixed = (commands, goal, np.full_like(goal, 2e-5), rows, start, velocity, moves, s.tick, late, 9, 0.4)
+    fixed = (
+        commands,
+        goal,
+        np.full_like(goal, 2e-5),
+        rows,
+        start,
+        velocity,
+        moves,
+        s.tick,
+        late,
+        9,
+        0.4,
+    )
     found = out[: all_paths(*fixed, low, high, np.inf, np.inf, np.inf, 1e-5, np.inf, out)[0]]
     assert len(found) > 100
     assert found[0, 0] == low
@@ -105,33 +144,51 @@ def test_each_path_of_a_stick_is_that_of_every_stick_up_to_the_next(late: float)
     assert np.array_equal(found[1:, 0], found[:-1, 1])
     for stick in rng.uniform(low, high, 40):
         p.stick = stick
-        z = (goal[0, :, 2] - replay_platform([s], [p], pose, np.zeros(1, int), np.array([late * s.tick]))[0, :, 2]) / 2e-5
+        z = (
+            goal[0, :, 2]
+            - replay_platform([s], [p], pose, np.zeros(1, int), np.array([late * s.tick]))[0, :, 2]
+        ) / 2e-5
         held = found[np.searchsorted(found[:, 0], stick, side="right") - 1]
         assert float(z @ z) == pytest.approx(held[2], rel=1e-9)
 
 
 def test_of_two_responses_in_a_row_the_second_sees_the_first_bend_within_a_tick() -> None:
-    """It takes the path between two instants for straight. A lag of 30 Hz that starts at its command brakes by 1.4 w v = 10 m/s^2 at
-    0.04 m/s: a h^2/8 = 3e-7 m."""
-    several = [example(k) for k in ("platform.delay", "platform.lag", "platform.mode", "platform.scale")]
+    """It takes the path between two instants for straight. A lag of 30 Hz that starts at its
+    command brakes by 1.4 w v = 10 m/s^2 at
+    0.04 m/s: a h^2/8 = 3e-7 m.
+    """
+    several = [
+        example(k) for k in ("platform.delay", "platform.lag", "platform.mode", "platform.scale")
+    ]
     s = scenario("bumper with friction", changes={"effects": several})
     recorded = record([s])
-    reached = replay_platform([s], [PlatformParameters.believed(s).with_effects(s.effects)], recorded["pose_cmd"], recorded.lanes)
+    reached = replay_platform(
+        [s],
+        [PlatformParameters.believed(s).with_effects(s.effects)],
+        recorded["pose_cmd"],
+        recorded.lanes,
+    )
     assert np.abs(reached - recorded["pose_act"][..., :3]).max() < 3e-7
 
 
 def approaching(ticks: int = 300) -> tuple[Scenario, Array]:
-    """A scenario that approaches along z, and a command (1, N, 7) that brakes half way; row k is to be reached at t_(k+1)."""
+    """A scenario that approaches along z, and a command (1, N, 7) that brakes half way; row k is to
+    be reached at t_(k+1).
+    """
     s = scenario("bumper with friction")
     t = (1 + np.arange(ticks)) * s.tick
-    along = np.array(s.approach.velocity)[:, None] * (t - 0.5 * np.maximum(t - 0.5 * ticks * s.tick, 0.0))
+    along = np.array(s.approach.velocity)[:, None] * (
+        t - 0.5 * np.maximum(t - 0.5 * ticks * s.tick, 0.0)
+    )
     pose = np.zeros((1, ticks, 7))
     pose[0, :, :3] = (np.array([*s.approach.offset, -s.approach.gap])[:, None] + along).T
     return s, pose
 
 
 def test_a_command_on_record_early_moves_the_platform_as_early_and_starts_no_vibration() -> None:
-    """The approach is uniform, so that a mode that moves with it from the start does not vibrate, whenever its command is stamped."""
+    """The approach is uniform, so that a mode that moves with it from the start does not vibrate,
+    whenever its command is stamped.
+    """
     s, pose = approaching()
     p = PlatformParameters(s.tick)
     p.mode = [(2.0 * np.pi * 20.0, 0.02)]
@@ -139,13 +196,17 @@ def test_a_command_on_record_early_moves_the_platform_as_early_and_starts_no_vib
     early = pose.copy()
     early[0, :-1, :3] = 0.6 * pose[0, :-1, :3] + 0.4 * pose[0, 1:, :3]
     there = replay_platform([s], [p], pose, np.zeros(1, int))[0]
-    moved, not_begun = (replay_platform([s], [p], early, np.zeros(1, int), None, np.array([e]))[0] for e in (rows, 0.0))
+    moved, not_begun = (
+        replay_platform([s], [p], early, np.zeros(1, int), None, np.array([e]))[0]
+        for e in (rows, 0.0)
+    )
     expected = 0.6 * there[:-1] + 0.4 * there[1:]
     quiet = slice(0, 140)  # before the command brakes
     speed = np.abs(s.approach.velocity).max()
     assert np.abs(moved[:-1] - expected)[quiet].max() < 1e-12
     assert np.abs(not_begun[:-1] - expected)[quiet].max() > 0.3 * rows * speed
-    assert np.abs(moved[:-2] - expected[:-1]).max() < 1e-3 * rows * speed  # the command's bend is cut at its corner
+    # the command's bend is cut at its corner
+    assert np.abs(moved[:-2] - expected[:-1]).max() < 1e-3 * rows * speed
 
 
 def test_what_is_obeyed_late_joins_what_is_obeyed_at_once() -> None:
@@ -153,12 +214,17 @@ def test_what_is_obeyed_late_joins_what_is_obeyed_at_once() -> None:
     s, pose = approaching()
     p = PlatformParameters(s.tick)
     p.mode, p.delay = [(2.0 * np.pi * 20.0, 0.02)], 1.4 * s.tick
-    at_once, hardly = (replay_platform([s], [p], pose, np.zeros(1, int), np.array([e * s.tick]))[0] for e in (0.0, 1e-6))
+    at_once, hardly = (
+        replay_platform([s], [p], pose, np.zeros(1, int), np.array([e * s.tick]))[0]
+        for e in (0.0, 1e-6)
+    )
     assert np.abs(hardly - at_once).max() < 1e-5 * s.tick * np.abs(s.approach.velocity).max()
 
 
 def test_a_command_a_row_early_moves_a_lag_a_row_early_from_the_start_on() -> None:
-    """A lag starts at its command and falls behind it: it does so from the time at which the platform starts, before the record does."""
+    """A lag starts at its command and falls behind it: it does so from the time at which the
+    platform starts, before the record does.
+    """
     s, pose = approaching()
     p = PlatformParameters(s.tick)
     p.lag, p.delay = [(2.0 * np.pi * 20.0, 0.7)], 0.3 * s.tick

@@ -1,4 +1,6 @@
-"""The believed rig on a recorded command, under the recorded force: where its drives take the platform."""
+"""The believed rig on a recorded command, under the recorded force: where its drives take the
+platform.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +29,19 @@ from tests.replay.recorded import record, scenario
     ],
 )
 def test_it_goes_where_the_rig_went(rig: str, changes: dict[str, Any]) -> None:
-    """Between two ticks the recorded force lies on a straight line. At the touch it steps by c v, 400 N in the cone, anywhere in a tick:
-    an impulse that is off by 0.1 N s moves 600 kg at 0.17 mm/s, which a drive of 40 Hz stops within 4 ms, 0.7 um on."""
+    """Between two ticks the recorded force lies on a straight line. At the touch it steps by c v,
+    400 N in the cone, anywhere in a tick: an impulse that is off by 0.1 N s moves 600 kg at 0.17
+    mm/s, which a drive of 40 Hz stops within 4 ms, 0.7 um on.
+    """
     recorded = record([scenario(rig, "servo", changes)])
     (s,) = recorded.scenarios
-    path = replay_rig(s, recorded["pose_cmd"][0], recorded["twist_cmd"][0], recorded["wrench_true"][0], recorded["wrench_meas"][0])
+    path = replay_rig(
+        s,
+        recorded["pose_cmd"][0],
+        recorded["twist_cmd"][0],
+        recorded["wrench_true"][0],
+        recorded["wrench_meas"][0],
+    )
     assert path is not None
     reached = recorded["pose_act"][0]
     assert np.abs(path[0] - reached[0]).max() < 1e-14
@@ -48,16 +58,20 @@ def test_a_force_that_throws_it_out_is_told() -> None:
 
 
 def test_on_a_mount_it_bears_what_the_contact_exerts() -> None:
-    """The sensor stands behind the mount; the contact bears more by M q'': 14 um of a platform that is held at once at 8 mm/s.
+    """The sensor stands behind the mount; the contact bears more by M q'': 14 um of a platform that
+    is held at once at 8 mm/s.
 
-    The mount's motion is found to the first order, and the force within a tick lies on a straight line: 0.5 um are left.
+    The mount's motion is found to the first order, and the force within a tick lies on a straight
+    line: 0.5 um are left.
     """
     recorded = record([scenario("latched on a mount", "servo")])
     (s,) = recorded.scenarios
     felt = recorded["wrench_true"][0]
 
     def missed(wrench: Array) -> float:
-        path = replay_rig(s, recorded["pose_cmd"][0], recorded["twist_cmd"][0], wrench, recorded["wrench_meas"][0])
+        path = replay_rig(
+            s, recorded["pose_cmd"][0], recorded["twist_cmd"][0], wrench, recorded["wrench_meas"][0]
+        )
         assert path is not None
         return float(np.abs(path - recorded["pose_act"][0]).max())
 
@@ -66,7 +80,9 @@ def test_on_a_mount_it_bears_what_the_contact_exerts() -> None:
 
 
 def test_what_a_mount_bears_is_what_moves_it() -> None:
-    """A mount of one axis in closed form: a force A sin(w t) on the body leaves K q + C q' at the sensor."""
+    """A mount of one axis in closed form: a force A sin(w t) on the body leaves K q + C q' at the
+    sensor.
+    """
     s = scenario("latched on a mount", "servo")
     (dynamics,) = [d for d in [MountDynamics.of([s])] if d is not None]
     mass, k, c = dynamics.body[0], dynamics.stiffness[0, 2], dynamics.damping[0, 2]
@@ -75,7 +91,9 @@ def test_what_a_mount_bears_is_what_moves_it() -> None:
     reading = np.zeros((len(t), 6))
     reading[:, 2] = 100.0 * (answer * np.exp(1j * w * t)).imag
     late = slice(2000, 3900)  # the start-up of its motion is forgotten; the last rows have no slope
-    assert borne(s, reading)[late, 2] == pytest.approx(100.0 * np.sin(w * t)[late], abs=1e-3 * 100.0)
+    assert borne(s, reading)[late, 2] == pytest.approx(
+        100.0 * np.sin(w * t)[late], abs=1e-3 * 100.0
+    )
 
 
 def test_a_recorded_force_lies_on_lines_between_rows_and_what_is_added_between_them() -> None:
@@ -83,4 +101,6 @@ def test_a_recorded_force_lies_on_lines_between_rows_and_what_is_added_between_t
     between = np.zeros((3, 3, 6))
     between[1, 0] = between[2, 1] = 5.0  # a third into the first tick, two thirds into the second
     force = RecordedForce(record, 3, between)
-    np.testing.assert_allclose([force.next()[0] for _ in range(7)], [0.0, 1.0 + 5.0, 2.0, 3.0, 5.0, 7.0 + 5.0, 9.0])
+    np.testing.assert_allclose(
+        [force.next()[0] for _ in range(7)], [0.0, 1.0 + 5.0, 2.0, 3.0, 5.0, 7.0 + 5.0, 9.0]
+    )

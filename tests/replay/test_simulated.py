@@ -1,4 +1,6 @@
-"""What moves on a side, or collides at several points, is carried along recorded poses as the loop had it."""
+"""What moves on a side, or collides at several points, is carried along recorded poses as the loop
+had it.
+"""
 
 from __future__ import annotations
 
@@ -20,31 +22,52 @@ from tests.replay.recorded import QUIET, SCENARIOS, Recorded, record
 from tests.slow import slow
 
 EXACT = 1e-9  # of the peak: the same solver on the same path
-UNDER_SERVO = 1e-4  # of the peak: joints that rub creep by how their carrier yields; found are 6e-7, 2.5e-5 and 1.4e-5
+# of the peak: joints that rub creep by how their carrier yields; found are 6e-7, 2.5e-5 and 1.4e-5
+UNDER_SERVO = 1e-4
 # Each from just before the touch, with what it takes to come to its first phases.
 DOCKINGS: dict[str, tuple[str, dict[str, Any]]] = {
-    "ring with petals": ("15-ring-docking", {"approach.gap": 0.1, "approach.velocity": [0.0, 0.0, 0.15], "duration": 0.7}),
+    "ring with petals": (
+        "15-ring-docking",
+        {"approach.gap": 0.1, "approach.velocity": [0.0, 0.0, 0.15], "duration": 0.7},
+    ),
     "head on a sprung rod": ("16-probe-drogue", {"approach.gap": 0.05, "duration": 1.5}),
     "jaws that close": ("17-gripper", {"duration": 1.9}),
 }
-EFFECTS_TRIED = ("contact.stiffness", "contact.damping", "contact.dry_friction", "contact.surface_friction", "contact.touch_offset")
+EFFECTS_TRIED = (
+    "contact.stiffness",
+    "contact.damping",
+    "contact.dry_friction",
+    "contact.surface_friction",
+    "contact.touch_offset",
+)
 
 
-def docking(name: str, effects: tuple[dict[str, Any], ...] = (), tracking: str = "ideal") -> Scenario:
+def docking(
+    name: str, effects: tuple[dict[str, Any], ...] = (), tracking: str = "ideal"
+) -> Scenario:
     file, changes = DOCKINGS[name]
-    return load_scenario(SCENARIOS / f"{file}.yaml", set=QUIET | changes | {"rig.platform.tracking": tracking, "effects": list(effects)})
+    return load_scenario(
+        SCENARIOS / f"{file}.yaml",
+        set=QUIET | changes | {"rig.platform.tracking": tracking, "effects": list(effects)},
+    )
 
 
 def simulated(recorded: Recorded) -> Simulated:
     servo = recorded.scenarios[0].rig.platform.tracking == "servo"
-    return Simulated(recorded.scenarios, recorded["pose_act"], np.ascontiguousarray(recorded["twist_act"]) if servo else None)
+    return Simulated(
+        recorded.scenarios,
+        recorded["pose_act"],
+        np.ascontiguousarray(recorded["twist_act"]) if servo else None,
+    )
 
 
 @pytest.mark.parametrize("name", DOCKINGS)
 def test_the_wrench_is_that_of_the_loop_under_whatever_effect(name: str) -> None:
     """The believed mechanism is handed the effect; the record had it in the loop."""
     recorded = record([docking(name, (example(kind),)) for kind in EFFECTS_TRIED])
-    effects: list[tuple[int, list[Effect]]] = [(i, [EFFECTS[kind](**values(kind))]) for i, kind in enumerate(EFFECTS_TRIED)]
+    effects: list[tuple[int, list[Effect]]] = [
+        (i, [EFFECTS[kind](**values(kind))]) for i, kind in enumerate(EFFECTS_TRIED)
+    ]
     truth = recorded["wrench_true"]
     peak = np.abs(truth).max(axis=(1, 2))
     assert (peak > 20.0).all()
@@ -54,23 +77,36 @@ def test_the_wrench_is_that_of_the_loop_under_whatever_effect(name: str) -> None
 
 @pytest.mark.parametrize("name", DOCKINGS)
 def test_under_a_servo_the_rows_and_their_rates_tell_what_happens_between_them(name: str) -> None:
-    """The rig is a body of 334 kg on drives that yield; here what does not yield carries the sides past the same places."""
+    """The rig is a body of 334 kg on drives that yield; here what does not yield carries the sides
+    past the same places.
+    """
     recorded = record([docking(name, tracking="servo")])
     truth = recorded["wrench_true"][0]
     peak = np.abs(truth).max()
     assert peak > 20.0
-    np.testing.assert_allclose(simulated(recorded).believed(0).wrench[:, -1], truth, atol=UNDER_SERVO * peak)
+    np.testing.assert_allclose(
+        simulated(recorded).believed(0).wrench[:, -1], truth, atol=UNDER_SERVO * peak
+    )
 
 
-@pytest.mark.parametrize("name", ["ring with petals", slow("head on a sprung rod"), slow("jaws that close")])
+@pytest.mark.parametrize(
+    "name", ["ring with petals", slow("head on a sprung rod"), slow("jaws that close")]
+)
 def test_free_flight_is_gone_through_once(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is resumed where it ends, on however many threads, is what is carried along the whole path, to the bit.
+    """What is resumed where it ends, on however many threads, is what is carried along the whole
+    path, to the bit.
 
     A touch that comes much earlier is carried along the whole path.
     """
     one = docking(name, tracking="servo")
-    way = {"gap": 0.13 if name == "head on a sprung rod" else one.approach.gap}  # that one begins within the cone; and a run that is slower
-    approaches = [one.approach.model_copy(update=way | {"velocity": tuple(part * v for v in one.approach.velocity)}) for part in (1.0, 0.9)]
+    # that one begins within the cone; and a run that is slower
+    way = {"gap": 0.13 if name == "head on a sprung rod" else one.approach.gap}
+    approaches = [
+        one.approach.model_copy(
+            update=way | {"velocity": tuple(part * v for v in one.approach.velocity)}
+        )
+        for part in (1.0, 0.9)
+    ]
     recorded = record([one.model_copy(update={"approach": approach}) for approach in approaches])
     resumed, whole = simulated(recorded), simulated(recorded)
     monkeypatch.setattr(whole, "_flight", lambda kind: None)
@@ -93,13 +129,18 @@ def test_free_flight_is_gone_through_once(name: str, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize("name", ["head on a sprung rod", slow("jaws that close")])
 def test_drives_bear_what_touches_and_what_moves_on_them(name: str) -> None:
-    """The rig with its parts at rest goes where it went, under the wrench of the sensor and the rate of momentum of its parts.
+    """The rig with its parts at rest goes where it went, under the wrench of the sensor and the
+    rate of momentum of its parts.
 
-    Left are 0.04 um of 23 um in both: at the touch the force steps within a tick, and lies on a line here. Without the momentum it is 1.0
-    and 1.6 um.
+    Left are 0.04 um of 23 um in both: at the touch the force steps within a tick, and lies on a
+        line here. Without the momentum it is 1.0 and 1.6 um.
     """
     recorded = record([docking(name, tracking="servo")])
-    (scenario,), wrench, reading = recorded.scenarios, recorded["wrench_true"][0], recorded["wrench_meas"][0]
+    (scenario,), wrench, reading = (
+        recorded.scenarios,
+        recorded["wrench_true"][0],
+        recorded["wrench_meas"][0],
+    )
     command, rates = (np.ascontiguousarray(recorded[name][0]) for name in ("pose_cmd", "twist_cmd"))
     taken = simulated(recorded).believed(0).taken
     away = []
@@ -121,7 +162,9 @@ def test_a_uniform_acceleration_is_stepped_as_a_stepper_steps_it(steps: int) -> 
         twists.append(twists[-1] + acceleration * dt)
         places.append(places[-1] + np.r_[twists[-1][:3] * dt, 0.0, 0.0, 0.0, 0.0])
     poses, rates = np.empty((steps, 1, 7)), np.empty((steps, 1, 6))
-    step_between(*(np.array([x]) for x in (places[0], twists[0], places[-1], twists[-1])), dt, poses, rates)
+    step_between(
+        *(np.array([x]) for x in (places[0], twists[0], places[-1], twists[-1])), dt, poses, rates
+    )
     np.testing.assert_allclose(poses[:, 0], places[1:], atol=1e-15)
     np.testing.assert_allclose(rates[:, 0], twists[1:], atol=1e-12)
 
@@ -146,8 +189,12 @@ mechanism: {kind: mjcf, active: active.xml, passive: passive.xml, pairs: [{activ
 """
 
 
-def test_boxes_that_collide_at_several_points_push_with_the_stiffness_of_their_pairs(tmp_path: Path) -> None:
-    """On a path that nobody simulated, F = 2 (k x + c v): the law itself, k scaled as the effect asks."""
+def test_boxes_that_collide_at_several_points_push_with_the_stiffness_of_their_pairs(
+    tmp_path: Path,
+) -> None:
+    """On a path that nobody simulated, F = 2 (k x + c v): the law itself, k scaled as the effect
+    asks.
+    """
     for name, text in (("active.xml", BAR), ("passive.xml", STOPS), ("boxes.yaml", BOXES)):
         (tmp_path / name).write_text(text)
     s = load_scenario(tmp_path / "boxes.yaml")
@@ -156,15 +203,21 @@ def test_boxes_that_collide_at_several_points_push_with_the_stiffness_of_their_p
     poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (1, len(t), 1))
     poses[0, :, 2] = depth
     rate = np.diff(depth, prepend=depth[:1]) / s.tick
-    (wrench,) = Simulated([s], poses).exerted([(0, [EFFECTS["contact.stiffness"].model_validate({"factor": 1.3})])])
+    (wrench,) = Simulated([s], poses).exerted(
+        [(0, [EFFECTS["contact.stiffness"].model_validate({"factor": 1.3})])]
+    )
     law = 2.0 * (1.3e5 * depth + 400.0 * rate)
-    np.testing.assert_allclose(wrench[1:, -1, 2], law[1:], atol=1e-4 * 2.6e5 * depth.max())  # the first row has the rate of the approach
+    # the first row has the rate of the approach
+    np.testing.assert_allclose(wrench[1:, -1, 2], law[1:], atol=1e-4 * 2.6e5 * depth.max())
     np.testing.assert_allclose(Simulated([s], poses).believed(0).depth, depth, atol=1e-9)
 
 
 def test_lanes_of_one_batch_give_what_each_gives_alone() -> None:
     recorded = record([docking("jaws that close")])
-    both: list[tuple[int, list[Effect]]] = [(0, []), (0, [EFFECTS["contact.stiffness"].model_validate({"factor": 0.7})])]
+    both: list[tuple[int, list[Effect]]] = [
+        (0, []),
+        (0, [EFFECTS["contact.stiffness"].model_validate({"factor": 0.7})]),
+    ]
     together: list[Array] = simulated(recorded).exerted(both)
     for wrench, lane in zip(together, both, strict=True):
         np.testing.assert_array_equal(wrench, simulated(recorded).exerted([lane])[0])

@@ -1,4 +1,6 @@
-"""Contact and sensor on recorded poses give the readings that the loop had: two ways through the same models."""
+"""Contact and sensor on recorded poses give the readings that the loop had: two ways through the
+same models.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +16,32 @@ from hiltestbed.scenario import Scenario
 from tests.effects.examples import example
 from tests.replay.recorded import RIGS, Recorded, felt, lane, readings, record, scenario
 
-SOLVED = 5e-6  # of the peak, where A is put in place: the loop's force is what MuJoCo's solver ends at, welds and mounts to a millionth
+# of the peak, where A is put in place: the loop's force is what MuJoCo's solver ends at, welds and
+# mounts to a millionth
+SOLVED = 5e-6
 STEP = 5e-5  # of the peak, where a converter may round the other way for that
-DRIVEN = 5e-6  # of the peak, under the servo: what MuJoCo's soft contact leaves out for the acceleration is 1e-6 of the force, friction too
-UNSEEN = 1e-3  # of the peak, on a mount under the servo: it is integrated within the tick, where the path is not on record
+# of the peak, under the servo: what MuJoCo's soft contact leaves out for the acceleration is 1e-6
+# of the force, friction too
+DRIVEN = 5e-6
+# of the peak, on a mount under the servo: it is integrated within the tick, where the path is not
+# on record
+UNSEEN = 1e-3
 CONTACT = [kind for kind, cls in EFFECTS.items() if cls.link == "contact"]
-SENSOR = [kind for kind, cls in EFFECTS.items() if cls.link in ("sensor", "log") and kind != "sensor.jitter"]  # which is drawn at random
+# which is drawn at random
+SENSOR = [
+    kind
+    for kind, cls in EFFECTS.items()
+    if cls.link in ("sensor", "log") and kind != "sensor.jitter"
+]
 
 
 def errors(recorded: Recorded, replayed: Array) -> Array:
     """(R,) the largest difference over the largest reading."""
     measured = recorded["wrench_meas"]
     assert (np.abs(measured).max(axis=(1, 2)) > 30.0).all()
-    return np.asarray(np.abs(replayed - measured).max(axis=(1, 2)) / np.abs(measured).max(axis=(1, 2)))
+    return np.asarray(
+        np.abs(replayed - measured).max(axis=(1, 2)) / np.abs(measured).max(axis=(1, 2))
+    )
 
 
 def possible(rig: str, kinds: list[str], tracking: str = "ideal") -> list[Scenario]:
@@ -54,7 +69,9 @@ def test_under_a_servo_they_are_too_where_the_twist_is_on_record(rig: str) -> No
 
 @pytest.mark.parametrize("rig", ["bumper with friction", "probe and cone", "latched"])
 def test_under_a_servo_the_normal_force_is_that_of_the_law(rig: str) -> None:
-    """MuJoCo's soft force leaves out d of what the acceleration at the contact would need, of a body of 1 kg as it is weighed here."""
+    """MuJoCo's soft force leaves out d of what the acceleration at the contact would need, of a
+    body of 1 kg as it is weighed here.
+    """
     recorded = record([scenario(rig, "servo")])
     measured, law = recorded["wrench_meas"][0, :, 2], readings(recorded)[0, :, 2]
     pressed = law > 0.2 * law.max()
@@ -63,13 +80,25 @@ def test_under_a_servo_the_normal_force_is_that_of_the_law(rig: str) -> None:
 
 
 def test_without_the_twist_a_servo_is_half_a_tick_off() -> None:
-    """The slope of a tick is the twist in its middle: k x + c v misses c a h/2, here 4000 N s/m, and friction turns late."""
+    """The slope of a tick is the twist in its middle: k x + c v misses c a h/2, here 4000 N s/m,
+    and friction turns late.
+    """
     recorded = record([scenario("probe and cone", "servo")])
     shared = felt(recorded)
     blind = type(shared)(
-        shared.poses, shared.before, shared.tick, shared.geometry, shared.captured, shared.latch, shared.mount, shared.substeps
+        shared.poses,
+        shared.before,
+        shared.tick,
+        shared.geometry,
+        shared.captured,
+        shared.latch,
+        shared.mount,
+        shared.substeps,
     )
-    error = errors(recorded, replay_wrench(blind, [lane(recorded.scenarios[0], 0)], grid=recorded.scenarios[0].substeps))[0]
+    error = errors(
+        recorded,
+        replay_wrench(blind, [lane(recorded.scenarios[0], 0)], grid=recorded.scenarios[0].substeps),
+    )[0]
     assert 200.0 * DRIVEN < error < 0.02
 
 
@@ -77,7 +106,11 @@ def test_without_the_twist_a_servo_is_half_a_tick_off() -> None:
 def test_every_effect_of_the_contact_acts_in_the_replay_as_in_the_loop(rig: str) -> None:
     recorded = record(possible(rig, CONTACT))
     assert errors(recorded, readings(recorded)).max() < SOLVED
-    nominal = replay_wrench(felt(recorded), [lane(s, i, []) for i, s in enumerate(recorded.scenarios)], recorded.scenarios[0].substeps)
+    nominal = replay_wrench(
+        felt(recorded),
+        [lane(s, i, []) for i, s in enumerate(recorded.scenarios)],
+        recorded.scenarios[0].substeps,
+    )
     shown = errors(recorded, nominal) > 1e-3
     assert shown.sum() >= len(shown) - 4, "an example that does not show proves nothing"
 
@@ -86,44 +119,80 @@ def test_every_effect_of_the_contact_acts_in_the_replay_as_in_the_loop(rig: str)
 def test_every_effect_of_the_contact_acts_under_a_servo_too(rig: str) -> None:
     scenarios = possible(rig, CONTACT, "servo")
     recorded = record(scenarios)
-    between = np.array([s.effects[0].kind == "frame.mode" for s in scenarios])  # a frame rings between two ticks, too: 9e-6
+    # a frame rings between two ticks, too: 9e-6
+    between = np.array([s.effects[0].kind == "frame.mode" for s in scenarios])
     assert (errors(recorded, readings(recorded)) < np.where(between, 2.0 * DRIVEN, DRIVEN)).all()
 
 
-@pytest.mark.parametrize("rig", ["bumper with friction", "probe and cone with latch", "latched on a mount"])
-def test_every_effect_of_the_sensor_and_of_the_record_acts_in_the_replay_as_in_the_loop(rig: str) -> None:
+@pytest.mark.parametrize(
+    "rig", ["bumper with friction", "probe and cone with latch", "latched on a mount"]
+)
+def test_every_effect_of_the_sensor_and_of_the_record_acts_in_the_replay_as_in_the_loop(
+    rig: str,
+) -> None:
     recorded = record(possible(rig, SENSOR))
     assert errors(recorded, readings(recorded)).max() < STEP
-    nominal = replay_wrench(felt(recorded), [lane(s, i, []) for i, s in enumerate(recorded.scenarios)], recorded.scenarios[0].substeps)
+    nominal = replay_wrench(
+        felt(recorded),
+        [lane(s, i, []) for i, s in enumerate(recorded.scenarios)],
+        recorded.scenarios[0].substeps,
+    )
     assert (errors(recorded, nominal) > 1e-3).all()
 
 
 def test_effects_add_up_in_their_order() -> None:
-    several = [example(k) for k in ("sensor.gain", "contact.stiffness", "sensor.delay", "contact.preload", "sensor.lag", "sensor.bias")]
+    several = [
+        example(k)
+        for k in (
+            "sensor.gain",
+            "contact.stiffness",
+            "sensor.delay",
+            "contact.preload",
+            "sensor.lag",
+            "sensor.bias",
+        )
+    ]
     recorded = record([scenario("bumper with friction", changes={"effects": several})])
     assert errors(recorded, readings(recorded))[0] < SOLVED
 
 
-@pytest.mark.parametrize("rig", ["probe and cone with latch", "probe and cone with latch on a mount"])
+@pytest.mark.parametrize(
+    "rig", ["probe and cone with latch", "probe and cone with latch on a mount"]
+)
 def test_many_hypotheses_at_once_are_each_what_it_is_alone(rig: str) -> None:
     """To the bit, also on a mount, whose contacts are computed in parallel."""
     recorded = record([scenario(rig), scenario(rig, changes={"approach.offset": [0.02, 0.0]})])
     s = recorded.scenarios[0]
-    kinds = ("contact.stiffness", "sensor.gain", "sensor.delay", "frame.compliance", "sensor.lag", "contact.misalignment")
+    kinds = (
+        "contact.stiffness",
+        "sensor.gain",
+        "sensor.delay",
+        "frame.compliance",
+        "sensor.lag",
+        "contact.misalignment",
+    )
     effects = [EFFECTS[k](**example(k)) for k in kinds]
-    lanes = [lane(s, run, [e]) for e in effects for run in (1, 0)]  # of a run, those of the sensor share their contact
+    # of a run, those of the sensor share their contact
+    lanes = [lane(s, run, [e]) for e in effects for run in (1, 0)]
     for grid in (s.substeps, None):
         together = replay_wrench(felt(recorded), lanes, grid=grid)
         for i in (0, 2, 3, 5, 6, 9, 10):
-            assert np.array_equal(together[i], replay_wrench(felt(recorded), [lanes[i]], grid=grid)[0])
+            assert np.array_equal(
+                together[i], replay_wrench(felt(recorded), [lanes[i]], grid=grid)[0]
+            )
 
 
 def test_a_latch_closes_in_the_replay_when_it_does_in_the_loop() -> None:
-    """Here 6 mm before the touch, at a speed that the latch allows: from then on the probe is held."""
+    """Here 6 mm before the touch, at a speed that the latch allows: from then on the probe is
+    held.
+    """
     recorded = record([scenario("probe and cone with latch")])
     assert errors(recorded, readings(recorded))[0] < SOLVED
     pulled = recorded["wrench_meas"][0, :, 2].min()
     assert pulled < -30.0
     open_still = scenario("probe and cone")
     shared = felt(Recorded([open_still], recorded.data))
-    assert errors(recorded, replay_wrench(shared, [lane(open_still, 0)], grid=open_still.substeps))[0] > 0.5
+    assert (
+        errors(recorded, replay_wrench(shared, [lane(open_still, 0)], grid=open_still.substeps))[0]
+        > 0.5
+    )

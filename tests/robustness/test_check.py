@@ -1,4 +1,6 @@
-"""`hiltestbed check` on data, on numbers that are absurd together, and on work that is too large."""
+"""`hiltestbed check` on data, on numbers that are absurd together, and on work that is too
+large.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ BUMPER = shipped("scenarios") / "02-bumper.yaml"
 
 
 def _bumper(**changes: object) -> Scenario:
-    return load_scenario(BUMPER, set={key.replace("__", "."): value for key, value in changes.items()})
+    return load_scenario(
+        BUMPER, set={key.replace("__", "."): value for key, value in changes.items()}
+    )
 
 
 def test_check_opens_the_data(tmp_path: Path) -> None:
@@ -42,7 +46,9 @@ def test_check_says_what_is_lost(tmp_path: Path) -> None:
     assert found.budget is not None
 
 
-@pytest.mark.parametrize("file", sorted(shipped("scenarios").glob("*.yaml")), ids=lambda file: file.stem)
+@pytest.mark.parametrize(
+    "file", sorted(shipped("scenarios").glob("*.yaml")), ids=lambda file: file.stem
+)
 def test_shipped_scenarios_are_sound(file: Path) -> None:
     found = look_at(file)
     assert not found.faults
@@ -53,10 +59,19 @@ ABSURD = {
     "a contact of a tick": ({"mechanism.contact.stiffness": 1e12}, "ticks of the loop"),
     "a delay longer than the contact": ({"sensor.delay": 0.5}, "longer than the contact"),
     "a fly and a station": ({"spacecraft.target.mass": 1e9}, "times the mass of the other"),
-    "a penetration deeper than the tip": ({"approach.velocity": [0, 0, 3.0], "mechanism.contact.stiffness": 1e4}, "mm across"),
-    "a run that ends before the touch": ({"duration": 0.3}, "nothing touches: the gap of 10 mm takes"),
+    "a penetration deeper than the tip": (
+        {"approach.velocity": [0, 0, 3.0], "mechanism.contact.stiffness": 1e4},
+        "mm across",
+    ),
+    "a run that ends before the touch": (
+        {"duration": 0.3},
+        "nothing touches: the gap of 10 mm takes",
+    ),
     "an approach that recedes": ({"approach.velocity": [0, 0, -0.03]}, "move away from each other"),
-    "a sensor noisier than the contact": ({"sensor.noise": 1e6}, "is more than the contact's peak of about"),
+    "a sensor noisier than the contact": (
+        {"sensor.noise": 1e6},
+        "is more than the contact's peak of about",
+    ),
     "a damper that stops within a step": ({"mechanism.contact.damping": 1e8}, "chatters"),
 }
 
@@ -75,7 +90,10 @@ def test_the_warning_stands_in_the_summary() -> None:
 def test_a_delay_line_of_gigabytes_is_refused_before_it_is_made() -> None:
     scenario = _bumper(duration=1000.0, rate=2000.0, physics_rate=4e6, sensor__delay=1000.0)
     assert run_budget([scenario]).memory > 1e11
-    with pytest.raises(InputError, match=r"of memory \(allowed: .*\); HILTESTBED_MEMORY_LIMIT \[GB\] sets the limit"):
+    with pytest.raises(
+        InputError,
+        match=r"of memory \(allowed: .*\); HILTESTBED_MEMORY_LIMIT \[GB\] sets the limit",
+    ):
         run(scenario)
 
 

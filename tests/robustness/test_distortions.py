@@ -1,4 +1,6 @@
-"""A good data set, distorted as people distort theirs: refused or remarked on before the fit, with what to change."""
+"""A good data set, distorted as people distort theirs: refused or remarked on before the fit, with
+what to change.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,10 @@ RUNS = {"bumper": 2, "docking": 1}  # that are distorted: what a second says, tw
 def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A healthy set of each design."""
     folder = tmp_path_factory.mktemp("good")
-    return {d: write_set(folder / d, draw_set(np.random.default_rng(3), "healthy", design=d)) for d in DESIGNS}  # type: ignore[arg-type]
+    return {
+        d: write_set(folder / d, draw_set(np.random.default_rng(3), "healthy", design=d))
+        for d in DESIGNS
+    }  # type: ignore[arg-type]
 
 
 def distorted(good: Path, folder: Path, name: str, runs: int = 2, lines: str = "") -> Path:
@@ -35,7 +40,9 @@ def distorted(good: Path, folder: Path, name: str, runs: int = 2, lines: str = "
 
     entries = read_source(good / "dataset.yaml").data["runs"][:runs]
     for entry in entries:
-        table = {n: c.to_numpy().copy() for n, c in zip(*_columns(good / entry["file"]), strict=True)}
+        table = {
+            n: c.to_numpy().copy() for n, c in zip(*_columns(good / entry["file"]), strict=True)
+        }
         DISTORTIONS[name].apply(table)
         pq.write_table(pa.table(table), folder / entry["file"])
     path = folder / "dataset.yaml"
@@ -55,7 +62,9 @@ def test_the_good_set_is_left_alone(good: dict[str, Path], design: str) -> None:
 
 @pytest.mark.parametrize("design", DESIGNS)
 @pytest.mark.parametrize("name", DISTORTIONS)
-def test_a_distortion_is_met_before_the_fit(good: dict[str, Path], tmp_path: Path, name: str, design: str) -> None:
+def test_a_distortion_is_met_before_the_fit(
+    good: dict[str, Path], tmp_path: Path, name: str, design: str
+) -> None:
     expected = DISTORTIONS[name]
     remarks = examine(distorted(good[design], tmp_path, name, runs=RUNS[design])).remarks
     errors = [r for r in remarks if r.severity == "error"]
@@ -69,7 +78,9 @@ def test_a_distortion_is_met_before_the_fit(good: dict[str, Path], tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", [n if OF_EACH[check] == n else slow(n) for n, check in CHECKED])
-def test_a_refusal_is_overridden_by_what_it_names(good: dict[str, Path], tmp_path: Path, name: str) -> None:
+def test_a_refusal_is_overridden_by_what_it_names(
+    good: dict[str, Path], tmp_path: Path, name: str
+) -> None:
     path = distorted(good["bumper"], tmp_path, name)
     checks = sorted({r.check for r in examine(path).remarks if r.severity == "error"})
     accepted = distorted(good["bumper"], tmp_path, name, lines=f"accept: [{', '.join(checks)}]\n")

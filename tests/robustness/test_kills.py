@@ -1,4 +1,6 @@
-"""Commands that are killed or interrupted: every folder complete or absent, and the same command then does it."""
+"""Commands that are killed or interrupted: every folder complete or absent, and the same command
+then does it.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def test_the_seeds_do_what_they_are_named_for() -> None:
 
 @pytest.mark.parametrize("seed", [KILLED, slow(INTERRUPTED)])
 @pytest.mark.parametrize("name", ["run", *(slow(n) for n in COMMANDS if n != "run")])
-def test_a_command_that_is_ended_leaves_a_whole_folder_or_none(name: str, seed: int, tmp_path: Path) -> None:
+def test_a_command_that_is_ended_leaves_a_whole_folder_or_none(
+    name: str, seed: int, tmp_path: Path
+) -> None:
     (tmp_path / "trials").mkdir()
     assert kill(np.random.default_rng(seed), tmp_path / "trials", name) == "survived"
 

@@ -1,4 +1,6 @@
-"""A process that goes on and on needs no more memory than at first: what a run, its folder or a diagnosis took is given back."""
+"""A process that goes on and on needs no more memory than at first: what a run, its folder or a
+diagnosis took is given back.
+"""
 
 from __future__ import annotations
 
@@ -17,22 +19,32 @@ from tests.diagnosis.recorded import recorded
 from tests.slow import SLOW
 
 STATUS = Path("/proc/self/status")
-LINUX = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="needs the resident size that Linux tells, and the C library of GNU")
+LINUX = pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc",
+    reason="needs the resident size that Linux tells, and the C library of GNU",
+)
 BLOCKS = 3
-AT_FIRST = 3  # times, after which modules, kernels and models that are kept once a process are there
+# times, after which modules, kernels and models that are kept once a process are there
+AT_FIRST = 3
 
 
 def resident() -> float:
     """[byte] of the memory that this process holds, without what is free and not given back yet."""
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
-    return next(1024.0 * int(line.split()[1]) for line in STATUS.read_text().splitlines() if line.startswith("VmRSS"))
+    return next(
+        1024.0 * int(line.split()[1])
+        for line in STATUS.read_text().splitlines()
+        if line.startswith("VmRSS")
+    )
 
 
 def grown(once: Callable[[int], object], times: int) -> float:
-    """[byte] by which the process grows in so many ``times`` more, from the block of them in which it grew least.
+    """[byte] by which the process grows in so many ``times`` more, from the block of them in which
+    it grew least.
 
-    What leaks grows in every block; what is loaded, or lies between other allocations, in one of them.
+    What leaks grows in every block; what is loaded, or lies between other allocations, in one of
+    them.
     """
     for i in range(AT_FIRST):
         once(i)
@@ -56,7 +68,9 @@ def short(seed: int, name: str = "04-bumper-delay-compensated"):
 
 @LINUX
 def test_runs_leave_nothing_behind() -> None:
-    """Half of what thirty runs would grow by if each kept its trace: physics, loop and buffers are larger."""
+    """Half of what thirty runs would grow by if each kept its trace: physics, loop and buffers are
+    larger.
+    """
     most = 0.5 * 30 * size_of(run_batch([short(0)], trace=True)[0])
     assert grown(lambda i: run_batch([short(i)], trace=True), 30) < most
 
@@ -64,17 +78,24 @@ def test_runs_leave_nothing_behind() -> None:
 @LINUX
 @SLOW
 def test_folders_leave_nothing_behind(tmp_path: Path) -> None:
-    """Nor the stability that a run is told, or its report with two pictures of some 800 x 400 points of 4 byte.
+    """Nor the stability that a run is told, or its report with two pictures of some 800 x 400
+    points of 4 byte.
 
-    Without the recording, of each of which the rerun library itself keeps some 5 MB for as long as the process lives.
+    Without the recording, of each of which the rerun library itself keeps some 5 MB for as long as
+    the process lives.
     """
     kept = 2 * 800 * 400 * 4 + size_of(run(short(0)))
-    assert grown(lambda i: write_run(run(short(i)), tmp_path / "run", rerun=False), 21) < 0.5 * 21 * kept
+    assert (
+        grown(lambda i: write_run(run(short(i)), tmp_path / "run", rerun=False), 21)
+        < 0.5 * 21 * kept
+    )
 
 
 @LINUX
 @SLOW
 def test_diagnoses_leave_nothing_behind(tmp_path: Path) -> None:
-    """Each holds some hundred replays of two records of 800 rows, six columns of 8 byte and more: 8 MB. A tenth a diagnosis would show."""
+    """Each holds some hundred replays of two records of 800 rows, six columns of 8 byte and more: 8
+    MB. A tenth a diagnosis would show.
+    """
     file = recorded(tmp_path, [{"kind": "sensor.delay", "delay": 0.002}])
     assert grown(lambda i: diagnose(file), 9) < 0.1 * 9 * 100 * 2 * 800 * 6 * 8

@@ -1,4 +1,5 @@
-"""Inputs at random, as the project's own schemas allow them: a result, or an error that says what is wrong, and nothing else.
+"""Inputs at random, as the project's own schemas allow them: a result, or an error that says what
+is wrong, and nothing else.
 
 The quick part of `hiltestbed bench robustness`; what that found stands below as cases of its own.
 """
@@ -35,14 +36,24 @@ from hiltestbed.yaml_source import Source
 from tests.slow import ALL
 
 QUICK = settings(
-    max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
+    max_examples=40,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
 NAMES = st.sampled_from(["vary", "scenario", "design", "values", "kind", "x"])
 ANYTHING = st.recursive(
     st.none() | st.booleans() | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3),
 )
-COUNTS = {"extremes": 12 if ALL else 5, "scenario": 8 if ALL else 4, "text": 40, "campaign": 40, "packet": 300, "dataset": 6}
+COUNTS = {
+    "extremes": 12 if ALL else 5,
+    "scenario": 8 if ALL else 4,
+    "text": 40,
+    "campaign": 40,
+    "packet": 300,
+    "dataset": 6,
+}
 
 
 def of_schema(schema: dict[str, Any]) -> st.SearchStrategy[Any]:
@@ -63,16 +74,24 @@ def _said(work: Callable[[], Any]) -> None:
 @QUICK
 @given(of_schema(json_schema("dataset")))
 def test_datasets_of_the_schema(data: Any) -> None:
-    _said(lambda: validate(Dataset, Source("dataset", data if isinstance(data, dict) else {"runs": data})))
+    _said(
+        lambda: validate(
+            Dataset, Source("dataset", data if isinstance(data, dict) else {"runs": data})
+        )
+    )
 
 
 @QUICK
 @given(of_schema(Contact.model_json_schema()), st.integers(0, 3))
 def test_contacts_of_the_schema(contact: Any, place: int) -> None:
     base = {
-        "name": "x", "duration": 0.01, "approach": {"velocity": [0.0, 0.0, 0.03]},
-        "spacecraft": {b: {"mass": 10.0**place, "inertia": [1.0, 1.0, 1.0]} for b in ("chaser", "target")},
-    }  # fmt: skip
+        "name": "x",
+        "duration": 0.01,
+        "approach": {"velocity": [0.0, 0.0, 0.03]},
+        "spacecraft": {
+            b: {"mass": 10.0**place, "inertia": [1.0, 1.0, 1.0]} for b in ("chaser", "target")
+        },
+    }
     _said(lambda: scenario_from(base | {"mechanism": {"kind": "bumper", "contact": contact}}))
 
 
@@ -84,9 +103,13 @@ def test_campaigns_of_any_shape(data: Any) -> None:
 
 @QUICK
 @given(st.integers(0, 2**32 - 1))
-def test_scenario_files_with_other_bytes(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+def test_scenario_files_with_other_bytes(
+    tmp_path_factory: pytest.TempPathFactory, seed: int
+) -> None:
     path = tmp_path_factory.getbasetemp() / "bytes.yaml"
-    path.write_bytes(mutated((shipped("scenarios") / "02-bumper.yaml").read_bytes(), np.random.default_rng(seed)))
+    path.write_bytes(
+        mutated((shipped("scenarios") / "02-bumper.yaml").read_bytes(), np.random.default_rng(seed))
+    )
     check_file(path)
 
 
@@ -98,8 +121,13 @@ def test_trials_of_each_kind(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [9498, 14489, 17260, 18136, 18671])
-def test_damaged_files_that_once_ended_in_errors_of_their_parsers(number: int, tmp_path: Path) -> None:
-    assert TRIALS["file"](np.random.default_rng([crc32(b"file"), number]), tmp_path) in ("refused", "contained")
+def test_damaged_files_that_once_ended_in_errors_of_their_parsers(
+    number: int, tmp_path: Path
+) -> None:
+    assert TRIALS["file"](np.random.default_rng([crc32(b"file"), number]), tmp_path) in (
+        "refused",
+        "contained",
+    )
 
 
 def test_the_long_part_tells_what_it_did() -> None:
@@ -109,14 +137,25 @@ def test_the_long_part_tells_what_it_did() -> None:
     assert {r["kind"] for r in result.records} == set(TRIALS)
 
 
-def test_trials_go_on_where_they_were_stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_trials_go_on_where_they_were_stopped(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     keep, added = tmp_path / "bench.trials.jsonl", []
     before = Kept(keep, lambda record: (record["kind"], record["number"]))
     for number in range(5):
         before.add({"kind": "packet", "number": number, "ended": "survived", "wall": 0.1})
-    before.add({"kind": "packet", "number": 5, "fault": "the process ends with -11", "place": "ends with -11"})
+    before.add(
+        {
+            "kind": "packet",
+            "number": 5,
+            "fault": "the process ends with -11",
+            "place": "ends with -11",
+        }
+    )
     before.add({"kind": STRETCH, "number": 0, "wall": 120.0})
-    monkeypatch.setattr("hiltestbed.bench.robustness.run.TARGETS", dict.fromkeys(TRIALS, 0) | {"packet": 9})
+    monkeypatch.setattr(
+        "hiltestbed.bench.robustness.run.TARGETS", dict.fromkeys(TRIALS, 0) | {"packet": 9}
+    )
     monkeypatch.setattr(Kept, "add", lambda self, record: added.append(record))
     result = robustness(minutes=5.0, workers=1, keep=keep)
     assert [t["number"] for t in added if t["kind"] == "packet"] == [6, 7, 8]
@@ -132,13 +171,17 @@ def test_a_quaternion_without_length_has_no_rotation() -> None:
 
 
 def test_speeds_beyond_all_bounds_end_in_words() -> None:
-    scenario = load_scenario(shipped("scenarios") / "09-docking.yaml", set={"approach.velocity.2": 6e7, "duration": 0.05})
+    scenario = load_scenario(
+        shipped("scenarios") / "09-docking.yaml", set={"approach.velocity.2": 6e7, "duration": 0.05}
+    )
     result = run(scenario)
     assert result.summary["status"] == "diverged"
     assert result.summary["stop_reason"]
 
 
-@pytest.mark.parametrize("slow", [{"sensor.lowpass": 1e-7}, {"identification": {"kind": "rls_lead", "lag": 1e6}}])
+@pytest.mark.parametrize(
+    "slow", [{"sensor.lowpass": 1e-7}, {"identification": {"kind": "rls_lead", "lag": 1e6}}]
+)
 def test_a_filter_that_remembers_years_is_refused(slow: dict[str, Any]) -> None:
     scenario = load_scenario(shipped("scenarios") / "02-bumper.yaml", set=slow | {"duration": 0.05})
     with pytest.raises(InputError, match="of memory"):
@@ -149,7 +192,9 @@ def test_a_filter_that_remembers_years_is_refused(slow: dict[str, Any]) -> None:
 def test_a_name_that_no_file_system_takes_is_no_file(tmp_path: Path, key: str) -> None:
     names = {"scenario": "s.yaml", "file": "run.csv"} | {key: "a" * 300}
     (tmp_path / "s.yaml").write_text((shipped("scenarios") / "02-bumper.yaml").read_text())
-    (tmp_path / "d.yaml").write_text(f"scenario: {names['scenario']}\nruns: [{{file: {names['file']}}}]\n")
+    (tmp_path / "d.yaml").write_text(
+        f"scenario: {names['scenario']}\nruns: [{{file: {names['file']}}}]\n"
+    )
     _, faults = check_file(tmp_path / "d.yaml")
     assert any("names no file" in str(fault) for fault in faults)
 
@@ -168,7 +213,9 @@ def test_a_model_of_a_name_that_no_file_system_takes_is_no_file(section: dict[st
 
 
 def test_a_contact_that_lasts_for_minutes_is_not_played() -> None:
-    """Half a period of 100 kg or more on a spring of 5 mN/m is pi sqrt(100/0.005) = 444 s and more."""
+    """Half a period of 100 kg or more on a spring of 5 mN/m is pi sqrt(100/0.005) = 444 s and
+    more.
+    """
     soft = load_scenario("02-bumper", {"mechanism.contact.stiffness": 0.005})
     assert first_contact(soft) is None
     assert first_contact(load_scenario("02-bumper")) is not None
@@ -176,9 +223,23 @@ def test_a_contact_that_lasts_for_minutes_is_not_played() -> None:
 
 def test_a_frame_that_rings_beyond_all_steps_is_refused() -> None:
     with pytest.raises(InputError, match=r"rings so fast .* give a lower frequency"):
-        load_scenario("02-bumper", {"effects": [{"kind": "frame.mode", "frequency": 1e9, "damping_ratio": 0.1, "mass": 20.0}]})
+        load_scenario(
+            "02-bumper",
+            {
+                "effects": [
+                    {"kind": "frame.mode", "frequency": 1e9, "damping_ratio": 0.1, "mass": 20.0}
+                ]
+            },
+        )
     with pytest.raises(InputError, match="rings so fast"):
-        load_scenario("02-bumper", {"effects": [{"kind": "frame.mode", "frequency": 30.0, "damping_ratio": 0.1, "mass": 1e-9}]})
+        load_scenario(
+            "02-bumper",
+            {
+                "effects": [
+                    {"kind": "frame.mode", "frequency": 30.0, "damping_ratio": 0.1, "mass": 1e-9}
+                ]
+            },
+        )
 
 
 def test_a_loop_too_slow_for_any_sine_is_not_judged() -> None:

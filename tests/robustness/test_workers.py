@@ -34,7 +34,9 @@ TICK = 0.01  # [s] in which Linux counts
         (10.0, math.nan, True),
     ],
 )
-def test_who_sleeps_or_works_too_long_hangs_and_who_waits_for_a_core_does_not(wall: float, busy: float, expected: bool) -> None:
+def test_who_sleeps_or_works_too_long_hangs_and_who_waits_for_a_core_does_not(
+    wall: float, busy: float, expected: bool
+) -> None:
     assert hangs(wall, busy, 10.0) is expected
 
 

@@ -1,4 +1,6 @@
-"""Faults of the world: no space, no place, no reader, no locale, killed. Nothing half-written, and the same command goes on."""
+"""Faults of the world: no space, no place, no reader, no locale, killed. Nothing half-written, and
+the same command goes on.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +29,23 @@ set: {{duration: 0.3}}
 vary: {{sensor.delay: {{values: [0.001, 0.002, 0.003, 0.004, 0.005, 0.006]}}}}
 design: {{kind: grid}}
 """
-LANGUAGES = {"ascii": {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}, "unknown": {"LANG": "xx_XX"}}
+LANGUAGES = {
+    "ascii": {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
+    "unknown": {"LANG": "xx_XX"},
+}
 FILES = {"scenario.yaml", "summary.json", "trace.parquet", "report.html"}
 
 
-def start(*arguments: str, env: dict[str, str] | None = None, before: Callable[[], None] | None = None, **more) -> subprocess.Popen:
+def start(
+    *arguments: str,
+    env: dict[str, str] | None = None,
+    before: Callable[[], None] | None = None,
+    **more,
+) -> subprocess.Popen:
     order = [sys.executable, "-m", "hiltestbed.cli", *arguments]
-    return subprocess.Popen(order, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=env, preexec_fn=before, **more)
+    return subprocess.Popen(
+        order, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=env, preexec_fn=before, **more
+    )
 
 
 def ended(process: subprocess.Popen, seconds: float = 300.0) -> tuple[int, str, str]:
@@ -76,16 +88,23 @@ def test_nobody_reads_standard_output(tmp_path: Path) -> None:
     assert set(os.listdir(tmp_path / "r")) == FILES
 
 
-@pytest.mark.parametrize("language", ["ascii", slow("unknown")])  # each compiles the kernels: nowhere to keep them
+# each compiles the kernels: nowhere to keep them
+@pytest.mark.parametrize("language", ["ascii", slow("unknown")])
 def test_no_home_no_locale_and_forty_columns(tmp_path: Path, language: str) -> None:
-    kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH", VARIABLE) if name in os.environ}
+    kept = {
+        name: os.environ[name] for name in ("PATH", "PYTHONPATH", VARIABLE) if name in os.environ
+    }
     env = kept | {"COLUMNS": "40", "TERM": "dumb"} | LANGUAGES[language]
-    (tmp_path / "s.yaml").write_text(BUMPER.read_text().replace("name: ", "name: ß→µ "), encoding="utf-8")
+    (tmp_path / "s.yaml").write_text(
+        BUMPER.read_text().replace("name: ", "name: ß→µ "), encoding="utf-8"
+    )
     order = ["run", str(tmp_path / "s.yaml"), *short(tmp_path / "r")[2:]]
     status, out, err = ended(start(*order, env=env))
     assert (status, "Traceback" in err) == (0, False), err
     assert out
-    status, _, err = ended(start("check", str(tmp_path / "r" / "scenario.yaml"), str(tmp_path / "none.yaml"), env=env))
+    status, _, err = ended(
+        start("check", str(tmp_path / "r" / "scenario.yaml"), str(tmp_path / "none.yaml"), env=env)
+    )
     assert (status, "Traceback" in err) == (2, False)
 
 
@@ -93,7 +112,9 @@ def test_no_home_no_locale_and_forty_columns(tmp_path: Path, language: str) -> N
 @SLOW
 @pytest.mark.usefixtures("warm")
 def test_killed_while_it_runs(tmp_path: Path, part: float) -> None:
-    """The folder is complete or absent, whenever the process dies; the same command then does it."""
+    """The folder is complete or absent, whenever the process dies; the same command then does
+    it.
+    """
     whole = time.monotonic()
     assert ended(start(*short(tmp_path / "whole")))[0] == 0
     whole = time.monotonic() - whole
@@ -104,7 +125,9 @@ def test_killed_while_it_runs(tmp_path: Path, part: float) -> None:
     if (tmp_path / "r").exists():
         assert read_run(tmp_path / "r").trace is not None
     assert ended(start(*short(tmp_path / "r")))[0] == 0
-    assert (tmp_path / "r" / "trace.parquet").read_bytes() == (tmp_path / "whole" / "trace.parquet").read_bytes()
+    assert (tmp_path / "r" / "trace.parquet").read_bytes() == (
+        tmp_path / "whole" / "trace.parquet"
+    ).read_bytes()
 
 
 @SLOW
@@ -127,7 +150,9 @@ def test_a_sweep_that_is_killed_goes_on_to_the_same_bytes(tmp_path: Path) -> Non
 
 def _bytes(folder: Path, **way) -> str:
     """SHA-256 of the trace of a run with noise."""
-    status, _, err = ended(start(*short(folder, "--set", "sensor.noise=0.5", "--set", "seed=11"), **way), 590)
+    status, _, err = ended(
+        start(*short(folder, "--set", "sensor.noise=0.5", "--set", "seed=11"), **way), 590
+    )
     assert status == 0, err
     return _sha(folder / "trace.parquet")
 
@@ -138,7 +163,14 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
     found = {"PYTHONPATH": os.pathsep.join([str(Path.cwd()), os.environ.get("PYTHONPATH", "")])}
     threads = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "PYTHONHASHSEED": "7"}
     plain = _bytes(tmp_path / "plain")
-    assert _bytes(tmp_path / "elsewhere" / "r", env=os.environ | found | threads, cwd=tmp_path / "elsewhere") == plain
+    assert (
+        _bytes(
+            tmp_path / "elsewhere" / "r",
+            env=os.environ | found | threads,
+            cwd=tmp_path / "elsewhere",
+        )
+        == plain
+    )
 
 
 @SLOW
@@ -151,7 +183,9 @@ def _sha(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def test_kernels_have_a_place_where_package_and_home_are_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_have_a_place_where_package_and_home_are_read_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     for environment in ({}, {"HOME": "/nowhere"}, {VARIABLE: "/dev/null/x"}):
         settle(Path("/usr/lib/hiltestbed"), environment, lambda folder: False)
@@ -168,5 +202,11 @@ def test_kernels_have_a_place_where_package_and_home_are_read_only(tmp_path: Pat
 
 @SLOW
 def test_a_cache_that_cannot_be_written_is_passed_over(tmp_path: Path) -> None:
-    status, _, err = ended(start(*short(tmp_path / "r"), env=os.environ | {VARIABLE: "/dev/null/x", "TMPDIR": str(tmp_path)}), 590)
+    status, _, err = ended(
+        start(
+            *short(tmp_path / "r"),
+            env=os.environ | {VARIABLE: "/dev/null/x", "TMPDIR": str(tmp_path)},
+        ),
+        590,
+    )
     assert status == 0, err

@@ -1,4 +1,6 @@
-"""Keys that act on nothing: what is said to have no effect has none, and a key that was given in vain is warned of."""
+"""Keys that act on nothing: what is said to have no effect has none, and a key that was given in
+vain is warned of.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ SHORT = {
 
 
 def rig(kind: str, tracking: str, **more: Any) -> Scenario:
-    return load_scenario(BUMPER, SHORT | {"rig.platform": {"kind": kind, "tracking": tracking}} | more)
+    return load_scenario(
+        BUMPER, SHORT | {"rig.platform": {"kind": kind, "tracking": tracking}} | more
+    )
 
 
 def traced(scenario: Scenario) -> RunTrace:
@@ -45,11 +49,18 @@ def changed(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
     return (
-        value + 1 if isinstance(value, int) and value != 3 else 1.25 * value + 0.125 * (value == 0.0) if isinstance(value, float) else None
+        value + 1
+        if isinstance(value, int) and value != 3
+        else 1.25 * value + 0.125 * (value == 0.0)
+        if isinstance(value, float)
+        else None
     )
 
 
-@pytest.mark.parametrize(("kind", "tracking"), [("pss33", "servo"), ("pss33", "response"), ("pss33", "ideal"), ("serial_arm", "response")])
+@pytest.mark.parametrize(
+    ("kind", "tracking"),
+    [("pss33", "servo"), ("pss33", "response"), ("pss33", "ideal"), ("serial_arm", "response")],
+)
 def test_keys_that_are_said_to_have_no_effect_have_none(kind, tracking) -> None:
     """All of them changed at once, the same trace to the last bit."""
     s = rig(kind, tracking)
@@ -58,7 +69,8 @@ def test_keys_that_are_said_to_have_no_effect_have_none(kind, tracking) -> None:
         owner: Any = data
         for part in path[:-1]:
             owner = owner[part]
-        if path[-1] != "command" and path[0] != "compensation":  # of which rates must divide, and a kind is no number
+        # of which rates must divide, and a kind is no number
+        if path[-1] != "command" and path[0] != "compensation":
             other = changed(owner[path[-1]])
             touched += other is not None and other != owner[path[-1]]
             owner[path[-1]] = owner[path[-1]] if other is None else other
@@ -74,20 +86,34 @@ def test_keys_that_are_said_to_have_no_effect_have_none(kind, tracking) -> None:
 
 
 def test_what_stands_for_them_acts() -> None:
-    first, second = traced(rig("pss33", "response")), traced(rig("pss33", "response", **{"rig.platform.response.delay": 0.004}))
+    first, second = (
+        traced(rig("pss33", "response")),
+        traced(rig("pss33", "response", **{"rig.platform.response.delay": 0.004})),
+    )
     assert np.abs(first["pose_act"] - second["pose_act"]).max() > 1e-5
 
 
 def test_a_key_that_was_given_in_vain_is_named_with_what_to_do(tmp_path: Path) -> None:
-    keys = {"rig.platform.command": {"delay_cycles": 3}, "compensation.motion": {"kind": "feedforward"}}
+    keys = {
+        "rig.platform.command": {"delay_cycles": 3},
+        "compensation.motion": {"kind": "feedforward"},
+    }
     s = rig("pss33", "response", **keys)
     said = [text for text in warnings(s) if "no effect" in text]
-    assert any(text.startswith("rig.platform.command.delay_cycles: has no effect") and "response.delay" in text for text in said)
-    assert any(text.startswith("compensation.motion.kind: has no effect") and "inverse_model" in text for text in said)
+    assert any(
+        text.startswith("rig.platform.command.delay_cycles: has no effect")
+        and "response.delay" in text
+        for text in said
+    )
+    assert any(
+        text.startswith("compensation.motion.kind: has no effect") and "inverse_model" in text
+        for text in said
+    )
     file = tmp_path / "resolved.yaml"
     file.write_text(dump_scenario(s), encoding="utf-8")
     again = [keys for keys, _ in given_in_vain(load_scenario(file))]
-    assert again == [("rig.platform.command.delay_cycles",)]  # of what a resolved file holds, only what is not the default
+    # of what a resolved file holds, only what is not the default
+    assert again == [("rig.platform.command.delay_cycles",)]
     assert any("delay_cycles: has no effect" in remark for remark in look_at(file).remarks)
 
 
@@ -98,11 +124,22 @@ def test_a_key_that_acts_is_not_named() -> None:
 
 
 def test_what_a_mechanism_that_holds_leaves_aside() -> None:
-    keys = {"mechanism": {"kind": "latched", "contact": {"stiffness": 2e4, "damping": 200.0, "friction": 0.2}}, "approach.gap": 0.0}
+    keys = {
+        "mechanism": {
+            "kind": "latched",
+            "contact": {"stiffness": 2e4, "damping": 200.0, "friction": 0.2},
+        },
+        "approach.gap": 0.0,
+    }
     keys |= {"compensation.force": {"kind": "resynchronised", "blending": 0.004}}
     plain = keys | {"mechanism.contact.friction": 0.0, "compensation.force.blending": 0.002}
-    first, second = (load_scenario(BUMPER, SHORT | {"approach.gap": 0.0} | changes) for changes in (keys, plain))
-    assert {keys for keys, _ in given_in_vain(first)} == {("mechanism.contact.friction",), ("compensation.force.blending",)}
+    first, second = (
+        load_scenario(BUMPER, SHORT | {"approach.gap": 0.0} | changes) for changes in (keys, plain)
+    )
+    assert {keys for keys, _ in given_in_vain(first)} == {
+        ("mechanism.contact.friction",),
+        ("compensation.force.blending",),
+    }
     np.testing.assert_array_equal(traced(first)["pose_act"], traced(second)["pose_act"])
 
 
@@ -110,10 +147,13 @@ def test_what_a_mechanism_that_holds_leaves_aside() -> None:
 def test_a_campaign_that_varies_such_a_key(tmp_path: Path, tracking, named) -> None:
     file = tmp_path / "campaign.yaml"
     file.write_text(
-        f"scenario: {BUMPER}\nset: {{rig.platform.tracking: {tracking}}}\nvary:\n  rig.platform.bandwidth: {{values: [10.0, 20.0]}}\n"
+        f"scenario: {BUMPER}\nset: {{rig.platform.tracking: {tracking}}}\nvary:\n  "
+        f"rig.platform.bandwidth: {{values: [10.0, 20.0]}}\n"
         "  sensor.delay: {values: [0.001, 0.002]}\ndesign: {kind: grid}\n",
         encoding="utf-8",
     )
     said = [remark for remark in look_at(file).remarks if "vary." in remark]
     assert len(said) == named
-    assert not named or said[0].startswith("warning: vary.rig.platform.bandwidth: has no effect: tracking is ideal")
+    assert not named or said[0].startswith(
+        "warning: vary.rig.platform.bandwidth: has no effect: tracking is ideal"
+    )

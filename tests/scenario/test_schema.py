@@ -1,4 +1,6 @@
-"""The schema of a scenario: what it lists, what it says of each key, and that it takes what the loader takes."""
+"""The schema of a scenario: what it lists, what it says of each key, and that it takes what the
+loader takes.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,10 @@ def plain(path: Path) -> Any:
 def union(where: dict[str, Any], schema: dict[str, Any]) -> list[str]:
     """The kinds of a discriminated union."""
     assert where["discriminator"]["propertyName"] == "kind"
-    return [schema["$defs"][m["$ref"].rpartition("/")[2]]["properties"]["kind"]["const"] for m in where["oneOf"]]
+    return [
+        schema["$defs"][m["$ref"].rpartition("/")[2]]["properties"]["kind"]["const"]
+        for m in where["oneOf"]
+    ]
 
 
 def test_it_is_a_json_schema() -> None:
@@ -69,15 +74,24 @@ def keys(node: dict[str, Any], where: str) -> Iterator[tuple[str, str]]:
         yield f"{where}.{key}", value.get("description", "")
 
 
-EVERY_KEY = [*keys(SCHEMA, "Scenario"), *(pair for name, node in SCHEMA["$defs"].items() for pair in keys(node, name))]
+EVERY_KEY = [
+    *keys(SCHEMA, "Scenario"),
+    *(pair for name, node in SCHEMA["$defs"].items() for pair in keys(node, name)),
+]
 
 
 @pytest.mark.parametrize(("key", "said"), EVERY_KEY, ids=[k for k, _ in EVERY_KEY])
 def test_every_key_is_described_in_words_that_need_no_others(key: str, said: str) -> None:
-    """A text begins with what the key is: no bare unit, no fragment, no word that points at another text."""
+    """A text begins with what the key is: no bare unit, no fragment, no word that points at another
+    text.
+    """
     assert len(said.split()) >= 2, said
     assert re.match(r"[A-Z]", said), said
-    assert not re.search(r"\bthe same\b(?! (seed|trace|tick|time))|\blikewise\b|\bditto\b|\bas above\b|\bidem\b", said, re.IGNORECASE), said
+    assert not re.search(
+        r"\bthe same\b(?! (seed|trace|tick|time))|\blikewise\b|\bditto\b|\bas above\b|\bidem\b",
+        said,
+        re.IGNORECASE,
+    ), said
 
 
 def test_every_object_is_described() -> None:
@@ -88,7 +102,9 @@ def test_every_object_is_described() -> None:
 
 
 def test_numbers_of_a_unit_say_so() -> None:
-    """Of the keys that are a number or a list of numbers each names its unit in brackets, or is a count, a name or a switch."""
+    """Of the keys that are a number or a list of numbers each names its unit in brackets, or is a
+    count, a name or a switch.
+    """
     counts = {"seed", "order", "lag", "ticks"}
     for name, node in {"Scenario": SCHEMA, **SCHEMA["$defs"]}.items():
         for key, value in node.get("properties", {}).items():

@@ -14,10 +14,17 @@ GRAVITY = 9.81
 
 
 def sensor_reading(added: float, x: float) -> np.ndarray:
-    """The six readings of the rig's sensor with ``added`` [kg] hung on the passive side at ``x`` [m] from the axis."""
+    """The six readings of the rig's sensor with ``added`` [kg] hung on the passive side at ``x``
+    [m] from the axis.
+    """
     spec = rig_spec(structure(scenario()), timestep=1e-3)
     weight = spec.body("passive_mechanism").add_body(name="weight", pos=[x, 0.0, 0.1])
-    weight.explicitinertial, weight.mass, weight.ipos, weight.inertia = True, max(added, 1e-9), [0.0, 0.0, 0.0], np.full(3, 1e-9)
+    weight.explicitinertial, weight.mass, weight.ipos, weight.inertia = (
+        True,
+        max(added, 1e-9),
+        [0.0, 0.0, 0.0],
+        np.full(3, 1e-9),
+    )
     m = spec.compile()
     data = mujoco.MjData(m)
     data.joint("platform").qpos[2] -= 0.5
@@ -26,13 +33,19 @@ def sensor_reading(added: float, x: float) -> np.ndarray:
 
 
 def test_a_known_weight_reads_as_what_the_parent_carries() -> None:
-    """10 kg at x = 0.2 m: MuJoCo reads what the frame exerts, +98.1 N along z and the torque r x F, about y -0.2 m 98.1 N."""
+    """10 kg at x = 0.2 m: MuJoCo reads what the frame exerts, +98.1 N along z and the torque r x F,
+    about y -0.2 m 98.1 N.
+    """
     added = sensor_reading(10.0, 0.2) - sensor_reading(0.0, 0.2)
-    np.testing.assert_allclose(added, [0.0, 0.0, 10.0 * GRAVITY, 0.0, -0.2 * 10.0 * GRAVITY, 0.0], atol=1e-6)
+    np.testing.assert_allclose(
+        added, [0.0, 0.0, 10.0 * GRAVITY, 0.0, -0.2 * 10.0 * GRAVITY, 0.0], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
-def test_pushing_in_reads_positive_and_the_tare_leaves_nothing_without_contact(tracking: str) -> None:
+def test_pushing_in_reads_positive_and_the_tare_leaves_nothing_without_contact(
+    tracking: str,
+) -> None:
     s = scenario(tracking)
     plant, still = Plant([s]), np.zeros((1, 6))
     plant.reset(pose(z=-0.01), still)

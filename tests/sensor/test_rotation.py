@@ -1,4 +1,6 @@
-"""A sensor that is mounted turned: against an independent rotation, beside gain and crosstalk, and told from a crosstalk."""
+"""A sensor that is mounted turned: against an independent rotation, beside gain and crosstalk, and
+told from a crosstalk.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,17 @@ WRENCH = np.array([1.0, -2.0, 300.0, 4.0, 5.0, -6.0])
 GAIN = {"kind": "sensor.gain", "axis": "z", "factor": 1.1}
 LEAK = {"kind": "sensor.crosstalk", "source": "z", "axis": "x", "ratio": 0.05}
 TURN = {"kind": "sensor.rotation", "angles_deg": ANGLES}
-SCALES = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=NOISE, slow=0.02, fast=0.1, duration=0.5, substeps=4)
+SCALES = Scales(
+    force=300.0,
+    depth=3e-3,
+    stiffness=1e5,
+    tick=H,
+    noise=NOISE,
+    slow=0.02,
+    fast=0.1,
+    duration=0.5,
+    substeps=4,
+)
 
 
 def shown(*effects: dict) -> np.ndarray:
@@ -30,7 +42,9 @@ def shown(*effects: dict) -> np.ndarray:
 
 
 def felt(*turns: tuple[float, float, float]) -> np.ndarray:
-    """(6,) WRENCH in a frame that was turned by each of the rotation vectors in its turn, about the axes that are believed."""
+    """(6,) WRENCH in a frame that was turned by each of the rotation vectors in its turn, about the
+    axes that are believed.
+    """
     frame = Rotation.identity()
     for turn in turns:
         frame = Rotation.from_rotvec(turn, degrees=True) * frame
@@ -44,11 +58,19 @@ def test_force_and_torque_are_read_along_the_turned_axes() -> None:
 
 def test_a_second_turn_is_about_the_axes_that_are_believed() -> None:
     second = (0.0, 90.0, 0.0)
-    assert shown(TURN, {"kind": "sensor.rotation", "angles_deg": second}) == pytest.approx(felt(ANGLES, second), abs=1e-12)
+    assert shown(TURN, {"kind": "sensor.rotation", "angles_deg": second}) == pytest.approx(
+        felt(ANGLES, second), abs=1e-12
+    )
 
 
-@pytest.mark.parametrize("order", [(TURN, GAIN, LEAK), (GAIN, TURN, LEAK), (GAIN, LEAK, TURN)], ids=["first", "between", "last"])
-def test_gain_and_crosstalk_are_those_of_the_turned_axes_wherever_the_turn_stands(order: tuple[dict, ...]) -> None:
+@pytest.mark.parametrize(
+    "order",
+    [(TURN, GAIN, LEAK), (GAIN, TURN, LEAK), (GAIN, LEAK, TURN)],
+    ids=["first", "between", "last"],
+)
+def test_gain_and_crosstalk_are_those_of_the_turned_axes_wherever_the_turn_stands(
+    order: tuple[dict, ...],
+) -> None:
     expected = felt(ANGLES)
     expected[2] *= GAIN["factor"]
     expected[0] += LEAK["ratio"] * expected[2]
@@ -57,11 +79,17 @@ def test_gain_and_crosstalk_are_those_of_the_turned_axes_wherever_the_turn_stand
 
 def _found(hidden: Effect) -> tuple[Residual, list]:
     residual = Residual(contact_link([hidden]))
-    candidates = [c for kind in ("sensor.rotation", "sensor.crosstalk", "sensor.gain") for c in EFFECTS[kind].candidates(SCALES)]
+    candidates = [
+        c
+        for kind in ("sensor.rotation", "sensor.crosstalk", "sensor.gain")
+        for c in EFFECTS[kind].candidates(SCALES)
+    ]
     return residual, Search(tuple(candidates)).extend(residual, null_fit(residual))
 
 
-def test_a_turn_about_a_lateral_axis_is_found_and_none_is_made_up_about_the_axis_of_the_load() -> None:
+def test_a_turn_about_a_lateral_axis_is_found_and_none_is_made_up_about_the_axis_of_the_load() -> (
+    None
+):
     residual, fits = _found(effect("sensor.rotation", angles_deg=(2.0, -3.0, 0.0)))
     best, ends = fits[0], intervals(residual, fits[0]).ends
     assert best.kinds == ("sensor.rotation",)
@@ -71,7 +99,9 @@ def test_a_turn_about_a_lateral_axis_is_found_and_none_is_made_up_about_the_axis
 
 
 def test_a_crosstalk_is_no_turn() -> None:
-    """One number goes before two: where a turn about y by as much fits, but for the cosine, the crosstalk is simpler."""
+    """One number goes before two: where a turn about y by as much fits, but for the cosine, the
+    crosstalk is simpler.
+    """
     _, fits = _found(effect("sensor.crosstalk", source="z", axis="x", ratio=0.005))
     assert fits[0].kinds == ("sensor.crosstalk",)
     turns = [f for f in fits if f.kinds == ("sensor.rotation",)]

@@ -1,4 +1,6 @@
-"""The sensor's chain: delay of any length, filters against their closed forms, noise that does not depend on the batch."""
+"""The sensor's chain: delay of any length, filters against their closed forms, noise that does not
+depend on the batch.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,19 @@ RATE, SUBSTEPS = 1000.0, 4
 
 def scenario(sensor: dict | None = None, effects: list | None = None):
     body = {"mass": 500.0, "inertia": [200.0, 180.0, 150.0]}
-    return scenario_from({
-        "name": "sensor", "duration": 1.0, "rate": RATE, "physics_rate": RATE * SUBSTEPS,
-        "spacecraft": {"chaser": body, "target": body}, "approach": {"velocity": [0, 0, 0.03]},
-        "mechanism": {"contact": {"stiffness": 1e5}}, "sensor": sensor or {}, "effects": effects or [],
-    })  # fmt: skip
+    return scenario_from(
+        {
+            "name": "sensor",
+            "duration": 1.0,
+            "rate": RATE,
+            "physics_rate": RATE * SUBSTEPS,
+            "spacecraft": {"chaser": body, "target": body},
+            "approach": {"velocity": [0, 0, 0.03]},
+            "mechanism": {"contact": {"stiffness": 1e5}},
+            "sensor": sensor or {},
+            "effects": effects or [],
+        }
+    )
 
 
 def readings(signal, ticks=200, scenarios=None, seed=5):
@@ -53,7 +63,9 @@ def test_a_linear_wrench_arrives_late_by_any_delay(delay):
 
 
 def test_effect_and_nominal_delay_add():
-    two = readings(ramp, scenarios=[scenario({"delay": 0.002}, [{"kind": "sensor.delay", "delay": 0.0013}])])
+    two = readings(
+        ramp, scenarios=[scenario({"delay": 0.002}, [{"kind": "sensor.delay", "delay": 0.0013}])]
+    )
     one = readings(ramp, scenarios=[scenario({"delay": 0.0033})])
     assert np.allclose(two, one, atol=1e-9)
 
@@ -62,7 +74,9 @@ def test_low_pass_and_lag_step_responses():
     step = lambda t: np.ones((*np.shape(t), 6))  # noqa: E731
     tau = 0.01
     by_cutoff = readings(step, scenarios=[scenario({"lowpass": 1 / (2 * math.pi * tau)})])[:, 0, 2]
-    by_lag = readings(step, scenarios=[scenario(effects=[{"kind": "sensor.lag", "time_constant": tau}])])[:, 0, 2]
+    by_lag = readings(
+        step, scenarios=[scenario(effects=[{"kind": "sensor.lag", "time_constant": tau}])]
+    )[:, 0, 2]
     expected = 1 - np.exp(-(np.arange(200) + 1) / RATE / tau)
     assert np.allclose(by_cutoff, expected, atol=1e-12)
     assert np.allclose(by_lag, expected, atol=1e-12)
@@ -91,11 +105,16 @@ def test_static_effects_follow_their_equations():
     expected[:, 1] += 2.0 * t + 0.5 * np.sin(2 * np.pi * 50 * t + 0.3)
     expected += [0.1, 0.2, 0.3, 0, 0, 0.4]
     expected[:, :3] = np.clip(expected[:, :3], -40, 40)
-    assert np.allclose(readings(ramp, scenarios=[scenario(effects=effects)])[:, 0], expected, atol=1e-9)
+    assert np.allclose(
+        readings(ramp, scenarios=[scenario(effects=effects)])[:, 0], expected, atol=1e-9
+    )
 
 
 def test_dead_zone_and_quantisation():
-    got = readings(ramp, scenarios=[scenario({"quantisation": 0.5}, [{"kind": "sensor.deadzone", "width": 10.0}])])[:, 0, 2]
+    got = readings(
+        ramp,
+        scenarios=[scenario({"quantisation": 0.5}, [{"kind": "sensor.deadzone", "width": 10.0}])],
+    )[:, 0, 2]
     true = ramp(np.arange(200) / RATE)[:, 2]
     assert np.all(got[true < 9.9] == 0)
     assert np.all(np.abs(got - true)[true > 10] <= 0.25 + 1e-9)

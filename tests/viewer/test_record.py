@@ -39,7 +39,9 @@ def _strict() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     """Both ports off the axis, tilted and turning, with friction and noise: every axis moves."""
-    off_centre = hiltestbed.load_scenario(Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml")
+    off_centre = hiltestbed.load_scenario(
+        Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml"
+    )
     return off_centre.model_copy(update={"duration": 0.6})
 
 
@@ -55,7 +57,9 @@ class Read:
         self.moving: dict[str, dict[str, list]] = {}
         self.static: dict[str, dict[str, list]] = {}
         for chunk in RrdReader(path).stream():
-            into = (self.static if chunk.is_static else self.moving).setdefault(chunk.entity_path, {})
+            into = (self.static if chunk.is_static else self.moving).setdefault(
+                chunk.entity_path, {}
+            )
             batch = chunk.to_record_batch()
             for name in batch.schema.names:
                 into.setdefault(name, []).extend(batch.column(name).to_pylist())
@@ -70,7 +74,9 @@ class Read:
     def pose(self, body: str) -> tuple[Array, Array]:
         """Positions ``(frames, 3)`` and rotations ``(frames, 3, 3)`` of a body."""
         entity = f"/{body}"
-        return self.values(entity, "Transform3D:translation"), rotation_matrix(self.values(entity, "Transform3D:quaternion"))
+        return self.values(entity, "Transform3D:translation"), rotation_matrix(
+            self.values(entity, "Transform3D:quaternion")
+        )
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +107,9 @@ def test_frames_cover_the_run(done: Run, trace: RunTrace, rows: np.ndarray) -> N
     assert np.argmax(np.linalg.norm(trace["wrench_true"][:, :3], axis=1)) in rows
 
 
-def test_active_port_stands_at_the_pose_that_was_reached(recording: Read, trace: RunTrace, rows: np.ndarray) -> None:
+def test_active_port_stands_at_the_pose_that_was_reached(
+    recording: Read, trace: RunTrace, rows: np.ndarray
+) -> None:
     position, rotation = recording.pose("rig/platform")
     np.testing.assert_allclose(recording.times("/rig/platform"), trace.t[rows], atol=1e-9)
     port = position - rotation @ Platform.load().centre
@@ -109,7 +117,9 @@ def test_active_port_stands_at_the_pose_that_was_reached(recording: Read, trace:
     np.testing.assert_allclose(rotation, rotation_matrix(trace["pose_act"][rows, 3:]), atol=SINGLE)
 
 
-def test_links_end_at_the_platform_and_start_at_their_slider(recording: Read, trace: RunTrace, rows: np.ndarray) -> None:
+def test_links_end_at_the_platform_and_start_at_their_slider(
+    recording: Read, trace: RunTrace, rows: np.ndarray
+) -> None:
     platform = Platform.load()
     position, rotation = recording.pose("rig/platform")
     for j, limb in enumerate(platform.limbs):
@@ -118,36 +128,54 @@ def test_links_end_at_the_platform_and_start_at_their_slider(recording: Read, tr
         np.testing.assert_allclose(foot + turn @ [0.0, 0.0, limb[9]], anchor, atol=3 * SINGLE)
         carriage, _ = recording.pose(f"rig/carriage_{j}")
         travel = (carriage - limb[0:3]) @ limb[3:6]
-        np.testing.assert_allclose(travel, trace["slider_act"][rows, j], atol=2e-4)  # the ball joints give a little under load
+        # the ball joints give a little under load
+        np.testing.assert_allclose(travel, trace["slider_act"][rows, j], atol=2e-4)
 
 
-def test_arrow_is_the_contact_force_where_it_acts(recording: Read, done: Run, trace: RunTrace, rows: np.ndarray) -> None:
+def test_arrow_is_the_contact_force_where_it_acts(
+    recording: Read, done: Run, trace: RunTrace, rows: np.ndarray
+) -> None:
     entity, wrench = "/rig/at_P/contact_force", trace["wrench_true"][rows]
     scale = force_scale(np.linalg.norm(trace["wrench_true"][:, :3], axis=1).max())
-    vectors, origins = (recording.moving[entity][f"Arrows3D:{part}"] for part in ("vectors", "origins"))
+    vectors, origins = (
+        recording.moving[entity][f"Arrows3D:{part}"] for part in ("vectors", "origins")
+    )
     assert len(vectors) == len(rows)
-    for vector, origin, w, touching in zip(vectors, origins, wrench, trace.contact[rows], strict=True):
+    for vector, origin, w, touching in zip(
+        vectors, origins, wrench, trace.contact[rows], strict=True
+    ):
         assert len(vector) == (touching and bool(np.any(w[:3])))
         if len(vector):
             np.testing.assert_allclose(np.array(vector[0]) / scale, w[:3], rtol=1e-5, atol=1e-3)
-            # one sphere on a plane carries no couple: the torque about P is that of the force where it is drawn
-            np.testing.assert_allclose(np.cross(origin[0], w[:3]), w[3:], atol=1e-4 * float(np.linalg.norm(w[:3])))
+            # one sphere on a plane carries no couple: the torque about P is that of the force where
+            # it is drawn
+            np.testing.assert_allclose(
+                np.cross(origin[0], w[:3]), w[3:], atol=1e-4 * float(np.linalg.norm(w[:3]))
+            )
 
 
 def test_every_tick_of_every_signal_is_there(recording: Read, trace: RunTrace) -> None:
     ticks = len(trace.t)
     for name, columns in (("force", slice(0, 3)), ("torque", slice(3, 6))):
-        expected = np.stack([trace[f"wrench_{k}"][:, columns] for k in ("true", "meas", "comp")], axis=-1)
+        expected = np.stack(
+            [trace[f"wrench_{k}"][:, columns] for k in ("true", "meas", "comp")], axis=-1
+        )
         for j, axis in enumerate("xyz"):
-            np.testing.assert_allclose(recording.values(f"/signals/{name}/{axis}", "Scalars:scalars"), expected[:, j])
+            np.testing.assert_allclose(
+                recording.values(f"/signals/{name}/{axis}", "Scalars:scalars"), expected[:, j]
+            )
     for j, axis in enumerate("xyz"):
         both = np.stack([trace["pose_cmd"][:, j], trace["pose_act"][:, j]], axis=-1)
-        np.testing.assert_allclose(recording.values(f"/signals/position_mm/{axis}", "Scalars:scalars"), 1e3 * both)
+        np.testing.assert_allclose(
+            recording.values(f"/signals/position_mm/{axis}", "Scalars:scalars"), 1e3 * both
+        )
         assert len(recording.times(f"/signals/attitude_deg/{axis}")) == ticks
     np.testing.assert_allclose(recording.times("/signals/force/z"), trace.t, atol=1e-9)
 
 
-def test_estimates_stand_beside_their_true_values(recording: Read, done: Run, trace: RunTrace) -> None:
+def test_estimates_stand_beside_their_true_values(
+    recording: Read, done: Run, trace: RunTrace
+) -> None:
     contact = done.scenario.mechanism.contact
     for name, truth in (("stiffness", contact.stiffness), ("damping", contact.damping)):
         line = f"/signals/{name}/z/true"
@@ -155,7 +183,9 @@ def test_estimates_stand_beside_their_true_values(recording: Read, done: Run, tr
         assert recording.times(line).tolist() == pytest.approx([trace.t[0], trace.t[-1]])
         estimate = trace[f"{name}_est"][:, 2]
         known = np.flatnonzero(np.isfinite(estimate))[0]
-        np.testing.assert_allclose(recording.values(f"/signals/{name}/z/identified", "Scalars:scalars"), estimate[known:])
+        np.testing.assert_allclose(
+            recording.values(f"/signals/{name}/z/identified", "Scalars:scalars"), estimate[known:]
+        )
 
 
 def test_energy_ends_at_the_figure_of_the_summary(recording: Read, done: Run) -> None:
@@ -179,30 +209,50 @@ def test_phase_is_captured_from_the_latch_on(trace: RunTrace) -> None:
     assert phases[:700].tolist() == contact_phases(trace)[:700]
 
 
-def test_spacecraft_stand_apart_as_their_ports_do(recording: Read, done: Run, trace: RunTrace, rows: np.ndarray) -> None:
+def test_spacecraft_stand_apart_as_their_ports_do(
+    recording: Read, done: Run, trace: RunTrace, rows: np.ndarray
+) -> None:
     craft = done.scenario.spacecraft
     x_c, r_c = recording.pose("spacecraft/chaser")
     x_t, r_t = recording.pose("spacecraft/target")
-    apart = x_c + r_c @ np.array(craft.chaser.port.position) - x_t - r_t @ np.array(craft.target.port.position)
-    np.testing.assert_allclose(np.einsum("fji,fj->fi", r_t, apart), trace["pose_cmd"][rows, :3], atol=2 * SINGLE)
+    apart = (
+        x_c
+        + r_c @ np.array(craft.chaser.port.position)
+        - x_t
+        - r_t @ np.array(craft.target.port.position)
+    )
+    np.testing.assert_allclose(
+        np.einsum("fji,fj->fi", r_t, apart), trace["pose_cmd"][rows, :3], atol=2 * SINGLE
+    )
 
 
-def test_centre_of_mass_of_the_spacecraft_moves_uniformly(recording: Read, done: Run, trace: RunTrace, rows: np.ndarray) -> None:
+def test_centre_of_mass_of_the_spacecraft_moves_uniformly(
+    recording: Read, done: Run, trace: RunTrace, rows: np.ndarray
+) -> None:
     craft = done.scenario.spacecraft
     weights = np.array([craft.chaser.mass, craft.target.mass])
     both = np.stack([recording.pose(f"spacecraft/{name}")[0] for name in ("chaser", "target")])
     centre = np.einsum("b,bfi->fi", weights / weights.sum(), both)
     t = trace.t[rows]
     line = np.stack([np.polyval(np.polyfit(t, centre[:, i], 1), t) for i in range(3)], axis=-1)
-    # drawn from a step a frame: half a frame (1/480 s) at the change of velocity (0.07 m/s) leaves 0.15 mm at most
+    # drawn from a step a frame: half a frame (1/480 s) at the change of velocity (0.07 m/s) leaves
+    # 0.15 mm at most
     np.testing.assert_allclose(centre, line, atol=2e-4)
 
 
 def test_scene_holds_rig_ports_and_spacecraft(recording: Read) -> None:
-    meshes = {entity for entity, columns in recording.static.items() if any(c.startswith("Mesh3D:") for c in columns)}
+    meshes = {
+        entity
+        for entity, columns in recording.static.items()
+        if any(c.startswith("Mesh3D:") for c in columns)
+    }
     limbs = {f"/rig/{part}_{j}/shape" for part in ("carriage", "link") for j in range(6)}
     assert limbs | {"/rig/platform/shape", "/rig/platform/port_A", "/rig/at_P/port_P"} <= meshes
-    assert {"/rig/platform/active_mechanism/shape", "/rig/fixed/passive_mechanism/shape", "/rig/fixed/frame_frame/shape"} <= meshes
+    assert {
+        "/rig/platform/active_mechanism/shape",
+        "/rig/fixed/passive_mechanism/shape",
+        "/rig/fixed/frame_frame/shape",
+    } <= meshes
     assert {"/spacecraft/chaser/body", "/spacecraft/target/body"} <= meshes
 
 
@@ -232,7 +282,8 @@ def test_upper_platform_carries_P_and_its_legs_close(tmp_path: Path) -> None:
     assert port[0, 2] > 1.0  # a gap of 2 m is for the upper platform to close
     lower, turn = read.pose("rig/platform")
     relative = np.einsum("fji,fj->fi", attitude, lower - turn @ Platform.load().centre - port)
-    np.testing.assert_allclose(relative, done.trace["pose_act"][rows, :3], atol=2e-5)  # P is drawn where it is planned to be
+    # P is drawn where it is planned to be
+    np.testing.assert_allclose(relative, done.trace["pose_act"][rows, :3], atol=2e-5)
     upper = Upper.load()
     for j, leg in enumerate(upper.legs):
         foot, swing = read.pose(f"rig/upper_link_{j}")
@@ -248,7 +299,9 @@ def test_a_run_that_does_not_touch(scenario: Scenario, tmp_path: Path) -> None:
     assert not [entity for entity in read.moving if entity.endswith("/identified")]
 
 
-def test_a_run_that_left_the_numbers_is_drawn_up_to_there(done: Run, trace: RunTrace, tmp_path: Path) -> None:
+def test_a_run_that_left_the_numbers_is_drawn_up_to_there(
+    done: Run, trace: RunTrace, tmp_path: Path
+) -> None:
     data = {name: values.copy() for name, values in trace.data.items()}
     for name in data:
         data[name][-3:] = np.nan
@@ -275,7 +328,9 @@ def tiled(done: Run, ticks: int) -> Run:
     return dataclasses.replace(done, trace=RunTrace(t, data, np.tile(trace.contact, times)[:ticks]))
 
 
-def test_four_times_as_many_ticks_take_at_most_eight_times_as_long(done: Run, tmp_path: Path) -> None:
+def test_four_times_as_many_ticks_take_at_most_eight_times_as_long(
+    done: Run, tmp_path: Path
+) -> None:
     def seconds(long: Run) -> float:
         best = np.inf
         for _ in range(2):
@@ -285,5 +340,6 @@ def test_four_times_as_many_ticks_take_at_most_eight_times_as_long(done: Run, tm
         return best
 
     few, many = seconds(tiled(done, 25_000)), seconds(tiled(done, 100_000))
-    # Side by side, since no bound in seconds holds on every machine. Linear is 4 and less, by the model's share that does not grow.
+    # Side by side, since no bound in seconds holds on every machine. Linear is 4 and less, by the
+    # model's share that does not grow.
     assert many < 8.0 * few

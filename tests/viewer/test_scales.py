@@ -29,7 +29,9 @@ def test_a_constant_has_a_range() -> None:
 
 
 def test_a_mean_settles_when_its_spread_is_a_tenth_of_it() -> None:
-    """The running mean of n samples 1 + sigma e has the error sigma/sqrt(n): below a tenth from about n = 100 sigma^2 on."""
+    """The running mean of n samples 1 + sigma e has the error sigma/sqrt(n): below a tenth from
+    about n = 100 sigma^2 on.
+    """
     rng, sigma, first = np.random.default_rng(1), 1.0, []
     for _ in range(40):
         samples = 1.0 + sigma * rng.standard_normal(4000)

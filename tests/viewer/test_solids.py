@@ -39,7 +39,8 @@ def facing(shape: solids.Solid) -> float:
     ids=["box", "cylinder", "capsule", "sphere", "ellipsoid"],
 )
 def test_surface_is_closed_and_faces_out(shape: solids.Solid, expected: float) -> None:
-    # 48 segments and 20 rings take under 1.5 % of a ball, the bevels under 0.5 % of these boxes and cylinders
+    # 48 segments and 20 rings take under 1.5 % of a ball, the bevels under 0.5 % of these boxes and
+    # cylinders
     assert volume(shape) == pytest.approx(expected, rel=0.02)
     assert volume(shape) < expected
     assert facing(shape) > 0.5

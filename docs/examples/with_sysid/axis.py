@@ -1,11 +1,14 @@
-"""A motor-driven axis: mass, viscous and dry friction and offset from the same two records, by mujoco.sysid and by hiltestbed.
+"""A motor-driven axis: mass, viscous and dry friction and offset from the same two records, by
+mujoco.sysid and by hiltestbed.
 
     pip install 'mujoco[sysid]'
     python axis.py [--ripple N] [--pitch M]
 
-mujoco.sysid gets a MuJoCo model of a slide with damping, frictionloss and a constant force, in three forms: as in its examples; with stiff
-friction and a sensor delay as a fifth parameter; and with stiff friction, a Runge-Kutta integrator, and the state itself in place of the
-sensor. The last two avoid the errors of the first: soft friction, and a rollout that stamps a sensor reading one step late.
+mujoco.sysid gets a MuJoCo model of a slide with damping, frictionloss and a constant force, in
+three forms: as in its examples; with stiff friction and a sensor delay as a fifth parameter; and
+with stiff friction, a Runge-Kutta integrator, and the state itself in place of the
+sensor. The last two avoid the errors of the first: soft friction, and a rollout that stamps a
+sensor reading one step late.
 """
 
 from __future__ import annotations
@@ -37,11 +40,18 @@ import generate  # noqa: E402  # type: ignore[import-not-found]
 Record = dict[str, np.ndarray]
 BELIEVED = 100.0  # [kg]
 START = {"mass": BELIEVED, "viscous": 100.0, "coulomb": 10.0, "offset": 0.0}
-BOUNDS = {"mass": (1.0, 1000.0), "viscous": (0.0, 2000.0), "coulomb": (0.0, 200.0), "offset": (-50.0, 50.0)}
+BOUNDS = {
+    "mass": (1.0, 1000.0),
+    "viscous": (0.0, 2000.0),
+    "coulomb": (0.0, 200.0),
+    "offset": (-50.0, 50.0),
+}
 STIFF = 'solreffriction="0.002 1" solimpfriction="0.9999 0.9999 .001 .5 2"'
 MODEL = """
 <mujoco>
-  <option timestep="0.001" integrator="{integrator}" gravity="0 0 0"><flag contact="disable"/></option>
+  <option timestep="0.001" integrator="{integrator}" gravity="0 0 0">
+    <flag contact="disable"/>
+  </option>
   <worldbody>
     <body name="carriage">
       <inertial pos="0 0 0" mass="100" diaginertia="1 1 1"/>
@@ -80,7 +90,14 @@ def parameters() -> sysid.ParameterDict:
     return out
 
 
-def fitted(name: str, records: dict[str, Record], integrator: str, friction: str, delay: bool = False, state: bool = False) -> Side:
+def fitted(
+    name: str,
+    records: dict[str, Record],
+    integrator: str,
+    friction: str,
+    delay: bool = False,
+    state: bool = False,
+) -> Side:
     """Fit of one form of the model to both records, and to each one to predict the other."""
     spec = mujoco.MjSpec.from_string(MODEL.format(integrator=integrator, friction=friction))
     seen = "way_qpos" if state else "position"
@@ -91,7 +108,11 @@ def fitted(name: str, records: dict[str, Record], integrator: str, friction: str
             r = records[n]
             start = sysid.create_initial_state(model, r["position"][:1], np.zeros(1))
             place = sysid.TimeSeries.from_names(r["t"], r["position"][:, None], model, names=[seen])
-            sequences.append(sysid.ModelSequences("axis", spec, n, start, sysid.TimeSeries(r["t"], r["force"][:, None]), place))
+            sequences.append(
+                sysid.ModelSequences(
+                    "axis", spec, n, start, sysid.TimeSeries(r["t"], r["force"][:, None]), place
+                )
+            )
         more = {"modify_residual": transform.apply} if delay else {}
         return sysid.build_residual_fn(models_sequences=sequences, **more)
 
@@ -119,7 +140,11 @@ def hiltestbed_sides(records: dict[str, Record], folder: Path) -> list[Side]:
     found, seconds = by_diagnosis(folder / "dataset.yaml")
     dataset = load_dataset(folder / "dataset.yaml")
     unit = 1e3 * float(np.min(axis_link(dataset.runs).runs[0].sigma))  # [mm] of a residual
-    left = [unit * after for _, after in found.finding.heldout.per_run.values()] if found.finding.heldout else []
+    left = (
+        [unit * after for _, after in found.finding.heldout.per_run.values()]
+        if found.finding.heldout
+        else []
+    )
     e = investigate(dataset).explanations["dynamics"]
     causes = tuple(c for c in e.candidates if c.kind == "dynamics.mass")[:1]
     force = next(c for c in e.candidates if c.kind == "dynamics.force")
@@ -132,18 +157,34 @@ def hiltestbed_sides(records: dict[str, Record], folder: Path) -> list[Side]:
 
 
 def _named(found: Any) -> dict[str, tuple[float, float]]:
-    out = {n.removeprefix("dynamics.force "): v for n, v in found.items() if n.startswith("dynamics.force ")}
+    out = {
+        n.removeprefix("dynamics.force "): v
+        for n, v in found.items()
+        if n.startswith("dynamics.force ")
+    }
     factor = found.get("dynamics.mass factor")
     return out | ({"mass": scaled(factor, BELIEVED)} if factor else {})
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--ripple", type=float, default=0.0, help="force ripple over position [N], which no friction law describes")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--ripple",
+        type=float,
+        default=0.0,
+        help="force ripple over position [N], which no friction law describes",
+    )
     parser.add_argument("--pitch", type=float, default=0.01, help="wavelength of the ripple [m]")
     given = parser.parse_args()
     axis = generate.Axis(ripple=given.ripple, pitch=given.pitch)
-    true = {"mass": axis.mass, "viscous": axis.viscous, "coulomb": axis.coulomb, "offset": axis.offset}
+    true = {
+        "mass": axis.mass,
+        "viscous": axis.viscous,
+        "coulomb": axis.coulomb,
+        "offset": axis.offset,
+    }
     records = generate.records(axis)
     with tempfile.TemporaryDirectory() as folder:
         ours = hiltestbed_sides(records, Path(folder))

@@ -1,14 +1,17 @@
-"""A bumper with more stiffness and damping than believed: both parameters from the same three records, by mujoco.sysid and by hiltestbed.
+"""A bumper with more stiffness and damping than believed: both parameters from the same three
+records, by mujoco.sysid and by hiltestbed.
 
     pip install 'mujoco[sysid]'
     python contact.py [--seed N]
 
-A mass of 100 kg meets a spring and a damper at three speeds. Position and force are computed in closed form at 2 kHz; the contact ends
-where the force has fallen to zero. Both signals have white noise and no delay. Both programs are given mass, gap and speeds, and start from
-the nominal 100 kN/m and 300 N s/m. mujoco.sysid simulates a ball on a plane with the contact's stiffness and damping in ``solref`` (direct,
-at an impedance of 1e-4, so that the force is k x + c v), with a Runge-Kutta integrator. Its residuals are in units of the noise, which is
-given to it. The position is compared with the state, and the force at the instant at which MuJoCo computes it, one step before its stamp in
-a rollout.
+A mass of 100 kg meets a spring and a damper at three speeds. Position and force are computed in
+closed form at 2 kHz; the contact ends where the force has fallen to zero. Both signals have white
+noise and no delay. Both programs are given mass, gap and speeds, and start from the nominal 100
+kN/m and 300 N s/m. mujoco.sysid simulates a ball on a plane with the contact's stiffness and
+damping in ``solref`` (direct, at an impedance of 1e-4, so that the force is k x + c v), with a
+Runge-Kutta integrator. Its residuals are in units of the noise, which is given to it. The position
+is compared with the state, and the force at the instant at which MuJoCo computes it, one step
+before its stamp in a rollout.
 """
 
 from __future__ import annotations
@@ -70,7 +73,9 @@ Record = tuple[np.ndarray, np.ndarray, np.ndarray]  # t, position, force
 
 
 def bounce(speed: float) -> Record:
-    """Time [s], position relative to the touch [m] and force [N] of a mass that meets the bumper."""
+    """Time [s], position relative to the touch [m] and force [N] of a mass that meets the
+    bumper.
+    """
     k, c = TRUE.values()
     d = 0.5 * c / MASS
     w = math.sqrt(k / MASS - d * d)
@@ -94,7 +99,13 @@ def records(seed: int) -> list[Record]:
     out = []
     for speed in SPEEDS:
         t, place, force = bounce(speed)
-        out.append((t, place + PLACE_NOISE * rng.standard_normal(len(t)), force + FORCE_NOISE * rng.standard_normal(len(t))))
+        out.append(
+            (
+                t,
+                place + PLACE_NOISE * rng.standard_normal(len(t)),
+                force + FORCE_NOISE * rng.standard_normal(len(t)),
+            )
+        )
     return out
 
 
@@ -113,12 +124,24 @@ def fitted(given: list[Record], finer: int) -> Side:
     def build(p: sysid.ParameterDict, of: Any) -> mujoco.MjModel:
         model = of.compile()
         inverse = model.body_invweight0[1][0]
-        model.pair_solref[0] = (-p["stiffness"].value[0] * inverse, -p["damping"].value[0] * inverse)
+        model.pair_solref[0] = (
+            -p["stiffness"].value[0] * inverse,
+            -p["damping"].value[0] * inverse,
+        )
         return model
 
-    def difference(p: Any, shown: sysid.TimeSeries, measured: sysid.TimeSeries, *_: Any, state: Any = None, **__: Any) -> Any:
+    def difference(
+        p: Any,
+        shown: sysid.TimeSeries,
+        measured: sysid.TimeSeries,
+        *_: Any,
+        state: Any = None,
+        **__: Any,
+    ) -> Any:
         t = measured.times
-        place = np.interp(t, np.concatenate([[0.0], state[:, 0]]), np.concatenate([[-GAP], state[:, 1]]))
+        place = np.interp(
+            t, np.concatenate([[0.0], state[:, 0]]), np.concatenate([[-GAP], state[:, 1]])
+        )
         force = np.interp(t, shown.times - step, shown.data[:, 1])
         both = sysid.TimeSeries(t, np.column_stack([place, force]), measured.signal_mapping)
         return ((measured.data - both.data) / (PLACE_NOISE, FORCE_NOISE))[1:-1], both, measured
@@ -129,39 +152,59 @@ def fitted(given: list[Record], finer: int) -> Side:
             t, place, force = given[n]
             start = sysid.create_initial_state(model, np.array([-GAP]), np.array([SPEEDS[n]]))
             seen = sysid.TimeSeries.from_names(t, np.column_stack([place, force]), model)
-            sequences.append(sysid.ModelSequences("bumper", spec, f"{n}", start, sysid.TimeSeries(t, np.zeros((len(t), 1))), seen))
-        return sysid.build_residual_fn(models_sequences=sequences, build_model=build, modify_residual=difference)
+            sequences.append(
+                sysid.ModelSequences(
+                    "bumper", spec, f"{n}", start, sysid.TimeSeries(t, np.zeros((len(t), 1))), seen
+                )
+            )
+        return sysid.build_residual_fn(
+            models_sequences=sequences, build_model=build, modify_residual=difference
+        )
 
     every = list(range(len(given)))
-    side, _ = by_sysid(f"sysid, {finer} step{'s' if finer > 1 else ''} per row", parameters(), residual(every))
+    side, _ = by_sysid(
+        f"sysid, {finer} step{'s' if finer > 1 else ''} per row", parameters(), residual(every)
+    )
     return side
 
 
 def hiltestbed_sides(given: list[Record], folder: Path) -> list[Side]:
     runs = ""
     for n, (t, place, force) in enumerate(given):
-        pq.write_table(pa.table({"t": t, "position": place, "force": force}), folder / f"{n}.parquet")
+        pq.write_table(
+            pa.table({"t": t, "position": place, "force": force}), folder / f"{n}.parquet"
+        )
         runs += f"  - {{file: {n}.parquet, set: {{approach.velocity.2: {SPEEDS[n]}}}}}\n"
     channels = "  pose_act.pz: {column: position}\n  wrench_meas.fz: {column: force}\n"
     (folder / "believed.yaml").write_text(SCENARIO, "utf-8")
-    (folder / "dataset.yaml").write_text(f"scenario: believed.yaml\nruns:\n{runs}channels:\n{channels}", "utf-8")
+    (folder / "dataset.yaml").write_text(
+        f"scenario: believed.yaml\nruns:\n{runs}channels:\n{channels}", "utf-8"
+    )
     found, seconds = by_diagnosis(folder / "dataset.yaml")
     e = investigate(load_dataset(folder / "dataset.yaml")).explanations["wrench"]
     causes = [next(c for c in e.candidates if c.kind == f"contact.{name}") for name in TRUE]
     alone, spent = by_fit(e.residual, causes, [1.0, 1.0])
     return [
         Side("hiltestbed, the fit alone", _named(alone), spent),
-        Side(f"hiltestbed, diagnosis: {found.finding.verdict}", _named(of_diagnosis(found)), seconds),
+        Side(
+            f"hiltestbed, diagnosis: {found.finding.verdict}", _named(of_diagnosis(found)), seconds
+        ),
     ]
 
 
 def _named(found: Any) -> dict[str, tuple[float, float]]:
     factors = {name: found.get(f"contact.{name} factor") for name in TRUE}
-    return {name: scaled(factor, BELIEVED[name]) for name, factor in factors.items() if factor is not None}
+    return {
+        name: scaled(factor, BELIEVED[name])
+        for name, factor in factors.items()
+        if factor is not None
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=0)
     given = records(parser.parse_args().seed)
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,6 @@
-"""Common code of the comparisons with mujoco.sysid: fits by mujoco.sysid and hiltestbed with intervals and processor time, and a table."""
+"""Common code of the comparisons with mujoco.sysid: fits by mujoco.sysid and hiltestbed with
+intervals and processor time, and a table.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,8 @@ class Side:
     """Result of one method.
 
     Attributes:
-        found: estimate and half of the 95 % interval of each parameter. seconds: processor time of all threads. left: rms [mm] on each
-        record that was left out of the fit.
+        found: estimate and half of the 95 % interval of each parameter. seconds: processor time of
+            all threads. left: rms [mm] on each record that was left out of the fit.
     """
 
     name: str
@@ -46,37 +48,57 @@ def timed() -> Iterator[Callable[[], float]]:
     yield lambda: time.process_time() - began
 
 
-def by_sysid(name: str, params: sysid.ParameterDict, residual: Callable[..., Any]) -> tuple[Side, np.ndarray]:
-    """A fit with mujoco.sysid's own optimiser and intervals, and the parameter vector at which it ended."""
-    with timed() as seconds, contextlib.redirect_stdout(io.StringIO()):  # it prints a line per iteration
+def by_sysid(
+    name: str, params: sysid.ParameterDict, residual: Callable[..., Any]
+) -> tuple[Side, np.ndarray]:
+    """A fit with mujoco.sysid's own optimiser and intervals, and the parameter vector at which it
+    ended.
+    """
+    # it prints a line per iteration
+    with timed() as seconds, contextlib.redirect_stdout(io.StringIO()):
         fitted, result = sysid.optimize(params, residual, verbose=False)
         spent = seconds()
     left, _, _ = residual(result.x, fitted)
     _, halves = sysid.calculate_intervals(left, result.jac)
     names = params.get_non_frozen_parameter_names()
-    return Side(name, {n: (float(x), float(h)) for n, x, h in zip(names, result.x, halves, strict=True)}, spent), result.x
+    return Side(
+        name,
+        {n: (float(x), float(h)) for n, x, h in zip(names, result.x, halves, strict=True)},
+        spent,
+    ), result.x
 
 
 def by_diagnosis(dataset: Path) -> tuple[Diagnosis, float]:
-    """A whole diagnosis: every effect is tested, each record left out in turn. The first, untimed call compiles or loads the kernels."""
+    """A whole diagnosis: every effect is tested, each record left out in turn. The first, untimed
+    call compiles or loads the kernels.
+    """
     diagnose(dataset)
     with timed() as seconds:
         found = diagnose(dataset)
         return found, seconds()
 
 
-def by_fit(residual: Residual, causes: Sequence[Candidate], start: Sequence[float]) -> tuple[Mapping[str, tuple[float, float]], float]:
-    """A fit of given causes from a given start, as in mujoco.sysid: estimate and half interval by parameter, and processor time [s]."""
+def by_fit(
+    residual: Residual, causes: Sequence[Candidate], start: Sequence[float]
+) -> tuple[Mapping[str, tuple[float, float]], float]:
+    """A fit of given causes from a given start, as in mujoco.sysid: estimate and half interval by
+    parameter, and processor time [s].
+    """
     with timed() as seconds:
         found = fit(residual, causes, [start], tries=1)
         ends = intervals(residual, found).ends
         spent = seconds()
     names = [f"{c.kind} {name}" for c in causes for name in c.names]
-    return {n: (float(x), float(0.5 * (b - a))) for n, x, (a, b) in zip(names, found.theta, ends, strict=True)}, spent
+    return {
+        n: (float(x), float(0.5 * (b - a)))
+        for n, x, (a, b) in zip(names, found.theta, ends, strict=True)
+    }, spent
 
 
 def of_diagnosis(found: Diagnosis) -> dict[str, tuple[float, float]]:
-    """Estimate and half of the interval of the causes that a diagnosis names, by effect and parameter."""
+    """Estimate and half of the interval of the causes that a diagnosis names, by effect and
+    parameter.
+    """
     causes = found.finding.causes or found.finding.partial
     out = {}
     for cause in causes:
@@ -93,8 +115,15 @@ def scaled(pair: tuple[float, float], by: float) -> tuple[float, float]:
 
 
 def table(title: str, true: Mapping[str, float], sides: Sequence[Side]) -> str:
-    """Markdown table with a row per method: each estimate with half of its interval and its deviation from the true value."""
-    rows = [f"**{title}**", "", "| | " + " | ".join(true) + " | left out [mm] | s CPU |", "|---|" + "---|" * (len(true) + 2)]
+    """Markdown table with a row per method: each estimate with half of its interval and its
+    deviation from the true value.
+    """
+    rows = [
+        f"**{title}**",
+        "",
+        "| | " + " | ".join(true) + " | left out [mm] | s CPU |",
+        "|---|" + "---|" * (len(true) + 2),
+    ]
     rows.append("| true | " + " | ".join(f"{v:g}" for v in true.values()) + " | | |")
     for side in sides:
         cells = [_cell(side.found.get(name), value) for name, value in true.items()]
@@ -107,4 +136,7 @@ def _cell(found: tuple[float, float] | None, true: float) -> str:
     if found is None:
         return "not named"
     estimate, half = found
-    return f"{estimate:.6g} ± {half:.2g} ({100 * (estimate / true - 1):+.3f} %{'' if abs(estimate - true) <= half else ', misses'})"
+    return (
+        f"{estimate:.6g} ± {half:.2g} ({100 * (estimate / true - 1):+.3f} "
+        f"%{'' if abs(estimate - true) <= half else ', misses'})"
+    )

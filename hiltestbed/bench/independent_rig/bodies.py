@@ -1,7 +1,8 @@
-"""The numerical model of this rig: two free bodies, semi-implicit Euler, with vectors in the world frame.
+"""The numerical model of this rig: two free bodies, semi-implicit Euler, with vectors in the world
+frame.
 
-State of a body, (19,): position of the centre of mass (world), quaternion, velocity (world), angular velocity
-(body axes), displacement and relative velocity of its appendage (world).
+State of a body, (19,): position of the centre of mass (world), quaternion, velocity (world),
+angular velocity (body axes), displacement and relative velocity of its appendage (world).
 """
 
 from __future__ import annotations
@@ -10,15 +11,32 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.bench.independent_rig.rotation import cross, from_attitude, inverse, matrix, product, times, turn
+from hiltestbed.bench.independent_rig.rotation import (
+    cross,
+    from_attitude,
+    inverse,
+    matrix,
+    product,
+    times,
+    turn,
+)
 from hiltestbed.jit import njit
 
 CHASER, TARGET = 0, 1
-R, Q, V, W, AQ, AV = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13), slice(13, 16), slice(16, 19)
+R, Q, V, W, AQ, AV = (
+    slice(0, 3),
+    slice(3, 7),
+    slice(7, 10),
+    slice(10, 13),
+    slice(13, 16),
+    slice(16, 19),
+)
 
 
 class Bodies(NamedTuple):
-    """The parameters of the numerical model; the first array axis is chaser, target. SI, body axes."""
+    """The parameters of the numerical model; the first array axis is chaser, target. SI, body
+    axes.
+    """
 
     mass: np.ndarray  # (2,)
     inertia: np.ndarray  # (2, 3, 3)
@@ -35,12 +53,15 @@ class Bodies(NamedTuple):
     thrust: float = 0.0  # N, foreign: on the chaser along z
     tether: float = 0.0  # N/m, foreign: pulls the chaser back to its start
     mass_rate: float = 0.0  # 1/s, foreign: relative rate of change of the chaser's mass
-    old_part: float = 0.0  # weight of the old twist in the new pose: 0 semi-implicit, 1 explicit Euler
+    # weight of the old twist in the new pose: 0 semi-implicit, 1 explicit Euler
+    old_part: float = 0.0
 
 
 @njit(cache=True)
 def _accelerate(bodies, state, force, torque, b, h, t, origin):
-    """The twist of body `b` after a tick under a force and a torque about its centre of mass (world)."""
+    """The twist of body `b` after a tick under a force and a torque about its centre of mass
+    (world).
+    """
     mass = bodies.mass[b]
     if b == CHASER:
         mass = mass * (1.0 + bodies.mass_rate * t)
@@ -71,7 +92,9 @@ def _move(state, old, h):
 
 @njit(cache=True)
 def step(bodies, state, wrench, h, t, origin):
-    """Advance `state` (2, 19) by one tick with the wrench (6,) of active on passive side, in P at P's origin."""
+    """Advance `state` (2, 19) by one tick with the wrench (6,) of active on passive side, in P at
+    P's origin.
+    """
     turned = matrix(state[TARGET, Q])
     place = state[TARGET, R] + times(turned, bodies.port_position[TARGET])
     into_world = matrix(product(state[TARGET, Q], bodies.port_attitude[TARGET]))
@@ -103,12 +126,15 @@ def relative_pose(bodies, state):
 
 @njit(cache=True)
 def relative_twist(bodies, state):
-    """Velocity of A's origin relative to P's frame on the target, and relative angular velocity, (6,) in P."""
+    """Velocity of A's origin relative to P's frame on the target, and relative angular velocity,
+    (6,) in P.
+    """
     turned, other = matrix(state[TARGET, Q]), matrix(state[CHASER, Q])
     arm_c = times(other, bodies.port_position[CHASER])
     spin_t, spin_c = times(turned, state[TARGET, W]), times(other, state[CHASER, W])
     active = state[CHASER, R] + arm_c
-    at_active = active - state[TARGET, R]  # from the target's centre of mass to A: P's frame has its velocity there
+    # from the target's centre of mass to A: P's frame has its velocity there
+    at_active = active - state[TARGET, R]
     velocity = state[CHASER, V] + cross(spin_c, arm_c) - state[TARGET, V] - cross(spin_t, at_active)
     back = matrix(inverse(product(state[TARGET, Q], bodies.port_attitude[TARGET])))
     out = np.empty(6)
@@ -117,7 +143,9 @@ def relative_twist(bodies, state):
 
 
 def start(bodies: Bodies, approach: dict) -> tuple[np.ndarray, np.ndarray]:
-    """State (2, 19) and relative pose (7,) at t = 0: the target at rest, the ports at the relative pose given by `approach`."""
+    """State (2, 19) and relative pose (7,) at t = 0: the target at rest, the ports at the relative
+    pose given by `approach`.
+    """
     position = np.array([*approach["offset"], -approach["gap"]], dtype=float)
     attitude = from_attitude(approach["attitude_deg"])
     rate = np.radians(np.array(approach["rate_deg"], dtype=float))
@@ -131,7 +159,9 @@ def start(bodies: Bodies, approach: dict) -> tuple[np.ndarray, np.ndarray]:
     omega = into_world @ rate
     state[CHASER, Q] = q
     state[CHASER, R] = active - arm
-    state[CHASER, V] = into_world @ np.array(approach["velocity"], dtype=float) - np.cross(omega, arm)
+    state[CHASER, V] = into_world @ np.array(approach["velocity"], dtype=float) - np.cross(
+        omega, arm
+    )
     state[CHASER, W] = matrix(q).T @ omega
     return state, np.concatenate([position, attitude])
 

@@ -1,4 +1,6 @@
-"""One run of this rig on a plane: the tick, from the reading to the next command, on a grid finer than the tick."""
+"""One run of this rig on a plane: the tick, from the reading to the next command, on a grid finer
+than the tick.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,11 @@ from hiltestbed.jit import njit
 
 @njit(cache=True)
 def _physical(law, place, states, approach, t, h, timing, out, where):
-    """The physical wrench at `t`, zero before the start: from the exact position, the rate of its tick, and interpolated states.
+    """The physical wrench at `t`, zero before the start: from the exact position, the rate of its
+    tick, and interpolated states.
 
-    out: (6,) [N, N m]. where: (3,) position of the tip then. approach: (3,) [m/s], the rate at t = 0.
+    out: (6,) [N, N m]. where: (3,) position of the tip then. approach: (3,) [m/s], the rate at t =
+        0.
     """
     for a in range(6):
         out[a] = 0.0
@@ -50,7 +54,9 @@ def _physical(law, place, states, approach, t, h, timing, out, where):
 
 @njit(cache=True)
 def _sharpen(place, last, timing, h, velocity):
-    """Blend the slope of a tick, `velocity` (3,), with that of the half tick that ends at sub-step `last`."""
+    """Blend the slope of a tick, `velocity` (3,), with that of the half tick that ends at sub-step
+    `last`.
+    """
     first = max(last - max(timing.substeps // 2, 1), 0)
     for a in range(3):
         finer = (place[last, a] - place[first, a]) / (last - first) * timing.substeps / h
@@ -81,15 +87,41 @@ def _advance(platform, law, node, velocity, k, h, timing, axes, place, states, p
 
 
 @njit(cache=True)
-def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks, noise, imposed_cmd, imposed_comp, timing, keep):
-    """The records of a run. Imposed poses (ticks, 7) replace the platform's commands; an imposed wrench (ticks, 6) drives the model."""
+def _loop(
+    bodies,
+    platform,
+    law,
+    sensor,
+    comp,
+    state,
+    start,
+    velocity,
+    h,
+    ticks,
+    noise,
+    imposed_cmd,
+    imposed_comp,
+    timing,
+    keep,
+):
+    """The records of a run. Imposed poses (ticks, 7) replace the platform's commands; an imposed
+    wrench (ticks, 6) drives the model.
+    """
     pose_cmd, pose_act = np.empty((ticks, 7)), np.empty((ticks, 7))
-    used, logged, comp_out, physical = np.empty((ticks, 6)), np.empty((ticks, 6)), np.empty((ticks, 6)), np.empty((ticks, 6))
+    used, logged, comp_out, physical = (
+        np.empty((ticks, 6)),
+        np.empty((ticks, 6)),
+        np.empty((ticks, 6)),
+        np.empty((ticks, 6)),
+    )
     substeps = timing.substeps
     touching = np.zeros(ticks, dtype=np.bool_)
     node = np.zeros((ticks + 1, 3))
     node[0] = start[:3]
-    place, states = np.empty((ticks * substeps + 1, 3)), np.zeros((ticks * substeps + 1, touch.STATES))
+    place, states = (
+        np.empty((ticks * substeps + 1, 3)),
+        np.zeros((ticks * substeps + 1, touch.STATES)),
+    )
     place[0] = start[:3]
     axes = drive.initial(start[:3], velocity)
     chain, record, last = np.zeros((4, 6)), np.zeros((4, 6)), np.zeros((2, 6))
@@ -106,11 +138,15 @@ def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks,
         if timing.encoder > 0.0:
             _read_before(place, k, timing, velocity, h, pose_act[k])
         if timing.encoder + timing.move > 0.0:
-            pose_act[k, 3:] = _between(attitude_before, attitude, 1.0 - min(timing.encoder + timing.move, 1.0))
+            pose_act[k, 3:] = _between(
+                attitude_before, attitude, 1.0 - min(timing.encoder + timing.move, 1.0)
+            )
         _physical(law, place, states, velocity, t, h, timing, physical[k], where)
         touching[k] = np.any(physical[k] != 0.0)
         pushed[0], pushed[1] = pushed[1], physical[k, 2]
-        late = max(sensor.delay + sensor.jitter * noise.delay[k] + sensor.heavy * abs(physical[k, 2]), 0.0)
+        late = max(
+            sensor.delay + sensor.jitter * noise.delay[k] + sensor.heavy * abs(physical[k, 2]), 0.0
+        )
         _physical(law, place, states, velocity, t - late, h, timing, raw, where)
         gauge.read(sensor, raw, where, noise.reading[k], t, h, chain, used[k])
         if sensor.repeat > 0.0:
@@ -123,7 +159,16 @@ def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks,
             stamp = t * (1.0 - sensor.stretch) - sensor.skew
             back = k - int((t - stamp) / h + 0.5)
             _physical(law, place, states, velocity, min(stamp - late, t), h, timing, raw, where)
-            gauge.read(sensor, raw, where, noise.reading[back] if 0 <= back < ticks else zero, stamp, h, record, logged[k])
+            gauge.read(
+                sensor,
+                raw,
+                where,
+                noise.reading[back] if 0 <= back < ticks else zero,
+                stamp,
+                h,
+                record,
+                logged[k],
+            )
         if sensor.freeze > 0.0 and k > 0 and (t % 0.1) < sensor.freeze:
             logged[k] = logged[k - 1]
         if comp.method == method.LEAD:
@@ -134,7 +179,18 @@ def _loop(bodies, platform, law, sensor, comp, state, start, velocity, h, ticks,
             if k == 0:
                 motion[:3], motion[3:] = velocity, model.relative_twist(bodies, state)[3:]
             still_pose[:] = felt
-            method.drive(comp, k, used[k], felt, motion, model.relative_twist(bodies, state), law.latched, h, keep, driven)
+            method.drive(
+                comp,
+                k,
+                used[k],
+                felt,
+                motion,
+                model.relative_twist(bodies, state),
+                law.latched,
+                h,
+                keep,
+                driven,
+            )
         comp_out[k] = driven
         model.step(bodies, state, imposed_comp[k] if len(imposed_comp) else driven, h, t, origin)
         model_pose[k + 1] = model.relative_pose(bodies, state)
@@ -166,12 +222,18 @@ def _between(first, then, part):
     return product(turn(part * turn_of(product(then, inverse(first)))), first)
 
 
-def simulate(rig: Rig, noise: Noise, pose_cmd: np.ndarray | None = None, wrench_comp: np.ndarray | None = None) -> Records:
+def simulate(
+    rig: Rig,
+    noise: Noise,
+    pose_cmd: np.ndarray | None = None,
+    wrench_comp: np.ndarray | None = None,
+) -> Records:
     """Run the rig.
 
     Args:
         pose_cmd: (ticks, 7) commands to the platform instead of the model's: opens the loop there.
-        wrench_comp: (ticks, 6) drives the model instead of the compensated force: opens the loop there.
+        wrench_comp: (ticks, 6) drives the model instead of the compensated force: opens the loop
+            there.
     """
     state, pose = model.start(rig.bodies, rig.approach)
     velocity = np.array(rig.approach["velocity"], dtype=float)
@@ -182,8 +244,21 @@ def simulate(rig: Rig, noise: Noise, pose_cmd: np.ndarray | None = None, wrench_
     if rig.docking is not None:
         return six_axes.simulate(rig, noise, state, pose, cut_cmd, cut_comp, keep)
     found = _loop(
-        rig.bodies, rig.platform, rig.contact, rig.sensor, rig.compensator, state, pose, velocity, h, rig.ticks, noise,
-        cut_cmd, cut_comp, rig.timing, keep,
-    )  # fmt: skip
+        rig.bodies,
+        rig.platform,
+        rig.contact,
+        rig.sensor,
+        rig.compensator,
+        state,
+        pose,
+        velocity,
+        h,
+        rig.ticks,
+        noise,
+        cut_cmd,
+        cut_comp,
+        rig.timing,
+        keep,
+    )
     records = Records(*found, captured=-1 if rig.contact.latched else rig.ticks)
     return records._replace(pose_act=all_noisy(found[1], noise.pose))

@@ -1,18 +1,22 @@
 """The compensator of this rig: from the reading to the wrench that drives the numerical model.
 
-Methods, each from its published equation, with the nominal delay d of the facility and backward differences over a tick h:
+Methods, each from its published equation, with the nominal delay d of the facility and backward
+differences over a tick h:
 
     NONE                u
     PHASE_LEAD          (T1 s + 1)/(T2 s + 1), T1 = d + T2
     SECOND_ORDER_LEAD   (1 + (d + 2 T2) s + (d^2/2 + 2 d T2 + T2^2) s^2)/(T2 s + 1)^2
     POLYNOMIAL          sum over i = 0 .. p of (-1)^i C(p + 1, i + 1) u(t - i d)
     DEAD_ZONE           forces within the width are set to zero, and the torques if all forces are
-    SMITH               M(x, v) + u - M(x, v at t - d), M a given spring and damper along z at A; the difference may pass the lead
+    SMITH               M(x, v) + u - M(x, v at t - d), M a given spring and damper along z at
+                        A; the difference may pass the lead
     VIRTUAL             u + a spring and damper along z at A beyond the nominal touch
     PASSIVITY           damping that restores the energy h sum of u . v as soon as it is negative
-    RECONSTRUCTION      as SMITH on six axes, M as identified so far (`identification`); an axis without an estimate passes the lead
+    RECONSTRUCTION      as SMITH on six axes, M as identified so far (`identification`); an axis
+                        without an estimate passes the lead
 
-The dead zone of the loop (an effect) is applied before the method, the foreign gain and slew limit after it.
+The dead zone of the loop (an effect) is applied before the method, the foreign gain and slew limit
+after it.
 """
 
 from __future__ import annotations
@@ -26,11 +30,29 @@ from hiltestbed.bench.independent_rig.identification import SUMS, estimate, take
 from hiltestbed.bench.independent_rig.rotation import turn_of
 from hiltestbed.jit import njit
 
-LEAD, NONE, PHASE_LEAD, SECOND_ORDER_LEAD, POLYNOMIAL, DEAD_ZONE, SMITH, VIRTUAL, PASSIVITY, RECONSTRUCTION = range(-1, 9)
+(
+    LEAD,
+    NONE,
+    PHASE_LEAD,
+    SECOND_ORDER_LEAD,
+    POLYNOMIAL,
+    DEAD_ZONE,
+    SMITH,
+    VIRTUAL,
+    PASSIVITY,
+    RECONSTRUCTION,
+) = range(-1, 9)
 METHODS = {
-    "none": NONE, "phase_lead": PHASE_LEAD, "second_order_lead": SECOND_ORDER_LEAD, "polynomial": POLYNOMIAL, "dead_zone": DEAD_ZONE,
-    "smith_predictor": SMITH, "virtual_contact": VIRTUAL, "passivity_control": PASSIVITY, "reconstruction": RECONSTRUCTION,
-}  # fmt: skip
+    "none": NONE,
+    "phase_lead": PHASE_LEAD,
+    "second_order_lead": SECOND_ORDER_LEAD,
+    "polynomial": POLYNOMIAL,
+    "dead_zone": DEAD_ZONE,
+    "smith_predictor": SMITH,
+    "virtual_contact": VIRTUAL,
+    "passivity_control": PASSIVITY,
+    "reconstruction": RECONSTRUCTION,
+}
 INPUT, OUTPUT = 0, 2  # first rows of the last two inputs and of the last two outputs in `past`
 ENERGY, PEAK, GATED, HELD = range(4)  # entries of `tally`
 MOST_DAMPING = 0.5  # fraction of the damping that would stop the bodies in one tick
@@ -60,7 +82,8 @@ class Memory(NamedTuple):
     """The compensator's state from tick to tick; all arrays are updated in place."""
 
     past: np.ndarray  # (4, 6)
-    history: np.ndarray  # (length, 12) reading, model force or pose and twist, one row per tick, in a ring
+    # (length, 12) reading, model force or pose and twist, one row per tick, in a ring
+    history: np.ndarray
     tally: np.ndarray  # (4,)
     sums: np.ndarray  # (6, SUMS)
     found: np.ndarray  # (6, 2) identified stiffness and damping, NaN without an estimate
@@ -70,7 +93,14 @@ class Memory(NamedTuple):
 def memory(comp: Compensator, h: float) -> Memory:
     """An empty memory for a tick h [s]."""
     length = math.ceil(comp.delay / h * max(comp.order, 1)) + 3
-    return Memory(np.zeros((4, 6)), np.zeros((length, 12)), np.zeros(4), np.zeros((6, SUMS)), np.full((6, 2), np.nan), np.zeros((2, 6, 3)))
+    return Memory(
+        np.zeros((4, 6)),
+        np.zeros((length, 12)),
+        np.zeros(4),
+        np.zeros((6, SUMS)),
+        np.full((6, 2), np.nan),
+        np.zeros((2, 6, 3)),
+    )
 
 
 @njit(cache=True)
@@ -83,7 +113,9 @@ def _remember(history, k, row):
 
 @njit(cache=True)
 def _recall(history, k, ticks, column):
-    """A column's value `ticks` before row k, interpolated linearly; before the first row, the value of that row."""
+    """A column's value `ticks` before row k, interpolated linearly; before the first row, the value
+    of that row.
+    """
     whole = int(math.floor(ticks))
     part = ticks - whole
     length = len(history)
@@ -94,7 +126,10 @@ def _recall(history, k, ticks, column):
 @njit(cache=True)
 def _second_order(comp, u, h, past, out):
     """The second-order lead; `past` contains inputs and outputs of the last two ticks."""
-    a1, a2 = comp.delay + 2.0 * comp.t2, 0.5 * comp.delay**2 + 2.0 * comp.delay * comp.t2 + comp.t2**2
+    a1, a2 = (
+        comp.delay + 2.0 * comp.t2,
+        0.5 * comp.delay**2 + 2.0 * comp.delay * comp.t2 + comp.t2**2,
+    )
     b1, b2 = 2.0 * comp.t2, comp.t2**2
     for i in range(6):
         u1, u2, y1, y2 = past[INPUT, i], past[INPUT + 1, i], past[OUTPUT, i], past[OUTPUT + 1, i]
@@ -119,7 +154,9 @@ def _polynomial(comp, k, u, h, history, out):
 
 @njit(cache=True)
 def _spring_at_port(stiffness, damping, clipped, pose, twist, out):
-    """Wrench (6,) of a spring and damper along z at A beyond the nominal touch; clipped: it cannot pull."""
+    """Wrench (6,) of a spring and damper along z at A beyond the nominal touch; clipped: it cannot
+    pull.
+    """
     force = 0.0
     if pose[2] > 0.0:
         force = stiffness * pose[2] + damping * twist[2]
@@ -133,7 +170,9 @@ def _spring_at_port(stiffness, damping, clipped, pose, twist, out):
 @njit(cache=True)
 def _lead(t1, t2, u, h, past, out):
     for i in range(6):
-        out[i] = (past[OUTPUT, i] * t2 / h + u[i] + t1 * (u[i] - past[INPUT, i]) / h) / (1.0 + t2 / h)
+        out[i] = (past[OUTPUT, i] * t2 / h + u[i] + t1 * (u[i] - past[INPUT, i]) / h) / (
+            1.0 + t2 / h
+        )
         past[INPUT, i], past[OUTPUT, i] = u[i], out[i]
 
 
@@ -193,7 +232,9 @@ def _reconstruct(comp, k, u, pose, twist, latched, h, keep, out):
 
 @njit(cache=True)
 def _gate(comp, force, latched, h, tally):
-    """Count the ticks of the contact: a force above noise threshold and 2 % of its peak, or a latch closed for longer than the delay."""
+    """Count the ticks of the contact: a force above noise threshold and 2 % of its peak, or a latch
+    closed for longer than the delay.
+    """
     tally[PEAK] = max(tally[PEAK], force)
     tally[HELD] = tally[HELD] + 1.0 if latched else 0.0
     felt = tally[HELD] > comp.delay / h + 1.0
@@ -203,10 +244,12 @@ def _gate(comp, force, latched, h, tally):
 
 @njit(cache=True)
 def drive(comp, k, reading, pose, twist, model_twist, latched, h, keep, out):
-    """The wrench `out` (6,) that drives the numerical model at tick k; on input, that of the tick before.
+    """The wrench `out` (6,) that drives the numerical model at tick k; on input, that of the tick
+    before.
 
     Args:
-        pose, twist: (7,), (6,) of A in P as measured by the facility. model_twist: (6,) of the numerical model.
+        pose, twist: (7,), (6,) of A in P as measured by the facility. model_twist: (6,) of the
+            numerical model.
     """
     u, y = reading.copy(), np.empty(6)
     for i in range(3):
@@ -245,14 +288,18 @@ def drive(comp, k, reading, pose, twist, model_twist, latched, h, keep, out):
 
 @njit(cache=True)
 def compensate(comp, reading, h, last, out):
-    """The lead alone; `last` (2, 6) contains input and output of the tick before, `out` (6,) is written."""
+    """The lead alone; `last` (2, 6) contains input and output of the tick before, `out` (6,) is
+    written.
+    """
     for a in range(6):
         u = reading[a]
         if a < 3 and abs(u) < comp.deadzone:
             u = 0.0
         y = u
         if comp.lead:
-            y = (last[1, a] * comp.t2 / h + u + comp.t1 * (u - last[0, a]) / h) / (1.0 + comp.t2 / h)
+            y = (last[1, a] * comp.t2 / h + u + comp.t1 * (u - last[0, a]) / h) / (
+                1.0 + comp.t2 / h
+            )
         last[0, a], last[1, a] = u, y
         y *= comp.gain
         if comp.slew > 0.0:

@@ -1,8 +1,10 @@
-"""The contact surfaces of this rig's docking mechanism: a ball on a rod against a funnel of revolution with a socket at its apex.
+"""The contact surfaces of this rig's docking mechanism: a ball on a rod against a funnel of
+revolution with a socket at its apex.
 
-Computed in the half-plane (rho, z) through the axis, with z along the insertion and P's origin on the bottom of the socket. The
-wall is a strip of constant thickness about a straight middle line that ends in a round rim; the socket is the inside of a sphere to which
-the strip's inner face is tangent. The passive surface can also be a flat plate, z = 0.
+Computed in the half-plane (rho, z) through the axis, with z along the insertion and P's origin on
+the bottom of the socket. The wall is a strip of constant thickness about a straight middle line
+that ends in a round rim; the socket is the inside of a sphere to which the strip's inner face is
+tangent. The passive surface can also be a flat plate, z = 0.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ class Surfaces(NamedTuple):
 
 @njit(cache=True)
 def clearance(s, p, normal):
-    """Distance [m] of the point p (3,) from the passive surface, negative inside; `normal` (3,) is set to the outward normal."""
+    """Distance [m] of the point p (3,) from the passive surface, negative inside; `normal` (3,) is
+    set to the outward normal.
+    """
     if s.flat:
         normal[0] = normal[1] = 0.0
         normal[2] = -1.0
@@ -92,7 +96,9 @@ def rim_of(s):
 
 @njit(cache=True)
 def _to_ring(s, ball, axis, back, ring, level):
-    """Distance [m] to the ring from the point on the rod's axis at `back` behind the ball's centre."""
+    """Distance [m] to the ring from the point on the rod's axis at `back` behind the ball's
+    centre.
+    """
     x, y, z = ball[0] - back * axis[0], ball[1] - back * axis[1], ball[2] - back * axis[2]
     wide = math.sqrt(x * x + y * y) - ring
     return math.sqrt(wide * wide + (z - level) ** 2)
@@ -102,11 +108,13 @@ def _to_ring(s, ball, axis, back, ring, level):
 def rod_clearance(s, ball, axis, normal, place):
     """Distance [m] of the rod's axis, between ball and rod end, from the rim's surface.
 
-    ball, axis: (3,) the ball's centre and the direction in which the probe points. normal (3,) is set to the rim's outward normal,
-    place (3,) to the nearest point on the rod's axis. Far from the rim the distance is a lower bound and neither is set.
+    ball, axis: (3,) the ball's centre and the direction in which the probe points. normal (3,) is
+        set to the rim's outward normal, place (3,) to the nearest point on the rod's axis. Far from
+        the rim the distance is a lower bound and neither is set.
     """
     ring, level = rim_of(s)
-    if axis[2] > 0.5:  # lower bound: distance of the rod from the ring in the rim's plane, times cos(tilt)
+    # lower bound: distance of the rod from the ring in the rim's plane, times cos(tilt)
+    if axis[2] > 0.5:
         back = (ball[2] - level) / axis[2]
         x, y = ball[0] - back * axis[0], ball[1] - back * axis[1]
         bound = (ring - math.sqrt(x * x + y * y)) * axis[2] - s.half_wall
@@ -130,7 +138,11 @@ def rod_clearance(s, ball, axis, normal, place):
         place[i] = ball[i] - at * axis[i]
     rho = math.sqrt(place[0] ** 2 + place[1] ** 2)
     out_x, out_y = (place[0] / rho, place[1] / rho) if rho > 1e-14 else (1.0, 0.0)
-    normal[0], normal[1], normal[2] = place[0] - ring * out_x, place[1] - ring * out_y, place[2] - level
+    normal[0], normal[1], normal[2] = (
+        place[0] - ring * out_x,
+        place[1] - ring * out_y,
+        place[2] - level,
+    )
     away = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
     for i in range(3):
         normal[i] /= max(away, 1e-12)
@@ -138,7 +150,9 @@ def rod_clearance(s, ball, axis, normal, place):
 
 
 def profile(s: Surfaces, points: int = 4000) -> np.ndarray:
-    """(n, 2) rho, z [m] of the contact surface, from the socket's bottom over the rim to the outside of the wall."""
+    """(n, 2) rho, z [m] of the contact surface, from the socket's bottom over the rim to the
+    outside of the wall.
+    """
     a, e = s.half_angle, s.half_wall
     down = np.linspace(0.5 * math.pi, a, points)  # angle from the plane of the socket's centre
     socket = np.stack([s.socket * np.cos(down), s.socket * np.sin(down) - s.socket], axis=1)

@@ -1,7 +1,7 @@
 """The contact of this rig: the probe's tip on a flat bumper, or in a latch that also pulls.
 
-Every law is evaluated at any instant from the position then, the rate of that tick and the states of the contact;
-no force is interpolated across a touch.
+Every law is evaluated at any instant from the position then, the rate of that tick and the states
+of the contact; no force is interpolated across a touch.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 
 from hiltestbed.jit import njit
 
-BRANCH, FRAME, FRAME_V, AGE, SLIDER = range(5)  # states: Maxwell force [N], frame [m], [m/s], time since the touch [s], slider [m]
+# states: Maxwell force [N], frame [m], [m/s], time since the touch [s], slider [m]
+BRANCH, FRAME, FRAME_V, AGE, SLIDER = range(5)
 STATES = 5
 SLIDING = 1e-4  # m/s, regularisation speed of the tangential friction
 REVERSAL = 2e-4  # m/s, regularisation speed of the buffer's friction
@@ -42,31 +43,40 @@ class Contact(NamedTuple):
     touch: float = 0.0
     play: float = 0.0  # m, full width
     frame_stiffness: float = 0.0
-    lever: float = 1.0  # point of application along the penetration: 1 at the tip, 0 at the undeformed surface
-    frame_rate: float = 0.0  # a compliant frame K divides the contact's rate by (1 + k/K) to this power
+    # point of application along the penetration: 1 at the tip, 0 at the undeformed surface
+    lever: float = 1.0
+    # a compliant frame K divides the contact's rate by (1 + k/K) to this power
+    frame_rate: float = 0.0
     mode_w: float = 0.0
     mode_zeta: float = 0.0
     mode_mass: float = 0.0
     mode_read: bool = False  # whether the sensor is below the vibrating mass instead of above it
     unloading: float = 0.0  # foreign: fraction of the spring's force that is lost during unloading
     ageing: float = 0.0  # 1/s, foreign: relative change of the spring during the contact
-    speeding: float = 0.0  # s/m, foreign: relative increase of the spring with speed, in both directions
+    # s/m, foreign: relative increase of the spring with speed, in both directions
+    speeding: float = 0.0
     ripple: float = 0.0  # N, foreign: periodic force over penetration, as of teeth
     ripple_period: float = 1.0  # m
-    side: float = 0.0  # 1/m, foreign: force along x as a fraction of the normal force, proportional to penetration
+    # 1/m, foreign: force along x as a fraction of the normal force, proportional to penetration
+    side: float = 0.0
     tilt: np.ndarray = UPRIGHT  # (4,) attitude of the passive port; `normal` is its z axis
-    friction_load: float = 0.0  # 1/N, foreign: relative increase of the friction coefficient with the normal force
+    # 1/N, foreign: relative increase of the friction coefficient with the normal force
+    friction_load: float = 0.0
     line: float = 0.0  # foreign: relative amplitude of an oscillation of the force during contact
     line_w: float = 0.0  # rad/s
-    curve: np.ndarray = STRAIGHT  # (m,) foreign: factors of the elastic force, evenly spaced over the depth, linear in between
+    # (m,) foreign: factors of the elastic force, evenly spaced over the depth, linear in between
+    curve: np.ndarray = STRAIGHT
     curve_depth: float = 0.0  # m
-    dry_stiffness: float = 0.0  # N/m of the spring in series with the slider of the dry friction; 0: rigid
+    # N/m of the spring in series with the slider of the dry friction; 0: rigid
+    dry_stiffness: float = 0.0
 
 
 @njit(cache=True)
 def penetration(law, p):
     """Penetration [m] of the tip at p (3,); in a latch also negative."""
-    return with_play(law, p[0] * law.normal[0] + p[1] * law.normal[1] + p[2] * law.normal[2] - law.touch)
+    return with_play(
+        law, p[0] * law.normal[0] + p[1] * law.normal[1] + p[2] * law.normal[2] - law.touch
+    )
 
 
 @njit(cache=True)
@@ -99,7 +109,8 @@ def _law(law, x, v, branch, age):
         elastic *= 1.0 + law.line * math.sin(law.line_w * age)
     if v * side < 0.0:
         elastic *= 1.0 - law.unloading
-    force = elastic + (abs(elastic) * law.hunt if law.hunt >= 0.0 else law.damping) * v  # dissipates also while a latch pulls
+    # dissipates also while a latch pulls
+    force = elastic + (abs(elastic) * law.hunt if law.hunt >= 0.0 else law.damping) * v
     rub = law.dry * math.tanh(v / REVERSAL) if law.dry_stiffness == 0.0 else 0.0
     force += rub + side * law.preload + branch
     if law.stop_stiffness > 0.0 and x > law.stop_at:
@@ -116,7 +127,8 @@ def _series(law, x, v, branch, age):
     rate = v * (1.0 + law.stiffness * soft) ** -law.frame_rate
     low = high = _law(law, x, rate, branch, age)
     low, high = min(low, 0.0), max(high, 0.0)
-    for _ in range(60):  # the law increases with x: there is one root, between zero and the force with a rigid frame
+    # the law increases with x: there is one root, between zero and the force with a rigid frame
+    for _ in range(60):
         mid = 0.5 * (low + high)
         if _law(law, x - mid * soft, rate, branch, age) > mid:
             low = mid
@@ -127,7 +139,9 @@ def _series(law, x, v, branch, age):
 
 @njit(cache=True)
 def force_on(law, x, v, state):
-    """Normal force [N] at penetration x [m] and rate v [m/s]; contact is decided by x, whatever the frame's deflection."""
+    """Normal force [N] at penetration x [m] and rate v [m/s]; contact is decided by x, whatever the
+    frame's deflection.
+    """
     if law.mode_w > 0.0:
         x, v = x - state[FRAME], v - state[FRAME_V]
     within_play = x == 0.0 and law.play > 0.0
@@ -143,20 +157,32 @@ def force_on(law, x, v, state):
 
 @njit(cache=True)
 def carried(law, force, state):
-    """The normal force [N] at the sensor: the frame's reaction if the sensor is below the vibrating mass, else the contact force."""
+    """The normal force [N] at the sensor: the frame's reaction if the sensor is below the vibrating
+    mass, else the contact force.
+    """
     if law.mode_w > 0.0 and law.mode_read:
-        return law.mode_mass * law.mode_w * (law.mode_w * state[FRAME] + 2.0 * law.mode_zeta * state[FRAME_V])
+        return (
+            law.mode_mass
+            * law.mode_w
+            * (law.mode_w * state[FRAME] + 2.0 * law.mode_zeta * state[FRAME_V])
+        )
     return force
 
 
 @njit(cache=True)
 def wrench(law, p, velocity, state, out):
-    """Wrench (6,) on the passive side, in P at its origin, with the tip at p (3,) and its velocity (3,)."""
+    """Wrench (6,) on the passive side, in P at its origin, with the tip at p (3,) and its velocity
+    (3,).
+    """
     x = penetration(law, p)
     v = velocity[0] * law.normal[0] + velocity[1] * law.normal[1] + velocity[2] * law.normal[2]
     force = force_on(law, x, v, state)
     slip = velocity - v * law.normal
-    drag = law.friction * abs(force) / math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 + SLIDING**2)
+    drag = (
+        law.friction
+        * abs(force)
+        / math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 + SLIDING**2)
+    )
     if law.friction_load != 0.0:
         drag *= 1.0 + law.friction_load * abs(force)
     read = carried(law, force, state)
@@ -168,7 +194,11 @@ def wrench(law, p, velocity, state, out):
     if law.side != 0.0:
         out[0] += force * law.side * x
     lift = (1.0 - law.lever) * x
-    rx, ry, rz = p[0] - lift * law.normal[0], p[1] - lift * law.normal[1], p[2] - lift * law.normal[2]
+    rx, ry, rz = (
+        p[0] - lift * law.normal[0],
+        p[1] - lift * law.normal[1],
+        p[2] - lift * law.normal[2],
+    )
     out[3] = ry * out[2] - rz * out[1]
     out[4] = rz * out[0] - rx * out[2]
     out[5] = rx * out[1] - ry * out[0]
@@ -183,7 +213,9 @@ def _ring(law, x0, x1, v, state, dt):
     for stage in range(4):
         part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
         force = force_on(law, x0 + part * (x1 - x0), v, trial)
-        a = force / law.mode_mass - law.mode_w * (law.mode_w * trial[FRAME] + 2.0 * law.mode_zeta * trial[FRAME_V])
+        a = force / law.mode_mass - law.mode_w * (
+            law.mode_w * trial[FRAME] + 2.0 * law.mode_zeta * trial[FRAME_V]
+        )
         weight = dt / 6.0 if stage in (0, 3) else dt / 3.0
         dq += weight * trial[FRAME_V]
         dqv += weight * a
@@ -217,4 +249,6 @@ def advance_along(law, x0, x1, v, state, dt):
         state[SLIDER] = min(max(state[SLIDER], x1 - reach), x1 + reach)
     if law.branch_stiffness > 0.0:
         fade = math.exp(-touching / law.branch_time)
-        state[BRANCH] = state[BRANCH] * fade + law.branch_stiffness * v * law.branch_time * (1.0 - fade)
+        state[BRANCH] = state[BRANCH] * fade + law.branch_stiffness * v * law.branch_time * (
+            1.0 - fade
+        )

@@ -1,8 +1,10 @@
-"""The docking mechanism of this rig: tip and rod against the passive surfaces, friction, and a latch that holds six axes.
+"""The docking mechanism of this rig: tip and rod against the passive surfaces, friction, and a
+latch that holds six axes.
 
-All quantities are in the passive port's own frame S, which is P without compliance and tilt of the port. The normal force of
-tip and rod is the law of `contact` along the surface's normal; its point of application is between the undeformed surface (lever 0) and
-the ball's foremost point (lever 1). A latch holds A at a pose in S: by the law along the insertion, and by springs and dampers on the
+All quantities are in the passive port's own frame S, which is P without compliance and tilt of the
+port. The normal force of tip and rod is the law of `contact` along the surface's normal; its point
+of application is between the undeformed surface (lever 0) and the ball's foremost point (lever 1).
+A latch holds A at a pose in S: by the law along the insertion, and by springs and dampers on the
 other five axes.
 """
 
@@ -17,18 +19,27 @@ from hiltestbed.bench.independent_rig import contact as law_of
 from hiltestbed.bench.independent_rig.cone import Surfaces, clearance, rod_clearance
 from hiltestbed.bench.independent_rig.contact import SLIDING, Contact
 from hiltestbed.bench.independent_rig.mount import Mount
-from hiltestbed.bench.independent_rig.rotation import apply, apply_back, inverse, matrix, product, turn_of
+from hiltestbed.bench.independent_rig.rotation import (
+    apply,
+    apply_back,
+    inverse,
+    matrix,
+    product,
+    turn_of,
+)
 from hiltestbed.jit import njit
 
 TIP, ROD = 0, 1
-RING = 0.15  # m, radius of the ring of latches: the rotational stiffness is that of the latch times its square
+# m, radius of the ring of latches: the rotational stiffness is that of the latch times its square
+RING = 0.15
 
 
 class Docking(NamedTuple):
     """Geometry, latch and mount of the mechanism, in addition to the contact law. SI, in S."""
 
     surfaces: Surfaces
-    held: Contact  # the law along the insertion once latched; the other axes have only its spring and damper
+    # the law along the insertion once latched; the other axes have only its spring and damper
+    held: Contact
     mount: Mount
     captures: bool = False
     latch_depth: float = 0.0  # m before the nominal touch, at most
@@ -41,7 +52,8 @@ class Docking(NamedTuple):
 def meet(law, surfaces, pose, twist, which, point, normal, slip):
     """Penetration [m] and rate [m/s] of tip or rod at the pose (7,) and twist (6,) of A.
 
-    point, normal, slip: (3,) point of application, direction of the force on the passive side, tangential velocity [m/s].
+    point, normal, slip: (3,) point of application, direction of the force on the passive side,
+        tangential velocity [m/s].
     """
     turned = matrix(pose[3:7])
     axis, centre = np.empty(3), np.empty(3)
@@ -88,7 +100,8 @@ def add_at(point, force, out):
 def touch_wrench(law, surfaces, pose, twist, states, out, seen):
     """Wrench (6,) of tip and rod on the passive side at S's origin.
 
-    states: (2, STATES) of the law, tip and rod. seen: (2, 2) output, penetration [m] and rate [m/s].
+    states: (2, STATES) of the law, tip and rod. seen: (2, 2) output, penetration [m] and rate
+        [m/s].
     """
     for i in range(6):
         out[i] = 0.0
@@ -117,7 +130,9 @@ def touch_wrench(law, surfaces, pose, twist, states, out, seen):
 
 @njit(cache=True)
 def latch_wrench(docking, pose, twist, hold, states, out, seen):
-    """Wrench (6,) of the latch that holds A at `hold` (7,), on the passive side at S's origin; arguments as in `touch_wrench`."""
+    """Wrench (6,) of the latch that holds A at `hold` (7,), on the passive side at S's origin;
+    arguments as in `touch_wrench`.
+    """
     law = docking.held
     for i in range(6):
         out[i] = 0.0
@@ -140,12 +155,17 @@ def due(docking, pose, twist):
     """Whether the latch closes at this pose (7,) and twist (6,) of A in S."""
     cosine = 1.0 - 2.0 * (pose[3] ** 2 + pose[4] ** 2)
     speed = math.sqrt(twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2)
-    return pose[2] >= -docking.latch_depth and cosine >= docking.latch_cosine and speed <= docking.latch_speed
+    return (
+        pose[2] >= -docking.latch_depth
+        and cosine >= docking.latch_cosine
+        and speed <= docking.latch_speed
+    )
 
 
 @njit(cache=True)
 def relate(pose, twist, y, tilt, pose_out, twist_out):
-    """Pose (7,) and twist (6,) of A in S, from those in P, the state y (13,) of S, and the port's tilt (4,).
+    """Pose (7,) and twist (6,) of A in S, from those in P, the state y (13,) of S, and the port's
+    tilt (4,).
 
     Returns the attitude of S as a matrix (3, 3).
     """
@@ -165,7 +185,9 @@ def relate(pose, twist, y, tilt, pose_out, twist_out):
 
 @njit(cache=True)
 def wrench_in_place(law, docking, pose, twist, y, latched, hold, states, out, seen):
-    """Wrench (6,) of active on passive side in P at P's origin, for the pose (7,) and twist (6,) of A in P and the state y (13,) of S."""
+    """Wrench (6,) of active on passive side in P at P's origin, for the pose (7,) and twist (6,) of
+    A in P and the state y (13,) of S.
+    """
     local_pose, local_twist, local = np.empty(7), np.empty(6), np.empty(6)
     into = relate(pose, twist, y, law.tilt, local_pose, local_twist)
     if latched:
@@ -181,8 +203,9 @@ def wrench_in_place(law, docking, pose, twist, y, latched, hold, states, out, se
 
 @njit(cache=True)
 def close(docking, law, pose, twist, y, states, hold):
-    """Close the latch if its condition holds, and return whether it does: `hold` (7,) is set so that its springs take over the contact's
-    current force."""
+    """Close the latch if its condition holds, and return whether it does: `hold` (7,) is set so
+    that its springs take over the contact's current force.
+    """
     local_pose, local_twist, wrench, seen = np.empty(7), np.empty(6), np.empty(6), np.empty((2, 2))
     relate(pose, twist, y, law.tilt, local_pose, local_twist)
     if not due(docking, local_pose, local_twist):

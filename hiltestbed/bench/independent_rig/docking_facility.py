@@ -1,6 +1,8 @@
-"""Random docking facilities: probe and cone with friction, tilt and spin, captured or not, rigid or on a mount; or held.
+"""Random docking facilities: probe and cone with friction, tilt and spin, captured or not, rigid or
+on a mount; or held.
 
-The forces of a docking have no closed form: its scales (peak, depth, duration) are taken from healthy runs.
+The forces of a docking have no closed form: its scales (peak, depth, duration) are taken from
+healthy runs.
 """
 
 from __future__ import annotations
@@ -23,14 +25,16 @@ SIX = "six axes"  # in a facility's design: the rig has six axes
 DESIGNS = ("docking", "mounted", "held")
 DESCRIPTION = "A probe meets its cone off the axis, with the facility's nominal rig."
 SPEEDS = (0.4, 0.55, 0.75, 1.0, 0.6, 0.6)  # of each run, relative to the fastest
-KNOWN = {4: 0.5, 5: 2.0}  # runs with other known springs, and their stiffness relative to the nominal one
+# runs with other known springs, and their stiffness relative to the nominal one
+KNOWN = {4: 0.5, 5: 2.0}
 LONGEST, SHORTEST = 4.0, 1.2  # s, limits of the duration
 AFTER = 0.5  # s from the last capture to the end of the runs
 SCREENED = 4.5  # s, duration of the healthy runs from which the final duration is determined
 LOWEST, HIGHEST = 10.0, 3000.0  # N, limits of a run's peak
 FEWEST = 40  # smallest number of rows in contact
 COARSE = 4  # sub-steps of the healthy runs
-CONE_SHARE = 0.4  # effective mass at a wall off the axis over the reduced mass: the vehicles rotate as well
+# effective mass at a wall off the axis over the reduced mass: the vehicles rotate as well
+CONE_SHARE = 0.4
 BODY = 120.0  # kg on the mount
 
 
@@ -39,7 +43,8 @@ class DockingFacility(Facility):
     """A facility whose rig has six axes; its scales come from healthy runs.
 
     Attributes:
-        peaks: largest force on an axis, of each run [N]. spans: duration of contact, of each run [s].
+        peaks: largest force on an axis, of each run [N]. spans: duration of contact, of each run
+            [s].
     """
 
     peaks: tuple[float, ...] = ()
@@ -75,14 +80,19 @@ class DockingFacility(Facility):
 
 
 def draw_docking_facility(
-    rng: Generator, design: str = "docking", method: str = "phase_lead", needs: frozenset[str] = frozenset(), response=None
+    rng: Generator,
+    design: str = "docking",
+    method: str = "phase_lead",
+    needs: frozenset[str] = frozenset(),
+    response=None,
 ) -> DockingFacility:
     """A random docking facility.
 
     Args:
         design: docking | mounted (the cone on a compliant mount) | held (a latch from the start).
         method: the compensation of the force, any of `METHODS`.
-        needs: added to the facility's design. response: (bandwidth [Hz], damping ratio) of the platform; None: ideal tracking.
+        needs: added to the facility's design. response: (bandwidth [Hz], damping ratio) of the
+            platform; None: ideal tracking.
     """
     for _ in range(100):
         scenario = _scenario(rng, design, method, response)
@@ -105,7 +115,16 @@ def draw_docking_facility(
         scenario["sensor"] |= {"noise": noise, "torque_noise": torque_noise}
         pose = rng.uniform(1e-6, 2.5e-6)
         return DockingFacility(
-            scenario, runs, speeds, torque_noise, pose, 0.5 * pose, touch_time, frozenset({SIX, design}) | needs, tuple(peaks), spans
+            scenario,
+            runs,
+            speeds,
+            torque_noise,
+            pose,
+            0.5 * pose,
+            touch_time,
+            frozenset({SIX, design}) | needs,
+            tuple(peaks),
+            spans,
         )
     raise RuntimeError(f"no {design} facility in 100 draws")
 
@@ -139,7 +158,11 @@ def _scenario(rng: Generator, design: str, method: str, response) -> dict:
         mechanism["mount"] = _mount(rng, stiffness)
     tracking: dict[str, Any] = {"tracking": "ideal"}
     if response is not None:
-        tracking = {"tracking": "servo", "bandwidth": float(response[0]), "damping_ratio": float(response[1])}
+        tracking = {
+            "tracking": "servo",
+            "bandwidth": float(response[0]),
+            "damping_ratio": float(response[1]),
+        }
     return {
         "name": "facility",
         "description": DESCRIPTION,
@@ -149,39 +172,67 @@ def _scenario(rng: Generator, design: str, method: str, response) -> dict:
         "physics_rate": 4 * rate,
         "spacecraft": {"chaser": _body(rng, chaser, 1.0), "target": _body(rng, target, -1.0)},
         "approach": {
-            "gap": 0.05, "velocity": [0.0, 0.0, 0.05], "offset": [0.0, 0.0], "attitude_deg": [0, 0, 0], "rate_deg": [0, 0, 0],
+            "gap": 0.05,
+            "velocity": [0.0, 0.0, 0.05],
+            "offset": [0.0, 0.0],
+            "attitude_deg": [0, 0, 0],
+            "rate_deg": [0, 0, 0],
         },
         "mechanism": mechanism,
         "rig": {"platform": {"kind": "pss33", **tracking}},
-        "sensor": {"delay": delay, "lowpass": None, "time_constant": None, "noise": 0.1, "torque_noise": 0.01},
-        "compensation": {"force": {"kind": method, **METHODS[method](rng, stiffness, damping)}, "motion": {"kind": "none"}},
+        "sensor": {
+            "delay": delay,
+            "lowpass": None,
+            "time_constant": None,
+            "noise": 0.1,
+            "torque_noise": 0.01,
+        },
+        "compensation": {
+            "force": {"kind": method, **METHODS[method](rng, stiffness, damping)},
+            "motion": {"kind": "none"},
+        },
         "identification": {"kind": "rls"},
         "effects": [],
-    }  # fmt: skip
+    }
 
 
 def _mount(rng: Generator, stiffness: float) -> dict:
-    """Springs 5 to 20 times as stiff as the contact, rotational ones as if on a ring of 0.3 m radius.
+    """Springs 5 to 20 times as stiff as the contact, rotational ones as if on a ring of 0.3 m
+    radius.
 
-    Damping ratio 8 to 20 %: with less, the loop's delay makes most of them unstable once the latch has closed.
+    Damping ratio 8 to 20 %: with less, the loop's delay makes most of them unstable once the latch
+    has closed.
     """
     springs = [rounded(stiffness * rng.uniform(5.0, 20.0), 3) for _ in range(3)]
     springs += [rounded(springs[i] * 0.3**2 * rng.uniform(0.7, 1.4), 3) for i in range(3)]
     ratio = rng.uniform(0.08, 0.2)
     inertias = [BODY] * 3 + [20.0, 20.0, 10.0]  # about P
-    return {"stiffness": springs, "damping": [rounded(2.0 * ratio * math.sqrt(k * m), 3) for k, m in zip(springs, inertias, strict=True)]}
+    return {
+        "stiffness": springs,
+        "damping": [
+            rounded(2.0 * ratio * math.sqrt(k * m), 3)
+            for k, m in zip(springs, inertias, strict=True)
+        ],
+    }
 
 
 def _body(rng: Generator, mass: float, side: float) -> dict:
     size = _log(rng, 0.3, 0.8)  # m^2
     inertia = [rounded(mass * size * rng.uniform(0.8, 1.1), 2) for _ in range(3)]
     across = [rounded(v, 2) for v in rng.uniform(-0.08, 0.08, 2)]
-    port = {"position": [*across, side * rounded(rng.uniform(0.8, 1.5), 2)], "attitude_deg": [0, 0, 0]}
+    port = {
+        "position": [*across, side * rounded(rng.uniform(0.8, 1.5), 2)],
+        "attitude_deg": [0, 0, 0],
+    }
     return {"mass": mass, "inertia": inertia, "port": port}
 
 
-def _run(rng: Generator, number: int, speed: float, touch_time: float, design: str, scenario: dict) -> dict:
-    """Changed keys of a run: lateral position, tilt and rotation rate; the last two runs have other known springs."""
+def _run(
+    rng: Generator, number: int, speed: float, touch_time: float, design: str, scenario: dict
+) -> dict:
+    """Changed keys of a run: lateral position, tilt and rotation rate; the last two runs have other
+    known springs.
+    """
     azimuth = rng.uniform(-math.pi, math.pi)
     held = design == "held"
     far = rng.uniform(5e-4, 2e-3) if held else rng.uniform(0.015, 0.07)
@@ -189,22 +240,30 @@ def _run(rng: Generator, number: int, speed: float, touch_time: float, design: s
     sideways = rng.uniform(-0.15, 0.15, 2) * speed
     changes: dict[str, Any] = {
         "approach.velocity": [rounded(sideways[0], 2), rounded(sideways[1], 2), speed],
-        "approach.offset": [rounded(far * math.cos(azimuth), 3), rounded(far * math.sin(azimuth), 3)],
+        "approach.offset": [
+            rounded(far * math.cos(azimuth), 3),
+            rounded(far * math.sin(azimuth), 3),
+        ],
         "approach.attitude_deg": [rounded(v, 2) for v in rng.uniform(-tilt, tilt, 3)],
-        "approach.rate_deg": [rounded(v, 2) for v in rng.uniform(-spin, spin, 3) * np.array([0.3, 0.3, 1.0])],
+        "approach.rate_deg": [
+            rounded(v, 2) for v in rng.uniform(-spin, spin, 3) * np.array([0.3, 0.3, 1.0])
+        ],
     }
     if number in KNOWN:
         contact, factor = scenario["mechanism"]["contact"], KNOWN[number]
         changes["mechanism.contact.stiffness"] = factor * contact["stiffness"]
         changes["mechanism.contact.damping"] = math.sqrt(factor) * contact["damping"]
-    # The first touch is between two ticks: exactly on a tick, noise would decide in which tick the force begins.
+    # The first touch is between two ticks: exactly on a tick, noise would decide in which tick the
+    # force begins.
     ticks = math.floor(touch_time * scenario["rate"]) + rng.uniform(0.3, 0.7)
     changes["approach.gap"] = 0.0 if held else rounded(_gap(changes, ticks / scenario["rate"]), 6)
     return changes
 
 
 def _gap(changes: dict, time: float) -> float:
-    """The gap [m] for which the tip touches the cone at `time` [s] of a uniform approach, by bisection."""
+    """The gap [m] for which the tip touches the cone at `time` [s] of a uniform approach, by
+    bisection.
+    """
     surfaces, normal = Surfaces(), np.zeros(3)
     velocity = np.array(changes["approach.velocity"], dtype=float)
     rate = np.radians(np.array(changes["approach.rate_deg"], dtype=float))

@@ -23,8 +23,15 @@ METHODS: dict[str, Any] = {
     "second_order_lead": lambda rng, k, c: {},
     "polynomial": lambda rng, k, c: {"order": int(rng.integers(1, 4))},
     "dead_zone": lambda rng, k, c: {"width": rounded(rng.uniform(0.5, 2.0), 2)},
-    "smith_predictor": lambda rng, k, c: {"stiffness": k, "damping": c, "lead_rest": bool(rng.random() < 0.5)},
-    "virtual_contact": lambda rng, k, c: {"stiffness": 0.0, "damping": rounded(k * rng.uniform(5e-4, 2e-3), 2)},
+    "smith_predictor": lambda rng, k, c: {
+        "stiffness": k,
+        "damping": c,
+        "lead_rest": bool(rng.random() < 0.5),
+    },
+    "virtual_contact": lambda rng, k, c: {
+        "stiffness": 0.0,
+        "damping": rounded(k * rng.uniform(5e-4, 2e-3), 2),
+    },
     "passivity_control": lambda rng, k, c: {},
     "reconstruction": lambda rng, k, c: {},
 }  # contents of a scenario's `compensation.force` in addition to its kind
@@ -36,8 +43,10 @@ class Facility:
 
     Attributes:
         scenario: the nominal scenario, as in its file. runs: changed keys of each run.
-        speeds: axial, of each run [m/s]. torque_noise [N m], pose_noise [m], turn_noise [-]: 1 sigma, not in the scenario.
-        design: what the runs excite in addition to the axial contact: any of "slide", "offset", "latched", "friction".
+        speeds: axial, of each run [m/s]. torque_noise [N m], pose_noise [m], turn_noise [-]: 1
+            sigma, not in the scenario.
+        design: what the runs excite in addition to the axial contact: any of "slide", "offset",
+            "latched", "friction".
     """
 
     scenario: dict
@@ -114,18 +123,24 @@ class Facility:
     def side(self) -> float:
         """Largest distance from the axis in runs that slide or are offset [m]."""
         far = [math.hypot(*r.get("approach.offset", [0.0, 0.0])) for r in self.runs]
-        slid = [abs(r["approach.velocity"][0]) * (self.touch_time + self.contact_time) for r in self.runs]
+        slid = [
+            abs(r["approach.velocity"][0]) * (self.touch_time + self.contact_time)
+            for r in self.runs
+        ]
         return max(max(far), max(slid), 1e-4)
 
 
 def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_lead") -> Facility:
-    """A random facility, whose contact is neither too short for its rate nor too fast for its delay; `method` of compensation."""
+    """A random facility, whose contact is neither too short for its rate nor too fast for its
+    delay; `method` of compensation.
+    """
     while True:
         chaser, target = _log(rng, 200.0, 1500.0), _log(rng, 500.0, 10000.0)
         stiffness, delay = _log(rng, 2e4, 5e5), float(rng.integers(1, 11)) / 1000.0
         rate = int(rng.choice([1000, 2000]))
         reduced = 1.0 / (1.0 / chaser + 1.0 / target)
-        fastest = math.sqrt(2.0 * stiffness / reduced)  # rad/s, with the stiffer of the known springs
+        # rad/s, with the stiffer of the known springs
+        fastest = math.sqrt(2.0 * stiffness / reduced)
         if fastest * delay < 0.4 and math.pi / fastest * rate >= 40.0 and fastest > 12.0:
             break
     chaser, target, stiffness = (rounded(v, 3) for v in (chaser, target, stiffness))
@@ -135,20 +150,30 @@ def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_l
     speeds = [rounded(fast * part, 2) for part in (0.25, 0.375, 0.625, 1.0, 0.5, 0.5)]
     touch_time = 0.1 + 0.1 * rng.random()
     longest = math.pi / (fastest / 2.0)
-    noise = rounded(min(max(_log(rng, 2e-4, 7e-4) * fast * math.sqrt(stiffness * reduced), 0.05), 1.5), 2)
+    noise = rounded(
+        min(max(_log(rng, 2e-4, 7e-4) * fast * math.sqrt(stiffness * reduced), 0.05), 1.5), 2
+    )
     friction = rounded(rng.uniform(0.05, 0.2), 2) if "friction" in design else 0.0
     latched = "latched" in design
     scenario = {
         "name": "facility",
         "description": DESCRIPTION,
         "seed": 1,
-        "duration": round(math.ceil((touch_time + (2.0 if latched else 1.3) * longest + 0.3) * 10.0) / 10.0, 1),
+        "duration": round(
+            math.ceil((touch_time + (2.0 if latched else 1.3) * longest + 0.3) * 10.0) / 10.0, 1
+        ),
         "rate": rate,
         "physics_rate": 4 * rate if rng.random() < 0.5 else 2 * rate,
-        "spacecraft": {"chaser": _body(rng, chaser, 1.0, design), "target": _body(rng, target, -1.0, design)},
+        "spacecraft": {
+            "chaser": _body(rng, chaser, 1.0, design),
+            "target": _body(rng, target, -1.0, design),
+        },
         "approach": {
-            "gap": rounded(speeds[1] * touch_time, 2), "velocity": [0.0, 0.0, speeds[1]], "offset": [0.0, 0.0],
-            "attitude_deg": [0, 0, 0], "rate_deg": [0, 0, 0],
+            "gap": rounded(speeds[1] * touch_time, 2),
+            "velocity": [0.0, 0.0, speeds[1]],
+            "offset": [0.0, 0.0],
+            "attitude_deg": [0, 0, 0],
+            "rate_deg": [0, 0, 0],
         },
         "mechanism": {
             "kind": "latched" if latched else "bumper",
@@ -159,12 +184,17 @@ def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_l
         "compensation": {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}},
         "identification": {"kind": "rls"},
         "effects": [],
-    }  # fmt: skip
+    }
     runs = [_run(rng, i, v, touch_time, design, scenario) for i, v in enumerate(speeds)]
     if method != "phase_lead":
-        scenario["compensation"]["force"] = {"kind": method, **METHODS[method](rng, stiffness, damping)}
+        scenario["compensation"]["force"] = {
+            "kind": method,
+            **METHODS[method](rng, stiffness, damping),
+        }
     pose = rng.uniform(1e-6, 2.5e-6)
-    return Facility(scenario, runs, speeds, rng.uniform(0.01, 0.04), pose, 0.5 * pose, touch_time, design)
+    return Facility(
+        scenario, runs, speeds, rng.uniform(0.01, 0.04), pose, 0.5 * pose, touch_time, design
+    )
 
 
 def _log(rng: Generator, low: float, high: float) -> float:
@@ -174,19 +204,38 @@ def _log(rng: Generator, low: float, high: float) -> float:
 def _body(rng: Generator, mass: float, side: float, design: frozenset[str]) -> dict:
     size = _log(rng, 0.25, 0.6)  # m^2
     inertia = [rounded(mass * size * rng.uniform(0.8, 1.1), 2) for _ in range(3)]
-    # A port off the axis: the contact rotates this body as well, not only the one that is hit off-centre.
+    # A port off the axis: the contact rotates this body as well, not only the one that is hit
+    # off-centre.
     across = [rounded(v, 2) if "offset" in design else 0.0 for v in rng.uniform(-0.12, 0.12, 2)]
-    port = {"position": [*across, side * rounded(rng.uniform(0.7, 1.4), 2)], "attitude_deg": [0, 0, 0]}
+    port = {
+        "position": [*across, side * rounded(rng.uniform(0.7, 1.4), 2)],
+        "attitude_deg": [0, 0, 0],
+    }
     return {"mass": mass, "inertia": inertia, "port": port}
 
 
-def _run(rng: Generator, number: int, speed: float, touch_time: float, design: frozenset[str], scenario: dict) -> dict:
-    """Changed keys of run `number`: two of the first four runs slide, the last two have other known springs."""
+def _run(
+    rng: Generator,
+    number: int,
+    speed: float,
+    touch_time: float,
+    design: frozenset[str],
+    scenario: dict,
+) -> dict:
+    """Changed keys of run `number`: two of the first four runs slide, the last two have other known
+    springs.
+    """
     slides = number in (1, 3) and "slide" in design
-    sideways = [rounded(rng.uniform(0.1, 0.25) * speed, 1) * (1 if rng.random() < 0.5 else -1) if slides else 0.0 for _ in range(2)]
+    sideways = [
+        rounded(rng.uniform(0.1, 0.25) * speed, 1) * (1 if rng.random() < 0.5 else -1)
+        if slides
+        else 0.0
+        for _ in range(2)
+    ]
     if rng.random() < 0.5:
         sideways[1] = 0.0
-    # The touch is between two ticks: exactly on a tick, noise would decide in which tick the force begins.
+    # The touch is between two ticks: exactly on a tick, noise would decide in which tick the force
+    # begins.
     ticks = math.floor(touch_time * scenario["rate"]) + rng.uniform(0.25, 0.75)
     gap = 0.0 if "latched" in design else rounded(speed * ticks / scenario["rate"], 5)
     changes: dict = {"approach.velocity": [*sideways, speed], "approach.gap": gap}

@@ -17,7 +17,9 @@ from hiltestbed.bench.independent_rig.links import Rig
 
 
 class Foreign(NamedTuple):
-    """A foreign effect: its link, its application to a rig, and parameters of moderate size for a facility (times `scale`)."""
+    """A foreign effect: its link, its application to a rig, and parameters of moderate size for a
+    facility (times `scale`).
+    """
 
     link: str
     apply: Callable[[Rig, dict], Rig]
@@ -30,7 +32,9 @@ def _either(rng: Generator) -> float:
 
 FOREIGN: dict[str, Foreign] = {
     "unknown.unloading": Foreign(
-        "contact", lambda rig, e: contact(rig, unloading=e["loss"]), lambda rng, f, s: {"loss": s * rng.uniform(0.08, 0.2)}
+        "contact",
+        lambda rig, e: contact(rig, unloading=e["loss"]),
+        lambda rng, f, s: {"loss": s * rng.uniform(0.08, 0.2)},
     ),
     "unknown.ageing": Foreign(
         "contact",
@@ -38,18 +42,27 @@ FOREIGN: dict[str, Foreign] = {
         lambda rng, f, s: {"rate": s * _either(rng) * rng.uniform(0.2, 0.4) / f.contact_time},
     ),
     "unknown.speeding": Foreign(
-        "contact", lambda rig, e: contact(rig, speeding=e["slope"]), lambda rng, f, s: {"slope": s * rng.uniform(0.25, 0.6) / f.top_speed}
+        "contact",
+        lambda rig, e: contact(rig, speeding=e["slope"]),
+        lambda rng, f, s: {"slope": s * rng.uniform(0.25, 0.6) / f.top_speed},
     ),
     "unknown.teeth": Foreign(
         "contact",
         lambda rig, e: contact(rig, ripple=e["force"], ripple_period=e["period"]),
-        lambda rng, f, s: {"force": s * rng.uniform(0.03, 0.08) * f.peak, "period": rng.uniform(0.15, 0.35) * f.depth},
+        lambda rng, f, s: {
+            "force": s * rng.uniform(0.03, 0.08) * f.peak,
+            "period": rng.uniform(0.15, 0.35) * f.depth,
+        },
     ),
     "unknown.side_load": Foreign(
-        "contact", lambda rig, e: contact(rig, side=e["slope"]), lambda rng, f, s: {"slope": s * rng.uniform(0.03, 0.1) / f.depth}
+        "contact",
+        lambda rig, e: contact(rig, side=e["slope"]),
+        lambda rng, f, s: {"slope": s * rng.uniform(0.03, 0.1) / f.depth},
     ),
     "unknown.warming": Foreign(
-        "sensor", lambda rig, e: sensor(rig, warming=e["rate"]), lambda rng, f, s: {"rate": s * rng.uniform(0.15, 0.35) / f.contact_time}
+        "sensor",
+        lambda rig, e: sensor(rig, warming=e["rate"]),
+        lambda rng, f, s: {"rate": s * rng.uniform(0.15, 0.35) / f.contact_time},
     ),
     "unknown.lateral_gain": Foreign(
         "sensor",
@@ -62,26 +75,44 @@ FOREIGN: dict[str, Foreign] = {
         lambda rng, f, s: {"slope": s * rng.uniform(0.08, 0.2) / f.frequency / f.top_peak},
     ),
     "unknown.force_play": Foreign(
-        "sensor", lambda rig, e: sensor(rig, hysteresis=e["force"]), lambda rng, f, s: {"force": s * rng.uniform(0.02, 0.05) * f.peak}
+        "sensor",
+        lambda rig, e: sensor(rig, hysteresis=e["force"]),
+        lambda rng, f, s: {"force": s * rng.uniform(0.02, 0.05) * f.peak},
     ),
     "unknown.coarse_converter": Foreign(
-        "sensor", lambda rig, e: sensor(rig, quantum=e["step"]), lambda rng, f, s: {"step": s * rng.uniform(0.04, 0.1) * f.peak}
+        "sensor",
+        lambda rig, e: sensor(rig, quantum=e["step"]),
+        lambda rng, f, s: {"step": s * rng.uniform(0.04, 0.1) * f.peak},
     ),
     "unknown.sample_hold": Foreign(
-        "sensor", lambda rig, e: sensor(rig, repeat=e["time"]), lambda rng, f, s: {"time": s * rng.uniform(0.05, 0.1) * f.contact_time}
+        "sensor",
+        lambda rig, e: sensor(rig, repeat=e["time"]),
+        lambda rng, f, s: {"time": s * rng.uniform(0.05, 0.1) * f.contact_time},
     ),
     "unknown.quantised_platform": Foreign(
-        "platform", lambda rig, e: platform(rig, quantum=e["step"]), lambda rng, f, s: {"step": s * rng.uniform(0.03, 0.08) * f.depth}
+        "platform",
+        lambda rig, e: platform(rig, quantum=e["step"]),
+        lambda rng, f, s: {"step": s * rng.uniform(0.03, 0.08) * f.depth},
     ),
     "unknown.screw_error": Foreign(
         "platform",
         lambda rig, e: platform(rig, ripple=e["amplitude"], ripple_period=e["period"]),
-        lambda rng, f, s: {"amplitude": s * rng.uniform(0.01, 0.04) * f.depth, "period": rng.uniform(0.4, 1.2) * f.depth},
+        lambda rng, f, s: {
+            "amplitude": s * rng.uniform(0.01, 0.04) * f.depth,
+            "period": rng.uniform(0.4, 1.2) * f.depth,
+        },
     ),
     "unknown.one_way_lag": Foreign(
         "platform",
-        lambda rig, e: platform(rig, lag_w=2.0 * math.pi * e["bandwidth_in"], lag_w_back=2.0 * math.pi * e["bandwidth_out"]),
-        lambda rng, f, s: {"bandwidth_in": 3.0 * (b := f.frequency * rng.uniform(1.5, 3.0) / s), "bandwidth_out": b},
+        lambda rig, e: platform(
+            rig,
+            lag_w=2.0 * math.pi * e["bandwidth_in"],
+            lag_w_back=2.0 * math.pi * e["bandwidth_out"],
+        ),
+        lambda rng, f, s: {
+            "bandwidth_in": 3.0 * (b := f.frequency * rng.uniform(1.5, 3.0) / s),
+            "bandwidth_out": b,
+        },
     ),
     "unknown.platform_gives": Foreign(
         "platform",
@@ -106,12 +137,16 @@ FOREIGN: dict[str, Foreign] = {
     "unknown.lead_slew": Foreign(
         "compensation",
         lambda rig, e: compensator(rig, slew=e["rate"]),
-        lambda rng, f, s: {"rate": rng.uniform(0.4, 0.7) / s * f.top_peak * 2.0 * math.pi * f.frequency},
+        lambda rng, f, s: {
+            "rate": rng.uniform(0.4, 0.7) / s * f.top_peak * 2.0 * math.pi * f.frequency
+        },
     ),
     "unknown.drag": Foreign(
         "dynamics",
         lambda rig, e: bodies(rig, drag=e["coefficient"]),
-        lambda rng, f, s: {"coefficient": s * rng.uniform(0.04, 0.15) * f.reduced_mass / f.contact_time},
+        lambda rng, f, s: {
+            "coefficient": s * rng.uniform(0.04, 0.15) * f.reduced_mass / f.contact_time
+        },
     ),
     "unknown.thrust": Foreign(
         "dynamics",
@@ -131,9 +166,13 @@ FOREIGN: dict[str, Foreign] = {
     "unknown.clock_stretch": Foreign(
         "log",
         lambda rig, e: sensor(rig, stretch=e["ratio"]),
-        lambda rng, f, s: {"ratio": s * rng.uniform(0.05, 0.15) / f.frequency / (f.touch_time + f.contact_time)},
+        lambda rng, f, s: {
+            "ratio": s * rng.uniform(0.05, 0.15) / f.frequency / (f.touch_time + f.contact_time)
+        },
     ),
     "unknown.frozen_record": Foreign(
-        "log", lambda rig, e: sensor(rig, freeze=e["time"]), lambda rng, f, s: {"time": s * rng.uniform(0.01, 0.03)}
+        "log",
+        lambda rig, e: sensor(rig, freeze=e["time"]),
+        lambda rng, f, s: {"time": s * rng.uniform(0.01, 0.03)},
     ),
 }

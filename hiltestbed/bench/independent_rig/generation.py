@@ -1,4 +1,6 @@
-"""Generates the records and logs of a facility's runs, with hidden effects and the facility's way of computing."""
+"""Generates the records and logs of a facility's runs, with hidden effects and the facility's way
+of computing.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,11 @@ from hiltestbed.bench.independent_rig.nuisances import PLAIN as AS_TODAY
 from hiltestbed.bench.independent_rig.nuisances import Nuisances, restamped, with_nuisances
 from hiltestbed.bench.independent_rig.rig import docking_rig, nominal_rig, overridden, with_held
 
-LINKS = {"frame": "contact", "loop": "compensation"}  # links of effects whose family has another name
+# links of effects whose family has another name
+LINKS = {"frame": "contact", "loop": "compensation"}
 PLAIN = {"coarse": False, "quiet_zone": False, "lever": 1.0, "frame_rate": 0.0, "mode_read": False}
-MOST_OVERLOAD = 2.5  # largest force over the expected peak: above it the set is unstable and cannot be diagnosed
+# largest force over the expected peak: above it the set is unstable and cannot be diagnosed
+MOST_OVERLOAD = 2.5
 LEAST_LOAD = 0.2  # smallest likewise
 ALL_FOREIGN = FOREIGN | IN_DOCKING
 
@@ -43,14 +47,24 @@ def with_effect(rig: Rig, effect: dict[str, Any], run: int = 0) -> Rig:
     return with_held(EFFECTS[effect["kind"]](rig, given))
 
 
-def rig_of(facility: Facility, run: int, effects: list[dict[str, Any]], variants: dict[str, Any], nuisances: Nuisances = AS_TODAY) -> Rig:
+def rig_of(
+    facility: Facility,
+    run: int,
+    effects: list[dict[str, Any]],
+    variants: dict[str, Any],
+    nuisances: Nuisances = AS_TODAY,
+) -> Rig:
     """The rig of a run of the facility."""
     scenario = overridden(facility.scenario, facility.runs[run])
     rig = docking_rig(scenario) if SIX in facility.design else nominal_rig(scenario)
     rig = rig._replace(
         platform=rig.platform._replace(coarse=variants["coarse"]),
         sensor=rig.sensor._replace(quiet_zone=variants["quiet_zone"]),
-        contact=rig.contact._replace(lever=variants["lever"], frame_rate=variants["frame_rate"], mode_read=variants["mode_read"]),
+        contact=rig.contact._replace(
+            lever=variants["lever"],
+            frame_rate=variants["frame_rate"],
+            mode_read=variants["mode_read"],
+        ),
     )
     for effect in effects:
         rig = with_effect(rig, effect, run)
@@ -60,15 +74,21 @@ def rig_of(facility: Facility, run: int, effects: list[dict[str, Any]], variants
 def draw_variants(rng: Generator) -> dict[str, Any]:
     """Random interpretations of the definitions.
 
-    coarse: the platform's filters advance by semi-implicit Euler in each sub-step, not exactly. quiet_zone: noise is added after
-    the dead zone and the saturation of the sensor. lever: the force acts at the tip (1) or at the undeformed surface (0).
-    frame_rate: a compliant frame reduces the forces of spring and damper equally (0), that of the damper twice (1) or not at all (-1).
+    coarse: the platform's filters advance by semi-implicit Euler in each sub-step, not exactly.
+        quiet_zone: noise is added after
+    the dead zone and the saturation of the sensor. lever: the force acts at the tip (1) or at the
+    undeformed surface (0).
+    frame_rate: a compliant frame reduces the forces of spring and damper equally (0), that of the
+        damper twice (1) or not at all (-1).
     mode_read: the sensor is below the vibrating mass.
     """
     return {
-        "coarse": bool(rng.random() < 0.5), "quiet_zone": bool(rng.random() < 0.3), "lever": float(rng.choice([0.0, 0.5, 1.0])),
-        "frame_rate": float(rng.choice([0.0, 0.0, 1.0, -1.0])), "mode_read": bool(rng.random() < 0.5),
-    }  # fmt: skip
+        "coarse": bool(rng.random() < 0.5),
+        "quiet_zone": bool(rng.random() < 0.3),
+        "lever": float(rng.choice([0.0, 0.5, 1.0])),
+        "frame_rate": float(rng.choice([0.0, 0.0, 1.0, -1.0])),
+        "mode_read": bool(rng.random() < 0.5),
+    }
 
 
 def sigma_of(facility: Facility) -> np.ndarray:
@@ -84,16 +104,25 @@ def draw_noise(rng: Generator, facility: Facility, ticks: int) -> Noise:
     return Noise(reading, still, rng.standard_normal(ticks), rng.random(ticks))
 
 
-def generate(rng: Generator, facility: Facility, effects: list[dict[str, Any]], variants: dict[str, Any]) -> list[Records]:
+def generate(
+    rng: Generator, facility: Facility, effects: list[dict[str, Any]], variants: dict[str, Any]
+) -> list[Records]:
     """The records of all runs, in closed loop, with white noise."""
     rigs = [rig_of(facility, i, effects, variants) for i in range(len(facility.runs))]
     return [simulate(rig, draw_noise(rng, facility, rig.ticks)) for rig in rigs]
 
 
 def record(
-    rng: Generator, facility: Facility, rigs: list[Rig], nuisances: Nuisances, noise: tuple[str, float] | None, twists: bool
+    rng: Generator,
+    facility: Facility,
+    rigs: list[Rig],
+    nuisances: Nuisances,
+    noise: tuple[str, float] | None,
+    twists: bool,
 ) -> tuple[list[Records], list[Log]]:
-    """Records of all runs in closed loop, and the facility's logs of them, with `noise` (kind, strength)."""
+    """Records of all runs in closed loop, and the facility's logs of them, with `noise` (kind,
+    strength).
+    """
     runs = [_simulated(rng, facility, i, rig, noise) for i, rig in enumerate(rigs)]
     runs = [restamped(records, nuisances.stamps) for records in runs]
     rate = facility.scenario["rate"]
@@ -103,13 +132,18 @@ def record(
     return runs, logs
 
 
-def _simulated(rng: Generator, facility: Facility, run: int, rig: Rig, noise: tuple[str, float] | None) -> Records:
-    """A run with noise in the loop. Noise that depends on the reading is drawn from the reading of the same run without noise."""
+def _simulated(
+    rng: Generator, facility: Facility, run: int, rig: Rig, noise: tuple[str, float] | None
+) -> Records:
+    """A run with noise in the loop. Noise that depends on the reading is drawn from the reading of
+    the same run without noise.
+    """
     drawn = draw_noise(rng, facility, rig.ticks)
     if noise is None or NOISE_KINDS[noise[0]].place == "log":
         return simulate(rig, drawn)
     kind, strength = noise
-    if kind == "converter_steps":  # quantisation in the sensor itself, so that every reading is quantised
+    # quantisation in the sensor itself, so that every reading is quantised
+    if kind == "converter_steps":
         return simulate(rig._replace(sensor=rig.sensor._replace(quantum=strength)), drawn)
     quiet = drawn._replace(reading=np.zeros_like(drawn.reading))
     clean = simulate(rig, quiet)
@@ -119,16 +153,25 @@ def _simulated(rng: Generator, facility: Facility, run: int, rig: Rig, noise: tu
 
 
 def stable(facility: Facility, runs: list[Records]) -> bool:
-    """Whether a facility would have accepted the set: finite, and with forces of about the expected size."""
+    """Whether a facility would have accepted the set: finite, and with forces of about the expected
+    size.
+    """
     for run, records in enumerate(runs):
         six = isinstance(facility, DockingFacility)
         expected = facility.expected_peak(run) if six else _axial_peak(facility, run)
         force = np.abs(records.physical[:, :3] if six else records.physical[:, 2])
-        if not np.all(np.isfinite(records.pose_cmd)) or force.max() > MOST_OVERLOAD * expected or force.max() < LEAST_LOAD * expected:
+        if (
+            not np.all(np.isfinite(records.pose_cmd))
+            or force.max() > MOST_OVERLOAD * expected
+            or force.max() < LEAST_LOAD * expected
+        ):
             return False
     return True
 
 
 def _axial_peak(facility: Facility, run: int) -> float:
-    factor = np.sqrt(facility.runs[run].get("mechanism.contact.stiffness", facility.stiffness) / facility.stiffness)
+    factor = np.sqrt(
+        facility.runs[run].get("mechanism.contact.stiffness", facility.stiffness)
+        / facility.stiffness
+    )
     return factor * facility.peak * facility.speeds[run] / facility.middle_speed

@@ -57,7 +57,9 @@ def _gain(rig: Rig, e: dict) -> Rig:
 def _hum(rig: Rig, e: dict) -> Rig:
     axis = e.get("axis", "z")
     which = np.array([float(axis in ("all", a)) for a in "xyz"])
-    return sensor(rig, hum=which * e["amplitude"], hum_frequency=e["frequency"], hum_phase=e.get("phase", 0.0))
+    return sensor(
+        rig, hum=which * e["amplitude"], hum_frequency=e["frequency"], hum_phase=e.get("phase", 0.0)
+    )
 
 
 def _misalignment(rig: Rig, e: dict) -> Rig:
@@ -83,7 +85,12 @@ def _inertia(rig: Rig, e: dict) -> Rig:
 
 def _port(rig: Rig, e: dict) -> Rig:
     b = BODIES[e["body"]]
-    return bodies(rig, port_position=_changed(rig.bodies.port_position, b, rig.bodies.port_position[b] + np.array(e["offset"])))
+    return bodies(
+        rig,
+        port_position=_changed(
+            rig.bodies.port_position, b, rig.bodies.port_position[b] + np.array(e["offset"])
+        ),
+    )
 
 
 def _appendage(rig: Rig, e: dict) -> Rig:
@@ -97,10 +104,16 @@ EFFECTS: dict[str, Callable[[Rig, dict], Rig]] = {
     "sensor.delay": lambda rig, e: sensor(rig, delay=rig.sensor.delay + e["delay"]),
     "sensor.lag": lambda rig, e: sensor(rig, lag=e["time_constant"]),
     "sensor.highpass": lambda rig, e: sensor(rig, highpass=e["time_constant"]),
-    "sensor.drift": lambda rig, e: sensor(rig, drift=_changed(rig.sensor.drift, AXES[e["axis"]], e["rate"])),
-    "sensor.bias": lambda rig, e: sensor(rig, bias=np.array([*e["force"], *e["torque"]], dtype=float)),
+    "sensor.drift": lambda rig, e: sensor(
+        rig, drift=_changed(rig.sensor.drift, AXES[e["axis"]], e["rate"])
+    ),
+    "sensor.bias": lambda rig, e: sensor(
+        rig, bias=np.array([*e["force"], *e["torque"]], dtype=float)
+    ),
     "sensor.gain": _gain,
-    "sensor.crosstalk": lambda rig, e: sensor(rig, cross=_changed(rig.sensor.cross, (AXES[e["axis"]], AXES[e["source"]]), e["ratio"])),
+    "sensor.crosstalk": lambda rig, e: sensor(
+        rig, cross=_changed(rig.sensor.cross, (AXES[e["axis"]], AXES[e["source"]]), e["ratio"])
+    ),
     "sensor.deadzone": lambda rig, e: sensor(rig, deadzone=e["width"]),
     "sensor.saturation": lambda rig, e: sensor(rig, limit=e["limit"]),
     "sensor.hum": _hum,
@@ -109,10 +122,16 @@ EFFECTS: dict[str, Callable[[Rig, dict], Rig]] = {
     "contact.damping": lambda rig, e: contact(rig, damping=rig.contact.damping * e["factor"]),
     "contact.power_law": lambda rig, e: contact(rig, exponent=e["exponent"], power=e["stiffness"]),
     "contact.hunt_crossley": lambda rig, e: contact(rig, hunt=e["alpha"]),
-    "contact.dry_friction": lambda rig, e: contact(rig, dry=e["force"], dry_stiffness=e.get("stiffness", 0.0)),
+    "contact.dry_friction": lambda rig, e: contact(
+        rig, dry=e["force"], dry_stiffness=e.get("stiffness", 0.0)
+    ),
     "contact.preload": lambda rig, e: contact(rig, preload=e["force"]),
-    "contact.hard_stop": lambda rig, e: contact(rig, stop_at=e["position"], stop_stiffness=e["stiffness"]),
-    "contact.relaxation": lambda rig, e: contact(rig, branch_stiffness=e["stiffness"], branch_time=e["time_constant"]),
+    "contact.hard_stop": lambda rig, e: contact(
+        rig, stop_at=e["position"], stop_stiffness=e["stiffness"]
+    ),
+    "contact.relaxation": lambda rig, e: contact(
+        rig, branch_stiffness=e["stiffness"], branch_time=e["time_constant"]
+    ),
     "contact.adhesion": lambda rig, e: contact(rig, adhesion=e["force"]),
     "contact.surface_friction": lambda rig, e: contact(rig, friction=e["coefficient"]),
     "contact.touch_offset": lambda rig, e: contact(rig, touch=e["offset"]),
@@ -124,8 +143,12 @@ EFFECTS: dict[str, Callable[[Rig, dict], Rig]] = {
     "platform.lag": lambda rig, e: platform(rig, lag_w=2.0 * math.pi * e["bandwidth"]),
     "platform.backlash": lambda rig, e: platform(rig, play=e["width"]),
     "platform.friction": lambda rig, e: platform(rig, stick=e["stick"]),
-    "platform.mode": lambda rig, e: platform(rig, mode_w=2.0 * math.pi * e["frequency"], mode_zeta=e["damping_ratio"]),
-    "platform.scale": lambda rig, e: platform(rig, scale=_changed(rig.platform.scale, AXES[e["axis"]], e["factor"])),
+    "platform.mode": lambda rig, e: platform(
+        rig, mode_w=2.0 * math.pi * e["frequency"], mode_zeta=e["damping_ratio"]
+    ),
+    "platform.scale": lambda rig, e: platform(
+        rig, scale=_changed(rig.platform.scale, AXES[e["axis"]], e["factor"])
+    ),
     "platform.speed_limit": lambda rig, e: platform(rig, speed=e["speed"]),
     "dynamics.mass": _mass,
     "dynamics.inertia": _inertia,

@@ -1,7 +1,9 @@
-"""A facility's identification of contact stiffness and damping in the loop: least squares of F = k x + c v + b on each axis.
+"""A facility's identification of contact stiffness and damping in the loop: least squares of F = k
+x + c v + b on each axis.
 
-Force and pose refer to the same instant (the pose is delayed). A sample is used if there is contact one tick before and after it.
-The sums are accumulated, so that the estimate uses all samples so far.
+Force and pose refer to the same instant (the pose is delayed). A sample is used if there is contact
+one tick before and after it. The sums are accumulated, so that the estimate uses all samples so
+far.
 """
 
 from __future__ import annotations
@@ -18,9 +20,11 @@ EXPLAINED = 0.9  # smallest fraction of the force's variance that a valid estima
 
 @njit(cache=True)
 def take(pending, sums, gated, late, rate, force):
-    """Store this tick's samples and accumulate those of the tick before, once the contact has lasted three ticks.
+    """Store this tick's samples and accumulate those of the tick before, once the contact has
+    lasted three ticks.
 
-    pending: (2, 6, 3) x, v, F of this tick and of the one before. late: (12,) pose at the force's instant. rate: (6,). force: (6,).
+    pending: (2, 6, 3) x, v, F of this tick and of the one before. late: (12,) pose at the force's
+        instant. rate: (6,). force: (6,).
     """
     pending[1] = pending[0]
     for i in range(6):
@@ -38,7 +42,9 @@ def take(pending, sums, gated, late, rate, force):
 
 @njit(cache=True)
 def estimate(gated, sums, found):
-    """Solve for stiffness and damping, `found` (6, 2); NaN for an axis whose force they do not explain."""
+    """Solve for stiffness and damping, `found` (6, 2); NaN for an axis whose force they do not
+    explain.
+    """
     if gated < 3.0:
         return
     for i in range(6):

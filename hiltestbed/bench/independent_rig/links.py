@@ -20,15 +20,19 @@ class Timing(NamedTuple):
     """A facility's timing within a tick, as far as it is not a delay of a link; see `nuisances`."""
 
     substeps: int = SUBSTEPS
-    move: float = 0.0  # delay of a new commanded attitude, in ticks; that of the position is part of the platform's delay
+    # delay of a new commanded attitude, in ticks; that of the position is part of the platform's
+    # delay
+    move: float = 0.0
     encoder: float = 0.0  # time by which pose_act is read before its stamp, in ticks
-    rate: float = 0.0  # 0: the contact's rate is the slope of the tick, 1: that of the half tick that ends there
+    # 0: the contact's rate is the slope of the tick, 1: that of the half tick that ends there
+    rate: float = 0.0
 
 
 class Rig(NamedTuple):
     """The five links, with their deviations, and the start of the run.
 
-    Without `docking` the tip is a point against a plane: three translations. With it, tip and rod touch a surface: six axes.
+    Without `docking` the tip is a point against a plane: three translations. With it, tip and rod
+    touch a surface: six axes.
     """
 
     bodies: Bodies
@@ -44,7 +48,9 @@ class Rig(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """Random numbers of a run, (ticks, ...): for the reading [N, N m], the pose [m, -], the delay and repeats [-]."""
+    """Random numbers of a run, (ticks, ...): for the reading [N, N m], the pose [m, -], the delay
+    and repeats [-].
+    """
 
     reading: np.ndarray  # (ticks, 6)
     pose: np.ndarray  # (ticks, 6)
@@ -53,9 +59,11 @@ class Noise(NamedTuple):
 
 
 class Records(NamedTuple):
-    """The records of a run, (ticks, 7) and (ticks, 6); `used` is the reading inside the loop, which the log may not contain.
+    """The records of a run, (ticks, 7) and (ticks, 6); `used` is the reading inside the loop, which
+    the log may not contain.
 
-    touching: (ticks,) whether the mechanisms touch or are latched. captured: the row after which the latch holds; -1: from the start;
+    touching: (ticks,) whether the mechanisms touch or are latched. captured: the row after which
+        the latch holds; -1: from the start;
     the number of rows: never.
     """
 

@@ -9,7 +9,11 @@ import numpy as np
 from hiltestbed.bench.independent_rig.links import Records
 from hiltestbed.bench.independent_rig.measured_pose import slope
 
-POSES, WRENCHES, TWISTS = ("pose_cmd", "pose_act"), ("wrench_meas", "wrench_comp"), ("twist_cmd", "twist_act")
+POSES, WRENCHES, TWISTS = (
+    ("pose_cmd", "pose_act"),
+    ("wrench_meas", "wrench_comp"),
+    ("twist_cmd", "twist_act"),
+)
 
 
 @dataclass(frozen=True)
@@ -17,8 +21,10 @@ class Log:
     """The log of a run, n rows.
 
     Attributes:
-        t: (n,) stamps [s]. pose_cmd, pose_act: (n, 7). wrench_meas, wrench_comp: (n, 6). twist_cmd, twist_act: (n, 6) or None.
-        tick: [s], of the loop. sigma: (6,) standard deviation of the white noise stated by the facility [N, N m].
+        t: (n,) stamps [s]. pose_cmd, pose_act: (n, 7). wrench_meas, wrench_comp: (n, 6). twist_cmd,
+            twist_act: (n, 6) or None.
+        tick: [s], of the loop. sigma: (6,) standard deviation of the white noise stated by the
+            facility [N, N m].
         run: its number in the set. digits: significant digits of a text file; None: a binary file.
     """
 
@@ -36,7 +42,11 @@ class Log:
 
     def channels(self) -> dict[str, np.ndarray]:
         """The existing channels, by name."""
-        return {name: rows for name in (*POSES, *TWISTS, *WRENCHES) if (rows := getattr(self, name)) is not None}
+        return {
+            name: rows
+            for name in (*POSES, *TWISTS, *WRENCHES)
+            if (rows := getattr(self, name)) is not None
+        }
 
     def each(self, change) -> Log:
         """The log with every channel replaced by `change(rows)`; quaternions are normalised."""
@@ -47,12 +57,25 @@ class Log:
 
 
 def log_of(records: Records, rate: float, sigma: np.ndarray, run: int, twists: bool) -> Log:
-    """The log of a run's records, one row per tick; with `twists` also the velocities, as differences of the poses over a tick."""
+    """The log of a run's records, one row per tick; with `twists` also the velocities, as
+    differences of the poses over a tick.
+    """
     t = np.arange(len(records.pose_cmd)) / rate
-    log = Log(t, records.pose_cmd, records.pose_act, records.wrench_meas, records.wrench_comp, 1.0 / rate, sigma, run)
+    log = Log(
+        t,
+        records.pose_cmd,
+        records.pose_act,
+        records.wrench_meas,
+        records.wrench_comp,
+        1.0 / rate,
+        sigma,
+        run,
+    )
     if not twists:
         return log
-    return replace(log, twist_cmd=_rates(log.pose_cmd, 1.0 / rate), twist_act=_rates(log.pose_act, 1.0 / rate))
+    return replace(
+        log, twist_cmd=_rates(log.pose_cmd, 1.0 / rate), twist_act=_rates(log.pose_act, 1.0 / rate)
+    )
 
 
 def _rates(pose: np.ndarray, h: float) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Pairs of effects that look alike: with sizes at which both change most records in the same way.
 
-`LOOK_ALIKES[(a, b)](rng, facility, scale)` returns the parameters of both; with one hidden, a diagnosis may name the other.
+`LOOK_ALIKES[(a, b)](rng, facility, scale)` returns the parameters of both; with one hidden, a
+diagnosis may name the other.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ SEEN = 1e3  # the smallest factor is 1/SEEN
 
 
 def _time(rng: Generator, f: Facility, s: float) -> float:
-    return rounded(s * min(max(rng.uniform(0.05, 0.1) / (2.0 * math.pi * f.frequency), SHORTEST), LONGEST))
+    return rounded(
+        s * min(max(rng.uniform(0.05, 0.1) / (2.0 * math.pi * f.frequency), SHORTEST), LONGEST)
+    )
 
 
 def _sign(rng: Generator) -> float:
@@ -28,7 +31,9 @@ def _sign(rng: Generator) -> float:
 def _delay_or_damping(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
     """A force delayed by t corresponds to the damping c - k t."""
     time = min(_time(rng, f, s), 0.9 * f.damping / f.stiffness)
-    return {"delay": rounded(time)}, {"factor": rounded(max(1.0 - f.stiffness * time / f.damping, 1.0 / SEEN))}
+    return {"delay": rounded(time)}, {
+        "factor": rounded(max(1.0 - f.stiffness * time / f.damping, 1.0 / SEEN))
+    }
 
 
 def _gain_or_stiffness(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
@@ -59,7 +64,10 @@ def _either_mass(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
         factor = rounded(1.0 + s * _sign(rng) * rng.uniform(0.05, 0.2))
         rest = 1.0 / (factor * chaser) + 1.0 / target - 1.0 / chaser
         if rest > 0.2 / target:
-            return {"factor": factor, "body": "chaser"}, {"factor": rounded(1.0 / (target * rest)), "body": "target"}
+            return {"factor": factor, "body": "chaser"}, {
+                "factor": rounded(1.0 / (target * rest)),
+                "body": "target",
+            }
     raise RuntimeError("no mass of the target gives the same reduced mass as that of the chaser")
 
 
@@ -111,7 +119,11 @@ LOOK_ALIKES: dict[Pair, Callable[[Generator, Facility, float], tuple[dict, dict]
 }
 
 
-def draw_look_alike(rng: Generator, pair: Pair, facility: Facility, scale: float = 1.0) -> tuple[dict, dict]:
-    """Both effects of a pair, as in a scenario's `effects`, at sizes that look alike in this facility."""
+def draw_look_alike(
+    rng: Generator, pair: Pair, facility: Facility, scale: float = 1.0
+) -> tuple[dict, dict]:
+    """Both effects of a pair, as in a scenario's `effects`, at sizes that look alike in this
+    facility.
+    """
     first, second = LOOK_ALIKES[pair](rng, facility, scale)
     return {"kind": pair[0], **first}, {"kind": pair[1], **second}

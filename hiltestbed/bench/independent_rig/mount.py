@@ -1,7 +1,9 @@
-"""The passive side on its compliant mount: one rigid body on six springs and dampers at P's origin, by Newton-Euler equations.
+"""The passive side on its compliant mount: one rigid body on six springs and dampers at P's origin,
+by Newton-Euler equations.
 
-The state y (13,) is that of the frame S on the body: position of its origin in P, quaternion, velocity and angular velocity, all in P.
-The weight is balanced. Torques of the springs are proportional to the rotation vector. The sensor above measures the wrench of springs and
+The state y (13,) is that of the frame S on the body: position of its origin in P, quaternion,
+velocity and angular velocity, all in P. The weight is balanced. Torques of the springs are
+proportional to the rotation vector. The sensor above measures the wrench of springs and
 dampers: the contact less the body's inertial wrench.
 """
 
@@ -12,7 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.bench.independent_rig.rotation import apply, apply_back, matrix, product, turn, turn_of
+from hiltestbed.bench.independent_rig.rotation import (
+    apply,
+    apply_back,
+    matrix,
+    product,
+    turn,
+    turn_of,
+)
 from hiltestbed.jit import njit
 
 RIGID = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -25,7 +34,9 @@ MOST_PHASE, MOST_LOSS = 0.5, 1.0  # largest phase of the swing, and largest deca
 
 
 class Mount(NamedTuple):
-    """Springs and dampers x, y, z, rx, ry, rz of the mount and the body on it; there: whether there is a mount."""
+    """Springs and dampers x, y, z, rx, ry, rz of the mount and the body on it; there: whether there
+    is a mount.
+    """
 
     stiffness: np.ndarray  # (6,)
     damping: np.ndarray  # (6,)
@@ -41,11 +52,23 @@ def no_mount() -> Mount:
     return mount_of(np.ones(6), np.zeros(6))._replace(there=False)
 
 
-def mount_of(stiffness, damping, mass: float = CONE_MASS, inertia=CONE_INERTIA, centre=CONE_CENTRE) -> Mount:
-    """The mount of a scenario, stiffness and damping (6,), that carries the cone or another body."""
+def mount_of(
+    stiffness, damping, mass: float = CONE_MASS, inertia=CONE_INERTIA, centre=CONE_CENTRE
+) -> Mount:
+    """The mount of a scenario, stiffness and damping (6,), that carries the cone or another
+    body.
+    """
     tensor = np.diag(np.array(inertia, dtype=float))
     springs, dampers = np.array(stiffness, dtype=float), np.array(damping, dtype=float)
-    return Mount(springs, dampers, float(mass), tensor, np.linalg.inv(tensor), np.array(centre, dtype=float), True)
+    return Mount(
+        springs,
+        dampers,
+        float(mass),
+        tensor,
+        np.linalg.inv(tensor),
+        np.array(centre, dtype=float),
+        True,
+    )
 
 
 @njit(cache=True)
@@ -68,14 +91,17 @@ def _add_moment(x, y, z, force, sign, out):
 
 @njit(cache=True)
 def derivative(mount, y, wrench, out):
-    """`out` (6,): acceleration and angular acceleration of S under a contact wrench (6,), in P at P's origin."""
+    """`out` (6,): acceleration and angular acceleration of S under a contact wrench (6,), in P at
+    P's origin.
+    """
     net, inside, turning, arm = np.empty(6), np.empty(3), np.empty(3), np.empty(3)
     carried(mount, y, net)
     for i in range(6):
         net[i] = wrench[i] - net[i]
     into = matrix(y[3:7])
     apply(into, mount.centre[0], mount.centre[1], mount.centre[2], arm)
-    _add_moment(y[0] + arm[0], y[1] + arm[1], y[2] + arm[2], net, -1.0, net)  # now about the centre of mass
+    # now about the centre of mass
+    _add_moment(y[0] + arm[0], y[1] + arm[1], y[2] + arm[2], net, -1.0, net)
     apply_back(into, y[10], y[11], y[12], inside)
     apply(mount.inertia, inside[0], inside[1], inside[2], turning)
     stir_x = inside[1] * turning[2] - inside[2] * turning[1]
@@ -95,7 +121,9 @@ def derivative(mount, y, wrench, out):
 
 @njit(cache=True)
 def moved(y, v, a, dt, out):
-    """`out` (13,): the state y after dt at the velocities `v` (6,) and the accelerations `a` (6,)."""
+    """`out` (13,): the state y after dt at the velocities `v` (6,) and the accelerations `a`
+    (6,).
+    """
     w = np.empty(3)
     for i in range(3):
         out[i] = y[i] + dt * v[i]
@@ -110,13 +138,21 @@ def moved(y, v, a, dt, out):
 
 @njit(cache=True)
 def inner_steps(mount, contact_stiffness, contact_damping, rub, dt):
-    """Number of steps in dt for which the midpoint rule resolves the mounted body's oscillation and is stable with its damping.
+    """Number of steps in dt for which the midpoint rule resolves the mounted body's oscillation and
+    is stable with its damping.
 
-    rub: [N s/m] slope of the friction. The contact is off the centre of mass: the effective mass there is less than the body's mass.
+    rub: [N s/m] slope of the friction. The contact is off the centre of mass: the effective mass
+        there is less than the body's mass.
     """
-    there = 1.0 / mount.mass + ARM2 * max(mount.answer[0, 0], mount.answer[1, 1], mount.answer[2, 2])
+    there = 1.0 / mount.mass + ARM2 * max(
+        mount.answer[0, 0], mount.answer[1, 1], mount.answer[2, 2]
+    )
     push = max(mount.stiffness[0], mount.stiffness[1], mount.stiffness[2]) + contact_stiffness
     twist = max(mount.stiffness[3], mount.stiffness[4], mount.stiffness[5])
-    swing = math.sqrt(push * there + twist * max(mount.answer[0, 0], mount.answer[1, 1], mount.answer[2, 2]))
-    loss = (max(mount.damping[0], mount.damping[1], mount.damping[2]) + contact_damping + rub) * there
+    swing = math.sqrt(
+        push * there + twist * max(mount.answer[0, 0], mount.answer[1, 1], mount.answer[2, 2])
+    )
+    loss = (
+        max(mount.damping[0], mount.damping[1], mount.damping[2]) + contact_damping + rub
+    ) * there
     return max(1, int(math.ceil(dt * max(swing / MOST_PHASE, loss / MOST_LOSS))))

@@ -1,8 +1,11 @@
-"""Kinds of noise in facilities' logs: `NOISE_KINDS[name](log, strength, rng)` gives the log with the noise.
+"""Kinds of noise in facilities' logs: `NOISE_KINDS[name](log, strength, rng)` gives the log with
+the noise.
 
-Kinds with place `sensor` are the force sensor's whole noise, added to a noise-free reading; in a set they act inside the loop, so
-that wrench_comp is computed from the noisy wrench_meas. Kinds with place `log` are changes by the logger to a log that is already noisy.
-All sensor kinds include white noise of the facility's sigma, except those that replace it by noise of another spectrum or distribution.
+Kinds with place `sensor` are the force sensor's whole noise, added to a noise-free reading; in a
+set they act inside the loop, so that wrench_comp is computed from the noisy wrench_meas. Kinds with
+place `log` are changes by the logger to a log that is already noisy. All sensor kinds include white
+noise of the facility's sigma, except those that replace it by noise of another spectrum or
+distribution.
 """
 
 from __future__ import annotations
@@ -20,7 +23,8 @@ from hiltestbed.bench.independent_rig.nuisances import shifted
 
 Apply = Callable[[Log, float, Generator], Log]
 FILTER_ORDER = 4
-SLOW_DELAY = 2.6131259  # rad: low-frequency delay of a fourth-order Butterworth filter times its cut-off frequency
+# rad: low-frequency delay of a fourth-order Butterworth filter times its cut-off frequency
+SLOW_DELAY = 2.6131259
 SPIKE = (10.0, 30.0)  # sigma
 LONGEST_HOLD = 5  # rows
 MAINS = 50.0  # Hz
@@ -33,7 +37,8 @@ class NoiseKind:
     """A kind of noise.
 
     Attributes:
-        meaning: of the strength, with its unit. strengths: those used by the benchmark, the weaker first.
+        meaning: of the strength, with its unit. strengths: those used by the benchmark, the weaker
+            first.
         place: where it arises. apply: function that returns the log with it.
     """
 
@@ -60,7 +65,9 @@ def white(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def coloured(log: Log, strength: float, rng: Generator) -> Log:
-    """First-order, with the variance of the white noise; `strength` is the correlation of neighbouring rows."""
+    """First-order, with the variance of the white noise; `strength` is the correlation of
+    neighbouring rows.
+    """
     fresh = _white_noise(log, rng)
     noise = signal.lfilter([np.sqrt(1.0 - strength**2)], [1.0, -strength], fresh, axis=0)
     start = _white_noise(log, rng)[:1]  # initial state of the stationary process
@@ -68,7 +75,9 @@ def coloured(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def pink(log: Log, strength: float, rng: Generator) -> Log:
-    """Power density proportional to 1/f from one over the run's length to half the rate, rms `strength` sigma, zero mean."""
+    """Power density proportional to 1/f from one over the run's length to half the rate, rms
+    `strength` sigma, zero mean.
+    """
     n = len(log.t)
     spectrum = np.fft.rfft(rng.standard_normal((n, 6)), axis=0)
     spectrum[0] = 0.0
@@ -78,7 +87,9 @@ def pink(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def anti_aliasing(log: Log, strength: float, rng: Generator) -> Log:
-    """A Butterworth low-pass at `strength` Hz before the converter, on signal and noise; the logger corrects the stamps for its delay."""
+    """A Butterworth low-pass at `strength` Hz before the converter, on signal and noise; the logger
+    corrects the stamps for its delay.
+    """
     rate = 1.0 / log.tick
     if strength >= 0.5 * rate:
         return log
@@ -101,9 +112,13 @@ def proportional(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def spikes(log: Log, strength: float, rng: Generator) -> Log:
-    """White, plus spikes of 10 to 30 sigma, of either sign, on a fraction `strength` of the rows of an axis."""
+    """White, plus spikes of 10 to 30 sigma, of either sign, on a fraction `strength` of the rows of
+    an axis.
+    """
     shape = (len(log.t), 6)
-    size = rng.uniform(*SPIKE, shape) * rng.choice([-1.0, 1.0], shape) * (rng.random(shape) < strength)
+    size = (
+        rng.uniform(*SPIKE, shape) * rng.choice([-1.0, 1.0], shape) * (rng.random(shape) < strength)
+    )
     return _added(log, size * log.sigma + _white_noise(log, rng))
 
 
@@ -120,10 +135,14 @@ def tare(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def slow_drift(log: Log, strength: float, rng: Generator) -> Log:
-    """White, plus a drift of each axis by up to `strength` sigma with a period longer than the run."""
+    """White, plus a drift of each axis by up to `strength` sigma with a period longer than the
+    run.
+    """
     length = max(log.t[-1] - log.t[0], log.tick)
     turns, phase = rng.uniform(0.25, 0.75, 6), rng.uniform(-np.pi, np.pi, 6)
-    sway = np.sin(2.0 * np.pi * turns * ((log.t - log.t[0]) / length)[:, None] + phase) - np.sin(phase)
+    sway = np.sin(2.0 * np.pi * turns * ((log.t - log.t[0]) / length)[:, None] + phase) - np.sin(
+        phase
+    )
     return _added(log, 0.5 * strength * sway * log.sigma + _white_noise(log, rng))
 
 
@@ -137,7 +156,9 @@ def mains(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def held_rows(log: Log, strength: float, rng: Generator) -> Log:
-    """The force is held for one to five rows, so that a fraction `strength` of the rows repeats the one before."""
+    """The force is held for one to five rows, so that a fraction `strength` of the rows repeats the
+    one before.
+    """
     n = len(log.t)
     mean = 0.5 * (1 + LONGEST_HOLD)
     source = np.arange(n)
@@ -154,7 +175,9 @@ def pose_steps(log: Log, strength: float, rng: Generator) -> Log:
 
 
 def digits(log: Log, strength: float, rng: Generator) -> Log:
-    """A text file with `strength` significant digits; stamps have at least five, so that they increase."""
+    """A text file with `strength` significant digits; stamps have at least five, so that they
+    increase.
+    """
     count = int(strength)
     found = {name: _rounded(rows, count) for name, rows in log.channels().items()}
     return replace(log, t=_rounded(log.t, max(count, STAMP_DIGITS)), digits=count, **found)

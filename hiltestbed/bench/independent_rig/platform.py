@@ -1,7 +1,9 @@
-"""The motion platform of this rig: its response to the command, axis by axis, on a grid of sub-steps.
+"""The motion platform of this rig: its response to the command, axis by axis, on a grid of
+sub-steps.
 
-The command is linear from one tick to the next; before t = 0 it is the uniform approach, extrapolated backwards. Effects
-are applied in the order delay, speed limit, lag, mode, play, stiction, scale.
+The command is linear from one tick to the next; before t = 0 it is the uniform approach,
+extrapolated backwards. Effects are applied in the order delay, speed limit, lag, mode, play,
+stiction, scale.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ from hiltestbed.jit import njit
 
 LIMITED, LAG, LAG_V, MODE, MODE_V, PLAY, HELD, COMMAND, SLEWED, SLEWED_V, NEAR, NEAR_V = range(12)
 STATES = 12
-AS_COARSE, RUNGE_KUTTA, SEMI_IMPLICIT, TRAPEZOIDAL = range(4)  # schemes of the filters; AS_COARSE: given by `coarse`
+# schemes of the filters; AS_COARSE: given by `coarse`
+AS_COARSE, RUNGE_KUTTA, SEMI_IMPLICIT, TRAPEZOIDAL = range(4)
 
 
 class Platform(NamedTuple):
@@ -35,7 +38,8 @@ class Platform(NamedTuple):
     ripple_period: float = 1.0  # m
     give: float = 0.0  # m/N, foreign: compliance to the contact force
     acceleration: float = 0.0  # m/s^2, foreign: limit
-    coarse: bool = False  # semi-implicit Euler with the command at the end of the sub-step, instead of Runge-Kutta
+    # semi-implicit Euler with the command at the end of the sub-step, instead of Runge-Kutta
+    coarse: bool = False
     scheme: int = AS_COARSE
     response_w: float = 0.0  # rad/s of the nominal response, on six axes; 0: ideal tracking
     response_zeta: float = 1.0
@@ -43,7 +47,9 @@ class Platform(NamedTuple):
 
 @njit(cache=True)
 def command_at(node, velocity, t, h):
-    """Command (3,) at `t` [s]; node (ticks + 1, 3) contains it at whole ticks, node[0] the start."""
+    """Command (3,) at `t` [s]; node (ticks + 1, 3) contains it at whole ticks, node[0] the
+    start.
+    """
     if t <= 0.0:
         return node[0] + velocity * t
     k = min(int(t / h), len(node) - 2)
@@ -64,7 +70,9 @@ def initial(start, velocity):
 
 @njit(cache=True)
 def _oscillate(x, v, u, u_rate, dt, w, zeta, base):
-    """Runge-Kutta step of x'' = w^2 (u - x) - 2 zeta w (x' - base u') with u linear over dt: the new x and v."""
+    """Runge-Kutta step of x'' = w^2 (u - x) - 2 zeta w (x' - base u') with u linear over dt: the
+    new x and v.
+    """
     xs, vs = x, v
     dx = dv = 0.0
     for stage in range(4):
@@ -83,7 +91,8 @@ def _trapezoid(x, v, u, u_rate, dt, w, zeta, base):
     """Trapezoidal step of the same equation."""
     loss = 2.0 * zeta * w
     now = w * w * (u - x) - loss * (v - base * u_rate)
-    free = w * w * (u + dt * u_rate - x - 0.5 * dt * v) + loss * base * u_rate  # at the end, without terms in the new velocity
+    # at the end, without terms in the new velocity
+    free = w * w * (u + dt * u_rate - x - 0.5 * dt * v) + loss * base * u_rate
     after = (v + 0.5 * dt * (now + free)) / (1.0 + 0.5 * dt * (loss + 0.5 * dt * w * w))
     return x + 0.5 * dt * (v + after), after
 
@@ -101,7 +110,9 @@ def respond(platform, x, v, u, u_rate, dt, w, zeta, base):
 
 @njit(cache=True)
 def _slew(state, u, dt, limit):
-    """An axis with an acceleration limit: it approaches the command with the highest speed from which it can still brake."""
+    """An axis with an acceleration limit: it approaches the command with the highest speed from
+    which it can still brake.
+    """
     gap = u - state[SLEWED]
     wanted = math.copysign(math.sqrt(2.0 * limit * abs(gap)), gap) + state[COMMAND]
     if abs(gap) < limit * dt * dt * 4.0:
@@ -127,18 +138,38 @@ def follow(platform, state, u0, u1, dt, a):
     if platform.response_w > 0.0:
         before = state[NEAR]
         state[NEAR], state[NEAR_V] = respond(
-            platform, before, state[NEAR_V], u0, rate, dt, platform.response_w, platform.response_zeta, 0.0
-        )  # fmt: skip
+            platform,
+            before,
+            state[NEAR_V],
+            u0,
+            rate,
+            dt,
+            platform.response_w,
+            platform.response_zeta,
+            0.0,
+        )
         u0, u1 = before, state[NEAR]
         rate = (u1 - u0) / dt
     if platform.lag_w > 0.0:
         before = state[LAG]
         w = platform.lag_w_back if rate < 0.0 and platform.lag_w_back > 0.0 else platform.lag_w
-        state[LAG], state[LAG_V] = respond(platform, before, state[LAG_V], u0, rate, dt, w, 0.7, 0.0)
+        state[LAG], state[LAG_V] = respond(
+            platform, before, state[LAG_V], u0, rate, dt, w, 0.7, 0.0
+        )
         u0, u1 = before, state[LAG]
         rate = (u1 - u0) / dt
     if platform.mode_w > 0.0:
-        state[MODE], state[MODE_V] = respond(platform, state[MODE], state[MODE_V], u0, rate, dt, platform.mode_w, platform.mode_zeta, 1.0)
+        state[MODE], state[MODE_V] = respond(
+            platform,
+            state[MODE],
+            state[MODE_V],
+            u0,
+            rate,
+            dt,
+            platform.mode_w,
+            platform.mode_zeta,
+            1.0,
+        )
         u1 = state[MODE]
     if platform.play > 0.0:
         state[PLAY] = min(max(state[PLAY], u1 - 0.5 * platform.play), u1 + 0.5 * platform.play)

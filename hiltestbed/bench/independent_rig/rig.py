@@ -12,7 +12,14 @@ from hiltestbed.bench.independent_rig.cone import Surfaces
 from hiltestbed.bench.independent_rig.contact import Contact
 from hiltestbed.bench.independent_rig.docking import Docking
 from hiltestbed.bench.independent_rig.links import Rig
-from hiltestbed.bench.independent_rig.mount import CONE_CENTRE, CONE_INERTIA, CONE_MASS, Mount, mount_of, no_mount
+from hiltestbed.bench.independent_rig.mount import (
+    CONE_CENTRE,
+    CONE_INERTIA,
+    CONE_MASS,
+    Mount,
+    mount_of,
+    no_mount,
+)
 from hiltestbed.bench.independent_rig.platform import Platform
 from hiltestbed.bench.independent_rig.sensor import Sensor
 
@@ -20,7 +27,8 @@ LEAD_T2 = 0.0005  # s, unless the scenario sets it
 PLAIN = ("none", "phase_lead")  # methods for which the loop on a plane has its own code
 MIDDLE = 0.5  # lever of a healthy docking: the force acts in the middle of the overlap
 BUMPER_TIP = 0.02  # m, radius
-Body = tuple[float, tuple[float, float, float], tuple[float, float, float]]  # mass, inertia about its centre, centre from P
+# mass, inertia about its centre, centre from P
+Body = tuple[float, tuple[float, float, float], tuple[float, float, float]]
 CONE_BODY: Body = (CONE_MASS, CONE_INERTIA, CONE_CENTRE)
 BUMPER_BODY: Body = (120.0, (8.0, 8.0, 10.0), (0.0, 0.0, 0.30))  # as in models/bumper/passive.xml
 SIGMAS = 5.0  # force over its noise above which an identification detects a contact
@@ -42,7 +50,9 @@ def overridden(scenario: dict, changes: dict) -> dict:
 
 
 def nominal_rig(scenario: dict) -> Rig:
-    """The nominal rig of a scenario (a mapping with every key that is read here): bumper or latched, ideal tracking."""
+    """The nominal rig of a scenario (a mapping with every key that is read here): bumper or
+    latched, ideal tracking.
+    """
     contact = scenario["mechanism"]["contact"]
     delay = float(scenario["sensor"]["delay"])
     force = scenario["compensation"]["force"]
@@ -52,15 +62,20 @@ def nominal_rig(scenario: dict) -> Rig:
         bodies.from_scenario(scenario["spacecraft"]),
         Platform(np.ones(3)),
         Contact(
-            np.array([0.0, 0.0, 1.0]), float(contact["stiffness"]), float(contact["damping"]), float(contact["friction"]),
+            np.array([0.0, 0.0, 1.0]),
+            float(contact["stiffness"]),
+            float(contact["damping"]),
+            float(contact["friction"]),
             scenario["mechanism"]["kind"] == "latched",
         ),
         Sensor(np.ones(6), np.zeros((6, 6)), np.zeros(3), np.zeros(6), np.zeros(3), delay),
-        Compensator(delay + t2, t2, force["kind"] == "phase_lead") if force["kind"] in PLAIN else compensator_of(scenario),
+        Compensator(delay + t2, t2, force["kind"] == "phase_lead")
+        if force["kind"] in PLAIN
+        else compensator_of(scenario),
         scenario["approach"],
         rate,
         round(float(scenario["duration"]) * rate),
-    )  # fmt: skip
+    )
 
 
 def compensator_of(scenario: dict) -> Compensator:
@@ -86,15 +101,20 @@ def compensator_of(scenario: dict) -> Compensator:
 
 
 def docking_rig(scenario: dict) -> Rig:
-    """The rig of a scenario with all six axes: probe and cone, bumper or latched; rigid or on a mount; ideal tracking or servo.
+    """The rig of a scenario with all six axes: probe and cone, bumper or latched; rigid or on a
+    mount; ideal tracking or servo.
 
-    A `rig.platform` with tracking `servo` responds to second order with its `bandwidth` [Hz] and `damping_ratio` on every axis.
+    A `rig.platform` with tracking `servo` responds to second order with its `bandwidth` [Hz] and
+    `damping_ratio` on every axis.
     """
     flat = nominal_rig(scenario)
     mechanism, platform = scenario["mechanism"], scenario["rig"]["platform"]
     response = {}
     if platform["tracking"] == "servo":
-        response = {"response_w": 2.0 * np.pi * float(platform["bandwidth"]), "response_zeta": float(platform["damping_ratio"])}
+        response = {
+            "response_w": 2.0 * np.pi * float(platform["bandwidth"]),
+            "response_zeta": float(platform["damping_ratio"]),
+        }
     contact = flat.contact._replace(latched=False, lever=MIDDLE)
     rig = flat._replace(
         contact=contact,
@@ -114,17 +134,28 @@ def _docking(mechanism: dict, contact: Contact) -> Docking:
     if not latch:
         return docking
     cosine = float(np.cos(np.radians(latch["angle_deg"])))
-    return docking._replace(captures=True, latch_depth=float(latch["depth"]), latch_cosine=cosine, latch_speed=float(latch["speed"]))
+    return docking._replace(
+        captures=True,
+        latch_depth=float(latch["depth"]),
+        latch_cosine=cosine,
+        latch_speed=float(latch["speed"]),
+    )
 
 
 def _mount(mount: dict | None, kind: str) -> Mount:
     if mount is None:
         return no_mount()
-    return mount_of(mount["stiffness"], mount.get("damping", np.zeros(6)), *(CONE_BODY if kind == "probe_cone" else BUMPER_BODY))
+    return mount_of(
+        mount["stiffness"],
+        mount.get("damping", np.zeros(6)),
+        *(CONE_BODY if kind == "probe_cone" else BUMPER_BODY),
+    )
 
 
 def with_held(rig: Rig) -> Rig:
-    """The rig with its contact law also in its latch; a latch that closes holds the pose at capture, without offset, preload or stop."""
+    """The rig with its contact law also in its latch; a latch that closes holds the pose at
+    capture, without offset, preload or stop.
+    """
     if rig.docking is None:
         return rig
     law = rig.contact._replace(latched=True)

@@ -1,4 +1,6 @@
-"""Rotations as quaternions x, y, z, w: an independent implementation, so that an error in `frames` cannot be in both."""
+"""Rotations as quaternions x, y, z, w: an independent implementation, so that an error in `frames`
+cannot be in both.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,21 @@ def matrix(q):
     """Rotation matrix (3, 3) of the quaternion (4,)."""
     x, y, z, w = q[0], q[1], q[2], q[3]
     out = np.empty((3, 3))
-    out[0, 0], out[0, 1], out[0, 2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)
-    out[1, 0], out[1, 1], out[1, 2] = 2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)
-    out[2, 0], out[2, 1], out[2, 2] = 2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)
+    out[0, 0], out[0, 1], out[0, 2] = (
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - z * w),
+        2.0 * (x * z + y * w),
+    )
+    out[1, 0], out[1, 1], out[1, 2] = (
+        2.0 * (x * y + z * w),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - x * w),
+    )
+    out[2, 0], out[2, 1], out[2, 2] = (
+        2.0 * (x * z - y * w),
+        2.0 * (y * z + x * w),
+        1.0 - 2.0 * (x * x + y * y),
+    )
     return out
 
 
@@ -45,7 +59,12 @@ def turn(vector):
     angle = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     s = 0.5 - angle * angle / 48.0 if angle < 1e-4 else math.sin(0.5 * angle) / angle
     out = np.empty(4)
-    out[0], out[1], out[2], out[3] = s * vector[0], s * vector[1], s * vector[2], math.cos(0.5 * angle)
+    out[0], out[1], out[2], out[3] = (
+        s * vector[0],
+        s * vector[1],
+        s * vector[2],
+        math.cos(0.5 * angle),
+    )
     return out
 
 
@@ -87,7 +106,11 @@ def apply_back(m, x, y, z, out):
 def cross(a, b):
     """Vector product of (3,) and (3,)."""
     out = np.empty(3)
-    out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    out[0], out[1], out[2] = (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
     return out
 
 

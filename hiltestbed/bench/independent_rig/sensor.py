@@ -1,7 +1,7 @@
 """The force sensor of this rig.
 
-Effects are applied in the order delay, gain, crosstalk, lag, high-pass, hum, drift, bias, noise, dead zone, saturation;
-with `quiet_zone` the dead zone and the saturation come before the noise.
+Effects are applied in the order delay, gain, crosstalk, lag, high-pass, hum, drift, bias, noise,
+dead zone, saturation; with `quiet_zone` the dead zone and the saturation come before the noise.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ def _clip(sensor, out):
 
 @njit(cache=True)
 def lag_share(sensor, h):
-    """Coefficient of the low-pass: fraction of the difference to its input covered in a tick h [s]; the input is constant over the tick."""
+    """Coefficient of the low-pass: fraction of the difference to its input covered in a tick h [s];
+    the input is constant over the tick.
+    """
     if sensor.lag_scheme == BACKWARD:
         return h / (sensor.lag + h)
     if sensor.lag_scheme == TRAPEZOIDAL:
@@ -68,7 +70,9 @@ def lag_share(sensor, h):
 
 @njit(cache=True)
 def read(sensor, raw, place, noise, t, h, state, out):
-    """Reading (6,) at t from the delayed physical wrench `raw` (6,); `place` (3,) is the position of the tip then."""
+    """Reading (6,) at t from the delayed physical wrench `raw` (6,); `place` (3,) is the position
+    of the tip then.
+    """
     for a in range(6):
         out[a] = raw[a] * sensor.gain[a] * (1.0 + sensor.warming * t + sensor.slope * place[0])
         if sensor.depth_slope != 0.0:
@@ -84,7 +88,9 @@ def read(sensor, raw, place, noise, t, h, state, out):
         out[:] = state[HIGH]
     if sensor.hysteresis > 0.0:
         for a in range(3):
-            state[HELD, a] = min(max(state[HELD, a], out[a] - sensor.hysteresis), out[a] + sensor.hysteresis)
+            state[HELD, a] = min(
+                max(state[HELD, a], out[a] - sensor.hysteresis), out[a] + sensor.hysteresis
+            )
             out[a] = state[HELD, a]
     tone = math.sin(2.0 * math.pi * sensor.hum_frequency * t + sensor.hum_phase)
     for a in range(3):

@@ -1,7 +1,9 @@
-"""One run of this rig with all six axes: probe and cone, bumper or latch, rigid or on a mount, on a grid finer than the tick.
+"""One run of this rig with all six axes: probe and cone, bumper or latch, rigid or on a mount, on a
+grid finer than the tick.
 
-Between two sub-steps the position is linear, over a tick the attitude has a constant rate; the contact is evaluated at any
-instant from the poses of both sides then, so that no force is interpolated across a touch. The latch closes at the end of a tick.
+Between two sub-steps the position is linear, over a tick the attitude has a constant rate; the
+contact is evaluated at any instant from the poses of both sides then, so that no force is
+interpolated across a touch. The latch closes at the end of a tick.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from hiltestbed.bench.independent_rig.rotation import inverse, product, turn, tu
 from hiltestbed.jit import njit
 
 STOPPED = 5e4  # N, at which a facility stops its run: the records are NaN from then on
-KEPT = 0.2  # s of the trail kept in addition to the delays, for the look-back of a stretched or skewed record
+# s of the trail kept in addition to the delays, for the look-back of a stretched or skewed record
+KEPT = 0.2
 
 
 class Trail(NamedTuple):
@@ -60,13 +63,20 @@ def pose_at(trail, t, h, timing, pose, twist):
     if timing.rate > 0.0:
         first = max(ahead - max(m // 2, 1), 0)  # towards the slope of the half tick that ends there
         for i in range(3):
-            finer = (trail.place[ahead % length, i] - trail.place[first % length, i]) / (ahead - first) * m / h
+            finer = (
+                (trail.place[ahead % length, i] - trail.place[first % length, i])
+                / (ahead - first)
+                * m
+                / h
+            )
             twist[i] += timing.rate * (finer - twist[i])
 
 
 @njit(cache=True)
 def wrench_at(law, docking, trail, t, h, timing, out, where):
-    """The wrench (6,) on the sensor at `t`, zero before the start; `where` (3,) is the position of A then."""
+    """The wrench (6,) on the sensor at `t`, zero before the start; `where` (3,) is the position of
+    A then.
+    """
     out[:] = 0.0
     where[:] = trail.place[0]
     if t < 0.0:
@@ -86,16 +96,22 @@ def wrench_at(law, docking, trail, t, h, timing, out, where):
         return
     states = trail.states[j] + part * (trail.states[ahead] - trail.states[j])
     latched = t > trail.closed[0] * h * (1.0 + 1e-12) or docking.from_start
-    meeting.wrench_in_place(law, docking, pose, twist, y, latched, trail.hold, states, out, np.empty((2, 2)))
+    meeting.wrench_in_place(
+        law, docking, pose, twist, y, latched, trail.hold, states, out, np.empty((2, 2))
+    )
 
 
 @njit(cache=True)
 def _shake(law, docking, trail, latched, pose, twist, y, states, dt, scheme, out):
-    """The mounted body over dt from y (13,), with A starting at pose (7,) with the twist (6,): midpoint rule or semi-implicit Euler."""
+    """The mounted body over dt from y (13,), with A starting at pose (7,) with the twist (6,):
+    midpoint rule or semi-implicit Euler.
+    """
     wrench, seen, a, b = np.empty(6), np.empty((2, 2)), np.empty(6), np.empty(6)
     at, half = np.empty(7), np.empty(13)
     meeting.wrench_in_place(law, docking, pose, twist, y, latched, trail.hold, states, wrench, seen)
-    rub = law.friction * math.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2) / law_of.SLIDING
+    rub = (
+        law.friction * math.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2) / law_of.SLIDING
+    )
     stiff = law.stiffness + law.stop_stiffness + law.branch_stiffness + docking.held.stiffness
     inner = mounting.inner_steps(docking.mount, stiff, law.damping, rub, dt)
     step = dt / inner
@@ -103,7 +119,9 @@ def _shake(law, docking, trail, latched, pose, twist, y, states, dt, scheme, out
     for s in range(inner):
         if s > 0:
             _along(pose, twist, s * step, at)
-            meeting.wrench_in_place(law, docking, at, twist, out, latched, trail.hold, states, wrench, seen)
+            meeting.wrench_in_place(
+                law, docking, at, twist, out, latched, trail.hold, states, wrench, seen
+            )
         mounting.derivative(docking.mount, out, wrench, a)
         if scheme == drive.SEMI_IMPLICIT:
             for i in range(6):
@@ -112,7 +130,9 @@ def _shake(law, docking, trail, latched, pose, twist, y, states, dt, scheme, out
             continue
         mounting.moved(out, out[7:], a, 0.5 * step, half)
         _along(pose, twist, (s + 0.5) * step, at)
-        meeting.wrench_in_place(law, docking, at, twist, half, latched, trail.hold, states, wrench, seen)
+        meeting.wrench_in_place(
+            law, docking, at, twist, half, latched, trail.hold, states, wrench, seen
+        )
         mounting.derivative(docking.mount, half, wrench, b)
         mounting.moved(out, half[7:], b, step, out)
 
@@ -142,22 +162,50 @@ def _settle(law, docking, trail, latched, k, h, timing, stateful, scheme):
             pace[:3] = (trail.place[there] - trail.place[here]) / dt
             _along(pose, pace, -dt, from_pose)
             _shake(
-                law, docking, trail, latched, from_pose, pace, trail.mounted[here], trail.states[here], dt, scheme, trail.mounted[there]
-            )  # fmt: skip
+                law,
+                docking,
+                trail,
+                latched,
+                from_pose,
+                pace,
+                trail.mounted[here],
+                trail.states[here],
+                dt,
+                scheme,
+                trail.mounted[there],
+            )
         if not stateful:
             continue
         meeting.wrench_in_place(
-            law, docking, pose, twist, trail.mounted[there], latched, trail.hold, trail.states[there], wrench, seen
-        )  # fmt: skip
+            law,
+            docking,
+            pose,
+            twist,
+            trail.mounted[there],
+            latched,
+            trail.hold,
+            trail.states[there],
+            wrench,
+            seen,
+        )
         for which in range(2):
             touch_law = docking.held if latched else law
-            law_of.advance_along(touch_law, trail.seen[which, 0], seen[which, 0], seen[which, 1], trail.states[there, which], dt)
+            law_of.advance_along(
+                touch_law,
+                trail.seen[which, 0],
+                seen[which, 0],
+                seen[which, 1],
+                trail.states[there, which],
+                dt,
+            )
         trail.seen[:] = seen
 
 
 @njit(cache=True)
 def _follow(platform, node, turned, aim, velocity, k, h, timing, axes, trail, pushed, wheel):
-    """The platform from t_k to t_(k+1); `node`: commanded positions, `turned`: commanded rotation vectors from the start."""
+    """The platform from t_k to t_(k+1); `node`: commanded positions, `turned`: commanded rotation
+    vectors from the start.
+    """
     m, length = timing.substeps, len(trail.place)
     dt = h / m
     for i in range(1, m + 1):
@@ -173,8 +221,16 @@ def _follow(platform, node, turned, aim, velocity, k, h, timing, axes, trail, pu
             w1 = drive.command_at(turned, velocity[3:], t1 - timing.move * h, h)
             for a in range(3):
                 wheel[a, 0], wheel[a, 1] = drive.respond(
-                    platform, wheel[a, 0], wheel[a, 1], w0[a], (w1[a] - w0[a]) / dt, dt, platform.response_w, platform.response_zeta, 0.0
-                )  # fmt: skip
+                    platform,
+                    wheel[a, 0],
+                    wheel[a, 1],
+                    w0[a],
+                    (w1[a] - w0[a]) / dt,
+                    dt,
+                    platform.response_w,
+                    platform.response_zeta,
+                    0.0,
+                )
     trail.attitude[k + 1] = aim
     if timing.move > 0.0:
         late = drive.command_at(turned, velocity[3:], (k + 1.0 - timing.move) * h, h)
@@ -201,11 +257,34 @@ def _read_pose(trail, k, h, timing, velocity, out):
 
 
 @njit(cache=True)
-def _loop(bodies, platform, law, docking, sensor, comp, state, start, velocity, h, ticks, noise, cut_cmd, cut_comp, timing, keep, trail,
-          stateful):  # fmt: skip
+def _loop(
+    bodies,
+    platform,
+    law,
+    docking,
+    sensor,
+    comp,
+    state,
+    start,
+    velocity,
+    h,
+    ticks,
+    noise,
+    cut_cmd,
+    cut_comp,
+    timing,
+    keep,
+    trail,
+    stateful,
+):
     """The records of a run; arguments as for the loop on a plane, but `velocity` (6,)."""
     pose_cmd, pose_act = np.empty((ticks, 7)), np.empty((ticks, 7))
-    used, logged, comp_out, physical = np.empty((ticks, 6)), np.empty((ticks, 6)), np.empty((ticks, 6)), np.empty((ticks, 6))
+    used, logged, comp_out, physical = (
+        np.empty((ticks, 6)),
+        np.empty((ticks, 6)),
+        np.empty((ticks, 6)),
+        np.empty((ticks, 6)),
+    )
     touching = np.zeros(ticks, dtype=np.bool_)
     node, turned = np.zeros((ticks + 1, 3)), np.zeros((ticks + 1, 3))
     node[0] = start[:3]
@@ -230,10 +309,23 @@ def _loop(bodies, platform, law, docking, sensor, comp, state, start, velocity, 
             break
         here = (k * m) % length
         pose_at(trail, t, h, timing, felt, motion)
-        meeting.wrench_in_place(law, docking, felt, motion, trail.mounted[here], latched, trail.hold, trail.states[here], local, trail.seen)
+        meeting.wrench_in_place(
+            law,
+            docking,
+            felt,
+            motion,
+            trail.mounted[here],
+            latched,
+            trail.hold,
+            trail.states[here],
+            local,
+            trail.seen,
+        )
         touching[k] = latched or trail.seen[0, 0] > 0.0 or trail.seen[1, 0] > 0.0
         pushed[0], pushed[1] = pushed[1], physical[k, 2]
-        late = max(sensor.delay + sensor.jitter * noise.delay[k] + sensor.heavy * abs(physical[k, 2]), 0.0)
+        late = max(
+            sensor.delay + sensor.jitter * noise.delay[k] + sensor.heavy * abs(physical[k, 2]), 0.0
+        )
         wrench_at(law, docking, trail, t - late, h, timing, raw, where)
         gauge.read(sensor, raw, where, noise.reading[k], t, h, chain, used[k])
         if sensor.repeat > 0.0:
@@ -246,7 +338,16 @@ def _loop(bodies, platform, law, docking, sensor, comp, state, start, velocity, 
             stamp = t * (1.0 - sensor.stretch) - sensor.skew
             back = k - int((t - stamp) / h + 0.5)
             wrench_at(law, docking, trail, min(stamp - late, t), h, timing, raw, where)
-            gauge.read(sensor, raw, where, noise.reading[back] if 0 <= back < ticks else zero, stamp, h, record, logged[k])
+            gauge.read(
+                sensor,
+                raw,
+                where,
+                noise.reading[back] if 0 <= back < ticks else zero,
+                stamp,
+                h,
+                record,
+                logged[k],
+            )
         if sensor.freeze > 0.0 and k > 0 and (t % 0.1) < sensor.freeze:
             logged[k] = logged[k - 1]
         noisy(pose_act[k], noise.pose[k], felt)
@@ -254,7 +355,18 @@ def _loop(bodies, platform, law, docking, sensor, comp, state, start, velocity, 
         if k == 0:
             motion[:] = velocity
         felt_before[:] = felt
-        method.drive(comp, k, used[k], felt, motion, model.relative_twist(bodies, state), latched, h, keep, driven)
+        method.drive(
+            comp,
+            k,
+            used[k],
+            felt,
+            motion,
+            model.relative_twist(bodies, state),
+            latched,
+            h,
+            keep,
+            driven,
+        )
         comp_out[k] = driven
         model.step(bodies, state, cut_comp[k] if len(cut_comp) else driven, h, t, origin)
         model_pose[k + 1] = model.relative_pose(bodies, state)
@@ -266,17 +378,30 @@ def _loop(bodies, platform, law, docking, sensor, comp, state, start, velocity, 
         towards = cut_cmd[k] if len(cut_cmd) else pose_cmd[k]
         node[k + 1] = towards[:3]
         turned[k + 1] = turn_of(product(towards[3:7], inverse(start[3:])))
-        _follow(platform, node, turned, towards[3:7], velocity, k, h, timing, axes, trail, pushed, wheel)
+        _follow(
+            platform, node, turned, towards[3:7], velocity, k, h, timing, axes, trail, pushed, wheel
+        )
         _settle(law, docking, trail, latched, k, h, timing, stateful, platform.scheme)
         if docking.captures and not latched:
             there = ((k + 1) * m) % length
             pose_at(trail, (k + 1) * h, h, timing, felt, motion)
-            latched = meeting.close(docking, law, felt, motion, trail.mounted[there], trail.states[there], trail.hold)
+            latched = meeting.close(
+                docking, law, felt, motion, trail.mounted[there], trail.states[there], trail.hold
+            )
             if latched:
                 trail.closed[0] = k + 1
                 meeting.wrench_in_place(
-                    law, docking, felt, motion, trail.mounted[there], True, trail.hold, trail.states[there], local, trail.seen
-                )  # fmt: skip
+                    law,
+                    docking,
+                    felt,
+                    motion,
+                    trail.mounted[there],
+                    True,
+                    trail.hold,
+                    trail.states[there],
+                    local,
+                    trail.seen,
+                )
                 trail.states[there, 0, law_of.BRANCH] = trail.states[there, 0, law_of.AGE] = 0.0
                 trail.states[there, 0, law_of.SLIDER] = trail.seen[0, 0]
     return pose_cmd, pose_act, logged, comp_out, used, physical, touching
@@ -288,10 +413,15 @@ def _trail(rig: Rig, start: np.ndarray, velocity: np.ndarray) -> Trail:
     longest = KEPT + sensor.delay + sensor.skew + 8.0 * sensor.jitter
     length = (math.ceil(longest * rig.rate) + 3) * m + 2
     trail = Trail(
-        np.zeros((length, 3)), np.zeros((length, 2, law_of.STATES)), np.tile(mounting.RIGID, (length, 1)),
-        np.zeros((rig.ticks + 1, 4)), np.zeros((rig.ticks + 1, 6)), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
-        np.array([rig.ticks + 1], dtype=np.int64), np.full((2, 2), -1.0),
-    )  # fmt: skip
+        np.zeros((length, 3)),
+        np.zeros((length, 2, law_of.STATES)),
+        np.tile(mounting.RIGID, (length, 1)),
+        np.zeros((rig.ticks + 1, 4)),
+        np.zeros((rig.ticks + 1, 6)),
+        np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+        np.array([rig.ticks + 1], dtype=np.int64),
+        np.full((2, 2), -1.0),
+    )
     trail.place[0], trail.attitude[0], trail.slope[0] = start[:3], start[3:], velocity
     return trail
 
@@ -302,13 +432,34 @@ def _keeps_state(rig: Rig) -> bool:
 
 
 def simulate(rig: Rig, noise: Noise, state, start, cut_cmd, cut_comp, keep) -> Records:
-    """Run the rig from the bodies' `state` (2, 19) and the relative pose `start` (7,); see `closed_loop.simulate`."""
-    velocity = np.array([*rig.approach["velocity"], *np.radians(np.array(rig.approach["rate_deg"], dtype=float))], dtype=float)
+    """Run the rig from the bodies' `state` (2, 19) and the relative pose `start` (7,); see
+    `closed_loop.simulate`.
+    """
+    velocity = np.array(
+        [*rig.approach["velocity"], *np.radians(np.array(rig.approach["rate_deg"], dtype=float))],
+        dtype=float,
+    )
     trail = _trail(rig, start, velocity)
     found = _loop(
-        rig.bodies, rig.platform, rig.contact, rig.docking, rig.sensor, rig.compensator, state, start, velocity, 1.0 / rig.rate,
-        rig.ticks, noise, cut_cmd, cut_comp, rig.timing, keep, trail, _keeps_state(rig),
-    )  # fmt: skip
+        rig.bodies,
+        rig.platform,
+        rig.contact,
+        rig.docking,
+        rig.sensor,
+        rig.compensator,
+        state,
+        start,
+        velocity,
+        1.0 / rig.rate,
+        rig.ticks,
+        noise,
+        cut_cmd,
+        cut_comp,
+        rig.timing,
+        keep,
+        trail,
+        _keeps_state(rig),
+    )
     from_start = rig.docking is not None and rig.docking.from_start
     records = Records(*found, captured=-1 if from_start else min(int(trail.closed[0]), rig.ticks))
     return records._replace(pose_act=all_noisy(found[1], noise.pose))

@@ -17,13 +17,22 @@ RUNS = (1, 3, 4)  # runs that are evaluated
 AMPLIFYING = (METHODS["phase_lead"], METHODS["reconstruction"])
 
 
-def strength(facility: Facility, effects: list[dict[str, Any]], which: int, variants: dict[str, Any]) -> float:
-    """Size of effect `which` relative to the noise in its link's records, in the run where it is largest; see `HiddenSet`."""
+def strength(
+    facility: Facility, effects: list[dict[str, Any]], which: int, variants: dict[str, Any]
+) -> float:
+    """Size of effect `which` relative to the noise in its link's records, in the run where it is
+    largest; see `HiddenSet`.
+    """
     rest = [e for i, e in enumerate(effects) if i != which]
-    return max(_strength(facility, run, effects, rest, link_of(effects[which]["kind"]), variants) for run in RUNS)
+    return max(
+        _strength(facility, run, effects, rest, link_of(effects[which]["kind"]), variants)
+        for run in RUNS
+    )
 
 
-def _strength(facility: Facility, run: int, effects: list, rest: list, link: str, variants: dict[str, Any]) -> float:
+def _strength(
+    facility: Facility, run: int, effects: list, rest: list, link: str, variants: dict[str, Any]
+) -> float:
     without, full = (rig_of(facility, run, e, variants) for e in (rest, effects))
     drawn = draw_noise(np.random.default_rng(run), facility, full.ticks)
     quiet = silence(full.ticks)._replace(delay=drawn.delay, repeat=drawn.repeat)

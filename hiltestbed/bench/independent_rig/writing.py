@@ -21,15 +21,23 @@ PARTS = {
 
 
 def write_set(folder: str | Path, hidden: HiddenSet, truth: bool = False) -> Path:
-    """Write nominal.yaml, dataset.yaml and run_N.parquet (run_N.csv for a text log); with `truth` also truth.yaml."""
+    """Write nominal.yaml, dataset.yaml and run_N.parquet (run_N.csv for a text log); with `truth`
+    also truth.yaml.
+    """
     from ruamel.yaml import YAML
 
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     yaml = YAML(typ="safe")
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    entries = [{"file": _write_log(folder, log), "set": hidden.facility.runs[log.run]} for log in hidden.logs]
-    pages = {"nominal.yaml": hidden.facility.scenario, "dataset.yaml": {"scenario": "nominal.yaml", "runs": entries}}
+    entries = [
+        {"file": _write_log(folder, log), "set": hidden.facility.runs[log.run]}
+        for log in hidden.logs
+    ]
+    pages = {
+        "nominal.yaml": hidden.facility.scenario,
+        "dataset.yaml": {"scenario": "nominal.yaml", "runs": entries},
+    }
     for name, content in (pages | ({"truth.yaml": hidden.truth} if truth else {})).items():
         with (folder / name).open("w", encoding="utf-8") as file:
             yaml.dump(plain(content), file)
@@ -41,7 +49,10 @@ def columns_of(log: Log) -> dict[str, np.ndarray]:
     columns, channels = {"t": log.t}, log.channels()
     for name in (*POSES, *TWISTS, *WRENCHES):
         if name in channels:
-            columns |= {f"{name}.{part}": channels[name][:, j].copy() for j, part in enumerate(PARTS[name.split("_")[0]])}
+            columns |= {
+                f"{name}.{part}": channels[name][:, j].copy()
+                for j, part in enumerate(PARTS[name.split("_")[0]])
+            }
     return columns
 
 
@@ -54,8 +65,18 @@ def _write_log(folder: Path, log: Log) -> str:
         pq.write_table(pa.table(columns), folder / f"run_{log.run}.parquet")
         return f"run_{log.run}.parquet"
     with (folder / f"run_{log.run}.csv").open("w", encoding="utf-8") as file:
-        formats = [f"%.{max(log.digits, STAMP_DIGITS)}g", *[f"%.{log.digits}g"] * (len(columns) - 1)]
-        np.savetxt(file, np.stack(list(columns.values()), axis=1), formats, ",", header=",".join(columns), comments="")
+        formats = [
+            f"%.{max(log.digits, STAMP_DIGITS)}g",
+            *[f"%.{log.digits}g"] * (len(columns) - 1),
+        ]
+        np.savetxt(
+            file,
+            np.stack(list(columns.values()), axis=1),
+            formats,
+            ",",
+            header=",".join(columns),
+            comments="",
+        )
     return f"run_{log.run}.csv"
 
 

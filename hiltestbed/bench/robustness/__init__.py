@@ -1,1 +1,3 @@
-"""Random tests of invalid inputs, damaged files and interrupted commands: `hiltestbed bench robustness`."""
+"""Random tests of invalid inputs, damaged files and interrupted commands: `hiltestbed bench
+robustness`.
+"""

@@ -1,7 +1,8 @@
-"""Typical errors in records between rig and dataset: `DISTORTIONS[name].apply(table)` changes the columns of every run in place.
+"""Typical errors in records between rig and dataset: `DISTORTIONS[name].apply(table)` changes the
+columns of every run in place.
 
-A table maps the names of the columns to their rows. `verdict` is the result that the check must give: refused before the fit, or remarked
-on, where a good diagnosis is possible with the rest.
+A table maps the names of the columns to their rows. `verdict` is the result that the check must
+give: refused before the fit, or remarked on, where a good diagnosis is possible with the rest.
 """
 
 from __future__ import annotations
@@ -17,13 +18,32 @@ from hiltestbed.signals import GROUPS
 Table = dict[str, np.ndarray]
 Verdict = Literal["refused", "remarked"]
 POSES, WRENCHES = ("pose_cmd", "pose_act"), ("wrench_meas", "wrench_comp")
-LENGTHS = {"mm": 1e3, "cm": 1e2, "inch": 1 / 0.0254, "feet": 1 / 0.3048, "x10": 10.0, "x100": 100.0, "/10": 0.1}
-FORCES = {"lbf": 1 / 4.4482216152605, "kgf": 1 / 9.80665, "daN": 0.1, "kN": 1e-3, "mN": 1e3, "x10": 10.0, "x100": 100.0, "/100": 0.01}
+LENGTHS = {
+    "mm": 1e3,
+    "cm": 1e2,
+    "inch": 1 / 0.0254,
+    "feet": 1 / 0.3048,
+    "x10": 10.0,
+    "x100": 100.0,
+    "/10": 0.1,
+}
+FORCES = {
+    "lbf": 1 / 4.4482216152605,
+    "kgf": 1 / 9.80665,
+    "daN": 0.1,
+    "kN": 1e-3,
+    "mN": 1e3,
+    "x10": 10.0,
+    "x100": 100.0,
+    "/100": 0.01,
+}
 
 
 @dataclass(frozen=True)
 class Distortion:
-    """A change of a record; check: key of the dataset's `accept` whose check refuses it, empty for another error or a remark."""
+    """A change of a record; check: key of the dataset's `accept` whose check refuses it, empty for
+    another error or a remark.
+    """
 
     apply: Callable[[Table], None]
     verdict: Verdict = "refused"
@@ -63,7 +83,9 @@ def _each(*changes: Callable[[Table], None]) -> Callable[[Table], None]:
 def _copied(source: str, target: str) -> Callable[[Table], None]:
     def change(table: Table) -> None:
         parts = GROUPS[source].parts if source in GROUPS else None
-        for a, b in [(f"{source}.{p}", f"{target}.{p}") for p in parts] if parts else [(source, target)]:
+        for a, b in (
+            [(f"{source}.{p}", f"{target}.{p}") for p in parts] if parts else [(source, target)]
+        ):
             table[b] = table[a].copy()
 
     return change
@@ -81,7 +103,9 @@ def _held(*names: str) -> Callable[[Table], None]:
 
 
 def _shifted(group: str, rows: int) -> Callable[[Table], None]:
-    """A group delayed by `rows` in the record (advanced if negative), with constant values at the ends."""
+    """A group delayed by `rows` in the record (advanced if negative), with constant values at the
+    ends.
+    """
 
     def change(table: Table) -> None:
         for column in [c for c in table if c.startswith(group + ".")]:
@@ -142,25 +166,46 @@ DISTORTIONS: dict[str, Distortion] = {
     "force alone": Distortion(_without("pose_cmd", "pose_act", "wrench_comp"), "remarked"),
     "no poses": Distortion(_without("pose_cmd", "pose_act"), "remarked"),
     "one sample of the force missing": Distortion(_lost("wrench_meas.fz", 0.5, 1), "remarked"),
-    "one sample of the compensated force missing": Distortion(_lost("wrench_comp.fz", 0.5, 1), "remarked"),
+    "one sample of the compensated force missing": Distortion(
+        _lost("wrench_comp.fz", 0.5, 1), "remarked"
+    ),
     "one sample of the pose missing": Distortion(_lost("pose_act.pz", 0.5, 1), "remarked"),
     "a gap of one row": Distortion(_rows(_gap), "remarked"),
     "first row five ticks late": Distortion(_rows(lambda n: np.arange(5, n)), "remarked"),
     "rows in the other order": Distortion(_rows(lambda n: np.arange(n)[::-1])),
     "time in ms": Distortion(lambda table: table.update(t=1e3 * table["t"])),
     "quaternion w first": Distortion(_w_first, check="attitude"),
-    "force of the other sign": Distortion(_scaled(WRENCHES, "fx fy fz tx ty tz", -1.0), check="sign"),
+    "force of the other sign": Distortion(
+        _scaled(WRENCHES, "fx fy fz tx ty tz", -1.0), check="sign"
+    ),
     "force along z of the other sign": Distortion(_scaled(WRENCHES, "fz", -1.0), check="sign"),
-    "measured force of the other sign": Distortion(_scaled(("wrench_meas",), "fz", -1.0), check="sign"),
-    "compensated force of the other sign": Distortion(_scaled(("wrench_comp",), "fz", -1.0), check="sign"),
+    "measured force of the other sign": Distortion(
+        _scaled(("wrench_meas",), "fz", -1.0), check="sign"
+    ),
+    "compensated force of the other sign": Distortion(
+        _scaled(("wrench_comp",), "fz", -1.0), check="sign"
+    ),
     "pz of the other sign": Distortion(_scaled(POSES, "pz", -1.0), check="sign"),
-    "fx and fz exchanged": Distortion(_each(_exchanged("wrench_meas.fx", "wrench_meas.fz"), _exchanged("wrench_comp.fx", "wrench_comp.fz")),
-                                     check="axes"),
-    "measured fy and fz exchanged": Distortion(_exchanged("wrench_meas.fy", "wrench_meas.fz"), check="axes"),
-    "pose_cmd and pose_act exchanged": Distortion(_exchanged("pose_cmd", "pose_act"), check="shift"),
-    "wrench_meas and wrench_comp exchanged": Distortion(_exchanged("wrench_meas", "wrench_comp"), check="shift"),
+    "fx and fz exchanged": Distortion(
+        _each(
+            _exchanged("wrench_meas.fx", "wrench_meas.fz"),
+            _exchanged("wrench_comp.fx", "wrench_comp.fz"),
+        ),
+        check="axes",
+    ),
+    "measured fy and fz exchanged": Distortion(
+        _exchanged("wrench_meas.fy", "wrench_meas.fz"), check="axes"
+    ),
+    "pose_cmd and pose_act exchanged": Distortion(
+        _exchanged("pose_cmd", "pose_act"), check="shift"
+    ),
+    "wrench_meas and wrench_comp exchanged": Distortion(
+        _exchanged("wrench_meas", "wrench_comp"), check="shift"
+    ),
     "pose_act a copy of pose_cmd": Distortion(_copied("pose_cmd", "pose_act"), check="copy"),
-    "wrench_comp a copy of wrench_meas": Distortion(_copied("wrench_meas", "wrench_comp"), check="copy"),
+    "wrench_comp a copy of wrench_meas": Distortion(
+        _copied("wrench_meas", "wrench_comp"), check="copy"
+    ),
     "px a copy of pz": Distortion(_copied("pose_act.pz", "pose_act.px"), check="copy"),
     "fx a copy of fz": Distortion(_copied("wrench_meas.fz", "wrench_meas.fx"), check="copy"),
     "pose_act stands still": Distortion(_held("pose_act"), check="constant"),
@@ -170,16 +215,39 @@ DISTORTIONS: dict[str, Distortion] = {
     "pose_cmd three rows late": Distortion(_shifted("pose_cmd", 3), check="shift"),
     "pose_cmd three rows early": Distortion(_shifted("pose_cmd", -3), check="shift"),
     "pose_act five rows late": Distortion(_shifted("pose_act", 5), check="shift"),
-    "pose_act five rows late, without wrench_comp": Distortion(_each(_shifted("pose_act", 5), _without("wrench_comp")), check="shift"),
+    "pose_act five rows late, without wrench_comp": Distortion(
+        _each(_shifted("pose_act", 5), _without("wrench_comp")), check="shift"
+    ),
     "wrench_meas five rows late": Distortion(_shifted("wrench_meas", 5), "remarked"),
-    "wrench_meas five rows late, without wrench_comp": Distortion(_each(_shifted("wrench_meas", 5), _without("wrench_comp")), "remarked"),
+    "wrench_meas five rows late, without wrench_comp": Distortion(
+        _each(_shifted("wrench_meas", 5), _without("wrench_comp")), "remarked"
+    ),
     "pose_act five rows early": Distortion(_shifted("pose_act", -5), check="shift"),
     "wrench_comp three rows late": Distortion(_shifted("wrench_comp", 3), check="shift"),
     "wrench_comp ten rows early": Distortion(_shifted("wrench_comp", -10), check="shift"),
     "wrench_meas five rows early": Distortion(_shifted("wrench_meas", -5), check="shift"),
-    **{f"pose in {unit}": Distortion(_scaled(POSES, "px py pz", f), check="unit") for unit, f in LENGTHS.items()},
-    **{f"reached pose in {unit}": Distortion(_scaled(("pose_act",), "px py pz", f), check="unit") for unit, f in LENGTHS.items()},
-    **{f"force in {unit}": Distortion(_scaled(WRENCHES, "fx fy fz tx ty tz", f), check="unit") for unit, f in FORCES.items()},
-    **{f"measured force in {unit}": Distortion(_scaled(("wrench_meas",), "fx fy fz", f), check="unit") for unit, f in FORCES.items()},
-    **{f"compensated force in {unit}": Distortion(_scaled(("wrench_comp",), "fx fy fz", f), check="unit") for unit, f in FORCES.items()},
-}  # fmt: skip
+    **{
+        f"pose in {unit}": Distortion(_scaled(POSES, "px py pz", f), check="unit")
+        for unit, f in LENGTHS.items()
+    },
+    **{
+        f"reached pose in {unit}": Distortion(_scaled(("pose_act",), "px py pz", f), check="unit")
+        for unit, f in LENGTHS.items()
+    },
+    **{
+        f"force in {unit}": Distortion(_scaled(WRENCHES, "fx fy fz tx ty tz", f), check="unit")
+        for unit, f in FORCES.items()
+    },
+    **{
+        f"measured force in {unit}": Distortion(
+            _scaled(("wrench_meas",), "fx fy fz", f), check="unit"
+        )
+        for unit, f in FORCES.items()
+    },
+    **{
+        f"compensated force in {unit}": Distortion(
+            _scaled(("wrench_comp",), "fx fy fz", f), check="unit"
+        )
+        for unit, f in FORCES.items()
+    },
+}

@@ -1,6 +1,8 @@
-"""Commands killed, or interrupted twice, at a random moment: every folder must be complete or absent, and a repeated command must work.
+"""Commands killed, or interrupted twice, at a random moment: every folder must be complete or
+absent, and a repeated command must work.
 
-A killed command ends without warning (SIGKILL, to its own process alone). An interrupted one receives SIGINT twice, as from Ctrl-C in a
+A killed command ends without warning (SIGKILL, to its own process alone). An interrupted one
+receives SIGINT twice, as from Ctrl-C in a
 terminal: with all processes of its group.
 """
 
@@ -31,7 +33,8 @@ TWICE = 0.3  # [s] between two interruptions, at most
 AGAIN = 0.5  # fraction of the trials after which the same command is repeated
 FRAME = re.compile(r'File "([^"]+)", line')
 PACKAGE = Path(__file__).parents[2]
-BEFORE = {"__init__.py", "kernel_cache.py"}  # files of the package that are imported before the program can handle Ctrl-C
+# files of the package that are imported before the program can handle Ctrl-C
+BEFORE = {"__init__.py", "kernel_cache.py"}
 RUN = {"scenario.yaml", "summary.json", "trace.parquet", "report.html"}
 CAMPAIGN = """scenario: {base}
 set: {{duration: 0.2}}
@@ -49,20 +52,25 @@ class Command:
     """A command of the command line.
 
     Attributes:
-        arguments: for the folder of inputs and the output folder. files: contents of a complete folder. same: result file that has the
-            same bytes in every run, empty if there is none.
-        beside: context that must be active while it runs, for the folder of inputs. statuses: allowed exit codes without interruption.
+        arguments: for the folder of inputs and the output folder. files: contents of a complete
+            folder. same: result file that has the same bytes in every run, empty if there is none.
+        beside: context that must be active while it runs, for the folder of inputs. statuses:
+            allowed exit codes without interruption.
     """
 
     arguments: Callable[[Path, Path], list[str]]
     files: frozenset[str]
     same: str = ""
-    beside: Callable[[Path], contextlib.AbstractContextManager[None]] = lambda inputs: contextlib.nullcontext()
+    beside: Callable[[Path], contextlib.AbstractContextManager[None]] = lambda inputs: (
+        contextlib.nullcontext()
+    )
     statuses: frozenset[int] = frozenset({0})
 
 
 def kill(rng: Generator, folder: Path, only: str | None = None) -> str:
-    """Start a command, end it at a random moment, check what it left, and sometimes repeat it. Raises KillError."""
+    """Start a command, end it at a random moment, check what it left, and sometimes repeat it.
+    Raises KillError.
+    """
     name = only or str(rng.choice(list(COMMANDS)))
     command = COMMANDS[name]
     inputs = prepared(folder)
@@ -83,24 +91,36 @@ def kill(rng: Generator, folder: Path, only: str | None = None) -> str:
                 raise KillError(f"{how}, given again: status {status}: {err[-300:]}")
             _complete_or_absent(out, command, how)
             if not out.exists() or (command.same and digest(out / command.same) != whole):
-                raise KillError(f"{how}, given again: the result is not that of a command left alone")
+                raise KillError(
+                    f"{how}, given again: the result is not that of a command left alone"
+                )
     return "survived"
 
 
 def in_pythons_own_start(err: str) -> bool:
-    """Whether Ctrl-C came before the program's first line, while Python itself was starting: no program can catch that.
+    """Whether Ctrl-C came before the program's first line, while Python itself was starting: no
+    program can catch that.
 
-    The traceback then contains only files that are imported with the package, and none of the processes that it starts.
+    The traceback then contains only files that are imported with the package, and none of the
+    processes that it starts.
     """
     files = [Path(file) for file in FRAME.findall(err)]
     own = [file.relative_to(PACKAGE) for file in files if file.is_relative_to(PACKAGE)]
-    return all(str(file) in BEFORE for file in own) and not any({"multiprocessing", "concurrent"} & set(file.parts) for file in files)
+    return all(str(file) in BEFORE for file in own) and not any(
+        {"multiprocessing", "concurrent"} & set(file.parts) for file in files
+    )
 
 
 def started(arguments: list[str]) -> subprocess.Popen[bytes]:
     """Start the command in a process group of its own."""
     order = [sys.executable, "-m", "hiltestbed.cli", *arguments]
-    return subprocess.Popen(order, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
+    return subprocess.Popen(
+        order,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
 
 
 def _ended_early(process: subprocess.Popen[bytes], after: float, hard: bool, twice: float) -> str:
@@ -149,7 +169,9 @@ def digest(file: Path) -> str:
 
 
 def _whole(name: str, inputs: Path) -> tuple[float, str]:
-    """Duration of the command without interruption [s], and the digest of its result; measured once, with compiled kernels."""
+    """Duration of the command without interruption [s], and the digest of its result; measured
+    once, with compiled kernels.
+    """
     known = inputs / f"{name}.json"
     if not known.exists():
         command = COMMANDS[name]
@@ -160,7 +182,11 @@ def _whole(name: str, inputs: Path) -> tuple[float, str]:
                 if status not in command.statuses:
                     raise KillError(f"{name}, left alone: status {status}: {err[-300:]}")
             lasts = time.monotonic() - begin
-            known.write_text(json.dumps([lasts, digest(Path(place) / "out" / command.same) if command.same else ""]))
+            known.write_text(
+                json.dumps(
+                    [lasts, digest(Path(place) / "out" / command.same) if command.same else ""]
+                )
+            )
     lasts, made = json.loads(known.read_text())
     return lasts, made
 
@@ -173,10 +199,14 @@ def prepared(folder: Path) -> Path:
         from hiltestbed.yaml_source import dump_yaml, read_source
 
         made = Path(tempfile.mkdtemp(dir=folder))
-        (made / "campaign.yaml").write_text(CAMPAIGN.format(base=shipped("scenarios") / "02-bumper.yaml"), encoding="utf-8")
+        (made / "campaign.yaml").write_text(
+            CAMPAIGN.format(base=shipped("scenarios") / "02-bumper.yaml"), encoding="utf-8"
+        )
         shutil.copytree(good_set(folder.parent), made / "set")
         whole = read_source(made / "set" / "dataset.yaml").data
-        (made / "set" / "dataset.yaml").write_text(dump_yaml(whole | {"runs": whole["runs"][:1]}), encoding="utf-8")
+        (made / "set" / "dataset.yaml").write_text(
+            dump_yaml(whole | {"runs": whole["runs"][:1]}), encoding="utf-8"
+        )
         _in_place(made, inputs)
     return inputs
 
@@ -190,7 +220,13 @@ def good_set(shared: Path) -> Path:
         from hiltestbed.bench.independent_rig.sets import draw_set
         from hiltestbed.bench.independent_rig.writing import write_set
 
-        _in_place(write_set(Path(tempfile.mkdtemp(dir=shared)) / "set", draw_set(np.random.default_rng(3), "healthy")), place)
+        _in_place(
+            write_set(
+                Path(tempfile.mkdtemp(dir=shared)) / "set",
+                draw_set(np.random.default_rng(3), "healthy"),
+            ),
+            place,
+        )
     return place
 
 
@@ -204,7 +240,16 @@ def _run(inputs: Path, out: Path) -> list[str]:
 
 
 def _sweep(inputs: Path, out: Path) -> list[str]:
-    return ["sweep", str(inputs / "campaign.yaml"), "--workers", "1", "--chunk", "1", "--out", str(out)]
+    return [
+        "sweep",
+        str(inputs / "campaign.yaml"),
+        "--workers",
+        "1",
+        "--chunk",
+        "1",
+        "--out",
+        str(out),
+    ]
 
 
 def _diagnose(inputs: Path, out: Path) -> list[str]:
@@ -217,9 +262,27 @@ def _bench(inputs: Path, out: Path) -> list[str]:
 
 def _live(inputs: Path, out: Path) -> list[str]:
     sensor, platform, listen, heard = _ports(inputs)
-    urls = ["--sensor", f"udp://127.0.0.1:{sensor}?listen={listen}", "--platform", f"udp://127.0.0.1:{platform}?listen={heard}"]
-    return ["live", "02-bumper", "--set", "rate=250", "--set", "devices.communication.misses_in_window=1000", "--for", "1", "--arm",
-            "--no-rerun", "--out", str(out), *urls]  # fmt: skip
+    urls = [
+        "--sensor",
+        f"udp://127.0.0.1:{sensor}?listen={listen}",
+        "--platform",
+        f"udp://127.0.0.1:{platform}?listen={heard}",
+    ]
+    return [
+        "live",
+        "02-bumper",
+        "--set",
+        "rate=250",
+        "--set",
+        "devices.communication.misses_in_window=1000",
+        "--for",
+        "1",
+        "--arm",
+        "--no-rerun",
+        "--out",
+        str(out),
+        *urls,
+    ]
 
 
 def _ports(inputs: Path) -> list[int]:
@@ -237,8 +300,15 @@ def _devices(inputs: Path) -> Iterator[None]:
         one.close()
     (inputs / "ports.json").write_text(json.dumps(ports))
     sensor, platform, listen, heard = ports
-    urls = ["--sensor", f"udp://127.0.0.1:{sensor}?peer={listen}", "--platform", f"udp://127.0.0.1:{platform}?peer={heard}"]
-    process = started(["emulate", "02-bumper", "--set", "rate=250", "--for", f"{PATIENCE:g}", *urls])
+    urls = [
+        "--sensor",
+        f"udp://127.0.0.1:{sensor}?peer={listen}",
+        "--platform",
+        f"udp://127.0.0.1:{platform}?peer={heard}",
+    ]
+    process = started(
+        ["emulate", "02-bumper", "--set", "rate=250", "--for", f"{PATIENCE:g}", *urls]
+    )
     try:
         if process.stderr is None or not process.stderr.readline():
             raise KillError("the emulated devices did not start")
@@ -254,5 +324,10 @@ COMMANDS: dict[str, Command] = {
     "sweep": Command(_sweep, frozenset(), "cases.parquet"),
     "diagnose": Command(_diagnose, frozenset({"diagnosis.json", "report.html"})),
     "bench": Command(_bench, frozenset({"bench.json", "report.html"})),
-    "live": Command(_live, frozenset({"scenario.yaml", "summary.json"}), beside=_devices, statuses=frozenset({0, 3})),
-}  # fmt: skip
+    "live": Command(
+        _live,
+        frozenset({"scenario.yaml", "summary.json"}),
+        beside=_devices,
+        statuses=frozenset({0, 3}),
+    ),
+}

@@ -1,4 +1,5 @@
-"""`hiltestbed bench robustness [--for MINUTES] [--workers N]`: random trials, in processes that may crash or hang.
+"""`hiltestbed bench robustness [--for MINUTES] [--workers N]`: random trials, in processes that may
+crash or hang.
 
 How each trial ended is saved as it ends, so that the same command goes on where it was stopped.
 """
@@ -29,12 +30,22 @@ from hiltestbed.report import Report
 
 QUICK, LONG = 0.5, 60.0  # [min] default time limits
 TARGETS = {
-    "scenario": 5_000, "extremes": 5_000, "text": 5_000, "dataset": 2_000, "distortion": 1_000, "file": 20_000, "campaign": 1_000,
-    "packet": 10_000, "kill": 200,
-}  # fmt: skip
-BATCH = {"file": 1000, "packet": 1000, "text": 500, "campaign": 500, "kill": 10}  # trials per process; PLAIN for the other kinds
+    "scenario": 5_000,
+    "extremes": 5_000,
+    "text": 5_000,
+    "dataset": 2_000,
+    "distortion": 1_000,
+    "file": 20_000,
+    "campaign": 1_000,
+    "packet": 10_000,
+    "kill": 200,
+}
+# trials per process; PLAIN for the other kinds
+BATCH = {"file": 1000, "packet": 1000, "text": 500, "campaign": 500, "kill": 10}
 PLAIN = 200
-HANGS = 240.0  # [s] busy, or asleep, without an answer, from which a trial counts as hanging: it may have to compile kernels
+# [s] busy, or asleep, without an answer, from which a trial counts as hanging: it may have to
+# compile kernels
+HANGS = 240.0
 SLOW = {"kill": 4000.0}  # the same for kinds whose trials are whole commands
 BEGIN = 600.0  # [s] the same for the first answer
 CONTAINED = {"file"}  # kinds that normal use runs in a separate process, which contains a crash
@@ -57,7 +68,9 @@ class Tally:
     def fault(self, kind: str, number: int, place: str, text: str) -> None:
         """Count a fault: for each place, the text of the first and the numbers of all are kept."""
         self.ended["failed"] += 1
-        self.faults.setdefault(place, {"kind": kind, "numbers": [], "fault": text})["numbers"].append(number)
+        self.faults.setdefault(place, {"kind": kind, "numbers": [], "fault": text})[
+            "numbers"
+        ].append(number)
 
 
 def robustness(
@@ -67,7 +80,8 @@ def robustness(
     workers: int | None = None,
     keep: Path | None = None,
 ) -> BenchResult:
-    """Trials of every kind, in ``workers`` processes, until the numbers in ``TARGETS`` are reached or the time is up.
+    """Trials of every kind, in ``workers`` processes, until the numbers in ``TARGETS`` are reached
+    or the time is up.
 
     ``keep``: file to which the trials are saved as they end, to go on from.
     """
@@ -75,7 +89,10 @@ def robustness(
     start = time.monotonic()
     count = workers or cores()
     kept = Kept(keep, lambda record: (record["kind"], record["number"]))
-    with tempfile.TemporaryDirectory(prefix="hiltestbed-") as shared, ThreadPoolExecutor(count) as pool:
+    with (
+        tempfile.TemporaryDirectory(prefix="hiltestbed-") as shared,
+        ThreadPoolExecutor(count) as pool,
+    ):
         work = _Work({kind: Tally() for kind in TRIALS}, start + limit, Path(shared), kept)
         work.take_up()
         running = [pool.submit(work.go_on) for _ in range(count)]
@@ -89,7 +106,9 @@ def robustness(
             raise
         finally:
             with work.lock:
-                kept.add({"kind": STRETCH, "number": work.stretches, "wall": time.monotonic() - start})
+                kept.add(
+                    {"kind": STRETCH, "number": work.stretches, "wall": time.monotonic() - start}
+                )
         for one in running:
             one.result()
     if all(tally.tried >= TARGETS[kind] for kind, tally in work.tallies.items()):
@@ -106,8 +125,10 @@ class _Work:
     """The remaining trials, from which one thread per worker takes batches.
 
     Attributes:
-        tallies: of each kind. until: end of the time. shared: folder of all workers. kept: trials that have ended.
-        stretches, earlier: number and duration [s] of the commands before, on which this one goes on.
+        tallies: of each kind. until: end of the time. shared: folder of all workers. kept: trials
+            that have ended.
+        stretches, earlier: number and duration [s] of the commands before, on which this one goes
+            on.
     """
 
     tallies: dict[str, Tally]
@@ -133,13 +154,19 @@ class _Work:
         """Run batches of the kind that is furthest behind, until all are done."""
         while time.monotonic() < self.until:
             with self.lock:
-                behind = {k: (t.tried + t.busy) / TARGETS[k] for k, t in self.tallies.items() if t.tried + t.busy < TARGETS[k]}
+                behind = {
+                    k: (t.tried + t.busy) / TARGETS[k]
+                    for k, t in self.tallies.items()
+                    if t.tried + t.busy < TARGETS[k]
+                }
                 if not behind:
                     return
                 kind = min(behind, key=lambda k: behind[k])
                 tally = self.tallies[kind]
                 count = min(BATCH.get(kind, PLAIN), TARGETS[kind] - tally.tried - tally.busy)
-                count = max(1, min(count, round(FIRST * TARGETS[kind]))) if tally.tried == 0 else count
+                count = (
+                    max(1, min(count, round(FIRST * TARGETS[kind]))) if tally.tried == 0 else count
+                )
                 first = tally.following
                 tally.following += count
                 tally.busy += count
@@ -149,7 +176,9 @@ class _Work:
         """Run trials from ``first`` on, with a new process whenever one is lost."""
         tally, begin, following, current = self.tallies[kind], time.monotonic(), first, None
         while following < first + count and time.monotonic() < self.until:
-            for message in _answers(kind, following, first + count - following, self.shared, lambda: self.until):
+            for message in _answers(
+                kind, following, first + count - following, self.shared, lambda: self.until
+            ):
                 if "begin" in message:
                     current = message["begin"]
                     continue
@@ -157,7 +186,9 @@ class _Work:
                     if "lost" not in message:
                         record, current = {"kind": kind, **message}, None
                     elif message["lost"] != "time is up":
-                        record = _lost(kind, following if current is None else current, message["lost"])
+                        record = _lost(
+                            kind, following if current is None else current, message["lost"]
+                        )
                     else:
                         continue
                     following = int(record["number"]) + 1
@@ -184,11 +215,14 @@ def _count(tally: Tally, record: dict[str, Any]) -> None:
         tally.ended[record["ended"]] += 1
 
 
-FIRST = 0.01  # fraction of a kind's target in its first batch, so that every kind gets its share of a short time
+# fraction of a kind's target in its first batch, so that every kind gets its share of a short time
+FIRST = 0.01
 
 
 class _Clock:
-    """Wall and processor time of a process since its last answer: on a busy machine it may wait for a core longer than it works."""
+    """Wall and processor time of a process since its last answer: on a busy machine it may wait for
+    a core longer than it works.
+    """
 
     def __init__(self, pid: int) -> None:
         self._pid, self._wall, self._cpu = pid, time.monotonic(), worked(pid)
@@ -199,16 +233,20 @@ class _Clock:
 
 
 def hangs(wall: float, busy: float, patience: float) -> bool:
-    """Whether a process without an answer for ``wall`` seconds hangs: it was busy for ``patience`` seconds, or it slept.
+    """Whether a process without an answer for ``wall`` seconds hangs: it was busy for ``patience``
+    seconds, or it slept.
 
-    A process counts as asleep if it was ``busy`` for less than a hundredth of the time; waiting for a core is not hanging. If the system
-    does not report the busy time (NaN), only the wall clock counts.
+    A process counts as asleep if it was ``busy`` for less than a hundredth of the time; waiting for
+    a core is not hanging. If the system does not report the busy time (NaN), only the wall clock
+    counts.
     """
     return wall >= patience and (math.isnan(busy) or busy > patience or busy < 0.01 * wall)
 
 
 def worked(pid: int) -> float:
-    """Processor time of a process and of its ended children [s]; NaN if the system does not report it."""
+    """Processor time of a process and of its ended children [s]; NaN if the system does not report
+    it.
+    """
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -216,10 +254,24 @@ def worked(pid: int) -> float:
     return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
-def _answers(kind: str, first: int, count: int, shared: Path, until: Callable[[], float]) -> Iterator[dict[str, Any]]:
-    """The messages of a worker, and ``lost`` with the reason if it ends too early; ``shared``: a folder of all workers."""
-    order = [sys.executable, "-m", "hiltestbed.bench.robustness.worker", kind, str(first), str(count), str(shared)]
-    with subprocess.Popen(order, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+def _answers(
+    kind: str, first: int, count: int, shared: Path, until: Callable[[], float]
+) -> Iterator[dict[str, Any]]:
+    """The messages of a worker, and ``lost`` with the reason if it ends too early; ``shared``: a
+    folder of all workers.
+    """
+    order = [
+        sys.executable,
+        "-m",
+        "hiltestbed.bench.robustness.worker",
+        kind,
+        str(first),
+        str(count),
+        str(shared),
+    ]
+    with subprocess.Popen(
+        order, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as process:
         assert process.stdout is not None
         pending, patience, heard = b"", BEGIN, _Clock(process.pid)
         with selectors.DefaultSelector() as waiting:
@@ -248,14 +300,26 @@ def _answers(kind: str, first: int, count: int, shared: Path, until: Callable[[]
 
 def _result(tallies: dict[str, Tally], wall: float, workers: int) -> BenchResult:
     records = [
-        {"kind": kind, "tried": t.tried, "wanted": TARGETS[kind], "survived": t.ended[SURVIVED],
-         "refused": t.ended[REFUSED], "remarked": t.ended[REMARKED],
-         "stopped": t.ended["stopped"] + t.ended["diverged"], "contained": t.ended["contained"], "failed": t.ended["failed"],
-         "wall": t.wall, "other": {k: n for k, n in t.ended.items() if k.startswith("taken")}}
+        {
+            "kind": kind,
+            "tried": t.tried,
+            "wanted": TARGETS[kind],
+            "survived": t.ended[SURVIVED],
+            "refused": t.ended[REFUSED],
+            "remarked": t.ended[REMARKED],
+            "stopped": t.ended["stopped"] + t.ended["diverged"],
+            "contained": t.ended["contained"],
+            "failed": t.ended["failed"],
+            "wall": t.wall,
+            "other": {k: n for k, n in t.ended.items() if k.startswith("taken")},
+        }
         for kind, t in tallies.items()
-    ]  # fmt: skip
+    ]
     faults = [fault for t in tallies.values() for fault in t.faults.values()]
-    tried, failed = sum(t.tried for t in tallies.values()), sum(t.ended["failed"] for t in tallies.values())
+    tried, failed = (
+        sum(t.tried for t in tallies.values()),
+        sum(t.ended["failed"] for t in tallies.values()),
+    )
     summary = {
         "tried": tried,
         "failed": failed,
@@ -265,12 +329,28 @@ def _result(tallies: dict[str, Tally], wall: float, workers: int) -> BenchResult
         "kinds": {r["kind"]: r for r in records},
     }
     report = Report("Robustness")
-    report.lead(f"{tried} random trials, {failed} of which ended neither in a result nor in a clear refusal.")
+    report.lead(
+        f"{tried} random trials, {failed} of which ended neither in a result nor in a clear "
+        f"refusal."
+    )
     report.text(f"{wall / 60.0:.1f} minutes with {workers} processes.")
-    columns = ("kind", "tried", "wanted", "survived", "refused", "remarked", "stopped", "contained", "failed")
+    columns = (
+        "kind",
+        "tried",
+        "wanted",
+        "survived",
+        "refused",
+        "remarked",
+        "stopped",
+        "contained",
+        "failed",
+    )
     report.table(list(columns), [[str(r[c]) for c in columns] for r in records])
     if faults:
-        rows = [[f["kind"], _few(f["numbers"]), str(len(f["numbers"])), f["fault"]] for f in faults[:SHOWN]]
+        rows = [
+            [f["kind"], _few(f["numbers"]), str(len(f["numbers"])), f["fault"]]
+            for f in faults[:SHOWN]
+        ]
         report.heading("Faults")
         report.table(["kind", "trials", "times", "fault"], rows)
     lines = [(r["kind"], ", ".join(f"{r[c]} {c}" for c in columns[1:] if r[c])) for r in records]

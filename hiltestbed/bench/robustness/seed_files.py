@@ -47,7 +47,13 @@ def _mdf(path: Path, table: Table) -> None:
     import asammdf
 
     with asammdf.MDF(version="4.10") as mdf:
-        mdf.append([asammdf.Signal(values, table["t"], name=name) for name, values in table.items() if name != "t"])
+        mdf.append(
+            [
+                asammdf.Signal(values, table["t"], name=name)
+                for name, values in table.items()
+                if name != "t"
+            ]
+        )
         mdf.save(path)
 
 
@@ -56,8 +62,12 @@ def _tdms(path: Path, table: Table) -> None:
 
     properties = {"wf_increment": 1e-3, "wf_start_offset": 0.0, "wf_samples": len(table["t"])}
     with nptdms.TdmsWriter(path) as writer:
-        parts = [(*name.rpartition(".")[::2], values) for name, values in table.items() if name != "t"]
-        writer.write_segment([nptdms.ChannelObject(group, name, values, properties) for group, name, values in parts])
+        parts = [
+            (*name.rpartition(".")[::2], values) for name, values in table.items() if name != "t"
+        ]
+        writer.write_segment(
+            [nptdms.ChannelObject(group, name, values, properties) for group, name, values in parts]
+        )
 
 
 def _mcap(path: Path, table: Table) -> None:
@@ -75,5 +85,11 @@ def _mcap(path: Path, table: Table) -> None:
 
 
 WRITERS: dict[str, Callable[[Path, Table], None]] = {
-    "csv": _csv, "parquet": _parquet, "h5": _hdf5, "mat": _mat, "mf4": _mdf, "tdms": _tdms, "mcap": _mcap,
-}  # fmt: skip
+    "csv": _csv,
+    "parquet": _parquet,
+    "h5": _hdf5,
+    "mat": _mat,
+    "mf4": _mdf,
+    "tdms": _tdms,
+    "mcap": _mcap,
+}

@@ -1,4 +1,6 @@
-"""The trials: ``TRIALS[kind](rng, folder)`` runs a random one and returns how it ended; an exception counts as a fault."""
+"""The trials: ``TRIALS[kind](rng, folder)`` runs a random one and returns how it ended; an
+exception counts as a fault.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +85,10 @@ def extremes(rng: Generator, folder: Path) -> str:
     try:
         given = scenario_from(data)
         if given.ticks > MOST_TICKS or given.ticks * given.substeps > MOST_INSTANTS:
-            given = scenario_from(data, set={"duration": min(MOST_TICKS, MOST_INSTANTS // given.substeps) / given.rate})
+            given = scenario_from(
+                data,
+                set={"duration": min(MOST_TICKS, MOST_INSTANTS // given.substeps) / given.rate},
+            )
         status = run(given).summary["status"]
     except InputError:
         return REFUSED
@@ -97,7 +102,9 @@ def _stretch(node: Any, rng: Generator) -> None:
         key = keys[int(rng.integers(len(keys)))]
         inner = node[key]
         if isinstance(inner, (int, float)) and not isinstance(inner, bool):
-            node[key] = 0.0 if rng.random() < 0.1 else float(inner) * 10.0 ** int(rng.integers(-9, 10))
+            node[key] = (
+                0.0 if rng.random() < 0.1 else float(inner) * 10.0 ** int(rng.integers(-9, 10))
+            )
             return
         node = inner
 
@@ -147,14 +154,20 @@ def distortion(rng: Generator, folder: Path) -> str:
     from hiltestbed.measured import examine
 
     tables = _good_set(folder)
-    names = [str(n) for n in rng.choice(list(DISTORTIONS), size=1 if rng.random() < 0.7 else 2, replace=False)]
+    names = [
+        str(n)
+        for n in rng.choice(list(DISTORTIONS), size=1 if rng.random() < 0.7 else 2, replace=False)
+    ]
     for name, good in tables.items():
         table = {column: values.copy() for column, values in good.items()}
         for distorted in names:
-            with suppress(KeyError, IndexError):  # the first may have removed what the second would change
+            # the first may have removed what the second would change
+            with suppress(KeyError, IndexError):
                 DISTORTIONS[distorted].apply(table)
         _write(folder / f"distorted_{name}", table)
-    (folder / "distorted.yaml").write_text("scenario: nominal.yaml\nruns:\n" + "".join(f"  - file: distorted_{n}\n" for n in tables))
+    (folder / "distorted.yaml").write_text(
+        "scenario: nominal.yaml\nruns:\n" + "".join(f"  - file: distorted_{n}\n" for n in tables)
+    )
     try:
         remarks = examine(folder / "distorted.yaml").remarks
     except InputError:
@@ -164,14 +177,18 @@ def distortion(rng: Generator, folder: Path) -> str:
 
 
 def _good_set(folder: Path) -> dict[str, dict[str, np.ndarray]]:
-    """Tables of a valid set, made once beside ``folder`` for all workers, with its scenario in ``folder``."""
+    """Tables of a valid set, made once beside ``folder`` for all workers, with its scenario in
+    ``folder``.
+    """
     import pyarrow.parquet as pq
 
     if "tables" not in _good:
         made = good_set(folder.parent)
         files = sorted(made.glob("run_*.parquet"))[:1]
         _good["scenario"] = (made / "nominal.yaml").read_text()
-        _good["tables"] = {f.name: {n: c.to_numpy().copy() for n, c in _columns(pq.read_table(f))} for f in files}
+        _good["tables"] = {
+            f.name: {n: c.to_numpy().copy() for n, c in _columns(pq.read_table(f))} for f in files
+        }
     if not (folder / "nominal.yaml").exists():
         (folder / "nominal.yaml").write_text(_good["scenario"])
         for name, table in _good["tables"].items():
@@ -191,7 +208,9 @@ def _write(path: Path, table: dict[str, np.ndarray]) -> None:
 
 
 def data_file(rng: Generator, folder: Path) -> str:
-    """A data file of one of the seven formats with some bytes changed; read in this process, so that a crash is detected."""
+    """A data file of one of the seven formats with some bytes changed; read in this process, so
+    that a crash is detected.
+    """
     from hiltestbed.measured.formats import FRAGILE, READERS, reader
 
     suffix = SUFFIXES[int(rng.integers(len(SUFFIXES)))]
@@ -215,7 +234,11 @@ def _seed_file(path: Path) -> bytes:
     from hiltestbed.bench.robustness.seed_files import WRITERS
 
     rng = np.random.default_rng(1)
-    table = {"t": np.arange(ROWS) / 1000.0, "pose_act.pz": rng.standard_normal(ROWS), "wrench_meas.fz": rng.standard_normal(ROWS)}
+    table = {
+        "t": np.arange(ROWS) / 1000.0,
+        "pose_act.pz": rng.standard_normal(ROWS),
+        "wrench_meas.fz": rng.standard_normal(ROWS),
+    }
     WRITERS[path.suffix[1:]](path, table)
     return path.read_bytes()
 
@@ -230,18 +253,37 @@ def campaign(rng: Generator, folder: Path) -> str:
     if not isinstance(data, dict):
         data = {}
     (folder / "base.yaml").write_text(dump_yaml(_shipped(rng)), encoding="utf-8")
-    keys = ("sensor.delay", "approach.velocity.2", "mechanism.contact.stiffness", "rate", "seed", "effects", "no.such.key")
+    keys = (
+        "sensor.delay",
+        "approach.velocity.2",
+        "mechanism.contact.stiffness",
+        "rate",
+        "seed",
+        "effects",
+        "no.such.key",
+    )
     if rng.random() < 0.9:
         data["scenario"] = "base.yaml"
     if rng.random() < 0.8:
         schema = _schema("campaign")
         varied = rng.choice(keys, size=int(rng.integers(1, 3)), replace=False)
-        data["vary"] = {str(key): value_of(schema["$defs"]["Variation"], rng, schema) for key in varied}
+        data["vary"] = {
+            str(key): value_of(schema["$defs"]["Variation"], rng, schema) for key in varied
+        }
     if rng.random() < 0.5:  # a meaningful one, at any scale
         low = 10.0 ** rng.uniform(-6, 6)
-        way = ({"values": [low, 2 * low]}, {"uniform": [low, 3 * low]}, {"log_uniform": [low, 9 * low]}, {"normal": [low, low]})
+        way = (
+            {"values": [low, 2 * low]},
+            {"uniform": [low, 3 * low]},
+            {"log_uniform": [low, 9 * low]},
+            {"normal": [low, low]},
+        )
         data |= {"vary": {keys[int(rng.integers(3))]: way[int(rng.integers(4))]}, "set": {}}
-        data["design"] = {"kind": "sobol", "cases": int(rng.integers(1, 2**20))} if rng.random() < 0.5 else {"kind": "grid"}
+        data["design"] = (
+            {"kind": "sobol", "cases": int(rng.integers(1, 2**20))}
+            if rng.random() < 0.5
+            else {"kind": "grid"}
+        )
     path = folder / "campaign.yaml"
     try:
         path.write_text(dump_yaml(data), encoding="utf-8")
@@ -263,12 +305,19 @@ def packet(rng: Generator, folder: Path) -> str:
     which = int(rng.integers(4))
     if which == 0:
         record = Record(default_layout(), "sensor")
-        return SURVIVED if record.unpack(mutated(record.pack(np.arange(6.0), 1, 0.5), rng)) else REFUSED
+        return (
+            SURVIVED
+            if record.unpack(mutated(record.pack(np.arange(6.0), 1, 0.5), rng))
+            else REFUSED
+        )
     if which == 1:
         data = mutated(answer("ImFree", np.zeros(6), 123, 4), rng)
         return REFUSED if read_telegram(data, "Sen", "RKorr") is None else SURVIVED
     if which == 2:
-        page = b"<netft><cfgcpf>1000000</cfgcpf><cfgcpt>1000</cfgcpt><scfgfu>N</scfgfu><scfgtu>Nm</scfgtu></netft>"
+        page = (
+            b"<netft><cfgcpf>1000000</cfgcpf><cfgcpt>1000</cfgcpt>"
+            b"<scfgfu>N</scfgfu><scfgtu>Nm</scfgtu></netft>"
+        )
         try:
             rdt_page._understand(mutated(page, rng), "page", "hint")
         except HiltestbedError:
@@ -309,11 +358,22 @@ def mutated(data: bytes, rng: Generator) -> bytes:
             out[at:at] = part * int(rng.integers(1, 4))
         else:
             width = int(rng.choice([1, 2, 4, 8]))
-            out[at : at + width] = [b"\xff" * width, b"\x00" * width, b"\x7f" + b"\xff" * (width - 1)][int(rng.integers(3))]
+            out[at : at + width] = [
+                b"\xff" * width,
+                b"\x00" * width,
+                b"\x7f" + b"\xff" * (width - 1),
+            ][int(rng.integers(3))]
     return bytes(out)
 
 
 TRIALS: dict[str, Trial] = {
-    "scenario": scenario, "extremes": extremes, "text": text, "dataset": dataset, "distortion": distortion, "file": data_file,
-    "campaign": campaign, "packet": packet, "kill": kill,
-}  # fmt: skip
+    "scenario": scenario,
+    "extremes": extremes,
+    "text": text,
+    "dataset": dataset,
+    "distortion": distortion,
+    "file": data_file,
+    "campaign": campaign,
+    "packet": packet,
+    "kill": kill,
+}

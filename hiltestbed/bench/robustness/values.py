@@ -8,13 +8,29 @@ from typing import Any
 
 from numpy.random import Generator
 
-WORDS = ("", "x", "reference", "[/x]", "\x1b[31m", "<script>", "../../up", "a" * 300, "ß→µ", "nan", "${HOME}", "-", "1e5")
+WORDS = (
+    "",
+    "x",
+    "reference",
+    "[/x]",
+    "\x1b[31m",
+    "<script>",
+    "../../up",
+    "a" * 300,
+    "ß→µ",
+    "nan",
+    "${HOME}",
+    "-",
+    "1e5",
+)
 DEEPEST = 8
 WRONG = 0.01  # fraction of values that the schema does not allow
 LARGEST = 1e9
 
 
-def value_of(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any] | None = None, depth: int = 0) -> Any:
+def value_of(
+    schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any] | None = None, depth: int = 0
+) -> Any:
     """A random value of ``schema``; ``root`` contains the definitions that it refers to."""
     root = schema if root is None else root
     if rng.random() < WRONG:
@@ -39,11 +55,15 @@ def value_of(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any] 
         return number(schema, rng)
     if kind == "integer":
         return int(max(min(number(schema, rng), 2.0**62), -(2.0**62)))
-    return {"boolean": bool(rng.random() < 0.5), "null": None}.get(kind or "", WORDS[int(rng.integers(len(WORDS)))])
+    return {"boolean": bool(rng.random() < 0.5), "null": None}.get(
+        kind or "", WORDS[int(rng.integers(len(WORDS)))]
+    )
 
 
 def number(schema: Mapping[str, Any], rng: Generator) -> float:
-    """A random number within the limits of ``schema``: a limit or 0, or between the limits, often on a logarithmic scale."""
+    """A random number within the limits of ``schema``: a limit or 0, or between the limits, often
+    on a logarithmic scale.
+    """
     low = schema.get("minimum", schema.get("exclusiveMinimum", -LARGEST))
     high = schema.get("maximum", schema.get("exclusiveMaximum", LARGEST))
     if rng.random() < 0.15:
@@ -51,10 +71,16 @@ def number(schema: Mapping[str, Any], rng: Generator) -> float:
     if low >= 0:
         least = math.log(max(low, 1e-12))
         return math.exp(rng.uniform(least, max(math.log(max(high, 1e-12)), least)))
-    return float(rng.uniform(low, high)) if rng.random() < 0.5 else float(rng.standard_normal() * 10.0 ** rng.integers(-6, 3))
+    return (
+        float(rng.uniform(low, high))
+        if rng.random() < 0.5
+        else float(rng.standard_normal() * 10.0 ** rng.integers(-6, 3))
+    )
 
 
-def _mapping(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any], depth: int) -> dict[str, Any]:
+def _mapping(
+    schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any], depth: int
+) -> dict[str, Any]:
     required = set(schema.get("required", ()))
     out = {}
     for name, inner in schema.get("properties", {}).items():
@@ -64,11 +90,15 @@ def _mapping(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any],
             out[name] = inner["const"]
     if not schema.get("properties") and isinstance(schema.get("additionalProperties"), dict):
         for _ in range(int(rng.integers(0, 3))):
-            out[WORDS[int(rng.integers(len(WORDS)))]] = value_of(schema["additionalProperties"], rng, root, depth + 1)
+            out[WORDS[int(rng.integers(len(WORDS)))]] = value_of(
+                schema["additionalProperties"], rng, root, depth + 1
+            )
     return out
 
 
-def _list(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any], depth: int) -> list[Any]:
+def _list(
+    schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any], depth: int
+) -> list[Any]:
     if "prefixItems" in schema:
         return [value_of(inner, rng, root, depth + 1) for inner in schema["prefixItems"]]
     low = schema.get("minItems", 0)
@@ -77,5 +107,21 @@ def _list(schema: Mapping[str, Any], rng: Generator, root: Mapping[str, Any], de
 
 
 def _wrong(rng: Generator) -> Any:
-    options = (None, True, -1, 0, 1e308, -1e-308, math.inf, math.nan, "x", [], {}, [[1]], {"kind": "?"}, 10**30, "1e5")
+    options = (
+        None,
+        True,
+        -1,
+        0,
+        1e308,
+        -1e-308,
+        math.inf,
+        math.nan,
+        "x",
+        [],
+        {},
+        [[1]],
+        {"kind": "?"},
+        10**30,
+        "1e5",
+    )
     return options[int(rng.integers(len(options)))]

@@ -1,7 +1,8 @@
-"""The process that runs trials: `python -m hiltestbed.bench.robustness.worker KIND FIRST COUNT [SHARED]`, with a line of JSON before and
-after each.
+"""The process that runs trials: `python -m hiltestbed.bench.robustness.worker KIND FIRST COUNT
+[SHARED]`, with a line of JSON before and after each.
 
-Trial N of a kind is always the same: `... KIND N 1` repeats it. SHARED is a folder for files that are made once for all workers.
+Trial N of a kind is always the same: `... KIND N 1` repeats it. SHARED is a folder for files that
+are made once for all workers.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ from hiltestbed.bench.robustness.trials import TRIALS
 
 def serve(kind: str, first: int, count: int, shared: Path | None = None) -> None:
     """Run trials and print how each ended."""
-    with tempfile.TemporaryDirectory(prefix="hiltestbed-", dir=shared) as place, np.errstate(all="ignore"):
+    with (
+        tempfile.TemporaryDirectory(prefix="hiltestbed-", dir=shared) as place,
+        np.errstate(all="ignore"),
+    ):
         folder = Path(place) if shared else Path(place) / "trials"
         folder.mkdir(exist_ok=True)
         for number in range(first, first + count):
@@ -34,7 +38,10 @@ def serve(kind: str, first: int, count: int, shared: Path | None = None) -> None
                 last = traceback.extract_tb(error.__traceback__)
                 ours = next((f for f in reversed(last) if "hiltestbed" in f.filename), last[-1])
                 where = f"{Path(ours.filename).name}:{ours.lineno}"
-                message = {"fault": f"{type(error).__name__} at {where}: {str(error)[:200]}", "place": f"{type(error).__name__} {where}"}
+                message = {
+                    "fault": f"{type(error).__name__} at {where}: {str(error)[:200]}",
+                    "place": f"{type(error).__name__} {where}",
+                }
             _send(message | {"number": number, "wall": time.perf_counter() - start})
 
 
@@ -44,4 +51,9 @@ def _send(message: dict) -> None:
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]) if len(sys.argv) > 4 else None)
+    serve(
+        sys.argv[1],
+        int(sys.argv[2]),
+        int(sys.argv[3]),
+        Path(sys.argv[4]) if len(sys.argv) > 4 else None,
+    )

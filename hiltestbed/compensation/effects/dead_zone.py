@@ -20,7 +20,9 @@ class LoopDeadzone(Effect):
     """A dead zone in the loop: small forces are not passed on to the numerical model."""
 
     kind: Literal["loop.deadzone"] = "loop.deadzone"
-    width: float = quantity("N", "Force below which an axis is taken as zero", gt=0.0, search=(0.2, 60.0), ratio=True)
+    width: float = quantity(
+        "N", "Force below which an axis is taken as zero", gt=0.0, search=(0.2, 60.0), ratio=True
+    )
     link = "compensation"
     equation = "f_axis = 0 where |f_axis| < width, before the compensation"
     reference = "guard against drift of the numerical model"
@@ -35,7 +37,8 @@ class LoopDeadzone(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        widths = list(np.geomspace(0.3 * scales.noise, 0.3 * scales.force, 100))  # steps of 8 %: a width 10 % off fits no better than none
+        # steps of 8 %: a width 10 % off fits no better than none
+        widths = list(np.geomspace(0.3 * scales.noise, 0.3 * scales.force, 100))
         bounds = {"width": (0.1 * scales.noise, 0.8 * scales.force)}
         for variant in ({}, {"where": "after"}, {"where": "magnitude"}):
             yield candidate(cls, {"width": widths}, bounds=bounds, variant=variant)

@@ -1,10 +1,12 @@
 """A virtual damper designed for a desired coefficient of restitution (e) of the bounce.
 
-S. Abiko, Y. Satake, X. Jiang, T. Tsujita, M. Uchiyama, "Delay time compensation based on coefficient of restitution for collision
-hybrid motion simulator", Advanced Robotics 28, 2014, after K. Osaki, A. Konno, M. Uchiyama, "Delay time compensation for a hybrid
-simulator", Advanced Robotics 24, 2010: during the delay the motion is uniform, then the contact acts late; the compensation is found
-by iteration on that model. Here the compensation is a damper: the contact with the design stiffness, damping and reduced mass is
-simulated with the delay, and the damper is found that gives the desired e, by default the e of the contact without delay.
+S. Abiko, Y. Satake, X. Jiang, T. Tsujita, M. Uchiyama, "Delay time compensation based on
+coefficient of restitution for collision hybrid motion simulator", Advanced Robotics 28, 2014, after
+K. Osaki, A. Konno, M. Uchiyama, "Delay time compensation for a hybrid simulator", Advanced Robotics
+24, 2010: during the delay the motion is uniform, then the contact acts late; the compensation is
+found by iteration on that model. Here the compensation is a damper: the contact with the design
+stiffness, damping and reduced mass is simulated with the delay, and the damper is found that gives
+the desired e, by default the e of the contact without delay.
 
 The design covers one mode and one contact, without friction, lever arms or a second contact.
 """
@@ -41,10 +43,16 @@ class CorDesigned(ForceMethod):
 
     kind: Literal["cor_designed"] = "cor_designed"
     adds_force: ClassVar[bool] = True
-    stiffness: Positive = Field(description="Contact stiffness that the damper is designed for [N/m]")
-    damping: NotNegative = Field(default=0.0, description="Contact damping that the damper is designed for [N s/m]")
+    stiffness: Positive = Field(
+        description="Contact stiffness that the damper is designed for [N/m]"
+    )
+    damping: NotNegative = Field(
+        default=0.0, description="Contact damping that the damper is designed for [N s/m]"
+    )
     cor: Positive | None = Field(
-        default=None, description="Desired coefficient of restitution [-]; null: that of the design contact without delay"
+        default=None,
+        description="Desired coefficient of restitution [-]; null: that of the design contact "
+        "without delay",
     )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
 
@@ -70,12 +78,21 @@ class CorDesignedBlock:
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` measured wrench plus the force of the designed damper."""
-        add_virtual(measurement.wrench, measurement.pose, measurement.twist, self._stiffness, self.damping, self.output)
+        add_virtual(
+            measurement.wrench,
+            measurement.pose,
+            measurement.twist,
+            self._stiffness,
+            self.damping,
+            self.output,
+        )
         return self.output
 
 
 def designed_damping(scenario: Scenario) -> float:
-    """The damper [N s/m] with which the design contact has the desired e despite the sensor's delay."""
+    """The damper [N s/m] with which the design contact has the desired e despite the sensor's
+    delay.
+    """
     (force,), mass = force_of([scenario], CorDesigned), effective_mass(scenario)
     w = math.sqrt(force.stiffness / mass)
     z = force.damping / (2.0 * math.sqrt(force.stiffness * mass))
@@ -93,7 +110,9 @@ def designed_damping(scenario: Scenario) -> float:
 
 @njit(cache=True)
 def bounce(z, turn, extra):
-    """e of ``x'' = -F(t - tau) - 2 extra x'`` (the last while x > 0) in units of 1/w; F = x + 2 z x' while x > 0, never negative."""
+    """e of ``x'' = -F(t - tau) - 2 extra x'`` (the last while x > 0) in units of 1/w; F = x + 2 z
+    x' while x > 0, never negative.
+    """
     dt = 1.0 / STEPS
     late = int(round(turn * STEPS))
     forces = np.zeros(late + 1)

@@ -1,7 +1,8 @@
-"""A dead zone, as used on rigs against the velocity drift caused by noise and bias: a force below the width is taken as zero.
+"""A dead zone, as used on rigs against the velocity drift caused by noise and bias: a force below
+the width is taken as zero.
 
-It does not compensate the delay, and by itself distorts the response, towards divergence or convergence (Li et al., hybrid Smith predictor
-with dead-zone disturbance observer).
+It does not compensate the delay, and by itself distorts the response, towards divergence or
+convergence (Li et al., hybrid Smith predictor with dead-zone disturbance observer).
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
 
 @register
 class DeadZone(ForceMethod):
-    """A dead zone: a measured force below the width is taken as zero. It does not compensate the delay."""
+    """A dead zone: a measured force below the width is taken as zero. It does not compensate the
+    delay.
+    """
 
     kind: Literal["dead_zone"] = "dead_zone"
     width: NotNegative = Field(description="Force below which an axis is taken as zero [N]")
@@ -37,7 +40,9 @@ class DeadZone(ForceMethod):
 
 
 class DeadZoneBlock:
-    """The dead zone on each force axis, for ``n`` runs; the torques pass while any force axis does."""
+    """The dead zone on each force axis, for ``n`` runs; the torques pass while any force axis
+    does.
+    """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         self._width = np.array([[force.width] for force in force_of(scenarios, DeadZone)])
@@ -48,5 +53,7 @@ class DeadZoneBlock:
         force = measurement.wrench[:, :3]
         outside = np.abs(force) > self._width
         np.multiply(force, outside, out=self.output[:, :3])
-        np.multiply(measurement.wrench[:, 3:], outside.any(axis=1, keepdims=True), out=self.output[:, 3:])
+        np.multiply(
+            measurement.wrench[:, 3:], outside.any(axis=1, keepdims=True), out=self.output[:, 3:]
+        )
         return self.output

@@ -1,16 +1,18 @@
 """Kalman predictor: the measured force as a parabola in white noise, extrapolated by the delay.
 
-The force is taken for a motion of constant second derivative that white noise of density q [N^2/s^5] drives, measured with white noise of
-density r [N^2 s]. Of that model the Kalman filter is the best linear estimator of F, F' and F'' (R. E. Kalman, "A new approach to linear
-filtering and prediction problems", J. Basic Engineering 82, 1960; Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to
-Tracking and Navigation", 2001, sections 6.2.3 and 6.5, there of a target's position). Its gains are those of the steady state, from the
-discrete Riccati equation, and
+The force is taken for a motion of constant second derivative that white noise of density q
+[N^2/s^5] drives, measured with white noise of density r [N^2 s]. Of that model the Kalman filter is
+the best linear estimator of F, F' and F'' (R. E. Kalman, "A new approach to linear filtering and
+prediction problems", J. Basic Engineering 82, 1960; Y. Bar-Shalom, X. R. Li, T. Kirubarajan,
+"Estimation with Applications to Tracking and Navigation", 2001, sections 6.2.3 and 6.5, there of a
+target's position). Its gains are those of the steady state, from the discrete Riccati equation, and
 
     F(t) ~ F + tau F' + tau^2/2 F''
 
-of the estimate at the stamp of the reading. Only q/r counts: as long as (q/r)^(1/6) is far below the rate, the poles of the filter lie on a
-Butterworth circle of this radius, which ``bandwidth`` sets. A high bandwidth follows the edge of a contact and lets noise through, a low
-one smooths both; the leads of first and second order fix that trade by their pole T2.
+of the estimate at the stamp of the reading. Only q/r counts: as long as (q/r)^(1/6) is far below
+the rate, the poles of the filter lie on a Butterworth circle of this radius, which ``bandwidth``
+sets. A high bandwidth follows the edge of a contact and lets noise through, a low one smooths both;
+the leads of first and second order fix that trade by their pole T2.
 """
 
 from __future__ import annotations
@@ -36,10 +38,14 @@ if TYPE_CHECKING:
 
 @register
 class Kalman(ForceMethod):
-    """Kalman predictor: force, slope and curvature of each axis, estimated in white noise and extrapolated over the delay."""
+    """Kalman predictor: force, slope and curvature of each axis, estimated in white noise and
+    extrapolated over the delay.
+    """
 
     kind: Literal["kalman"] = "kalman"
-    bandwidth: Positive = Field(default=150.0, description="Radius of the filter's poles over 2 pi [Hz]")
+    bandwidth: Positive = Field(
+        default=150.0, description="Radius of the filter's poles over 2 pi [Hz]"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod
@@ -60,7 +66,12 @@ class KalmanBlock:
         n, h = len(scenarios), 1.0 / scenarios[0].rate
         self._tick = h
         self._delay = np.array([s.sensor.delay for s in scenarios])
-        self._gain = np.array([steady_gain(2.0 * math.pi * force.bandwidth, h) for force in force_of(scenarios, Kalman)])
+        self._gain = np.array(
+            [
+                steady_gain(2.0 * math.pi * force.bandwidth, h)
+                for force in force_of(scenarios, Kalman)
+            ]
+        )
         self._state = np.zeros((n, 6, 3))  # force, slope [1/s], curvature [1/s^2]
         self.output = np.zeros((n, 6))
 
@@ -71,7 +82,8 @@ class KalmanBlock:
 
 
 def steady_gain(radius: float, tick: float) -> Array:
-    """(3,) gains of F, F' [1/s] and F'' [1/s^2] for a ``radius`` [rad/s] of the poles, at a tick of ``tick`` [s].
+    """(3,) gains of F, F' [1/s] and F'' [1/s^2] for a ``radius`` [rad/s] of the poles, at a tick of
+    ``tick`` [s].
 
     In units of a tick, so that the Riccati equation is well conditioned at any rate.
     """
@@ -79,7 +91,9 @@ def steady_gain(radius: float, tick: float) -> Array:
 
     move = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
     seen = np.array([[1.0, 0.0, 0.0]])
-    drive = (radius * tick) ** 6 * np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
+    drive = (radius * tick) ** 6 * np.array(
+        [[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]]
+    )
     covariance = solve_discrete_are(move.T, seen.T, drive, np.ones((1, 1)))
     return covariance[:, 0] / (covariance[0, 0] + 1.0) / np.array([1.0, tick, tick**2])
 

@@ -1,15 +1,17 @@
 """Passivity: damping is injected when the contact would return more energy than it took.
 
-:class:`PassivityControlBlock` is the time-domain observer and controller (B. Hannaford, J.-H. Ryu, "Time-domain passivity control of haptic
-interfaces", IEEE T-RA 18, 2002; for contact on such rigs M. De Stefano, J. Artigas, C. Secchi et al., EPOS and OOS-SIM, T-RO 2020):
-``E_k = sum of h F_used . v``, the energy that the simulated contact has taken from the relative motion, must not be negative; when
-it is, ``alpha = -E/(h v^2)`` makes it zero. This is a safety net: it acts only once there is excess energy, and any restitution up to 1
-passes, correct or not.
+:class:`PassivityControlBlock` is the time-domain observer and controller (B. Hannaford, J.-H. Ryu,
+"Time-domain passivity control of haptic interfaces", IEEE T-RA 18, 2002; for contact on such rigs
+M. De Stefano, J. Artigas, C. Secchi et al., EPOS and OOS-SIM, T-RO 2020): ``E_k = sum of h F_used .
+v``, the energy that the simulated contact has taken from the relative motion, must not be negative;
+when it is, ``alpha = -E/(h v^2)`` makes it zero. This is a safety net: it acts only once there is
+excess energy, and any restitution up to 1 passes, correct or not.
 
-:class:`NormalisedPassivityBlock` acts before that (C. Insam, L. D. H. Peiris, D. J. Rixen, "Normalized passivity control for hardware-in-
-the-loop with contact", Int. J. Dynamics and Control 9, 2021): the power that the transfer system generates, divided by the magnitude of
-its signals and smoothed, sets a damping force. The transfer system here is the sensor's delay, whose power to first order is
-``(F(t) - F_meas) v ~ tau F_meas' v``.
+:class:`NormalisedPassivityBlock` acts before that (C. Insam, L. D. H. Peiris, D. J. Rixen,
+"Normalized passivity control for hardware-in- the-loop with contact", Int. J. Dynamics and Control
+9, 2021): the power that the transfer system generates, divided by the magnitude of its signals and
+smoothed, sets a damping force. The transfer system here is the sensor's delay, whose power to first
+order is ``(F(t) - F_meas) v ~ tau F_meas' v``.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ DAMPING_LIMIT = 0.5  # times the damping that would reverse the velocity within 
 
 @register
 class PassivityControl(ForceMethod):
-    """Time-domain passivity observer and controller: damping is injected once the contact has returned more energy than it took."""
+    """Time-domain passivity observer and controller: damping is injected once the contact has
+    returned more energy than it took.
+    """
 
     kind: Literal["passivity_control"] = "passivity_control"
     adds_force: ClassVar[bool] = True
@@ -51,16 +55,25 @@ class PassivityControl(ForceMethod):
 
 @register
 class NormalisedPassivity(ForceMethod):
-    """Normalised passivity control: a damping force proportional to the normalised power that the delay generates."""
+    """Normalised passivity control: a damping force proportional to the normalised power that the
+    delay generates.
+    """
 
     kind: Literal["normalised_passivity"] = "normalised_passivity"
     adds_force: ClassVar[bool] = True
-    gain: NotNegative = Field(default=1.0, description="Gain of the damping force [-]; 1 balances the delay to first order")
-    smoothing: Positive = Field(default=0.005, description="Time constant of the low-pass on the power [s]")
+    gain: NotNegative = Field(
+        default=1.0,
+        description="Gain of the damping force [-]; 1 balances the delay to first order",
+    )
+    smoothing: Positive = Field(
+        default=0.005, description="Time constant of the low-pass on the power [s]"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "model"})
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> NormalisedPassivityBlock:
+    def start(
+        cls, scenarios: Sequence[Scenario], model: NumericalModel
+    ) -> NormalisedPassivityBlock:
         return NormalisedPassivityBlock(scenarios, model)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
@@ -84,12 +97,16 @@ class PassivityControlBlock:
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the measured wrench plus the injected damping force."""
-        _observe_and_control(measurement.wrench, self._model.twist, self._tick, self._limit, self.energy, self.output)
+        _observe_and_control(
+            measurement.wrench, self._model.twist, self._tick, self._limit, self.energy, self.output
+        )
         return self.output
 
 
 class NormalisedPassivityBlock:
-    """A damping force along the insertion from the normalised power of the delay, for ``n`` runs."""
+    """A damping force along the insertion from the normalised power of the delay, for ``n``
+    runs.
+    """
 
     def __init__(self, scenarios: Sequence[Scenario], model: NumericalModel) -> None:
         n, h = len(scenarios), model.tick
@@ -98,13 +115,21 @@ class NormalisedPassivityBlock:
         self._gain = np.array([f.gain for f in force])
         self._smooth = np.array([1.0 - math.exp(-h / f.smoothing) for f in force])
         self._per_tick = np.array([s.sensor.delay for s in scenarios]) / h
-        self._memory = np.zeros((n, 4))  # last force, its smoothed derivative times the delay, smoothed power, smoothed |F v|
+        # last force, its smoothed derivative times the delay, smoothed power, smoothed |F v|
+        self._memory = np.zeros((n, 4))
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the measured wrench plus the damping force."""
         _normalise(
-            measurement.wrench, measurement.pose, self._model.twist, self._gain, self._smooth, self._per_tick, self._memory, self.output
+            measurement.wrench,
+            measurement.pose,
+            self._model.twist,
+            self._gain,
+            self._smooth,
+            self._per_tick,
+            self._memory,
+            self.output,
         )
         return self.output
 

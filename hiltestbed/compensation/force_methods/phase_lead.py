@@ -1,12 +1,14 @@
 """First-order phase lead of the measured force.
 
-``G_c(s) = (T1 s + 1)/(T2 s + 1)``: the Taylor expansion of ``exp(tau s)`` to first order, with a pole that makes it
-causal (C. Qi, F. Gao, X. Zhao, Q. Wang, A. Ren, "Low-order model based divergence compensation for hardware-in-the-loop simulation
-of space discrete contact", J. Intell. Robot. Syst. 2016). Backward differences:
+``G_c(s) = (T1 s + 1)/(T2 s + 1)``: the Taylor expansion of ``exp(tau s)`` to first order, with a
+pole that makes it causal (C. Qi, F. Gao, X. Zhao, Q. Wang, A. Ren, "Low-order model based
+divergence compensation for hardware-in-the-loop simulation of space discrete contact", J. Intell.
+Robot. Syst. 2016). Backward differences:
 
     y_k = (y_(k-1) T2/h + u_k + T1 (u_k - u_(k-1))/h) / (1 + T2/h)
 
-``T1 - T2`` is the delay that it removes at low frequency: ``T1 = delay + T2`` unless ``lead`` sets T1.
+``T1 - T2`` is the delay that it removes at low frequency: ``T1 = delay + T2`` unless ``lead`` sets
+T1.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ class PhaseLead(ForceMethod):
     """First-order phase lead of the measured wrench, (T1 s + 1)/(T2 s + 1)."""
 
     kind: Literal["phase_lead"] = "phase_lead"
-    lead: NotNegative | None = Field(default=None, description="Time constant T1 of the lead [s]; null: sensor.delay + lag")
+    lead: NotNegative | None = Field(
+        default=None, description="Time constant T1 of the lead [s]; null: sensor.delay + lag"
+    )
     lag: Positive = Field(default=0.0005, description="Time constant T2 of the lead's pole [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
@@ -56,11 +60,17 @@ class PhaseLead(ForceMethod):
 class PhaseLeadBlock:
     """The lead on all six components of the wrench, for ``n`` runs."""
 
-    def __init__(self, scenarios: Sequence[Scenario], time_constants: Sequence[tuple[float, float]] | None = None) -> None:
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        time_constants: Sequence[tuple[float, float]] | None = None,
+    ) -> None:
         """``time_constants``: T1 and T2 [s] of each run, by default those of its compensation."""
         n = len(scenarios)
         self.tick = 1.0 / scenarios[0].rate
-        time_constants = [lead_and_lag(s) for s in scenarios] if time_constants is None else time_constants
+        time_constants = (
+            [lead_and_lag(s) for s in scenarios] if time_constants is None else time_constants
+        )
         self.lead = np.array([lead for lead, _ in time_constants])
         self.lag = np.array([lag for _, lag in time_constants])
         self.output = np.zeros((n, 6))
@@ -78,7 +88,9 @@ class PhaseLeadBlock:
 
 
 def lead_and_lag(scenario: Scenario) -> tuple[float, float]:
-    """T1 and T2 [s] of the phase lead in a scenario's compensation: the method itself, or the fallback of another method."""
+    """T1 and T2 [s] of the phase lead in a scenario's compensation: the method itself, or the
+    fallback of another method.
+    """
     force = scenario.compensation.force
     lead, lag = getattr(force, "lead", None), getattr(force, "lag", LAG)
     return (scenario.sensor.delay + lag if lead is None else lead), lag

@@ -1,12 +1,15 @@
 """Reconstruction of the force with a contact model: ``F = F_meas + M(x, v) - M(x, v at t - tau)``.
 
-M is the spring and damper of the contact; x and v are the pose and rate that the rig reached, now and when the force acted. With k and c
-identified in the loop this is the compensation by identified parameters of the literature (Qi et al.; F. He et al., Chin. J. Mech. Eng.
-35:149, 2022: "the identified k, c modify the force"); with k and c given it is a Smith predictor whose predicted part is the contact
-(O. J. M. Smith, "Closer control of loops with dead time", Chem. Eng. Progress 53, 1957). Until there is an estimate, the force passes
-the first-order phase lead; with ``lead_rest: true`` so does the part of it that the Smith predictor's model does not explain.
+M is the spring and damper of the contact; x and v are the pose and rate that the rig reached, now
+and when the force acted. With k and c identified in the loop this is the compensation by identified
+parameters of the literature (Qi et al.; F. He et al., Chin. J. Mech. Eng. 35:149, 2022: "the
+identified k, c modify the force"); with k and c given it is a Smith predictor whose predicted part
+is the contact (O. J. M. Smith, "Closer control of loops with dead time", Chem. Eng. Progress 53,
+1957). Until there is an estimate, the force passes the first-order phase lead; with ``lead_rest:
+true`` so does the part of it that the Smith predictor's model does not explain.
 
-The impulse of an early wrong estimate is cancelled one delay later, but at another speed, so that its energy is not.
+The impulse of an early wrong estimate is cancelled one delay later, but at another speed, so that
+its energy is not.
 """
 
 from __future__ import annotations
@@ -34,14 +37,19 @@ if TYPE_CHECKING:
 
 @register
 class Reconstruction(ForceMethod):
-    """The measured force plus the change of an identified spring and damper M over the delay: F_meas + M(x, v) - M(x, v at t - delay).
+    """The measured force plus the change of an identified spring and damper M over the delay:
+    F_meas + M(x, v) - M(x, v at t - delay).
 
     An axis that has no estimate yet passes the first-order phase lead.
     """
 
     kind: Literal["reconstruction"] = "reconstruction"
-    lead: NotNegative | None = Field(default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag")
-    lag: Positive = Field(default=0.0005, description="Time constant T2 of the phase lead's pole [s]")
+    lead: NotNegative | None = Field(
+        default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag"
+    )
+    lag: Positive = Field(
+        default=0.0005, description="Time constant T2 of the phase lead's pole [s]"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified"})
 
     @classmethod
@@ -57,16 +65,26 @@ class Reconstruction(ForceMethod):
 
 @register
 class SmithPredictor(ForceMethod):
-    """Smith predictor: the measured force plus the change of a given spring and damper along the insertion over the delay."""
+    """Smith predictor: the measured force plus the change of a given spring and damper along the
+    insertion over the delay.
+    """
 
     kind: Literal["smith_predictor"] = "smith_predictor"
     stiffness: Positive = Field(description="Contact stiffness in the predictor [N/m]")
-    damping: NotNegative = Field(default=0.0, description="Contact damping in the predictor [N s/m]")
-    lead_rest: bool = Field(
-        default=False, description="Whether the part of the force that the predictor does not explain passes the phase lead"
+    damping: NotNegative = Field(
+        default=0.0, description="Contact damping in the predictor [N s/m]"
     )
-    lead: NotNegative | None = Field(default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag")
-    lag: Positive = Field(default=0.0005, description="Time constant T2 of the phase lead's pole [s]")
+    lead_rest: bool = Field(
+        default=False,
+        description="Whether the part of the force that the predictor does not explain passes the "
+        "phase lead",
+    )
+    lead: NotNegative | None = Field(
+        default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag"
+    )
+    lag: Positive = Field(
+        default=0.0005, description="Time constant T2 of the phase lead's pole [s]"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
 
     @classmethod
@@ -74,19 +92,27 @@ class SmithPredictor(ForceMethod):
         return SmithPredictorBlock(scenarios)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        return {self.kind: scenario.sensor.delay * self.stiffness / scenario.mechanism.contact.stiffness}
+        return {
+            self.kind: scenario.sensor.delay * self.stiffness / scenario.mechanism.contact.stiffness
+        }
 
     def memory(self) -> float:
         return self.lag
 
 
 class ReconstructionBlock:
-    """M with k and c as identified so far, on six axes: ``compensation.force: {kind: reconstruction}``."""
+    """M with k and c as identified so far, on six axes: ``compensation.force: {kind:
+    reconstruction}``.
+    """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self._lead = PhaseLeadBlock(scenarios)
-        latches = scenarios[0].mechanism.captured or scenarios[0].mechanism.latch is not None or bool(scenarios[0].mechanism.phases())
+        latches = (
+            scenarios[0].mechanism.captured
+            or scenarios[0].mechanism.latch is not None
+            or bool(scenarios[0].mechanism.phases())
+        )
         self._captured = CapturedContact(scenarios) if latches else None
         self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
         self._states = History(12, self._ticks)
@@ -94,19 +120,31 @@ class ReconstructionBlock:
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead. After capture M acts about the held pose."""
+        """``(n, 6)`` the reconstructed wrench; an axis without an estimate passes the lead. After
+        capture M acts about the held pose.
+        """
         led = self._lead.compensate(measurement)
         observe(measurement.pose, measurement.twist, self._state)
         self._states.remember(self._state)
         self._states.before(self._ticks, self._late)
-        _reconstruct(measurement.wrench, led, self._state, self._late, measurement.stiffness, measurement.damping, self.output)
+        _reconstruct(
+            measurement.wrench,
+            led,
+            self._state,
+            self._late,
+            measurement.stiffness,
+            measurement.damping,
+            self.output,
+        )
         if self._captured is not None:
             self._captured.take_over(measurement, self.output)
         return self.output
 
 
 class SmithPredictorBlock:
-    """M with a given k and c along the insertion: ``compensation.force: {kind: smith_predictor}``."""
+    """M with a given k and c along the insertion: ``compensation.force: {kind:
+    smith_predictor}``.
+    """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
@@ -117,11 +155,15 @@ class SmithPredictorBlock:
         self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
         self._model = History(6, self._ticks)
         self._now, self._late = np.zeros((n, 6)), np.zeros((n, 6))
-        self._rest = Measurement(self._late, self._late, self._late, self._late, self._late, np.zeros(n, dtype=bool))
+        self._rest = Measurement(
+            self._late, self._late, self._late, self._late, self._late, np.zeros(n, dtype=bool)
+        )
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the model's force now, plus the measured force less the model's force one delay ago."""
+        """``(n, 6)`` the model's force now, plus the measured force less the model's force one
+        delay ago.
+        """
         _spring(measurement.pose, measurement.twist, self._stiffness, self._damping, self._now)
         self._model.remember(self._now)
         self._model.before(self._ticks, self._late)
@@ -133,7 +175,9 @@ class SmithPredictorBlock:
 
 @njit(cache=True)
 def _reconstruct(wrench, led, now, late, stiffness, damping, out):
-    """Along the insertion the spring cannot pull and acts only beyond the nominal touch; the other axes act while fz is positive."""
+    """Along the insertion the spring cannot pull and acts only beyond the nominal touch; the other
+    axes act while fz is positive.
+    """
     for i in range(wrench.shape[0]):
         pressing = wrench[i, 2] > 0.0
         for j in range(6):
@@ -151,7 +195,9 @@ def _reconstruct(wrench, led, now, late, stiffness, damping, out):
 
 @njit(cache=True)
 def _spring(pose, twist, stiffness, damping, out):
-    """The wrench at P's origin of a spring and damper at A's origin along z, beyond the nominal touch."""
+    """The wrench at P's origin of a spring and damper at A's origin along z, beyond the nominal
+    touch.
+    """
     for i in range(pose.shape[0]):
         x, v = pose[i, 2], twist[i, 2]
         force = max(0.0, stiffness[i] * x + damping[i] * v) if x > 0.0 else 0.0

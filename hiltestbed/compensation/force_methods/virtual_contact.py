@@ -1,9 +1,12 @@
-"""A virtual spring and damper in addition to the measured force: ``F = F_meas + k_v x + b_v v`` while pz > 0.
+"""A virtual spring and damper in addition to the measured force: ``F = F_meas + k_v x + b_v v``
+while pz > 0.
 
-The hybrid contact model of the EPOS rig (M. Zebenay, T. Boge, R. Krenn, D. Choukroun, "Analytical and experimental stability
-investigation of a hardware-in-the-loop satellite docking simulator", Proc. IMechE G 229, 2015; arXiv 1309.3512): a virtual force is
-superposed on the measured one and tuned until the contact behaves as desired. To first order a delay acts as a damping -k tau, which
-``b_v = k tau`` cancels. The simulated contact is then partly that of the tuning, not of the hardware.
+The hybrid contact model of the EPOS rig (M. Zebenay, T. Boge, R. Krenn, D. Choukroun, "Analytical
+and experimental stability investigation of a hardware-in-the-loop satellite docking simulator",
+Proc. IMechE G 229, 2015; arXiv 1309.3512): a virtual force is superposed on the measured one and
+tuned until the contact behaves as desired. To first order a delay acts as a damping -k tau, which
+``b_v = k tau`` cancels. The simulated contact is then partly that of the tuning, not of the
+hardware.
 """
 
 from __future__ import annotations
@@ -34,7 +37,8 @@ class VirtualContact(ForceMethod):
     adds_force: ClassVar[bool] = True
     stiffness: NotNegative = Field(default=0.0, description="Stiffness of the virtual spring [N/m]")
     damping: NotNegative = Field(
-        description="Damping of the virtual damper [N s/m]; contact stiffness times delay cancels the delay to first order"
+        description="Damping of the virtual damper [N s/m]; contact stiffness times delay cancels "
+        "the delay to first order"
     )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
 
@@ -43,7 +47,8 @@ class VirtualContact(ForceMethod):
         return VirtualContactBlock(scenarios)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        return {self.kind: self.damping / scenario.mechanism.contact.stiffness}  # a damper b is equivalent to a lead of b/k
+        # a damper b is equivalent to a lead of b/k
+        return {self.kind: self.damping / scenario.mechanism.contact.stiffness}
 
 
 class VirtualContactBlock:
@@ -57,13 +62,22 @@ class VirtualContactBlock:
 
     def compensate(self, measurement: Measurement) -> Array:
         """``(n, 6)`` sum of the measured and the virtual wrench."""
-        add_virtual(measurement.wrench, measurement.pose, measurement.twist, self._stiffness, self._damping, self.output)
+        add_virtual(
+            measurement.wrench,
+            measurement.pose,
+            measurement.twist,
+            self._stiffness,
+            self._damping,
+            self.output,
+        )
         return self.output
 
 
 @njit(cache=True)
 def add_virtual(wrench, pose, twist, stiffness, damping, out):
-    """``out``: the wrench plus that of a spring and damper (n,) at A's origin along z, in P at P's origin, beyond the nominal touch."""
+    """``out``: the wrench plus that of a spring and damper (n,) at A's origin along z, in P at P's
+    origin, beyond the nominal touch.
+    """
     for i in range(wrench.shape[0]):
         for j in range(6):
             out[i, j] = wrench[i, j]

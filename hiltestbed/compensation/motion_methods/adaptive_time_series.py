@@ -1,11 +1,13 @@
 """Adaptive time series: the platform's inverse, fitted to its response to recent commands.
 
-    x_c = a0 x + a1 dx/dt + a2 d2x/dt2,   a = least squares of the past x_c on the measured x and its derivatives over a window
+    x_c = a0 x + a1 dx/dt + a2 d2x/dt2,   a = least squares of the past x_c on the measured x and
+    its derivatives over a window
 
-(Y. Chae, K. Kazemibidokhti, J. M. Ricles, "Adaptive time series compensator for delay compensation of servo-hydraulic actuator systems
-for real-time hybrid simulation", Earthquake Eng. Struct. Dyn. 42, 2013). The window is much longer than a bounce: in a single contact the
-coefficients come mainly from the motion before it. The fit is made along the insertion, with an exponential window, and used on all six
-axes; the coefficients are held within bounds, as the authors advise.
+(Y. Chae, K. Kazemibidokhti, J. M. Ricles, "Adaptive time series compensator for delay compensation
+of servo-hydraulic actuator systems for real-time hybrid simulation", Earthquake Eng. Struct. Dyn.
+42, 2013). The window is much longer than a bounce: in a single contact the coefficients come mainly
+from the motion before it. The fit is made along the insertion, with an exponential window, and used
+on all six axes; the coefficients are held within bounds, as the authors advise.
 """
 
 from __future__ import annotations
@@ -28,17 +30,24 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 BOUNDS = np.array([[0.9, 1.1], [0.0, 0.05], [0.0, 1e-3]])  # of a0, a1 [s], a2 [s^2]
-SCALES = np.array([1.0, 30.0, 1000.0])  # [-], [1/s], [1/s^2]: make the columns of similar size at a few Hz
+# [-], [1/s], [1/s^2]: make the columns of similar size at a few Hz
+SCALES = np.array([1.0, 30.0, 1000.0])
 PRIOR = 1e-6  # [m^2] weight of the initial coefficients, against the sum of x^2 over the window
 
 
 @register
 class AdaptiveTimeSeries(MotionMethod):
-    """Adaptive time series: the command is a0 x + a1 x' + a2 x'', with coefficients fitted to the platform's recent response."""
+    """Adaptive time series: the command is a0 x + a1 x' + a2 x'', with coefficients fitted to the
+    platform's recent response.
+    """
 
     kind: Literal["adaptive_time_series"] = "adaptive_time_series"
-    window: Positive = Field(default=1.0, description="Time constant of the fit's exponential window [s]")
-    delay: NotNegative = Field(default=0.008, description="Delay of the platform assumed at the start [s]")
+    window: Positive = Field(
+        default=1.0, description="Time constant of the fit's exponential window [s]"
+    )
+    delay: NotNegative = Field(
+        default=0.008, description="Delay of the platform assumed at the start [s]"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset({"pose"})
 
     @classmethod
@@ -64,9 +73,23 @@ class AdaptiveTimeSeriesBlock:
         self._sums = np.zeros((n, 3, 4))
         self._memory = np.zeros((n, 4))  # last command, last measured position and velocity, ticks
 
-    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
+    def command(
+        self,
+        pose: Array,
+        derivatives: tuple[Array, Array, Array],
+        measurement: Measurement,
+        out: Array,
+    ) -> None:
         """Write to ``out`` (n, 7) the pose commanded to the platform."""
-        _adapt(measurement.pose, self._tick, self._fade, self._believed, self._sums, self._memory, self.coefficients)
+        _adapt(
+            measurement.pose,
+            self._tick,
+            self._fade,
+            self._believed,
+            self._sums,
+            self._memory,
+            self.coefficients,
+        )
         _apply(pose, derivatives[0], derivatives[1], self.coefficients, self._memory, out)
 
 

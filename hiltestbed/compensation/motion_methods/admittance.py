@@ -1,14 +1,18 @@
-"""Admittance: the platform yields along the insertion so that the contact force stays below a limit.
+"""Admittance: the platform yields along the insertion so that the contact force stays below a
+limit.
 
-The admittance is that of a preloaded slider in series with the contact: it stays at its stop until the force reaches the limit, then
-yields so that the force stays there (N. Hogan, "Impedance control", ASME J. Dyn. Syst. Meas. Control 107, 1985, for the admittance). With
-the identified spring and damper of the contact, at the commanded pose, the yield delta <= 0 of a tick h follows from
+The admittance is that of a preloaded slider in series with the contact: it stays at its stop until
+the force reaches the limit, then yields so that the force stays there (N. Hogan, "Impedance
+control", ASME J. Dyn. Syst. Meas. Control 107, 1985, for the admittance). With the identified
+spring and damper of the contact, at the commanded pose, the yield delta <= 0 of a tick h follows
+from
 
     k (x + delta) + c (v + (delta - delta_before)/h) = F_limit
 
-F is not the measured force, which is delayed. The numerical model does not include the yield: a drive that corrects the force for the
-platform's pose (resynchronised prediction, contact correction) still gets the force of the unlimited contact, any other the limited one.
-The platform does not yield until k is identified.
+F is not the measured force, which is delayed. The numerical model does not include the yield: a
+drive that corrects the force for the platform's pose (resynchronised prediction, contact
+correction) still gets the force of the unlimited contact, any other the limited one. The platform
+does not yield until k is identified.
 """
 
 from __future__ import annotations
@@ -35,11 +39,15 @@ AIM = 0.95  # of the limit: the margin covers the error of the identified k
 
 @register
 class Admittance(MotionMethod):
-    """Admittance: feed-forward, and the platform yields along the insertion so that the contact force stays below a limit."""
+    """Admittance: feed-forward, and the platform yields along the insertion so that the contact
+    force stays below a limit.
+    """
 
     kind: Literal["admittance"] = "admittance"
     limit: Positive = Field(description="Contact force at which the platform begins to yield [N]")
-    speed: Positive = Field(default=0.1, description="Highest speed at which the platform yields [m/s]")
+    speed: Positive = Field(
+        default=0.1, description="Highest speed at which the platform yields [m/s]"
+    )
     reads: ClassVar[frozenset[Input]] = frozenset({"identified"})
     feeds: ClassVar[bool] = True
 
@@ -65,11 +73,27 @@ class AdmittanceBlock:
         self.offset = np.zeros(n)
         self.rate = np.zeros((n, 6))
 
-    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
+    def command(
+        self,
+        pose: Array,
+        derivatives: tuple[Array, Array, Array],
+        measurement: Measurement,
+        out: Array,
+    ) -> None:
         """Write to ``out`` (n, 7) the pose commanded to the platform."""
         out[:] = pose
         stiffness, damping = measurement.stiffness[:, AXIAL], measurement.damping[:, AXIAL]
-        _yield(self._tick, self._limit, self._speed, stiffness, damping, derivatives[0], self.offset, self.rate, out)
+        _yield(
+            self._tick,
+            self._limit,
+            self._speed,
+            stiffness,
+            damping,
+            derivatives[0],
+            self.offset,
+            self.rate,
+            out,
+        )
 
 
 @njit(cache=True)
@@ -78,7 +102,9 @@ def _yield(h, limit, speed, stiffness, damping, velocity, offset, rate, out):
         k, before = stiffness[i], offset[i]
         if k > 0.0:
             c = max(damping[i], 0.0)
-            held = (AIM * limit[i] - k * out[i, AXIAL] - c * (velocity[i, AXIAL] - before / h)) / (k + c / h)
+            held = (AIM * limit[i] - k * out[i, AXIAL] - c * (velocity[i, AXIAL] - before / h)) / (
+                k + c / h
+            )
             offset[i] = min(0.0, before + min(max(held - before, -speed[i] * h), speed[i] * h))
         rate[i, AXIAL] = (offset[i] - before) / h
         out[i, AXIAL] += offset[i]

@@ -1,9 +1,11 @@
-"""Correction of the force for the platform's tracking error: ``F + k (x_cmd - x_act) + c (v_cmd - v_act)`` while in contact.
+"""Correction of the force for the platform's tracking error: ``F + k (x_cmd - x_act) + c (v_cmd -
+v_act)`` while in contact.
 
-k and c are identified in the loop (T. Ren, C. Qi, F. Gao, X. Zhao, Q. Sun, "Compensation of velocity divergence caused by dynamic
-response for hardware-in-the-loop docking simulator", IEEE/ASME Trans. Mechatronics 2017; F. He et al., Chin. J. Mech. Eng. 35:149,
-2022). The platform keeps its lag; the numerical model gets the force that would act without the lag, provided that the contact is a
-spring and damper.
+k and c are identified in the loop (T. Ren, C. Qi, F. Gao, X. Zhao, Q. Sun, "Compensation of
+velocity divergence caused by dynamic response for hardware-in-the-loop docking simulator",
+IEEE/ASME Trans. Mechatronics 2017; F. He et al., Chin. J. Mech. Eng. 35:149,
+2022). The platform keeps its lag; the numerical model gets the force that would act without the
+lag, provided that the contact is a spring and damper.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ if TYPE_CHECKING:
 
 @register
 class ContactCorrection(MotionMethod):
-    """The force is corrected for the platform's tracking error by k (x_cmd - x_act) + c (v_cmd - v_act), with identified k and c."""
+    """The force is corrected for the platform's tracking error by k (x_cmd - x_act) + c (v_cmd -
+    v_act), with identified k and c.
+    """
 
     kind: Literal["contact_correction"] = "contact_correction"
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified"})
@@ -36,7 +40,8 @@ class ContactCorrection(MotionMethod):
 
 
 class Gate:
-    """Contact as seen by the axial force of ``n`` runs: from the reading that exceeds its noise to the first that does not push.
+    """Contact as seen by the axial force of ``n`` runs: from the reading that exceeds its noise to
+    the first that does not push.
 
     Attributes:
         threshold: (n,) [N]. touching: (n,) bool.
@@ -47,17 +52,47 @@ class Gate:
         self.touching = np.zeros(len(scenarios), dtype=bool)
 
 
-def correct_for_platform(measurement: Measurement, pose: Array, twist: Array, gate: Gate, wrench: Array) -> None:
-    """Add to ``wrench`` (n, 6) the contact force at ``pose`` (n, 7) and ``twist`` (n, 6), commanded for t_k, less that at the rig's state.
+def correct_for_platform(
+    measurement: Measurement, pose: Array, twist: Array, gate: Gate, wrench: Array
+) -> None:
+    """Add to ``wrench`` (n, 6) the contact force at ``pose`` (n, 7) and ``twist`` (n, 6), commanded
+    for t_k, less that at the rig's state.
 
-    Axes without an estimate are not corrected, nor is anything outside a contact: noise is none, and the platform still lags after one.
+    Axes without an estimate are not corrected, nor is anything outside a contact: noise is none,
+    and the platform still lags after one.
     """
     m = measurement
-    _correct(pose, twist, gate.threshold, gate.touching, m.wrench, m.pose, m.twist, m.stiffness, m.damping, m.captured, m.lever, wrench)
+    _correct(
+        pose,
+        twist,
+        gate.threshold,
+        gate.touching,
+        m.wrench,
+        m.pose,
+        m.twist,
+        m.stiffness,
+        m.damping,
+        m.captured,
+        m.lever,
+        wrench,
+    )
 
 
 @njit(cache=True)
-def _correct(pose, twist, threshold, touching, reading, pose_act, twist_act, stiffness, damping, captured, lever, wrench):
+def _correct(
+    pose,
+    twist,
+    threshold,
+    touching,
+    reading,
+    pose_act,
+    twist_act,
+    stiffness,
+    damping,
+    captured,
+    lever,
+    wrench,
+):
     offset, speed, force = np.empty(6), np.empty(6), np.empty(6)
     at = np.empty(3)
     for i in range(wrench.shape[0]):
@@ -82,7 +117,9 @@ def _correct(pose, twist, threshold, touching, reading, pose_act, twist_act, sti
 
 @njit(cache=True)
 def _move(at, twist):
-    """Refer a ``twist`` (6,), or a small translation and rotation, to the point ``at`` (3,) relative to its present point."""
+    """Refer a ``twist`` (6,), or a small translation and rotation, to the point ``at`` (3,)
+    relative to its present point.
+    """
     twist[0] += twist[4] * at[2] - twist[5] * at[1]
     twist[1] += twist[5] * at[0] - twist[3] * at[2]
     twist[2] += twist[3] * at[1] - twist[4] * at[0]

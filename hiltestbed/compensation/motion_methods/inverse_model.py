@@ -1,10 +1,12 @@
 """Model-based inverse feed-forward of the commanded pose.
 
-    x_c = x + a1 dx/dt + a2 d2x/dt2 + a3 d3x/dt3,   1 + a1 s + a2 s^2 + a3 s^3 = (1 + T s)(1 + 2 zeta s/w + s^2/w^2) to ``order``
+    x_c = x + a1 dx/dt + a2 d2x/dt2 + a3 d3x/dt3,   1 + a1 s + a2 s^2 + a3 s^3 = (1 + T s)(1 + 2
+    zeta s/w + s^2/w^2) to ``order``
 
-the inverse of a platform with that response (third-order platform and second-order position lead: C. Qi et al., J. Intell. Robot.
-Syst. 2016; in real-time hybrid simulation the feed-forward of B. M. Phillips, B. F. Spencer, J. Eng. Mech. 139, 2013). It
-differentiates a computed pose, so that sensor noise enters only through the force that drives the numerical model.
+the inverse of a platform with that response (third-order platform and second-order position lead:
+C. Qi et al., J. Intell. Robot. Syst. 2016; in real-time hybrid simulation the feed-forward of B. M.
+Phillips, B. F. Spencer, J. Eng. Mech. 139, 2013). It differentiates a computed pose, so that sensor
+noise enters only through the force that drives the numerical model.
 """
 
 from __future__ import annotations
@@ -29,14 +31,24 @@ if TYPE_CHECKING:
 
 @register
 class InverseModel(MotionMethod):
-    """Inverse model: the command passes the platform's inverse response (1 + T s)(1 + 2 zeta s/w + s^2/w^2), truncated at an order."""
+    """Inverse model: the command passes the platform's inverse response (1 + T s)(1 + 2 zeta s/w +
+    s^2/w^2), truncated at an order.
+    """
 
     kind: Literal["inverse_model"] = "inverse_model"
-    order: Annotated[int, Field(ge=1, le=3)] = Field(default=2, description="Order at which the inverse response is truncated")
-    bandwidth: Positive = Field(default=40.0, description="Bandwidth w/(2 pi) of the platform's response [Hz]")
-    damping_ratio: Positive = Field(default=1.0, description="Damping ratio zeta of the platform's response [-]")
+    order: Annotated[int, Field(ge=1, le=3)] = Field(
+        default=2, description="Order at which the inverse response is truncated"
+    )
+    bandwidth: Positive = Field(
+        default=40.0, description="Bandwidth w/(2 pi) of the platform's response [Hz]"
+    )
+    damping_ratio: Positive = Field(
+        default=1.0, description="Damping ratio zeta of the platform's response [-]"
+    )
     time_constant: NotNegative = Field(
-        default=0.0, description="Time constant T of the platform's response [s], which makes it third-order; 0: second-order"
+        default=0.0,
+        description="Time constant T of the platform's response [s], which makes it third-order; "
+        "0: second-order",
     )
     reads: ClassVar[frozenset[Input]] = frozenset()
 
@@ -52,7 +64,13 @@ class InverseModelBlock:
         self.rate = None
         self._coefficients = np.array([inverse_coefficients(s) for s in scenarios])
 
-    def command(self, pose: Array, derivatives: tuple[Array, Array, Array], measurement: Measurement, out: Array) -> None:
+    def command(
+        self,
+        pose: Array,
+        derivatives: tuple[Array, Array, Array],
+        measurement: Measurement,
+        out: Array,
+    ) -> None:
         """Write to ``out`` (n, 7) the pose commanded to the platform."""
         _apply(pose, *derivatives, self._coefficients, out)
 

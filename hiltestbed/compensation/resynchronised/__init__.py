@@ -1,1 +1,3 @@
-"""Resynchronised prediction: a delayed model, driven by the measured wrench, and a predictor that starts from its state."""
+"""Resynchronised prediction: a delayed model, driven by the measured wrench, and a predictor that
+starts from its state.
+"""

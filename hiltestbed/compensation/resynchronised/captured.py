@@ -1,8 +1,11 @@
-"""Compensation after capture: all six axes push and pull at once, so there is no single line of action along which to predict.
+"""Compensation after capture: all six axes push and pull at once, so there is no single line of
+action along which to predict.
 
-On each axis of the latch's reference point ``F = F_meas + k (x - x') + c (v - v')`` with k and c as identified so far, x and v the pose and
-twist that the rig reached, now and (primed) when the measured force acted; torques are about the reference point. An axis without an
-estimate passes the first-order phase lead. A linear, identified contact is reconstructed exactly, and the instant of touch is not needed.
+On each axis of the latch's reference point ``F = F_meas + k (x - x') + c (v - v')`` with k and c as
+identified so far, x and v the pose and twist that the rig reached, now and (primed) when the
+measured force acted; torques are about the reference point. An axis without an estimate passes the
+first-order phase lead. A linear, identified contact is reconstructed exactly, and the instant of
+touch is not needed.
 """
 
 from __future__ import annotations
@@ -42,12 +45,16 @@ class CapturedContact:
         _observe_held(m.pose, m.twist, m.lever, UNTURNED, self._state)
         self._states.remember(self._state)
         self._states.before(self._ticks, self._late)
-        _reconstruct(m.captured, m.wrench, led, self._state, self._late, m.stiffness, m.damping, wrench)
+        _reconstruct(
+            m.captured, m.wrench, led, self._state, self._late, m.stiffness, m.damping, wrench
+        )
 
 
 @njit(cache=True)
 def observe(pose, twist, out):
-    """``out`` (n, 12): position and rotation vector of ``pose`` (n, 7), and its ``twist`` (n, 6)."""
+    """``out`` (n, 12): position and rotation vector of ``pose`` (n, 7), and its ``twist`` (n,
+    6).
+    """
     for i in range(pose.shape[0]):
         for j in range(3):
             out[i, j] = pose[i, j]

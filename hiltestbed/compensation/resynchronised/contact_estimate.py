@@ -1,19 +1,26 @@
-"""The contact model of the resynchronised prediction: one line of action, with one spring and damper along it.
+"""The contact model of the resynchronised prediction: one line of action, with one spring and
+damper along it.
 
-At A's origin, in P: the wrench acts along the direction ``D`` (6,); its magnitude follows from the relative pose ``x`` (6,)
-(position, rotation vector) and twist ``v`` (6,) of A along the gradient ``G`` (6,)::
+At A's origin, in P: the wrench acts along the direction ``D`` (6,); its magnitude follows from the
+relative pose ``x`` (6,) (position, rotation vector) and twist ``v`` (6,) of A along the gradient
+``G`` (6,)::
 
     wrench = D F,   F = k (G.x - x0) + c G.v   while G.x > x0, never negative
 
-For a flat passive surface G is known: it is the surface normal, z of P. D comes from the measured wrench, so that it includes the lever
-arm of an off-axis contact. For other surfaces G is taken as D: on a frictionless surface the force is along the normal.
+For a flat passive surface G is known: it is the surface normal, z of P. D comes from the measured
+wrench, so that it includes the lever arm of an off-axis contact. For other surfaces G is taken as
+D: on a frictionless surface the force is along the normal.
 
-A flat surface may have friction: once sliding has been observed, the tangential force is ``mu F`` along the slip of the contact point, and
-viscous at lower slip speeds. mu is the regression of the tangential force along the slip on the normal force.
+A flat surface may have friction: once sliding has been observed, the tangential force is ``mu F``
+along the slip of the contact point, and viscous at lower slip speeds. mu is the regression of the
+tangential force along the slip on the normal force.
 
-k, c and x0 are the Bayesian least-squares estimate of the measured F on G.x and G.v *at the time the force acted*, with an intercept. Prior
-knowledge enters as a prior: an earlier contact's k, c and touch point or, without an earlier contact, that the touch point lies within
-the tick before the first force. One contact is enough: the estimate is available about four samples after the touch.
+k, c and x0 are the Bayesian least-squares estimate of the measured F on G.x and G.v *at the time
+the force acted*, with an intercept. Prior
+knowledge enters as a prior: an earlier contact's k, c and touch point or, without an earlier
+contact, that the touch point lies within
+the tick before the first force. One contact is enough: the estimate is available about four samples
+after the touch.
 """
 
 from __future__ import annotations
@@ -26,19 +33,45 @@ from hiltestbed.jit import njit
 
 # Columns of a run's row in ``law``.
 STIFFNESS, DAMPING, TOUCH, KNOWN, ARMED, STIFFNESS_SD, DAMPING_SD, FRICTION, LAW = range(9)
-# Columns of ``fit``: sums over the contact of products of x, v, 1 (all passed through the model of the sensor's filters) and y.
-XX, XV, XO, VV, VO, OO, XY, VY, OY, REFERENCE, PRIOR_K, PRIOR_C, SD_K, SD_C, SD_X, TRAVEL, PEAK, SLIDING, PRESSED, FIT = range(20)
+# Columns of ``fit``: sums over the contact of products of x, v, 1 (all passed through the model of
+# the sensor's filters) and y.
+(
+    XX,
+    XV,
+    XO,
+    VV,
+    VO,
+    OO,
+    XY,
+    VY,
+    OY,
+    REFERENCE,
+    PRIOR_K,
+    PRIOR_C,
+    SD_K,
+    SD_C,
+    SD_X,
+    TRAVEL,
+    PEAK,
+    SLIDING,
+    PRESSED,
+    FIT,
+) = range(20)
 # Columns of ``count``.
 ABOVE, SAMPLES, CONTACTS, COUNT = range(4)
 
-GATE_SIGMA = 5.0  # a sample is in contact if the force exceeds this many standard deviations of its noise
+# a sample is in contact if the force exceeds this many standard deviations of its noise
+GATE_SIGMA = 5.0
 GATE_PEAK = 0.02  # and this fraction of the peak so far
-GATE_PEAK_FILTERED = 0.3  # the same with a low-pass, whose memory of the clipped force at separation would bias c
+# the same with a low-pass, whose memory of the clipped force at separation would bias c
+GATE_PEAK_FILTERED = 0.3
 FILTER_MEMORY = 3.0  # time constants of the low-pass that are skipped after the touch
 MINIMUM_SAMPLES = 4
 ACCEPTED = 0.25  # relative standard deviation of k below which the law is used
 MODEL_ERROR = 3e-4  # of the peak force: least departure of a real contact from k x + c v
-LEARNT_K, LEARNT_C = 0.02, 0.10  # least relative uncertainty of an estimate in the prior of the next contact, elsewhere on the surface
+# least relative uncertainty of an estimate in the prior of the next contact, elsewhere on the
+# surface
+LEARNT_K, LEARNT_C = 0.02, 0.10
 SLIDES = 1e-3  # [m/s] slip speed above which the surface slides instead of creeping
 CREEP = 2e5  # [N s/m] viscous friction at low slip, unless CREEP_LIMIT is lower
 CREEP_LIMIT = 0.5  # times the damping that would stop the slip within one tick
@@ -56,7 +89,9 @@ def size(law, s, rate):
 
 @njit(cache=True)
 def touch(fit, law, count, x, v, h):
-    """Start a contact: set the reference point of the fit and, after an earlier contact, the prior of k and c."""
+    """Start a contact: set the reference point of the fit and, after an earlier contact, the prior
+    of k and c.
+    """
     count[CONTACTS] += 1
     if law[ARMED] == 1.0:
         return
@@ -108,7 +143,11 @@ def _solve(fit, law, k, variance):
     """Solve for the posterior of (k, c, b) by Cramer's rule, with scaled columns."""
     weight_k = variance / fit[SD_K] ** 2 if fit[SD_K] > 0.0 else 0.0
     weight_c = variance / fit[SD_C] ** 2 if fit[SD_C] > 0.0 else 0.0
-    sd_x = fit[SD_X] if fit[SD_X] > 0.0 else math.sqrt(fit[TRAVEL] ** 2 / 12.0 + GATE_SIGMA**2 * variance / (k * k))
+    sd_x = (
+        fit[SD_X]
+        if fit[SD_X] > 0.0
+        else math.sqrt(fit[TRAVEL] ** 2 / 12.0 + GATE_SIGMA**2 * variance / (k * k))
+    )
     weight_b = variance / (k * sd_x) ** 2
     a11, a12, a13 = fit[XX] + weight_k, fit[XV], fit[XO]
     a22, a23, a33 = fit[VV] + weight_c, fit[VO], fit[OO] + weight_b
@@ -137,9 +176,11 @@ def _solve(fit, law, k, variance):
 
 @njit(cache=True)
 def direct(line, wrench, y, fixed, fade, noise):
-    """Average the direction of the wrench (6,) at A's origin; ``line`` (3, 6): D, sum of wrench y, (sum of y y).
+    """Average the direction of the wrench (6,) at A's origin; ``line`` (3, 6): D, sum of wrench y,
+    (sum of y y).
 
-    ``noise`` (2,): variances of force and torque; they weight a prior direction along z, which dominates while the wrench is in the noise.
+    ``noise`` (2,): variances of force and torque; they weight a prior direction along z, which
+    dominates while the wrench is in the noise.
     """
     line[2, 0] = fade * line[2, 0] + y * y
     for j in range(6):
@@ -156,7 +197,9 @@ def direct(line, wrench, y, fixed, fade, noise):
 
 @njit(cache=True)
 def rub(fit, law, line, wrench, rate, y, sigma):
-    """Estimate the friction coefficient of a flat surface from a wrench (6,) at A's origin and the twist (6,) when it acted."""
+    """Estimate the friction coefficient of a flat surface from a wrench (6,) at A's origin and the
+    twist (6,) when it acted.
+    """
     sx, sy = slip(line, rate)
     speed = math.sqrt(sx * sx + sy * sy)
     if speed > SLIDES:
@@ -168,7 +211,9 @@ def rub(fit, law, line, wrench, rate, y, sigma):
 
 @njit(cache=True, inline="always")
 def slip(line, rate):
-    """Tangential velocity (x, y) [m/s] of the contact point r = (-D4, D3, 0), which follows from the torques about A's origin."""
+    """Tangential velocity (x, y) [m/s] of the contact point r = (-D4, D3, 0), which follows from
+    the torques about A's origin.
+    """
     return rate[0] - rate[5] * line[0, 3], rate[1] - rate[5] * line[0, 4]
 
 
@@ -189,7 +234,13 @@ def prior(stiffness: float, damping: float, touch_point: float) -> tuple[np.ndar
     fit, law = unknown()
     fit[REFERENCE], fit[PRIOR_K], fit[PRIOR_C] = touch_point, stiffness, damping
     fit[SD_K], fit[SD_C], fit[SD_X] = 0.005 * stiffness, 0.02 * damping + 5e-5 * stiffness, 5e-5
-    law[STIFFNESS], law[DAMPING], law[TOUCH], law[KNOWN], law[ARMED] = stiffness, damping, touch_point, 1.0, 1.0
+    law[STIFFNESS], law[DAMPING], law[TOUCH], law[KNOWN], law[ARMED] = (
+        stiffness,
+        damping,
+        touch_point,
+        1.0,
+        1.0,
+    )
     law[STIFFNESS_SD], law[DAMPING_SD] = fit[SD_K], fit[SD_C]
     return fit, law
 

@@ -1,6 +1,8 @@
-"""The delayed model: the numerical model at t - tau, the wrench that drives it, and the identification of the contact at that time.
+"""The delayed model: the numerical model at t - tau, the wrench that drives it, and the
+identification of the contact at that time.
 
-Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i``; ``bodies``, ``setup`` and ``state`` are its tuples of arrays.
+Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i``; ``bodies``, ``setup`` and
+``state`` are its tuples of arrays.
 """
 
 from __future__ import annotations
@@ -12,10 +14,17 @@ import numpy as np
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
 from hiltestbed.frames import rotation_vector
 from hiltestbed.jit import njit
-from hiltestbed.numerical_model.kernels import carry, relative_motion, step, wrench_at_A, wrench_at_P
+from hiltestbed.numerical_model.kernels import (
+    carry,
+    relative_motion,
+    step,
+    wrench_at_A,
+    wrench_at_P,
+)
 
 HISTORY = 512  # ticks of a contact that can be re-run
-# Columns of ``tick``: ticks done, tick of the delayed model, tick of the touch, number of samples at which the next re-run is due.
+# Columns of ``tick``: ticks done, tick of the delayed model, tick of the touch, number of samples
+# at which the next re-run is due.
 DONE, DELAYED, ANCHOR, NEXT_RERUN, TICK = range(5)
 
 
@@ -35,7 +44,14 @@ def along(fixed, line, x):
     """``G.x``"""
     if fixed:
         return x[2]
-    return line[0, 0] * x[0] + line[0, 1] * x[1] + line[0, 2] * x[2] + line[0, 3] * x[3] + line[0, 4] * x[4] + line[0, 5] * x[5]
+    return (
+        line[0, 0] * x[0]
+        + line[0, 1] * x[1]
+        + line[0, 2] * x[2]
+        + line[0, 3] * x[3]
+        + line[0, 4] * x[4]
+        + line[0, 5] * x[5]
+    )
 
 
 @njit(cache=True, inline="always")
@@ -52,12 +68,18 @@ def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
     w = setup.weight[i]
     for c in range(6):
         position[c] = (1.0 - part) * early[c] + part * now[c]
-        rate[c] = (1.0 - w) * state.rate[i, j % length, c] + w * state.rate[i, min(j + 1, k) % length, c]
+        rate[c] = (1.0 - w) * state.rate[i, j % length, c] + w * state.rate[
+            i, min(j + 1, k) % length, c
+        ]
     wrench_at_A(state.wrench[i, k % length], position, at_A)
     y = at_A[2] if fixed else math.sqrt(at_A[0] ** 2 + at_A[1] ** 2 + at_A[2] ** 2)
     fit[ce.PEAK] = max(fit[ce.PEAK], y)
     filtered = setup.smooth[i] < 1.0
-    gate = ce.GATE_PEAK_FILTERED if filtered and count[ce.ABOVE] > 0 and count[ce.SAMPLES] > 0 else ce.GATE_PEAK
+    gate = (
+        ce.GATE_PEAK_FILTERED
+        if filtered and count[ce.ABOVE] > 0 and count[ce.SAMPLES] > 0
+        else ce.GATE_PEAK
+    )
     if y <= ce.GATE_SIGMA * setup.sigma[i, 0] or y <= gate * fit[ce.PEAK]:
         if count[ce.ABOVE] > 0 and fixed == 0:
             law[ce.ARMED] = 0.0  # the next contact may be elsewhere on the surface
@@ -73,8 +95,13 @@ def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
     count[ce.ABOVE] += 1
     if count[ce.ABOVE] == 1:
         _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work)
-        s = s if setup.late[i] == late and setup.part[i] == part else fit[ce.REFERENCE] + 0.5 * h * u
-    if count[ce.ABOVE] > 2 + setup.skip[i]:  # the last sample of a contact is left out: it may be clipped
+        s = (
+            s
+            if setup.late[i] == late and setup.part[i] == part
+            else fit[ce.REFERENCE] + 0.5 * h * u
+        )
+    # the last sample of a contact is left out: it may be clipped
+    if count[ce.ABOVE] > 2 + setup.skip[i]:
         ce.learn(fit, law, count, state.pending[i], setup.sigma[i, 0])
     _felt(s, u, setup.smooth[i], setup.leak[i], state.regressor[i], state.pending[i])
     state.pending[i, 3] = y
@@ -82,7 +109,9 @@ def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
 
 @njit(cache=True)
 def _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work):
-    """Start a contact: correct the delay from the instant of touch if requested, and save the delayed model's state for a re-run."""
+    """Start a contact: correct the delay from the instant of touch if requested, and save the
+    delayed model's state for a re-run.
+    """
     fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
     if setup.estimate[i] == 1 and count[ce.CONTACTS] == 0 and u > 0.0:
         late = setup.late[i]
@@ -97,7 +126,17 @@ def _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work):
             back = tick[DELAYED]
         none = state.used[i]
         none[:] = 0.0
-        carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], -h * back, none, none, work)
+        carry(
+            state.q[i, 0],
+            state.v[i, 0],
+            bodies.port[i],
+            bodies.mass[i],
+            bodies.inverse[i],
+            -h * back,
+            none,
+            none,
+            work,
+        )
         tick[DELAYED] -= back
         s = expected + 0.5 * h * u
     ce.touch(fit, law, count, s, u, h)
@@ -111,7 +150,9 @@ def _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work):
 
 @njit(cache=True)
 def _rewind(i, h, fixed, s, u, bodies, state, work):
-    """A lagging platform touches later than the delayed model does: move the model back, in free flight, to where the rig touched."""
+    """A lagging platform touches later than the delayed model does: move the model back, in free
+    flight, to where the rig touched.
+    """
     tick, pose, at = state.tick[i], np.empty(7), np.empty(6)
     relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, at)
     at[0:3] = pose[0:3]
@@ -122,7 +163,17 @@ def _rewind(i, h, fixed, s, u, bodies, state, work):
         return
     none = state.used[i]
     none[:] = 0.0
-    carry(state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inverse[i], -h * ticks, none, none, work)
+    carry(
+        state.q[i, 0],
+        state.v[i, 0],
+        bodies.port[i],
+        bodies.mass[i],
+        bodies.inverse[i],
+        -h * ticks,
+        none,
+        none,
+        work,
+    )
     tick[DELAYED] -= ticks
 
 
@@ -142,10 +193,16 @@ def _felt(x, v, smooth, leak, memory, out):
 
 @njit(cache=True, inline="always")
 def catch_up(i, h, fixed, bodies, setup, state, work, rows):
-    """Advance the delayed model as far as the last reading allows; re-run it from the touch when the samples have doubled."""
+    """Advance the delayed model as far as the last reading allows; re-run it from the touch when
+    the samples have doubled.
+    """
     tick, count = state.tick[i], state.count[i]
     last = tick[DONE] - setup.late[i]
-    if tick[ANCHOR] >= 0 and count[ce.SAMPLES] >= tick[NEXT_RERUN] and state.law[i, ce.KNOWN] == 1.0:
+    if (
+        tick[ANCHOR] >= 0
+        and count[ce.SAMPLES] >= tick[NEXT_RERUN]
+        and state.law[i, ce.KNOWN] == 1.0
+    ):
         tick[NEXT_RERUN] = 2 * count[ce.SAMPLES]
         if last - tick[ANCHOR] < HISTORY:
             state.q[i, 0] = state.q[i, 1]
@@ -159,7 +216,9 @@ def catch_up(i, h, fixed, bodies, setup, state, work, rows):
 
 @njit(cache=True, inline="always")
 def _step_delayed(i, j, h, fixed, bodies, setup, state, work, rows):
-    """Step the delayed model from t_j to t_(j+1) under the wrench measured for t_j, corrected for the model's offset from the rig."""
+    """Step the delayed model from t_j to t_(j+1) under the wrench measured for t_j, corrected for
+    the model's offset from the rig.
+    """
     length = state.x.shape[1]
     pose, twist, used, line, law = rows[0], rows[1], rows[2], state.line[i], state.law[i]
     known, part = j + setup.late[i], setup.part[i]
@@ -186,15 +245,25 @@ def _step_delayed(i, j, h, fixed, bodies, setup, state, work, rows):
         rotation_vector(pose[3:7], at[3:6])
     size = ce.size(law, along(fixed, line, at), along(fixed, line, twist))
     for c in range(6):
-        used[c] += line[0, c] * (size - rig) if (c != 0 and c != 1) or law[ce.FRICTION] == 0.0 else 0.0
+        used[c] += (
+            line[0, c] * (size - rig) if (c != 0 and c != 1) or law[ce.FRICTION] == 0.0 else 0.0
+        )
     if law[ce.FRICTION] > 0.0:
         _add_friction(line, law, v, twist, rig, size, state.creep[i, 0], used)
     wrench_at_P(used, pose, used)
     for c in range(6):
         state.used[i, c] = used[c]
     step(
-        state.q[i, 0], state.v[i, 0], bodies.port[i], bodies.mass[i], bodies.inertia[i], bodies.inverse[i], state.used[i], h, work,
-    )  # fmt: skip
+        state.q[i, 0],
+        state.v[i, 0],
+        bodies.port[i],
+        bodies.mass[i],
+        bodies.inertia[i],
+        bodies.inverse[i],
+        state.used[i],
+        h,
+        work,
+    )
 
 
 @njit(cache=True, inline="always")
@@ -213,7 +282,9 @@ def _add_friction(line, law, rate, twist, rig, size, creep, used):
 
 @njit(cache=True, inline="always")
 def _silent(wrench, sigma):
-    """Whether a wrench is noise only: out of contact such a wrench is taken as zero, so that the model does not drift."""
+    """Whether a wrench is noise only: out of contact such a wrench is taken as zero, so that the
+    model does not drift.
+    """
     for c in range(6 if sigma[0] == 0.0 else 3):
         if abs(wrench[c]) > ce.GATE_SIGMA * sigma[0]:
             return False
@@ -222,7 +293,9 @@ def _silent(wrench, sigma):
 
 @njit(cache=True)
 def set_delay(i, delay, h, ideal, substeps, setup):
-    """Set a delay [s] as whole ticks and a fraction. The sensor interpolates its reading between substeps; so is the rate weighted."""
+    """Set a delay [s] as whole ticks and a fraction. The sensor interpolates its reading between
+    substeps; so is the rate weighted.
+    """
     ticks = delay / h
     late = math.ceil(ticks - 1e-9)
     part = min(max(late - ticks, 0.0), 1.0)

@@ -1,21 +1,29 @@
-"""Resynchronised prediction: the measured wrench drives a delayed model at t - tau, from which a predictor computes the present state.
+"""Resynchronised prediction: the measured wrench drives a delayed model at t - tau, from which a
+predictor computes the present state.
 
-Only the measurement is delayed, so the past is known exactly. Three copies of the numerical model are used:
+Only the measurement is delayed, so the past is known exactly. Three copies of the numerical model
+are used:
 
-- The *delayed model* is at t - tau and is driven by the measured wrench, which acted at that time. Where the rig's pose differed from
-  that of the delayed model (the platform lags, or an early prediction was wrong), the contact law corrects the wrench to
-  ``F_meas + M(x_delayed, v_delayed) - M(x_act, v_act)``.
-- The *predictor* starts from the delayed model and propagates it over tau with the contact law identified so far. Only the magnitude of
-  the force along the line of action is stepped; its impulse and its second integral are applied to the bodies at once.
-- The *commanded model* is the numerical model that the rig follows. It is driven with the predicted wrench, and drawn to the predicted
-  state like a critically damped spring would, so that a correction of the prediction does not jerk the platform.
+- The *delayed model* is at t - tau and is driven by the measured wrench, which acted at that time.
+  Where the rig's pose differed from that of the delayed model (the platform lags, or an early
+  prediction was wrong), the contact law corrects the wrench to ``F_meas + M(x_delayed, v_delayed) -
+  M(x_act, v_act)``.
+- The *predictor* starts from the delayed model and propagates it over tau with the contact law
+  identified so far. Only the magnitude of the force along the line of action is stepped; its
+  impulse and its second integral are applied to the bodies at once.
+- The *commanded model* is the numerical model that the rig follows. It is driven with the predicted
+  wrench, and drawn to the predicted state like a critically damped spring would, so that a
+  correction of the prediction does not jerk the platform.
 
-After capture all six axes act at once, and :mod:`hiltestbed.compensation.resynchronised.captured` provides the wrench.
+After capture all six axes act at once, and :mod:`hiltestbed.compensation.resynchronised.captured`
+provides the wrench.
 
-No force is differentiated, and the impulse is exact. Once a first contact is identified, the delayed model is re-run from the touch with
-the contact law, which removes the effect of the first tau, in which no force had been measured yet. The method was developed for this
-project; the idea of correcting a past state by a late measurement and predicting from it is that of filters with delayed measurements
-(H. Alexander, "State estimation for distributed systems with sensing delay", SPIE 1470, 1991).
+No force is differentiated, and the impulse is exact. Once a first contact is identified, the
+delayed model is re-run from the touch with the contact law, which removes the effect of the first
+tau, in which no force had been measured yet. The method was developed for this project; the idea of
+correcting a past state by a late measurement and predicting from it is that of filters with delayed
+measurements (H. Alexander, "State estimation for distributed systems with sensing delay", SPIE
+1470, 1991).
 """
 
 from __future__ import annotations
@@ -30,7 +38,16 @@ from numpy.typing import NDArray
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
 from hiltestbed.compensation.resynchronised.captured import CapturedContact
-from hiltestbed.compensation.resynchronised.delayed_model import ANCHOR, DONE, HISTORY, TICK, catch_up, identify, remember, set_delay
+from hiltestbed.compensation.resynchronised.delayed_model import (
+    ANCHOR,
+    DONE,
+    HISTORY,
+    TICK,
+    catch_up,
+    identify,
+    remember,
+    set_delay,
+)
 from hiltestbed.compensation.resynchronised.predictor import predict
 from hiltestbed.compensation.resynchronised.settings import Resynchronised
 from hiltestbed.compensation.settings import force_of
@@ -47,7 +64,9 @@ Integers = NDArray[np.int64]
 
 
 class Bodies(NamedTuple):
-    """Nominal parameters of both vehicles in the delayed model and the predictor: ``(n, 2, ...)``."""
+    """Nominal parameters of both vehicles in the delayed model and the predictor: ``(n, 2,
+    ...)``.
+    """
 
     port: Array
     mass: Array
@@ -91,11 +110,14 @@ class State(NamedTuple):
 
 
 class ResynchronisedDrive:
-    """The drive for ``n`` runs: ``pose``, ``twist`` and ``wrench`` of the commanded numerical model.
+    """The drive for ``n`` runs: ``pose``, ``twist`` and ``wrench`` of the commanded numerical
+    model.
 
     Attributes:
-        stiffness, damping, touch: ``(n,)`` of the contact law identified so far; 0 before the first estimate.
-        delay: ``(n,)`` [s] of the force, nominal, or estimated from the instant of touch if the scenario asks for it.
+        stiffness, damping, touch: ``(n,)`` of the contact law identified so far; 0 before the first
+            estimate.
+        delay: ``(n,)`` [s] of the force, nominal, or estimated from the instant of touch if the
+            scenario asks for it.
     """
 
     def __init__(self, model: NumericalModel, scenarios: Sequence[Scenario]) -> None:
@@ -107,22 +129,38 @@ class ResynchronisedDrive:
         self._predicted = np.zeros((n, 6))
         self._setup = _setup(scenarios, h)
         self._fixed = int(scenarios[0].mechanism.flat)
-        self._captured = None if self._fixed else CapturedContact(scenarios)  # a bumper has no latches
+        # a bumper has no latches
+        self._captured = None if self._fixed else CapturedContact(scenarios)
         self._ideal = int(scenarios[0].rig.platform.prescribed)
         self._substeps = float(scenarios[0].substeps)
-        self._bodies = Bodies(model.port, model.mass, model.inertia, np.linalg.inv(model.inertia).astype(np.float64))
+        self._bodies = Bodies(
+            model.port, model.mass, model.inertia, np.linalg.inv(model.inertia).astype(np.float64)
+        )
         self.state = _state(scenarios, model, int(self._setup.late.max()))
         law = self.state.law
-        self.stiffness, self.damping, self.touch = law[:, ce.STIFFNESS], law[:, ce.DAMPING], law[:, ce.TOUCH]
+        self.stiffness, self.damping, self.touch = (
+            law[:, ce.STIFFNESS],
+            law[:, ce.DAMPING],
+            law[:, ce.TOUCH],
+        )
         self.delay = self.state.delay
 
     def advance(self, measurement: Measurement) -> None:
         """Advance by one tick."""
         model = self.model
         _advance(
-            model.tick, (self._fixed, self._ideal, self._substeps), self._bodies, self._setup, self.state,
-            measurement.wrench, measurement.pose, measurement.twist, self.predicted_pose, self.predicted_twist, self._predicted,
-        )  # fmt: skip
+            model.tick,
+            (self._fixed, self._ideal, self._substeps),
+            self._bodies,
+            self._setup,
+            self.state,
+            measurement.wrench,
+            measurement.pose,
+            measurement.twist,
+            self.predicted_pose,
+            self.predicted_twist,
+            self._predicted,
+        )
         _follow(
             model.tick, self._bodies, self._setup.blend, model.centres(), model.pose, model.twist,
             self.predicted_pose, self.predicted_twist, self._predicted, self.wrench,
@@ -134,8 +172,15 @@ class ResynchronisedDrive:
 
 def _setup(scenarios: Sequence[Scenario], h: float) -> Setup:
     n = len(scenarios)
-    lowpass = np.array([0.0 if s.sensor.lowpass is None else 1.0 / (2.0 * math.pi * s.sensor.lowpass) for s in scenarios])
-    leak = np.array([math.inf if s.sensor.time_constant is None else s.sensor.time_constant for s in scenarios])
+    lowpass = np.array(
+        [
+            0.0 if s.sensor.lowpass is None else 1.0 / (2.0 * math.pi * s.sensor.lowpass)
+            for s in scenarios
+        ]
+    )
+    leak = np.array(
+        [math.inf if s.sensor.time_constant is None else s.sensor.time_constant for s in scenarios]
+    )
     force = force_of(scenarios, Resynchronised)
     setup = Setup(
         late=np.zeros(n, dtype=np.int64),
@@ -186,8 +231,12 @@ def _state(scenarios: Sequence[Scenario], model: NumericalModel, late: int) -> S
 
 
 @njit(cache=True)
-def _advance(h, kind, bodies, setup, state, wrench, pose, twist, predicted_pose, predicted_twist, predicted):
-    """One tick of delayed model and predictor for every run; ``predicted`` (n, 6) is the wrench at t_k, at P's origin."""
+def _advance(
+    h, kind, bodies, setup, state, wrench, pose, twist, predicted_pose, predicted_twist, predicted
+):
+    """One tick of delayed model and predictor for every run; ``predicted`` (n, 6) is the wrench at
+    t_k, at P's origin.
+    """
     fixed, ideal, substeps = kind
     work = np.empty((SCRATCH, 7))
     rows = np.empty((8, 7))
@@ -196,19 +245,36 @@ def _advance(h, kind, bodies, setup, state, wrench, pose, twist, predicted_pose,
         remember(i, state, wrench[i], pose[i], twist[i])
         identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows)
         catch_up(i, h, fixed, bodies, setup, state, work, rows)
-        predict(i, h, fixed, bodies, setup, state, work, rows, matrix, predicted_pose[i], predicted_twist[i], predicted[i])
+        predict(
+            i,
+            h,
+            fixed,
+            bodies,
+            setup,
+            state,
+            work,
+            rows,
+            matrix,
+            predicted_pose[i],
+            predicted_twist[i],
+            predicted[i],
+        )
         state.tick[i, DONE] += 1
 
 
 @njit(cache=True)
 def _follow(h, bodies, blend, q, pose, twist, predicted_pose, predicted_twist, predicted, wrench):
-    """The wrench that drives the commanded model: the predicted one, plus a critically damped pull to the predicted state."""
+    """The wrench that drives the commanded model: the predicted one, plus a critically damped pull
+    to the predicted state.
+    """
     work = np.empty((SCRATCH, 7))
     matrix, factor = np.empty((6, 6)), np.empty((6, 6))
     free, offset, at_A = np.empty(6), np.empty(6), np.empty(6)
     between, turn = np.empty(4), np.empty(3)
     for i in range(pose.shape[0]):
-        mobility(q[i], bodies.port[i], pose[i, 0:3], bodies.mass[i], bodies.inverse[i], work, matrix)
+        mobility(
+            q[i], bodies.port[i], pose[i, 0:3], bodies.mass[i], bodies.inverse[i], work, matrix
+        )
         wrench_at_A(predicted[i], pose[i], at_A)
         for a in range(6):
             free[a] = twist[i, a]

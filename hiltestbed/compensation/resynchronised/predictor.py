@@ -1,6 +1,8 @@
-"""The predictor: from the delayed model's state at t - tau, over the delay, to the end of the tick to be commanded.
+"""The predictor: from the delayed model's state at t - tau, over the delay, to the end of the tick
+to be commanded.
 
-Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i``; ``bodies``, ``setup`` and ``state`` are its tuples of arrays.
+Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i``; ``bodies``, ``setup`` and
+``state`` are its tuples of arrays.
 """
 
 from __future__ import annotations
@@ -11,7 +13,13 @@ from hiltestbed.compensation.resynchronised import contact_estimate as ce
 from hiltestbed.compensation.resynchronised.delayed_model import DELAYED, DONE, along
 from hiltestbed.frames import rotation_vector
 from hiltestbed.jit import njit
-from hiltestbed.numerical_model.kernels import carry, mobility, relative_motion, wrench_at_A, wrench_at_P
+from hiltestbed.numerical_model.kernels import (
+    carry,
+    mobility,
+    relative_motion,
+    wrench_at_A,
+    wrench_at_P,
+)
 
 
 @njit(cache=True, inline="always")
@@ -37,7 +45,17 @@ def predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist, 
         if law[ce.FRICTION] > 0.0:
             _slide(ticks, h, line, law, at[2], twist, matrix, state.creep[i], sums)
         else:
-            _press(ticks, h, fixed, line, law, along(fixed, line, at), along(fixed, line, twist), matrix, sums)
+            _press(
+                ticks,
+                h,
+                fixed,
+                line,
+                law,
+                along(fixed, line, at),
+                along(fixed, line, twist),
+                matrix,
+                sums,
+            )
     elif state.count[i, ce.ABOVE] > 0:  # until the contact is identified, hold the last force
         wrench_at_A(state.used[i], pose, sums[0])
         for c in range(6):
@@ -45,7 +63,9 @@ def predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist, 
             sums[2, c] = h * h * ticks * (ticks + 1) / 2 * sums[0, c]
     for c in range(3):
         wrench_at_P(sums[c], pose, sums[c])
-    carry(q, v, bodies.port[i], bodies.mass[i], bodies.inverse[i], h * ticks, sums[1], sums[2], work)
+    carry(
+        q, v, bodies.port[i], bodies.mass[i], bodies.inverse[i], h * ticks, sums[1], sums[2], work
+    )
     for c in range(6):
         predicted[c] = sums[0, c]
     relative_motion(q, v, bodies.port[i], work, pose, twist)
@@ -77,7 +97,9 @@ def _press(ticks, h, fixed, line, law, s, u, matrix, sums):
 
 @njit(cache=True)
 def _slide(ticks, h, line, law, s, twist, matrix, creep, sums):
-    """Step the normal force and the friction at the contact point r = (-D4, D3, 0), relative to A's origin."""
+    """Step the normal force and the friction at the contact point r = (-D4, D3, 0), relative to A's
+    origin.
+    """
     rx, ry = -line[0, 4], line[0, 3]
     gain = np.empty((3, 3))  # velocity of the contact point per unit impulse at it
     push = np.zeros(6)

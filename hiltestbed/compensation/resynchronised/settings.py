@@ -21,27 +21,42 @@ if TYPE_CHECKING:
 class KnownContact(Strictly):
     """A contact model identified beforehand."""
 
-    stiffness: Positive = Field(description="Stiffness of the contact, as identified beforehand [N/m]")
-    damping: NotNegative = Field(default=0.0, description="Damping of the contact, as identified beforehand [N s/m]")
-    touch: float = Field(default=0.0, description="Position pz of the first touch along the insertion [m]")
+    stiffness: Positive = Field(
+        description="Stiffness of the contact, as identified beforehand [N/m]"
+    )
+    damping: NotNegative = Field(
+        default=0.0, description="Damping of the contact, as identified beforehand [N s/m]"
+    )
+    touch: float = Field(
+        default=0.0, description="Position pz of the first touch along the insertion [m]"
+    )
 
 
 @register
 class Resynchronised(ForceMethod):
-    """Resynchronised prediction: the measured wrench drives a delayed model, from which a predictor computes the present state."""
+    """Resynchronised prediction: the measured wrench drives a delayed model, from which a predictor
+    computes the present state.
+    """
 
     kind: Literal["resynchronised"] = "resynchronised"
     contact: KnownContact | None = Field(
-        default=None, description="Contact model identified beforehand; null: the contact is identified during the run"
+        default=None,
+        description="Contact model identified beforehand; null: the contact is identified during "
+        "the run",
     )
     delay: Literal["known", "estimate"] = Field(
         default="known",
-        description="Delay of the force. known: sensor.delay is taken as exact; estimate: it is corrected from the instant of first touch",
+        description="Delay of the force. known: sensor.delay is taken as exact; estimate: it is "
+        "corrected from the instant of first touch",
     )
     blending: Positive = Field(
-        default=0.002, description="Time constant with which corrections of the prediction are blended into the command [s]"
+        default=0.002,
+        description="Time constant with which corrections of the prediction are blended into the "
+        "command [s]",
     )
-    reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified", "captured", "model"})
+    reads: ClassVar[frozenset[Input]] = frozenset(
+        {"wrench", "pose", "twist", "identified", "captured", "model"}
+    )
     corrects_platform: ClassVar[bool] = True
 
     @classmethod
@@ -52,15 +67,22 @@ class Resynchronised(ForceMethod):
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         sensor = scenario.sensor
-        lowpass = 0.0 if sensor.lowpass is None else 1.0 / (2.0 * math.pi * sensor.lowpass)  # the predictor models the low-pass as well
+        # the predictor models the low-pass as well
+        lowpass = 0.0 if sensor.lowpass is None else 1.0 / (2.0 * math.pi * sensor.lowpass)
         out = {self.kind: sensor.delay + lowpass}
         if self.delay == "estimate":
-            out[f"{self.kind}.estimate"] = sum(e.parameters()["delay"] for e in scenario.effects if e.kind == "sensor.delay")
+            out[f"{self.kind}.estimate"] = sum(
+                e.parameters()["delay"] for e in scenario.effects if e.kind == "sensor.delay"
+            )
         return out
 
     def idle(self, scenario: Scenario) -> Iterable[Problem]:
         if scenario.mechanism.captured:
-            yield ("blending",), "the mechanism is captured from the start: there is no first contact that would cause a correction"
+            yield (
+                ("blending",),
+                "the mechanism is captured from the start: there is no first contact that would "
+                "cause a correction",
+            )
 
     def memory(self) -> float:
         return self.blending

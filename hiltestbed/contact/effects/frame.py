@@ -15,11 +15,17 @@ if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
     from hiltestbed.scenario import Scenario
 
-HEAVY = 10.0 / (6.0 * math.pi) ** 2  # [s^2] mass over the contact's stiffness of a frame ten times as stiff whose natural frequency is 3 Hz
-LITTLE = 0.01  # of the contact's stiffness: lower bound of the frame stiffness searched for a captured mechanism
-FREQUENCIES = (3.3, 4.0, 4.8, 5.8, 7.0, 8.4, 10.5, 13.5, 17.5, 22.0, 28.0, 36.0, 60.0)  # chosen: [Hz] of a mode, from which a search starts
-STIFFNESS_RATIOS = (1.5, 5.0, 40.0)  # chosen: of the frame to the contact, from which a search starts
-MOST_STEPS = 1000  # integration steps of the frame's mode per physics step: about 50 us of computing time
+# [s^2] mass over the contact's stiffness of a frame ten times as stiff whose natural frequency is 3
+# Hz
+HEAVY = 10.0 / (6.0 * math.pi) ** 2
+# of the contact's stiffness: lower bound of the frame stiffness searched for a captured mechanism
+LITTLE = 0.01
+# chosen: [Hz] of a mode, from which a search starts
+FREQUENCIES = (3.3, 4.0, 4.8, 5.8, 7.0, 8.4, 10.5, 13.5, 17.5, 22.0, 28.0, 36.0, 60.0)
+# chosen: of the frame to the contact, from which a search starts
+STIFFNESS_RATIOS = (1.5, 5.0, 40.0)
+# integration steps of the frame's mode per physics step: about 50 us of computing time
+MOST_STEPS = 1000
 
 
 @register
@@ -27,7 +33,9 @@ class FrameCompliance(Effect):
     """The sensor's frame is compliant: it deflects quasi-statically under the contact force."""
 
     kind: Literal["frame.compliance"] = "frame.compliance"
-    stiffness: float = quantity("N/m", "Stiffness of the frame", gt=0.0, search=(1e5, 1e9), ratio=True)
+    stiffness: float = quantity(
+        "N/m", "Stiffness of the frame", gt=0.0, search=(1e5, 1e9), ratio=True
+    )
     link = "contact"
     equation = "x = pz - F/stiffness"
     reference = "springs in series"
@@ -54,17 +62,27 @@ class FrameCompliance(Effect):
         k = scales.stiffness
         bounds = {"stiffness": ((LITTLE if scales.captured else 0.3) * k, 3000.0 * k)}
         for variant in ({}, {"damper": "in series"}, {"damper": "whole rate"}):
-            yield candidate(cls, {"stiffness": [2.0 * k, 8.0 * k, 40.0 * k]}, bounds=bounds, variant=variant)
+            yield candidate(
+                cls, {"stiffness": [2.0 * k, 8.0 * k, 40.0 * k]}, bounds=bounds, variant=variant
+            )
 
 
 @register
 class FrameMode(Effect):
-    """A vibration mode of the sensor's frame: the contact force excites it, and the sensor reads the force in the frame."""
+    """A vibration mode of the sensor's frame: the contact force excites it, and the sensor reads
+    the force in the frame.
+    """
 
     kind: Literal["frame.mode"] = "frame.mode"
-    frequency: float = quantity("Hz", "Natural frequency of the frame", gt=0.0, search=(3.0, 200.0), ratio=True)
-    damping_ratio: float = quantity("-", "Damping ratio of the frame", gt=0.0, le=1.0, search=(0.002, 0.3), ratio=True)
-    mass: float = quantity("kg", "Modal mass of the frame", gt=0.0, search=(1.0, 2000.0), ratio=True)
+    frequency: float = quantity(
+        "Hz", "Natural frequency of the frame", gt=0.0, search=(3.0, 200.0), ratio=True
+    )
+    damping_ratio: float = quantity(
+        "-", "Damping ratio of the frame", gt=0.0, le=1.0, search=(0.002, 0.3), ratio=True
+    )
+    mass: float = quantity(
+        "kg", "Modal mass of the frame", gt=0.0, search=(1.0, 2000.0), ratio=True
+    )
     link = "contact"
     equation = "m q'' + 2 zeta w m q' + w^2 m q = F, x = pz - q, measured: w^2 m q + 2 zeta w m q'"
     reference = "single structural mode"
@@ -73,16 +91,25 @@ class FrameMode(Effect):
     vanishes = True
 
     def apply(self, p: ContactParameters) -> None:
-        p.mode, p.mode_damping, p.mode_mass = 2.0 * math.pi * self.frequency, self.damping_ratio, self.mass
+        p.mode, p.mode_damping, p.mode_mass = (
+            2.0 * math.pi * self.frequency,
+            self.damping_ratio,
+            self.mass,
+        )
         p.reaction = float(self.variant.get("reads") == "reaction")
 
     def unfit(self, scenario: Scenario) -> str | None:
-        fastest = math.hypot(2.0 * math.pi * self.frequency, math.sqrt(scenario.mechanism.contact.stiffness / self.mass))
+        fastest = math.hypot(
+            2.0 * math.pi * self.frequency,
+            math.sqrt(scenario.mechanism.contact.stiffness / self.mass),
+        )
         steps = fastest * scenario.tick / scenario.substeps / MODE_STEP
         if steps > MOST_STEPS:
             return (
-                f"rings so fast that each step of the physics takes {steps:.3g} steps of the frame (allowed: {MOST_STEPS}); "
-                "give a lower frequency, a larger mass or a higher physics_rate, or use frame.compliance, its quasi-static limit"
+                f"rings so fast that each step of the physics takes {steps:.3g} steps of the "
+                f"frame (allowed: {MOST_STEPS}); "
+                "give a lower frequency, a larger mass or a higher physics_rate, or use "
+                "frame.compliance, its quasi-static limit"
             )
         return None
 
@@ -90,8 +117,16 @@ class FrameMode(Effect):
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         k = scales.stiffness
         lightest, heaviest = 1.0, max(2000.0, HEAVY * k)
-        stiff = [(f, ratio * k / (2.0 * math.pi * f) ** 2) for f in FREQUENCIES for ratio in STIFFNESS_RATIOS]
-        starts = list(dict.fromkeys((f, 0.03, min(max(mass, lightest), heaviest)) for f, mass in stiff))
+        stiff = [
+            (f, ratio * k / (2.0 * math.pi * f) ** 2)
+            for f in FREQUENCIES
+            for ratio in STIFFNESS_RATIOS
+        ]
+        starts = list(
+            dict.fromkeys((f, 0.03, min(max(mass, lightest), heaviest)) for f, mass in stiff)
+        )
         names = {"frequency": [], "damping_ratio": [], "mass": []}
         for variant in ({}, {"reads": "reaction"}):
-            yield candidate(cls, names, starts=starts, bounds={"mass": (lightest, heaviest)}, variant=variant)
+            yield candidate(
+                cls, names, starts=starts, bounds={"mass": (lightest, heaviest)}, variant=variant
+            )

@@ -16,8 +16,13 @@ if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
     from hiltestbed.scenario import Scenario
 
-Tilt = Annotated[tuple[Annotated[float, Field(ge=-45.0, le=45.0)], ...], Strict(False), Field(min_length=2, max_length=2)]
-LEVERS = ({}, {"lever": 0.0}, {"lever": 1.0})  # point of application of the force, from the undeformed surface (0) to the tip (1)
+Tilt = Annotated[
+    tuple[Annotated[float, Field(ge=-45.0, le=45.0)], ...],
+    Strict(False),
+    Field(min_length=2, max_length=2),
+]
+# point of application of the force, from the undeformed surface (0) to the tip (1)
+LEVERS = ({}, {"lever": 0.0}, {"lever": 1.0})
 
 
 @register
@@ -25,7 +30,9 @@ class ContactSurfaceFriction(Effect):
     """The coefficient of friction between the surfaces differs from the nominal one."""
 
     kind: Literal["contact.surface_friction"] = "contact.surface_friction"
-    coefficient: float = quantity("-", "True coefficient of friction", ge=0.0, le=10.0, search=(0.0, 1.0))
+    coefficient: float = quantity(
+        "-", "True coefficient of friction", ge=0.0, le=10.0, search=(0.0, 1.0)
+    )
     link = "contact"
     equation = "F_t = coefficient |F| v_t/sqrt(v_t^2 + (1e-4)^2)"
     reference = "Coulomb, regularised"
@@ -61,14 +68,19 @@ class ContactAdhesion(Effect):
 
     def unfit(self, scenario: Scenario) -> str | None:
         if scenario.mechanism.captured:
-            return f"acts where a contact ends, and a mechanism of kind {scenario.mechanism.kind} never separates; take it out"
+            return (
+                f"acts where a contact ends, and a mechanism of kind "
+                f"{scenario.mechanism.kind} never separates; take it out"
+            )
         return None
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         if not scales.captured:
             f = scales.force
-            yield candidate(cls, {"force": [0.01 * f, 0.04 * f, 0.15 * f]}, bounds={"force": (0.0, 0.8 * f)})
+            yield candidate(
+                cls, {"force": [0.01 * f, 0.04 * f, 0.15 * f]}, bounds={"force": (0.0, 0.8 * f)}
+            )
 
 
 @register
@@ -76,7 +88,11 @@ class ContactTouchOffset(Effect):
     """The mechanisms touch at a larger (or smaller) insertion than in the nominal rig."""
 
     kind: Literal["contact.touch_offset"] = "contact.touch_offset"
-    offset: float = quantity("m", "Distance along the insertion by which the touch comes later; negative: earlier", search=(-2e-3, 2e-3))
+    offset: float = quantity(
+        "m",
+        "Distance along the insertion by which the touch comes later; negative: earlier",
+        search=(-2e-3, 2e-3),
+    )
     link = "contact"
     equation = "x = pz - offset"
     reference = "position of the surface"
@@ -90,7 +106,9 @@ class ContactTouchOffset(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        yield candidate(cls, {"offset": [q * scales.depth for q in (-0.3, -0.1, -0.02, 0.02, 0.1, 0.3)]})
+        yield candidate(
+            cls, {"offset": [q * scales.depth for q in (-0.3, -0.1, -0.02, 0.02, 0.1, 0.3)]}
+        )
 
 
 @register
@@ -100,7 +118,10 @@ class ContactBacklash(Effect):
     kind: Literal["contact.backlash"] = "contact.backlash"
     width: float = quantity("m", "Total play, from stop to stop", ge=0.0, search=(0.0, 5e-3))
     link = "contact"
-    equation = "x = pz - (width/2) sgn(pz) where |pz| > width/2, else 0; with elastic dry friction the play moves along with the slider"
+    equation = (
+        "x = pz - (width/2) sgn(pz) where |pz| > width/2, else 0; with elastic dry "
+        "friction the play moves along with the slider"
+    )
     reference = "backlash of a joint"
     resembles = ("platform.backlash",)
     repeats = True
@@ -111,14 +132,21 @@ class ContactBacklash(Effect):
 
     def unfit(self, scenario: Scenario) -> str | None:
         if not (scenario.mechanism.captured or scenario.mechanism.latch):
-            return f"needs a latched mechanism (got {scenario.mechanism.kind!r} without a latch); allowed: kind latched, or a latch"
+            return (
+                f"needs a latched mechanism (got {scenario.mechanism.kind!r} without a "
+                f"latch); allowed: kind latched, or a latch"
+            )
         return None
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         if scales.captured:
             x = scales.depth
-            yield candidate(cls, {"width": [0.02 * x, 0.1 * x, 0.3 * x, 0.8 * x]}, bounds={"width": (0.0, 2.0 * x)})
+            yield candidate(
+                cls,
+                {"width": [0.02 * x, 0.1 * x, 0.3 * x, 0.8 * x]},
+                bounds={"width": (0.0, 2.0 * x)},
+            )
 
 
 @register
@@ -143,4 +171,6 @@ class ContactMisalignment(Effect):
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         starts = [(0.2, 0.2), (2.0, 2.0), (-2.0, -2.0)]
         for variant in LEVERS:
-            yield candidate(cls, {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=starts, variant=variant)
+            yield candidate(
+                cls, {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=starts, variant=variant
+            )

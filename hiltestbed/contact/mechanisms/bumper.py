@@ -24,7 +24,9 @@ class Bumper(Mechanism):
 
 @register
 class Latched(Mechanism):
-    """A mechanism captured from the start: springs and dampers on all six axes hold A at P, in tension as well as compression."""
+    """A mechanism captured from the start: springs and dampers on all six axes hold A at P, in
+    tension as well as compression.
+    """
 
     kind: Literal["latched"] = "latched"
     captured: ClassVar[bool] = True

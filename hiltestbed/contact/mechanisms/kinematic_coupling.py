@@ -10,7 +10,9 @@ from hiltestbed.plugins import register
 
 @register
 class KinematicCoupling(Described):
-    """Three balls that seat in three radial V-grooves: six contacts for six axes; latches draw them together, then hold."""
+    """Three balls that seat in three radial V-grooves: six contacts for six axes; latches draw them
+    together, then hold.
+    """
 
     kind: Literal["kinematic_coupling"] = "kinematic_coupling"
     folder: ClassVar[str] = "kinematic_coupling"

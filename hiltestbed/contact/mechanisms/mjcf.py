@@ -18,18 +18,28 @@ from hiltestbed.validation import ModelFile
 
 @register
 class Mjcf(Described):
-    """The user's own mechanism: two MJCF files with the sites A and P, geoms of any kind, and moving parts.
+    """The user's own mechanism: two MJCF files with the sites A and P, geoms of any kind, and
+    moving parts.
 
-    Without ``pairs`` every geom whose contype and conaffinity are not both 0 may touch, with the stiffness of ``contact``.
+    Without ``pairs`` every geom whose contype and conaffinity are not both 0 may touch, with the
+    stiffness of ``contact``.
     """
 
     kind: Literal["mjcf"] = "mjcf"
-    active: ModelFile = Field(description="MJCF of the active side, with the site A, its +z along the insertion")
-    passive: ModelFile = Field(description="MJCF of the passive side, with the site P, its +z along the insertion")
-    pairs: Annotated[tuple[Touching, ...], Field(strict=False)] = Field(
-        default=(), description="Classes of geom pairs that may touch, each with its stiffness, damping and friction"
+    active: ModelFile = Field(
+        description="MJCF of the active side, with the site A, its +z along the insertion"
     )
-    capture: Annotated[tuple[Phase, ...], Field(strict=False)] = Field(default=(), description="Phases of capture, in order")
+    passive: ModelFile = Field(
+        description="MJCF of the passive side, with the site P, its +z along the insertion"
+    )
+    pairs: Annotated[tuple[Touching, ...], Field(strict=False)] = Field(
+        default=(),
+        description="Classes of geom pairs that may touch, each with its stiffness, damping and "
+        "friction",
+    )
+    capture: Annotated[tuple[Phase, ...], Field(strict=False)] = Field(
+        default=(), description="Phases of capture, in order"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -38,7 +48,14 @@ class Mjcf(Described):
             return data
         pairs = data.get("pairs")
         first = pairs[0] if isinstance(pairs, (list, tuple)) and pairs else {}
-        return {**data, "contact": {k: first[k] for k in ("stiffness", "damping", "friction") if isinstance(first, dict) and k in first}}
+        return {
+            **data,
+            "contact": {
+                k: first[k]
+                for k in ("stiffness", "damping", "friction")
+                if isinstance(first, dict) and k in first
+            },
+        }
 
     def files(self) -> tuple[Path, Path]:
         return Path(self.active), Path(self.passive)

@@ -12,7 +12,9 @@ from hiltestbed.plugins import register
 
 @register
 class ProbeCone(Mechanism):
-    """A probe with a ball at its tip, and a cone with a socket at its apex, in which latches may capture the probe."""
+    """A probe with a ball at its tip, and a cone with a socket at its apex, in which latches may
+    capture the probe.
+    """
 
     kind: Literal["probe_cone"] = "probe_cone"
     latches: ClassVar[bool] = True

@@ -10,7 +10,9 @@ from hiltestbed.plugins import register
 
 @register
 class ProbeDrogue(Described):
-    """A probe whose head is on a compliant rod, and a drogue in whose socket the head's latches catch; the rod is then retracted."""
+    """A probe whose head is on a compliant rod, and a drogue in whose socket the head's latches
+    catch; the rod is then retracted.
+    """
 
     kind: Literal["probe_drogue"] = "probe_drogue"
     folder: ClassVar[str] = "probe_drogue"

@@ -1,7 +1,25 @@
-"""Surfaces for contact with a ball or rod: nearest point, signed distance and normal, exact or to the mesh's triangles."""
+"""Surfaces for contact with a ball or rod: nearest point, signed distance and normal, exact or to
+the mesh's triangles.
+"""
 
 from hiltestbed.contact.surfaces.revolution import Revolution, recognise
 from hiltestbed.contact.surfaces.soundness import Finding, examine
-from hiltestbed.contact.surfaces.surface import Surface, of_geom, of_mesh, segment_distance, signed_distance
+from hiltestbed.contact.surfaces.surface import (
+    Surface,
+    of_geom,
+    of_mesh,
+    segment_distance,
+    signed_distance,
+)
 
-__all__ = ["Finding", "Revolution", "Surface", "examine", "of_geom", "of_mesh", "recognise", "segment_distance", "signed_distance"]
+__all__ = [
+    "Finding",
+    "Revolution",
+    "Surface",
+    "examine",
+    "of_geom",
+    "of_mesh",
+    "recognise",
+    "segment_distance",
+    "signed_distance",
+]

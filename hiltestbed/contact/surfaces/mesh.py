@@ -1,8 +1,10 @@
-"""Distance from a closed triangle mesh: nearest triangle by a bounding-volume tree of oriented boxes, sign by pseudo-normals.
+"""Distance from a closed triangle mesh: nearest triangle by a bounding-volume tree of oriented
+boxes, sign by pseudo-normals.
 
-The sign at an edge or a corner is that of the angle-weighted pseudo-normal: J. A. Baerentzen, H. Aanaes, "Signed distance
-computation using the angle weighted pseudonormal", IEEE TVCG 11(3), 2005. Nearest point of a triangle by regions: C. Ericson,
-"Real-Time Collision Detection", 2005, 5.1.5. The returned normal is along the distance, from the nearest point to the query point.
+The sign at an edge or a corner is that of the angle-weighted pseudo-normal: J. A. Baerentzen, H.
+Aanaes, "Signed distance computation using the angle weighted pseudonormal", IEEE TVCG 11(3), 2005.
+Nearest point of a triangle by regions: C. Ericson, "Real-Time Collision Detection", 2005, 5.1.5.
+The returned normal is along the distance, from the nearest point to the query point.
 """
 
 from __future__ import annotations
@@ -25,10 +27,14 @@ class Tree(NamedTuple):
     """A mesh with its tree of boxes, in the order of its leaves.
 
     Attributes:
-        corners: (nf, 3, 3) [m]. normals: (nf, 7, 3) of the face, its edges (01, 12, 20) and its corners.
-        boxes: (nn, 15) centre, axes (rows of a rotation) and half sizes of the box around a node, along the principal axes of its
-            triangles: axis-aligned boxes would fit the long thin triangles of a mesh of revolution badly.
-        links: (nn, 2) both children; for a leaf -1 minus the index of its first triangle, and their number.
+        corners: (nf, 3, 3) [m]. normals: (nf, 7, 3) of the face, its edges (01, 12, 20) and its
+            corners.
+        boxes: (nn, 15) centre, axes (rows of a rotation) and half sizes of the box around a node,
+            along the principal axes of its
+            triangles: axis-aligned boxes would fit the long thin triangles of a mesh of revolution
+                badly.
+        links: (nn, 2) both children; for a leaf -1 minus the index of its first triangle, and their
+            number.
     """
 
     corners: Array
@@ -39,16 +45,25 @@ class Tree(NamedTuple):
 
 def no_tree() -> Tree:
     """An empty tree, for surfaces that are not a mesh."""
-    return Tree(np.empty((0, 3, 3)), np.empty((0, 7, 3)), np.empty((0, 15)), np.empty((0, 2), dtype=np.int64))
+    return Tree(
+        np.empty((0, 3, 3)),
+        np.empty((0, 7, 3)),
+        np.empty((0, 15)),
+        np.empty((0, 2), dtype=np.int64),
+    )
 
 
 def plant(vertices: Array, faces: NDArray[np.int_]) -> Tree:
-    """The tree of the mesh with ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3), without triangles of zero area."""
+    """The tree of the mesh with ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3), without triangles
+    of zero area.
+    """
     vertices, faces = welded(np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int))
     corners = vertices[faces]
     normals = _pseudo_normals(corners, faces, len(vertices))
     order, boxes, links = _split(corners)
-    return Tree(np.ascontiguousarray(corners[order]), np.ascontiguousarray(normals[order]), boxes, links)
+    return Tree(
+        np.ascontiguousarray(corners[order]), np.ascontiguousarray(normals[order]), boxes, links
+    )
 
 
 def _pseudo_normals(corners: Array, faces: NDArray[np.int_], count: int) -> Array:
@@ -64,16 +79,21 @@ def _pseudo_normals(corners: Array, faces: NDArray[np.int_], count: int) -> Arra
     number = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
     at_edge = np.zeros((number.max() + 1, 3))
     np.add.at(at_edge, number, np.repeat(face, 3, axis=0))
-    return np.concatenate([face[:, None], at_edge[number].reshape(-1, 3, 3), at_corner[faces]], axis=1)
+    return np.concatenate(
+        [face[:, None], at_edge[number].reshape(-1, 3, 3), at_corner[faces]], axis=1
+    )
 
 
 @njit(cache=True)
 def _split(corners):
-    """Order of the triangles, boxes and links of a tree that splits at the median along the axis of largest spread."""
+    """Order of the triangles, boxes and links of a tree that splits at the median along the axis of
+    largest spread.
+    """
     count = len(corners)
     order = np.arange(count)
     boxes, links = np.empty((2 * count, 15)), np.empty((2 * count, 2), dtype=np.int64)
-    todo = np.empty((DEEPEST, 4), dtype=np.int64)  # first and last triangle, parent and which of its children
+    # first and last triangle, parent and which of its children
+    todo = np.empty((DEEPEST, 4), dtype=np.int64)
     todo[0] = (0, count, -1, 0)
     top, nodes = 1, 0
     while top > 0:
@@ -133,7 +153,11 @@ def _box_round(corners, here, box):
         low, high = math.inf, -math.inf
         for k in here:
             for c in range(3):
-                along = corners[k, c, 0] * axes[0, i] + corners[k, c, 1] * axes[1, i] + corners[k, c, 2] * axes[2, i]
+                along = (
+                    corners[k, c, 0] * axes[0, i]
+                    + corners[k, c, 1] * axes[1, i]
+                    + corners[k, c, 2] * axes[2, i]
+                )
                 low, high = min(low, along), max(high, along)
         for j in range(3):
             box[3 + 3 * i + j] = axes[j, i]
@@ -143,10 +167,12 @@ def _box_round(corners, here, box):
 
 @njit(cache=True)
 def mesh_distance(tree, point, reach, normal):
-    """Distance [m] of ``point`` (3,) from the mesh, negative inside; ``normal`` (3,) becomes the outward normal.
+    """Distance [m] of ``point`` (3,) from the mesh, negative inside; ``normal`` (3,) becomes the
+    outward normal.
 
-    If the mesh is farther than ``reach`` on either side, a lower bound of the distance, at least ``reach``, is returned, without a normal:
-    on the axis of a cone all triangles of a band are equally near, and visiting them all would be slow.
+    If the mesh is farther than ``reach`` on either side, a lower bound of the distance, at least
+    ``reach``, is returned, without a normal: on the axis of a cone all triangles of a band are
+    equally near, and visiting them all would be slow.
     """
     best2, face, feature = reach * reach, -1, 0
     passed2 = math.inf
@@ -187,7 +213,11 @@ def mesh_distance(tree, point, reach, normal):
     distance = math.sqrt(best2)
     sign = 1.0 if dx * n[0] + dy * n[1] + dz * n[2] >= 0.0 else -1.0
     if distance > 1e-12:
-        normal[0], normal[1], normal[2] = sign * dx / distance, sign * dy / distance, sign * dz / distance
+        normal[0], normal[1], normal[2] = (
+            sign * dx / distance,
+            sign * dy / distance,
+            sign * dz / distance,
+        )
     else:
         length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
         normal[0], normal[1], normal[2] = n[0] / length, n[1] / length, n[2] / length
@@ -207,12 +237,16 @@ def _from_box(box, p):
 
 @njit(cache=True)
 def mesh_beyond(tree, start, end, reach):
-    """A lower bound of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,); -inf if it may be nearer than ``reach``.
+    """A lower bound of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,); -inf if
+    it may be nearer than ``reach``.
 
-    It is computed from the boxes, not from the triangles, and does not distinguish the inside from the outside of the mesh.
+    It is computed from the boxes, not from the triangles, and does not distinguish the inside from
+    the outside of the mesh.
     """
     bound = math.inf
-    half = 0.5 * math.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2)
+    half = 0.5 * math.sqrt(
+        (end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2
+    )
     stack = np.empty(DEEPEST, dtype=np.int64)
     stack[0], top = 0, 1
     while top > 0:
@@ -231,8 +265,9 @@ def mesh_beyond(tree, start, end, reach):
 
 @njit(cache=True)
 def _segment_from_box(box, start, end, half):
-    """A lower bound of the distance [m] of a segment of length 2 ``half`` from a box: between their projections on the axes of the box,
-    and between the bounding spheres of box and segment."""
+    """A lower bound of the distance [m] of a segment of length 2 ``half`` from a box: between their
+    projections on the axes of the box, and between the bounding spheres of box and segment.
+    """
     gaps2, away2, size2 = 0.0, 0.0, 0.0
     for i in range(3):
         a = b = 0.0
@@ -247,7 +282,9 @@ def _segment_from_box(box, start, end, half):
 
 @njit(cache=True)
 def _on_triangle(t, p):
-    """Nearest feature (0 face; 1, 2, 3 edges 01, 12, 20; 4, 5, 6 corners) and point of a triangle (3, 3)."""
+    """Nearest feature (0 face; 1, 2, 3 edges 01, 12, 20; 4, 5, 6 corners) and point of a triangle
+    (3, 3).
+    """
     abx, aby, abz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
     acx, acy, acz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
     x, y, z = p[0] - t[0, 0], p[1] - t[0, 1], p[2] - t[0, 2]
@@ -273,7 +310,12 @@ def _on_triangle(t, p):
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
         s = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        return 2, t[1, 0] + s * (t[2, 0] - t[1, 0]), t[1, 1] + s * (t[2, 1] - t[1, 1]), t[1, 2] + s * (t[2, 2] - t[1, 2])
+        return (
+            2,
+            t[1, 0] + s * (t[2, 0] - t[1, 0]),
+            t[1, 1] + s * (t[2, 1] - t[1, 1]),
+            t[1, 2] + s * (t[2, 2] - t[1, 2]),
+        )
     scale = 1.0 / (va + vb + vc)
     s, u = vb * scale, vc * scale
     return 0, t[0, 0] + s * abx + u * acx, t[0, 1] + s * aby + u * acy, t[0, 2] + s * abz + u * acz

@@ -1,12 +1,13 @@
 """Distance from a surface of revolution, exact in azimuth and along its profile.
 
-The profile lies in the half plane (rho, z) about the axis: straight segments and circular arcs, each with its outward normal. The
-nearest point of a surface of revolution lies in the half plane of the query point, which reduces the distance to two dimensions.
-At a corner the sign comes from the sum of the adjacent outward normals (the pseudo-normal of Baerentzen and Aanaes, IEEE TVCG 11(3),
+The profile lies in the half plane (rho, z) about the axis: straight segments and circular arcs,
+each with its outward normal. The nearest point of a surface of revolution lies in the half plane of
+the query point, which reduces the distance to two dimensions. At a corner the sign comes from the
+sum of the adjacent outward normals (the pseudo-normal of Baerentzen and Aanaes, IEEE TVCG 11(3),
 2005, in the plane).
 
-A profile is one array (1 + m, COLUMNS): row 0 holds a point on the axis, the axis, and a unit vector across it; each further row one
-element.
+A profile is one array (1 + m, COLUMNS): row 0 holds a point on the axis, the axis, and a unit
+vector across it; each further row one element.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from hiltestbed.frames import Array
 from hiltestbed.jit import njit
 
 SEGMENT, ARC = 0.0, 1.0
-# Columns of an element: kind; its two ends; for a segment the direction, the outward normal and the length; for an arc the centre, the
-# direction from the centre to its middle, radius, cosine of half the sweep, and +1 if the outward normal points away from the
-# centre, else -1; the pseudo-normals at both ends.
+# Columns of an element: kind; its two ends; for a segment the direction, the outward normal and the
+# length; for an arc the centre, the direction from the centre to its middle, radius, cosine of half
+# the sweep, and +1 if the outward normal points away from the centre, else -1; the pseudo-normals
+# at both ends.
 KIND, A, B, U, V, SIZE, COS_HALF, SIDE, NORMAL_A, NORMAL_B = 0, 1, 3, 5, 7, 9, 10, 11, 12, 14
 COLUMNS = 16
 TURNED = 100  # number of this kind of surface, distinct from MuJoCo's geom types
@@ -32,7 +34,8 @@ TOUCHING = 1e-13  # [m] distance below which the direction to a corner is undefi
 
 @dataclass(frozen=True)
 class Element:
-    """An element of a profile from ``a`` to ``b``, (rho, z) [m], with the outward side on the left of its direction.
+    """An element of a profile from ``a`` to ``b``, (rho, z) [m], with the outward side on the left
+    of its direction.
 
     Attributes:
         centre: of an arc; None: a straight segment. clockwise: sense of the arc.
@@ -45,9 +48,11 @@ class Element:
 
 
 def compile_profile(loops: list[list[Element]], origin: Array, axis: Array) -> Array:
-    """``(1 + m, COLUMNS)`` profile of chains of elements about the ``axis`` (3,) through ``origin`` (3,) [m].
+    """``(1 + m, COLUMNS)`` profile of chains of elements about the ``axis`` (3,) through ``origin``
+    (3,) [m].
 
-    In a chain each element begins where the previous one ends; a chain that ends at its start is closed.
+    In a chain each element begins where the previous one ends; a chain that ends at its start is
+    closed.
     """
     rows = [_head(origin, axis)]
     for loop in loops:
@@ -71,7 +76,12 @@ def _row(e: Element) -> Array:
     row[A : A + 2], row[B : B + 2] = a, b
     if e.centre is None:
         t = (b - a) / np.linalg.norm(b - a)
-        row[KIND], row[U : U + 2], row[V : V + 2], row[SIZE] = SEGMENT, t, (-t[1], t[0]), np.linalg.norm(b - a)
+        row[KIND], row[U : U + 2], row[V : V + 2], row[SIZE] = (
+            SEGMENT,
+            t,
+            (-t[1], t[0]),
+            np.linalg.norm(b - a),
+        )
         return row
     centre = np.array(e.centre)
     start, end = (math.atan2(p[1] - centre[1], p[0] - centre[0]) for p in (a, b))
@@ -79,7 +89,11 @@ def _row(e: Element) -> Array:
     middle = start - 0.5 * sweep if e.clockwise else start + 0.5 * sweep
     radius = 0.5 * (np.linalg.norm(a - centre) + np.linalg.norm(b - centre))
     row[KIND], row[U : U + 2], row[V : V + 2] = ARC, centre, (math.cos(middle), math.sin(middle))
-    row[SIZE], row[COS_HALF], row[SIDE] = radius, math.cos(0.5 * sweep), 1.0 if e.clockwise else -1.0
+    row[SIZE], row[COS_HALF], row[SIDE] = (
+        radius,
+        math.cos(0.5 * sweep),
+        1.0 if e.clockwise else -1.0,
+    )
     return row
 
 
@@ -94,7 +108,10 @@ def _end_normal(row: Array, end: Array) -> Array:
 def _join(loop: list[Element], rows: list[Array]) -> None:
     """Pseudo-normals at the ends; on the axis the neighbour is the element's own mirror image."""
     for i, (e, row) in enumerate(zip(loop, rows, strict=True)):
-        for end, at, neighbour, its_end in ((e.a, NORMAL_A, i - 1, B), (e.b, NORMAL_B, (i + 1) % len(rows), A)):
+        for end, at, neighbour, its_end in (
+            (e.a, NORMAL_A, i - 1, B),
+            (e.b, NORMAL_B, (i + 1) % len(rows), A),
+        ):
             normal = _end_normal(row, np.array(end)).copy()
             other = rows[neighbour]
             if end[0] == 0.0:
@@ -102,7 +119,9 @@ def _join(loop: list[Element], rows: list[Array]) -> None:
             elif np.allclose(other[its_end : its_end + 2], end, rtol=0.0, atol=0.0):
                 normal += _end_normal(other, np.array(end))
             length = np.linalg.norm(normal)
-            row[at : at + 2] = normal / length if length > 1e-12 else _end_normal(row, np.array(end))
+            row[at : at + 2] = (
+                normal / length if length > 1e-12 else _end_normal(row, np.array(end))
+            )
 
 
 def profile_bounds(profile: Array) -> tuple[Array, float]:
@@ -118,7 +137,9 @@ def profile_bounds(profile: Array) -> tuple[Array, float]:
 
 @njit(cache=True)
 def profile_distance(profile, point, normal):
-    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the outward normal."""
+    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the
+    outward normal.
+    """
     head = profile[0]
     x, y, z = point[0] - head[0], point[1] - head[1], point[2] - head[2]
     h = x * head[3] + y * head[4] + z * head[5]
@@ -137,15 +158,21 @@ def profile_distance(profile, point, normal):
 
 @njit(cache=True, inline="always")
 def between(first, second, length):
-    """Lower bound of the distance on an interval of ``length`` [m] at whose ends it is ``first`` and ``second`` [m].
+    """Lower bound of the distance on an interval of ``length`` [m] at whose ends it is ``first``
+    and ``second`` [m].
 
-    The distance is Lipschitz continuous with constant 1 (Piyavskii, USSR Comput. Math. 12(4), 1972): it is at least the mean of both less
-    half the length. Outside, no point of the surface is within the balls around the ends with these radii, so that its distance from the
-    interval is at least the radius of the circle in which the balls intersect.
+    The distance is Lipschitz continuous with constant 1 (Piyavskii, USSR Comput. Math. 12(4),
+    1972): it is at least the mean of both less half the length. Outside, no point of the surface is
+    within the balls around the ends with these radii, so that its distance from the interval is at
+    least the radius of the circle in which the balls intersect.
     """
     least = 0.5 * (first + second - length)
     if first > 0.0 and second > 0.0 and length < first + second:
-        cut = 0.5 * (length * length + first * first - second * second) / length if length > 0.0 else 0.0
+        cut = (
+            0.5 * (length * length + first * first - second * second) / length
+            if length > 0.0
+            else 0.0
+        )
         if cut <= 0.0:
             least = max(least, first)
         elif cut >= length:
@@ -157,7 +184,8 @@ def between(first, second, length):
 
 @njit(cache=True)
 def beyond(profile, start, end, reach):
-    """A lower bound of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,); less than ``reach`` if it may be nearer.
+    """A lower bound of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,); less than
+    ``reach`` if it may be nearer.
 
     In the half plane (rho, z) the segment is a hyperbola: rho^2 is quadratic along it.
     """
@@ -212,9 +240,14 @@ def _in_plane(profile, rho, z):
                     if away > TOUCHING:
                         nr, nz = profile[i, SIDE] * dr / away, profile[i, SIDE] * dz / away
                     else:  # at the centre of an arc all its points are equally near
-                        nr, nz = profile[i, SIDE] * profile[i, V], profile[i, SIDE] * profile[i, V + 1]
+                        nr, nz = (
+                            profile[i, SIDE] * profile[i, V],
+                            profile[i, SIDE] * profile[i, V + 1],
+                        )
                 continue
-            first = (rho - profile[i, A]) ** 2 + (z - profile[i, A + 1]) ** 2 <= (rho - profile[i, B]) ** 2 + (z - profile[i, B + 1]) ** 2
+            first = (rho - profile[i, A]) ** 2 + (z - profile[i, A + 1]) ** 2 <= (
+                rho - profile[i, B]
+            ) ** 2 + (z - profile[i, B + 1]) ** 2
         at, by = (A, NORMAL_A) if first else (B, NORMAL_B)
         dr, dz = rho - profile[i, at], z - profile[i, at + 1]
         away = math.sqrt(dr * dr + dz * dz)

@@ -1,8 +1,9 @@
 """Recognises a triangle mesh of a surface of revolution, and recovers its profile.
 
-The vertices of such a mesh lie on rings about the axis, and every triangle spans two neighbouring rings (or one ring and the axis).
-Vertices on one ring share (rho, z), and the triangles determine which rings are neighbours, so the profile's polyline follows
-uniquely. Its points lie on the curve from which the mesh was made: collinear points become one segment, points on a circle one arc.
+The vertices of such a mesh lie on rings about the axis, and every triangle spans two neighbouring
+rings (or one ring and the axis). Vertices on one ring share (rho, z), and the triangles determine
+which rings are neighbours, so the profile's polyline follows uniquely. Its points lie on the curve
+from which the mesh was made: collinear points become one segment, points on a circle one arc.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from hiltestbed.frames import Array
 Faces = NDArray[np.int_]
 TOLERANCE = 2e-6  # of the mesh's size: float32 vertices, or text with six decimals of a metre
 FEWEST_SEGMENTS = 24  # per revolution; a mesh with fewer is treated as a polyhedron
-SHARPEST_TURN = math.radians(31.0)  # largest angle between two edges of one arc: excludes an octagon, admits a quarter turn in three edges
+# largest angle between two edges of one arc: excludes an octagon, admits a quarter turn in three
+# edges
+SHARPEST_TURN = math.radians(31.0)
 FEWEST_ON_ARC = 4  # points; three always lie on a circle
 
 
@@ -28,10 +31,12 @@ class Revolution:
     """A surface of revolution.
 
     Attributes:
-        profile: for :func:`hiltestbed.contact.surfaces.profile.profile_distance`, in the frame of the mesh.
+        profile: for :func:`hiltestbed.contact.surfaces.profile.profile_distance`, in the frame of
+            the mesh.
         loops: the chains of elements of the profile, in (rho, z).
         origin, axis: (3,) a point on the axis [m] and its direction, in the frame of the mesh.
-        segments: of the mesh per revolution. closed: whether it bounds a solid. deviation: largest, of a vertex from the profile [m].
+        segments: of the mesh per revolution. closed: whether it bounds a solid. deviation: largest,
+            of a vertex from the profile [m].
     """
 
     profile: Array
@@ -44,9 +49,11 @@ class Revolution:
 
 
 def recognise(vertices: Array, faces: Faces, tolerance: float = TOLERANCE) -> Revolution | None:
-    """The surface of revolution whose mesh has the ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); None if it is not such a mesh.
+    """The surface of revolution whose mesh has the ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3);
+    None if it is not such a mesh.
 
-    ``tolerance`` is relative to the largest extent of the mesh's bounding box. The triangles' normals point outwards.
+    ``tolerance`` is relative to the largest extent of the mesh's bounding box. The triangles'
+    normals point outwards.
     """
     vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int)
     if len(faces) < FEWEST_SEGMENTS:
@@ -60,21 +67,33 @@ def recognise(vertices: Array, faces: Faces, tolerance: float = TOLERANCE) -> Re
 
 
 def _axes(vertices: Array, faces: Faces) -> list[tuple[Array, Array]]:
-    """Candidate axes: those of the frame through its origin, and those of the frame and the principal axes through the centroid."""
+    """Candidate axes: those of the frame through its origin, and those of the frame and the
+    principal axes through the centroid.
+    """
     corners = vertices[faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
     if area.sum() <= 0.0:
         return []
     centre = np.average(corners.mean(axis=1), axis=0, weights=area)
     arms = corners - centre
     total = arms.sum(axis=1)
-    moments = np.einsum("f,fki,fkj->ij", area, arms, arms) + np.einsum("f,fi,fj->ij", area, total, total)
+    moments = np.einsum("f,fki,fkj->ij", area, arms, arms) + np.einsum(
+        "f,fi,fj->ij", area, total, total
+    )
     principal = np.linalg.eigh(moments)[1].T
     frame = np.eye(3)[[2, 0, 1]]
-    return [(np.zeros(3), a) for a in frame] + [(centre, a) for a in frame] + [(centre, a) for a in principal]
+    return (
+        [(np.zeros(3), a) for a in frame]
+        + [(centre, a) for a in frame]
+        + [(centre, a) for a in principal]
+    )
 
 
-def _about(vertices: Array, faces: Faces, origin: Array, axis: Array, tolerance: float) -> Revolution | None:
+def _about(
+    vertices: Array, faces: Faces, origin: Array, axis: Array, tolerance: float
+) -> Revolution | None:
     arms = vertices - origin
     z = arms @ axis
     across = arms - z[:, None] * axis
@@ -94,13 +113,19 @@ def _about(vertices: Array, faces: Faces, origin: Array, axis: Array, tolerance:
     loops = [_fit(rings[c], tolerance) for c in chains]
     off = rings[:, 0] > 0.0
     segments = int(min(np.bincount(ring, minlength=len(rings))[off]))
-    closed = all(c[0] == c[-1] or (rings[c[0], 0] == 0.0 and rings[c[-1], 0] == 0.0) for c in chains)
+    closed = all(
+        c[0] == c[-1] or (rings[c[0], 0] == 0.0 and rings[c[-1], 0] == 0.0) for c in chains
+    )
     profile = compile_profile(loops, origin, axis)
-    return Revolution(profile, loops, origin, axis, segments, closed, _deviation(loops, chains, rings))
+    return Revolution(
+        profile, loops, origin, axis, segments, closed, _deviation(loops, chains, rings)
+    )
 
 
 def _group(rho: Array, z: Array, tolerance: float) -> tuple[NDArray[np.int_] | None, Array]:
-    """The ring (nv,) of each vertex and (rho, z) of the rings; None if there are too many rings for a mesh of revolution."""
+    """The ring (nv,) of each vertex and (rho, z) of the rings; None if there are too many rings for
+    a mesh of revolution.
+    """
     ring = np.full(len(rho), -1, dtype=int)
     rings: list[tuple[float, float]] = []
     order = np.lexsort((rho, z))
@@ -118,8 +143,12 @@ def _group(rho: Array, z: Array, tolerance: float) -> tuple[NDArray[np.int_] | N
     return ring, np.array(rings)
 
 
-def _edges(faces: Faces, ring: NDArray[np.int_], rings: Array, azimuth: Array, tolerance: float) -> list[tuple[int, int]] | None:
-    """The profile's edges (a, b), outward side on the left; None if the triangles between two rings do not go round exactly once."""
+def _edges(
+    faces: Faces, ring: NDArray[np.int_], rings: Array, azimuth: Array, tolerance: float
+) -> list[tuple[int, int]] | None:
+    """The profile's edges (a, b), outward side on the left; None if the triangles between two rings
+    do not go round exactly once.
+    """
     turned: dict[tuple[int, int], list[float]] = {}
     on_axis = rings[:, 0] == 0.0
     for face in faces:
@@ -131,13 +160,16 @@ def _edges(faces: Faces, ring: NDArray[np.int_], rings: Array, azimuth: Array, t
             span = float((azimuth[q] - azimuth[p] + math.pi) % (2.0 * math.pi) - math.pi)
             if abs(span) > 2.1 * math.pi / FEWEST_SEGMENTS:
                 return None
-            # Counter-clockwise along ring a with the triangle on its left: seen from the axis, the outward side is left of b -> a.
+            # Counter-clockwise along ring a with the triangle on its left: seen from the axis, the
+            # outward side is left of b -> a.
             key = (b, a) if span > 0.0 else (a, b)
             turned.setdefault(key, [0.0, 0.0])[0 if key[0] == a else 1] += abs(span)
             break
         else:
             seen = ring[face]
-            if len(set(seen.tolist())) == 3 or (len(set(seen.tolist())) == 1 and not on_axis[seen[0]]):
+            if len(set(seen.tolist())) == 3 or (
+                len(set(seen.tolist())) == 1 and not on_axis[seen[0]]
+            ):
                 return None  # across three rings, or a cap without a point on the axis
     for (a, b), spans in turned.items():
         for end, span in zip((a, b), spans, strict=True):
@@ -147,7 +179,9 @@ def _edges(faces: Faces, ring: NDArray[np.int_], rings: Array, azimuth: Array, t
 
 
 def _chains(edges: list[tuple[int, int]]) -> list[list[int]] | None:
-    """Rings in order along each chain, the first repeated at the end of a closed chain; None if the edges form no simple chains."""
+    """Rings in order along each chain, the first repeated at the end of a closed chain; None if the
+    edges form no simple chains.
+    """
     after = dict(edges)
     if len(after) != len(edges) or len(set(after.values())) != len(edges):
         return None
@@ -164,7 +198,9 @@ def _chains(edges: list[tuple[int, int]]) -> list[list[int]] | None:
 
 
 def _fit(points: Array, tolerance: float) -> list[Element]:
-    """Segments and arcs through the polyline ``points`` (n, 2); a closed polyline ends with its first point."""
+    """Segments and arcs through the polyline ``points`` (n, 2); a closed polyline ends with its
+    first point.
+    """
     closed = bool(np.all(points[0] == points[-1]))
     if closed:
         points = _from_a_corner(points, tolerance)
@@ -185,7 +221,10 @@ def _from_a_corner(points: Array, tolerance: float) -> Array:
     for i in range(len(ring)):
         turned = np.roll(ring, -i, axis=0)
         around = np.concatenate([turned[-(FEWEST_ON_ARC - 1) :], turned[:FEWEST_ON_ARC]])
-        through = any(_circle(around[k : k + FEWEST_ON_ARC], tolerance) is not None for k in range(1, FEWEST_ON_ARC - 1))
+        through = any(
+            _circle(around[k : k + FEWEST_ON_ARC], tolerance) is not None
+            for k in range(1, FEWEST_ON_ARC - 1)
+        )
         middle = FEWEST_ON_ARC - 1
         if not through and _off_line(around[middle - 1 : middle + 2]) > tolerance:
             return np.concatenate([turned, turned[:1]])
@@ -197,7 +236,14 @@ def _off_line(points: Array) -> float:
     length = float(np.linalg.norm(t))
     if length == 0.0:
         return math.inf
-    return float(np.abs((points[:, 0] - points[0, 0]) * t[1] - (points[:, 1] - points[0, 1]) * t[0]).max()) / length
+    return (
+        float(
+            np.abs(
+                (points[:, 0] - points[0, 0]) * t[1] - (points[:, 1] - points[0, 1]) * t[0]
+            ).max()
+        )
+        / length
+    )
 
 
 def _longest_line(points: Array, start: int, tolerance: float) -> int:
@@ -219,20 +265,33 @@ def _longest_arc(points: Array, start: int, tolerance: float) -> tuple[int, Arra
 
 
 def _circle(points: Array, tolerance: float) -> Array | None:
-    """Centre and radius (3,) of the circle through all the points, in one sense of rotation; None if there is none.
+    """Centre and radius (3,) of the circle through all the points, in one sense of rotation; None
+    if there is none.
 
-    Starts from the algebraic fit (Kasa), then Gauss-Newton on the distances; a centre within the tolerance of the axis is put on it.
+    Starts from the algebraic fit (Kasa), then Gauss-Newton on the distances; a centre within the
+    tolerance of the axis is put on it.
     """
     edges = np.diff(points, axis=0)
-    turns = np.arctan2(edges[:-1, 0] * edges[1:, 1] - edges[:-1, 1] * edges[1:, 0], np.einsum("ij,ij->i", edges[:-1], edges[1:]))
-    if np.abs(turns).max() > SHARPEST_TURN or np.ptp(np.sign(turns)) != 0.0 or abs(turns.sum()) > 2.0 * math.pi:
+    turns = np.arctan2(
+        edges[:-1, 0] * edges[1:, 1] - edges[:-1, 1] * edges[1:, 0],
+        np.einsum("ij,ij->i", edges[:-1], edges[1:]),
+    )
+    if (
+        np.abs(turns).max() > SHARPEST_TURN
+        or np.ptp(np.sign(turns)) != 0.0
+        or abs(turns.sum()) > 2.0 * math.pi
+    ):
         return None
     if _off_line(points) <= 2.0 * tolerance:
         return None
     origin = points.mean(axis=0)
     p = points - origin
-    solved = np.linalg.lstsq(np.column_stack([2.0 * p, np.ones(len(p))]), (p * p).sum(axis=1), rcond=None)[0]
-    circle = np.array([solved[0], solved[1], math.sqrt(max(solved[2] + solved[0] ** 2 + solved[1] ** 2, 0.0))])
+    solved = np.linalg.lstsq(
+        np.column_stack([2.0 * p, np.ones(len(p))]), (p * p).sum(axis=1), rcond=None
+    )[0]
+    circle = np.array(
+        [solved[0], solved[1], math.sqrt(max(solved[2] + solved[0] ** 2 + solved[1] ** 2, 0.0))]
+    )
     circle = _refined(p, circle, fixed=False)
     if abs(circle[0] + origin[0]) <= tolerance:
         circle[0] = -origin[0]

@@ -1,8 +1,9 @@
 """Distance from the analytic geoms of MuJoCo, in the geom's frame and with MuJoCo's sizes.
 
-plane: z <= 0 is inside, unbounded. sphere: (radius). capsule, cylinder: (radius, half length) along z. box: half sizes. ellipsoid:
-semi-axes. Box and cylinder by the usual decomposition into faces, edges and corners; ellipsoid after D. Eberly, "Distance from a
-Point to an Ellipse, an Ellipsoid, or a Hyperellipsoid", 2013, with Newton's method in place of bisection.
+plane: z <= 0 is inside, unbounded. sphere: (radius). capsule, cylinder: (radius, half length) along
+z. box: half sizes. ellipsoid: semi-axes. Box and cylinder by the usual decomposition into faces,
+edges and corners; ellipsoid after D. Eberly, "Distance from a Point to an Ellipse, an Ellipsoid, or
+a Hyperellipsoid", 2013, with Newton's method in place of bisection.
 """
 
 from __future__ import annotations
@@ -25,9 +26,11 @@ KINDS = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 
 @njit(cache=True)
 def shape_distance(kind, sizes, point, normal):
-    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the outward normal.
+    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the
+    outward normal.
 
-    If several points of the surface are equally near (as from the centre of a sphere), one of them is taken.
+    If several points of the surface are equally near (as from the centre of a sphere), one of them
+    is taken.
     """
     if kind == SPHERE:
         return _ball(point[0], point[1], point[2], sizes[0], normal)
@@ -91,7 +94,9 @@ def _box(sizes, point, normal):
 
 @njit(cache=True)
 def _ellipsoid(sizes, point, normal):
-    """The nearest point is x_i = a_i^2 p_i/(t + a_i^2) with sum (a_i p_i/(t + a_i^2))^2 = 1, t > -min a^2."""
+    """The nearest point is x_i = a_i^2 p_i/(t + a_i^2) with sum (a_i p_i/(t + a_i^2))^2 = 1, t >
+    -min a^2.
+    """
     least = 0
     for i in range(1, 3):
         if sizes[i] < sizes[least]:
@@ -105,7 +110,8 @@ def _ellipsoid(sizes, point, normal):
         x = a2 * point[i] / (t + a2) if t + a2 > 0.0 else 0.0
         apart += (x / sizes[i]) ** 2
         normal[i] = x
-    if 1.0 - apart > 1e-12:  # inside, on the medial surface of the shortest axis: both directions are equally near
+    # inside, on the medial surface of the shortest axis: both directions are equally near
+    if 1.0 - apart > 1e-12:
         normal[least] += math.copysign(sizes[least] * math.sqrt(1.0 - apart), point[least])
     length, distance = 0.0, 0.0
     for i in range(3):
@@ -120,7 +126,9 @@ def _ellipsoid(sizes, point, normal):
 
 @njit(cache=True)
 def _multiplier(sizes, point, t):
-    """Root of the decreasing convex function sum (a_i p_i/(t + a_i^2))^2 - 1, from a ``t`` below it."""
+    """Root of the decreasing convex function sum (a_i p_i/(t + a_i^2))^2 - 1, from a ``t`` below
+    it.
+    """
     for _ in range(200):
         value, slope = -1.0, 0.0
         for i in range(3):
@@ -140,5 +148,7 @@ def _multiplier(sizes, point, t):
 
 
 def sized(kind: int, sizes: np.ndarray) -> np.ndarray:
-    """The sizes (3,) of a geom for the distance: zero for a plane, whose size in MuJoCo is only for drawing."""
+    """The sizes (3,) of a geom for the distance: zero for a plane, whose size in MuJoCo is only for
+    drawing.
+    """
     return np.zeros(3) if kind == PLANE else np.array(sizes, dtype=float)

@@ -21,7 +21,8 @@ class Finding:
 
     Attributes:
         kind: too_large | too_small | not_finite | flat | open | branched | crossed | inverted.
-        count: of the triangles, edges or vertices concerned. message: the fault and its remedy. usable: whether distances are still valid.
+        count: of the triangles, edges or vertices concerned. message: the fault and its remedy.
+            usable: whether distances are still valid.
     """
 
     kind: str
@@ -33,7 +34,12 @@ class Finding:
 def welded(vertices: Array, faces: NDArray[np.int_]) -> tuple[Array, NDArray[np.int_]]:
     """The mesh with coincident vertices merged, without triangles of zero area."""
     size = float(np.ptp(vertices, axis=0).max()) or 1.0
-    _, first, number = np.unique(np.round(vertices / (SAME_PLACE * size)).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    _, first, number = np.unique(
+        np.round(vertices / (SAME_PLACE * size)).astype(np.int64),
+        axis=0,
+        return_index=True,
+        return_inverse=True,
+    )
     vertices, faces = vertices[first], number.reshape(-1)[faces]
     return vertices, faces[~_flat(vertices, faces)]
 
@@ -52,21 +58,37 @@ def volume(vertices: Array, faces: NDArray[np.int_]) -> float:
 
 
 def examine(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
-    """All faults of the mesh with ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); empty for a valid closed mesh."""
+    """All faults of the mesh with ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); empty for a valid
+    closed mesh.
+    """
     vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int)
     if len(faces) > MOST_TRIANGLES:
-        what = f"{len(faces)} triangles; at most {MOST_TRIANGLES} are taken: simplify the mesh, or split it into geoms"
+        what = (
+            f"{len(faces)} triangles; at most {MOST_TRIANGLES} are taken: simplify the "
+            f"mesh, or split it into geoms"
+        )
         return [Finding("too_large", len(faces), what, usable=False)]
     if len(faces) < FEWEST_TRIANGLES:
-        return [Finding("too_small", len(faces), f"{len(faces)} triangles bound no solid; the fewest are {FEWEST_TRIANGLES}", usable=False)]
+        return [
+            Finding(
+                "too_small",
+                len(faces),
+                f"{len(faces)} triangles bound no solid; the fewest are {FEWEST_TRIANGLES}",
+                usable=False,
+            )
+        ]
     lost = int((~np.isfinite(vertices)).any(axis=1).sum())
     if lost:
-        return [Finding("not_finite", lost, f"{lost} vertices are not finite numbers", usable=False)]
+        return [
+            Finding("not_finite", lost, f"{lost} vertices are not finite numbers", usable=False)
+        ]
     sound, kept = welded(vertices, faces)
     findings = []
     flat = len(faces) - len(kept)
     if flat:
-        findings.append(Finding("flat", flat, f"{flat} triangles without area; they are left out", usable=True))
+        findings.append(
+            Finding("flat", flat, f"{flat} triangles without area; they are left out", usable=True)
+        )
     if len(kept) < FEWEST_TRIANGLES:
         what = f"only {len(kept)} triangles have an area"
         return [*findings, Finding("too_small", len(kept), what, usable=False)]
@@ -75,14 +97,24 @@ def examine(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
 
 def _edges(faces: NDArray[np.int_]) -> list[Finding]:
     directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    _, number, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    forward = np.bincount(number.reshape(-1), weights=directed[:, 0] < directed[:, 1], minlength=len(count))
+    _, number, count = np.unique(
+        np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    forward = np.bincount(
+        number.reshape(-1), weights=directed[:, 0] < directed[:, 1], minlength=len(count)
+    )
     findings = []
     if n := int((count == 1).sum()):
-        what = f"{n} edges belong to one triangle only: the mesh is not closed, so inside and outside are undefined; close it"
+        what = (
+            f"{n} edges belong to one triangle only: the mesh is not closed, so inside "
+            f"and outside are undefined; close it"
+        )
         findings.append(Finding("open", n, what, usable=False))
     if n := int((count > 2).sum()):
-        what = f"{n} edges belong to more than two triangles: surfaces branch there; make the mesh one boundary of one solid"
+        what = (
+            f"{n} edges belong to more than two triangles: surfaces branch there; make "
+            f"the mesh one boundary of one solid"
+        )
         findings.append(Finding("branched", n, what, usable=False))
     if n := int(((count == 2) & (forward != 1.0)).sum()):
         what = f"{n} edges lie between triangles of opposite orientation; flip the inverted faces"
@@ -92,6 +124,9 @@ def _edges(faces: NDArray[np.int_]) -> list[Finding]:
 
 def _orientation(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
     if volume(vertices - vertices.mean(axis=0), faces) < 0.0:
-        what = "the normals of all faces point inwards: the enclosed volume is negative; flip the faces"
+        what = (
+            "the normals of all faces point inwards: the enclosed volume is negative; "
+            "flip the faces"
+        )
         return [Finding("inverted", len(faces), what, usable=False)]
     return []

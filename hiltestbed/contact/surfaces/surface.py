@@ -1,4 +1,6 @@
-"""A surface of any kind, and its distance from a point (a ball's centre) or a segment (the axis of a rod)."""
+"""A surface of any kind, and its distance from a point (a ball's centre) or a segment (the axis of
+a rod).
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ PARTS = 2**HALVINGS
 
 
 class Surface(NamedTuple):
-    """A surface in the frame of its geom: one of MuJoCo's geoms (``kind``, ``sizes`` (3,)), a profile or a tree of triangles."""
+    """A surface in the frame of its geom: one of MuJoCo's geoms (``kind``, ``sizes`` (3,)), a
+    profile or a tree of triangles.
+    """
 
     kind: int
     sizes: Array
@@ -37,7 +41,9 @@ def of_geom(kind: int, sizes: Array) -> Surface:
 
 
 def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, list[Finding]]:
-    """The surface of a mesh, exact for a mesh of revolution, and its faults; None if the mesh is not usable."""
+    """The surface of a mesh, exact for a mesh of revolution, and its faults; None if the mesh is
+    not usable.
+    """
     findings = examine(vertices, faces)
     if not all(f.usable for f in findings):
         return None, findings
@@ -72,10 +78,12 @@ def bounds(surface: Surface) -> tuple[Array, float]:
 
 @njit(cache=True)
 def signed_distance(surface, point, reach, normal):
-    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the outward normal.
+    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the
+    outward normal.
 
-    For a mesh farther than ``reach`` [m] on either side a lower bound, at least ``reach``, is returned, without a normal; ``reach`` must
-    be at least the radius of the body that touches plus its largest penetration. Other surfaces are exact everywhere.
+    For a mesh farther than ``reach`` [m] on either side a lower bound, at least ``reach``, is
+    returned, without a normal; ``reach`` must be at least the radius of the body that touches plus
+    its largest penetration. Other surfaces are exact everywhere.
     """
     if surface.kind == TURNED:
         return profile_distance(surface.profile, point, normal)
@@ -86,10 +94,11 @@ def signed_distance(surface, point, reach, normal):
 
 @njit(cache=True)
 def segment_beyond(surface, start, end, reach):
-    """A lower bound of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,), at a fraction of the cost of the distance.
+    """A lower bound of the distance [m] of a segment from ``start`` (3,) to ``end`` (3,), at a
+    fraction of the cost of the distance.
 
-    At least ``reach`` if the segment is certainly farther, -inf if undecided. For a mesh of revolution
-    see :func:`hiltestbed.contact.surfaces.profile.beyond`.
+    At least ``reach`` if the segment is certainly farther, -inf if undecided. For a mesh of
+    revolution see :func:`hiltestbed.contact.surfaces.profile.beyond`.
     """
     if surface.kind == MESH:
         return mesh_beyond(surface.tree, start, end, reach)
@@ -100,16 +109,20 @@ def segment_beyond(surface, start, end, reach):
 def segment_distance(surface, start, end, reach, normal, nearest):
     """Least signed distance [m] of the points of a segment from ``start`` (3,) to ``end`` (3,).
 
-    ``normal`` (3,) becomes the surface's outward normal at that point, which is written to ``nearest`` (3,). Only a distance below
-    ``reach`` is searched for; otherwise a lower bound, at least ``reach``, is returned. An interval that may contain a smaller distance
-    than the best so far (:func:`hiltestbed.contact.surfaces.profile.between`) is halved, down to 1/PARTS of the segment; there a minimum
-    is located where the slope along the segment changes sign.
+    ``normal`` (3,) becomes the surface's outward normal at that point, which is written to
+    ``nearest`` (3,). Only a distance below ``reach`` is searched for; otherwise a lower bound, at
+    least ``reach``, is returned. An interval that may contain a smaller distance than the best so
+    far (:func:`hiltestbed.contact.surfaces.profile.between`) is halved, down to 1/PARTS of the
+    segment; there a minimum is located where the slope along the segment changes sign.
     """
-    length = math.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2)
+    length = math.sqrt(
+        (end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2
+    )
     d1, g1 = _along(surface, start, end, 1.0, reach, normal, nearest)
     d0, g0 = _along(surface, start, end, 0.0, reach, normal, nearest)
     best, at, bound = (d0, 0.0, d0) if d0 <= d1 else (d1, 1.0, d1)
-    ends = np.empty((HALVINGS + 1, 3))  # right ends of the intervals that are still to be searched, the nearest last
+    # right ends of the intervals that are still to be searched, the nearest last
+    ends = np.empty((HALVINGS + 1, 3))
     ends[0, 0], ends[0, 1], ends[0, 2] = 1.0, d1, g1
     count, t0 = 1, 0.0
     while count > 0:
@@ -140,7 +153,9 @@ def segment_distance(surface, start, end, reach, normal, nearest):
 
 @njit(cache=True)
 def _along(surface, start, end, t, reach, normal, place):
-    """Distance of the point at ``t`` (0 to 1) of the segment, and its derivative with respect to t."""
+    """Distance of the point at ``t`` (0 to 1) of the segment, and its derivative with respect to
+    t.
+    """
     for j in range(3):
         place[j] = start[j] + t * (end[j] - start[j])
     d = signed_distance(surface, place, reach, normal)
@@ -152,10 +167,16 @@ def _along(surface, start, end, t, reach, normal, place):
 
 @njit(cache=True)
 def _turning(surface, start, end, low, high, slope_low, slope_high, reach, normal, place):
-    """Where the slope changes sign between ``low`` and ``high``: the Illinois method, with a bisection in every fourth step."""
+    """Where the slope changes sign between ``low`` and ``high``: the Illinois method, with a
+    bisection in every fourth step.
+    """
     t, d, side = low, math.inf, 0
     for k in range(80):
-        t = 0.5 * (low + high) if k % 4 == 3 else (low * slope_high - high * slope_low) / (slope_high - slope_low)
+        t = (
+            0.5 * (low + high)
+            if k % 4 == 3
+            else (low * slope_high - high * slope_low) / (slope_high - slope_low)
+        )
         d, slope = _along(surface, start, end, t, reach, normal, place)
         if slope == 0.0 or high - low < 1e-15:
             break

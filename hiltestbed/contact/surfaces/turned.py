@@ -1,4 +1,6 @@
-"""Revolves a profile about the z axis into a triangle mesh whose rings lie exactly on the profile's curve."""
+"""Revolves a profile about the z axis into a triangle mesh whose rings lie exactly on the profile's
+curve.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from hiltestbed.frames import Array
 
 
 def polyline(loop: list[Element], arc_step: float) -> Array:
-    """``(n, 2)`` points on the chain ``loop``, ends included, arcs in steps of at most ``arc_step`` [rad]."""
+    """``(n, 2)`` points on the chain ``loop``, ends included, arcs in steps of at most ``arc_step``
+    [rad].
+    """
     points = [loop[0].a]
     for e in loop:
         if e.centre is not None:
@@ -24,7 +28,10 @@ def polyline(loop: list[Element], arc_step: float) -> Array:
 
 def _on_arc(e: Element, arc_step: float) -> list[tuple[float, float]]:
     assert e.centre is not None
-    (rho, z), (start, end) = e.centre, (math.atan2(p[1] - e.centre[1], p[0] - e.centre[0]) for p in (e.a, e.b))
+    (rho, z), (start, end) = (
+        e.centre,
+        (math.atan2(p[1] - e.centre[1], p[0] - e.centre[0]) for p in (e.a, e.b)),
+    )
     radius = math.hypot(e.a[0] - rho, e.a[1] - z)
     sweep = -((start - end) % (2.0 * math.pi)) if e.clockwise else (end - start) % (2.0 * math.pi)
     sweep = sweep or (-2.0 * math.pi if e.clockwise else 2.0 * math.pi)
@@ -34,9 +41,11 @@ def _on_arc(e: Element, arc_step: float) -> list[tuple[float, float]]:
 
 
 def turn(points: Array, segments: int) -> tuple[Array, NDArray[np.int_]]:
-    """Vertices (nv, 3) [m] and faces (nf, 3) of the polyline ``points`` (n, 2) of (rho, z), revolved about z.
+    """Vertices (nv, 3) [m] and faces (nf, 3) of the polyline ``points`` (n, 2) of (rho, z),
+    revolved about z.
 
-    The normals are on the left of the polyline's direction. A polyline that ends at its start becomes a closed ring.
+    The normals are on the left of the polyline's direction. A polyline that ends at its start
+    becomes a closed ring.
     """
     azimuth = 2.0 * math.pi * np.arange(segments) / segments
     circle = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
@@ -45,7 +54,11 @@ def turn(points: Array, segments: int) -> tuple[Array, NDArray[np.int_]]:
     rings: list[NDArray[np.int_]] = []
     count = 0
     for rho, z in points[:-1] if closed else points:
-        ring = np.column_stack([rho * circle, np.full(segments, z)]) if rho > 0.0 else np.array([[0.0, 0.0, z]])
+        ring = (
+            np.column_stack([rho * circle, np.full(segments, z)])
+            if rho > 0.0
+            else np.array([[0.0, 0.0, z]])
+        )
         vertices.append(ring)
         rings.append(count + (np.arange(segments) if rho > 0.0 else np.zeros(segments, dtype=int)))
         count += len(ring)
@@ -56,7 +69,9 @@ def turn(points: Array, segments: int) -> tuple[Array, NDArray[np.int_]]:
 
 
 def _band(low: NDArray[np.int_], high: NDArray[np.int_]) -> list[tuple[int, int, int]]:
-    """Triangles between two rings, as numbers of vertices; a ring on the axis is one vertex, repeated."""
+    """Triangles between two rings, as numbers of vertices; a ring on the axis is one vertex,
+    repeated.
+    """
     faces = []
     for k in range(len(low)):
         n = (k + 1) % len(low)
@@ -75,15 +90,19 @@ def obj_text(vertices: Array, faces: NDArray[np.int_], comment: str) -> str:
 
 
 def shell(socket: float, half_angle: float, generator: float, thickness: float) -> list[Element]:
-    """Profile of a funnel that opens towards -z: back, outside, rounded rim, straight inside, socket; outward side on the left.
+    """Profile of a funnel that opens towards -z: back, outside, rounded rim, straight inside,
+    socket; outward side on the left.
 
-    The ``socket`` is spherical with this radius [m], its bottom at the origin; the straight ``generator``, of this length [m] and at the
-    ``half_angle`` [rad], is tangent to it. The shell is ``thickness`` [m] thick, also along the axis.
+    The ``socket`` is spherical with this radius [m], its bottom at the origin; the straight
+    ``generator``, of this length [m] and at the ``half_angle`` [rad], is tangent to it. The shell
+    is ``thickness`` [m] thick, also along the axis.
     """
     sin, cos = math.sin(half_angle), math.cos(half_angle)
 
     def across(distance: float, along: float) -> tuple[float, float]:
-        """A point at ``along`` [m] on the generator from its point of tangency, at ``distance`` [m] from the socket's centre across it."""
+        """A point at ``along`` [m] on the generator from its point of tangency, at ``distance`` [m]
+        from the socket's centre across it.
+        """
         return distance * cos + along * sin, distance * sin - socket - along * cos
 
     outer = socket + thickness

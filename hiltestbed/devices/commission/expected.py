@@ -34,7 +34,9 @@ class Expected:
             self.wrench[k * self._substeps : (k + 1) * self._substeps] = plant.wrench_sub[0]
 
     def at(self, ticks: Array, delay: float) -> Array:
-        """(K, 6) the wrench ``delay`` [s] before each of the ``ticks`` (K,), interpolated linearly between instants."""
+        """(K, 6) the wrench ``delay`` [s] before each of the ``ticks`` (K,), interpolated linearly
+        between instants.
+        """
         m = self._substeps
         instant = np.clip(m * ticks + m - 1 - delay / self._tick * m, 0.0, len(self.wrench) - 1.0)
         low = np.floor(instant).astype(int)

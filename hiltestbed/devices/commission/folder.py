@@ -1,4 +1,6 @@
-"""The result folder of a commissioning: the scenarios, a dataset of the motions, and the figures."""
+"""The result folder of a commissioning: the scenarios, a dataset of the motions, and the
+figures.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,12 @@ from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.versions import versions
 from hiltestbed.yaml_source import dump_yaml
 
-RESULT, NOMINAL, BELIEVED, DATASET = "commission.json", "nominal.yaml", "believed.yaml", "dataset.yaml"
+RESULT, NOMINAL, BELIEVED, DATASET = (
+    "commission.json",
+    "nominal.yaml",
+    "believed.yaml",
+    "dataset.yaml",
+)
 
 LEAST_COMPLIANCE = 1e-12  # [m/N]
 
@@ -26,15 +33,26 @@ def write_commission(result: Commissioned, path: Path) -> Path:
     with whole_folder(path, mark=RESULT) as folder:
         (folder / NOMINAL).write_text(dump_scenario(result.nominal), encoding="utf-8")
         (folder / BELIEVED).write_text(dump_scenario(result.believed), encoding="utf-8")
-        (folder / RESULT).write_text(json.dumps(figures(result), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        (folder / RESULT).write_text(
+            json.dumps(figures(result), indent=2, allow_nan=False) + "\n", encoding="utf-8"
+        )
         runs = []
         for number, (name, found) in enumerate(result.paths.items()):
             file = f"run_{number:02d}.parquet"
             t = np.arange(len(found.pose)) / result.believed.rate
             data = {"pose_cmd": found.command, "pose_act": found.pose, "wrench_meas": found.wrench}
             write_trace(RunTrace(t, data, np.zeros(len(t), dtype=bool)), folder / file)
-            runs.append({"file": file, "set": _differences(result.starts[name], len(t) / result.believed.rate)})
-        dataset = {"name": f"commissioning of {result.believed.name}", "scenario": BELIEVED, "runs": runs}
+            runs.append(
+                {
+                    "file": file,
+                    "set": _differences(result.starts[name], len(t) / result.believed.rate),
+                }
+            )
+        dataset = {
+            "name": f"commissioning of {result.believed.name}",
+            "scenario": BELIEVED,
+            "runs": runs,
+        }
         (folder / DATASET).write_text(dump_yaml(dataset), encoding="utf-8")
     return path
 

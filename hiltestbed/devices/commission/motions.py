@@ -1,7 +1,9 @@
-"""The known motions of a commissioning: small oscillations in free space, and presses against the contact.
+"""The known motions of a commissioning: small oscillations in free space, and presses against the
+contact.
 
-A press begins at rest in free space, moves in, oscillates about its depth and moves out again. On a flat mechanism it is repeated off-axis,
-which produces torques of known sign and size; a captured mechanism is moved in all six axes about its pose.
+A press begins at rest in free space, moves in, oscillates about its depth and moves out again. On a
+flat mechanism it is repeated off-axis, which produces torques of known sign and size; a captured
+mechanism is moved in all six axes about its pose.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ ARM = 0.05  # [m] lateral offset of the off-axis presses
 FREQUENCIES = (1.3, 2.1, 3.4)  # [Hz] of x, y, z in free space
 PRESS_FREQUENCY, PRESS_PERIODS = 3.0, 6
 REST = 0.3  # [s] before each motion, and after a press
-SETTLED = 0.2  # [s] part of the rest in which the platform settles; the record of the motion begins after it
+# [s] part of the rest in which the platform settles; the record of the motion begins after it
+SETTLED = 0.2
 ENTRY = 0.6  # [s] to move in, and to move out
 FREE_TIME = 3.0  # [s]
 
@@ -35,7 +38,8 @@ class Motion:
     """A named path that begins and ends at rest at the same pose.
 
     Attributes:
-        start: (7,) of A in P. offsets: (K, 6) displacement from it, linear [m] and rotation vector [rad], one row per tick.
+        start: (7,) of A in P. offsets: (K, 6) displacement from it, linear [m] and rotation vector
+            [rad], one row per tick.
         touches: whether the motion is meant to make contact.
     """
 
@@ -63,9 +67,15 @@ def motions(scenario: Scenario, force: float) -> list[Motion]:
     depth = min(force / scenario.mechanism.contact.stiffness, LARGEST)
     away = -(CLEAR + 2.0 * FREE)
     found = [Motion("open", _at(0.0, 0.0, away), _oscillations(scenario.tick), touches=False)]
-    arms = [(0.0, 0.0), (ARM, 0.0), (0.0, ARM), (-ARM, -0.8 * ARM)] if scenario.mechanism.flat else [(0.0, 0.0)]
+    arms = (
+        [(0.0, 0.0), (ARM, 0.0), (0.0, ARM), (-ARM, -0.8 * ARM)]
+        if scenario.mechanism.flat
+        else [(0.0, 0.0)]
+    )
     for number, (x, y) in enumerate(arms):
-        found.append(Motion(f"press {number}", _at(x, y, -CLEAR), _press(scenario.tick, depth), touches=True))
+        found.append(
+            Motion(f"press {number}", _at(x, y, -CLEAR), _press(scenario.tick, depth), touches=True)
+        )
     return [motion.after_rest(round(REST / scenario.tick)) for motion in found]
 
 
@@ -93,19 +103,25 @@ def _oscillations(tick: float) -> Array:
 
 def _press(tick: float, depth: float) -> Array:
     """Move in to two thirds of ``depth``, oscillate by a third of it, and move out."""
-    inward = np.array([blend(min(1.0, k * tick / ENTRY)) for k in range(1, round(ENTRY / tick) + 1)])
+    inward = np.array(
+        [blend(min(1.0, k * tick / ENTRY)) for k in range(1, round(ENTRY / tick) + 1)]
+    )
     duration = PRESS_PERIODS / PRESS_FREQUENCY
     t = _instants(duration, tick)
     deep = CLEAR + 2.0 * depth / 3.0
     swing = depth / 3.0 * _window(t / duration) * np.sin(2.0 * np.pi * PRESS_FREQUENCY * t)
-    z = np.concatenate([deep * inward, deep + swing, deep * inward[::-1], np.zeros(round(REST / tick))])
+    z = np.concatenate(
+        [deep * inward, deep + swing, deep * inward[::-1], np.zeros(round(REST / tick))]
+    )
     out = np.zeros((len(z), 6))
     out[:, 2] = z
     return out
 
 
 def _shaken(scenario: Scenario, force: float) -> Motion:
-    """Oscillate one axis after the other, each with the amplitude that causes ``force`` or the corresponding torque."""
+    """Oscillate one axis after the other, each with the amplitude that causes ``force`` or the
+    corresponding torque.
+    """
     tick, truth = scenario.tick, axis_truth(scenario)
     duration = PRESS_PERIODS / PRESS_FREQUENCY
     t = _instants(duration, tick)

@@ -1,7 +1,7 @@
 """The sequence of a commissioning: observe, tare, move in free space, press, fit.
 
-Nothing moves unless it is armed; every command passes the same guard as in a run. If anything goes wrong, the platform is held, retracted
-or stopped as the scenario specifies, and nothing is written.
+Nothing moves unless it is armed; every command passes the same guard as in a run. If anything goes
+wrong, the platform is held, retracted or stopped as the scenario specifies, and nothing is written.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.sensor.effects.rotation import SensorRotation
 
 FORCE = 100.0  # [N] of a press
-ALIKE = 1e-3  # relative difference of misfit within which two fits with equally many numbers are equivalent (decides only the axes named)
+# relative difference of misfit within which two fits with equally many numbers are equivalent
+# (decides only the axes named)
+ALIKE = 1e-3
 SHORTEST = 1e-4  # [s] smallest delay that is reported: a fifth of a tick at 2 kHz
 Progress = Callable[[str], None]
 
@@ -38,10 +40,12 @@ class Commissioned:
     """The results.
 
     Attributes:
-        believed: the given scenario, with the mounting and the noise of the sensor as measured, which no simulation could predict.
-        nominal: the scenario with everything that was measured. paths: the recorded motions, by name, with the wrench for the sensor's
-            mounting in `believed`.
-        departures: effects that a diagnosis of the motions against `believed` should find, as under `effects:` in a scenario.
+        believed: the given scenario, with the mounting and the noise of the sensor as measured,
+            which no simulation could predict.
+        nominal: the scenario with everything that was measured. paths: the recorded motions, by
+            name, with the wrench for the sensor's mounting in `believed`.
+        departures: effects that a diagnosis of the motions against `believed` should find, as under
+            `effects:` in a scenario.
     """
 
     believed: Scenario
@@ -54,17 +58,26 @@ class Commissioned:
     departures: tuple[dict[str, Any], ...] = ()
 
 
-def commission(scenario: Scenario, options: Options, force: float = FORCE, progress: Progress = lambda step: None) -> Commissioned:
+def commission(
+    scenario: Scenario,
+    options: Options,
+    force: float = FORCE,
+    progress: Progress = lambda step: None,
+) -> Commissioned:
     """Measure the devices of ``scenario`` with presses of about ``force`` [N].
 
     Raises:
-        InputError: it is not armed, or the force exceeds the scenario's limit. DeviceError: it was stopped.
+        InputError: it is not armed, or the force exceeds the scenario's limit. DeviceError: it was
+            stopped.
     """
     limit = scenario.safety.force
     if not options.armed:
         raise InputError("commission moves the platform; read docs/safety.md, then give --arm")
     if limit is not None and force > 0.8 * limit:
-        raise InputError(f"force: is too large (got {force:g} N); allowed is 0.8 of safety.force, {0.8 * limit:g} N")
+        raise InputError(
+            f"force: is too large (got {force:g} N); allowed is 0.8 of safety.force, "
+            f"{0.8 * limit:g} N"
+        )
     progress("rehearsal")
     rehearse(scenario)
     session = Session(scenario, options)
@@ -79,7 +92,9 @@ def commission(scenario: Scenario, options: Options, force: float = FORCE, progr
     return _fitted(scenario, planned, rows, observed)
 
 
-def _play(session: Session, planned: Sequence[Motion], rows: dict[str, list[Row]], progress: Progress) -> None:
+def _play(
+    session: Session, planned: Sequence[Motion], rows: dict[str, list[Row]], progress: Progress
+) -> None:
     tick, settings = session.rig.tick, session.scenario.devices.platform
     speed, rate = settings.travel_speed, math.radians(settings.travel_rate_deg)
     home = session.rig.last.copy()
@@ -92,7 +107,9 @@ def _play(session: Session, planned: Sequence[Motion], rows: dict[str, list[Row]
     session.follow(travel(session.rig.last.copy(), home, tick, speed, rate))
 
 
-def _fitted(scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[Row]], observed: Observed) -> Commissioned:
+def _fitted(
+    scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[Row]], observed: Observed
+) -> Commissioned:
     touched, noise = [], observed.shown_noise
     for motion in planned:
         poses = np.array([row.pose for row in rows[motion.name]])
@@ -105,7 +122,10 @@ def _fitted(scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[
 
     def paths(mounted: Scenario) -> dict[str, Path]:
         mounting = Mounting(mounted.devices)
-        return {m.name: _path(rows[m.name][begin:], mounting, observed.shown, m.touches) for m in planned}
+        return {
+            m.name: _path(rows[m.name][begin:], mounting, observed.shown, m.touches)
+            for m in planned
+        }
 
     corrected = _mounted(scenario, sensor, noise)
     found = paths(corrected)
@@ -115,30 +135,52 @@ def _fitted(scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[
     turned = _turned(scenario, sensor, touched, noise)
     if turned is None:
         return Commissioned(
-            corrected, nominal, observed, sensor, platform, found, starts, _departures(nominal, corrected, sensor.delay_ci95)
+            corrected,
+            nominal,
+            observed,
+            sensor,
+            platform,
+            found,
+            starts,
+            _departures(nominal, corrected, sensor.delay_ci95),
         )
     believed = _mounted(scenario, None, noise)
     departures = _departures(_nominal(believed, turned, platform), believed, turned.delay_ci95)
-    return Commissioned(believed, nominal, observed, turned, platform, paths(believed), starts, departures)
+    return Commissioned(
+        believed, nominal, observed, turned, platform, paths(believed), starts, departures
+    )
 
 
-def _turned(scenario: Scenario, sensor: SensorFit, touched: Sequence[Shown], noise: Array) -> SensorFit | None:
-    """The sensor fitted with gains and crosstalk in its own axes, if these are slightly rotated against those in the scenario.
+def _turned(
+    scenario: Scenario, sensor: SensorFit, touched: Sequence[Shown], noise: Array
+) -> SensorFit | None:
+    """The sensor fitted with gains and crosstalk in its own axes, if these are slightly rotated
+    against those in the scenario.
 
-    None if they are not, if the sign or the attitude is entirely different, or if gains in P's axes fit better.
+    None if they are not, if the sign or the attitude is entirely different, or if gains in P's axes
+    fit better.
     """
     mounted = scenario.devices.sensor
     if sensor.sign != mounted.sign:
         return None
-    found = fit_sensor(touched, np.array(mounted.position), noise, quat_from_attitude_deg(mounted.attitude_deg))
+    found = fit_sensor(
+        touched, np.array(mounted.position), noise, quat_from_attitude_deg(mounted.attitude_deg)
+    )
     most = SensorRotation.searched("angles_deg")[1]
     if not found.turned() or max(map(abs, found.turn_deg or ())) > most:
         return None
-    return found if (len(found.numbers), found.misfit) <= (len(sensor.numbers), (1.0 + ALIKE) * sensor.misfit) else None
+    return (
+        found
+        if (len(found.numbers), found.misfit)
+        <= (len(sensor.numbers), (1.0 + ALIKE) * sensor.misfit)
+        else None
+    )
 
 
 def _departures(nominal: Scenario, believed: Scenario, ci95: float) -> tuple[dict[str, Any], ...]:
-    """The effects of ``nominal``, and the additional delay of its sensor relative to ``believed``, if significant."""
+    """The effects of ``nominal``, and the additional delay of its sensor relative to ``believed``,
+    if significant.
+    """
     late = nominal.sensor.delay - believed.sensor.delay
     delay = [{"kind": "sensor.delay", "delay": late}] if late > _least_delay(ci95) else []
     return (*delay, *(effect.model_dump(mode="json") for effect in nominal.effects))
@@ -148,14 +190,22 @@ def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> Pa
     wrench = np.zeros((len(rows), 6))
     for k, row in enumerate(rows):
         mounting.wrench_in_P(row.shown - tare, wrench[k])
-    return Path(np.array([row.command for row in rows]), np.array([row.pose for row in rows]), wrench, touches)
+    return Path(
+        np.array([row.command for row in rows]),
+        np.array([row.pose for row in rows]),
+        wrench,
+        touches,
+    )
 
 
 def _mounted(scenario: Scenario, sensor: SensorFit | None, noise: Array) -> Scenario:
     """The scenario with the measured noise and, if ``sensor`` is given, its sign and attitude."""
     data = resolved(scenario)
     if sensor is not None:
-        data["devices"]["sensor"] |= {"attitude_deg": attitude_deg_from_quat(sensor.attitude).tolist(), "sign": sensor.sign}
+        data["devices"]["sensor"] |= {
+            "attitude_deg": attitude_deg_from_quat(sensor.attitude).tolist(),
+            "sign": sensor.sign,
+        }
     data["sensor"] |= {"noise": float(np.max(noise[:3])), "torque_noise": float(np.max(noise[3:]))}
     return scenario_from(data)
 
@@ -163,24 +213,42 @@ def _mounted(scenario: Scenario, sensor: SensorFit | None, noise: Array) -> Scen
 def _nominal(believed: Scenario, sensor: SensorFit, platform: PlatformFit) -> Scenario:
     data = resolved(believed)
     lowpass = believed.sensor.lowpass
-    data["sensor"]["delay"] = max(sensor.delay - (1.0 / (2.0 * math.pi * lowpass) if lowpass else 0.0), 0.0)
-    data["effects"] = [e for e in data["effects"] if e["kind"].partition(".")[0] not in ("sensor", "platform")] + effects_of(
-        sensor, platform
+    data["sensor"]["delay"] = max(
+        sensor.delay - (1.0 / (2.0 * math.pi * lowpass) if lowpass else 0.0), 0.0
     )
+    data["effects"] = [
+        e for e in data["effects"] if e["kind"].partition(".")[0] not in ("sensor", "platform")
+    ] + effects_of(sensor, platform)
     return scenario_from(data)
 
 
 def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]:
     """Rotation, gains, crosstalk, delay and scale as effects, where they are significant."""
     gains = {n.axis: n.value for n in sensor.numbers if n.source == n.axis}
-    found: list[dict[str, Any]] = [{"kind": "sensor.rotation", "angles_deg": list(sensor.turn_deg or ())}] if sensor.turned() else []
-    found += [{"kind": "sensor.gain", "axis": axis, "factor": value} for axis, value in gains.items()]
-    for n in sensor.numbers:  # crosstalk after the gains, since it is relative to the source's reading
+    found: list[dict[str, Any]] = (
+        [{"kind": "sensor.rotation", "angles_deg": list(sensor.turn_deg or ())}]
+        if sensor.turned()
+        else []
+    )
+    found += [
+        {"kind": "sensor.gain", "axis": axis, "factor": value} for axis, value in gains.items()
+    ]
+    # crosstalk after the gains, since it is relative to the source's reading
+    for n in sensor.numbers:
         if n.source != n.axis:
-            found.append({"kind": "sensor.crosstalk", "source": n.source, "axis": n.axis, "ratio": n.value / gains.get(n.source, 1.0)})
+            found.append(
+                {
+                    "kind": "sensor.crosstalk",
+                    "source": n.source,
+                    "axis": n.axis,
+                    "ratio": n.value / gains.get(n.source, 1.0),
+                }
+            )
     if platform.delay > _least_delay(platform.delay_ci95):
         found.append({"kind": "platform.delay", "delay": platform.delay})
-    for axis, value, ci95 in zip("xyz", platform.scale or (), platform.scale_ci95 or (), strict=False):
+    for axis, value, ci95 in zip(
+        "xyz", platform.scale or (), platform.scale_ci95 or (), strict=False
+    ):
         if abs(value - 1.0) > max(2e-3, 2.0 * ci95):
             found.append({"kind": "platform.scale", "axis": axis, "factor": value})
     return found

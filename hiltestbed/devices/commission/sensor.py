@@ -1,12 +1,16 @@
-"""Identification of the sensor: sign, attitude, delay, and the gains and crosstalk that are needed to explain the readings.
+"""Identification of the sensor: sign, attitude, delay, and the gains and crosstalk that are needed
+to explain the readings.
 
-The wrench of the mechanism is computed from the platform's poses; the reading is that wrench delayed, mixed, and rotated into the sensor's
-frame. Sign and attitude come from the best rotation between the two (G. Wahba, SIAM Review 7, 1965; solved by F. L. Markley's singular
-values, J. Astronautical Sciences 36, 1988), all parameters together from least squares. Gains and crosstalk are added one at a time,
-each time the one that explains most, as long as it explains a good part of the residual: 36 numbers at once would absorb every error.
+The wrench of the mechanism is computed from the platform's poses; the reading is that wrench
+delayed, mixed, and rotated into the sensor's frame. Sign and attitude come from the best rotation
+between the two (G. Wahba, SIAM Review 7, 1965; solved by F. L. Markley's singular values, J.
+Astronautical Sciences 36, 1988), all parameters together from least squares. Gains and crosstalk
+are added one at a time, each time the one that explains most, as long as it explains a good part of
+the residual: 36 numbers at once would absorb every error.
 
-A press cannot distinguish a wrong gain from a wrong stiffness: the stiffness of the mechanism in the scenario is the reference. If the
-mechanism pushes in only one direction, other numbers are indistinguishable as well: each estimate lists those that fit equally well.
+A press cannot distinguish a wrong gain from a wrong stiffness: the stiffness of the mechanism in
+the scenario is the reference. If the mechanism pushes in only one direction, other numbers are
+indistinguishable as well: each estimate lists those that fit equally well.
 """
 
 from __future__ import annotations
@@ -25,10 +29,14 @@ ROWS = 6000  # largest number of rows, of all motions together, in a fit
 WORTH = 0.2  # fraction of the residual sum of squares that one more number has to explain
 SIGNIFICANT = 4.0  # standard deviations by which it has to differ from its neutral value
 LEAST = 5e-4  # smallest gain error or crosstalk that is reported
-LEAST_TURN = 0.1  # [deg] smallest rotation of the axes that is reported: it puts 2e-3 of the force on a lateral axis
+# [deg] smallest rotation of the axes that is reported: it puts 2e-3 of the force on a lateral axis
+LEAST_TURN = 0.1
 MOST = 8  # largest number of gains and crosstalk terms
-FAR = 5.0  # a number this many times larger than another that fits equally well is taken as the less likely one
-TIE = 0.9  # fraction of the best number's improvement from which another counts as fitting equally well
+# a number this many times larger than another that fits equally well is taken as the less likely
+# one
+FAR = 5.0
+# fraction of the best number's improvement from which another counts as fitting equally well
+TIE = 0.9
 LONGEST = 0.05  # [s] largest delay that is fitted
 FLOOR = 1e-5  # of the largest reading: noise assumed for channels without noise
 
@@ -37,7 +45,9 @@ Element = tuple[int, int]  # source and axis of a number
 
 @dataclass(frozen=True)
 class Shown:
-    """A motion: the expected wrench, and the sensor's reading (N, 6), in its own frame and less its tare."""
+    """A motion: the expected wrench, and the sensor's reading (N, 6), in its own frame and less its
+    tare.
+    """
 
     expected: Expected
     reading: Array
@@ -45,10 +55,12 @@ class Shown:
 
 @dataclass(frozen=True)
 class Number:
-    """A gain (``source`` = ``axis``) or a crosstalk: estimate, and half the width of its 95 % interval.
+    """A gain (``source`` = ``axis``) or a crosstalk: estimate, and half the width of its 95 %
+    interval.
 
     Attributes:
-        or_else: (source, axis) of other numbers that would fit equally well: the motions cannot distinguish them.
+        or_else: (source, axis) of other numbers that would fit equally well: the motions cannot
+            distinguish them.
     """
 
     source: str
@@ -63,10 +75,12 @@ class SensorFit:
     """Estimates with the half width of their 95 % interval.
 
     Attributes:
-        sign: of the wrench. attitude: quaternion (4,) of the sensor's frame in P. numbers: gains and crosstalk, in P.
-        residual, reading: (6,) rms of the residual and of the reading, in the sensor's frame. misfit: residual sum of squares, in units of
-        the noise variance.
-        turn_deg: (3,) rotation vector of the sensor's axes against the given ones; the numbers then refer to the given axes;
+        sign: of the wrench. attitude: quaternion (4,) of the sensor's frame in P. numbers: gains
+            and crosstalk, in P.
+        residual, reading: (6,) rms of the residual and of the reading, in the sensor's frame.
+            misfit: residual sum of squares, in units of the noise variance.
+        turn_deg: (3,) rotation vector of the sensor's axes against the given ones; the numbers then
+            refer to the given axes;
         None: the numbers refer to P's axes.
     """
 
@@ -86,16 +100,21 @@ class SensorFit:
         if self.turn_deg is None:
             return False
         spread = [SIGNIFICANT / 1.96 * ci95 for ci95 in self.attitude_ci95_deg]
-        return any(abs(angle) > max(LEAST_TURN, s) for angle, s in zip(self.turn_deg, spread, strict=True))
+        return any(
+            abs(angle) > max(LEAST_TURN, s) for angle, s in zip(self.turn_deg, spread, strict=True)
+        )
 
 
-def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array, given: Array | None = None) -> SensorFit:
+def fit_sensor(
+    motions: Sequence[Shown], position: Array, noise: Array, given: Array | None = None
+) -> SensorFit:
     """The sensor that fits all ``motions`` best.
 
     Args:
-        position: (3,) nominal position of the sensor's origin in P. noise: (6,) standard deviation of its channels.
-        given: quaternion (4,), nominal attitude of its frame in P: gains and crosstalk then act in its own axes, after the rotation; None:
-            in P's axes, before it.
+        position: (3,) nominal position of the sensor's origin in P. noise: (6,) standard deviation
+            of its channels.
+        given: quaternion (4,), nominal attitude of its frame in P: gains and crosstalk then act in
+            its own axes, after the rotation; None: in P's axes, before it.
     """
     data = _Data(motions, position, noise, None if given is None else rotation_matrix(given))
     sign, rotation, delay = data.first_guess()
@@ -112,7 +131,13 @@ def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array, given: A
         others.append(rivals)
     spread = best.spread()
     numbers = tuple(
-        Number(AXES[i], AXES[j], float(v) + (i == j), float(s), tuple((AXES[a], AXES[b]) for a, b in rivals))
+        Number(
+            AXES[i],
+            AXES[j],
+            float(v) + (i == j),
+            float(s),
+            tuple((AXES[a], AXES[b]) for a, b in rivals),
+        )
         for (i, j), v, s, rivals in zip(chosen, best.p[4:], spread[4:], others, strict=True)
     )
     return SensorFit(
@@ -125,13 +150,19 @@ def fit_sensor(motions: Sequence[Shown], position: Array, noise: Array, given: A
         residual=data.rms(best).tolist(),
         reading=np.sqrt(np.mean(data.reading**2, axis=0)).tolist(),
         misfit=best.square,
-        turn_deg=None if data.given is None else tuple(np.degrees(rotation_vectors(_quaternion(best.rotation @ data.given.T))).tolist()),
+        turn_deg=None
+        if data.given is None
+        else tuple(
+            np.degrees(rotation_vectors(_quaternion(best.rotation @ data.given.T))).tolist()
+        ),
     )
 
 
 @dataclass
 class _Fit:
-    """p: (4 + numbers,) rotation vector relative to the start of the fit, delay [ms], numbers. rotation: matrix of S in P."""
+    """p: (4 + numbers,) rotation vector relative to the start of the fit, delay [ms], numbers.
+    rotation: matrix of S in P.
+    """
 
     p: Array
     rotation: Array
@@ -142,7 +173,11 @@ class _Fit:
     def spread(self) -> Array:
         """(4 + numbers,) half widths of the 95 % intervals."""
         rows, columns = self.jacobian.shape
-        return 1.96 * np.sqrt(np.diag(np.linalg.pinv(self.jacobian.T @ self.jacobian)) * self.square / max(rows - columns, 1))
+        return 1.96 * np.sqrt(
+            np.diag(np.linalg.pinv(self.jacobian.T @ self.jacobian))
+            * self.square
+            / max(rows - columns, 1)
+        )
 
     def holds(self) -> bool:
         """Whether the number added last is significant."""
@@ -150,19 +185,28 @@ class _Fit:
 
 
 class _Data:
-    def __init__(self, motions: Sequence[Shown], position: Array, noise: Array, given: Array | None) -> None:
+    def __init__(
+        self, motions: Sequence[Shown], position: Array, noise: Array, given: Array | None
+    ) -> None:
         self.given = given
         total = sum(len(m.reading) for m in motions)
         every = max(total // ROWS, 1)
-        self._parts = [(m.expected, np.arange(every, len(m.reading), every).astype(float), m.reading) for m in motions]
+        self._parts = [
+            (m.expected, np.arange(every, len(m.reading), every).astype(float), m.reading)
+            for m in motions
+        ]
         self._position = position
-        self.reading = np.concatenate([_centred(reading[ticks.astype(int)]) for _, ticks, reading in self._parts])
+        self.reading = np.concatenate(
+            [_centred(reading[ticks.astype(int)]) for _, ticks, reading in self._parts]
+        )
         rms = np.sqrt(np.mean(self.reading**2, axis=0))
         floor = FLOOR * np.repeat([rms[:3].max(), rms[3:].max()], 3)
         self._weight = 1.0 / np.maximum(np.maximum(noise, floor), 1e-12)
 
     def first_guess(self) -> tuple[int, Array, float]:
-        """Sign, rotation matrix of S in P and delay [s] that fit the readings best, without gains."""
+        """Sign, rotation matrix of S in P and delay [s] that fit the readings best, without
+        gains.
+        """
         found = []
         for delay in np.arange(0.0, LONGEST, 0.001):
             felt = self._at_sensor(self._wrench(delay))
@@ -173,8 +217,17 @@ class _Data:
                 found.append((float(np.sum((square - turned) ** 2)), sign, rotation, float(delay)))
         return min(found, key=lambda item: item[0])[1:]
 
-    def fit(self, sign: int, rotation: Array, delay: float, chosen: Sequence[Element], before: _Fit | None) -> _Fit:
-        """Least squares over rotation, delay and the ``chosen`` numbers, starting from a fit with one number less."""
+    def fit(
+        self,
+        sign: int,
+        rotation: Array,
+        delay: float,
+        chosen: Sequence[Element],
+        before: _Fit | None,
+    ) -> _Fit:
+        """Least squares over rotation, delay and the ``chosen`` numbers, starting from a fit with
+        one number less.
+        """
 
         def residuals(p: Array) -> Array:
             shown = self._shown(rotation @ _turn(p[:3]), 1e-3 * p[3], _calibration(chosen, p[4:]))
@@ -185,23 +238,38 @@ class _Data:
         if before is not None:
             start[4 : 4 + len(before.p) - 4] = before.p[4:]
         fit = least_squares(residuals, start, method="lm")
-        return _Fit(fit.x, rotation @ _turn(fit.x[:3]), float(1e-3 * fit.x[3]), float(2.0 * fit.cost), fit.jac)
+        return _Fit(
+            fit.x,
+            rotation @ _turn(fit.x[:3]),
+            float(1e-3 * fit.x[3]),
+            float(2.0 * fit.cost),
+            fit.jac,
+        )
 
     def most_telling(self, sign: int, fit: _Fit, chosen: Sequence[Element]) -> list[Element]:
-        """The number that would reduce the sum of squares most, to first order and in addition to those in ``fit``; then its equals.
+        """The number that would reduce the sum of squares most, to first order and in addition to
+        those in ``fit``; then its equals.
 
-        Among equals, crosstalk from a force precedes crosstalk from a torque: if the force has only one direction, a rotation with
-        crosstalk of the force resembles another rotation with crosstalk of the torque. A number five times as large as another comes
-        last: where a rotation puts a little of fz on x, a gain of 2 has the same result as crosstalk of 5 %.
+        Among equals, crosstalk from a force precedes crosstalk from a torque: if the force has only
+        one direction, a rotation with crosstalk of the force resembles another rotation with
+        crosstalk of the torque. A number five times as large as another comes
+        last: where a rotation puts a little of fz on x, a gain of 2 has the same result as
+            crosstalk of 5 %.
         """
         calibration = _calibration(chosen, fit.p[4:])
-        left = ((self.reading - sign * self._shown(fit.rotation, fit.delay, calibration)) * self._weight).ravel()
+        left = (
+            (self.reading - sign * self._shown(fit.rotation, fit.delay, calibration)) * self._weight
+        ).ravel()
         basis, _ = np.linalg.qr(fit.jacobian)
         gains, sizes = {}, {}
         for candidate in ((i, j) for i in range(6) for j in range(6)):
             if candidate in chosen:
                 continue
-            column = (sign * self._shown(fit.rotation, fit.delay, _calibration([candidate], [1.0]) - np.eye(6)) * self._weight).ravel()
+            column = (
+                sign
+                * self._shown(fit.rotation, fit.delay, _calibration([candidate], [1.0]) - np.eye(6))
+                * self._weight
+            ).ravel()
             own = column - basis @ (basis.T @ column)
             square = float(own @ own)
             independent = square > 1e-9 * float(column @ column)
@@ -211,7 +279,16 @@ class _Data:
         most = max(gains.values())
         equal = [c for c in gains if gains[c] >= TIE * most]
         least = min((sizes[c] for c in equal if c in sizes), default=0.0)
-        return sorted(equal, key=lambda c: (sizes.get(c, 0.0) > FAR * least, c[0] != c[1], c[0] > 2, c[1] > 2, -gains[c]))
+        return sorted(
+            equal,
+            key=lambda c: (
+                sizes.get(c, 0.0) > FAR * least,
+                c[0] != c[1],
+                c[0] > 2,
+                c[1] > 2,
+                -gains[c],
+            ),
+        )
 
     def rms(self, fit: _Fit) -> Array:
         """(6,) rms of the residual of each channel."""
@@ -219,21 +296,29 @@ class _Data:
         return np.sqrt(fit.square / (6.0 * rows - columns)) / self._weight
 
     def _wrench(self, delay: float) -> Array:
-        return np.concatenate([_centred(expected.at(ticks, delay)) for expected, ticks, _ in self._parts])
+        return np.concatenate(
+            [_centred(expected.at(ticks, delay)) for expected, ticks, _ in self._parts]
+        )
 
     def _at_sensor(self, wrench: Array) -> Array:
         """The wrench in P's axes, at the sensor's origin."""
-        return np.concatenate([wrench[:, :3], wrench[:, 3:] - np.cross(self._position, wrench[:, :3])], axis=1)
+        return np.concatenate(
+            [wrench[:, :3], wrench[:, 3:] - np.cross(self._position, wrench[:, :3])], axis=1
+        )
 
     def _shown(self, rotation: Array, delay: float, calibration: Array) -> Array:
         wrench = self._wrench(delay)
         if self.given is None:
             return _turned(self._at_sensor(wrench @ calibration.T), rotation)
-        return _turned(self._at_sensor(_turned(wrench, rotation @ self.given.T) @ calibration.T), self.given)
+        return _turned(
+            self._at_sensor(_turned(wrench, rotation @ self.given.T) @ calibration.T), self.given
+        )
 
 
 def _calibration(chosen: Sequence[Element], values: Sequence[float] | Array) -> Array:
-    """(6, 6) calibration matrix from the wrench to the reading, with ``values`` for the ``chosen`` (source, axis)."""
+    """(6, 6) calibration matrix from the wrench to the reading, with ``values`` for the ``chosen``
+    (source, axis).
+    """
     out = np.eye(6)
     for (i, j), value in zip(chosen, values, strict=True):
         out[j, i] += value

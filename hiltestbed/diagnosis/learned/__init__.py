@@ -1,4 +1,6 @@
-"""Stage "decide": laws learned from data on a link that departs, where the named effects leave more than noise."""
+"""Stage "decide": laws learned from data on a link that departs, where the named effects leave more
+than noise.
+"""
 
 from hiltestbed.diagnosis.learned.learn import learn
 

@@ -1,4 +1,6 @@
-"""The families of laws that can be learned: a contact force, a curve of a sensor axis, the step response of the platform."""
+"""The families of laws that can be learned: a contact force, a curve of a sensor axis, the step
+response of the platform.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ from hiltestbed.platform.effects.learned import LearnedResponse
 from hiltestbed.sensor.effects.calibration import WRENCH_AXES
 from hiltestbed.sensor.effects.learned import SensorMap
 
-FINE_KNOTS, COARSE_KNOTS = 17, 9  # chosen: knots of a curve at most; of a slider's curve while its reach is sought
+# chosen: knots of a curve at most; of a slider's curve while its reach is sought
+FINE_KNOTS, COARSE_KNOTS = 17, 9
 HELD_LEVELS, PUSHED_LEVELS = (3, 5, 9, 17), (2, 3, 5, 9, 17)
 DIFFERENCE_SHARE = 1e-4  # chosen: of the peak force: size of a finite difference
 BLOCKS_WITHOUT_SLIDER = 4  # of a contact force
@@ -35,7 +38,8 @@ IDENTITY_STEP = ((0.0, 1.0), (1.0, 1.0))  # the response of a platform that foll
 
 @dataclass(frozen=True)
 class Family(ABC):
-    """A law as a set of curves; its numbers are their values on all knots, one block after the other.
+    """A law as a set of curves; its numbers are their values on all knots, one block after the
+    other.
 
     Attributes:
         blocks: its curves. peak: the largest force [N].
@@ -61,8 +65,14 @@ class Family(ABC):
                     out.append(())
                     continue
                 every = choice.every(len(b.places))
-            unit = self.peak if b.part else 1.0  # its values are forces at the peak, of the size of the others
-            out.append(tuple((float(x), float(y / unit)) for x, y in zip(b.places[::every], part[::every], strict=True)))
+            # its values are forces at the peak, of the size of the others
+            unit = self.peak if b.part else 1.0
+            out.append(
+                tuple(
+                    (float(x), float(y / unit))
+                    for x, y in zip(b.places[::every], part[::every], strict=True)
+                )
+            )
         return out
 
     @property
@@ -78,10 +88,15 @@ class Family(ABC):
 
 @dataclass(frozen=True)
 class ContactForce(Family):
-    """Curves over penetration and rate, as a force and as a factor on the spring; a last block over the stretch of a slider."""
+    """Curves over penetration and rate, as a force and as a factor on the spring; a last block over
+    the stretch of a slider.
+    """
 
     def effect(self, values: Array, choices: Choices | None = None) -> Effect:
-        return ContactMap.hypothesis({}, **{b.name: c for b, c in zip(self.blocks, self.curves(values, choices), strict=True)})
+        return ContactMap.hypothesis(
+            {},
+            **{b.name: c for b, c in zip(self.blocks, self.curves(values, choices), strict=True)},
+        )
 
     @property
     def slides(self) -> bool:
@@ -101,12 +116,17 @@ class SensorCurve(Family):
     axis: str
 
     def effect(self, values: Array, choices: Choices | None = None) -> Effect:
-        return SensorMap.hypothesis({}, reading=tuple((x, x + y) for x, y in self.curves(values, choices)[0]), axis=self.axis)
+        return SensorMap.hypothesis(
+            {},
+            reading=tuple((x, x + y) for x, y in self.curves(values, choices)[0]),
+            axis=self.axis,
+        )
 
 
 @dataclass(frozen=True)
 class PlatformStep(Family):
-    """The step response of a platform over the time since the step; the values are the response less 1.
+    """The step response of a platform over the time since the step; the values are the response
+    less 1.
 
     The abscissae count back from the end of the response, so that an odd curve ends at 1.
     """
@@ -116,16 +136,25 @@ class PlatformStep(Family):
 
     def curves(self, values: Array, choices: Choices | None = None) -> list[Pairs]:
         memory = float(self.blocks[0].places[-1])
-        return [tuple((memory - x, 1.0 + y) for x, y in reversed(curve)) for curve in super().curves(values, choices)]
+        return [
+            tuple((memory - x, 1.0 + y) for x, y in reversed(curve))
+            for curve in super().curves(values, choices)
+        ]
 
 
 def platform_families(residual: Residual) -> Iterator[PlatformStep]:
     """One for each length of response, with knots closer just after the step."""
     link = residual.link
     if not isinstance(link, PlatformLink):
-        raise TypeError(f"a platform's response is learned on its link (got {link.name}); allowed is a PlatformLink")
+        raise TypeError(
+            f"a platform's response is learned on its link (got {link.name}); allowed is a "
+            f"PlatformLink"
+        )
     tick = link.runs[0].scenario.tick
-    longest = max(min(1.0, MAX_MEMORY_SHARE * tick * min(link.runs[i].rows for i in residual.runs)), 2.0 * MIN_MEMORY_TICKS * tick)
+    longest = max(
+        min(1.0, MAX_MEMORY_SHARE * tick * min(link.runs[i].rows for i in residual.runs)),
+        2.0 * MIN_MEMORY_TICKS * tick,
+    )
     since = np.linspace(1.0, 0.0, FINE_KNOTS) ** 2
     for memory in np.geomspace(MIN_MEMORY_TICKS * tick, longest, MEMORIES_TRIED):
         yield PlatformStep((Block("step", memory * (1.0 - since), False, PUSHED_LEVELS),), 1.0)
@@ -140,56 +169,92 @@ def contact_families(residual: Residual) -> tuple[ContactForce, list[ContactForc
     peak = _peak(residual)
     if depth <= 0.0 or speed <= 0.0:
         return ContactForce((), peak), []
-    over = Block("penetration", np.linspace(-depth if held else 0.0, depth, FINE_KNOTS), False, HELD_LEVELS if held else PUSHED_LEVELS)
+    over = Block(
+        "penetration",
+        np.linspace(-depth if held else 0.0, depth, FINE_KNOTS),
+        False,
+        HELD_LEVELS if held else PUSHED_LEVELS,
+    )
     u = np.linspace(-1.0, 1.0, FINE_KNOTS)
-    rates_at = speed * u * np.abs(u)  # closer about 0, where a force may change sign with the motion
+    # closer about 0, where a force may change sign with the motion
+    rates_at = speed * u * np.abs(u)
     blocks = (
-        over, Block("rate", rates_at, True, HELD_LEVELS), Block("spring", over.places, False, (1, *over.levels), part=True),
+        over,
+        Block("rate", rates_at, True, HELD_LEVELS),
+        Block("spring", over.places, False, (1, *over.levels), part=True),
         Block("spring_rate", rates_at, True, HELD_LEVELS, part=True),
-    )  # fmt: skip
+    )
     plain = ContactForce(blocks, peak)
     travel = max(float(np.ptp(np.append(x, 0.0))) for x in places)
-    return plain, [with_slider(plain, travel * part) for part in np.geomspace(*REACH_RANGE, REACHES_TRIED)]
+    return plain, [
+        with_slider(plain, travel * part) for part in np.geomspace(*REACH_RANGE, REACHES_TRIED)
+    ]
 
 
 def with_slider(plain: ContactForce, reach: float, knots: int = COARSE_KNOTS) -> ContactForce:
     """The same law with a slider whose stretch stays within ``reach`` [m]."""
     levels = tuple(n for n in HELD_LEVELS if n <= knots)
-    return replace(plain, blocks=(*plain.blocks[:BLOCKS_WITHOUT_SLIDER], Block("stretch", np.linspace(-reach, reach, knots), True, levels)))
+    return replace(
+        plain,
+        blocks=(
+            *plain.blocks[:BLOCKS_WITHOUT_SLIDER],
+            Block("stretch", np.linspace(-reach, reach, knots), True, levels),
+        ),
+    )
 
 
 def sensor_families(residual: Residual, known: Effects) -> Iterator[SensorCurve]:
     """One for the force axis and one for the torque axis with the largest residual."""
     link = _wrench(residual)
-    left = np.sum([np.sum(residual.of_run(i, known)[link.runs[i].touching] ** 2, axis=0) for i in residual.runs], axis=0)
+    left = np.sum(
+        [
+            np.sum(residual.of_run(i, known)[link.runs[i].touching] ** 2, axis=0)
+            for i in residual.runs
+        ],
+        axis=0,
+    )
     for j in (int(np.argmax(left[:3])), 3 + int(np.argmax(left[3:]))):
         if left[j] < 0.1 * left.max():
             continue
         felt = [link.shown(i, known)[link.runs[i].touching, j] for i in residual.runs]
-        least, highest = min(float(f.min(initial=0.0)) for f in felt), max(float(f.max(initial=0.0)) for f in felt)
+        least, highest = (
+            min(float(f.min(initial=0.0)) for f in felt),
+            max(float(f.max(initial=0.0)) for f in felt),
+        )
         most = max(-least, highest)
         if most > 0.0:
             both = least < -0.1 * most and highest > 0.1 * most
             sign = 1.0 if highest >= 0.1 * most else -1.0
             ends = (-most, most) if both else (0.0, most) if sign > 0.0 else (-most, 0.0)
             levels = HELD_LEVELS if both else PUSHED_LEVELS
-            yield SensorCurve((Block("reading", np.linspace(*ends, FINE_KNOTS), True, levels),), most, WRENCH_AXES[j])
+            yield SensorCurve(
+                (Block("reading", np.linspace(*ends, FINE_KNOTS), True, levels),),
+                most,
+                WRENCH_AXES[j],
+            )
 
 
 def reached(link: WrenchLink, i: int) -> tuple[Array, Array]:
     """Penetration [m] and its rate [m/s] in the rows of run i with contact, or while latched."""
     depth = link.penetration(i)
     rate = np.gradient(depth, link.runs[i].scenario.tick)
-    inside = link.runs[i].touching & (np.isfinite(depth) if link.runs[i].scenario.mechanism.captured else depth > 0.0)
+    inside = link.runs[i].touching & (
+        np.isfinite(depth) if link.runs[i].scenario.mechanism.captured else depth > 0.0
+    )
     return depth[inside], rate[inside]
 
 
 def _peak(residual: Residual) -> float:
     link = _wrench(residual)
-    return max(float(np.max(np.abs(link.runs[i].measured[:, :3]), initial=0.0)) for i in residual.runs)
+    return max(
+        float(np.max(np.abs(link.runs[i].measured[:, :3]), initial=0.0)) for i in residual.runs
+    )
 
 
 def _wrench(residual: Residual) -> WrenchLink:
     if not isinstance(residual.link, WrenchLink):
-        raise TypeError(f"a law of contact or sensor from the link {residual.link.name}; allowed is a WrenchLink")
+        raise TypeError(
+            f"a law of contact or sensor from the link {residual.link.name}; allowed is a "
+            f"WrenchLink"
+        )
     return residual.link

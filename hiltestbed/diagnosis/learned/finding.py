@@ -1,4 +1,6 @@
-"""A learned law for the report: its curves with the data, its gain, its equation, and the named effects it resembles."""
+"""A learned law for the report: its curves with the data, its gain, its equation, and the named
+effects it resembles.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ DIGITS = 6  # significant, of the numbers in a scenario
 
 
 def learned_on(found: Explanation, known: Sequence[Effect]) -> tuple[Learned, Effect] | None:
-    """The law learned on a link that leaves more than noise, beside ``known`` effects, and its effect as links take it, or None."""
+    """The law learned on a link that leaves more than noise, beside ``known`` effects, and its
+    effect as links take it, or None.
+    """
     result = learn(found.residual, known)
     if result is None:
         return None
@@ -33,9 +37,17 @@ def learned_on(found: Explanation, known: Sequence[Effect]) -> tuple[Learned, Ef
     effect = law.effect
     given = {name: _rounded(value) for name, value in effect.parameters().items() if value}
     learned = Learned(
-        effect.kind, given, effect.link, law.numbers, gain, share, carries_over(gain) and share >= MIN_EXPLAINED, equation(law),
-        resembling(found.residual, law, found.singles, found.null), tuple(_curves(found.residual, law)),
-    )  # fmt: skip
+        effect.kind,
+        given,
+        effect.link,
+        law.numbers,
+        gain,
+        share,
+        carries_over(gain) and share >= MIN_EXPLAINED,
+        equation(law),
+        resembling(found.residual, law, found.singles, found.null),
+        tuple(_curves(found.residual, law)),
+    )
     return learned, effect
 
 
@@ -56,23 +68,42 @@ def _curves(residual: Residual, law: Law) -> list[LearnedCurve]:
     link = residual.link
     if not isinstance(link, WrenchLink):
         first, second = type(law.effect).unit("step").split(", ")
-        return [LearnedCurve("step", np.array(law.family.curves(law.values, law.choices)[0]), np.zeros((0, 2)), (first, second))]
+        return [
+            LearnedCurve(
+                "step",
+                np.array(law.family.curves(law.values, law.choices)[0]),
+                np.zeros((0, 2)),
+                (first, second),
+            )
+        ]
     axis = WRENCH_AXES.index(law.family.axis) if isinstance(law.family, SensorCurve) else 2
-    pairs = {b.name: np.array(c) for b, c in zip(law.family.blocks, law.family.curves(law.values, law.choices), strict=True) if c}
+    pairs = {
+        b.name: np.array(c)
+        for b, c in zip(law.family.blocks, law.family.curves(law.values, law.choices), strict=True)
+        if c
+    }
     effects = [*law.known, law.effect]
     left, places = [], {name: [] for name in pairs}
     for i in residual.runs:
         rows = np.flatnonzero(link.runs[i].touching & np.isfinite(link.runs[i].sigma[:, axis]))
         left.append((link.runs[i].measured - link.shown(i, effects))[rows, axis])
-        late = np.clip(rows - round(link.lateness(i, law.known) / link.runs[i].scenario.tick), 0, link.runs[i].rows - 1)
+        late = np.clip(
+            rows - round(link.lateness(i, law.known) / link.runs[i].scenario.tick),
+            0,
+            link.runs[i].rows - 1,
+        )
         depth = link.penetration(i)
         held = link.runs[i].scenario.mechanism.captured
         rate = np.gradient(depth, link.runs[i].scenario.tick)
         series = {"penetration": depth, "rate": rate, "spring": depth, "spring_rate": rate}
         if "stretch" in pairs:
-            series["stretch"] = stretches(depth, pairs["stretch"][0, 0], pairs["stretch"][-1, 0], held)
+            series["stretch"] = stretches(
+                depth, pairs["stretch"][0, 0], pairs["stretch"][-1, 0], held
+            )
         for name, found in places.items():
-            found.append(link.shown(i, law.known)[rows, axis] if name == "reading" else series[name][late])
+            found.append(
+                link.shown(i, law.known)[rows, axis] if name == "reading" else series[name][late]
+            )
     remains = np.concatenate(left)
     step = max(1, len(remains) // MAX_SAMPLES)
     out = []
@@ -87,7 +118,9 @@ def _curves(residual: Residual, law: Law) -> list[LearnedCurve]:
 
 
 def stretches(depth: Array, low: float, high: float, held: bool) -> Array:
-    """``(N,)`` stretch [m] of a slider along penetrations (N,): the slider moves where the stretch would leave ``low`` to ``high``."""
+    """``(N,)`` stretch [m] of a slider along penetrations (N,): the slider moves where the stretch
+    would leave ``low`` to ``high``.
+    """
     out, slider = np.zeros(len(depth)), 0.0
     for k, x in enumerate(depth):
         if x <= 0.0 and not held:

@@ -1,4 +1,6 @@
-"""The law that lowers the residual of a link most, with as few numbers as left-out runs allow, and its gain on them."""
+"""The law that lowers the residual of a link most, with as few numbers as left-out runs allow, and
+its gain on them.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +21,25 @@ from hiltestbed.diagnosis.learned.families import (
     sensor_families,
     with_slider,
 )
-from hiltestbed.diagnosis.learned.selection import Choices, Normal, Selected, normal_equations, select, shape, solve
+from hiltestbed.diagnosis.learned.selection import (
+    Choices,
+    Normal,
+    Selected,
+    normal_equations,
+    select,
+    shape,
+    solve,
+)
 from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Heldout
-from hiltestbed.diagnosis.settings import MIN_HELDOUT_GAIN, MIN_HELDOUT_GAIN_IN_PART, MIN_RUN_SHARE, REACH_REFINEMENTS
+from hiltestbed.diagnosis.settings import (
+    MIN_HELDOUT_GAIN,
+    MIN_HELDOUT_GAIN_IN_PART,
+    MIN_RUN_SHARE,
+    REACH_REFINEMENTS,
+)
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 
@@ -38,7 +53,8 @@ class Law:
     """A law on its link.
 
     Attributes:
-        family: its curves. choices: the knots of each. values: (P,) on the finest knots. known: effects beside which it was learned.
+        family: its curves. choices: the knots of each. values: (P,) on the finest knots. known:
+            effects beside which it was learned.
     """
 
     family: Family
@@ -54,13 +70,19 @@ class Law:
     @property
     def numbers(self) -> int:
         """How many numbers were fitted, the reach of a slider among them."""
-        slides = isinstance(self.family, ContactForce) and self.family.slides and self.choices[-1] is not None
+        slides = (
+            isinstance(self.family, ContactForce)
+            and self.family.slides
+            and self.choices[-1] is not None
+        )
         return shape(self.family.blocks, self.choices).shape[1] + int(slides)
 
 
 @dataclass(frozen=True)
 class Linear:
-    """A family linearised about a law: residual and Jacobian of each run, in the rows in contact."""
+    """A family linearised about a law: residual and Jacobian of each run, in the rows in
+    contact.
+    """
 
     residuals: list[Array]
     jacobians: list[Array]
@@ -71,7 +93,9 @@ class Linear:
 
 
 def learn(residual: Residual, known: Effects = ()) -> tuple[Law, Heldout] | None:
-    """The best law of a link beside ``known`` effects, and its gain; None where no law carries over to left-out runs."""
+    """The best law of a link beside ``known`` effects, and its gain; None where no law carries over
+    to left-out runs.
+    """
     if not isinstance(residual.link, (WrenchLink, PlatformLink)) or len(residual.runs) < MIN_RUNS:
         return None
     found, first = _candidates(residual, known)
@@ -79,24 +103,35 @@ def learn(residual: Residual, known: Effects = ()) -> tuple[Law, Heldout] | None
         return None
     lowest = min(s.carried for _, s in found)
     near = [(f, s) for f, s in found if s.carried < lowest - math.log(1.0 - MIN_HELDOUT_GAIN)]
-    family, selected = min(near, key=lambda item: (Law(item[0], item[1].choices, np.zeros(0), ()).numbers, item[1].carried))
+    family, selected = min(
+        near,
+        key=lambda item: (Law(item[0], item[1].choices, np.zeros(0), ()).numbers, item[1].carried),
+    )
     if isinstance(family, ContactForce) and family.slides and selected.choices[-1] is not None:
         family, selected = _refined(residual, known, family, selected, first)
     if not any(selected.choices):
         return None
-    law, linear = _settled(residual, Law(family, selected.choices, np.zeros(family.count), tuple(known)))
+    law, linear = _settled(
+        residual, Law(family, selected.choices, np.zeros(family.count), tuple(known))
+    )
     gain = _gain(residual, law, linear)
     return (law, gain) if gain.reduction > 1.0 - math.exp(-MIN_HELDOUT_GAIN_IN_PART) else None
 
 
 def carries_over(gain: Heldout) -> bool:
-    """Whether the same law holds in all runs: it improves most of those it was not fitted to, beyond chance and beyond a placebo."""
+    """Whether the same law holds in all runs: it improves most of those it was not fitted to,
+    beyond chance and beyond a placebo.
+    """
     helped = [b < (1.0 - MIN_HELDOUT_GAIN) * a for a, b in gain.per_run.values()]
     return gain.significant and sum(helped) >= MIN_RUN_SHARE * len(helped)
 
 
-def linearised(residual: Residual, known: Effects, family: Family, start: Array, directions: Array) -> Linear:
-    """The linearisation about the values ``start`` (P,) along the ``directions`` (P, D), by replays."""
+def linearised(
+    residual: Residual, known: Effects, family: Family, start: Array, directions: Array
+) -> Linear:
+    """The linearisation about the values ``start`` (P,) along the ``directions`` (P, D), by
+    replays.
+    """
     tried = [start + family.size * d for d in directions.T]
     found = residual.by_run([[*known, family.effect(v)] for v in (start, *tried)])
     uses = [_counted(residual, i) for i in residual.runs]
@@ -108,13 +143,25 @@ def linearised(residual: Residual, known: Effects, family: Family, start: Array,
     return Linear(base, slopes)
 
 
-def _from_nothing(residual: Residual, known: Effects, family: Family, have: Linear | None = None) -> Linear:
-    """The linearisation about no law, in all values; have: that of a family with the first of these blocks, to be reused."""
+def _from_nothing(
+    residual: Residual, known: Effects, family: Family, have: Linear | None = None
+) -> Linear:
+    """The linearisation about no law, in all values; have: that of a family with the first of these
+    blocks, to be reused.
+    """
     done = have.jacobians[0].shape[1] if have else 0
-    new = linearised(residual, known, family, np.zeros(family.count), np.eye(family.count)[:, done:])
+    new = linearised(
+        residual, known, family, np.zeros(family.count), np.eye(family.count)[:, done:]
+    )
     if have is None:
         return new
-    return Linear(new.residuals, [np.concatenate([a, b], axis=1) for a, b in zip(have.jacobians, new.jacobians, strict=True)])
+    return Linear(
+        new.residuals,
+        [
+            np.concatenate([a, b], axis=1)
+            for a, b in zip(have.jacobians, new.jacobians, strict=True)
+        ],
+    )
 
 
 def _counted(residual: Residual, i: int) -> np.ndarray:
@@ -124,10 +171,15 @@ def _counted(residual: Residual, i: int) -> np.ndarray:
     return inside if inside.any() else counts
 
 
-def _candidates(residual: Residual, known: Effects) -> tuple[list[tuple[Family, Selected]], Linear | None]:
+def _candidates(
+    residual: Residual, known: Effects
+) -> tuple[list[tuple[Family, Selected]], Linear | None]:
     """Every family with its best curves; and the linearised contact force without a slider."""
     if isinstance(residual.link, PlatformLink):
-        return [(f, select(_from_nothing(residual, known, f).normal(), f.blocks)) for f in platform_families(residual)], None
+        return [
+            (f, select(_from_nothing(residual, known, f).normal(), f.blocks))
+            for f in platform_families(residual)
+        ], None
     plain, sliding = contact_families(residual)
     first = _from_nothing(residual, known, plain) if plain.blocks else None
     linear: list[tuple[Family, Linear]] = [(plain, first)] if first else []
@@ -137,9 +189,15 @@ def _candidates(residual: Residual, known: Effects) -> tuple[list[tuple[Family, 
 
 
 def _refined(
-    residual: Residual, known: Effects, family: ContactForce, selected: Selected, first: Linear | None
+    residual: Residual,
+    known: Effects,
+    family: ContactForce,
+    selected: Selected,
+    first: Linear | None,
 ) -> tuple[ContactForce, Selected]:
-    """The family with a slider's reach between those tried, and more knots over its stretch; first: the law without slider, linearised."""
+    """The family with a slider's reach between those tried, and more knots over its stretch; first:
+    the law without slider, linearised.
+    """
     factor = REACH_STEP
 
     def tried(reach: float, knots: int = COARSE_KNOTS) -> tuple[ContactForce, Selected]:
@@ -154,11 +212,17 @@ def _refined(
         else:
             factor = math.sqrt(factor)
     finer = tried(float(family.blocks[-1].places[-1]), FINE_KNOTS)
-    return finer if finer[1].carried < selected.carried + math.log(1.0 - MIN_HELDOUT_GAIN) else (family, selected)
+    return (
+        finer
+        if finer[1].carried < selected.carried + math.log(1.0 - MIN_HELDOUT_GAIN)
+        else (family, selected)
+    )
 
 
 def _settled(residual: Residual, law: Law) -> tuple[Law, Linear]:
-    """The law fitted to all runs and linearised again about the result; and the last linearisation, by its numbers."""
+    """The law fitted to all runs and linearised again about the result; and the last linearisation,
+    by its numbers.
+    """
     blocks, runs = law.family.blocks, range(len(residual.runs))
     basis = shape(blocks, law.choices)
     rough, numbers = basis.T @ roughness(blocks) @ basis, np.zeros(basis.shape[1])
@@ -171,7 +235,9 @@ def _settled(residual: Residual, law: Law) -> tuple[Law, Linear]:
 
 
 def _gain(residual: Residual, law: Law, linear: Linear) -> Heldout:
-    """The gain with each run left out of the fit in turn; the placebo is the same law fitted to residuals shifted by half a contact."""
+    """The gain with each run left out of the fit in turn; the placebo is the same law fitted to
+    residuals shifted by half a contact.
+    """
     blocks = law.family.blocks
     basis = shape(blocks, law.choices)
     rough, every = basis.T @ roughness(blocks) @ basis, np.eye(basis.shape[1])

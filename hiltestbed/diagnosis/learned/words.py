@@ -35,12 +35,23 @@ def _forms(name: str) -> tuple[tuple[Form, ...], tuple[Form, ...]]:
     """Forms of one term, and of several."""
     step, size = ((lambda x: np.ones_like(x)), ""), (np.abs, f"|{name}|")
     one, two, three = (_power(n, name) for n in (1, 2, 3))
-    more = ((step, one), (one, size), (one, two), (one, three), (step, one, two), (step, one, three))
-    return tuple(Form((term,)) for term in (step, one, size, two, three)), tuple(Form(terms) for terms in more)
+    more = (
+        (step, one),
+        (one, size),
+        (one, two),
+        (one, three),
+        (step, one, two),
+        (step, one, three),
+    )
+    return tuple(Form((term,)) for term in (step, one, size, two, three)), tuple(
+        Form(terms) for terms in more
+    )
 
 
 def equation_of(curve: Pairs, name: str) -> str | None:
-    """`-1.2e+04 x + 3.1e+09 x^3` of a curve over ``name``, with the fewest terms that leave at most a twentieth; None where no terms do."""
+    """`-1.2e+04 x + 3.1e+09 x^3` of a curve over ``name``, with the fewest terms that leave at most
+    a twentieth; None where no terms do.
+    """
     if not curve:
         return ""
     places, values = np.array(curve).T
@@ -48,8 +59,14 @@ def equation_of(curve: Pairs, name: str) -> str | None:
     y = np.interp(x, places, values)
     size = float(np.sqrt(np.mean(y**2)))
     single, several = _forms(name)
-    tries = (lambda: _as_sum(x, y, size, single), lambda: _as_power(x, y, size, name), lambda: _as_sum(x, y, size, several))
-    return next((words for attempt in tries if (words := attempt())), None) or _as_kink(x, y, size, name)
+    tries = (
+        lambda: _as_sum(x, y, size, single),
+        lambda: _as_power(x, y, size, name),
+        lambda: _as_sum(x, y, size, several),
+    )
+    return next((words for attempt in tries if (words := attempt())), None) or _as_kink(
+        x, y, size, name
+    )
 
 
 def _as_sum(x: Array, y: Array, size: float, forms: Sequence[Form]) -> str | None:
@@ -67,7 +84,9 @@ def _sum(terms: object) -> str:
     out = ""
     for number, word in terms:  # type: ignore[attr-defined]
         sign = " - " if number < 0 else " + "
-        out += (sign if out else sign.strip() if number < 0 else "") + f"{abs(number):.3g}{' ' if word else ''}{word}"
+        out += (
+            sign if out else sign.strip() if number < 0 else ""
+        ) + f"{abs(number):.3g}{' ' if word else ''}{word}"
     return out
 
 
@@ -98,7 +117,10 @@ def _as_kink(x: Array, y: Array, size: float, name: str) -> str | None:
         c = columns(float(w[0]) * most)
         return c @ np.linalg.lstsq(c, y, rcond=None)[0] - y
 
-    found = min((least_squares(left, [w], bounds=(0.0, 0.98)) for w in (0.2, 0.5, 0.8)), key=lambda f: f.cost)
+    found = min(
+        (least_squares(left, [w], bounds=(0.0, 0.98)) for w in (0.2, 0.5, 0.8)),
+        key=lambda f: f.cost,
+    )
     if np.sqrt(np.mean(found.fun**2)) > MAX_EQUATION_ERROR * size:
         return None
     w = float(found.x[0]) * most
@@ -109,12 +131,20 @@ def _as_kink(x: Array, y: Array, size: float, name: str) -> str | None:
     return f"{first}{sign}{abs(b):.3g} max({inside}, 0){'' if x.min() >= 0.0 else f' sgn {name}'}"
 
 
-SYMBOLS = {"penetration": ("x", "f(x)"), "rate": ("v", "g(v)"), "stretch": ("s", "h(s)"), "spring": ("x", "p(x)"),
-           "spring_rate": ("v", "q(v)"), "reading": ("w", "f(w)")}  # fmt: skip
+SYMBOLS = {
+    "penetration": ("x", "f(x)"),
+    "rate": ("v", "g(v)"),
+    "stretch": ("s", "h(s)"),
+    "spring": ("x", "p(x)"),
+    "spring_rate": ("v", "q(v)"),
+    "reading": ("w", "f(w)"),
+}
 
 
 def equation(law: Law) -> str | None:
-    """The equation of the whole law; a curve without an equation is a letter; None where no curve has one."""
+    """The equation of the whole law; a curve without an equation is a letter; None where no curve
+    has one.
+    """
     curves = law.family.curves(law.values, law.choices)
     if law.effect.link == "platform":
         return second_order_of(curves[0])
@@ -136,7 +166,9 @@ def equation(law: Law) -> str | None:
 
 
 def second_order_of(curve: Pairs) -> str | None:
-    """The delay, natural frequency and damping ratio of a step response, with its last value as gain; None where it is not second order."""
+    """The delay, natural frequency and damping ratio of a step response, with its last value as
+    gain; None where it is not second order.
+    """
     times, values = np.array(curve).T
     t, end = np.linspace(times[0], times[-1], CURVE_POINTS), values[-1]
     y = np.interp(t, times, values)
@@ -145,29 +177,46 @@ def second_order_of(curve: Pairs) -> str | None:
     def step(p: Array) -> Array:
         w, zeta, since = np.exp(p[0]), min(p[1], 0.999), np.maximum(t - p[2], 0.0)
         s = w * np.sqrt(1.0 - zeta**2)
-        return end * (1.0 - np.exp(-zeta * w * since) * (np.cos(s * since) + zeta * w / s * np.sin(s * since)))
+        return end * (
+            1.0 - np.exp(-zeta * w * since) * (np.cos(s * since) + zeta * w / s * np.sin(s * since))
+        )
 
     starts = [(np.log(part / times[-1]), 0.6, 0.1 * times[-1]) for part in (1.0, 3.0, 10.0)]
     bounds = ((np.log(0.1 / times[-1]), 0.02, 0.0), (np.log(100.0 / times[-1]), 0.999, times[-1]))
-    found = min((least_squares(lambda p: step(p) - y, x, bounds=bounds) for x in starts), key=lambda f: f.cost)
+    found = min(
+        (least_squares(lambda p: step(p) - y, x, bounds=bounds) for x in starts),
+        key=lambda f: f.cost,
+    )
     if size == 0.0 or np.sqrt(np.mean(found.fun**2)) > MAX_EQUATION_ERROR * size:
         return None
     w, zeta, late = float(np.exp(found.x[0])), float(found.x[1]), float(found.x[2])
     share = "" if abs(end - 1.0) < 1e-3 else f"{end:.3g} "
-    return f"x'' = w^2 ({share}x_cmd(t - {late:.2g} s) - x) - {2.0 * zeta:.2g} w x', w = 2 pi {w / (2.0 * np.pi):.3g} Hz"
+    return (
+        f"x'' = w^2 ({share}x_cmd(t - {late:.2g} s) - x) - {2.0 * zeta:.2g} w x', w = 2 "
+        f"pi {w / (2.0 * np.pi):.3g} Hz"
+    )
 
 
 def resembling(residual: Residual, law: Law, singles: Sequence[Fit], null: Fit) -> tuple[str, ...]:
-    """Named effects that, fitted alone, remove from the residual what the law does: by the cosine between the two reductions."""
+    """Named effects that, fitted alone, remove from the residual what the law does: by the cosine
+    between the two reductions.
+    """
     before, after = residual.many([law.known, [*law.known, law.effect]])
     taken = before - after
     alike: dict[str, float] = {}
     for f in singles:
-        if len(f.causes) != 1 or f.causes[0].effect.link not in RESEMBLING_LINKS or len(f.residual) != len(taken):
+        if (
+            len(f.causes) != 1
+            or f.causes[0].effect.link not in RESEMBLING_LINKS
+            or len(f.residual) != len(taken)
+        ):
             continue
         other = null.residual - f.residual
         length = float(np.linalg.norm(taken) * np.linalg.norm(other))
         if length > 0.0:
             alike[f.kinds[0]] = max(alike.get(f.kinds[0], -1.0), float(taken @ other) / length)
-    near = sorted((kind for kind, cosine in alike.items() if cosine > MIN_RESEMBLANCE), key=lambda kind: -alike[kind])
+    near = sorted(
+        (kind for kind, cosine in alike.items() if cosine > MIN_RESEMBLANCE),
+        key=lambda kind: -alike[kind],
+    )
     return tuple(near[:MAX_RESEMBLING])

@@ -1,4 +1,6 @@
-"""Stage "replay": the loop cut into links, each replayed alone on measured inputs, so that no error leaks from one link into another."""
+"""Stage "replay": the loop cut into links, each replayed alone on measured inputs, so that no error
+leaks from one link into another.
+"""
 
 from hiltestbed.diagnosis.links.axis import AxisLink
 from hiltestbed.diagnosis.links.base import Link, LinkRun, Timing, flat_pose
@@ -7,4 +9,14 @@ from hiltestbed.diagnosis.links.numerical_model import DynamicsLink
 from hiltestbed.diagnosis.links.platform import PlatformLink
 from hiltestbed.diagnosis.links.wrench import WrenchLink
 
-__all__ = ["AxisLink", "CompensationLink", "DynamicsLink", "Link", "LinkRun", "PlatformLink", "Timing", "WrenchLink", "flat_pose"]
+__all__ = [
+    "AxisLink",
+    "CompensationLink",
+    "DynamicsLink",
+    "Link",
+    "LinkRun",
+    "PlatformLink",
+    "Timing",
+    "WrenchLink",
+    "flat_pose",
+]

@@ -1,7 +1,7 @@
 """Stage "replay": what every link has, its runs and the prediction of their output.
 
-A link predicts what was measured at its output for any list of effects. Many hypotheses on many runs are one replay: a *lane* is a run
-under a list of effects.
+A link predicts what was measured at its output for any list of effects. Many hypotheses on many
+runs are one replay: a *lane* is a run under a list of effects.
 """
 
 from __future__ import annotations
@@ -26,15 +26,18 @@ REPLAY_BYTES = 64_000_000  # chosen: of the predictions that one replay makes
 
 
 class Timing(Effect):
-    """The timing of a facility that no definition states: when it samples, stamps and steps; not an effect of the vocabulary.
+    """The timing of a facility that no definition states: when it samples, stamps and steps; not an
+    effect of the vocabulary.
 
     Attributes:
         delay: [s] by which the output of a link is stamped later than believed; negative: earlier.
-        before: [s] by which its input acts later, or is stamped earlier. This differs from a late output where the output goes on without
-            an input, and where noise passes from input to output. For contact and sensor: by which the reading is interpolated later
-            between its rows, whereas ``delay`` shifts the instant at which it is read.
+        before: [s] by which its input acts later, or is stamped earlier. This differs from a late
+            output where the output goes on without an input, and where noise passes from input to
+            output. For contact and sensor: by which the reading is interpolated later between its
+            rows, whereas ``delay`` shifts the instant at which it is read.
         obeyed: [s] by which a platform obeys its command later, on all six axes.
-        old: share of the old twist in a new pose of the numerical model: 0 is semi-implicit, 1 would be explicit Euler.
+        old: share of the old twist in a new pose of the numerical model: 0 is semi-implicit, 1
+            would be explicit Euler.
     """
 
     kind: Literal["later"] = "later"
@@ -49,7 +52,9 @@ class Timing(Effect):
 
     def plus(self, other: Timing) -> Timing:
         """The sum of both."""
-        return Timing(**{name: value + getattr(other, name) for name, value in self.parameters().items()})
+        return Timing(
+            **{name: value + getattr(other, name) for name, value in self.parameters().items()}
+        )
 
 
 NO_SHIFT = Timing()
@@ -61,9 +66,12 @@ class LinkRun:
 
     Attributes:
         scenario: as believed. measured: (N, C) at the output, 0 where it was not measured.
-        sigma: (N, C) its noise, infinite where not measured. touching: (N,) bool, the nominal or the measured contact, with its tail
-        through the sensor. heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`. tail: variance of the
-        square of a noise sample. nuisances: (N, C, D) nuisance terms, each at one standard deviation, see
+        sigma: (N, C) its noise, infinite where not measured. touching: (N,) bool, the nominal or
+            the measured contact, with its tail
+        through the sensor. heavy: whether the noise has outliers, see
+            :func:`hiltestbed.diagnosis.noise.softened`. tail: variance of the
+        square of a noise sample. nuisances: (N, C, D) nuisance terms, each at one standard
+            deviation, see
         :mod:`hiltestbed.diagnosis.aside`; None: there are none.
     """
 
@@ -82,7 +90,12 @@ class LinkRun:
 
     def with_nuisances(self, terms: Array) -> LinkRun:
         """The same run with further nuisance ``terms`` (N, C, D)."""
-        return replace(self, nuisances=terms if self.nuisances is None else np.concatenate([self.nuisances, terms], axis=2))
+        return replace(
+            self,
+            nuisances=terms
+            if self.nuisances is None
+            else np.concatenate([self.nuisances, terms], axis=2),
+        )
 
 
 class Link(ABC):
@@ -90,9 +103,12 @@ class Link(ABC):
 
     Attributes:
         name: of the link. channels: what was measured at its output. runs: as it sees them.
-        witnesses: [s] lengths of stretches of a run whose misfits are independent of each other; empty where each row's is.
-        timing: of the facility, as far as it differs from the believed one. known: its shifts that other links show, which are not fitted.
-        rounding: (N, 3) of each run, standard deviation of the rounding errors of the input's positions [m]; empty: there are none.
+        witnesses: [s] lengths of stretches of a run whose misfits are independent of each other;
+            empty where each row's is.
+        timing: of the facility, as far as it differs from the believed one. known: its shifts that
+            other links show, which are not fitted.
+        rounding: (N, 3) of each run, standard deviation of the rounding errors of the input's
+            positions [m]; empty: there are none.
     """
 
     name: str
@@ -117,7 +133,11 @@ class Link(ABC):
 
     def stamped(self, **shifts: float) -> Self:
         """The same link with ``shifts`` [s], by their names in `Timing`, which other links show."""
-        out = self.with_timing(self.timing.model_copy(update={name: getattr(self.timing, name) + s for name, s in shifts.items()}))
+        out = self.with_timing(
+            self.timing.model_copy(
+                update={name: getattr(self.timing, name) + s for name, s in shifts.items()}
+            )
+        )
         out.known = self.known | set(shifts)
         return out
 
@@ -132,7 +152,8 @@ class Link(ABC):
     def _between(self, i: int, shown: Array, timing: Timing) -> Array:
         """(N, C) prediction of run i with a late output, or an early input.
 
-        A linear response to an input between two rows lies between the rows of the output, noise included; interpolation lowers that noise.
+        A linear response to an input between two rows lies between the rows of the output, noise
+        included; interpolation lowers that noise.
         """
         tick, given = self.runs[i].scenario.tick, self.runs[i].measured
         out = moved(shown, timing.delay / tick)
@@ -140,12 +161,16 @@ class Link(ABC):
 
     @property
     def costly(self) -> bool:
-        """Whether a replay takes so long that a search is better spent on some of the runs first."""
+        """Whether a replay takes so long that a search is better spent on some of the runs
+        first.
+        """
         return False
 
     @property
     def whole(self) -> Link:
-        """The form of the link on which adequacy is judged, where another one is fitted; itself as a rule."""
+        """The form of the link on which adequacy is judged, where another one is fitted; itself as
+        a rule.
+        """
         return self
 
     def predict(self, lanes: Sequence[Lane]) -> list[Array]:
@@ -166,7 +191,9 @@ class Link(ABC):
         return self.predict([(i, effects)])[0]
 
     def passed_from_input(self, i: int, effects: Effects) -> Array | None:
-        """(N, C) variance of the output of run i that comes from the rounding of the input on record; None: that has none."""
+        """(N, C) variance of the output of run i that comes from the rounding of the input on
+        record; None: that has none.
+        """
         if not self.rounding or not self.rounding[i].any():
             return None
         return variance_among(self._with_errors(i), effects)
@@ -176,12 +203,15 @@ class Link(ABC):
         raise NotImplementedError(f"the input of the link {self.name} has no rounding errors")
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
-        """(N, C) uncertainty of the prediction due to how finely the facility divides its tick; None: none."""
+        """(N, C) uncertainty of the prediction due to how finely the facility divides its tick;
+        None: none.
+        """
         return None
 
 
 def perturbed(poses: Array, sigma: Array) -> list[Array]:
-    """Poses (N, 7), and copies of them whose positions have white errors of standard deviation ``sigma`` (N, 3) [m].
+    """Poses (N, 7), and copies of them whose positions have white errors of standard deviation
+    ``sigma`` (N, 3) [m].
 
     The errors are always the same, so that few copies show what effects make of them.
     """
@@ -199,15 +229,21 @@ def variance_among(copies: Link, effects: Effects) -> Array:
 def padded(arrays: Sequence[Array]) -> Array:
     """``(R, N, ...)`` of arrays of different length, the last row of each held."""
     longest = max(len(a) for a in arrays)
-    return np.stack([np.concatenate([a, np.repeat(a[-1:], longest - len(a), axis=0)]) for a in arrays])
+    return np.stack(
+        [np.concatenate([a, np.repeat(a[-1:], longest - len(a), axis=0)]) for a in arrays]
+    )
 
 
 def moved(values: Array, rows: float) -> Array:
-    """``values`` (N, C) as they were ``rows`` before, by linear interpolation, and extrapolation beyond both ends."""
+    """``values`` (N, C) as they were ``rows`` before, by linear interpolation, and extrapolation
+    beyond both ends.
+    """
     return shifted(values, -rows, held=False) if rows else values
 
 
 def flat_pose(pose: Array) -> Array:
-    """(N, 6) position [m] and rotation vector [rad] (for small angles twice the vector part) of poses (N, 7)."""
+    """(N, 6) position [m] and rotation vector [rad] (for small angles twice the vector part) of
+    poses (N, 7).
+    """
     sign = np.where(pose[..., 6:] < 0, -1.0, 1.0)
     return np.concatenate([pose[..., :3], 2.0 * sign * pose[..., 3:6]], axis=-1)

@@ -23,7 +23,14 @@ class CompensationLink(Link):
     """The believed compensation, and the loop's dead zone before it."""
 
     name = "compensation"
-    channels = ("wrench_comp.fx", "wrench_comp.fy", "wrench_comp.fz", "wrench_comp.tx", "wrench_comp.ty", "wrench_comp.tz")
+    channels = (
+        "wrench_comp.fx",
+        "wrench_comp.fy",
+        "wrench_comp.fz",
+        "wrench_comp.tx",
+        "wrench_comp.ty",
+        "wrench_comp.tz",
+    )
 
     def __init__(
         self,
@@ -32,60 +39,97 @@ class CompensationLink(Link):
         records: Mapping[str, Sequence[Array]],
         used: Sequence[Array] | None = None,
     ) -> None:
-        """wrenches: (N, 6) wrench_meas of each run. records: pose_act, pose_cmd and their twists, as far as the method reads them.
-        used: the wrench that the loop used, where the record is known to be stamped late."""
+        """wrenches: (N, 6) wrench_meas of each run. records: pose_act, pose_cmd and their twists,
+        as far as the method reads them.
+        used: the wrench that the loop used, where the record is known to be stamped late.
+        """
         self.runs, self.wrenches, self.used = runs, wrenches, used
         self._sources = records
         self._records = {name: padded(values) for name, values in records.items()}
 
     def on_used(self, used: Sequence[Array], runs: Sequence[LinkRun]) -> CompensationLink:
-        """The same link with the wrench that the loop used, in place of a record that is stamped late."""
+        """The same link with the wrench that the loop used, in place of a record that is stamped
+        late.
+        """
         return CompensationLink(runs, self.wrenches, self._sources, used).with_timing(self.timing)
 
     def with_central_rates(self) -> CompensationLink | None:
-        """The same link with twist_act by central differences, in place of the slope of the tick that ends; None where the method reads no
-        rate, the rate is on record, or A moves uniformly within a tick, so that the slope is the rate."""
+        """The same link with twist_act by central differences, in place of the slope of the tick
+        that ends; None where the method reads no rate, the rate is on record, or A moves uniformly
+        within a tick, so that the slope is the rate.
+        """
         scenarios = [r.scenario for r in self.runs]
-        if "twist_act" in self._sources or not any(reads_rates(s) for s in scenarios) or all(moves_linearly(s) for s in scenarios):
+        if (
+            "twist_act" in self._sources
+            or not any(reads_rates(s) for s in scenarios)
+            or all(moves_linearly(s) for s in scenarios)
+        ):
             return None
-        rates = [central_rates(s, poses) for s, poses in zip(scenarios, self._sources["pose_act"], strict=True)]
-        return CompensationLink(self.runs, self.wrenches, {**self._sources, "twist_act": rates}, self.used).with_timing(self.timing)
+        rates = [
+            central_rates(s, poses)
+            for s, poses in zip(scenarios, self._sources["pose_act"], strict=True)
+        ]
+        return CompensationLink(
+            self.runs, self.wrenches, {**self._sources, "twist_act": rates}, self.used
+        ).with_timing(self.timing)
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.arange(len(lanes))
         scenarios = [self.runs[i].scenario for i, _ in lanes]
         readings = padded([self._reading(i, effects) for i, effects in lanes])
         records = {name: values[[i for i, _ in lanes]] for name, values in self._records.items()}
-        found = replay_compensation(scenarios, [InputParameters.of(effects) for _, effects in lanes], records, readings, run)
+        found = replay_compensation(
+            scenarios, [InputParameters.of(effects) for _, effects in lanes], records, readings, run
+        )
         shown = [wrench[: self.runs[i].rows] for wrench, (i, _) in zip(found, lanes, strict=True)]
-        return [self._between(i, wrench, self.timing_with(effects)) for wrench, (i, effects) in zip(shown, lanes, strict=True)]
+        return [
+            self._between(i, wrench, self.timing_with(effects))
+            for wrench, (i, effects) in zip(shown, lanes, strict=True)
+        ]
 
     def _reading(self, i: int, effects: Effects) -> Array:
-        """(N, 6) the wrench that the loop used: the record, or later rows of it where it is stamped late."""
+        """(N, 6) the wrench that the loop used: the record, or later rows of it where it is stamped
+        late.
+        """
         skew = log_parameters(effects).skew
         if not skew:
             return self.wrenches[i]
-        return self.used[i] if self.used is not None else shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
+        return (
+            self.used[i]
+            if self.used is not None
+            else shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
+        )
 
     def noise_gain(self) -> float:
-        """Factor on white noise of the readings by the compensation of the first run; 1 where it is not linear."""
+        """Factor on white noise of the readings by the compensation of the first run; 1 where it is
+        not linear.
+        """
         answer = self._answer()
         return 1.0 if answer is None else float(np.linalg.norm(answer))
 
     def memory(self) -> float | None:
-        """[s] after which the compensation of the first run has forgotten a reading; None where it is not linear."""
+        """[s] after which the compensation of the first run has forgotten a reading; None where it
+        is not linear.
+        """
         answer = self._answer()
         if answer is None:
             return None
-        lasting = np.flatnonzero(np.abs(answer[RESPONSE_ROWS // 4 :]) > MEMORY_TOLERANCE * np.abs(answer).max())
+        lasting = np.flatnonzero(
+            np.abs(answer[RESPONSE_ROWS // 4 :]) > MEMORY_TOLERANCE * np.abs(answer).max()
+        )
         return float(lasting[-1] + 1) * self.runs[0].scenario.tick
 
     def _answer(self) -> Array | None:
-        """(RESPONSE_ROWS,) response to a unit impulse in the first run; None where the compensation is not linear."""
+        """(RESPONSE_ROWS,) response to a unit impulse in the first run; None where the compensation
+        is not linear.
+        """
         scenario = self.runs[0].scenario
         if scenario.compensation.force.reads != {"wrench"}:
             return None
         impulse = np.zeros((1, RESPONSE_ROWS, 6))
-        impulse[0, RESPONSE_ROWS // 4] = IMPULSE  # not at the start, which a method may take for the past
-        found = replay_compensation([scenario], [InputParameters()], {}, impulse, np.zeros(1, dtype=int))
+        # not at the start, which a method may take for the past
+        impulse[0, RESPONSE_ROWS // 4] = IMPULSE
+        found = replay_compensation(
+            [scenario], [InputParameters()], {}, impulse, np.zeros(1, dtype=int)
+        )
         return found[0, :, 0] / IMPULSE

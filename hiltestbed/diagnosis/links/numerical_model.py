@@ -18,17 +18,28 @@ class DynamicsLink(Link):
     """The numerical model: position, and attitude as a small rotation vector."""
 
     name = "dynamics"
-    channels = ("pose_cmd.px", "pose_cmd.py", "pose_cmd.pz", "pose_cmd.rx", "pose_cmd.ry", "pose_cmd.rz")
+    channels = (
+        "pose_cmd.px",
+        "pose_cmd.py",
+        "pose_cmd.pz",
+        "pose_cmd.rx",
+        "pose_cmd.ry",
+        "pose_cmd.rz",
+    )
 
     def __init__(self, runs: Sequence[LinkRun], wrenches: Sequence[Array]) -> None:
-        """wrenches: (N, 6) wrench_comp of each run. The runs' `measured` is (N, 6), see `flat_pose`."""
+        """wrenches: (N, 6) wrench_comp of each run. The runs' `measured` is (N, 6), see
+        `flat_pose`.
+        """
         self.runs = runs
         self._wrenches = padded(wrenches)
 
     def with_unknown_start(self, level: Array) -> DynamicsLink:
-        """The same link where the wrench that acted first may not be on record: nuisance terms of each run, which go on for its length.
+        """The same link where the wrench that acted first may not be on record: nuisance terms of
+        each run, which go on for its length.
 
-        Of a wrench whose stamps are shifted, the record lacks up to a row at one end, of which only the noise, ``level`` (6,) [N, N m], is
+        Of a wrench whose stamps are shifted, the record lacks up to a row at one end, of which only
+        the noise, ``level`` (6,) [N, N m], is
         known: it makes the bodies drift.
         """
         out, terms = copy(self), [np.empty((r.rows, 6, 6)) for r in self.runs]
@@ -45,12 +56,28 @@ class DynamicsLink(Link):
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.array([i for i, _ in lanes])
-        departing = Departing([self.runs[i].scenario for i in run], stack([DynamicsParameters.of(effects) for _, effects in lanes]))
-        places, tick = [self.timing_with(effects) for _, effects in lanes], self.runs[0].scenario.tick
+        departing = Departing(
+            [self.runs[i].scenario for i in run],
+            stack([DynamicsParameters.of(effects) for _, effects in lanes]),
+        )
+        places, tick = (
+            [self.timing_with(effects) for _, effects in lanes],
+            self.runs[0].scenario.tick,
+        )
         wrenches, driven = self._wrenches, run
         if any(place.before for place in places):
-            wrenches = np.stack([moved(self._wrenches[i], p.before / tick) for i, p in zip(run, places, strict=True)])
+            wrenches = np.stack(
+                [
+                    moved(self._wrenches[i], p.before / tick)
+                    for i, p in zip(run, places, strict=True)
+                ]
+            )
             driven = np.arange(len(lanes))
-        poses = flat_pose(replay_model(departing, wrenches, driven, np.array([place.old for place in places])))
+        poses = flat_pose(
+            replay_model(departing, wrenches, driven, np.array([place.old for place in places]))
+        )
         late = [place.delay / tick for place in places]
-        return [moved(pose[: self.runs[i].rows], rows) for pose, rows, i in zip(poses, late, run, strict=True)]
+        return [
+            moved(pose[: self.runs[i].rows], rows)
+            for pose, rows, i in zip(poses, late, run, strict=True)
+        ]

@@ -6,7 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.links.base import NO_SHIFT, Effects, Lane, Link, LinkRun, Timing, flat_pose, moved, padded, perturbed
+from hiltestbed.diagnosis.links.base import (
+    NO_SHIFT,
+    Effects,
+    Lane,
+    Link,
+    LinkRun,
+    Timing,
+    flat_pose,
+    moved,
+    padded,
+    perturbed,
+)
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.effects.response import PlatformDelay
@@ -15,22 +26,41 @@ from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import replay_platform
 from hiltestbed.replay.platform import WHOLE
 
-JUMP_INSTANT_ERROR = 0.25  # chosen: ticks: uncertainty of the instant of a jump, since how a facility divides a tick is not known
-JUMP_READING_ERROR = 0.5  # chosen: ticks: the same where it reads the pose at another instant than it is stamped at, too
+# chosen: ticks: uncertainty of the instant of a jump, since how a facility divides a tick is not
+# known
+JUMP_INSTANT_ERROR = 0.25
+# chosen: ticks: the same where it reads the pose at another instant than it is stamped at, too
+JUMP_READING_ERROR = 0.5
 
 
 class PlatformLink(Link):
-    """The motion platform: its response to the command, and the deflection of the believed drives."""
+    """The motion platform: its response to the command, and the deflection of the believed
+    drives.
+    """
 
     name = "platform"
-    channels = ("pose_act.px", "pose_act.py", "pose_act.pz", "pose_act.rx", "pose_act.ry", "pose_act.rz")
+    channels = (
+        "pose_act.px",
+        "pose_act.py",
+        "pose_act.pz",
+        "pose_act.rx",
+        "pose_act.ry",
+        "pose_act.rz",
+    )
 
-    def __init__(self, runs: Sequence[LinkRun], commands: Sequence[Array], deflection: Sequence[Array]) -> None:
-        """commands: (N, 7) pose_cmd of each run. deflection: (N, 6) of the believed drives from it [m, rad]."""
+    def __init__(
+        self, runs: Sequence[LinkRun], commands: Sequence[Array], deflection: Sequence[Array]
+    ) -> None:
+        """commands: (N, 7) pose_cmd of each run. deflection: (N, 6) of the believed drives from it
+        [m, rad].
+        """
         self.runs, self.commands, self.deflection = runs, commands, deflection
         self._padded = padded(commands)
         starts = [approach_state(r.scenario)[None, :7] for r in runs]
-        self._attitude = [flat_pose(np.concatenate([s, c[:-1]]))[:, 3:] for s, c in zip(starts, commands, strict=True)]
+        self._attitude = [
+            flat_pose(np.concatenate([s, c[:-1]]))[:, 3:]
+            for s, c in zip(starts, commands, strict=True)
+        ]
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         poses = zip(self._reached(lanes), lanes, strict=True)
@@ -40,39 +70,74 @@ class PlatformLink(Link):
         """(N, 6) of each lane, what the platform reaches on its commands as they are stamped."""
         out = []
         for place, (i, effects) in zip(self.places(lanes), lanes, strict=True):
-            turned = moved(self._attitude[i], self.timing_with(effects).obeyed / self.runs[i].scenario.tick)
-            out.append(np.concatenate([place[: self.runs[i].rows], turned], axis=1) + self.deflection[i])
+            turned = moved(
+                self._attitude[i], self.timing_with(effects).obeyed / self.runs[i].scenario.tick
+            )
+            out.append(
+                np.concatenate([place[: self.runs[i].rows], turned], axis=1) + self.deflection[i]
+            )
         return out
 
     def places(self, lanes: Sequence[Lane]) -> Array:
-        """(L, N, 3) positions [m] that the platform reaches in each lane, without the deflection of its drives."""
+        """(L, N, 3) positions [m] that the platform reaches in each lane, without the deflection of
+        its drives.
+        """
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
-        parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
+        parameters = [
+            PlatformParameters.believed(s).with_effects(effects)
+            for s, (_, effects) in zip(scenarios, lanes, strict=True)
+        ]
         timing = [self.timing_with(effects) for _, effects in lanes]
         obeyed, early = np.array([t.obeyed for t in timing]), np.array([t.before for t in timing])
-        lost = np.ceil(np.maximum(-early / scenarios[0].tick - WHOLE, 0.0)).astype(int)  # rows before the first command
+        # rows before the first command
+        lost = np.ceil(np.maximum(-early / scenarios[0].tick - WHOLE, 0.0)).astype(int)
         if not lost.any():
             return replay_platform(scenarios, parameters, self._padded, run, obeyed, early)
-        commands = np.stack([np.concatenate([c[n:], np.repeat(c[-1:], n, axis=0)]) for c, n in zip(self._padded[run], lost, strict=True)])
-        found = replay_platform(scenarios, parameters, commands, np.arange(len(lanes)), obeyed, early + lost * scenarios[0].tick)
-        return np.stack([np.concatenate([np.repeat(p[:1], n, axis=0), p[: len(p) - n]]) for p, n in zip(found, lost, strict=True)])
+        commands = np.stack(
+            [
+                np.concatenate([c[n:], np.repeat(c[-1:], n, axis=0)])
+                for c, n in zip(self._padded[run], lost, strict=True)
+            ]
+        )
+        found = replay_platform(
+            scenarios,
+            parameters,
+            commands,
+            np.arange(len(lanes)),
+            obeyed,
+            early + lost * scenarios[0].tick,
+        )
+        return np.stack(
+            [
+                np.concatenate([np.repeat(p[:1], n, axis=0), p[: len(p) - n]])
+                for p, n in zip(found, lost, strict=True)
+            ]
+        )
 
     def _with_errors(self, i: int) -> PlatformLink:
         commands = perturbed(self.commands[i], self.rounding[i])
         count = len(commands)
-        return PlatformLink([self.runs[i]] * count, commands, [self.deflection[i]] * count).with_timing(self.timing)
+        return PlatformLink(
+            [self.runs[i]] * count, commands, [self.deflection[i]] * count
+        ).with_timing(self.timing)
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) uncertainty of where a platform jumps, bends or stops.
 
-        With stiction: its change in rows whose jump may have come a row sooner or later. Where other links show that stamps lie between
-        rows: its bend within half a tick, which interpolation between rows cuts off. None otherwise.
+        With stiction: its change in rows whose jump may have come a row sooner or later. Where
+            other links show that stamps lie between
+        rows: its bend within half a tick, which interpolation between rows cuts off. None
+            otherwise.
         """
         tick = self.runs[i].scenario.tick
         if any(e.kind == PlatformFriction.model_fields["kind"].default for e in effects):
-            error = (JUMP_INSTANT_ERROR if self.timing_with(effects) == NO_SHIFT else JUMP_READING_ERROR) * tick
-            sooner, later = ([*effects, PlatformDelay.hypothesis({}, delay=d)] for d in (-error, error))
+            error = (
+                JUMP_INSTANT_ERROR if self.timing_with(effects) == NO_SHIFT else JUMP_READING_ERROR
+            ) * tick
+            sooner, later = (
+                [*effects, PlatformDelay.hypothesis({}, delay=d)] for d in (-error, error)
+            )
             early, late = self.predict([(i, sooner), (i, later)])
             return np.abs(late - early)
         if not self.known or not effects:
@@ -82,13 +147,23 @@ class PlatformLink(Link):
         return np.abs(early + late - 2.0 * now)
 
     def paths(self, effects: Effects) -> list[Array]:
-        """(N, 7) poses that the platform reaches in each run, with the commanded attitude, as they are stamped."""
-        reached, late = self._reached([(i, effects) for i in range(len(self.runs))]), self.timing.delay + self.timing.before
-        return [poses_of(moved(r, late / run.scenario.tick)) for r, run in zip(reached, self.runs, strict=True)]
+        """(N, 7) poses that the platform reaches in each run, with the commanded attitude, as they
+        are stamped.
+        """
+        reached, late = (
+            self._reached([(i, effects) for i in range(len(self.runs))]),
+            self.timing.delay + self.timing.before,
+        )
+        return [
+            poses_of(moved(r, late / run.scenario.tick))
+            for r, run in zip(reached, self.runs, strict=True)
+        ]
 
 
 def poses_of(flat: Array) -> Array:
-    """(N, 7) poses of positions and small rotation vectors (N, 6), the inverse of :func:`flat_pose`."""
+    """(N, 7) poses of positions and small rotation vectors (N, 6), the inverse of
+    :func:`flat_pose`.
+    """
     half = 0.5 * flat[:, 3:]
     w = np.sqrt(np.maximum(1.0 - np.sum(half * half, axis=1, keepdims=True), 0.0))
     return np.concatenate([flat[:, :3], half, w], axis=1)

@@ -15,7 +15,17 @@ from hiltestbed.contact.latch import closes, latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import ContactParameters, believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, Timing, flat_pose, moved, padded, perturbed
+from hiltestbed.diagnosis.links.base import (
+    Effects,
+    Lane,
+    Link,
+    LinkRun,
+    Timing,
+    flat_pose,
+    moved,
+    padded,
+    perturbed,
+)
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import BLOCK_ROWS
@@ -35,7 +45,8 @@ NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal distribution
 MOST_TOUCHES = 24  # chosen: of a run on a mount, whose instants are not known
 STEP_RATIO = 2  # of the steps of a mount, for the extrapolation to steps of zero length
 NO_COUNT = 1e6  # chosen: times its noise: uncertainty of a reading that does not count
-SHARE_OF_A_JUMP = 0.1  # chosen: of the longest jump: what is shorter is motion of the axes that are held
+# chosen: of the longest jump: what is shorter is motion of the axes that are held
+SHARE_OF_A_JUMP = 0.1
 WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 
 
@@ -43,7 +54,9 @@ _NO_LOG_EFFECT = log_parameters(())
 
 
 class _Numbers(NamedTuple):
-    """Contacts and sensor as a scenario describes them: the contacts of the rules, which of them each pair has, and their rows."""
+    """Contacts and sensor as a scenario describes them: the contacts of the rules, which of them
+    each pair has, and their rows.
+    """
 
     contacts: list[ContactParameters]
     rules: Sequence[int]
@@ -54,10 +67,14 @@ class _Numbers(NamedTuple):
 def _numbers(scenario: Scenario, lever: float, blunt: float, ring: float) -> _Numbers:
     """The numbers of a scenario, under an interpretation of what the facility leaves open."""
     mechanism = scenario.mechanism
-    contacts = [replace(c, lever=lever, blunt=blunt, ring=ring) for c in believed_contacts(mechanism)]
+    contacts = [
+        replace(c, lever=lever, blunt=blunt, ring=ring) for c in believed_contacts(mechanism)
+    ]
     rules = sides_of(mechanism).rules
     rows = contact_rows(contacts, rules, mechanism.captured)
-    return _Numbers(contacts, rules, rows, SensorParameters.believed(scenario.sensor, scenario.tick))
+    return _Numbers(
+        contacts, rules, rows, SensorParameters.believed(scenario.sensor, scenario.tick)
+    )
 
 
 def _lateness(lane: FeltLane) -> float:
@@ -68,26 +85,44 @@ def _lateness(lane: FeltLane) -> float:
 class WrenchLink(Link):
     """Contact and sensor on the paths of A.
 
-    A mechanism whose wrench does not follow from the pose of A alone is simulated as in its MJCF; it has no alternative interpretation.
+    A mechanism whose wrench does not follow from the pose of A alone is simulated as in its MJCF;
+    it has no alternative interpretation.
 
     Attributes:
-        lever: where between the undeformed surface (0) and the tip (1) the force acts. blunt: 1 where the ball of the tip touches, 0 where
-        its foremost point does. ring: 1 where a latch resists turning, 0 where it does not. grid: instants a tick between which a late
-        reading is interpolated linearly, as by a facility that computes its contact step by step; None: it is the reading at the instant at
-        which it left the contact. The rate of a contact jumps from one tick to the next, so that the two differ.
+        lever: where between the undeformed surface (0) and the tip (1) the force acts. blunt: 1
+            where the ball of the tip touches, 0 where
+        its foremost point does. ring: 1 where a latch resists turning, 0 where it does not. grid:
+            instants a tick between which a late reading is interpolated linearly, as by a facility
+            that computes its contact step by step; None: it is the reading at the instant at which
+            it left the contact. The rate of a contact jumps from one tick to the next, so that the
+            two differ.
         logged: the filter through which readings went to the record; None: none.
-        of_rows: of the record, whose mean each row is. exact: whether a mount is integrated to second order, and corrected to the exact
-        integral by what that misses of the believed motion; else it is stepped as by MuJoCo, to first order.
+        of_rows: of the record, whose mean each row is. exact: whether a mount is integrated to
+            second order, and corrected to the exact integral by what that misses of the believed
+            motion; else it is stepped as by MuJoCo, to first order.
     """
 
     name = "wrench"
-    channels = ("wrench_meas.fx", "wrench_meas.fy", "wrench_meas.fz", "wrench_meas.tx", "wrench_meas.ty", "wrench_meas.tz")
+    channels = (
+        "wrench_meas.fx",
+        "wrench_meas.fy",
+        "wrench_meas.fz",
+        "wrench_meas.tx",
+        "wrench_meas.ty",
+        "wrench_meas.tz",
+    )
 
     def __init__(
-        self, runs: Sequence[LinkRun], paths: Sequence[Array], jumps: Sequence[Array] | None = None, rates: Sequence[Array] | None = None
+        self,
+        runs: Sequence[LinkRun],
+        paths: Sequence[Array],
+        jumps: Sequence[Array] | None = None,
+        rates: Sequence[Array] | None = None,
     ) -> None:
-        """paths: (N, 7) of A in P at t_k. jumps: (N,) distance [m] by which A jumped in the tick that ends at t_k, at an unknown instant.
-        rates: (N, 6) its twist at t_k; None: the slope over the tick that ends there."""
+        """paths: (N, 7) of A in P at t_k. jumps: (N,) distance [m] by which A jumped in the tick
+        that ends at t_k, at an unknown instant.
+        rates: (N, 6) its twist at t_k; None: the slope over the tick that ends there.
+        """
         self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
         self.lever, self.blunt, self.ring, self.grid = 0.5, 1.0, 1.0, None
         self.commands: Sequence[Array] | None = None
@@ -103,15 +138,27 @@ class WrenchLink(Link):
         first, before = scenarios[0], np.empty((len(runs), 7))
         self._felt: Felt | Simulated
         if not sides_of(first.mechanism).rigid:
-            self._felt = Simulated(scenarios, padded(paths), None if rates is None else padded(rates))
+            self._felt = Simulated(
+                scenarios, padded(paths), None if rates is None else padded(rates)
+            )
             return
         for i, (scenario, path) in enumerate(zip(scenarios, paths, strict=True)):
             pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before[i])
         captured = np.array([s.mechanism.captured for s in scenarios])
         self._felt = Felt(
-            padded(paths), before, first.tick, sides_of(first.mechanism).geometry, captured, latch_limits(scenarios),
-            MountDynamics.of(scenarios), first.substeps, self.lever, self.blunt, None if rates is None else padded(rates), creep_of(first),
-        )  # fmt: skip
+            padded(paths),
+            before,
+            first.tick,
+            sides_of(first.mechanism).geometry,
+            captured,
+            latch_limits(scenarios),
+            MountDynamics.of(scenarios),
+            first.substeps,
+            self.lever,
+            self.blunt,
+            None if rates is None else padded(rates),
+            creep_of(first),
+        )
 
     def interpreted(
         self,
@@ -123,10 +170,22 @@ class WrenchLink(Link):
     ) -> WrenchLink:
         """The same link with another interpretation of what the facility leaves open."""
         out = copy(self)
-        lever, blunt = self.lever if lever is None else lever, self.blunt if blunt is None else blunt
+        lever, blunt = (
+            self.lever if lever is None else lever,
+            self.blunt if blunt is None else blunt,
+        )
         ring = self.ring if ring is None else ring
-        if isinstance(self._felt, Felt) and (lever, blunt, ring) != (self.lever, self.blunt, self.ring):
-            out.lever, out.blunt, out.ring, out._felt = lever, blunt, ring, replace(self._felt, lever=lever, blunt=blunt)
+        if isinstance(self._felt, Felt) and (lever, blunt, ring) != (
+            self.lever,
+            self.blunt,
+            self.ring,
+        ):
+            out.lever, out.blunt, out.ring, out._felt = (
+                lever,
+                blunt,
+                ring,
+                replace(self._felt, lever=lever, blunt=blunt),
+            )
             out._believed = [_numbers(r.scenario, lever, blunt, ring) for r in self.runs]
         out.grid = self.grid if grid is None else grid
         out.exact = self.exact if exact is None else exact
@@ -136,21 +195,37 @@ class WrenchLink(Link):
         return out
 
     def as_interpreted(self, other: WrenchLink) -> WrenchLink:
-        """The same link with the interpretation and timing of another one, which may have fewer rows."""
-        grid = None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
-        out = self.interpreted(other.lever, grid, other.blunt, other.exact, other.ring).with_timing(other.timing)
+        """The same link with the interpretation and timing of another one, which may have fewer
+        rows.
+        """
+        grid = (
+            None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
+        )
+        out = self.interpreted(other.lever, grid, other.blunt, other.exact, other.ring).with_timing(
+            other.timing
+        )
         return out.with_unknown_steps() if other.unknown_steps else out
 
     @property
     def simulated(self) -> bool:
-        """Whether the contact force along a path is computed by simulating the mechanism's physics."""
+        """Whether the contact force along a path is computed by simulating the mechanism's
+        physics.
+        """
         return isinstance(self._felt, Simulated)
 
     @property
     def costly(self) -> bool:
-        """Whether parts that move are integrated, or there are many rows of a surface that is neither flat nor latched from the start."""
-        simple = all(run.scenario.mechanism.flat or run.scenario.mechanism.captured for run in self.runs)
-        return self.simulated or self.stepped or (not simple and sum(run.rows for run in self.runs) > MANY_ROWS)
+        """Whether parts that move are integrated, or there are many rows of a surface that is
+        neither flat nor latched from the start.
+        """
+        simple = all(
+            run.scenario.mechanism.flat or run.scenario.mechanism.captured for run in self.runs
+        )
+        return (
+            self.simulated
+            or self.stepped
+            or (not simple and sum(run.rows for run in self.runs) > MANY_ROWS)
+        )
 
     @property
     def stepped(self) -> bool:
@@ -158,16 +233,25 @@ class WrenchLink(Link):
         return isinstance(self._felt, Felt) and self._felt.mount is not None
 
     def _missed_by_steps(self) -> list[Array]:
-        """(N, 6) error of the steps of a believed mount in each run, of second order, extrapolated from steps of half the length (L. F.
-        Richardson, Phil. Trans. A 210, 1911)."""
+        """(N, 6) error of the steps of a believed mount in each run, of second order, extrapolated
+        from steps of half the length (L. F. Richardson, Phil. Trans. A 210, 1911).
+        """
         assert isinstance(self._felt, Felt)
         finer = replace(self._felt, substeps=STEP_RATIO * self._felt.substeps)
-        coarse, fine = (self._read(felt, [(i, ()) for i in range(len(self.runs))]) for felt in (self._felt, finer))
-        return [(f - c) * STEP_RATIO**2 / (STEP_RATIO**2 - 1.0) for f, c in zip(fine, coarse, strict=True)]
+        coarse, fine = (
+            self._read(felt, [(i, ()) for i in range(len(self.runs))])
+            for felt in (self._felt, finer)
+        )
+        return [
+            (f - c) * STEP_RATIO**2 / (STEP_RATIO**2 - 1.0)
+            for f, c in zip(fine, coarse, strict=True)
+        ]
 
     def with_unknown_steps(self) -> WrenchLink:
-        """The same link of a facility whose mount moves in steps that are not known: nuisance terms of each run for the correction to the
-        exact integral, and for each touch, which begins anywhere within a believed step. Itself where the steps are those of MuJoCo."""
+        """The same link of a facility whose mount moves in steps that are not known: nuisance terms
+        of each run for the correction to the exact integral, and for each touch, which begins
+        anywhere within a believed step. Itself where the steps are those of MuJoCo.
+        """
         if self._step_error is None or self.unknown_steps or not isinstance(self._felt, Felt):
             return self
         everything: list[Lane] = [(i, ()) for i in range(len(self.runs))]
@@ -179,49 +263,78 @@ class WrenchLink(Link):
             terms.append([e - s for e, s in zip(earlier, as_it_is, strict=True)])
         out = copy(self)
         out.unknown_steps = True
-        out.runs = [r.with_nuisances(np.stack(t, axis=2)) for r, t in zip(self.runs, zip(*terms, strict=True), strict=True)]
+        out.runs = [
+            r.with_nuisances(np.stack(t, axis=2))
+            for r, t in zip(self.runs, zip(*terms, strict=True), strict=True)
+        ]
         return out
 
     def commanded(self, commands: Sequence[Array], deflection: Sequence[Array]) -> WrenchLink:
-        """The same link where the paths were not measured: they are the platform's response to ``commands`` (N, 7) with its effects, plus
-        the ``deflection`` (N, 6) of the believed drives [m, rad]."""
+        """The same link where the paths were not measured: they are the platform's response to
+        ``commands`` (N, 7) with its effects, plus the ``deflection`` (N, 6) of the believed drives
+        [m, rad].
+        """
         out = copy(self)
         out.commands, out.deflection = commands, deflection
         return out
 
     def with_unknown_paths(self, changes: Sequence[Sequence[Array]]) -> WrenchLink:
-        """The same link whose paths may be off by any sum of ``changes`` (N, 6) [m, rad], those of each run: a nuisance term for each."""
+        """The same link whose paths may be off by any sum of ``changes`` (N, 6) [m, rad], those of
+        each run: a nuisance term for each.
+        """
         out = copy(self)
         for change in zip(*changes, strict=True):
-            paths = [poses_of(flat_pose(p) + c[: len(p)]) for p, c in zip(self.paths, change, strict=True)]
+            paths = [
+                poses_of(flat_pose(p) + c[: len(p)])
+                for p, c in zip(self.paths, change, strict=True)
+            ]
             rates = self.rates and [
-                r + np.gradient(c[: len(r)], run.scenario.tick, axis=0) for r, c, run in zip(self.rates, change, self.runs, strict=True)
+                r + np.gradient(c[: len(r)], run.scenario.tick, axis=0)
+                for r, c, run in zip(self.rates, change, self.runs, strict=True)
             ]
             out.runs = self._with_terms(out.runs, paths, rates)
         return out
 
     def _with_terms(
-        self, runs: Sequence[LinkRun], paths: Sequence[Array], rates: Sequence[Array] | None, times: float = 1.0
+        self,
+        runs: Sequence[LinkRun],
+        paths: Sequence[Array],
+        rates: Sequence[Array] | None,
+        times: float = 1.0,
     ) -> list[LinkRun]:
-        """The ``runs`` with a further nuisance term: ``times`` the change of the readings on other paths (N, 7) and rates (N, 6)."""
+        """The ``runs`` with a further nuisance term: ``times`` the change of the readings on other
+        paths (N, 7) and rates (N, 6).
+        """
         everything = [(i, ()) for i in range(len(self.runs))]
-        other = WrenchLink(self.runs, paths, self.jumps, rates).as_interpreted(self).through(self.logged)
-        changes = [b - a for a, b in zip(self.predict(everything), other.predict(everything), strict=True)]
+        other = (
+            WrenchLink(self.runs, paths, self.jumps, rates)
+            .as_interpreted(self)
+            .through(self.logged)
+        )
+        changes = [
+            b - a for a, b in zip(self.predict(everything), other.predict(everything), strict=True)
+        ]
         return [r.with_nuisances(times * c[:, :, None]) for r, c in zip(runs, changes, strict=True)]
 
     def with_unknown_rate(self) -> WrenchLink:
-        """The same link of a facility that takes the rate of the contact at an instant that is not known: a nuisance term of each run.
+        """The same link of a facility that takes the rate of the contact at an instant that is not
+        known: a nuisance term of each run.
 
-        Its standard deviation is a tick: the rate may be the slope of a tick or of its last half, and pose, command and reading may each
-        be up to half a tick from where they are stamped. A latch that waits for A to be slow may then close a row later, a term of its own:
-        what it holds A with afterwards depends on where it closed. Where A jumps, these decide row by row whether a reading shows the jump:
-        readings beside a jump then do not count.
+        Its standard deviation is a tick: the rate may be the slope of a tick or of its last half,
+            and pose, command and reading may each be up to half a tick from where they are stamped.
+            A latch that waits for A to be slow may then close a row later, a term of its own: what
+            it holds A with afterwards depends on where it closed. Where A jumps, these decide row
+            by row whether a reading shows the jump: readings beside a jump then do not count.
         """
         out = copy(self)
         out.unknown_rate = True
         if self.jumps is not None:
             return out
-        smooth = [central_rates(r.scenario, p) for r, p in zip(self.runs, self.paths, strict=True)] if self.rates is None else None
+        smooth = (
+            [central_rates(r.scenario, p) for r, p in zip(self.runs, self.paths, strict=True)]
+            if self.rates is None
+            else None
+        )
         out.runs = self._with_terms(self.runs, self.paths, smooth, 2.0)
         later = None if self.rates is None else self._closing_later(self.rates)
         if later is not None:
@@ -229,10 +342,16 @@ class WrenchLink(Link):
         return out
 
     def _closing_later(self, rates: Sequence[Array]) -> list[Array] | None:
-        """The rates with which each latch closes a row later, where it waits for A to be slow; None where none does."""
+        """The rates with which each latch closes a row later, where it waits for A to be slow; None
+        where none does.
+        """
         out, waits = [], False
         for run, path, rate in zip(self.runs, self.paths, rates, strict=True):
-            mechanism, limits, held = run.scenario.mechanism, latch_limits([run.scenario])[0], rate.copy()
+            mechanism, limits, held = (
+                run.scenario.mechanism,
+                latch_limits([run.scenario])[0],
+                rate.copy(),
+            )
             out.append(held)
             if mechanism.latch is None or mechanism.captured:
                 continue
@@ -250,10 +369,22 @@ class WrenchLink(Link):
     def _with_errors(self, i: int) -> WrenchLink:
         paths, run = perturbed(self.paths[i], self.rounding[i][: self.runs[i].rows]), self.runs[i]
         rates = None if self.rates is None else [central_rates(run.scenario, p) for p in paths]
-        return WrenchLink([run] * len(paths), paths, None, rates).as_interpreted(self).through(self.logged)
+        return (
+            WrenchLink([run] * len(paths), paths, None, rates)
+            .as_interpreted(self)
+            .through(self.logged)
+        )
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
-        moved = [n for n, (_, effects) in enumerate(lanes) if any(e.link == "platform" for e in effects)] if self.commands else []
+        moved = (
+            [
+                n
+                for n, (_, effects) in enumerate(lanes)
+                if any(e.link == "platform" for e in effects)
+            ]
+            if self.commands
+            else []
+        )
         if not moved:
             return self._felt_by(lanes)
         rest = [n for n in range(len(lanes)) if n not in set(moved)]
@@ -265,38 +396,75 @@ class WrenchLink(Link):
         """Predictions on the paths of a platform with effects, with the commanded attitude."""
         runs = [self.runs[i] for i, _ in lanes]
         scenarios = [r.scenario for r in runs]
-        parameters = [PlatformParameters.believed(s).with_effects(effects) for s, (_, effects) in zip(scenarios, lanes, strict=True)]
-        places = replay_platform(scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes]))
+        parameters = [
+            PlatformParameters.believed(s).with_effects(effects)
+            for s, (_, effects) in zip(scenarios, lanes, strict=True)
+        ]
+        places = replay_platform(
+            scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes])
+        )
         paths = [
-            np.concatenate([p[: r.rows] + self.deflection[i][: r.rows, :3], self.paths[i][: r.rows, 3:]], axis=1)
+            np.concatenate(
+                [p[: r.rows] + self.deflection[i][: r.rows, :3], self.paths[i][: r.rows, 3:]],
+                axis=1,
+            )
             for p, r, (i, _) in zip(places, runs, lanes, strict=True)
         ]
-        rates = None if self.rates is None else [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
-        link = WrenchLink(runs, paths, None, rates).interpreted(self.lever, self.grid, self.blunt, self.exact, self.ring)
+        rates = (
+            None
+            if self.rates is None
+            else [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
+        )
+        link = WrenchLink(runs, paths, None, rates).interpreted(
+            self.lever, self.grid, self.blunt, self.exact, self.ring
+        )
         link = link.with_timing(self.timing)
         return link.through(self.logged).predict(
-            [(n, [e for e in effects if e.link != "platform"]) for n, (_, effects) in enumerate(lanes)]
+            [
+                (n, [e for e in effects if e.link != "platform"])
+                for n, (_, effects) in enumerate(lanes)
+            ]
         )
 
     def _felt_by(self, lanes: Sequence[Lane]) -> list[Array]:
         shown = self._read(self._felt, lanes)
         if self._step_error is not None:
-            shown = [reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
+            shown = [
+                reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)
+            ]
         return [self.logged(reading) for reading in shown] if self.logged else shown
 
     def _read(self, felt: Felt | Simulated, lanes: Sequence[Lane]) -> list[Array]:
         """(N, 6) reading of each lane as it is stamped, on the paths of ``felt``."""
         read, tick = [self._lane(i, effects) for i, effects in lanes], self.runs[0].scenario.tick
-        ahead = [max(math.ceil(-_lateness(lane) / tick), 0) for lane in read]  # stamped before its contact: read later, by whole rows
-        found = replay_wrench(felt, [lane._replace(later=lane.later + n * tick) for lane, n in zip(read, ahead, strict=True)], self.grid)
-        late = [self.timing_with(effects).before / tick - n for n, (_, effects) in zip(ahead, lanes, strict=True)]
-        return [moved(reading[: self.runs[i].rows], n) for reading, n, (i, _) in zip(found, late, lanes, strict=True)]
+        # stamped before its contact: read later, by whole rows
+        ahead = [max(math.ceil(-_lateness(lane) / tick), 0) for lane in read]
+        found = replay_wrench(
+            felt,
+            [
+                lane._replace(later=lane.later + n * tick)
+                for lane, n in zip(read, ahead, strict=True)
+            ],
+            self.grid,
+        )
+        late = [
+            self.timing_with(effects).before / tick - n
+            for n, (_, effects) in zip(ahead, lanes, strict=True)
+        ]
+        return [
+            moved(reading[: self.runs[i].rows], n)
+            for reading, n, (i, _) in zip(found, late, lanes, strict=True)
+        ]
 
     def _lane(self, i: int, effects: Effects) -> FeltLane:
         links = {e.link for e in effects}
         contacts, rules, rows, sensor = self._believed[i]
         if "contact" in links:
-            rows = contact_rows([copy(c).with_effects(effects) for c in contacts], rules, self.runs[i].scenario.mechanism.captured)
+            rows = contact_rows(
+                [copy(c).with_effects(effects) for c in contacts],
+                rules,
+                self.runs[i].scenario.mechanism.captured,
+            )
         if "sensor" in links:
             sensor = sensor.copy().with_effects(effects)
         acting = [e for e in effects if e.link == "contact"]
@@ -304,7 +472,9 @@ class WrenchLink(Link):
         return FeltLane(i, rows, sensor, log, self.timing_with(effects).delay, acting)
 
     def penetration(self, i: int) -> Array:
-        """(N,) penetration in run i by geometry [m]: the deepest contact, negative while apart; for a latched mechanism along z."""
+        """(N,) penetration in run i by geometry [m]: the deepest contact, negative while apart; for
+        a latched mechanism along z.
+        """
         if self.runs[i].scenario.mechanism.captured:
             return self.paths[i][:, 2]
         if isinstance(self._felt, Simulated):
@@ -312,11 +482,15 @@ class WrenchLink(Link):
         return np.asarray(self._felt.met[0][i, : self.runs[i].rows].max(axis=1, initial=-1.0))
 
     def lateness(self, i: int, effects: Effects) -> float:
-        """[s] by which the reading of run i is later than the contact; negative: it is stamped before it."""
+        """[s] by which the reading of run i is later than the contact; negative: it is stamped
+        before it.
+        """
         return _lateness(self._lane(i, effects))
 
     def slopes(self, effects: Effects) -> list[Array]:
-        """(N, 6) rate of the reading in each run [N/s, N m/s], which a delay of the sample multiplies."""
+        """(N, 6) rate of the reading in each run [N/s, N m/s], which a delay of the sample
+        multiplies.
+        """
         everything = range(len(self.runs))
         step = self.runs[0].scenario.tick / 2.0
         early = self.predict([(i, [*effects, Timing(delay=-step)]) for i in everything])
@@ -324,21 +498,33 @@ class WrenchLink(Link):
         return [(a - b) / (2.0 * step) for a, b in zip(early, late, strict=True)]
 
     def shaken(self, i: int, effects: Effects, sigma: float) -> tuple[Array, Array]:
-        """(N, 6) mean and standard deviation of the reading [N, N m] for a delay that varies by sigma [s] from sample to sample."""
+        """(N, 6) mean and standard deviation of the reading [N, N m] for a delay that varies by
+        sigma [s] from sample to sample.
+        """
         nominal = max(self.lateness(i, effects), 0.0)
-        found = self.predict([(i, [*effects, Timing(delay=float(max(sigma * node, -nominal)))]) for node in NODES])
+        found = self.predict(
+            [(i, [*effects, Timing(delay=float(max(sigma * node, -nominal)))]) for node in NODES]
+        )
         mean = sum(w * r for w, r in zip(WEIGHTS, found, strict=True))
         square = sum(w * r**2 for w, r in zip(WEIGHTS, found, strict=True))
-        return np.asarray(mean), np.sqrt(np.maximum(np.asarray(square) - np.asarray(mean) ** 2, 0.0))
+        return np.asarray(mean), np.sqrt(
+            np.maximum(np.asarray(square) - np.asarray(mean) ** 2, 0.0)
+        )
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) uncertainty of a reading due to what a replay does not know.
 
-        It has three parts: what happens between two instants of the physics, which is large at a touch or a jump; noise that decides
-        whether a force at the edge of a dead zone is read; and the correction for the steps of a mount, which is that of the believed
-        motion, errs alike over many rows and counts like noise that is larger by the root of a block."""
-        of_steps = 0.0 if self._step_error is None else math.sqrt(BLOCK_ROWS) * np.abs(self._step_error[i])
-        return np.hypot(np.hypot(self._between_instants(i, effects), self._at_the_edge(i, effects)), of_steps)
+        It has three parts: what happens between two instants of the physics, which is large at a
+            touch or a jump; noise that decides whether a force at the edge of a dead zone is read;
+            and the correction for the steps of a mount, which is that of the believed motion, errs
+            alike over many rows and counts like noise that is larger by the root of a block.
+        """
+        of_steps = (
+            0.0 if self._step_error is None else math.sqrt(BLOCK_ROWS) * np.abs(self._step_error[i])
+        )
+        return np.hypot(
+            np.hypot(self._between_instants(i, effects), self._at_the_edge(i, effects)), of_steps
+        )
 
     def _between_instants(self, i: int, effects: Effects) -> Array:
         s = self.runs[i].scenario
@@ -346,7 +532,9 @@ class WrenchLink(Link):
         late = self.lateness(i, effects)
         if self.jumps is not None and self.unknown_rate:
             sigma = self.runs[i].sigma
-            return np.where(self.beside_jumps(i, effects)[:, None] & np.isfinite(sigma), NO_COUNT * sigma, 0.0)
+            return np.where(
+                self.beside_jumps(i, effects)[:, None] & np.isfinite(sigma), NO_COUNT * sigma, 0.0
+            )
         if abs(late) < step:
             return np.zeros((self.runs[i].rows, 6))
         shifts = [[*effects, Timing(delay=d)] for d in (-step, step)]
@@ -354,26 +542,35 @@ class WrenchLink(Link):
         out = np.abs(early + after - 2.0 * now)
         ticks = late / s.tick
         if self.jumps is not None and abs(ticks - round(ticks)) >= WHOLE:
-            jump, depth = (shifted(v[:, None], -math.floor(ticks))[:, 0] for v in (self.jumps[i], self.paths[i][:, 2]))
+            jump, depth = (
+                shifted(v[:, None], -math.floor(ticks))[:, 0]
+                for v in (self.jumps[i], self.paths[i][:, 2])
+            )
             touched = depth > -jump.max(initial=0.0)
             out[:, 2] += s.mechanism.contact.stiffness * np.where(touched, jump, 0.0)
         return out
 
     def beside_jumps(self, i: int, effects: Effects = ()) -> np.ndarray:
-        """(N,) bool: rows whose reading may be of a tick in which A jumps, or of one beside it, where instants are not known."""
+        """(N,) bool: rows whose reading may be of a tick in which A jumps, or of one beside it,
+        where instants are not known.
+        """
         if self.jumps is None or not self.unknown_rate:
             return np.zeros(self.runs[i].rows, dtype=bool)
         jumps, late, tick = self.jumps[i], self.lateness(i, effects), self.runs[i].scenario.tick
         ticks = np.array([late, late + self.timing_with(effects).before]) / tick
         first, last = math.floor(ticks.min()) - 1, math.ceil(ticks.max()) + 1
-        away = np.flatnonzero(jumps > SHARE_OF_A_JUMP * jumps.max(initial=0.0))[:, None] + np.arange(first, last + 1)
+        away = np.flatnonzero(jumps > SHARE_OF_A_JUMP * jumps.max(initial=0.0))[
+            :, None
+        ] + np.arange(first, last + 1)
         out = np.zeros(self.runs[i].rows, dtype=bool)
         out[away[(away >= 0) & (away < len(out))]] = True
         return out
 
     def _at_the_edge(self, i: int, effects: Effects) -> Array:
-        """(N, 6) spread due to noise before a dead zone of width w: w times the root of the probability that noise takes a force f across
-        the edge, Q(| |f| - w | / sigma), Q of the standard normal."""
+        """(N, 6) spread due to noise before a dead zone of width w: w times the root of the
+        probability that noise takes a force f across the edge, Q(| |f| - w | / sigma), Q of the
+        standard normal.
+        """
         lane, run = self._lane(i, effects), self.runs[i]
         width = lane.sensor.deadzone
         if not width.any():

@@ -1,1 +1,3 @@
-"""Stage "report": from a `Finding` to a `Diagnosis` (closed-loop runs, next experiment) and its folder."""
+"""Stage "report": from a `Finding` to a `Diagnosis` (closed-loop runs, next experiment) and its
+folder.
+"""

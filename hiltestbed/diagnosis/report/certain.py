@@ -1,4 +1,6 @@
-"""The section of the report on the uncertainty of the estimates: profiles, correlations, bounds that were met."""
+"""The section of the report on the uncertainty of the estimates: profiles, correlations, bounds
+that were met.
+"""
 
 from __future__ import annotations
 
@@ -32,15 +34,19 @@ def certainty_section(report: Report, certainties: Sequence[Certainty]) -> None:
         report.text(sentence)
     report.figure(
         profile_figure(profiles),
-        "Cost of holding a parameter at another value while the other parameters of its link follow: chi-square above its minimum, in "
-        "units of the misfit per sample. Dashed: 3.84, the 95 % of an exact model. Shaded: the 95 % interval, which is wider where the "
-        "runs contradict each other or the noise is correlated. Hatched: beyond the bounds of the search.",
+        "Cost of holding a parameter at another value while the other parameters of its link "
+        "follow: chi-square above its minimum, in "
+        "units of the misfit per sample. Dashed: 3.84, the 95 % of an exact model. Shaded: the 95 "
+        "% interval, which is wider where the "
+        "runs contradict each other or the noise is correlated. Hatched: beyond the bounds of the "
+        "search.",
     )
     for c in certainties:
         if len(c.profiles) > 1:
             report.figure(
                 correlation_figure(c),
-                f"Correlation of the estimates on the link {LINK_NAMES.get(c.link, c.link)}: near 1 or -1 the data determine a combination "
+                f"Correlation of the estimates on the link {LINK_NAMES.get(c.link, c.link)}: near "
+                f"1 or -1 the data determine a combination "
                 "of the two, not each by itself.",
             )
 
@@ -50,10 +56,15 @@ def bounds_met(profiles: Sequence[Profile]) -> list[str]:
     out = []
     for p in profiles:
         if p.met is not None:
-            at, unit = p.bounds[0 if p.met == "lowest" else 1], "" if p.unit == "-" else f" {p.unit}"
+            at, unit = (
+                p.bounds[0 if p.met == "lowest" else 1],
+                "" if p.unit == "-" else f" {p.unit}",
+            )
             out.append(
-                f"{p.label} is at the {p.met} value that was searched, {at:.4g}{unit}: the data favour a value beyond it, which means "
-                "another effect, or a size that was not thought possible. Its estimate is not reliable."
+                f"{p.label} is at the {p.met} value that was searched, {at:.4g}{unit}: the data "
+                f"favour a value beyond it, which means "
+                "another effect, or a size that was not thought possible. Its estimate is not "
+                "reliable."
             )
     return out or ["No estimate is at a bound of its search."]
 
@@ -64,8 +75,15 @@ def tied(certainties: Sequence[Certainty]) -> list[str]:
     for c in certainties:
         if (pair := c.strongest()) is not None:
             a, b, size = pair
-            then = "only a combination of them is determined" if abs(size) >= STRONG_CORRELATION else "each is determined by itself"
-            alike = f"The most correlated estimates on the link {LINK_NAMES.get(c.link, c.link)} are {a.label} and {b.label}"
+            then = (
+                "only a combination of them is determined"
+                if abs(size) >= STRONG_CORRELATION
+                else "each is determined by itself"
+            )
+            alike = (
+                f"The most correlated estimates on the link "
+                f"{LINK_NAMES.get(c.link, c.link)} are {a.label} and {b.label}"
+            )
             out.append(f"{alike}, at {size:+.3f}: {then}.")
     return out
 
@@ -74,7 +92,9 @@ def profile_figure(profiles: Sequence[Profile]) -> Figure:
     """The cost against the value of each parameter."""
     columns = min(PROFILES_PER_ROW, len(profiles))
     rows = -(-len(profiles) // columns)
-    figure, grid = new_figure(3.2 * columns + 0.4, 2.5 * rows + 0.2, nrows=rows, ncols=columns, squeeze=False)
+    figure, grid = new_figure(
+        3.2 * columns + 0.4, 2.5 * rows + 0.2, nrows=rows, ncols=columns, squeeze=False
+    )
     for axes, profile in zip(grid.ravel(), profiles, strict=False):
         _profile(axes, profile)
     for axes in grid.ravel()[len(profiles) :]:
@@ -94,8 +114,17 @@ def _profile(axes: Axes, p: Profile) -> None:
     axes.set_xlim(low - margin, high + margin)
     for bound, beyond in ((p.bounds[0], low - margin), (p.bounds[1], high + margin)):
         if low - margin <= bound <= high + margin:
-            axes.axvspan(min(bound, beyond), max(bound, beyond), facecolor="none", edgecolor=NOMINAL, hatch="////", lw=0)
-    axes.set_ylim(min(-0.05 * PROFILE_TOP * CHI2_95, 1.1 * float(p.rise.min())), PROFILE_TOP * CHI2_95)
+            axes.axvspan(
+                min(bound, beyond),
+                max(bound, beyond),
+                facecolor="none",
+                edgecolor=NOMINAL,
+                hatch="////",
+                lw=0,
+            )
+    axes.set_ylim(
+        min(-0.05 * PROFILE_TOP * CHI2_95, 1.1 * float(p.rise.min())), PROFILE_TOP * CHI2_95
+    )
     axes.set_title(p.label, fontsize=9)
     axes.set_xlabel(f"[{p.unit}]" if p.unit not in ("", "-") else "value", fontsize=8)
     axes.tick_params(labelsize=8)
@@ -113,7 +142,9 @@ def correlation_figure(c: Certainty) -> Figure:
         for j in range(count):
             value = float(c.correlation[i, j])
             text, dark = ("?" if np.isnan(value) else f"{value:.2f}"), abs(value) > 0.6
-            axes.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else "black")
+            axes.text(
+                j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else "black"
+            )
     axes.set_xticks(range(count), names, rotation=40, ha="right", fontsize=8)
     axes.set_yticks(range(count), names, fontsize=8)
     figure.colorbar(drawn, ax=axes, shrink=0.8, label="correlation")

@@ -1,4 +1,6 @@
-"""Stage "report": from a `Finding` to the `Diagnosis`: the extended model, both models in closed loop, the next experiment."""
+"""Stage "report": from a `Finding` to the `Diagnosis`: the extended model, both models in closed
+loop, the next experiment.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +16,18 @@ def conclude(dataset: MeasuredDataset, finding: Finding, seconds: float | None =
     """The diagnosis of a dataset; `seconds`: elapsed so far."""
     causes = finding.extension
     simulated = simulate_runs(dataset, causes)
-    notes = (*(f"{link} was not judged: {why}" for link, why in finding.not_judged.items()), *(str(remark) for remark in dataset.remarks))
+    notes = (
+        *(f"{link} was not judged: {why}" for link, why in finding.not_judged.items()),
+        *(str(remark) for remark in dataset.remarks),
+    )
     notes = (*finding.assumed, *notes)
     either = mass_of_either_body(finding, dataset)
     notes = (*notes, either) if either else notes
-    refused = [f"{dataset.runs[p.run].name}: the nominal simulation could not be run" for p in simulated if p.nominal is None]
+    refused = [
+        f"{dataset.runs[p.run].name}: the nominal simulation could not be run"
+        for p in simulated
+        if p.nominal is None
+    ]
     refused += [
         f"{dataset.runs[p.run].name}: the extended simulation could not be run"
         for p in simulated

@@ -30,8 +30,12 @@ def link_series(link: Link, effects: Effects = ()) -> list[Series]:
         t = np.asarray(np.arange(len(run.measured)) * run.scenario.tick, dtype=float)
         for j in range(run.measured.shape[1]):
             name = link.channels[j]
-            measured, shown, better, sigma = (np.ascontiguousarray(a[:, j]) for a in (run.measured, nominal, extended, run.sigma))
-            out.append(Series(name, i, t, measured, shown, better, sigma, run.touching, unit_of(name)))
+            measured, shown, better, sigma = (
+                np.ascontiguousarray(a[:, j]) for a in (run.measured, nominal, extended, run.sigma)
+            )
+            out.append(
+                Series(name, i, t, measured, shown, better, sigma, run.touching, unit_of(name))
+            )
     return out
 
 
@@ -73,20 +77,32 @@ def channel_residuals(
         floor = (noise or {}).get(channel)
         if floor is None:
             floor = _floor(mine)
-        by_phase = {p: _rms(mine, lambda s, p=p: counted(s) & phases(s)[p]) for p in (FREE, CONTACT, AFTER)}
+        by_phase = {
+            p: _rms(mine, lambda s, p=p: counted(s) & phases(s)[p]) for p in (FREE, CONTACT, AFTER)
+        }
         total = _rms(mine, counted)
         if total is None:
             continue
         out.append(
             ChannelResidual(
-                channel, total, floor, by_phase[FREE], by_phase[CONTACT], by_phase[AFTER], _white(mine, False), mine[0].unit,
-                _rms(mine, counted, True) if extends else None, _white(mine, True) if extends else None,
+                channel,
+                total,
+                floor,
+                by_phase[FREE],
+                by_phase[CONTACT],
+                by_phase[AFTER],
+                _white(mine, False),
+                mine[0].unit,
+                _rms(mine, counted, True) if extends else None,
+                _white(mine, True) if extends else None,
             )
-        )  # fmt: skip
+        )
     return tuple(out)
 
 
-def _rms(series: Sequence[Series], rows: Callable[[Series], np.ndarray], extended: bool = False) -> float | None:
+def _rms(
+    series: Sequence[Series], rows: Callable[[Series], np.ndarray], extended: bool = False
+) -> float | None:
     squares, samples = 0.0, 0
     for s in series:
         use = rows(s)
@@ -102,13 +118,17 @@ def _floor(series: Sequence[Series]) -> float:
 
 
 def _white(series: Sequence[Series], extended: bool) -> bool:
-    """Whether the variance and the variance of block means are within their limits; correlated samples count once."""
+    """Whether the variance and the variance of block means are within their limits; correlated
+    samples count once.
+    """
     left = [r[np.isfinite(r)] for r in (in_sigma(s, extended) for s in series)]
     return leftover([r for r in left if len(r)]).noise
 
 
 def misfit(series: Sequence[Series], channel: str, extended: bool = False) -> float:
     """rms of a channel in units of its noise; 0 without samples."""
-    left = np.concatenate([in_sigma(s, extended) for s in series if s.channel == channel] or [np.zeros(0)])
+    left = np.concatenate(
+        [in_sigma(s, extended) for s in series if s.channel == channel] or [np.zeros(0)]
+    )
     left = left[np.isfinite(left)]
     return float(np.sqrt(np.mean(left**2))) if len(left) else 0.0

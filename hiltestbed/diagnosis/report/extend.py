@@ -1,4 +1,6 @@
-"""The extended model: the facility's scenario with the named effects; it loads and runs like any other."""
+"""The extended model: the facility's scenario with the named effects; it loads and runs like any
+other.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +29,19 @@ def extended_scenario(nominal: Scenario, causes: Sequence[Cause | Learned]) -> S
 
 
 def extended_yaml(scenario: Scenario, causes: Sequence[Cause | Learned]) -> str:
-    """The text of extended.yaml: the scenario, with the intervals of the estimates as a comment at the top."""
+    """The text of extended.yaml: the scenario, with the intervals of the estimates as a comment at
+    the top.
+    """
     if not causes:
         return "# Nothing was named: this is the nominal scenario.\n" + dump_scenario(scenario)
-    named, learned = [c for c in causes if isinstance(c, Cause)], [c for c in causes if isinstance(c, Learned)]
+    named, learned = (
+        [c for c in causes if isinstance(c, Cause)],
+        [c for c in causes if isinstance(c, Learned)],
+    )
     lines = ["# Named by hiltestbed diagnose; estimate and 95 % interval:"] if named else []
-    lines += [f"#   {c.effect} {name}: {in_words(p)}" for c in named for name, p in c.parameters.items()]
+    lines += [
+        f"#   {c.effect} {name}: {in_words(p)}" for c in named for name, p in c.parameters.items()
+    ]
     lines += [f"# Learned by hiltestbed diagnose: {c.effect}, {c.numbers} numbers" for c in learned]
     return "\n".join(lines) + "\n" + dump_scenario(scenario)
 
@@ -44,7 +53,11 @@ def in_words(p: Parameter) -> str:
         return p.estimate
     if isinstance(p.estimate, tuple):
         ends = p.ci95 if p.ci95 is not None else (None,) * len(p.estimate)
-        return "[" + ", ".join(_with_interval(v, e) for v, e in zip(p.estimate, ends, strict=True)) + f"]{unit}"
+        return (
+            "["
+            + ", ".join(_with_interval(v, e) for v, e in zip(p.estimate, ends, strict=True))
+            + f"]{unit}"
+        )
     return _with_interval(p.estimate, p.ci95) + unit
 
 
@@ -52,7 +65,11 @@ def _with_interval(value: float, ends: Any) -> str:
     if ends is None or None in ends or ends[0] == ends[1]:
         return f"{value:.4g}"
     size, width = max(abs(value), abs(ends[0]), abs(ends[1])), ends[1] - ends[0]
-    digits = min(8, max(2, 2 + math.floor(math.log10(size)) - math.floor(math.log10(width)))) if size > 0 and width > 0 else 4
+    digits = (
+        min(8, max(2, 2 + math.floor(math.log10(size)) - math.floor(math.log10(width))))
+        if size > 0 and width > 0
+        else 4
+    )
     return f"{value:.{digits}g} ({ends[0]:.{digits}g} to {ends[1]:.{digits}g})"
 
 

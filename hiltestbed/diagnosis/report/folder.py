@@ -1,4 +1,6 @@
-"""The diagnosis folder: diagnosis.json, report.html, extended.yaml, recording.rrd. A folder that exists is complete."""
+"""The diagnosis folder: diagnosis.json, report.html, extended.yaml, recording.rrd. A folder that
+exists is complete.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
     path = Path(path)
     causes = diagnosis.finding.extension
     with whole_folder(path, mark=DIAGNOSIS) as folder:
-        (folder / DIAGNOSIS).write_text(json.dumps(diagnosis.to_json(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        (folder / DIAGNOSIS).write_text(
+            json.dumps(diagnosis.to_json(), indent=2, allow_nan=False) + "\n", encoding="utf-8"
+        )
         (folder / EXTENDED).write_text(extended_yaml(diagnosis.extended, causes), encoding="utf-8")
         report_of(diagnosis).write(folder / REPORT)
         write_diagnosis_recording(folder / RECORDING, diagnosis)

@@ -1,4 +1,6 @@
-"""report.html of a diagnosis, from the top down: the verdict, the evidence, the gain, and the next experiment."""
+"""report.html of a diagnosis, from the top down: the verdict, the evidence, the gain, and the next
+experiment.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,10 @@ from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Finding, Isol
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.report import Report
 
-FITTED = "k and c: least squares over the contact. A delay that is not in the model appears as missing damping."
+FITTED = (
+    "k and c: least squares over the contact. A delay that is not in the model appears "
+    "as missing damping."
+)
 
 
 def report_of(diagnosis: Diagnosis) -> Report:
@@ -51,15 +56,28 @@ def _summary(d: Diagnosis) -> str:
     if d.causes or not parts:
         parts = [gain_sentence(d.heldout, d.finding.names), *parts]
     measured, nominal, extended = (
-        _mean([f.cor for f in row]) for row in (d.closed_loop.measured, d.closed_loop.nominal, d.closed_loop.extended)
+        _mean([f.cor for f in row])
+        for row in (d.closed_loop.measured, d.closed_loop.nominal, d.closed_loop.extended)
     )
     if measured is not None and nominal is not None:
         runs = sum(f.cor is not None for f in d.closed_loop.measured)
-        mean = f"In closed loop the coefficient of restitution is{f', on average over {runs} runs,' if runs > 1 else ''}"
+        mean = (
+            f"In closed loop the coefficient of restitution "
+            f"is{f', on average over {runs} runs,' if runs > 1 else ''}"
+        )
         text = f"{mean} {measured:.4f} measured and {nominal:.4f} simulated"
-        parts.append(text + (f", {extended:.4f} with the extended model." if d.finding.extends and extended is not None else "."))
+        parts.append(
+            text
+            + (
+                f", {extended:.4f} with the extended model."
+                if d.finding.extends and extended is not None
+                else "."
+            )
+        )
     if d.next_experiment:
-        parts.append("What remains open, and the run that would settle it, is under Next experiment.")
+        parts.append(
+            "What remains open, and the run that would settle it, is under Next experiment."
+        )
     return " ".join(parts)
 
 
@@ -69,12 +87,16 @@ def _causes(report: Report, d: Diagnosis) -> None:
     if d.finding.partial:
         _cause_table(report, d.finding.partial, "Nearest effects", rivals=False)
         report.text(
-            "These effects of the vocabulary together explain most of the departure. Their residual is not noise: they are at most "
+            "These effects of the vocabulary together explain most of the departure. Their "
+            "residual is not noise: they are at most "
             "part of the cause, and the model is not extended with them."
         )
     _learned(report, d)
     if d.finding.extends:
-        report.text("extended.yaml in this folder is the scenario with these effects; it runs: hiltestbed run extended.yaml")
+        report.text(
+            "extended.yaml in this folder is the scenario with these effects; it runs: hiltestbed "
+            "run extended.yaml"
+        )
 
 
 def _learned(report: Report, d: Diagnosis) -> None:
@@ -84,7 +106,10 @@ def _learned(report: Report, d: Diagnosis) -> None:
     report.heading("A law without a name")
     report.text(learned_sentence(learned))
     report.text(f"{learned.effect}: {meaning(learned.effect)} {EFFECTS[learned.effect].equation}")
-    report.figure(pictures.learned_curves(learned), "Each curve of the law, with the data after all other terms are subtracted.")
+    report.figure(
+        pictures.learned_curves(learned),
+        "Each curve of the law, with the data after all other terms are subtracted.",
+    )
 
 
 def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bool = True) -> None:
@@ -92,23 +117,40 @@ def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bo
     for cause in causes:
         report.text(f"{cause.effect}: {meaning(cause.effect)} {EFFECTS[cause.effect].equation}")
     rows = [
-        (c.effect, name, in_words(p), f"{c.probability:.2f}", ", ".join(rivals_of(c)) or "nothing else")
+        (
+            c.effect,
+            name,
+            in_words(p),
+            f"{c.probability:.2f}",
+            ", ".join(rivals_of(c)) or "nothing else",
+        )
         for c in causes
         for name, p in (c.parameters or {"": None}).items()
         for p in ([p] if p is not None else [])
     ]
-    header = ("effect", "parameter", "estimate (95 % interval)", "probability", "indistinguishable from")
+    header = (
+        "effect",
+        "parameter",
+        "estimate (95 % interval)",
+        "probability",
+        "indistinguishable from",
+    )
     if rows:
         shown = len(header) if rivals else 3
         report.table(header[:shown], [row[:shown] for row in rows])
     if rivals and (others := [(c.effect, told) for c in causes for told in c.alternatives]):
         report.text("Explanations that fit as well, with their parameters:")
-        report.table(("instead of", "explanation"), [(effect, _in_words(told)) for effect, told in others])
+        report.table(
+            ("instead of", "explanation"), [(effect, _in_words(told)) for effect, told in others]
+        )
 
 
 def _in_words(explanation: Sequence[Mapping[str, Any]]) -> str:
     """Effects with their parameters."""
-    return " and ".join(f"{e['kind']} [{listed({name: v for name, v in e.items() if name != 'kind'})}]" for e in explanation)
+    return " and ".join(
+        f"{e['kind']} [{listed({name: v for name, v in e.items() if name != 'kind'})}]"
+        for e in explanation
+    )
 
 
 def _evidence(report: Report, d: Diagnosis) -> None:
@@ -117,14 +159,26 @@ def _evidence(report: Report, d: Diagnosis) -> None:
         return
     report.heading("Evidence")
     report.text(
-        "Each link of the loop was replayed alone on its measured input, so that the error of one cannot leak into another. "
-        "Residuals are in units of the channel's own noise: within the grey band they are noise. Contact is shaded."
+        "Each link of the loop was replayed alone on its measured input, so that the error of one "
+        "cannot leak into another. "
+        "Residuals are in units of the channel's own noise: within the grey band they are noise. "
+        "Contact is shaded."
     )
-    report.figure(pictures.residuals_over_time(series, compared, d.dataset.names), "Residuals of the channels with the largest misfit.")
-    report.figure(pictures.channel_over_time(series, compared, d.dataset.names), "The channel with the largest misfit, around the contact.")
+    report.figure(
+        pictures.residuals_over_time(series, compared, d.dataset.names),
+        "Residuals of the channels with the largest misfit.",
+    )
+    report.figure(
+        pictures.channel_over_time(series, compared, d.dataset.names),
+        "The channel with the largest misfit, around the contact.",
+    )
     force = pictures.force_against_penetration(series, d.dataset, compared)
     if force is not None:
-        report.figure(force, "Force over penetration, corrected for the sensor's nominal delay; slowest to fastest approach.")
+        report.figure(
+            force,
+            "Force over penetration, corrected for the sensor's nominal delay; slowest to fastest "
+            "approach.",
+        )
     if d.finding.left:
         report.text(f"Residual: {d.finding.left}.")
 
@@ -138,13 +192,23 @@ def _ranking(report: Report, d: Diagnosis) -> None:
         mine = [r for r in ranking if r.link == link]
         report.figure(
             pictures.ranking_bars(mine),
-            f"Link {LINK_NAMES.get(link, link) or d.link}: shorter is better; within a few units of the best they cannot be told apart.",
+            f"Link {LINK_NAMES.get(link, link) or d.link}: shorter is better; within a few units "
+            f"of the best they cannot be told apart.",
         )
         rows = [
-            (" + ".join(r.effects), r.parameters, f"{r.score - min(x.score for x in mine):.3g}", _number(r.heldout), _yes(r.adequate))
+            (
+                " + ".join(r.effects),
+                r.parameters,
+                f"{r.score - min(x.score for x in mine):.3g}",
+                _number(r.heldout),
+                _yes(r.adequate),
+            )
             for r in mine
         ]
-        report.table(("hypothesis", "parameters", "worse by", "left-out rms / noise", "leaves only noise"), rows)
+        report.table(
+            ("hypothesis", "parameters", "worse by", "left-out rms / noise", "leaves only noise"),
+            rows,
+        )
 
 
 def _gain(report: Report, d: Diagnosis) -> None:
@@ -152,21 +216,27 @@ def _gain(report: Report, d: Diagnosis) -> None:
     report.text(gain_sentence(d.heldout, d.finding.names))
     if d.finding.learned is not None:
         report.figure(
-            pictures.heldout_bars(d.finding.learned.heldout, d.dataset.names), "The learned law on runs that were left out of its fit."
+            pictures.heldout_bars(d.finding.learned.heldout, d.dataset.names),
+            "The learned law on runs that were left out of its fit.",
         )
     if d.finding.partial_gain is not None:
         report.text(partial_sentence(d.finding.partial, d.finding.partial_gain))
         report.figure(
-            pictures.heldout_bars(d.finding.partial_gain, d.dataset.names), "The best explanation on runs that were left out of its fit."
+            pictures.heldout_bars(d.finding.partial_gain, d.dataset.names),
+            "The best explanation on runs that were left out of its fit.",
         )
     if d.heldout is not None and d.heldout.per_run:
         report.figure(
-            pictures.heldout_bars(d.heldout, d.dataset.names), "Residual of the departing link on runs that were left out of the fit."
+            pictures.heldout_bars(d.heldout, d.dataset.names),
+            "Residual of the departing link on runs that were left out of the fit.",
         )
     figure = pictures.closed_loop_figures(d.closed_loop, d.finding.extends)
     if figure is None:
         return
-    report.text("The same runs in closed loop, by one rule: speeds from the commanded pose, stiffness and damping from pose and force.")
+    report.text(
+        "The same runs in closed loop, by one rule: speeds from the commanded pose, stiffness and "
+        "damping from pose and force."
+    )
     report.figure(figure, "Rebound and peak force of each run.")
     sources = ("measured", "nominal", "extended") if d.finding.extends else ("measured", "nominal")
     names = {"cor": "CoR", "peak_force": "peak [N]", "stiffness": "k [N/m]", "damping": "c [N s/m]"}
@@ -174,8 +244,17 @@ def _gain(report: Report, d: Diagnosis) -> None:
         rows = []
         for i, run in enumerate(d.closed_loop.runs):
             figures: list[Figures] = [getattr(d.closed_loop, source)[i] for source in sources]
-            rows.append([d.dataset.names[run], *(_number(getattr(f, name), 5) for name in pair for f in figures)])
-        report.table(["run", *(f"{names[name]} {source}" for name in pair for source in sources)], rows, caption)
+            rows.append(
+                [
+                    d.dataset.names[run],
+                    *(_number(getattr(f, name), 5) for name in pair for f in figures),
+                ]
+            )
+        report.table(
+            ["run", *(f"{names[name]} {source}" for name in pair for source in sources)],
+            rows,
+            caption,
+        )
 
 
 def _next(report: Report, d: Diagnosis) -> None:
@@ -185,7 +264,10 @@ def _next(report: Report, d: Diagnosis) -> None:
         return
     report.text(d.experiment.text)
     if d.experiment.runs:
-        lines = ["runs:"] + [f"  - set: {{{', '.join(f'{k}: {_yaml(v)}' for k, v in run.items())}}}" for run in d.experiment.runs]
+        lines = ["runs:"] + [
+            f"  - set: {{{', '.join(f'{k}: {_yaml(v)}' for k, v in run.items())}}}"
+            for run in d.experiment.runs
+        ]
         report.code("\n".join(lines))
 
 
@@ -206,7 +288,8 @@ def _isolability(report: Report, finding: Finding) -> None:
     report.table(
         ("effect", "parameter", "size that is detected", "look-alikes at that size"),
         rows,
-        "From the sensitivities of the replayed links to each effect, with these runs, channels and noise. Factors: departure from 1. "
+        "From the sensitivities of the replayed links to each effect, with these runs, channels "
+        "and noise. Factors: departure from 1. "
         "Look-alikes at the smallest detected size may be told apart at a larger one.",
     )
 
@@ -215,14 +298,42 @@ def _channels(report: Report, d: Diagnosis) -> None:
     if not d.residuals:
         return
     report.heading("Every channel")
-    report.figure(pictures.channels_overview(d.residuals), "Residual of each channel, in units of its noise.")
+    report.figure(
+        pictures.channels_overview(d.residuals), "Residual of each channel, in units of its noise."
+    )
     rows = [
-        (r.channel, r.unit, _number(r.noise_floor), _number(r.rms), _number(r.rms_free), _number(r.rms_contact), _number(r.rms_after),
-         _yes(r.white), _number(r.rms_extended), _yes(r.white_extended))
+        (
+            r.channel,
+            r.unit,
+            _number(r.noise_floor),
+            _number(r.rms),
+            _number(r.rms_free),
+            _number(r.rms_contact),
+            _number(r.rms_after),
+            _yes(r.white),
+            _number(r.rms_extended),
+            _yes(r.white_extended),
+        )
         for r in d.residuals
-    ]  # fmt: skip
-    header = ("channel", "unit", "noise", "rms", "before touch", "in contact", "after", "only noise", "rms extended", "only noise")
-    report.table(header, rows, "rms of measured less replayed; the test for white noise at the floor counts correlated samples once.")
+    ]
+    header = (
+        "channel",
+        "unit",
+        "noise",
+        "rms",
+        "before touch",
+        "in contact",
+        "after",
+        "only noise",
+        "rms extended",
+        "only noise",
+    )
+    report.table(
+        header,
+        rows,
+        "rms of measured less replayed; the test for white noise at the floor counts correlated "
+        "samples once.",
+    )
 
 
 def _data(report: Report, d: Diagnosis) -> None:
@@ -242,13 +353,18 @@ def _data(report: Report, d: Diagnosis) -> None:
             _number(peak),
         )
         rows.append(cells)
-    report.table(("run", "ticks", "samples [Hz]", "speed [m/s]", "spring [N/m]", "contacts", "peak [N]"), rows)
+    report.table(
+        ("run", "ticks", "samples [Hz]", "speed [m/s]", "spring [N/m]", "contacts", "peak [N]"),
+        rows,
+    )
     for remark in d.remarks:
         report.text(remark)
     if not d.remarks:
         report.text("The check of the data gave no remarks.")
     if d.seconds is not None:
-        report.text(f"Diagnosed in {d.seconds:.1f} s, without the time for this page and its figures.")
+        report.text(
+            f"Diagnosed in {d.seconds:.1f} s, without the time for this page and its figures."
+        )
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

@@ -1,4 +1,6 @@
-"""The figures of the report: residual before and after, force over penetration, ranking of hypotheses, closed loop."""
+"""The figures of the report: residual before and after, force over penetration, ranking of
+hypotheses, closed loop.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,13 @@ MIN_MISFIT_SHARE = 0.2  # chosen: of the worst channel's misfit, from which anot
 
 def worst_channels(series: Sequence[Series]) -> list[str]:
     """The channels with the largest misfits of the nominal model, in units of their noise."""
-    by_misfit = {channel: misfit(series, channel) for channel in dict.fromkeys(s.channel for s in series)}
+    by_misfit = {
+        channel: misfit(series, channel) for channel in dict.fromkeys(s.channel for s in series)
+    }
     ordered = sorted(by_misfit, key=lambda c: -by_misfit[c])
-    return [c for c in ordered[:MAX_SHOWN] if by_misfit[c] >= MIN_MISFIT_SHARE * by_misfit[ordered[0]]]
+    return [
+        c for c in ordered[:MAX_SHOWN] if by_misfit[c] >= MIN_MISFIT_SHARE * by_misfit[ordered[0]]
+    ]
 
 
 def worst_run(series: Sequence[Series], channel: str) -> int:
@@ -40,12 +46,16 @@ def worst_run(series: Sequence[Series], channel: str) -> int:
 
 
 def residuals_over_time(series: Sequence[Series], compared: str, names: Sequence[str]) -> Figure:
-    """Residuals in units of the noise, for the worst channels, each in its worst run; contact shaded, the noise as a band.
+    """Residuals in units of the noise, for the worst channels, each in its worst run; contact
+    shaded, the noise as a band.
 
-    compared: name of the series' extended prediction; empty where there is none. names: of the runs.
+    compared: name of the series' extended prediction; empty where there is none. names: of the
+        runs.
     """
     channels = worst_channels(series)
-    figure, grid = new_figure(9.0, 2.3 * len(channels) + 0.4, nrows=len(channels), ncols=1, squeeze=False)
+    figure, grid = new_figure(
+        9.0, 2.3 * len(channels) + 0.4, nrows=len(channels), ncols=1, squeeze=False
+    )
     for axes, channel in zip(grid[:, 0], channels, strict=True):
         run = worst_run(series, channel)
         s = next(x for x in series if x.channel == channel and x.run == run)
@@ -53,9 +63,13 @@ def residuals_over_time(series: Sequence[Series], compared: str, names: Sequence
         axes.axhspan(-BAND_SIGMA, BAND_SIGMA, color=FLOOR, alpha=0.25, lw=0)
         axes.plot(s.t, in_sigma(s), color=NOMINAL, lw=0.9, label="measured less nominal")
         if compared:
-            axes.plot(s.t, in_sigma(s, True), color=EXTENDED, lw=0.9, label=f"measured less {compared}")
+            axes.plot(
+                s.t, in_sigma(s, True), color=EXTENDED, lw=0.9, label=f"measured less {compared}"
+            )
         axes.set_ylabel(f"{channel}\n{names[run]} [sigma]")
-    grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=2, frameon=False)
+    grid[0, 0].legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=2, frameon=False
+    )
     grid[-1, 0].set_xlabel("time [s]")
     return figure
 
@@ -67,16 +81,25 @@ def channel_over_time(series: Sequence[Series], compared: str, names: Sequence[s
     return figure
 
 
-def plot_channel(series: Sequence[Series], compared: str, names: Sequence[str], channel: str | None, axes: Axes | None) -> Axes:
-    """A channel (None: the worst) around the contact, in its worst run; a pose, whose departure is small beside its travel, relative to the
-    nominal one.
+def plot_channel(
+    series: Sequence[Series],
+    compared: str,
+    names: Sequence[str],
+    channel: str | None,
+    axes: Axes | None,
+) -> Axes:
+    """A channel (None: the worst) around the contact, in its worst run; a pose, whose departure is
+    small beside its travel, relative to the nominal one.
 
     Raises:
         InputError: no such channel.
     """
     channels = list(dict.fromkeys(s.channel for s in series))
     if not channels or (channel is not None and channel not in channels):
-        raise InputError(f"plot: no channel {channel or ''!r}; allowed are {', '.join(channels) or 'none: no link could be judged'}")
+        raise InputError(
+            f"plot: no channel {channel or ''!r}; allowed are "
+            f"{', '.join(channels) or 'none: no link could be judged'}"
+        )
     channel = channel or worst_channels(series)[0]
     s = next(x for x in series if x.channel == channel and x.run == worst_run(series, channel))
     if axes is None:
@@ -84,23 +107,55 @@ def plot_channel(series: Sequence[Series], compared: str, names: Sequence[str], 
 
         _, axes = plt.subplots(figsize=(9.0, 3.2), layout="constrained")
     pose = channel.startswith("pose")
-    rows, less, factor = _around_contact(s), s.nominal if pose else np.zeros(len(s.t)), 1e3 if pose else 1.0
+    rows, less, factor = (
+        _around_contact(s),
+        s.nominal if pose else np.zeros(len(s.t)),
+        1e3 if pose else 1.0,
+    )
     _shade(axes, s)
-    axes.plot(s.t[rows], factor * (s.measured - less)[rows], color=MEASURED, lw=2.4, alpha=0.35, label="measured")
+    axes.plot(
+        s.t[rows],
+        factor * (s.measured - less)[rows],
+        color=MEASURED,
+        lw=2.4,
+        alpha=0.35,
+        label="measured",
+    )
     axes.plot(s.t[rows], factor * (s.nominal - less)[rows], color=NOMINAL, lw=1.2, label="nominal")
     if compared:
-        axes.plot(s.t[rows], factor * (s.extended - less)[rows], color=EXTENDED, lw=1.2, ls="--", label=compared)
+        axes.plot(
+            s.t[rows],
+            factor * (s.extended - less)[rows],
+            color=EXTENDED,
+            lw=1.2,
+            ls="--",
+            label=compared,
+        )
     axes.set_xlim(s.t[rows][0], s.t[rows][-1])
     unit = f"m{s.unit}" if pose else s.unit
-    axes.set(xlabel="time [s]", ylabel=f"{channel}{', less nominal' if pose else ''}\n{names[s.run]} [{unit}]")
+    axes.set(
+        xlabel="time [s]",
+        ylabel=f"{channel}{', less nominal' if pose else ''}\n{names[s.run]} [{unit}]",
+    )
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=3, frameon=False)
     return axes
 
 
-def force_against_penetration(series: Sequence[Series], dataset: MeasuredDataset, compared: str) -> Figure | None:
-    """Loops of the force, measured, nominal and extended, replayed on the measured pose; None where one of the channels is missing."""
+def force_against_penetration(
+    series: Sequence[Series], dataset: MeasuredDataset, compared: str
+) -> Figure | None:
+    """Loops of the force, measured, nominal and extended, replayed on the measured pose; None where
+    one of the channels is missing.
+    """
     forces = {s.run: s for s in series if s.channel == "wrench_meas.fz"}
-    runs = _spread([i for i in forces if dataset.runs[i].survey.contacts and dataset.runs[i].record.has("pose_act.pz")], dataset)
+    runs = _spread(
+        [
+            i
+            for i in forces
+            if dataset.runs[i].survey.contacts and dataset.runs[i].record.has("pose_act.pz")
+        ],
+        dataset,
+    )
     if not runs:
         return None
     figure, grid = new_figure(3.3 * len(runs) + 0.6, 3.4, nrows=1, ncols=len(runs), squeeze=False)
@@ -115,7 +170,9 @@ def force_against_penetration(series: Sequence[Series], dataset: MeasuredDataset
             axes.plot(x, s.extended[rows], color=EXTENDED, lw=1.1, ls="--", label=compared)
         contact = run.scenario.mechanism.contact.stiffness
         speed = abs(run.scenario.approach.velocity[2])
-        axes.set_title(f"{run.name}: {f'{speed:.3g} m/s, ' if speed else ''}{contact:.3g} N/m", fontsize=9)
+        axes.set_title(
+            f"{run.name}: {f'{speed:.3g} m/s, ' if speed else ''}{contact:.3g} N/m", fontsize=9
+        )
         axes.set_xlabel("penetration [mm]")
     grid[0, 0].set_ylabel("force along z [N]")
     grid[0, 0].legend(fontsize=8, frameon=False)
@@ -129,9 +186,20 @@ def channels_overview(residuals: Sequence[ChannelResidual]) -> Figure:
     place = np.arange(len(shown))[::-1]
     before = [max(r.rms / r.noise_floor, 1e-2) for r in shown]
     axes.plot(before, place, "o", color=NOMINAL, label="nominal")
-    after = [(p, r.rms_extended / r.noise_floor) for p, r in zip(place, shown, strict=True) if r.rms_extended is not None]
+    after = [
+        (p, r.rms_extended / r.noise_floor)
+        for p, r in zip(place, shown, strict=True)
+        if r.rms_extended is not None
+    ]
     if after:
-        axes.plot([max(v, 1e-2) for _, v in after], [p for p, _ in after], "D", mfc="none", color=EXTENDED, label="extended")
+        axes.plot(
+            [max(v, 1e-2) for _, v in after],
+            [p for p, _ in after],
+            "D",
+            mfc="none",
+            color=EXTENDED,
+            label="extended",
+        )
     axes.axvline(1.0, color=FLOOR, lw=1)
     axes.set_xscale("log")
     axes.set_yticks(place, [r.channel for r in shown], fontsize=8)
@@ -142,12 +210,19 @@ def channels_overview(residuals: Sequence[ChannelResidual]) -> Figure:
 
 
 def ranking_bars(ranking: Sequence[Ranked]) -> Figure:
-    """Hypotheses by their score above the best, in chi-square with penalty; with the rms on left-out runs."""
+    """Hypotheses by their score above the best, in chi-square with penalty; with the rms on
+    left-out runs.
+    """
     shown = sorted((r for r in ranking if math.isfinite(r.score)), key=lambda r: r.score)[:10]
     figure, axes = new_figure(9.0, 0.36 * len(shown) + 1.2)
     place = np.arange(len(shown))[::-1]
     worse = [r.score - shown[0].score for r in shown]
-    axes.barh(place, [w + 1.0 for w in worse], color=[EXTENDED if i == 0 else "#b9c6d0" for i in range(len(shown))], height=0.65)
+    axes.barh(
+        place,
+        [w + 1.0 for w in worse],
+        color=[EXTENDED if i == 0 else "#b9c6d0" for i in range(len(shown))],
+        height=0.65,
+    )
     axes.set_xscale("log")
     axes.set_yticks(place, [" + ".join(r.effects) or "nothing" for r in shown], fontsize=9)
     for p, w, r in zip(place, worse, shown, strict=True):
@@ -163,8 +238,16 @@ def heldout_bars(heldout: Heldout, names: Sequence[str]) -> Figure:
     runs = sorted(heldout.per_run)
     figure, axes = new_figure(9.0, 3.0)
     place = np.arange(len(runs))
-    axes.bar(place - 0.2, [heldout.per_run[r][0] for r in runs], 0.38, color=NOMINAL, label="nominal")
-    axes.bar(place + 0.2, [heldout.per_run[r][1] for r in runs], 0.38, color=EXTENDED, label="extended, fitted to the other runs")
+    axes.bar(
+        place - 0.2, [heldout.per_run[r][0] for r in runs], 0.38, color=NOMINAL, label="nominal"
+    )
+    axes.bar(
+        place + 0.2,
+        [heldout.per_run[r][1] for r in runs],
+        0.38,
+        color=EXTENDED,
+        label="extended, fitted to the other runs",
+    )
     axes.axhline(1.0, color=FLOOR, lw=1)
     axes.set_xticks(place, [names[r] for r in runs], rotation=30 if len(runs) > 6 else 0)
     axes.set_ylabel("rms over noise floor")
@@ -175,16 +258,40 @@ def heldout_bars(heldout: Heldout, names: Sequence[str]) -> Figure:
 def learned_curves(learned: Learned) -> Figure:
     """The curves of a learned law with the samples to which each was fitted."""
     over = {
-        "penetration": ("penetration", "force added"), "rate": ("rate", "force added"), "stretch": ("stretch of the slider", "force added"),
-        "spring": ("penetration", "factor on the spring added"), "spring_rate": ("rate", "factor on the spring added"),
-        "reading": ("true value", "reading"), "step": ("time since a step of the command", "response"),
-    }  # fmt: skip
-    figure, grid = new_figure(3.3 * len(learned.curves) + 0.6, 3.2, nrows=1, ncols=len(learned.curves), squeeze=False)
+        "penetration": ("penetration", "force added"),
+        "rate": ("rate", "force added"),
+        "stretch": ("stretch of the slider", "force added"),
+        "spring": ("penetration", "factor on the spring added"),
+        "spring_rate": ("rate", "factor on the spring added"),
+        "reading": ("true value", "reading"),
+        "step": ("time since a step of the command", "response"),
+    }
+    figure, grid = new_figure(
+        3.3 * len(learned.curves) + 0.6, 3.2, nrows=1, ncols=len(learned.curves), squeeze=False
+    )
     for axes, curve in zip(grid[0], learned.curves, strict=True):
-        factor, unit = (1e3, f"m{curve.units[0]}") if curve.units[0].startswith("m") else (1.0, curve.units[0])
+        factor, unit = (
+            (1e3, f"m{curve.units[0]}") if curve.units[0].startswith("m") else (1.0, curve.units[0])
+        )
         if len(curve.data):
-            axes.plot(factor * curve.data[:, 0], curve.data[:, 1], ".", ms=1.5, color=MEASURED, alpha=0.3, label="data")
-        axes.plot(factor * curve.knots[:, 0], curve.knots[:, 1], "o-", ms=4, color=EXTENDED, lw=1.4, label="learned")
+            axes.plot(
+                factor * curve.data[:, 0],
+                curve.data[:, 1],
+                ".",
+                ms=1.5,
+                color=MEASURED,
+                alpha=0.3,
+                label="data",
+            )
+        axes.plot(
+            factor * curve.knots[:, 0],
+            curve.knots[:, 1],
+            "o-",
+            ms=4,
+            color=EXTENDED,
+            lw=1.4,
+            label="learned",
+        )
         x, y = over.get(curve.over, (curve.over, learned.effect))
         axes.set(xlabel=f"{x} [{unit}]", ylabel=f"{y} [{curve.units[1]}]")
         axes.grid(alpha=0.3)
@@ -193,20 +300,37 @@ def learned_curves(learned: Learned) -> Figure:
 
 
 def closed_loop_figures(loop: ClosedLoop, extends: bool) -> Figure | None:
-    """Restitution and peak force of each run: measured, nominal, extended; None where neither was measured."""
+    """Restitution and peak force of each run: measured, nominal, extended; None where neither was
+    measured.
+    """
     labels = {"cor": "coefficient of restitution", "peak_force": "peak force [N]"}
     names = [name for name in labels if any(getattr(f, name) is not None for f in loop.measured)]
     if not names:
         return None
     figure, axes_of = new_figure(4.5 * len(names), 3.2, nrows=1, ncols=len(names), squeeze=False)
     grid = axes_of[0]
-    sources = [("measured", loop.measured, "s", MEASURED, 9), ("nominal", loop.nominal, "o", NOMINAL, 6)]
+    sources = [
+        ("measured", loop.measured, "s", MEASURED, 9),
+        ("nominal", loop.nominal, "o", NOMINAL, 6),
+    ]
     sources += [("extended", loop.extended, "D", EXTENDED, 5)] if extends else []
     for axes, name in zip(grid, names, strict=True):
         for source, rows, marker, color, size in sources:
-            known = [(r, v) for r, v in ((r, getattr(f, name)) for r, f in zip(loop.runs, rows, strict=True)) if v is not None]
+            known = [
+                (r, v)
+                for r, v in ((r, getattr(f, name)) for r, f in zip(loop.runs, rows, strict=True))
+                if v is not None
+            ]
             fill = "none" if source == "measured" else color
-            axes.plot([r for r, _ in known], [v for _, v in known], marker, ms=size, mfc=fill, color=color, label=source)
+            axes.plot(
+                [r for r, _ in known],
+                [v for _, v in known],
+                marker,
+                ms=size,
+                mfc=fill,
+                color=color,
+                label=source,
+            )
         axes.set(xlabel="run", ylabel=labels[name], xticks=list(loop.runs))
         axes.grid(alpha=0.3)
     grid[0].legend(fontsize=8, frameon=False)
@@ -216,7 +340,9 @@ def closed_loop_figures(loop: ClosedLoop, extends: bool) -> Figure | None:
 def _shade(axes: Axes, s: Series) -> None:
     edges = np.flatnonzero(np.diff(np.r_[False, s.touching, False].astype(int))).reshape(-1, 2)
     for start, end in edges:
-        axes.axvspan(float(s.t[start]), float(s.t[min(end, len(s.t) - 1)]), color=TOUCH, lw=0, zorder=0)
+        axes.axvspan(
+            float(s.t[start]), float(s.t[min(end, len(s.t) - 1)]), color=TOUCH, lw=0, zorder=0
+        )
 
 
 def _around_contact(s: Series) -> np.ndarray:
@@ -230,4 +356,13 @@ def _around_contact(s: Series) -> np.ndarray:
 def _spread(runs: Sequence[int], dataset: MeasuredDataset) -> list[int]:
     """At most MAX_SHOWN runs, from the slowest to the fastest."""
     ordered = sorted(runs, key=lambda i: abs(dataset.runs[i].scenario.approach.velocity[2]))
-    return [ordered[j] for j in np.unique(np.linspace(0, len(ordered) - 1, min(MAX_SHOWN, len(ordered))).astype(int))] if ordered else []
+    return (
+        [
+            ordered[j]
+            for j in np.unique(
+                np.linspace(0, len(ordered) - 1, min(MAX_SHOWN, len(ordered))).astype(int)
+            )
+        ]
+        if ordered
+        else []
+    )

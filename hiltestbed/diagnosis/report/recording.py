@@ -1,5 +1,7 @@
-"""recording.rrd of a diagnosis: the signals of every run, measured, nominal and extended, on one timeline; the residual of each link; the
-causes in words; and the rig in the run that the nominal model predicts worst."""
+"""recording.rrd of a diagnosis: the signals of every run, measured, nominal and extended, on one
+timeline; the residual of each link; the causes in words; and the rig in the run that the nominal
+model predicts worst.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ SIGNALS = {  # entity: group, part, factor to the unit shown, title
 IN_VIEW = ("pose_cmd_z", "pose_act_z", "force_z")
 RESIDUAL = "residual"
 FRAME_RATE = 120.0  # chosen: [Hz] of the rig's poses
-MEASURED_ENTITY = "data"  # the measured curve: entities are drawn in the order of their names, and this one lies broad underneath
+# the measured curve: entities are drawn in the order of their names, and this one lies broad
+# underneath
+MEASURED_ENTITY = "data"
 
 
 def write_diagnosis_recording(path: Path, diagnosis: Diagnosis) -> None:
@@ -45,16 +49,26 @@ def write_diagnosis_recording(path: Path, diagnosis: Diagnosis) -> None:
     """
     channels = worst_channels(diagnosis.finding.series)
     try:
-        with rr.RecordingStream("hiltestbed", recording_id=f"diagnosis-{diagnosis.name}", send_properties=False) as rec:
+        with rr.RecordingStream(
+            "hiltestbed", recording_id=f"diagnosis-{diagnosis.name}", send_properties=False
+        ) as rec:
             rec.save(path, default_blueprint=_layout(diagnosis, channels))
             rec.send_recording_name(f"diagnosis of {diagnosis.name}")
-            rec.log("verdict", rr.TextDocument(_words(diagnosis), media_type=rr.MediaType.MARKDOWN), static=True)
-            for i, (run, simulated) in enumerate(zip(diagnosis.dataset.runs, diagnosis.simulated, strict=True)):
+            rec.log(
+                "verdict",
+                rr.TextDocument(_words(diagnosis), media_type=rr.MediaType.MARKDOWN),
+                static=True,
+            )
+            for i, (run, simulated) in enumerate(
+                zip(diagnosis.dataset.runs, diagnosis.simulated, strict=True)
+            ):
                 _signals(rec, i, run, simulated, diagnosis.finding.extends)
             _residuals(rec, diagnosis, channels)
             _rig(rec, diagnosis.dataset.runs[_first(diagnosis, channels)])
     except RuntimeError as error:  # how rerun reports that its writer has failed
-        raise OSError(errno.EIO, f"the recording could not be written ({error}); is the disk full?", str(path)) from error
+        raise OSError(
+            errno.EIO, f"the recording could not be written ({error}); is the disk full?", str(path)
+        ) from error
 
 
 def _words(diagnosis: Diagnosis) -> str:
@@ -66,9 +80,23 @@ def _words(diagnosis: Diagnosis) -> str:
         for name, p in cause.parameters.items()
     ]
     if rows:
-        lines += ["## Causes", "", "| effect | parameter | estimate (95 %) | probability |", "|---|---|---|---:|", *rows, ""]
+        lines += [
+            "## Causes",
+            "",
+            "| effect | parameter | estimate (95 %) | probability |",
+            "|---|---|---|---:|",
+            *rows,
+            "",
+        ]
     lines += ["## Gain", "", gain_sentence(diagnosis.heldout, diagnosis.finding.names), ""]
-    return "\n".join([*lines, "## Next experiment", "", diagnosis.next_experiment or "Nothing remains open that another run would settle."])
+    return "\n".join(
+        [
+            *lines,
+            "## Next experiment",
+            "",
+            diagnosis.next_experiment or "Nothing remains open that another run would settle.",
+        ]
+    )
 
 
 def _first(diagnosis: Diagnosis, channels: list[str]) -> int:
@@ -77,12 +105,18 @@ def _first(diagnosis: Diagnosis, channels: list[str]) -> int:
 
 
 def _rig(rec: rr.RecordingStream, run: MeasuredRun) -> None:
-    """The rig in a run, at its measured pose, or the commanded one where that is missing; the measured force as an arrow."""
+    """The rig in a run, at its measured pose, or the commanded one where that is missing; the
+    measured force as an arrow.
+    """
     pose, force = _motion(run)
     if pose is None:
         return
     t = run.record.t
-    rows = np.unique(np.round(np.arange(0.0, len(t), max(run.scenario.rate / FRAME_RATE, 1.0))).astype(np.intp).clip(max=len(t) - 1))
+    rows = np.unique(
+        np.round(np.arange(0.0, len(t), max(run.scenario.rate / FRAME_RATE, 1.0)))
+        .astype(np.intp)
+        .clip(max=len(t) - 1)
+    )
     scene, time = RigScene(run.scenario), rr.TimeColumn("time", duration=t[rows])
     scene.draw(rec)
     scene.move(rec, time, pose[rows], scene.port_poses(run.scenario, rows, pose, pose[rows]))
@@ -93,10 +127,14 @@ def _rig(rec: rr.RecordingStream, run: MeasuredRun) -> None:
 
 
 def _motion(run: MeasuredRun) -> tuple[Array | None, Array]:
-    """``(ticks, 7)`` pose of A in P, None where none was measured, and ``(ticks, 6)`` wrench, zero where none was."""
+    """``(ticks, 7)`` pose of A in P, None where none was measured, and ``(ticks, 6)`` wrench, zero
+    where none was.
+    """
     record = run.record
     group = next((g for g in ("pose_act", "pose_cmd") if record.has(g)), None)
-    force = record.filled("wrench_meas") if record.has("wrench_meas") else np.zeros((record.ticks, 6))
+    force = (
+        record.filled("wrench_meas") if record.has("wrench_meas") else np.zeros((record.ticks, 6))
+    )
     return (record.filled(group) if group else None), force
 
 
@@ -105,19 +143,31 @@ def _scale(force: Array) -> float:
     return force_scale(float(np.linalg.norm(force[:, :3], axis=1).max(initial=0.0)))
 
 
-def _signals(rec: rr.RecordingStream, i: int, run: MeasuredRun, simulated: SimulatedRun, extends: bool) -> None:
+def _signals(
+    rec: rr.RecordingStream, i: int, run: MeasuredRun, simulated: SimulatedRun, extends: bool
+) -> None:
     record = run.record
     for entity, (group, part, factor, _) in SIGNALS.items():
         origin = f"run_{i}/{entity}"
         if group in record.data and record.valid[group][:, part].any():
             known = record.valid[group][:, part]
-            _curve(rec, f"{origin}/{MEASURED_ENTITY}", record.t[known], factor * record.data[group][known, part], "measured", MEASURED, 4.0)
+            _curve(
+                rec,
+                f"{origin}/{MEASURED_ENTITY}",
+                record.t[known],
+                factor * record.data[group][known, part],
+                "measured",
+                MEASURED,
+                4.0,
+            )
         for name, trace, color in (
             ("nominal", simulated.nominal, NOMINAL),
             ("extended", simulated.extended if extends else None, EXTENDED),
         ):
             if trace is not None:
-                _curve(rec, f"{origin}/{name}", trace.t, factor * trace[group][:, part], name, color)
+                _curve(
+                    rec, f"{origin}/{name}", trace.t, factor * trace[group][:, part], name, color
+                )
 
 
 def _residuals(rec: rr.RecordingStream, diagnosis: Diagnosis, channels: list[str]) -> None:
@@ -138,10 +188,20 @@ def _residuals(rec: rr.RecordingStream, diagnosis: Diagnosis, channels: list[str
             )
 
 
-def _curve(rec: rr.RecordingStream, path: str, t: Array, values: Array, name: str, color: tuple[int, int, int], width: float = 1.5) -> None:
+def _curve(
+    rec: rr.RecordingStream,
+    path: str,
+    t: Array,
+    values: Array,
+    name: str,
+    color: tuple[int, int, int],
+    width: float = 1.5,
+) -> None:
     rec.log(path, rr.SeriesLines(names=[name], colors=[color], widths=[width]), static=True)
     time = rr.TimeColumn("time", duration=t)
-    rec.send_columns(path, indexes=[time], columns=rr.Scalars.columns(scalars=np.ascontiguousarray(values)))
+    rec.send_columns(
+        path, indexes=[time], columns=rr.Scalars.columns(scalars=np.ascontiguousarray(values))
+    )
 
 
 def _entity(channel: str) -> str:
@@ -149,16 +209,25 @@ def _entity(channel: str) -> str:
 
 
 def _layout(diagnosis: Diagnosis, channels: list[str]) -> rrb.Blueprint:
-    """A tab for each run, open on the run that the nominal simulation predicts worst; beside it the rig in that run, and the verdict."""
+    """A tab for each run, open on the run that the nominal simulation predicts worst; beside it the
+    rig in that run, and the verdict.
+    """
     first = _first(diagnosis, channels)
-    tabs = rrb.Tabs(*(_run_tab(i, run, channels) for i, run in enumerate(diagnosis.dataset.runs)), active_tab=first)
+    tabs = rrb.Tabs(
+        *(_run_tab(i, run, channels) for i, run in enumerate(diagnosis.dataset.runs)),
+        active_tab=first,
+    )
     words = rrb.TextDocumentView(name="Verdict", origin="verdict")
     run = diagnosis.dataset.runs[first]
     pose, force = _motion(run)
     if pose is None:
         beside = words
     else:
-        beside = rrb.Vertical(rig_view(run.scenario, f"The rig in {run.name}, as measured", _scale(force)), words, row_shares=[1.2, 1.0])
+        beside = rrb.Vertical(
+            rig_view(run.scenario, f"The rig in {run.name}, as measured", _scale(force)),
+            words,
+            row_shares=[1.2, 1.0],
+        )
     return rrb.Blueprint(
         rrb.Horizontal(tabs, beside, column_shares=[1.5, 1.0]),
         rrb.TimePanel(timeline="time", state="collapsed"),
@@ -169,8 +238,13 @@ def _layout(diagnosis: Diagnosis, channels: list[str]) -> rrb.Blueprint:
 
 def _run_tab(i: int, run: MeasuredRun, channels: list[str]) -> rrb.Vertical:
     plots = [_plot(f"run_{i}/{entity}", SIGNALS[entity][3], run) for entity in IN_VIEW]
-    plots += [_plot(f"run_{i}/{RESIDUAL}/{_entity(c)}", f"{c}: residual of its link [sigma]", run) for c in channels[:2]]
-    return rrb.Vertical(*plots, name=f"{run.name}: {abs(run.scenario.approach.velocity[2]):.3g} m/s")
+    plots += [
+        _plot(f"run_{i}/{RESIDUAL}/{_entity(c)}", f"{c}: residual of its link [sigma]", run)
+        for c in channels[:2]
+    ]
+    return rrb.Vertical(
+        *plots, name=f"{run.name}: {abs(run.scenario.approach.velocity[2]):.3g} m/s"
+    )
 
 
 def _plot(origin: str, name: str, run: MeasuredRun) -> rrb.TimeSeriesView:
@@ -182,4 +256,9 @@ def _plot(origin: str, name: str, run: MeasuredRun) -> rrb.TimeSeriesView:
         ends = max(0.0, t[first] - 0.3 * span), min(t[-1], t[min(last, len(t) - 1)] + 0.3 * span)
         low, high = (rr.encodings.TimeRangeBoundary.absolute(seconds=float(e)) for e in ends)
         axis = rrb.TimeAxis(view_range=rr.encodings.TimeRange(start=low, end=high))
-    return rrb.TimeSeriesView(name=name, origin=origin, axis_x=axis, plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop))
+    return rrb.TimeSeriesView(
+        name=name,
+        origin=origin,
+        axis_x=axis,
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+    )

@@ -35,30 +35,49 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     finding = diagnosis.finding
     where = WHERE.get(finding.link or "", "the loop")
     if finding.verdict == "no_discrepancy":
-        return "The simulation explains these data: every link was judged, and the residual is noise on every channel."
+        return (
+            "The simulation explains these data: every link was judged, and the residual "
+            "is noise on every channel."
+        )
     if finding.verdict == "inconclusive":
         if not diagnosis.residuals:
             text = "No link of the loop could be judged with these channels."
         else:
-            text = "Nothing departs on the links that could be judged, but these are not the whole loop."
-        return " ".join([text, *(f"Not judged: {link} ({why})." for link, why in finding.not_judged.items())])
+            text = (
+                "Nothing departs on the links that could be judged, but these are not "
+                "the whole loop."
+            )
+        return " ".join(
+            [text, *(f"Not judged: {link} ({why})." for link, why in finding.not_judged.items())]
+        )
     if finding.verdict == "unknown":
         left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
-        text = f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the vocabulary leaves only noise.{left}"
+        text = (
+            f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the "
+            f"vocabulary leaves only noise.{left}"
+        )
         named = " and ".join(named_cause(c) for c in finding.causes)
         return text + (f" Elsewhere: {named}." if named else "")
     if finding.verdict == "named_in_part":
         named = " and ".join(named_cause(c) for c in finding.causes)
-        share = f", {100.0 * finding.explained:.0f} % of the departure on left-out runs," if finding.explained else ""
+        share = (
+            f", {100.0 * finding.explained:.0f} % of the departure on left-out runs,"
+            if finding.explained
+            else ""
+        )
         left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
-        text = f"{where[0].upper()}{where[1:]} departs from its model. In part{share} this is {named}"
+        text = (
+            f"{where[0].upper()}{where[1:]} departs from its model. In part{share} this is {named}"
+        )
         return f"{text}; something else acts as well.{left}"
     parts = []
     for link in dict.fromkeys(_link(c) for c in finding.causes):
         found = " and ".join(named_cause(c) for c in finding.causes if _link(c) == link)
         parts.append(f"{WHERE.get(link, link)} departs from its model: {found}")
     text = "; ".join(parts)
-    open_ = " These data cannot decide which of them it is." if finding.verdict == "ambiguous" else ""
+    open_ = (
+        " These data cannot decide which of them it is." if finding.verdict == "ambiguous" else ""
+    )
     return f"{text[0].upper()}{text[1:]}.{open_}"
 
 
@@ -68,20 +87,38 @@ def _link(cause: Cause) -> str:
 
 def named_cause(cause: Cause) -> str:
     """`sensor.delay [delay 0.0033 (0.0031 to 0.0035) s]`, and its look-alikes."""
-    idle = {name for name, field in EFFECTS[cause.effect].model_fields.items() if not field.is_required() and field.default == 0.0}
-    words = ", ".join(f"{name} {in_words(p)}" for name, p in cause.parameters.items() if name not in idle or p.estimate)
-    rivals = f", indistinguishable from {' or '.join(rivals_of(cause))}" if cause.indistinguishable_from else ""
+    idle = {
+        name
+        for name, field in EFFECTS[cause.effect].model_fields.items()
+        if not field.is_required() and field.default == 0.0
+    }
+    words = ", ".join(
+        f"{name} {in_words(p)}"
+        for name, p in cause.parameters.items()
+        if name not in idle or p.estimate
+    )
+    rivals = (
+        f", indistinguishable from {' or '.join(rivals_of(cause))}"
+        if cause.indistinguishable_from
+        else ""
+    )
     return f"{cause.effect} [{words}]{rivals}" if words else f"{cause.effect}{rivals}"
 
 
 def rivals_of(cause: Cause) -> list[str]:
-    """The look-alikes of a cause: `sensor.delay`; `dynamics.mass [body target]` for the same effect on another body or axis."""
+    """The look-alikes of a cause: `sensor.delay`; `dynamics.mass [body target]` for the same effect
+    on another body or axis.
+    """
     out = list(cause.indistinguishable_from)
     for i, told in enumerate(cause.alternatives[: len(out)]):
         if out[i] == cause.effect:
             entry = next(e for e in told if e["kind"] == cause.effect)
             own = {name: p.estimate for name, p in cause.parameters.items()}
-            other = [f"{name} {v}" for name, v in entry.items() if isinstance(v, str) and name != "kind" and own.get(name) != v]
+            other = [
+                f"{name} {v}"
+                for name, v in entry.items()
+                if isinstance(v, str) and name != "kind" and own.get(name) != v
+            ]
             out[i] += f" [{', '.join(other)}]"
     return out
 
@@ -97,9 +134,12 @@ def partial_sentence(causes: Sequence[Cause], gain: Heldout | None) -> str:
     worth = "" if gain.significant else " That is not significant."
     placebo = round(100.0 * gain.placebo_reduction, 1) + 0.0  # no -0.0
     return (
-        f"{text} On {len(gain.runs)} runs, each left out of the fit in turn, the residual falls by {100.0 * gain.reduction:.1f} % "
-        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to {gain.rms_after:.3g} times the noise; a wrong effect "
-        f"gives {placebo:.1f} %.{worth} The residual is not noise, so that something else acts as well."
+        f"{text} On {len(gain.runs)} runs, each left out of the fit in turn, the residual falls "
+        f"by {100.0 * gain.reduction:.1f} % "
+        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to "
+        f"{gain.rms_after:.3g} times the noise; a wrong effect "
+        f"gives {placebo:.1f} %.{worth} The residual is not noise, so that something else acts as "
+        f"well."
     )
 
 
@@ -112,15 +152,20 @@ def learned_sentence(learned: Learned | None) -> str:
     text = f"A law learned from the data, {learned.effect} with {learned.numbers} numbers"
     text += f" ({learned.equation})" if learned.equation else ""
     text += (
-        f", lowers the residual of {len(gain.runs)} runs, each left out of the fit in turn, by {100.0 * gain.reduction:.1f} % "
-        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to {gain.rms_after:.3g} times the noise; fitted to "
+        f", lowers the residual of {len(gain.runs)} runs, each left out of the fit in turn, by "
+        f"{100.0 * gain.reduction:.1f} % "
+        f"(95 % interval {low:.1f} to {high:.1f} %), from {gain.rms_before:.3g} to "
+        f"{gain.rms_after:.3g} times the noise; fitted to "
         f"residuals shifted by half a contact, it gives {100.0 * gain.placebo_reduction:.1f} %."
     )
     if learned.resembles:
         text += f" It resembles {' and '.join(learned.resembles)}."
     if learned.carries_over:
         return f"{text} The model is extended with it."
-    return f"{text} It is not the same in all runs, or explains too little, and the model is not extended with it."
+    return (
+        f"{text} It is not the same in all runs, or explains too little, and the model "
+        f"is not extended with it."
+    )
 
 
 def meaning(effect: str) -> str:
@@ -131,12 +176,22 @@ def meaning(effect: str) -> str:
 def gain_sentence(heldout: Heldout | None, extends: bool) -> str:
     """The gain on runs that were not fitted, against its placebo."""
     if heldout is None:
-        return "The gain was not measured on left-out runs." if extends else "The model was not extended, so there is no gain to measure."
+        return (
+            "The gain was not measured on left-out runs."
+            if extends
+            else "The model was not extended, so there is no gain to measure."
+        )
     low, high = heldout.ci95
     text = (
-        f"On {len(heldout.runs)} runs, each left out of the fit in turn, the residual falls from {heldout.rms_before:.3g} to "
-        f"{heldout.rms_after:.3g} times the noise floor: {100 * heldout.reduction:.1f} % less (95 % interval {100 * low:.1f} to "
+        f"On {len(heldout.runs)} runs, each left out of the fit in turn, the residual falls from "
+        f"{heldout.rms_before:.3g} to "
+        f"{heldout.rms_after:.3g} times the noise floor: {100 * heldout.reduction:.1f} % less (95 "
+        f"% interval {100 * low:.1f} to "
         f"{100 * high:.1f} %); "
         f"a wrong effect of equal size gives {100 * heldout.placebo_reduction:.1f} %."
     )
-    return text if heldout.significant else text + " That is not significant: no gain is claimed and the model is not extended."
+    return (
+        text
+        if heldout.significant
+        else text + " That is not significant: no gain is claimed and the model is not extended."
+    )

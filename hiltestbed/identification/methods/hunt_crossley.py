@@ -2,10 +2,12 @@
 
     ln F = ln k + n ln x + alpha v,   for |alpha v| < 0.1
 
-linear in (ln k, n, alpha) (A. Haddadi, K. Hashtrudi-Zaad, "Real-time identification of Hunt-Crossley dynamic models of contact
-environments", IEEE T-RO 28(3), 2012). The logarithm needs the touch point: x is measured from the nominal one. The reported stiffness and
-damping are those of the linear spring and damper with the same force at the largest penetration X and the same energy loss: k X^(n-1),
-and ``alpha F(X)`` times ``<x v^2>/(X <v^2>) = 4/(3 pi)`` of a half sine. On a contact that is a linear spring and damper the force step at
+linear in (ln k, n, alpha) (A. Haddadi, K. Hashtrudi-Zaad, "Real-time identification of
+Hunt-Crossley dynamic models of contact environments", IEEE T-RO 28(3), 2012). The logarithm needs
+the touch point: x is measured from the nominal one. The reported stiffness and damping are those of
+the linear spring and damper with the same force at the largest penetration X and the same energy
+loss: k X^(n-1), and ``alpha F(X)`` times ``<x v^2>/(X <v^2>) = 4/(3 pi)`` of a half sine. On a
+contact that is a linear spring and damper the force step at
 touch, ``c v0``, does not fit the law: the estimate of n is below 1.
 """
 
@@ -27,13 +29,17 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 MINIMUM_SAMPLES = 8
-SHALLOW = 0.1  # fraction of the deepest x so far; below it samples are skipped, since ln x magnifies any error of the touch point
+# fraction of the deepest x so far; below it samples are skipped, since ln x magnifies any error of
+# the touch point
+SHALLOW = 0.1
 DAMPING_SHARE = 4.0 / (3.0 * math.pi)
 
 
 @register
 class HuntCrossley(Identifier):
-    """Single-stage fit of the Hunt-Crossley law F = k x^n (1 + alpha v), with the pose at the time the force acted."""
+    """Single-stage fit of the Hunt-Crossley law F = k x^n (1 + alpha v), with the pose at the time
+    the force acted.
+    """
 
     kind: Literal["hunt_crossley"] = "hunt_crossley"
 
@@ -56,7 +62,11 @@ class HuntCrossleyFit:
         self.source = ContactSamples(scenarios)
         self._sums = np.zeros((n, 6, 9))
         self._deepest = np.zeros((n, 6))
-        self.exponent, self.coefficient, self.alpha = np.full((n, 6), np.nan), np.full((n, 6), np.nan), np.full((n, 6), np.nan)
+        self.exponent, self.coefficient, self.alpha = (
+            np.full((n, 6), np.nan),
+            np.full((n, 6), np.nan),
+            np.full((n, 6), np.nan),
+        )
         self.stiffness, self.damping = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
         self.samples = np.zeros((n, 6))
 
@@ -64,9 +74,17 @@ class HuntCrossleyFit:
         """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         self.source.take(wrench, pose, twist)
         _fit(
-            self.source.ready, self.source.sample, self._sums, self._deepest, self.samples,
-            self.exponent, self.coefficient, self.alpha, self.stiffness, self.damping,
-        )  # fmt: skip
+            self.source.ready,
+            self.source.sample,
+            self._sums,
+            self._deepest,
+            self.samples,
+            self.exponent,
+            self.coefficient,
+            self.alpha,
+            self.stiffness,
+            self.damping,
+        )
 
 
 @njit(cache=True)

@@ -1,8 +1,10 @@
 """Batch least squares with instrumental variables: the reference method for a noisy pose.
 
-Noise in the regressors x and v biases k and c towards zero. Instruments z that are correlated with x and v but not with their noise remove
-the bias: ``theta = (Z^T Phi)^-1 Z^T y`` (L. Ljung, System Identification, 2nd ed. 1999, section 7.6). Here z is the regressor of
-some ticks earlier. Without pose noise this is least squares with slightly more scatter.
+Noise in the regressors x and v biases k and c towards zero. Instruments z that are correlated with
+x and v but not with their noise remove
+the bias: ``theta = (Z^T Phi)^-1 Z^T y`` (L. Ljung, System Identification, 2nd ed. 1999, section
+7.6). Here z is the regressor of some ticks earlier. Without pose noise this is least squares with
+slightly more scatter.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ class Instrumental(Identifier):
     """Batch least squares with instrumental variables: the reference method for a noisy pose."""
 
     kind: Literal["instrumental"] = "instrumental"
-    lag: Annotated[int, Field(ge=1, le=LONGEST)] = Field(default=2, description="Ticks by which the instruments are older than the samples")
+    lag: Annotated[int, Field(ge=1, le=LONGEST)] = Field(
+        default=2, description="Ticks by which the instruments are older than the samples"
+    )
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> InstrumentVariables:
@@ -88,8 +92,16 @@ def _accumulate(ready, sample, lags, past, length, sums, samples, stiffness, dam
 def _solve(s, n, stiffness, damping, j):
     """Eliminate the intercept, then solve two equations for k and c."""
     one = s[2, 2]
-    xx, xv, xy = s[0, 0] - s[0, 2] * s[2, 0] / one, s[0, 1] - s[0, 2] * s[2, 1] / one, s[0, 3] - s[0, 2] * s[2, 3] / one
-    vx, vv, vy = s[1, 0] - s[1, 2] * s[2, 0] / one, s[1, 1] - s[1, 2] * s[2, 1] / one, s[1, 3] - s[1, 2] * s[2, 3] / one
+    xx, xv, xy = (
+        s[0, 0] - s[0, 2] * s[2, 0] / one,
+        s[0, 1] - s[0, 2] * s[2, 1] / one,
+        s[0, 3] - s[0, 2] * s[2, 3] / one,
+    )
+    vx, vv, vy = (
+        s[1, 0] - s[1, 2] * s[2, 0] / one,
+        s[1, 1] - s[1, 2] * s[2, 1] / one,
+        s[1, 3] - s[1, 2] * s[2, 3] / one,
+    )
     det = xx * vv - xv * vx
     if xx < n * MINIMUM_TRAVEL**2 or abs(det) <= 1e-10 * abs(xx * vv):
         return

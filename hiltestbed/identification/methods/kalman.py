@@ -1,9 +1,11 @@
 """Adaptive Kalman filter of stiffness and damping.
 
-The state (k, c, b) of each axis follows a random walk; the force is the observation, ``F = k x + c v + b``. The variance of the force noise
-is estimated from the innovations, ``R <- R + (e^2 - phi P phi - R)/N``, and so is the process noise, ``Q = q K e^2 K^T`` (A. P. Sage,
-G. W. Husa, "Adaptive filtering with unknown prior statistics", 1969; used for k and c on such a rig by F. He et al., Chin. J. Mech. Eng.
-35:149, 2022). With q = 0 it is recursive least squares. Columns are scaled by the first speed in contact, so that one P0 suits all axes.
+The state (k, c, b) of each axis follows a random walk; the force is the observation, ``F = k x + c
+v + b``. The variance of the force noise is estimated from the innovations, ``R <- R + (e^2 - phi P
+phi - R)/N``, and so is the process noise, ``Q = q K e^2 K^T`` (A. P. Sage, G. W. Husa, "Adaptive
+filtering with unknown prior statistics", 1969; used for k and c on such a rig by F. He et al.,
+Chin. J. Mech. Eng. 35:149, 2022). With q = 0 it is recursive least squares. Columns are scaled by
+the first speed in contact, so that one P0 suits all axes.
 """
 
 from __future__ import annotations
@@ -37,7 +39,10 @@ class Kalman(Identifier):
     """Adaptive Kalman filter of k, c and an intercept, all modelled as a random walk."""
 
     kind: Literal["kalman"] = "kalman"
-    wander: NotNegative = Field(default=1e-6, description="Factor q of the process noise of k and c, Q = q K e^2 K^T [-]; 0: none")
+    wander: NotNegative = Field(
+        default=1e-6,
+        description="Factor q of the process noise of k and c, Q = q K e^2 K^T [-]; 0: none",
+    )
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> AdaptiveKalman:
@@ -58,19 +63,49 @@ class AdaptiveKalman:
         self.stiffness, self.damping = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
         self.stiffness_sd, self.damping_sd = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
         self.samples = np.zeros((n, 6))
-        self._floor = np.array([[max(s.sensor.noise, 1e-6) ** 2] * 3 + [max(s.sensor.torque_noise, 1e-7) ** 2] * 3 for s in scenarios])
+        self._floor = np.array(
+            [
+                [max(s.sensor.noise, 1e-6) ** 2] * 3 + [max(s.sensor.torque_noise, 1e-7) ** 2] * 3
+                for s in scenarios
+            ]
+        )
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
         """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         self.source.take(wrench, pose, twist)
         _filter(
-            self.source.ready, self.source.sample, self._wander, self._floor, self._state, self._covariance, self._noise, self._speed,
-            self.samples, self.stiffness, self.damping, self.stiffness_sd, self.damping_sd,
-        )  # fmt: skip
+            self.source.ready,
+            self.source.sample,
+            self._wander,
+            self._floor,
+            self._state,
+            self._covariance,
+            self._noise,
+            self._speed,
+            self.samples,
+            self.stiffness,
+            self.damping,
+            self.stiffness_sd,
+            self.damping_sd,
+        )
 
 
 @njit(cache=True)
-def _filter(ready, sample, wander, floor, state, covariance, noise, speed, samples, stiffness, damping, stiffness_sd, damping_sd):
+def _filter(
+    ready,
+    sample,
+    wander,
+    floor,
+    state,
+    covariance,
+    noise,
+    speed,
+    samples,
+    stiffness,
+    damping,
+    stiffness_sd,
+    damping_sd,
+):
     phi, gain = np.empty(3), np.empty(3)
     for i in range(sample.shape[0]):
         if not ready[i]:

@@ -1,4 +1,6 @@
-"""Recursive least squares: on time-aligned samples, on raw samples, and on the force after a phase lead."""
+"""Recursive least squares: on time-aligned samples, on raw samples, and on the force after a phase
+lead.
+"""
 
 from __future__ import annotations
 
@@ -20,40 +22,62 @@ if TYPE_CHECKING:
 
 @register
 class Rls(Identifier):
-    """Recursive least squares of k and c on each axis, during contact only, with the pose at the time the force acted."""
+    """Recursive least squares of k and c on each axis, during contact only, with the pose at the
+    time the force acted.
+    """
 
     kind: Literal["rls"] = "rls"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting")
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting"
+    )
     delay: Literal["known", "estimate"] = Field(
         default="known",
-        description="Delay of the force. known: sensor.delay is taken as exact; estimate: it is estimated from the instant of touch",
+        description="Delay of the force. known: sensor.delay is taken as exact; estimate: it is "
+        "estimated from the instant of touch",
     )
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
         own = identifier_of(scenarios, cls)
-        return RecursiveLeastSquares(ContactSamples(scenarios, estimate=own[0].delay == "estimate"), [o.forgetting for o in own])
+        return RecursiveLeastSquares(
+            ContactSamples(scenarios, estimate=own[0].delay == "estimate"),
+            [o.forgetting for o in own],
+        )
 
 
 @register
 class RlsRaw(Identifier):
-    """Recursive least squares of k and c on the raw force, with the pose of the same tick: the delay biases c."""
+    """Recursive least squares of k and c on the raw force, with the pose of the same tick: the
+    delay biases c.
+    """
 
     kind: Literal["rls_raw"] = "rls_raw"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting")
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting"
+    )
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
-        return RecursiveLeastSquares(ContactSamples(scenarios, aligned=False), [o.forgetting for o in identifier_of(scenarios, cls)])
+        return RecursiveLeastSquares(
+            ContactSamples(scenarios, aligned=False),
+            [o.forgetting for o in identifier_of(scenarios, cls)],
+        )
 
 
 @register
 class RlsLead(Identifier):
-    """Recursive least squares of k and c on the force after a first-order phase lead, with the pose of the same tick."""
+    """Recursive least squares of k and c on the force after a first-order phase lead, with the pose
+    of the same tick.
+    """
 
     kind: Literal["rls_lead"] = "rls_lead"
-    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting")
-    lag: Positive = Field(default=0.0005, description="Time constant T2 of the phase lead's pole [s]; its T1 is sensor.delay + T2")
+    forgetting: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=1.0, description="Forgetting factor per tick [-]; 1: no forgetting"
+    )
+    lag: Positive = Field(
+        default=0.0005,
+        description="Time constant T2 of the phase lead's pole [s]; its T1 is sensor.delay + T2",
+    )
 
     @property
     def settles(self) -> float:
@@ -62,6 +86,9 @@ class RlsLead(Identifier):
     @classmethod
     def start(cls, scenarios: Sequence[Scenario]) -> RecursiveLeastSquares:
         own = identifier_of(scenarios, cls)
-        lead = PhaseLeadBlock(scenarios, [(s.sensor.delay + o.lag, o.lag) for s, o in zip(scenarios, own, strict=True)])
+        lead = PhaseLeadBlock(
+            scenarios,
+            [(s.sensor.delay + o.lag, o.lag) for s, o in zip(scenarios, own, strict=True)],
+        )
         samples = ContactSamples(scenarios, aligned=False, lead=[o.lag for o in own])
         return RecursiveLeastSquares(samples, [o.forgetting for o in own], lead)

@@ -23,7 +23,9 @@ class DynamicsStepDelay(Effect):
     """The pose of the numerical model is late by extra whole ticks."""
 
     kind: Literal["dynamics.step_delay"] = "dynamics.step_delay"
-    ticks: Annotated[int, Field(ge=0, le=100)] = Field(description="Whole ticks of delay", json_schema_extra={"unit": "-"})
+    ticks: Annotated[int, Field(ge=0, le=100)] = Field(
+        description="Whole ticks of delay", json_schema_extra={"unit": "-"}
+    )
     link = "dynamics"
     equation = "pose_cmd is `ticks` rows late"
     reference = "transport within the loop"
@@ -39,7 +41,10 @@ class DynamicsStepDelay(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        return (candidate(cls, {}, choices=MOST_TICKS, ticks=ticks) for ticks in range(1, MOST_TICKS + 1))
+        return (
+            candidate(cls, {}, choices=MOST_TICKS, ticks=ticks)
+            for ticks in range(1, MOST_TICKS + 1)
+        )
 
 
 @register
@@ -48,7 +53,8 @@ class DynamicsIntegrator(Effect):
 
     kind: Literal["dynamics.integrator"] = "dynamics.integrator"
     scheme: Literal["explicit_euler"] = Field(
-        default="explicit_euler", description="Integration scheme used instead of semi-implicit Euler"
+        default="explicit_euler",
+        description="Integration scheme used instead of semi-implicit Euler",
     )
     link = "dynamics"
     equation = "pose integrated with the old twist, then the twist"

@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 def _after_the_step(pairs: Pairs) -> Pairs:
     if pairs[0][0] < 0.0:
-        raise PydanticCustomError("cause", "a platform cannot respond before the step (got {time} s)", {"time": pairs[0][0]})
+        raise PydanticCustomError(
+            "cause",
+            "a platform cannot respond before the step (got {time} s)",
+            {"time": pairs[0][0]},
+        )
     return pairs
 
 
@@ -30,11 +34,15 @@ Step = Annotated[Curve, Field(min_length=2), AfterValidator(_after_the_step)]
 
 @register
 class LearnedResponse(Effect):
-    """A linear response of the platform, common to all three axes, given as its response to a step of the command."""
+    """A linear response of the platform, common to all three axes, given as its response to a step
+    of the command.
+    """
 
     kind: Literal["platform.response"] = "platform.response"
     step: Step = quantity(
-        "s, -", "Knots of the step response: time since the step, fraction reached; zero before the first knot, constant after the last"
+        "s, -",
+        "Knots of the step response: time since the step, fraction reached; zero before the first "
+        "knot, constant after the last",
     )
     link = "platform"
     equation = "x(t) = integral of s(t - t') x_cmd'(t') dt', s piecewise linear"
@@ -50,5 +58,7 @@ class LearnedResponse(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """None: it is learned where the named effects leave more than noise, see :mod:`hiltestbed.diagnosis.learned`."""
+        """None: it is learned where the named effects leave more than noise, see
+        :mod:`hiltestbed.diagnosis.learned`.
+        """
         return iter(())

@@ -1,4 +1,6 @@
-"""The platform does not reach its commanded position: play, stiction, a scale error, a speed limit."""
+"""The platform does not reach its commanded position: play, stiction, a scale error, a speed
+limit.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
 
 AXES = ("x", "y", "z")
-FINE = 20  # instants per tick at which a sticking platform may move, searched beside the number of physics steps
+# instants per tick at which a sticking platform may move, searched beside the number of physics
+# steps
+FINE = 20
 
 
 @register
@@ -37,7 +41,11 @@ class PlatformBacklash(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        yield candidate(cls, {"width": [1e-5, 4e-5, 1.5e-4, 5e-4]}, bounds={"width": (0.0, max(2e-3, scales.travel))})
+        yield candidate(
+            cls,
+            {"width": [1e-5, 4e-5, 1.5e-4, 5e-4]},
+            bounds={"width": (0.0, max(2e-3, scales.travel))},
+        )
 
 
 @register
@@ -45,7 +53,9 @@ class PlatformFriction(Effect):
     """The platform moves in jumps."""
 
     kind: Literal["platform.friction"] = "platform.friction"
-    stick: float = quantity("m", "Distance between command and axis at which the axis moves", ge=0.0, search=(0.0, 1e-3))
+    stick: float = quantity(
+        "m", "Distance between command and axis at which the axis moves", ge=0.0, search=(0.0, 1e-3)
+    )
     link = "platform"
     equation = "x holds until |x_cmd - x| > stick, then x = x_cmd, and holds again"
     reference = "stiction"
@@ -56,13 +66,20 @@ class PlatformFriction(Effect):
 
     def apply(self, p: PlatformParameters) -> None:
         p.stick += self.stick
-        p.instants, p.phase = self.variant.get("instants", p.instants), self.variant.get("phase", p.phase)
+        p.instants, p.phase = (
+            self.variant.get("instants", p.instants),
+            self.variant.get("phase", p.phase),
+        )
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         few = list(np.geomspace(5e-6, 8e-4, 6))
-        for (instants, phase), starts in (scales.sticks or {(n, 0.0): few for n in (scales.substeps, FINE)}).items():
-            yield candidate(cls, {"stick": list(starts)}, variant={"instants": instants, "phase": phase})
+        for (instants, phase), starts in (
+            scales.sticks or {(n, 0.0): few for n in (scales.substeps, FINE)}
+        ).items():
+            yield candidate(
+                cls, {"stick": list(starts)}, variant={"instants": instants, "phase": phase}
+            )
 
 
 @register
@@ -70,8 +87,12 @@ class PlatformScale(Effect):
     """One axis of translation is scaled."""
 
     kind: Literal["platform.scale"] = "platform.scale"
-    factor: float = quantity("-", "Ratio of actual to commanded translation", gt=0.0, search=(0.8, 1.25), ratio=True)
-    axis: Literal["x", "y", "z"] = Field(default="z", description="Axis of translation that is scaled")
+    factor: float = quantity(
+        "-", "Ratio of actual to commanded translation", gt=0.0, search=(0.8, 1.25), ratio=True
+    )
+    axis: Literal["x", "y", "z"] = Field(
+        default="z", description="Axis of translation that is scaled"
+    )
     link = "platform"
     equation = "x_axis = factor x_cmd_axis"
     reference = "geometric calibration error"
@@ -92,7 +113,9 @@ class PlatformSpeedLimit(Effect):
     """Each axis follows its command no faster than a limit."""
 
     kind: Literal["platform.speed_limit"] = "platform.speed_limit"
-    speed: float = quantity("m/s", "Maximum speed of each axis", gt=0.0, search=(1e-3, 1.0), ratio=True)
+    speed: float = quantity(
+        "m/s", "Maximum speed of each axis", gt=0.0, search=(1e-3, 1.0), ratio=True
+    )
     link = "platform"
     equation = "|x'| <= speed"
     reference = "actuator rate limit"
@@ -107,4 +130,6 @@ class PlatformSpeedLimit(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        yield candidate(cls, {"speed": list(np.geomspace(0.3 * scales.slow, 1.05 * scales.fast, 8))})
+        yield candidate(
+            cls, {"speed": list(np.geomspace(0.3 * scales.slow, 1.05 * scales.fast, 8))}
+        )

@@ -1,10 +1,12 @@
-"""Two articles on air bearings over a flat floor: three degrees of freedom each, z (insertion), x and rotation about the vertical y.
+"""Two articles on air bearings over a flat floor: three degrees of freedom each, z (insertion), x
+and rotation about the vertical y.
 
-Disturbances compared with free flight: the floor is not level (a component of gravity in its plane), the air film shears (viscous drag),
-the pads have a little friction, and hoses pull. Forces on an article of mass m (float included), speed v and angular rate w:
+Disturbances compared with free flight: the floor is not level (a component of gravity in its
+plane), the air film shears (viscous drag), the pads have a little friction, and hoses pull. Forces
+on an article of mass m (float included), speed v and angular rate w:
 
     tilt      m g (sin a_x, sin a_z)                 film   -b v,  -b r^2 w
-    friction  -mu m g v/sqrt(v^2 + v_0^2)            hose   -k (x - x_0) - c v, x_0 the start position
+    friction  -mu m g v/sqrt(v^2 + v_0^2)  hose  -k (x - x_0) - c v, x_0 the start position
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ TILT_X, TILT_Z, FILM, RADIUS, RUB, HOSE, HOSE_DAMPING, NUMBERS = range(8)
 
 @njit(cache=True)
 def _push(numbers, dofs, qadr, masses, origin, qpos, qvel, applied):
-    """dofs, qadr (2, 3): x, z and rotation of both articles. masses: (2,). origin: (n, 2, 2) rest position of the hoses."""
+    """dofs, qadr (2, 3): x, z and rotation of both articles. masses: (2,). origin: (n, 2, 2) rest
+    position of the hoses.
+    """
     for i in range(qpos.shape[0]):
         p = numbers[i]
         for b in range(dofs.shape[0]):
@@ -49,7 +53,14 @@ def _push(numbers, dofs, qadr, masses, origin, qpos, qvel, applied):
 class Floats(Bodies):
     """Articles of `n` runs on their air films."""
 
-    def __init__(self, model: mujoco.MjModel, facility: AirBearing, settings: Sequence[Any], step: float, tool: str) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        facility: AirBearing,
+        settings: Sequence[Any],
+        step: float,
+        tool: str,
+    ) -> None:
         super().__init__(model, facility.kinematics(model, tool), len(settings), step)
         moving = [side for side in SIDES if facility.floats(side)]
         joints = [[model.joint(f"{side}_{name}") for name in ("x", "z", "turn")] for side in moving]
@@ -59,11 +70,30 @@ class Floats(Bodies):
         self._numbers = np.column_stack(
             [
                 np.array([s.tilt for s in settings], dtype=float),
-                *(per_run(settings, name) for name in ("film_damping", "pad_radius", "friction", "hose_stiffness", "hose_damping")),
+                *(
+                    per_run(settings, name)
+                    for name in (
+                        "film_damping",
+                        "pad_radius",
+                        "friction",
+                        "hose_stiffness",
+                        "hose_damping",
+                    )
+                ),
             ]
         )
         self._origin = np.zeros((len(settings), len(moving), 2))
-        self._pushed = Call(_push, self._numbers, self._dofs, self._qadr, self._masses, self._origin, GIVEN, GIVEN, GIVEN)
+        self._pushed = Call(
+            _push,
+            self._numbers,
+            self._dofs,
+            self._qadr,
+            self._masses,
+            self._origin,
+            GIVEN,
+            GIVEN,
+            GIVEN,
+        )
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         self._origin[:] = qpos[:, self._qadr[:, :2]]
@@ -92,7 +122,8 @@ class AirBearing(PhysicalFacility):
             place, body = self.place_of(side), spec.body(side)
             body.pos, body.quat = place[:3], [place[6], *place[3:6]]
             for joint in list(body.joints):
-                if self.floats(side):  # the joints are along the floor's axes, whatever the body's attitude
+                # the joints are along the floor's axes, whatever the body's attitude
+                if self.floats(side):
                     joint.axis = _in_body(np.array(joint.axis), place)
                 else:
                     spec.delete(joint)
@@ -100,7 +131,9 @@ class AirBearing(PhysicalFacility):
         self.add_ports(spec)
         return spec
 
-    def bodies(self, model: mujoco.MjModel, settings: Sequence[Any], step: float, tool: str = MOUNT) -> Floats:
+    def bodies(
+        self, model: mujoco.MjModel, settings: Sequence[Any], step: float, tool: str = MOUNT
+    ) -> Floats:
         return Floats(model, self, settings, step, tool)
 
     def alike(self) -> Hashable:

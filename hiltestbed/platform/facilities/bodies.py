@@ -1,11 +1,13 @@
 """Full physical simulation: the bodies themselves move, and no numerical model is in the loop.
 
-The two spacecraft are represented in the hall by articles with real mass, supported against gravity by air bearings or cables. There are
-no commands, measurements or compensation: the relative pose follows from the physics. An article's mass and inertia are those of its
-spacecraft, mechanism included, plus those of its support; the attached mechanisms therefore have no mass of their own
-(:meth:`PhysicalFacility.lighten`).
+The two spacecraft are represented in the hall by articles with real mass, supported against gravity
+by air bearings or cables. There are
+no commands, measurements or compensation: the relative pose follows from the physics. An article's
+mass and inertia are those of its spacecraft, mechanism included, plus those of its support; the
+attached mechanisms therefore have no mass of their own (:meth:`PhysicalFacility.lighten`).
 
-W is the world of every facility, z along the insertion, which is horizontal here: y is up and gravity acts along -y.
+W is the world of every facility, z along the insertion, which is horizontal here: y is up and
+gravity acts along -y.
 """
 
 from __future__ import annotations
@@ -26,10 +28,26 @@ from hiltestbed.frames import Array, twist_between
 from hiltestbed.jit import njit
 from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.drives import UPRIGHT, relative
-from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, NOMINAL, TOOL_HOME, Facility, Response, add_carrier
+from hiltestbed.platform.facilities.facility import (
+    MOUNT,
+    MOUNT_HOME,
+    NOMINAL,
+    TOOL_HOME,
+    Facility,
+    Response,
+    add_carrier,
+)
 from hiltestbed.platform.facilities.inverse_dynamics import joint_forces
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.motion import move, packed, place, scratch, tool_pose, tool_twist, unpack
+from hiltestbed.platform.facilities.motion import (
+    move,
+    packed,
+    place,
+    scratch,
+    tool_pose,
+    tool_twist,
+    unpack,
+)
 from hiltestbed.platform.facilities.tree import between, compose, inverse_pose
 
 GRAVITY = 9.81  # [m/s^2], along -y of W
@@ -43,7 +61,8 @@ class Article:
     """A spacecraft represented in the hall.
 
     Attributes:
-        mass: [kg]. inertia: (3, 3) about the centre of mass, body axes [kg m^2]. port: (7,) pose of its port in the body.
+        mass: [kg]. inertia: (3, 3) about the centre of mass, body axes [kg m^2]. port: (7,) pose of
+            its port in the body.
     """
 
     mass: float
@@ -52,7 +71,21 @@ class Article:
 
 
 @njit(cache=True)
-def _read(integers, numbers, room, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, diverged):
+def _read(
+    integers,
+    numbers,
+    room,
+    qpos,
+    qvel,
+    limit,
+    place_A,
+    motion_A,
+    place_P,
+    motion_P,
+    pose,
+    twist,
+    diverged,
+):
     tree, w = unpack(integers, numbers, room)
     lost = False
     r, arm = np.empty(3), np.empty(3)
@@ -77,7 +110,8 @@ class Bodies:
     """`n` pairs of articles; all arrays are updated in place.
 
     Attributes, at t_k:
-        pose, twist: (n, 7), (n, 6) of A relative to P, in P. place_A, motion_A, place_P, motion_P: of both in W.
+        pose, twist: (n, 7), (n, 6) of A relative to P, in P. place_A, motion_A, place_P, motion_P:
+            of both in W.
     """
 
     def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, n: int, step: float) -> None:
@@ -86,19 +120,32 @@ class Bodies:
         self.place_A, self.motion_A = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self._seen = Call(
-            _read, *packed(kinematics.tree.towards_tools()), GIVEN, GIVEN, GIVEN, self.place_A, self.motion_A, self.place_P, self.motion_P,
-            self.pose, self.twist, GIVEN,
-        )  # fmt: skip
+            _read,
+            *packed(kinematics.tree.towards_tools()),
+            GIVEN,
+            GIVEN,
+            GIVEN,
+            self.place_A,
+            self.motion_A,
+            self.place_P,
+            self.motion_P,
+            self.pose,
+            self.twist,
+            GIVEN,
+        )
 
     def push(self, qpos: Array, qvel: Array, applied: Array) -> None:
-        """Write the forces of bearings and cables on the articles to the generalised forces ``applied`` (n, nv), before a step."""
+        """Write the forces of bearings and cables on the articles to the generalised forces
+        ``applied`` (n, nv), before a step.
+        """
         raise NotImplementedError
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         """Initialise the state of the articles' supports."""
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
-        """The start: the target at rest with P at W's origin, A at ``pose`` (n, 7) moving with ``twist`` (n, 6).
+        """The start: the target at rest with P at W's origin, A at ``pose`` (n, 7) moving with
+        ``twist`` (n, 6).
 
         Raises:
             InputError: a start pose or twist that the articles' degrees of freedom do not allow.
@@ -106,31 +153,44 @@ class Bodies:
         for i in range(len(pose)):
             q, left = self.kinematics.nearest(np.array([pose[i], UPRIGHT]))
             if not left < NEAR:
-                raise InputError(f"the start cannot be: {missed(self.kinematics.poses(q)[0], pose[i])}")
+                raise InputError(
+                    f"the start cannot be: {missed(self.kinematics.poses(q)[0], pose[i])}"
+                )
             qpos[i] = q
             twists = np.array([twist[i], np.zeros(6)])
             qvel[i] = self.kinematics.rates(q, twists)
             slip = self.kinematics.twists(q, qvel[i])[0] - twist[i]
             if not np.abs(slip).max() < NEAR:
                 k = int(np.argmax(np.abs(slip)))
-                raise InputError(f"the start cannot be: the articles do not move {axis_of(k)} (asked for {twist[i, k]:.4g}); allowed is 0")
+                raise InputError(
+                    f"the start cannot be: the articles do not move {axis_of(k)} (asked for "
+                    f"{twist[i, k]:.4g}); allowed is 0"
+                )
         self.rest(qpos, qvel)
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
-        """Read poses and twists; returns whether a run has just exceeded ``limit`` [m/s, rad/s], and marks it in ``diverged`` (n,)."""
+        """Read poses and twists; returns whether a run has just exceeded ``limit`` [m/s, rad/s],
+        and marks it in ``diverged`` (n,).
+        """
         return self.observing(qpos, qvel, limit, diverged)()
 
-    def observing(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> Callable[[], bool]:
+    def observing(
+        self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]
+    ) -> Callable[[], bool]:
         """:meth:`observe` bound to arrays that are reused."""
         return self._seen.on(qpos, qvel, limit, diverged)
 
     def momentum(self, qpos: Array, qvel: Array, run: int = 0) -> Array:
-        """``(6,)`` linear momentum [kg m/s] and angular momentum about W's origin [kg m^2/s] of all moving bodies."""
+        """``(6,)`` linear momentum [kg m/s] and angular momentum about W's origin [kg m^2/s] of all
+        moving bodies.
+        """
         tree, w = self.kinematics.tree, scratch(self.kinematics.tree)
         place(tree, np.ascontiguousarray(qpos[run]), w)
         out, nothing = np.empty(self.model.nv), np.zeros(3)
         # With velocities in place of accelerations from rest, the inertial loads are the momenta.
-        joint_forces(tree, np.zeros(self.model.nv), np.ascontiguousarray(qvel[run]), nothing, w, out)
+        joint_forces(
+            tree, np.zeros(self.model.nv), np.ascontiguousarray(qvel[run]), nothing, w, out
+        )
         return w.loads[0].copy()
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -159,12 +219,21 @@ class PhysicalFacility(Facility):
         return inverse_pose(self.articles[side].port)
 
     def fit(self, spec: mujoco.MjSpec, side: str, extra_mass: float, extra_inertia: Array) -> None:
-        """Set an article's body to its spacecraft's mass and inertia plus those of its support [kg, kg m^2]."""
+        """Set an article's body to its spacecraft's mass and inertia plus those of its support [kg,
+        kg m^2].
+        """
         article, body = self.articles[side], spec.body(side)
         inertia = article.inertia + extra_inertia
         body.mass = article.mass + extra_mass
         body.ipos, body.inertia = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
-        body.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+        body.fullinertia = [
+            inertia[0, 0],
+            inertia[1, 1],
+            inertia[2, 2],
+            inertia[0, 1],
+            inertia[0, 2],
+            inertia[1, 2],
+        ]
 
     def add_ports(self, spec: mujoco.MjSpec) -> None:
         """Add the mount to the chaser and the passive side's carrier to the target."""
@@ -183,8 +252,12 @@ class PhysicalFacility(Facility):
         return Kinematics(model, [tool, NOMINAL], ())
 
     @abstractmethod
-    def bodies(self, model: mujoco.MjModel, settings: Sequence[Any], step: float, tool: str = MOUNT) -> Bodies:
-        """Articles and their supports, for runs whose ``settings`` may differ in parameters; ``step`` [s] of the physics."""
+    def bodies(
+        self, model: mujoco.MjModel, settings: Sequence[Any], step: float, tool: str = MOUNT
+    ) -> Bodies:
+        """Articles and their supports, for runs whose ``settings`` may differ in parameters;
+        ``step`` [s] of the physics.
+        """
 
     def drives(self, *_: Any, **__: Any) -> Any:
         raise InputError(f"rig.platform.kind {self.kind} drives nothing: its bodies move freely")
@@ -203,7 +276,9 @@ class PhysicalFacility(Facility):
 
 
 def missed(reached: Array, pose: Array) -> str:
-    """Message with the axis along or about which ``reached`` (7,) is furthest from ``pose`` (7,)."""
+    """Message with the axis along or about which ``reached`` (7,) is furthest from ``pose``
+    (7,).
+    """
     gap = np.empty(6)
     twist_between(reached, pose, 1.0, gap)
     k = int(np.argmax(np.abs(gap)))

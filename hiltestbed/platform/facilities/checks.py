@@ -23,7 +23,11 @@ def facility_problems(scenario: Scenario) -> Iterator[Problem]:
     try:
         facility = facility_of(scenario)
     except InputError as error:
-        place = (*PLATFORM, "model") if "model" in type(scenario.rig.platform).model_fields else PLATFORM
+        place = (
+            (*PLATFORM, "model")
+            if "model" in type(scenario.rig.platform).model_fields
+            else PLATFORM
+        )
         yield place, str(error)
         return
     for path, message in facility.problems(scenario.rate):
@@ -31,14 +35,22 @@ def facility_problems(scenario: Scenario) -> Iterator[Problem]:
     if facility.moves_passive and scenario.mechanism.mount is not None:
         yield (
             ("mechanism", "mount"),
-            f"cannot be combined with a passive side that moves (got a mount on platform kind {scenario.rig.platform.kind!r}, whose "
-            "sensor could not separate the mount's load from the mechanism's weight); allowed is null",
+            f"cannot be combined with a passive side that moves (got a mount on platform kind "
+            f"{scenario.rig.platform.kind!r}, whose "
+            "sensor could not separate the mount's load from the mechanism's weight); allowed is "
+            "null",
         )
     if facility.moves_passive and sides_of(scenario.mechanism).moving:
         yield (
             ("mechanism", "kind"),
-            f"has moving parts (got {scenario.mechanism.kind!r} on platform kind {scenario.rig.platform.kind!r}, whose passive side "
-            "moves: the load of its sensor must be rigid); allowed is a mechanism without moving parts",
+            f"has moving parts (got {scenario.mechanism.kind!r} on platform kind "
+            f"{scenario.rig.platform.kind!r}, whose passive side "
+            "moves: the load of its sensor must be rigid); allowed is a mechanism without moving "
+            "parts",
         )
     for complaint in facility.complaints(approach_state(scenario)[:7]):
-        yield ("approach",), f"starts at a pose that the platform cannot reach ({complaint}); allowed is a start within its workspace"
+        yield (
+            ("approach",),
+            f"starts at a pose that the platform cannot reach ({complaint}); allowed is a start "
+            f"within its workspace",
+        )

@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
-from hiltestbed.contact.composition import ACTIVE, FLANGE, PASSIVE, Structure, add_active, add_contact, add_passive, weigh_contact
+from hiltestbed.contact.composition import (
+    ACTIVE,
+    FLANGE,
+    PASSIVE,
+    Structure,
+    add_active,
+    add_contact,
+    add_passive,
+    weigh_contact,
+)
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, cross, rotate_back
 from hiltestbed.jit import njit
@@ -19,7 +28,8 @@ from hiltestbed.platform.prs3.payload import load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command
 ROUNDING = 1e-9  # [N], [N m] rounding error of a difference of loads of up to 1e4
-# Inputs of the load compensation of a moving sensor: a - g, angular rate and angular acceleration of P.
+# Inputs of the load compensation of a moving sensor: a - g, angular rate and angular acceleration
+# of P.
 LOAD_SENSORS = (
     ("load_acceleration", mujoco.mjtSensor.mjSENS_ACCELEROMETER),
     ("load_rate", mujoco.mjtSensor.mjSENS_GYRO),
@@ -28,13 +38,17 @@ LOAD_SENSORS = (
 
 
 def facility_spec(facility: Facility, structure: Structure, timestep: float) -> mujoco.MjSpec:
-    """The facility with both sides, loops as stiff as possible; if the passive side moves, with sensors for its load compensation."""
+    """The facility with both sides, loops as stiff as possible; if the passive side moves, with
+    sensors for its load compensation.
+    """
     spec = facility.spec()
     spec.modelname = f"{facility.kind}-{structure.mechanism.kind}"
     option = spec.option
     option.timestep, option.cone = timestep, mujoco.mjtCone.mjCONE_ELLIPTIC
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    option.disableflags |= (
+        mujoco.mjtDisableBit.mjDSBL_ISLAND | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    )
     stiffen(spec, timestep)
     site = spec.site(MOUNT)
     flange = site.parent.add_body(name=FLANGE, pos=site.pos, quat=site.quat)
@@ -60,8 +74,11 @@ def facility_model(facility: Facility, structure: Structure, timestep: float) ->
     return model
 
 
-def rest_reading(model: mujoco.MjModel, home: Array, columns: slice, body: int, balance: Array, centre: Array) -> Array:
-    """``(6,)`` the sensor's reading at ``home`` (nq,) without contact; the wrench ``balance`` (6,) at W's origin supports a mount.
+def rest_reading(
+    model: mujoco.MjModel, home: Array, columns: slice, body: int, balance: Array, centre: Array
+) -> Array:
+    """``(6,)`` the sensor's reading at ``home`` (nq,) without contact; the wrench ``balance`` (6,)
+    at W's origin supports a mount.
 
     body, centre: body on which the balance acts, and its centre of mass (3,) in W.
     """
@@ -76,9 +93,11 @@ def rest_reading(model: mujoco.MjModel, home: Array, columns: slice, body: int, 
 
 
 class CarriedLoad:
-    """Load compensation of a sensor that moves with the passive side: weight and inertia of a rigid load.
+    """Load compensation of a sensor that moves with the passive side: weight and inertia of a rigid
+    load.
 
-    The load is computed from an accelerometer and gyroscopes at the sensor, with its mass m, centre r and inertia I known:
+    The load is computed from an accelerometer and gyroscopes at the sensor, with its mass m, centre
+    r and inertia I known:
 
         f = m (a - g + alpha x r + omega x (omega x r)),   t = I alpha + omega x I omega + r x f
     """
@@ -89,15 +108,28 @@ class CarriedLoad:
         data.qpos[:] = home
         mujoco.mj_forward(model, data)
         carrier = model.body(CARRIER).id
-        bodies = [b for b in range(model.nbody) if _under(model, b, carrier) and model.body_mass[b] > 0.0]
+        bodies = [
+            b for b in range(model.nbody) if _under(model, b, carrier) and model.body_mass[b] > 0.0
+        ]
         origin = np.array(data.site(NOMINAL).xpos)
         self.load = load_of(model, data, bodies, origin) if bodies else np.zeros(13)
         self._columns = np.array([int(model.sensor(name).adr[0]) for name, _ in LOAD_SENSORS])
         self._force = int(model.sensor("force").adr[0])
-        self._read = Call(_read_carried, GIVEN, self._force, self._columns, GIVEN, self.load, GIVEN, GIVEN, ...)
+        self._read = Call(
+            _read_carried, GIVEN, self._force, self._columns, GIVEN, self.load, GIVEN, GIVEN, ...
+        )
 
-    def read(self, sensordata: Array, attitude: Array, runs: NDArray[np.intp], wrench_sub: Array, sub: int) -> None:
-        """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .) with P's attitude in W, part of its pose ``attitude`` (n, 7)."""
+    def read(
+        self,
+        sensordata: Array,
+        attitude: Array,
+        runs: NDArray[np.intp],
+        wrench_sub: Array,
+        sub: int,
+    ) -> None:
+        """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .) with P's attitude in W, part of its
+        pose ``attitude`` (n, 7).
+        """
         self._read.on(sensordata, attitude, runs, wrench_sub)(sub)
 
 
@@ -113,7 +145,8 @@ def _under(model: mujoco.MjModel, body: int, top: int) -> bool:
 def _read_carried(data, force, columns, place, load, runs, wrench_sub, sub):
     alpha, ring, v, f = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in runs:
-        rotate_back(place[i, 3:7], data[i, columns[2] : columns[2] + 3], alpha)  # MuJoCo gives it in W
+        # MuJoCo gives it in W
+        rotate_back(place[i, 3:7], data[i, columns[2] : columns[2] + 3], alpha)
         w, r = data[i, columns[1] : columns[1] + 3], load[1:4]
         cross(w, r, v)
         cross(w, v, ring)
@@ -125,9 +158,12 @@ def _read_carried(data, force, columns, place, load, runs, wrench_sub, sub):
         cross(w, v, ring)
         cross(r, f, v)
         for j in range(3):
-            turn = load[4 + 3 * j] * alpha[0] + load[5 + 3 * j] * alpha[1] + load[6 + 3 * j] * alpha[2]
+            turn = (
+                load[4 + 3 * j] * alpha[0] + load[5 + 3 * j] * alpha[1] + load[6 + 3 * j] * alpha[2]
+            )
             wrench_sub[i, sub, j] = f[j] - data[i, force + j]
             wrench_sub[i, sub, 3 + j] = turn + ring[j] + v[j] - data[i, force + 3 + j]
-        for j in range(6):  # exact zero for equal loads, since a force of zero means that there is no contact
+        # exact zero for equal loads, since a force of zero means that there is no contact
+        for j in range(6):
             if abs(wrench_sub[i, sub, j]) < ROUNDING:
                 wrench_sub[i, sub, j] = 0.0

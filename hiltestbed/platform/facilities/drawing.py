@@ -1,4 +1,6 @@
-"""A facility for drawing: its model with all visual parts, and its joints at given relative poses."""
+"""A facility for drawing: its model with all visual parts, and its joints at given relative
+poses.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,20 @@ class DrawnFacility:
         self._facility = facility = facility_of(scenario)
         self.model = facility_spec(facility, structure, STEP).compile()
         stepped = facility_model(facility, structure, STEP)
-        self._bodies = facility.kinematics(stepped, TOOL) if isinstance(facility, PhysicalFacility) else None
+        self._bodies = (
+            facility.kinematics(stepped, TOOL) if isinstance(facility, PhysicalFacility) else None
+        )
         if self._bodies is None:
             settings = [scenario.rig.platform]
-            self._drives = facility.drives(stepped, settings, scenario.tick, scenario.substeps, np.zeros(1, dtype=bool), TOOL)
+            self._drives = facility.drives(
+                stepped, settings, scenario.tick, scenario.substeps, np.zeros(1, dtype=bool), TOOL
+            )
 
         self._last: tuple[Array, tuple[Array, Array]] | None = None
 
     def joints(self, pose: Array) -> tuple[Array, Array]:
-        """Joint positions ``(frames, nq)`` and poses ``(frames, 7)`` of P in W, at the poses ``(frames, 7)`` of A in P.
+        """Joint positions ``(frames, nq)`` and poses ``(frames, 7)`` of P in W, at the poses
+        ``(frames, 7)`` of A in P.
 
         For freely moving bodies P is drawn at home: a record contains only their relative pose.
         """

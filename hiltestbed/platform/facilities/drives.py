@@ -1,11 +1,13 @@
-"""Drives of `n` runs of a facility: from the commanded relative pose to the input of each actuator, step by step.
+"""Drives of `n` runs of a facility: from the commanded relative pose to the input of each actuator,
+step by step.
 
-A tick: ``aim`` solves for the joints at the command and plans the references over the tick; ``push`` is called before every physics
-step with the current state, and writes the actuators' inputs; ``observe`` reads poses and joints from the state. The control law
-of a drive is defined by the subclass.
+A tick: ``aim`` solves for the joints at the command and plans the references over the tick;
+``push`` is called before every physics step with the current state, and writes the actuators'
+inputs; ``observe`` reads poses and joints from the state. The control law of a drive is defined by
+the subclass.
 
-The relative pose is that of A in P. If the passive side is fixed, P is W, and one tool follows the command. A facility that moves
-both sides overrides :meth:`Drives.allocate`.
+The relative pose is that of A in P. If the passive side is fixed, P is W, and one tool follows the
+command. A facility that moves both sides overrides :meth:`Drives.allocate`.
 """
 
 from __future__ import annotations
@@ -26,34 +28,85 @@ from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.facilities.motion import move, packed, place, scratch, tool_pose, tool_twist, unpack
+from hiltestbed.platform.facilities.motion import (
+    move,
+    packed,
+    place,
+    scratch,
+    tool_pose,
+    tool_twist,
+    unpack,
+)
 from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
 from hiltestbed.platform.facilities.reference import plan_tick, sample
 
-PER_TICK = 3  # Newton steps per tick; one suffices for motion, the others are for a command that jumps
+# Newton steps per tick; one suffices for motion, the others are for a command that jumps
+PER_TICK = 3
 SOLVED = 1e-9  # [m], [rad] tolerance of the solution
-WEIGHED = 4  # controller cycles between two updates of the weight, which changes by less than 1e-3 of itself meanwhile
+# controller cycles between two updates of the weight, which changes by less than 1e-3 of itself
+# meanwhile
+WEIGHED = 4
 UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @njit(cache=True)
 def _aim(
-    integers, numbers, room, k, h, cycles, lates, feed, axes, gravity, poses, held, twists, speeds, qs, rate, goal, leave, load, missed,
-    ring, span, reference, velocity, plan,
-):  # fmt: skip
-    """Plan a tick; at the start of a cycle solve for joints, rates and weights of tools at ``poses`` (n, nt, 7) in W, left with ``twists``
-    (n, nt, 6).
+    integers,
+    numbers,
+    room,
+    k,
+    h,
+    cycles,
+    lates,
+    feed,
+    axes,
+    gravity,
+    poses,
+    held,
+    twists,
+    speeds,
+    qs,
+    rate,
+    goal,
+    leave,
+    load,
+    missed,
+    ring,
+    span,
+    reference,
+    velocity,
+    plan,
+):
+    """Plan a tick; at the start of a cycle solve for joints, rates and weights of tools at
+    ``poses`` (n, nt, 7) in W, left with ``twists`` (n, nt, 6).
 
-    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the tick; negative: solve for all
-    runs, plan nothing.
-    qs, rate: (n, nq), (n, nv) the last solution and its rates, updated. goal, leave, load: (n, J). missed: (n,) residual [m, rad].
+    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the
+        tick; negative: solve for all runs, plan nothing.
+    qs, rate: (n, nq), (n, nv) the last solution and its rates, updated. goal, leave, load: (n, J).
+        missed: (n,) residual [m, rad].
     """
     for i in range(poses.shape[0]):
         if k < 0 or k % cycles[i] == 0:
             _solve(
-                integers, numbers, room, k, h, cycles[i], axes, gravity, poses[i], held[i], twists[i], speeds[i], qs[i], rate[i], goal[i],
-                leave[i], load[i], missed[i : i + 1],
-            )  # fmt: skip
+                integers,
+                numbers,
+                room,
+                k,
+                h,
+                cycles[i],
+                axes,
+                gravity,
+                poses[i],
+                held[i],
+                twists[i],
+                speeds[i],
+                qs[i],
+                rate[i],
+                goal[i],
+                leave[i],
+                load[i],
+                missed[i : i + 1],
+            )
             if k >= 0:
                 sample(k, cycles[i], lates[i], ring, span, i, goal[i], leave[i])
         if k >= 0:
@@ -62,8 +115,25 @@ def _aim(
 
 @njit(cache=True)
 def _solve(
-    integers, numbers, room, k, h, cycle, axes, gravity, poses, held, twists, speeds, q, rate, goal, leave, load, missed
-):  # fmt: skip
+    integers,
+    numbers,
+    room,
+    k,
+    h,
+    cycle,
+    axes,
+    gravity,
+    poses,
+    held,
+    twists,
+    speeds,
+    q,
+    rate,
+    goal,
+    leave,
+    load,
+    missed,
+):
     """One run at the start of a cycle: joints, their rates, and every few cycles the weight."""
     tree, w = unpack(integers, numbers, room)
     if k >= 0:
@@ -92,10 +162,42 @@ def _follow(pose, twist, accel, half, poses, twists):
 
 @njit(cache=True)
 def _follow_and_aim(
-    pose, twist, accel, half, ticks, integers, numbers, room, h, cycles, lates, feed, axes, gravity, poses, held, twists, *others
-):  # fmt: skip
+    pose,
+    twist,
+    accel,
+    half,
+    ticks,
+    integers,
+    numbers,
+    room,
+    h,
+    cycles,
+    lates,
+    feed,
+    axes,
+    gravity,
+    poses,
+    held,
+    twists,
+    *others,
+):
     _follow(pose, twist, accel, half, poses, twists)
-    _aim(integers, numbers, room, ticks[0], h, cycles, lates, feed, axes, gravity, poses, held, twists, *others)
+    _aim(
+        integers,
+        numbers,
+        room,
+        ticks[0],
+        h,
+        cycles,
+        lates,
+        feed,
+        axes,
+        gravity,
+        poses,
+        held,
+        twists,
+        *others,
+    )
     ticks[0] += 1
 
 
@@ -108,8 +210,25 @@ def _less(a, b, out):
 
 @njit(cache=True)
 def _observe(
-    integers, numbers, room, axes, home, two, qpos, qvel, limit, place_A, motion_A, place_P, motion_P, pose, twist, joints, rate, diverged
-):  # fmt: skip
+    integers,
+    numbers,
+    room,
+    axes,
+    home,
+    two,
+    qpos,
+    qvel,
+    limit,
+    place_A,
+    motion_A,
+    place_P,
+    motion_P,
+    pose,
+    twist,
+    joints,
+    rate,
+    diverged,
+):
     tree, w = unpack(integers, numbers, room)
     lost = False
     r, arm = np.empty(3), np.empty(3)
@@ -139,7 +258,9 @@ def _observe(
 
 @njit(cache=True)
 def relative(place_A, motion_A, place_P, motion_P, r, arm, pose, twist):
-    """``pose`` (7,) of A in P and ``twist`` (6,) of A relative to P, in P, from poses and twists of both in W."""
+    """``pose`` (7,) of A in P and ``twist`` (6,) of A relative to P, in P, from poses and twists of
+    both in W.
+    """
     pose_between(place_P, place_A, pose)
     for c in range(3):
         r[c] = place_A[c] - place_P[c]
@@ -165,10 +286,12 @@ class _Pushed:
 
 
 class Drives:
-    """References and inputs of the drives of `n` runs, and joint readings; all arrays are updated in place.
+    """References and inputs of the drives of `n` runs, and joint readings; all arrays are updated
+    in place.
 
     Attributes, at t_k:
-        pose, twist: (n, 7), (n, 6) of A relative to P, in P. place_A, motion_A, place_P, motion_P: of both in W.
+        pose, twist: (n, 7), (n, 6) of A relative to P, in P. place_A, motion_A, place_P, motion_P:
+            of both in W.
         joints, joint_rates: (n, J) actual, from home. reference: (n, J) commanded, from home.
         missed: (n,) distance by which the last command was out of the facility's reach [m, rad].
         load: (n, J) gravity load on the drives at the command [N, N m].
@@ -184,11 +307,16 @@ class Drives:
         lates: Sequence[int],
         feed: NDArray[np.bool_],
     ) -> None:
-        """Args: cycles, lates: (n,) ticks per controller cycle, command delay in whole cycles. feed: (n,) feed-forward."""
+        """Args: cycles, lates: (n,) ticks per controller cycle, command delay in whole cycles.
+        feed: (n,) feed-forward.
+        """
         n, joints = len(feed), len(kinematics.axes)
         self.kinematics, self.tick, self.step = kinematics, tick, tick / substeps
         self.model, self._feed = model, np.asarray(feed, dtype=bool)
-        self._cycles, self._lates = np.asarray(cycles, dtype=np.int64), np.asarray(lates, dtype=np.int64)
+        self._cycles, self._lates = (
+            np.asarray(cycles, dtype=np.int64),
+            np.asarray(lates, dtype=np.int64),
+        )
         self._flat = packed(kinematics.tree)
         self._axes = np.array([kinematics.q, kinematics.v])
         self._home, self._gravity = kinematics.joints_home, np.array(model.opt.gravity, dtype=float)
@@ -197,7 +325,11 @@ class Drives:
         self.poses, self.twists = np.tile(UPRIGHT, (n, tools, 1)), np.zeros((n, tools, 6))
         self.held, self.held_rates = np.tile(kinematics.held_home, (n, 1)), np.zeros((n, held))
         self._qs, self._rates = np.tile(kinematics.home, (n, 1)), np.zeros((n, model.nv))
-        self._goal, self._leave, self.load = np.tile(self._home, (n, 1)), np.zeros((n, joints)), np.zeros((n, joints))
+        self._goal, self._leave, self.load = (
+            np.tile(self._home, (n, 1)),
+            np.zeros((n, joints)),
+            np.zeros((n, joints)),
+        )
         self._ring = np.zeros((n, int(self._lates.max(initial=0)) + 1, 2, joints))
         self._span = np.zeros((n, 2, 2, joints))
         self._target, self._velocity = np.tile(self._home, (n, 1)), np.zeros((n, joints))
@@ -208,7 +340,11 @@ class Drives:
         self.pose, self.twist = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.place_A, self.motion_A = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
         self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
-        self.joints, self.joint_rates, self.reference = np.zeros((n, joints)), np.zeros((n, joints)), np.zeros((n, joints))
+        self.joints, self.joint_rates, self.reference = (
+            np.zeros((n, joints)),
+            np.zeros((n, joints)),
+            np.zeros((n, joints)),
+        )
         self._rubbing: Rubbing | None = None
         self._last = _Pushed()
         self._inputs = drive_inputs(model, [axis.joint for axis in kinematics.axes])
@@ -225,35 +361,52 @@ class Drives:
         return Call(_follow, GIVEN, GIVEN, GIVEN, ..., self.poses, self.twists)
 
     def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
-        """Write ``poses`` and ``twists`` of the tools in W (and the prescribed joints) for the relative ``pose`` (n, 7) and the velocity
-        ``half`` [s] after ``twist`` (n, 6), with ``accel`` (n, 6)."""
+        """Write ``poses`` and ``twists`` of the tools in W (and the prescribed joints) for the
+        relative ``pose`` (n, 7) and the velocity ``half`` [s] after ``twist`` (n, 6), with
+        ``accel`` (n, 6).
+        """
         self._allocated.on(pose, twist, accel)(half)
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        """Write the drives' inputs to ``ctrl`` (n, nu) for step ``sub`` of the tick, from the current joint state."""
+        """Write the drives' inputs to ``ctrl`` (n, nu) for step ``sub`` of the tick, from the
+        current joint state.
+        """
         raise NotImplementedError
 
     def pushing(self, push: Call, qpos: Array, qvel: Array, ctrl: Array) -> Callable[[int], None]:
-        """``push`` and the friction of the drives, bound to reused state arrays, as one call with the step's number."""
+        """``push`` and the friction of the drives, bound to reused state arrays, as one call with
+        the step's number.
+        """
         last = self._last
-        if last.qpos is not qpos or last.qvel is not qvel or last.ctrl is not ctrl or last.rubbing is not self._rubbing:
+        if (
+            last.qpos is not qpos
+            or last.qvel is not qvel
+            or last.ctrl is not ctrl
+            or last.rubbing is not self._rubbing
+        ):
             last.qpos, last.qvel, last.ctrl, last.rubbing = qpos, qvel, ctrl, self._rubbing
             alone = push.on(qpos, qvel, ctrl)
-            last.call = together(alone, self._rubbing.acting(qvel, ctrl)) if self._rubbing else alone
+            last.call = (
+                together(alone, self._rubbing.acting(qvel, ctrl)) if self._rubbing else alone
+            )
         return last.call
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        """Initialise the drives' own state for uniform motion; ``qpos`` (n, nq) may deflect under the weight."""
+        """Initialise the drives' own state for uniform motion; ``qpos`` (n, nq) may deflect under
+        the weight.
+        """
 
     def feedback(self) -> Array:
-        """``(n, k)`` view of the drives' own state that depends on the motion of the rig; none: (n, 0)."""
+        """``(n, k)`` view of the drives' own state that depends on the motion of the rig; none: (n,
+        0).
+        """
         return np.zeros((len(self.pose), 0))
 
     # Methods common to all drives.
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
-        """Initialise joints, references and drives in a uniform motion with ``twist`` (n, 6) whose command is at ``pose`` (n, 7): the
-        facility is behind by the controller's lag.
+        """Initialise joints, references and drives in a uniform motion with ``twist`` (n, 6) whose
+        command is at ``pose`` (n, 7): the facility is behind by the controller's lag.
 
         Raises:
             InputError: a start that is out of reach, beyond a joint's travel, or singular.
@@ -271,18 +424,25 @@ class Drives:
             qpos[i] = self._qs[i]
             qvel[i] = self.kinematics.rates(self._qs[i], self.twists[i], self.held_rates[i])
         self._solve(-1)
-        self._target[:], self._velocity[:] = self._goal, np.where(self._feed[:, None], self._leave, 0.0)
+        self._target[:], self._velocity[:] = (
+            self._goal,
+            np.where(self._feed[:, None], self._leave, 0.0),
+        )
         self._span[:, :, 0], self._span[:, :, 1] = self._goal[:, None], self._leave[:, None]
         for back in range(1, self._ring.shape[1]):  # commands that are still delayed
             ahead = self.tick * self._cycles * (self._lates + 1 - back)
-            self._ring[:, -back % self._ring.shape[1], 0] = self._goal + self._leave * ahead[:, None]
+            self._ring[:, -back % self._ring.shape[1], 0] = (
+                self._goal + self._leave * ahead[:, None]
+            )
             self._ring[:, -back % self._ring.shape[1], 1] = self._leave
         self.rest(qpos, qvel)
         self.arrive()
 
     @property
     def lag(self) -> Array:
-        """(n,) lag of each run's controller [s]: its cycle less the tick at whose end a pose is due, plus the delay in whole cycles."""
+        """(n,) lag of each run's controller [s]: its cycle less the tick at whose end a pose is
+        due, plus the delay in whole cycles.
+        """
         return np.asarray(self.tick * (self._cycles * (self._lates + 1) - 1), dtype=float)
 
     @cached_property
@@ -293,16 +453,37 @@ class Drives:
     def _planning(self) -> tuple[Any, ...]:
         """Arguments of :func:`_aim`; the tick is given at each call."""
         return (
-            *self._flat, ..., self.tick, self._cycles, self._lates, self._feed, self._axes, self._gravity, self.poses, self.held,
-            self.twists, self.held_rates, self._qs, self._rates, self._goal, self._leave, self.load, self.missed, self._ring, self._span,
-            self._target, self._velocity, self._plan,
-        )  # fmt: skip
+            *self._flat,
+            ...,
+            self.tick,
+            self._cycles,
+            self._lates,
+            self._feed,
+            self._axes,
+            self._gravity,
+            self.poses,
+            self.held,
+            self.twists,
+            self.held_rates,
+            self._qs,
+            self._rates,
+            self._goal,
+            self._leave,
+            self.load,
+            self.missed,
+            self._ring,
+            self._span,
+            self._target,
+            self._velocity,
+            self._plan,
+        )
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Plan one tick; ``pose_cmd`` (n, 7) is commanded for its end, with ``twist_cmd`` and ``accel_cmd`` (n, 6), all in P.
+        """Plan one tick; ``pose_cmd`` (n, 7) is commanded for its end, with ``twist_cmd`` and
+        ``accel_cmd`` (n, 6), all in P.
 
-        The velocity at the command is that of the tick plus half a tick of its acceleration: a semi-implicit velocity belongs to the
-        middle of its tick.
+        The velocity at the command is that of the tick plus half a tick of its acceleration: a
+        semi-implicit velocity belongs to the middle of its tick.
         """
         if type(self).allocate is Drives.allocate:
             self._followed.on(pose_cmd, twist_cmd, accel_cmd)()
@@ -314,10 +495,21 @@ class Drives:
     @cached_property
     def _followed(self) -> Call:
         """The plan of a tick for one tool that follows the command."""
-        return Call(_follow_and_aim, GIVEN, GIVEN, GIVEN, 0.5 * self.tick, self._ticks, *self._planning[:3], *self._planning[4:])
+        return Call(
+            _follow_and_aim,
+            GIVEN,
+            GIVEN,
+            GIVEN,
+            0.5 * self.tick,
+            self._ticks,
+            *self._planning[:3],
+            *self._planning[4:],
+        )
 
     def follow(self, pose: Array, twist: Array) -> None:
-        """Joints and their rates for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact tracking, without drives."""
+        """Joints and their rates for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact
+        tracking, without drives.
+        """
         self.allocate(pose, twist, self._unaccelerated, 0.0)
         self._solve(-1)
         np.subtract(self._goal, self._home, out=self.joints)
@@ -334,24 +526,47 @@ class Drives:
     @cached_property
     def _seen(self) -> Call:
         return Call(
-            _observe, *packed(self.kinematics.tree.towards_tools()), self._axes, self._home, self._two, GIVEN, GIVEN, GIVEN, self.place_A,
-            self.motion_A, self.place_P, self.motion_P, self.pose, self.twist, self.joints, self.joint_rates, GIVEN,
-        )  # fmt: skip
+            _observe,
+            *packed(self.kinematics.tree.towards_tools()),
+            self._axes,
+            self._home,
+            self._two,
+            GIVEN,
+            GIVEN,
+            GIVEN,
+            self.place_A,
+            self.motion_A,
+            self.place_P,
+            self.motion_P,
+            self.pose,
+            self.twist,
+            self.joints,
+            self.joint_rates,
+            GIVEN,
+        )
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
-        """Read poses, twists and joints; returns whether a run just exceeded ``limit`` [m/s, rad/s], and marks it in ``diverged`` (n,)."""
+        """Read poses, twists and joints; returns whether a run just exceeded ``limit`` [m/s,
+        rad/s], and marks it in ``diverged`` (n,).
+        """
         return self.observing(qpos, qvel, limit, diverged)()
 
-    def observing(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> Callable[[], bool]:
+    def observing(
+        self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]
+    ) -> Callable[[], bool]:
         """:meth:`observe` bound to arrays that are reused."""
         return self._seen.on(qpos, qvel, limit, diverged)
 
     def release(self) -> None:
-        """Switch off the drives' friction and encoder quantisation, so that measurements are linear."""
+        """Switch off the drives' friction and encoder quantisation, so that measurements are
+        linear.
+        """
         self._rubbing = None
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """The arrays of the state between two ticks; restoring them resumes the drives from there."""
+        """The arrays of the state between two ticks; restoring them resumes the drives from
+        there.
+        """
         return {
             "ticks": self._ticks,
             "solution": self._qs,
@@ -366,17 +581,22 @@ class Drives:
         } | (self._rubbing.state() if self._rubbing else {})
 
     def mass_matrix(self) -> Array:
-        """``(J, J)`` [kg, kg m, kg m^2] mass matrix at the drives, at home: loops closed, by virtual work."""
+        """``(J, J)`` [kg, kg m, kg m^2] mass matrix at the drives, at home: loops closed, by
+        virtual work.
+        """
         return mass_matrix(self.kinematics, self.model)
 
 
 def mass_matrix(kinematics: Kinematics, model: mujoco.MjModel) -> Array:
-    """``(J, J)``: forces of the driven joints for a unit acceleration of each, at home, without gravity or velocities."""
+    """``(J, J)``: forces of the driven joints for a unit acceleration of each, at home, without
+    gravity or velocities.
+    """
     tree, w, home = kinematics.tree, scratch(kinematics.tree), kinematics.home
     newton(tree, home.copy(), kinematics.home_poses, kinematics.held_home, w, SOLVED, 1)
     every = np.zeros((6 * len(kinematics.tools) + len(kinematics.prescribed), model.nv))
     ways(tree, w, every)
-    reach = np.linalg.pinv(every[:, kinematics.v]) @ every  # (J, nv): rates of all joints per unit rate of a driven joint
+    # (J, nv): rates of all joints per unit rate of a driven joint
+    reach = np.linalg.pinv(every[:, kinematics.v]) @ every
     forces, none = np.empty((len(reach), model.nv)), np.zeros(3)
     for j, way in enumerate(reach):
         joint_forces(tree, np.zeros(model.nv), np.ascontiguousarray(way), none, w, forces[j])
@@ -388,8 +608,13 @@ def drive_inputs(model: mujoco.MjModel, joints: Sequence[str]) -> NDArray[np.int
     found = []
     for name in joints:
         joint = model.joint(name).id
-        acts = np.flatnonzero((model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint))
+        acts = np.flatnonzero(
+            (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+            & (model.actuator_trnid[:, 0] == joint)
+        )
         if not len(acts):
-            raise InputError(f"joint {name!r} has no actuator, but is a driven joint of the facility")
+            raise InputError(
+                f"joint {name!r} has no actuator, but is a driven joint of the facility"
+            )
         found.append(int(acts[0]))
     return np.array(found, dtype=np.int64)

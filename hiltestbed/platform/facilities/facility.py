@@ -1,8 +1,10 @@
 """The interface of a facility: base class of every kind of motion platform.
 
-A facility is made from its settings, a section of the scenario. It gives the plant a model, kinematics and drives; the plant uses neither
-its name nor its joints. In W, the world of the composed model, z points along the insertion and the origin is the nominal position of the
-passive port P; at home the site `mount`, which carries the active mechanism, is at :data:`MOUNT_HOME`, with W's attitude.
+A facility is made from its settings, a section of the scenario. It gives the plant a model,
+kinematics and drives; the plant uses neither its name nor its joints. In W, the world of the
+composed model, z points along the insertion and the origin is the nominal position of the passive
+port P; at home the site `mount`, which carries the active mechanism, is at :data:`MOUNT_HOME`, with
+W's attitude.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ from hiltestbed.platform.facilities.tree import compose, inverse_pose
 
 MOUNT = "mount"
 NOMINAL = "P_nominal"  # site on the carrier of the passive mechanism, at the nominal pose of P
-MOUNT_HOME = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])  # a docking mechanism is 0.60 m tall: A is then at P
+# a docking mechanism is 0.60 m tall: A is then at P
+MOUNT_HOME = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 TOOL_HOME = np.array([0.0, 0.0, 0.60, 0.0, 0.0, 0.0, 1.0])  # pose of A in the mount
 SENSOR_HEIGHT = 0.76  # [m] of the sensor's flange over P
@@ -38,7 +41,8 @@ class Response:
     """Nominal response of a facility to its command, for each of the axes x, y, z, rx, ry, rz.
 
     Attributes:
-        bandwidth: (6,) [Hz] natural frequency of the second-order system that is closest at low frequency. damping_ratio: (6,).
+        bandwidth: (6,) [Hz] natural frequency of the second-order system that is closest at low
+            frequency. damping_ratio: (6,).
         delay: pure delay [s]: command delay and controller's cycle.
         followed: whether feed-forward removes the lag of the second-order system.
     """
@@ -58,7 +62,11 @@ class Response:
         """Complex ratio of reached to commanded at a frequency [Hz]."""
         s = 2j * math.pi * frequency
         w = 2.0 * math.pi * self.bandwidth[axis]
-        lag = 1.0 if self.followed or math.isinf(w) else w * w / (s * s + 2.0 * self.damping_ratio[axis] * w * s + w * w)
+        lag = (
+            1.0
+            if self.followed or math.isinf(w)
+            else w * w / (s * s + 2.0 * self.damping_ratio[axis] * w * s + w * w)
+        )
         return complex(lag * np.exp(-s * self.delay))
 
 
@@ -66,8 +74,9 @@ class Facility(ABC):
     """A motion platform with its drives.
 
     Attributes:
-        settings: its section of the scenario. moves_passive: whether its passive side moves as well. physical: whether freely moving bodies
-            replace the numerical model (:class:`hiltestbed.platform.facilities.bodies.Bodies`).
+        settings: its section of the scenario. moves_passive: whether its passive side moves as
+            well. physical: whether freely moving bodies replace the numerical model
+            (:class:`hiltestbed.platform.facilities.bodies.Bodies`).
     """
 
     moves_passive: ClassVar[bool] = False
@@ -88,8 +97,10 @@ class Facility(ABC):
 
     @abstractmethod
     def spec(self) -> mujoco.MjSpec:
-        """A new specification of the facility at home: site :data:`MOUNT`, body :data:`CARRIER` with site :data:`NOMINAL`, gravity, and a
-        motor or position actuator on every driven joint. The plant sets the time step and the stiffness of loops."""
+        """A new specification of the facility at home: site :data:`MOUNT`, body :data:`CARRIER`
+        with site :data:`NOMINAL`, gravity, and a motor or position actuator on every driven joint.
+        The plant sets the time step and the stiffness of loops.
+        """
 
     @abstractmethod
     def drives(
@@ -101,14 +112,20 @@ class Facility(ABC):
         feed: NDArray[np.bool_],
         tool: str = MOUNT,
     ) -> Drives:
-        """Drives of runs whose ``settings`` may differ in parameters; ``tool`` is the site that follows the command (A, or the mount)."""
+        """Drives of runs whose ``settings`` may differ in parameters; ``tool`` is the site that
+        follows the command (A, or the mount).
+        """
 
     @abstractmethod
     def response(self, rate: float, feed: bool) -> Response:
-        """Nominal response in a loop of ``rate`` [Hz], with or without feed-forward of velocity and acceleration."""
+        """Nominal response in a loop of ``rate`` [Hz], with or without feed-forward of velocity and
+        acceleration.
+        """
 
     def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
-        """Geometry of a compiled model that contains the facility; ``tool`` is the site that follows the command."""
+        """Geometry of a compiled model that contains the facility; ``tool`` is the site that
+        follows the command.
+        """
         return Kinematics(model, [tool], self.axes)
 
     def alike(self) -> Hashable:
@@ -116,7 +133,9 @@ class Facility(ABC):
         return self.kind
 
     def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
-        """Settings that are invalid in a loop of ``rate`` [Hz]: path below the settings, message."""
+        """Settings that are invalid in a loop of ``rate`` [Hz]: path below the settings,
+        message.
+        """
         yield from self.settings.command.problems(rate)
 
     @cached_property
@@ -125,31 +144,43 @@ class Facility(ABC):
         return self.kinematics(compiled(self.spec()))
 
     def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
-        """Why the facility cannot bring A to ``pose`` (7,) in P; ``tool`` (7,) is the pose of A in the mount. Empty: it can."""
+        """Why the facility cannot bring A to ``pose`` (7,) in P; ``tool`` (7,) is the pose of A in
+        the mount. Empty: it can.
+        """
         return self.bare.complaints(compose(np.asarray(pose, dtype=float), inverse_pose(tool)))
 
     def lags(self, settings: Sequence[Any], tick: float) -> tuple[list[int], list[int]]:
         """Ticks of each run's controller cycle, and its command delay in whole cycles."""
-        return [s.command.cycle(1.0 / tick) for s in settings], [s.command.delay_cycles for s in settings]
+        return [s.command.cycle(1.0 / tick) for s in settings], [
+            s.command.delay_cycles for s in settings
+        ]
 
 
 def frame_of(spec: mujoco.MjSpec) -> None:
-    """Add the shipped frame, with the force sensor's flange, over a facility that stands below P."""
+    """Add the shipped frame, with the force sensor's flange, over a facility that stands below
+    P.
+    """
     spec.attach(load("frame/frame"), prefix="frame_", frame=spec.worldbody.add_frame())
 
 
 def add_carrier(body: Any, pose: Array = UPRIGHT) -> None:
-    """Add the carrier of the passive side to ``body`` of a specification, at ``pose`` (7,) in it."""
+    """Add the carrier of the passive side to ``body`` of a specification, at ``pose`` (7,) in
+    it.
+    """
     quat = [pose[6], *pose[3:6]]
     body.add_body(name=CARRIER, pos=pose[:3], quat=quat).add_site(name=NOMINAL)
 
 
 def compiled(spec: mujoco.MjSpec, timestep: float = 2.5e-4) -> mujoco.MjModel:
-    """The model of a specification as the plant would step it: without purely visual parts, loops as stiff as possible."""
+    """The model of a specification as the plant would step it: without purely visual parts, loops
+    as stiff as possible.
+    """
     spec.compiler.discardvisual = True
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    spec.option.disableflags |= (
+        mujoco.mjtDisableBit.mjDSBL_ISLAND | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    )
     stiffen(spec, timestep)
     return spec.compile()
 
@@ -158,7 +189,9 @@ LOOPS = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_JO
 
 
 def stiffen(spec: mujoco.MjSpec, timestep: float) -> None:
-    """Give the joints that close loops a time constant of two steps, the stiffest that MuJoCo allows."""
+    """Give the joints that close loops a time constant of two steps, the stiffest that MuJoCo
+    allows.
+    """
     for joint in spec.equalities:
         if joint.type in LOOPS:
             joint.solref[:] = [2.0 * timestep, 1.0]

@@ -2,9 +2,10 @@
 
     f = M (w^2 (s_r - s) + 2 zeta w (s_r' - s') + s_r'') + weight
 
-with M the mass matrix at the drives, at home. Without feed-forward s_r' and s_r'' are omitted, and every coordinate follows
-its command as w^2/(s^2 + 2 zeta w s + w^2) (computed torque; Luh, Walker, Paul, IEEE Trans. Automatic Control 25(3), 1980); with it,
-as far as M is valid away from home, without lag. The static stiffness of the drives is M w^2.
+with M the mass matrix at the drives, at home. Without feed-forward s_r' and s_r'' are omitted, and
+every coordinate follows its command as w^2/(s^2 + 2 zeta w s + w^2) (computed torque; Luh, Walker,
+Paul, IEEE Trans. Automatic Control 25(3), 1980); with it, as far as M is valid away from home,
+without lag. The static stiffness of the drives is M w^2.
 """
 
 from __future__ import annotations
@@ -34,12 +35,18 @@ def quantised(value, step):
 
 @njit(cache=True)
 def _push(plan, sub, mass, gains, encoder, load, bent, most, axes, inputs, qpos, qvel, force, ctrl):
-    """gains: (n, 2) w^2 and 2 zeta w. bent, most: (n, J) offset of the references, force limits. force: (J,) work space."""
+    """gains: (n, 2) w^2 and 2 zeta w. bent, most: (n, J) offset of the references, force limits.
+    force: (J,) work space.
+    """
     joints = mass.shape[0]
     for i in range(qpos.shape[0]):
         for j in range(joints):
             error = plan[i, sub, 0, j] + bent[i, j] - quantised(qpos[i, axes[0, j]], encoder[i])
-            force[j] = gains[i, 0] * error + gains[i, 1] * (plan[i, sub, 1, j] - qvel[i, axes[1, j]]) + plan[i, sub, 2, j]
+            force[j] = (
+                gains[i, 0] * error
+                + gains[i, 1] * (plan[i, sub, 1, j] - qvel[i, axes[1, j]])
+                + plan[i, sub, 2, j]
+            )
         for j in range(joints):
             total = load[i, j]
             for k in range(joints):
@@ -51,7 +58,8 @@ class ForceServo(Drives):
     """Electric drives of `n` runs.
 
     Attributes:
-        bent: (n, J) offset of the references that compensates the deflection between drive and tool under the weight.
+        bent: (n, J) offset of the references that compensates the deflection between drive and tool
+            under the weight.
     """
 
     def __init__(
@@ -69,11 +77,16 @@ class ForceServo(Drives):
         encoder: Sequence[float],
         rubbing: Rubbing | None = None,
     ) -> None:
-        """Args: bandwidth [Hz], damping_ratio, encoder [m]: (n,). rubbing: friction of the drives."""
+        """Args: bandwidth [Hz], damping_ratio, encoder [m]: (n,). rubbing: friction of the
+        drives.
+        """
         super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
         w = 2.0 * math.pi * np.asarray(bandwidth, dtype=float)
         self._gains = np.column_stack([w * w, 2.0 * np.asarray(damping_ratio, dtype=float) * w])
-        self._encoder, self._mass = np.asarray(encoder, dtype=float), np.ascontiguousarray(self.mass_matrix())
+        self._encoder, self._mass = (
+            np.asarray(encoder, dtype=float),
+            np.ascontiguousarray(self.mass_matrix()),
+        )
         self._most = np.tile([axis.force for axis in kinematics.axes], (len(feed), 1))
         self._force, self._rubbing = np.zeros(len(kinematics.axes)), rubbing
         self.bent = np.zeros((len(feed), len(kinematics.axes)))
@@ -89,9 +102,22 @@ class ForceServo(Drives):
     @cached_property
     def _pushed(self) -> Call:
         return Call(
-            _push, self._plan, ..., self._mass, self._gains, self._encoder, self.load, self.bent, self._most, self._axes, self._inputs,
-            GIVEN, GIVEN, self._force, GIVEN,
-        )  # fmt: skip
+            _push,
+            self._plan,
+            ...,
+            self._mass,
+            self._gains,
+            self._encoder,
+            self.load,
+            self.bent,
+            self._most,
+            self._axes,
+            self._inputs,
+            GIVEN,
+            GIVEN,
+            self._force,
+            GIVEN,
+        )
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
         self.pushing(self._pushed, qpos, qvel, ctrl)(sub)

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
 
 
 def facility_of(scenario: Scenario) -> Facility:
-    """The facility that a scenario names, including its spacecraft if the bodies move freely. Raises InputError."""
+    """The facility that a scenario names, including its spacecraft if the bodies move freely.
+    Raises InputError.
+    """
     facility = scenario.rig.platform.facility()
     if facility.physical:
         from hiltestbed.platform.facilities.bodies import Article, PhysicalFacility

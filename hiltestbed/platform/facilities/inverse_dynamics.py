@@ -1,7 +1,9 @@
-"""Inverse dynamics of a tree (recursive Newton-Euler; Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5), written in W.
+"""Inverse dynamics of a tree (recursive Newton-Euler; Featherstone, Rigid Body Dynamics Algorithms,
+2008, ch. 5), written in W.
 
-Forces act on the tree's own joints; for closed loops, :func:`drive_forces` transfers them to the driven joints by virtual work: in every
-motion that the loops allow, the drives do the work of all joint forces of the tree.
+Forces act on the tree's own joints; for closed loops, :func:`drive_forces` transfers them to the
+driven joints by virtual work: in every motion that the loops allow, the drives do the work of all
+joint forces of the tree.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ def _component(a, i0, b, j0, i):
 
 @njit(cache=True)
 def joint_forces(tree, v, a, gravity, w, out):
-    """``out`` (nv,) [N, N m]: forces in the joints for rates ``v`` and accelerations ``a`` (nv,), gravity (3,) [m/s^2] included.
+    """``out`` (nv,) [N, N m]: forces in the joints for rates ``v`` and accelerations ``a`` (nv,),
+    gravity (3,) [m/s^2] included.
 
     Poses must be current (:func:`hiltestbed.platform.facilities.motion.place`).
     """
@@ -42,7 +45,9 @@ def joint_forces(tree, v, a, gravity, w, out):
 
 @njit(cache=True)
 def _accelerate(tree, w, b, v, a, gravity):
-    """Motion of body ``b`` from that of its parent: at its origin's current position, adding the velocity field of one joint at a time."""
+    """Motion of body ``b`` from that of its parent: at its origin's current position, adding the
+    velocity field of one joint at a time.
+    """
     turn, bend, r, arm = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
     motion, parent, pose = w.motion[b], w.motion[p], w.poses[b]
@@ -52,7 +57,9 @@ def _accelerate(tree, w, b, v, a, gravity):
         arm[i] = _component(parent, 3, r, 0, i)
     for i in range(3):
         motion[3 + i], motion[9 + i] = parent[3 + i], parent[9 + i]
-        motion[6 + i] = parent[6 + i] + _component(parent, 9, r, 0, i) + _component(parent, 3, arm, 0, i)
+        motion[6 + i] = (
+            parent[6 + i] + _component(parent, 9, r, 0, i) + _component(parent, 3, arm, 0, i)
+        )
     for j in range(first, first + count):
         kind, d = tree.joints[j, 0], tree.joints[j, 3]
         axis = w.axes[j]
@@ -89,14 +96,21 @@ def _accelerate(tree, w, b, v, a, gravity):
 
 @njit(cache=True)
 def _inertial_load(tree, gravity, w, b):
-    """``w.loads``: force for a body's acceleration, less the weight supported by a counterweight, and its moment about W's origin."""
+    """``w.loads``: force for a body's acceleration, less the weight supported by a counterweight,
+    and its moment about W's origin.
+    """
     r, arm, spin, twirl, load = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     mass, motion, pose, out = tree.masses[b], w.motion[b], w.poses[b], w.loads[b]
     rotate(pose[3:7], mass[1:4], r)
     for i in range(3):
         arm[i] = _component(motion, 3, r, 0, i)
     for i in range(3):
-        out[i] = mass[0] * (motion[6 + i] + _component(motion, 9, r, 0, i) + _component(motion, 3, arm, 0, i) + mass[13] * gravity[i])
+        out[i] = mass[0] * (
+            motion[6 + i]
+            + _component(motion, 9, r, 0, i)
+            + _component(motion, 3, arm, 0, i)
+            + mass[13] * gravity[i]
+        )
     rotate_back(pose[3:7], motion[3:6], spin)
     rotate_back(pose[3:7], motion[9:12], twirl)
     for i in range(3):
@@ -115,7 +129,9 @@ def _inertial_load(tree, gravity, w, b):
 
 @njit(cache=True)
 def _gather(tree, w, out):
-    """``out`` (nv,): joint forces that support the bodies' loads, which are summed towards the root."""
+    """``out`` (nv,): joint forces that support the bodies' loads, which are summed towards the
+    root.
+    """
     load = np.empty(3)
     out[:] = 0.0
     for b in range(tree.bodies.shape[0] - 1, 0, -1):
@@ -145,7 +161,8 @@ def _gather(tree, w, out):
 
 @njit(cache=True)
 def weights(tree, gravity, w, out):
-    """``out`` (nv,) [N, N m]: joint forces that support the bodies' weight, less the part supported by counterweights.
+    """``out`` (nv,) [N, N m]: joint forces that support the bodies' weight, less the part supported
+    by counterweights.
 
     Poses must be current.
     """
@@ -163,9 +180,11 @@ def weights(tree, gravity, w, out):
 
 @njit(cache=True)
 def drive_forces(ways, axes, forces, square, right, out):
-    """``out`` (J,): forces of the driven joints that do the work of ``forces`` (nv,) in each of the motions ``ways`` (t, nv).
+    """``out`` (J,): forces of the driven joints that do the work of ``forces`` (nv,) in each of the
+    motions ``ways`` (t, nv).
 
-    axes: (J,) their degrees of freedom. square (J, J) and right (J,) are work space. With more drives than motions: the minimum norm.
+    axes: (J,) their degrees of freedom. square (J, J) and right (J,) are work space. With more
+        drives than motions: the minimum norm.
     """
     tasks, n = ways.shape[0], axes.shape[0]
     most = 0.0

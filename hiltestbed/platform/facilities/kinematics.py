@@ -1,7 +1,9 @@
-"""Kinematics of a facility: from poses of its tools to its joints and back, for batches, and checks of reach, travel and singularities.
+"""Kinematics of a facility: from poses of its tools to its joints and back, for batches, and checks
+of reach, travel and singularities.
 
-Every facility solves the same equations (:mod:`hiltestbed.platform.facilities.newton`): tools at their poses, loops closed. A pose far
-from home is reached along a straight path in steps, so that the solution stays on the branch (elbow, wrist, legs) of home.
+Every facility solves the same equations (:mod:`hiltestbed.platform.facilities.newton`): tools at
+their poses, loops closed. A pose far from home is reached along a straight path in steps, so that
+the solution stays on the branch (elbow, wrist, legs) of home.
 """
 
 from __future__ import annotations
@@ -20,11 +22,17 @@ from hiltestbed.platform.facilities.newton import CLOSE, ITERATIONS, equations, 
 from hiltestbed.platform.facilities.tree import HINGE, SLIDE, build_tree
 
 STRIDE = 0.05  # [m], [rad] step of a tool between two solutions on the way to a far pose
-MOST_STRIDES = 10_000  # largest number of steps of a path; longer paths, which are linear or out of reach anyway, have longer steps
+# largest number of steps of a path; longer paths, which are linear or out of reach anyway, have
+# longer steps
+MOST_STRIDES = 10_000
 LEVER = 0.5  # [m] scales a rotation to a length: half the height of a docking mechanism
-SLOWEST = 0.02  # [m/s] a direction in which the drives at full speed move the tool less than this is singular
-LOOSEST = 100.0  # largest ratio of the fastest direction to the middle one, and of the middle one to the slowest, that is not singular
-MECHANISMS = ("active_", "passive_", "mount_", "payload_")  # prefixes of joints of the attached mechanisms, not of the facility
+# [m/s] a direction in which the drives at full speed move the tool less than this is singular
+SLOWEST = 0.02
+# largest ratio of the fastest direction to the middle one, and of the middle one to the slowest,
+# that is not singular
+LOOSEST = 100.0
+# prefixes of joints of the attached mechanisms, not of the facility
+MECHANISMS = ("active_", "passive_", "mount_", "payload_")
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -33,8 +41,9 @@ class Axis:
     """One driven joint.
 
     Attributes:
-        joint: its name in the model. unit: "m" or "rad". low, high: travel [unit], as joint positions.
-        speed [unit/s], acceleration [unit/s^2], force [N or N m]: the drive's limits.
+        joint: its name in the model. unit: "m" or "rad". low, high: travel [unit], as joint
+            positions. speed [unit/s], acceleration [unit/s^2], force [N or N m]: the drive's
+            limits.
     """
 
     joint: str
@@ -50,8 +59,10 @@ class Kinematics:
     """A facility's geometry, read from its compiled model at home.
 
     Attributes:
-        home: (nq,) joint positions. axes: the driven joints. q, v: (J,) their addresses. joints_home: (J,) at home.
-        tools: names of the sites whose poses are commanded. home_poses: (nt, 7) of the tools in W at home.
+        home: (nq,) joint positions. axes: the driven joints. q, v: (J,) their addresses.
+            joints_home: (J,) at home.
+        tools: names of the sites whose poses are commanded. home_poses: (nt, 7) of the tools in W
+            at home.
     """
 
     def __init__(
@@ -63,9 +74,17 @@ class Kinematics:
         prescribed: Sequence[str] = (),
         home: Array | None = None,
     ) -> None:
-        """Args: locked: joints that do not move (a gear's deflection), besides those of the mechanisms. prescribed: driven joints whose
-        values are given (a rail)."""
-        locked = [*locked, *(name for j in range(model.njnt) if (name := model.joint(j).name).startswith(MECHANISMS))]
+        """Args: locked: joints that do not move (a gear's deflection), besides those of the
+        mechanisms. prescribed: driven joints whose values are given (a rail).
+        """
+        locked = [
+            *locked,
+            *(
+                name
+                for j in range(model.njnt)
+                if (name := model.joint(j).name).startswith(MECHANISMS)
+            ),
+        ]
         self.axes, self.tools, self.prescribed = tuple(axes), tuple(tools), tuple(prescribed)
         self.tree = build_tree(model, tools, prescribed, locked)
         names = [axis.joint for axis in axes]
@@ -76,7 +95,9 @@ class Kinematics:
         self.v = np.array([int(j.dofadr[0]) for j in joints], dtype=np.int64)
         self.home = np.array(model.qpos0 if home is None else home, dtype=float)
         self.joints_home = self.home[self.q]
-        self._held = np.array([int(model.joint(name).qposadr[0]) for name in prescribed], dtype=np.int64)
+        self._held = np.array(
+            [int(model.joint(name).qposadr[0]) for name in prescribed], dtype=np.int64
+        )
         self._passive = _ranges(model, {*names, *locked})
         self._names = [model.joint(j).name or f"joint {j}" for j in range(model.njnt)]
         self.home_poses = self.poses(self.home)
@@ -87,7 +108,9 @@ class Kinematics:
         return self.home[self._held]
 
     def poses(self, q: Array) -> Array:
-        """``(nt, 7)`` poses of the tools in W at the joint positions ``q`` (nq,): the forward kinematics of the tree."""
+        """``(nt, 7)`` poses of the tools in W at the joint positions ``q`` (nq,): the forward
+        kinematics of the tree.
+        """
         out = np.empty((len(self.tools), 7))
         place(self.tree, np.ascontiguousarray(q, dtype=float), self._work)
         for t in range(len(out)):
@@ -95,7 +118,9 @@ class Kinematics:
         return out
 
     def twists(self, q: Array, v: Array) -> Array:
-        """``(nt, 6)`` twists of the tools in W at joint positions ``q`` (nq,) and rates ``v`` (nv,)."""
+        """``(nt, 6)`` twists of the tools in W at joint positions ``q`` (nq,) and rates ``v``
+        (nv,).
+        """
         out = np.empty((len(self.tools), 6))
         place(self.tree, np.ascontiguousarray(q, dtype=float), self._work)
         move(self.tree, np.ascontiguousarray(v, dtype=float), self._work)
@@ -103,11 +128,15 @@ class Kinematics:
             tool_twist(self.tree, self._work, t, out[t])
         return out
 
-    def solve(self, poses: Array, held: Array | None = None, start: Array | None = None) -> tuple[Array, float]:
-        """Joint positions ``(nq,)`` that put the tools at ``poses`` (nt, 7) in W, and the remaining residual [m, rad].
+    def solve(
+        self, poses: Array, held: Array | None = None, start: Array | None = None
+    ) -> tuple[Array, float]:
+        """Joint positions ``(nq,)`` that put the tools at ``poses`` (nt, 7) in W, and the remaining
+        residual [m, rad].
 
-        Follows a straight path from ``start`` (home), with prescribed joints moving to ``held`` (np,) along with it. If a part of the path
-        cannot be reached, the joints are those of the last point reached.
+        Follows a straight path from ``start`` (home), with prescribed joints moving to ``held``
+        (np,) along with it. If a part of the path cannot be reached, the joints are those of the
+        last point reached.
         """
         q = (self.home if start is None else start).copy()
         goal = np.ascontiguousarray(np.atleast_2d(poses), dtype=float)
@@ -116,7 +145,10 @@ class Kinematics:
         twists = np.empty((len(goal), 6))
         for t in range(len(goal)):
             twist_between(begin[t], goal[t], 1.0, twists[t])
-        span = max(float(np.abs(twists).max(initial=0.0)), float(np.abs(values - begin_values).max(initial=0.0)))
+        span = max(
+            float(np.abs(twists).max(initial=0.0)),
+            float(np.abs(values - begin_values).max(initial=0.0)),
+        )
         steps, worst = _strides(span), 0.0
         at = np.empty_like(goal)
         for s in range(1, steps + 1):
@@ -125,18 +157,38 @@ class Kinematics:
             if s == steps:
                 at[:] = goal
             before = q.copy()
-            worst = newton(self.tree, q, at, begin_values + (values - begin_values) * (s / steps), self._work, CLOSE, ITERATIONS)
+            worst = newton(
+                self.tree,
+                q,
+                at,
+                begin_values + (values - begin_values) * (s / steps),
+                self._work,
+                CLOSE,
+                ITERATIONS,
+            )
             if not worst < 1e3 * CLOSE:
                 return before, worst
         return q, worst
 
     def nearest(self, poses: Array) -> tuple[Array, float]:
-        """Joint positions ``(nq,)`` that bring the tools closest to ``poses`` (nt, 7), directly from home, and the residual [m, rad]."""
+        """Joint positions ``(nq,)`` that bring the tools closest to ``poses`` (nt, 7), directly
+        from home, and the residual [m, rad].
+        """
         q = self.home.copy()
-        return q, newton(self.tree, q, np.ascontiguousarray(poses, dtype=float), self.held_home, self._work, CLOSE, ITERATIONS)
+        return q, newton(
+            self.tree,
+            q,
+            np.ascontiguousarray(poses, dtype=float),
+            self.held_home,
+            self._work,
+            CLOSE,
+            ITERATIONS,
+        )
 
     def inverse(self, poses: Array) -> Array:
-        """Driven joints ``(n, J)`` for tools at ``poses`` (n, nt, 7), or (n, 7) for one tool, in W. Raises InputError if out of reach."""
+        """Driven joints ``(n, J)`` for tools at ``poses`` (n, nt, 7), or (n, 7) for one tool, in W.
+        Raises InputError if out of reach.
+        """
         poses = np.atleast_2d(np.asarray(poses, dtype=float))
         poses = poses[:, None] if poses.ndim == 2 else poses
         out = np.empty((len(poses), len(self.axes)))
@@ -148,7 +200,9 @@ class Kinematics:
         return out
 
     def forward(self, joints: Array, start: Array | None = None) -> Array:
-        """``(n, nt, 7)`` poses of the tools in W for driven joints ``(n, J)``, with loops closed, starting from ``start`` (home)."""
+        """``(n, nt, 7)`` poses of the tools in W for driven joints ``(n, J)``, with loops closed,
+        starting from ``start`` (home).
+        """
         joints = np.atleast_2d(np.asarray(joints, dtype=float))
         out = np.empty((len(joints), len(self.tools), 7))
         for i, goal in enumerate(joints):
@@ -156,25 +210,46 @@ class Kinematics:
             begin, nothing = q[self.q], np.empty((0, 7))
             steps = _strides(float(np.abs(goal - begin).max()))
             for s in range(1, steps + 1):
-                newton(self._forward, q, nothing, begin + (goal - begin) * (s / steps), self._forward_work, CLOSE, ITERATIONS)
+                newton(
+                    self._forward,
+                    q,
+                    nothing,
+                    begin + (goal - begin) * (s / steps),
+                    self._forward_work,
+                    CLOSE,
+                    ITERATIONS,
+                )
             out[i] = self.poses(q)
         return out
 
     def closed(self, q: Array) -> Array:
-        """Joint positions ``(nq,)`` near ``q`` (nq,) with loops closed and the driven joints of ``q``."""
+        """Joint positions ``(nq,)`` near ``q`` (nq,) with loops closed and the driven joints of
+        ``q``.
+        """
         out = q.copy()
-        newton(self._forward, out, np.empty((0, 7)), q[self.q], self._forward_work, CLOSE, ITERATIONS)
+        newton(
+            self._forward, out, np.empty((0, 7)), q[self.q], self._forward_work, CLOSE, ITERATIONS
+        )
         return out
 
     def rates(self, q: Array, twists: Array, held: Array | None = None) -> Array:
-        """All joint rates ``(nv,)`` for twists ``(nt, 6)`` of the tools in W, at joints ``q`` (nq,) that solve the equations."""
+        """All joint rates ``(nv,)`` for twists ``(nt, 6)`` of the tools in W, at joints ``q`` (nq,)
+        that solve the equations.
+        """
         out = np.empty(len(self.tree.armature))
         newton(self.tree, q.copy(), self.poses(q), q[self._held], self._work, CLOSE, 1)
-        rates(self.tree, self._work, np.atleast_2d(twists), np.zeros(len(self._held)) if held is None else held, out)
+        rates(
+            self.tree,
+            self._work,
+            np.atleast_2d(twists),
+            np.zeros(len(self._held)) if held is None else held,
+            out,
+        )
         return out
 
     def accelerations(self, q: Array, twists: Array, accels: Array, h: float = 1e-5) -> Array:
-        """All joint accelerations ``(nv,)`` for twists and accelerations ``(nt, 6)`` in W: the central difference of the rates.
+        """All joint accelerations ``(nv,)`` for twists and accelerations ``(nt, 6)`` in W: the
+        central difference of the rates.
 
         h: [s] between the two states, along the tools' own motion.
         """
@@ -184,14 +259,17 @@ class Kinematics:
             at = np.empty_like(poses)
             for t in range(len(poses)):
                 pose_step(poses[t], twists[t] + 0.5 * side * h * accels[t], side * h, at[t])
-            found.append(self.rates(self.solve(at, q[self._held], q)[0], twists + side * h * accels))
+            found.append(
+                self.rates(self.solve(at, q[self._held], q)[0], twists + side * h * accels)
+            )
         return (found[1] - found[0]) / (2.0 * h)
 
     def jacobian(self, q: Array) -> tuple[Array, Array]:
-        """Twist of the tools in W per unit rate of the driven joints, ``(6 nt, J)``, and free motions that no drive controls, ``(nv, f)``.
+        """Twist of the tools in W per unit rate of the driven joints, ``(6 nt, J)``, and free
+        motions that no drive controls, ``(nv, f)``.
 
-        With N the motions that the loops allow (null space of their rows): twists = J N (N_driven)^+; the motions of N without motion of
-        the driven joints are free.
+        With N the motions that the loops allow (null space of their rows): twists = J N
+        (N_driven)^+; the motions of N without motion of the driven joints are free.
         """
         equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
         rows = self._work.rows[:, self.tree.unknown]
@@ -203,20 +281,29 @@ class Kinematics:
         left = left[:, moves > 1e-9]  # only free motions that move the tools matter
         free = np.zeros((len(self.tree.armature), left.shape[1]))
         free[self.tree.unknown] = left
-        return rows[count : count + 6 * len(self.tools)] @ allowed @ np.linalg.pinv(driven, rcond=1e-9), free
+        return rows[count : count + 6 * len(self.tools)] @ allowed @ np.linalg.pinv(
+            driven, rcond=1e-9
+        ), free
 
     def allowed(self, q: Array) -> Array:
-        """``(nv, f)`` orthonormal basis of the rates of all joints, locked ones included, that keep the loops closed at ``q`` (nq,)."""
+        """``(nv, f)`` orthonormal basis of the rates of all joints, locked ones included, that keep
+        the loops closed at ``q`` (nq,).
+        """
         equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
         count = len(self._work.rows) - 6 * len(self.tools) - len(self._held)
         return _null_space(self._work.rows[:count])
 
     def lost_motion(self, q: Array) -> str | None:
-        """The motion of the first tool that the drives cannot produce, or cannot resist, at the joints ``q``; None if there is none."""
+        """The motion of the first tool that the drives cannot produce, or cannot resist, at the
+        joints ``q``; None if there is none.
+        """
         twists, free = self.jacobian(q)
         if free.shape[1]:
             joint = self._names[int(self._joint_of(int(np.argmax(np.abs(free[:, 0])))))]
-            return f"{joint!r} is neither driven nor constrained by a loop, so the tool can move freely"
+            return (
+                f"{joint!r} is neither driven nor constrained by a loop, so the tool can "
+                f"move freely"
+            )
         scaled = twists[:6] * np.array([axis.speed for axis in self.axes])
         scaled[3:] *= LEVER
         left, values, _ = np.linalg.svd(scaled)
@@ -234,7 +321,9 @@ class Kinematics:
         return int(np.flatnonzero(starts <= dof)[np.argmax(starts[starts <= dof])])
 
     def complaints(self, poses: Array, held: Array | None = None) -> list[str]:
-        """Why tools cannot be at ``poses`` (nt, 7) in W: out of reach, beyond a joint's travel, singular. Empty: they can."""
+        """Why tools cannot be at ``poses`` (nt, 7) in W: out of reach, beyond a joint's travel,
+        singular. Empty: they can.
+        """
         poses = np.atleast_2d(poses)
         q, left = self.solve(poses, held)
         if not left < 1e3 * CLOSE:
@@ -244,12 +333,17 @@ class Kinematics:
         return [*found, f"singular: {lost} at {_at(self.poses(q)[0])}"] if lost else found
 
     def past_travel(self, q: Array) -> list[str]:
-        """The joints, driven or not, that are beyond their travel at the joint positions ``q`` (nq,), as messages."""
+        """The joints, driven or not, that are beyond their travel at the joint positions ``q``
+        (nq,), as messages.
+        """
         found = []
         for axis, value in zip(self.axes, q[self.q], strict=True):
             if not axis.low <= value <= axis.high:
                 shown, low, high, unit = _shown(axis, value)
-                found.append(f"joint {axis.joint} would be at {shown:.4g} {unit}; its travel is {low:.4g} to {high:.4g} {unit}")
+                found.append(
+                    f"joint {axis.joint} would be at {shown:.4g} {unit}; its travel is {low:.4g} "
+                    f"to {high:.4g} {unit}"
+                )
         for name, address, low, high, turns in self._passive:
             if not low <= q[address] <= high:
                 scale, unit = (math.degrees(1.0), "deg") if turns else (1.0, "m")
@@ -262,7 +356,10 @@ class Kinematics:
     def _unreached(self, poses: Array, q: Array) -> str:
         reached = self.poses(q)
         t = int(np.argmax(np.linalg.norm(np.atleast_2d(poses)[:, :3] - reached[:, :3], axis=1)))
-        return f"out of reach: {self.tools[t]} cannot be at {_at(np.atleast_2d(poses)[t])}; on the way there it gets to {_at(reached[t])}"
+        return (
+            f"out of reach: {self.tools[t]} cannot be at {_at(np.atleast_2d(poses)[t])}; "
+            f"on the way there it gets to {_at(reached[t])}"
+        )
 
 
 def _strides(way: float) -> int:
@@ -271,12 +368,22 @@ def _strides(way: float) -> int:
 
 
 def _ranges(model: mujoco.MjModel, others: set[str]) -> list[tuple[str, int, float, float, bool]]:
-    """Name, address, travel, and whether it rotates, of every joint with limited travel that is not among the ``others``."""
+    """Name, address, travel, and whether it rotates, of every joint with limited travel that is not
+    among the ``others``.
+    """
     out = []
     for j in range(model.njnt):
         joint, (low, high) = model.joint(j), model.jnt_range[j]
         if joint.name not in others and low < high and int(model.jnt_type[j]) in (SLIDE, HINGE):
-            out.append((joint.name, int(joint.qposadr[0]), float(low), float(high), int(model.jnt_type[j]) == HINGE))
+            out.append(
+                (
+                    joint.name,
+                    int(joint.qposadr[0]),
+                    float(low),
+                    float(high),
+                    int(model.jnt_type[j]) == HINGE,
+                )
+            )
     return out
 
 
@@ -300,11 +407,16 @@ def _at(pose: Array) -> str:
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_quat(pose[3:7]).as_rotvec(degrees=True)
-    return f"({', '.join(f'{x:.3f}' for x in pose[:3])}) m, rotated by ({', '.join(f'{x:.1f}' for x in turn)}) deg"
+    return (
+        f"({', '.join(f'{x:.3f}' for x in pose[:3])}) m, rotated by "
+        f"({', '.join(f'{x:.1f}' for x in turn)}) deg"
+    )
 
 
 def direction(twist: Array) -> str:
-    """A direction of motion (6,), rotations scaled to lengths, in words: the axes that contribute 95 % of its square."""
+    """A direction of motion (6,), rotations scaled to lengths, in words: the axes that contribute
+    95 % of its square.
+    """
     share = np.asarray(twist, dtype=float) ** 2
     order = np.argsort(-share)
     count = int(np.searchsorted(np.cumsum(share[order]), 0.95 * share.sum())) + 1

@@ -1,11 +1,14 @@
 """The user's own rig, from an MJCF file.
 
-Required in the file: a site `mount`, where the active mechanism is attached with its z along the insertion, and position actuators on
-at least six joints that move it. Optional: a site `passive`, which carries the passive side (it may move, but is not driven), a
-keyframe `home`, loops closed by equality constraints, actuators of other kinds, which are ignored.
+Required in the file: a site `mount`, where the active mechanism is attached with its z along the
+insertion, and position actuators on
+at least six joints that move it. Optional: a site `passive`, which carries the passive side (it may
+move, but is not driven), a keyframe `home`, loops closed by equality constraints, actuators of
+other kinds, which are ignored.
 
-Home is the keyframe, or the model's reference configuration. The rig is placed in W so that the mount's home is that of every facility or,
-with a site `passive`, so that this site is P; gravity is rotated with it. Everything else is measured on the model: reach, response, modes.
+Home is the keyframe, or the model's reference configuration. The rig is placed in W so that the
+mount's home is that of every facility or, with a site `passive`, so that this site is P; gravity is
+rotated with it. Everything else is measured on the model: reach, response, modes.
 """
 
 from __future__ import annotations
@@ -40,7 +43,8 @@ PREFIX = "rig/"  # prefix of all names of the file in the composed model
 PASSIVE = "passive"
 HOME = "home"
 TRIES = 6  # other configurations that are tried if home is singular
-NEARBY = 0.1  # their largest distance from home, as a fraction of the travel or, if that is larger, of 2 m or rad
+# their largest distance from home, as a fraction of the travel or, if that is larger, of 2 m or rad
+NEARBY = 0.1
 SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 
 
@@ -50,13 +54,16 @@ class Mjcf(Facility):
     settings: MjcfSettings
 
     def __init__(self, settings: MjcfSettings) -> None:
-        """Raises InputError for a file that cannot be read, has no `mount`, or whose drives do not move it in six axes."""
+        """Raises InputError for a file that cannot be read, has no `mount`, or whose drives do not
+        move it in six axes.
+        """
         super().__init__(settings)
         own = self._read().compile()
         if not any(own.site(s).name == MOUNT for s in range(own.nsite)):
             names = [own.site(s).name for s in range(own.nsite) if own.site(s).name]
             raise self._fault(
-                f"has no site {MOUNT!r}, where the active mechanism is attached (sites: {', '.join(names) or 'none'}); add one"
+                f"has no site {MOUNT!r}, where the active mechanism is attached (sites: "
+                f"{', '.join(names) or 'none'}); add one"
             )
         self._passive = any(own.site(s).name == PASSIVE for s in range(own.nsite))
         self._axes = tuple(self._driven(own))
@@ -74,7 +81,9 @@ class Mjcf(Facility):
             spec = mujoco.MjSpec.from_file(str(path))
             spec.copy().compile()
         except ValueError as error:
-            raise self._fault(f"is not a model that MuJoCo compiles: {' '.join(str(error).split())}") from None
+            raise self._fault(
+                f"is not a model that MuJoCo compiles: {' '.join(str(error).split())}"
+            ) from None
         return spec
 
     def _driven(self, own: mujoco.MjModel) -> Iterator[Axis]:
@@ -84,26 +93,42 @@ class Mjcf(Facility):
                 continue
             joint = own.joint(int(own.actuator_trnid[a, 0]))
             slides = own.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_SLIDE
-            low, high = own.jnt_range[joint.id] if own.jnt_limited[joint.id] else (-math.inf, math.inf)
+            low, high = (
+                own.jnt_range[joint.id] if own.jnt_limited[joint.id] else (-math.inf, math.inf)
+            )
             if own.actuator_ctrllimited[a]:
                 ratio = own.actuator_gear[a, 0]
                 span = sorted(own.actuator_ctrlrange[a] / ratio)
                 low, high = max(low, span[0]), min(high, span[1])
-            force = float(np.abs(own.actuator_forcerange[a]).min()) if own.actuator_forcelimited[a] else math.inf
+            force = (
+                float(np.abs(own.actuator_forcerange[a]).min())
+                if own.actuator_forcelimited[a]
+                else math.inf
+            )
             speed = self.settings.speed if slides else self.settings.spin
             unit = "m" if slides else "rad"
             yield Axis(
-                PREFIX + joint.name, unit, float(low), float(high), speed, self.settings.acceleration, force * abs(own.actuator_gear[a, 0])
+                PREFIX + joint.name,
+                unit,
+                float(low),
+                float(high),
+                speed,
+                self.settings.acceleration,
+                force * abs(own.actuator_gear[a, 0]),
             )
 
     def _placed(self, own: mujoco.MjModel) -> tuple[dict[str, Array], Array]:
-        """Home positions by joint, in the file's own world, and the pose (7,) of that world in W."""
+        """Home positions by joint, in the file's own world, and the pose (7,) of that world in
+        W.
+        """
         data = mujoco.MjData(own)
         keys = [k for k in range(own.nkey) if own.key(k).name == HOME]
         if keys:
             mujoco.mj_resetDataKeyframe(own, data, keys[0])
         mujoco.mj_kinematics(own, data)
-        into = compose(UPRIGHT, inverse_pose(site_pose(own, data, PASSIVE))) if self._passive else None
+        into = (
+            compose(UPRIGHT, inverse_pose(site_pose(own, data, PASSIVE))) if self._passive else None
+        )
         if into is None:
             into = compose(MOUNT_HOME, inverse_pose(site_pose(own, data, MOUNT)))
         home = {}
@@ -113,7 +138,9 @@ class Mjcf(Facility):
         return home, into
 
     def _check_motions(self) -> None:
-        """Check that the drives move the mount in six axes, at home or near it. Raises InputError."""
+        """Check that the drives move the mount in six axes, at home or near it. Raises
+        InputError.
+        """
         model = compiled(self.spec())
         kinematics = self.kinematics(model)
         if kinematics.lost_motion(kinematics.home) is None:
@@ -125,7 +152,11 @@ class Mjcf(Facility):
             q[kinematics.q] += step * rng.uniform(-1.0, 1.0, len(step))
             if kinematics.lost_motion(kinematics.closed(q)) is None:
                 return  # only home is singular: the start is checked separately
-        others = "" if model.nu == len(self._axes) else "; actuators that are not position servos do not count"
+        others = (
+            ""
+            if model.nu == len(self._axes)
+            else "; actuators that are not position servos do not count"
+        )
         raise self._fault(
             f"its {len(self._axes)} position actuators do not move {MOUNT!r} in six axes: {found}; "
             f"add what is missing, or drive it by position actuators{others}"
@@ -142,7 +173,11 @@ class Mjcf(Facility):
         into = self._into
         gravity = np.empty(3)
         rotate(into[3:7], np.array(own.option.gravity), gravity)
-        spec.attach(own, prefix=PREFIX, frame=spec.worldbody.add_frame(pos=into[:3], quat=[into[6], *into[3:6]]))
+        spec.attach(
+            own,
+            prefix=PREFIX,
+            frame=spec.worldbody.add_frame(pos=into[:3], quat=[into[6], *into[3:6]]),
+        )
         spec.option.gravity = gravity
         site = spec.site(PREFIX + MOUNT)
         site.parent.add_site(name=MOUNT, pos=site.pos, quat=site.quat)
@@ -162,19 +197,34 @@ class Mjcf(Facility):
         return Kinematics(model, [tool], self._axes, home=home)
 
     def drives(
-        self, model: mujoco.MjModel, settings: Sequence[Any], tick: float, substeps: int, feed: NDArray[np.bool_], tool: str = MOUNT
+        self,
+        model: mujoco.MjModel,
+        settings: Sequence[Any],
+        tick: float,
+        substeps: int,
+        feed: NDArray[np.bool_],
+        tool: str = MOUNT,
     ) -> Drives:
         cycles, lates = self.lags(settings, tick)
-        return PositionActuators(model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed)
+        return PositionActuators(
+            model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed
+        )
 
     def response(self, rate: float, feed: bool) -> Response:
-        """From kp, kv and effective mass of each joint alone, at home; the slowest joint stands for all axes. Measure the rig for more."""
+        """From kp, kv and effective mass of each joint alone, at home; the slowest joint stands for
+        all axes. Measure the rig for more.
+        """
         model = compiled(self.spec())
-        drives = PositionActuators(model, self.kinematics(model), 1.0 / rate, 1, [1], [0], np.array([feed]))
+        drives = PositionActuators(
+            model, self.kinematics(model), 1.0 / rate, 1, [1], [0], np.array([feed])
+        )
         w, zeta = drives.nominal()
         slowest = int(np.argmin(w))
         return Response(
-            (float(w[slowest]) / (2.0 * math.pi),) * 6, (float(zeta[slowest]),) * 6, self.settings.command.lag(rate), followed=feed
+            (float(w[slowest]) / (2.0 * math.pi),) * 6,
+            (float(zeta[slowest]),) * 6,
+            self.settings.command.lag(rate),
+            followed=feed,
         )
 
     def alike(self) -> Hashable:
@@ -184,13 +234,18 @@ class Mjcf(Facility):
 def _is_position_servo(m: mujoco.MjModel, a: int) -> bool:
     joint = int(m.actuator_trnid[a, 0])
     acts = m.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and int(m.jnt_type[joint]) in SCALAR
-    linear = m.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED and m.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
+    linear = (
+        m.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
+        and m.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
+    )
     kp = m.actuator_gainprm[a, 0]
     return bool(acts and linear and kp > 0.0 and abs(m.actuator_biasprm[a, 1] + kp) <= 1e-9 * kp)
 
 
 def _carried(into: Array, value: Array) -> Array:
-    """A joint's position in W: the pose of a free joint moves with the file's world, others do not change."""
+    """A joint's position in W: the pose of a free joint moves with the file's world, others do not
+    change.
+    """
     if len(value) != 7:
         return value
     pose = compose(into, np.concatenate([value[:3], value[[4, 5, 6, 3]]]))

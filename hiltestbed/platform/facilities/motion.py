@@ -1,4 +1,6 @@
-"""Compiled poses and velocities of a tree, equal to MuJoCo's own (``mj_kinematics``, ``mj_comVel``); tools are in W."""
+"""Compiled poses and velocities of a tree, equal to MuJoCo's own (``mj_kinematics``,
+``mj_comVel``); tools are in W.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,11 @@ class Scratch(NamedTuple):
 
     Attributes:
         poses: (nb, 7) of the bodies in W. axes: (nj, 6) anchor and axis of each joint in W.
-        motion: (nb, 12) velocity, angular velocity, acceleration and angular acceleration of a body, at its origin, in W.
+        motion: (nb, 12) velocity, angular velocity, acceleration and angular acceleration of a
+            body, at its origin, in W.
         loads: (nb, 6) force and moment about W's origin.
-        rows: (r, nv). square: (u, u). right, first, filled: (u,). residual, goal: (r,). step: (nv,). spare: (SPARE,).
+        rows: (r, nv). square: (u, u). right, first, filled: (u,). residual, goal: (r,). step:
+            (nv,). spare: (SPARE,).
     """
 
     poses: Array
@@ -47,22 +51,66 @@ def row_count(tree: Tree) -> int:
 
 def scratch(tree: Tree) -> Scratch:
     """Work space for one tree."""
-    nb, nj, nv, u, r = len(tree.bodies), len(tree.joints), len(tree.armature), len(tree.unknown), row_count(tree)
+    nb, nj, nv, u, r = (
+        len(tree.bodies),
+        len(tree.joints),
+        len(tree.armature),
+        len(tree.unknown),
+        row_count(tree),
+    )
     poses = np.zeros((nb, 7))
     poses[:, 6] = 1.0
     return Scratch(
-        poses, np.zeros((nj, 6)), np.zeros((nb, 12)), np.zeros((nb, 6)),
-        np.zeros((r, nv)), np.zeros((u, u)), np.zeros(u), np.zeros(u), np.zeros(u), np.zeros(r), np.zeros(r), np.zeros(nv),
+        poses,
+        np.zeros((nj, 6)),
+        np.zeros((nb, 12)),
+        np.zeros((nb, 6)),
+        np.zeros((r, nv)),
+        np.zeros((u, u)),
+        np.zeros(u),
+        np.zeros(u),
+        np.zeros(u),
+        np.zeros(r),
+        np.zeros(r),
+        np.zeros(nv),
         np.zeros(SPARE),
-    )  # fmt: skip
+    )
 
 
 def packed(tree: Tree) -> tuple[Integers, Array, Array]:
-    """A tree and its work space as three flat arrays: integers, numbers, room. Passing many arrays costs more than a tick's computation."""
+    """A tree and its work space as three flat arrays: integers, numbers, room. Passing many arrays
+    costs more than a tick's computation.
+    """
     nb, nj, nv, nl = len(tree.bodies), len(tree.joints), len(tree.armature), len(tree.loops)
-    sizes = [nb, nj, nv, nl, len(tree.coupled), len(tree.tools), len(tree.prescribed), len(tree.unknown), row_count(tree)]
-    integers = [tree.bodies, tree.joints, tree.loops, tree.coupled, tree.tools, tree.prescribed, tree.unknown]
-    numbers = [tree.frames, tree.masses, tree.axes, tree.armature, tree.loop_frames, tree.polynomial, tree.tool_frames]
+    sizes = [
+        nb,
+        nj,
+        nv,
+        nl,
+        len(tree.coupled),
+        len(tree.tools),
+        len(tree.prescribed),
+        len(tree.unknown),
+        row_count(tree),
+    ]
+    integers = [
+        tree.bodies,
+        tree.joints,
+        tree.loops,
+        tree.coupled,
+        tree.tools,
+        tree.prescribed,
+        tree.unknown,
+    ]
+    numbers = [
+        tree.frames,
+        tree.masses,
+        tree.axes,
+        tree.armature,
+        tree.loop_frames,
+        tree.polynomial,
+        tree.tool_frames,
+    ]
     room = np.concatenate([part.ravel() for part in scratch(tree)])
     flat = np.concatenate([np.array(sizes, dtype=np.int64), *(part.ravel() for part in integers)])
     return flat, np.concatenate([part.ravel() for part in numbers]), room
@@ -85,7 +133,11 @@ def unpack(integers, numbers, room):
     loops = _next(integers, i, nl, 3)
     coupled = _next(integers, i + 3 * nl, ne, 2)
     i += 3 * nl + 2 * ne
-    tools, prescribed, unknown = integers[i : i + nt], integers[i + nt : i + nt + np_], integers[i + nt + np_ : i + nt + np_ + u]
+    tools, prescribed, unknown = (
+        integers[i : i + nt],
+        integers[i + nt : i + nt + np_],
+        integers[i + nt + np_ : i + nt + np_ + u],
+    )
     frames = _next(numbers, 0, nb, 7)
     masses = _next(numbers, 7 * nb, nb, 14)
     f = 21 * nb
@@ -98,7 +150,20 @@ def unpack(integers, numbers, room):
     polynomial = _next(numbers, f, ne, 5)
     tool_frames = _next(numbers, f + 5 * ne, nt, 7)
     tree = Tree(
-        bodies, frames, masses, joints, axes, armature, loops, loop_frames, coupled, polynomial, tools, tool_frames, prescribed, unknown
+        bodies,
+        frames,
+        masses,
+        joints,
+        axes,
+        armature,
+        loops,
+        loop_frames,
+        coupled,
+        polynomial,
+        tools,
+        tool_frames,
+        prescribed,
+        unknown,
     )
     poses = _next(room, 0, nb, 7)
     s = 7 * nb
@@ -113,9 +178,15 @@ def unpack(integers, numbers, room):
     s += u * u
     right, first, filled = room[s : s + u], room[s + u : s + 2 * u], room[s + 2 * u : s + 3 * u]
     s += 3 * u
-    residual, goal, step = room[s : s + r], room[s + r : s + 2 * r], room[s + 2 * r : s + 2 * r + nv]
+    residual, goal, step = (
+        room[s : s + r],
+        room[s + r : s + 2 * r],
+        room[s + 2 * r : s + 2 * r + nv],
+    )
     spare = room[s + 2 * r + nv : s + 2 * r + nv + SPARE]
-    return tree, Scratch(poses, lines, motion, loads, rows, square, right, first, filled, residual, goal, step, spare)
+    return tree, Scratch(
+        poses, lines, motion, loads, rows, square, right, first, filled, residual, goal, step, spare
+    )
 
 
 @njit(cache=True)
@@ -172,7 +243,9 @@ def place(tree, q, w):
 
 @njit(cache=True)
 def move(tree, v, w):
-    """Velocities of the bodies at the joint rates ``v`` (nv,), linear and angular in ``w.motion``; poses must be current."""
+    """Velocities of the bodies at the joint rates ``v`` (nv,), linear and angular in ``w.motion``;
+    poses must be current.
+    """
     local = np.empty(3)
     for b in range(1, tree.bodies.shape[0]):
         p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]

@@ -1,9 +1,11 @@
-"""Newton's method on a tree with loops, compiled: joints from the poses of the tools, and rates from their twists.
+"""Newton's method on a tree with loops, compiled: joints from the poses of the tools, and rates
+from their twists.
 
-The unknown joints solve the loop closures, the commanded poses of the tools and the prescribed joints simultaneously: residual r(q) = 0,
-with the Jacobian A of all rows. A step is q <- q - (A^T A + e)^-1 A^T r with e at round-off, which also handles redundant rows (a planar
-linkage closed in space) and redundant joints (minimum norm for a seventh axis). Rates of the joints for given twists of the tools are
-solved with the same matrix.
+The unknown joints solve the loop closures, the commanded poses of the tools and the prescribed
+joints simultaneously: residual r(q) = 0, with the Jacobian A of all rows. A step is q <- q - (A^T A
++ e)^-1 A^T r with e at round-off, which also handles redundant rows (a planar linkage closed in
+space) and redundant joints (minimum norm for a seventh axis). Rates of the joints for given twists
+of the tools are solved with the same matrix.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ ITERATIONS = 40
 
 @njit(cache=True, inline="always")
 def add_point(tree, w, b, point, sign, rows, r):
-    """Add ``sign`` times the Jacobian of a point (3,) of body ``b`` to three rows of ``rows``, from row ``r`` on."""
+    """Add ``sign`` times the Jacobian of a point (3,) of body ``b`` to three rows of ``rows``, from
+    row ``r`` on.
+    """
     axis = w.spare[0:6]
     while b > 0:
         first = tree.bodies[b, 1]
@@ -61,16 +65,30 @@ def _column(pose, c, out):
     """``out[3:6]``: column ``c`` of the rotation matrix of a pose."""
     x, y, z, s = pose[3], pose[4], pose[5], pose[6]
     if c == 0:
-        out[3], out[4], out[5] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * s), 2.0 * (x * z - y * s)
+        out[3], out[4], out[5] = (
+            1.0 - 2.0 * (y * y + z * z),
+            2.0 * (x * y + z * s),
+            2.0 * (x * z - y * s),
+        )
     elif c == 1:
-        out[3], out[4], out[5] = 2.0 * (x * y - z * s), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * s)
+        out[3], out[4], out[5] = (
+            2.0 * (x * y - z * s),
+            1.0 - 2.0 * (x * x + z * z),
+            2.0 * (y * z + x * s),
+        )
     else:
-        out[3], out[4], out[5] = 2.0 * (x * z + y * s), 2.0 * (y * z - x * s), 1.0 - 2.0 * (x * x + y * y)
+        out[3], out[4], out[5] = (
+            2.0 * (x * z + y * s),
+            2.0 * (y * z - x * s),
+            1.0 - 2.0 * (x * x + y * y),
+        )
 
 
 @njit(cache=True, inline="always")
 def add_turn(tree, w, b, sign, rows, r):
-    """Add ``sign`` times the Jacobian of the rotation of body ``b`` to three rows of ``rows``, from row ``r`` on."""
+    """Add ``sign`` times the Jacobian of the rotation of body ``b`` to three rows of ``rows``, from
+    row ``r`` on.
+    """
     axis = w.spare[0:6]
     while b > 0:
         first = tree.bodies[b, 1]
@@ -101,7 +119,9 @@ def attitude_error(goal, quat, out):
 
 @njit(cache=True)
 def equations(tree, q, poses, values, w):
-    """Residual and rows at ``q``, for tools at ``poses`` (nt, 7) and prescribed joints at ``values`` (np,); updates the poses."""
+    """Residual and rows at ``q``, for tools at ``poses`` (nt, 7) and prescribed joints at
+    ``values`` (np,); updates the poses.
+    """
     place(tree, q, w)
     rows, residual = w.rows, w.residual
     rows[:] = 0.0
@@ -110,10 +130,16 @@ def equations(tree, q, poses, values, w):
         led, leads = tree.coupled[k, 0], tree.coupled[k, 1]
         c = tree.polynomial[k]
         x = q[tree.joints[leads, 2]] - tree.axes[leads, 6] if leads >= 0 else 0.0
-        residual[r] = q[tree.joints[led, 2]] - tree.axes[led, 6] - (c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * c[4]))))
+        residual[r] = (
+            q[tree.joints[led, 2]]
+            - tree.axes[led, 6]
+            - (c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * c[4]))))
+        )
         rows[r, tree.joints[led, 3]] = 1.0
         if leads >= 0:
-            rows[r, tree.joints[leads, 3]] = -(c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + 4.0 * x * c[4])))
+            rows[r, tree.joints[leads, 3]] = -(
+                c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + 4.0 * x * c[4]))
+            )
         r += 1
     pose = w.spare[20:27]
     for t in range(tree.tools.shape[0]):
@@ -157,10 +183,11 @@ def _close_loops(tree, w):
 
 @njit(cache=True)
 def factor(tree, w):
-    """Cholesky factor of A^T A over the unknown joints, into ``w.square`` (lower half), within its skyline.
+    """Cholesky factor of A^T A over the unknown joints, into ``w.square`` (lower half), within its
+    skyline.
 
-    ``w.first[i]`` is the first nonzero column of row i: a leg is coupled only to its own joints and the platform's, and the Cholesky
-    factor has no fill-in before it.
+    ``w.first[i]`` is the first nonzero column of row i: a leg is coupled only to its own joints and
+    the platform's, and the Cholesky factor has no fill-in before it.
     """
     u, rows, square, first, filled = tree.unknown.shape[0], w.rows, w.square, w.first, w.filled
     for i in range(u):
@@ -198,7 +225,9 @@ def factor(tree, w):
 
 @njit(cache=True)
 def solve(tree, w, right, out):
-    """``out`` (nv,): least-squares solution of A out = ``right`` (r,) over the unknown joints; the others are 0."""
+    """``out`` (nv,): least-squares solution of A out = ``right`` (r,) over the unknown joints; the
+    others are 0.
+    """
     u, x, square, first = tree.unknown.shape[0], w.right, w.square, w.first
     for i in range(u):
         x[i] = 0.0
@@ -222,7 +251,9 @@ def solve(tree, w, right, out):
 
 @njit(cache=True)
 def shift(tree, q, step, scale):
-    """Move the joint positions ``q`` by ``scale`` times the rates ``step`` (nv,), as ``mj_integratePos`` does."""
+    """Move the joint positions ``q`` by ``scale`` times the rates ``step`` (nv,), as
+    ``mj_integratePos`` does.
+    """
     turn, quat, after, r = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
     for j in range(tree.joints.shape[0]):
         kind, a, d = tree.joints[j, 0], tree.joints[j, 2], tree.joints[j, 3]
@@ -247,9 +278,11 @@ def shift(tree, q, step, scale):
 
 @njit(cache=True)
 def newton(tree, q, poses, values, w, close, most):
-    """Solve for ``q`` (nq,) with tools at ``poses`` and prescribed joints at ``values``, in at most ``most`` steps.
+    """Solve for ``q`` (nq,) with tools at ``poses`` and prescribed joints at ``values``, in at most
+    ``most`` steps.
 
-    Returns the largest remaining residual. Rows and factor are those before the last step, which is below sqrt(close) on convergence.
+    Returns the largest remaining residual. Rows and factor are those before the last step, which is
+    below sqrt(close) on convergence.
     """
     worst = math.inf
     for _ in range(most):
@@ -267,7 +300,8 @@ def newton(tree, q, poses, values, w, close, most):
         shift(tree, q, w.step, -min(1.0, LONGEST_STEP / max(longest, 1e-300)))
         if longest < close:  # no further progress: out of reach
             break
-        if worst * worst < close and longest * longest < close:  # quadratic convergence: the residual after this step
+        # quadratic convergence: the residual after this step
+        if worst * worst < close and longest * longest < close:
             worst = longest * longest
             break
     return worst
@@ -275,7 +309,9 @@ def newton(tree, q, poses, values, w, close, most):
 
 @njit(cache=True)
 def rates(tree, w, twists, speeds, out):
-    """``out`` (nv,): joint rates for the tools' ``twists`` (nt, 6) in W and the prescribed joints' ``speeds``, from the current factor."""
+    """``out`` (nv,): joint rates for the tools' ``twists`` (nt, 6) in W and the prescribed joints'
+    ``speeds``, from the current factor.
+    """
     r = w.goal.shape[0] - 6 * twists.shape[0] - speeds.shape[0]
     w.goal[:r] = 0.0
     for t in range(twists.shape[0]):
@@ -289,7 +325,9 @@ def rates(tree, w, twists, speeds, out):
 
 @njit(cache=True)
 def ways(tree, w, out):
-    """``out`` (t, nv): joint rates for a unit rate of each task (tools' twists, prescribed joints), from the current factor."""
+    """``out`` (t, nv): joint rates for a unit rate of each task (tools' twists, prescribed joints),
+    from the current factor.
+    """
     first = w.goal.shape[0] - out.shape[0]
     for t in range(out.shape[0]):
         w.goal[:] = 0.0

@@ -1,13 +1,15 @@
-"""A platform modelled by its response alone: a second- or third-order system with a delay, on six axes, without mass or geometry.
+"""A platform modelled by its response alone: a second- or third-order system with a delay, on six
+axes, without mass or geometry.
 
 Each axis follows its command u, the position or the component of the rotation vector, as
 
-    order 2   x'' = w^2 (u - x) - 2 zeta w x'
-    order 3   x''' = w^2 (K (u - x) - x') - 2 zeta w x''        (a hydraulic leg: K its gain, w, zeta the oil with its mass)
+    order 2   x'' = w^2 (u - x) - 2 zeta w x' order 3   x''' = w^2 (K (u - x) - x') - 2 zeta w x''
+    (a hydraulic leg: K its gain, w, zeta the oil with its mass)
 
-u is linear over each tick and delayed by any time. Both are advanced exactly for a linear input (matrix exponential of
-the system and its input), so that the result does not depend on the number of substeps. The motion starts at the start pose less the
-distance travelled during the delay, with the approach velocity.
+u is linear over each tick and delayed by any time. Both are advanced exactly for a linear input
+(matrix exponential of the system and its input), so that the result does not depend on the number
+of substeps. The motion starts at the start pose less the distance travelled during the delay, with
+the approach velocity.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ from hiltestbed.platform.facilities.settings import ResponseSettings
 
 def nominal(settings: ResponseSettings) -> Response:
     """The nominal response, as used by delay ledger and compensation."""
-    band, zeta, gain = (np.array(six(x)) for x in (settings.bandwidth, settings.damping_ratio, settings.gain))
+    band, zeta, gain = (
+        np.array(six(x)) for x in (settings.bandwidth, settings.damping_ratio, settings.gain)
+    )
     if settings.order == 3:  # K w^2/(...) lags by 1/K at low frequency
         near = np.sqrt(gain * 2.0 * math.pi * band) / (2.0 * math.pi)
         zeta, band = math.pi * near / gain, near
@@ -37,10 +41,19 @@ def nominal(settings: ResponseSettings) -> Response:
 def transfer(settings: ResponseSettings, frequency: Array, axis: int = 2) -> NDArray[np.complex128]:
     """The closed form at frequencies [Hz]."""
     s = 2j * math.pi * np.asarray(frequency, dtype=float)
-    w, zeta, gain = 2.0 * math.pi * six(settings.bandwidth)[axis], six(settings.damping_ratio)[axis], six(settings.gain)[axis]
+    w, zeta, gain = (
+        2.0 * math.pi * six(settings.bandwidth)[axis],
+        six(settings.damping_ratio)[axis],
+        six(settings.gain)[axis],
+    )
     if settings.order == 2:
         return w**2 / (s**2 + 2.0 * zeta * w * s + w**2) * np.exp(-s * settings.delay)
-    return gain * w**2 / (s**3 + 2.0 * zeta * w * s**2 + w**2 * s + gain * w**2) * np.exp(-s * settings.delay)
+    return (
+        gain
+        * w**2
+        / (s**3 + 2.0 * zeta * w * s**2 + w**2 * s + gain * w**2)
+        * np.exp(-s * settings.delay)
+    )
 
 
 def six(value: float | Sequence[float]) -> tuple[float, ...]:
@@ -49,7 +62,9 @@ def six(value: float | Sequence[float]) -> tuple[float, ...]:
 
 
 def advance_matrices(order: int, w: float, zeta: float, gain: float, dt: float) -> Array:
-    """``(3, 5)``: the state (x, x', x'') after ``dt`` [s] from the state (3) and the input before, and the input's change over the step."""
+    """``(3, 5)``: the state (x, x', x'') after ``dt`` [s] from the state (3) and the input before,
+    and the input's change over the step.
+    """
     from scipy.linalg import expm
 
     a = np.zeros((5, 5))  # state, input, slope of the input
@@ -75,7 +90,9 @@ def _at(ring, axis, when):
 
 @njit(cache=True)
 def _piece(ring, axis, begin, end, e, x, state):
-    """Advance one axis over an interval in which the delayed command is linear, from ``begin`` to ``end``, both in ticks."""
+    """Advance one axis over an interval in which the delayed command is linear, from ``begin`` to
+    ``end``, both in ticks.
+    """
     before = _at(ring, axis, begin)
     rise = _at(ring, axis, end) - before
     for c in range(3):
@@ -88,10 +105,12 @@ def _piece(ring, axis, begin, end, e, x, state):
 
 @njit(cache=True)
 def _advance(k, pose_cmd, turn_cmd, late, bend, step, ring, state, path, rate):
-    """One tick: store the command at t_(k+1) in the ring, then advance every axis over the m substeps of the tick.
+    """One tick: store the command at t_(k+1) in the ring, then advance every axis over the m
+    substeps of the tick.
 
-    bend: (n,) time within the tick at which the delayed command passes from one linear piece to the next [ticks]. step: (n, 6, 3, 3, 5)
-    matrices of a whole substep, and of the parts before and after the bend of the substep that contains it.
+    bend: (n,) time within the tick at which the delayed command passes from one linear piece to the
+        next [ticks]. step: (n, 6, 3, 3, 5) matrices of a whole substep, and of the parts before and
+        after the bend of the substep that contains it.
     """
     m = path.shape[1]
     r, x = np.empty(3), np.empty(3)
@@ -102,7 +121,11 @@ def _advance(k, pose_cmd, turn_cmd, late, bend, step, ring, state, path, rate):
             ring[i, slot, 3 + c] = turn_cmd[i, c]
         parted = int(bend[i] * m) if bend[i] > 0.0 else -1
         for s in range(m):
-            begin, end, middle = k + s / m - late[i], k + (s + 1.0) / m - late[i], k + bend[i] - late[i]
+            begin, end, middle = (
+                k + s / m - late[i],
+                k + (s + 1.0) / m - late[i],
+                k + bend[i] - late[i],
+            )
             for axis in range(6):
                 if s == parted:
                     _piece(ring[i], axis, begin, middle, step[i, axis, 1], x, state[i, axis])
@@ -120,9 +143,10 @@ class ResponsePath:
     """Platforms of `n` runs modelled by their response alone.
 
     Attributes:
-        path: (n, m, 7) pose of A in P at the m instants of the tick, the last of which is t_(k+1). rate: (n, m, 6) its velocity, and
-            the rate of its rotation vector.
-        state: (n, 6, 3) of each axis. ring: (n, slots, 6) commands; that for t_j is in slot j modulo their number.
+        path: (n, m, 7) pose of A in P at the m instants of the tick, the last of which is t_(k+1).
+            rate: (n, m, 6) its velocity, and the rate of its rotation vector.
+        state: (n, 6, 3) of each axis. ring: (n, slots, 6) commands; that for t_j is in slot j
+            modulo their number.
     """
 
     def __init__(self, settings: Sequence[ResponseSettings], tick: float, substeps: int) -> None:
@@ -135,18 +159,25 @@ class ResponsePath:
         self._bend = self._late - np.floor(self._late)
         self._step = np.zeros((n, 6, 3, 3, 5))
         for i, s in enumerate(settings):
-            before = math.modf(self._bend[i] * substeps)[0] / substeps  # part before the bend of the substep that contains it
+            # part before the bend of the substep that contains it
+            before = math.modf(self._bend[i] * substeps)[0] / substeps
             parts = (1.0 / substeps, before, 1.0 / substeps - before)
-            for axis, (band, zeta, gain) in enumerate(zip(six(s.bandwidth), six(s.damping_ratio), six(s.gain), strict=True)):
+            for axis, (band, zeta, gain) in enumerate(
+                zip(six(s.bandwidth), six(s.damping_ratio), six(s.gain), strict=True)
+            ):
                 for part, share in enumerate(parts):
                     if share > 0.0:
-                        self._step[i, axis, part] = advance_matrices(s.order, 2.0 * math.pi * band, zeta, gain, tick * share)
+                        self._step[i, axis, part] = advance_matrices(
+                            s.order, 2.0 * math.pi * band, zeta, gain, tick * share
+                        )
                     else:  # no time passes
                         self._step[i, axis, part, :, :3] = np.eye(3)
         self._ticks = np.zeros(1, dtype=np.int64)
 
     def begin(self, pose: Array, twist: Array) -> None:
-        """Start a uniform motion with ``twist`` (n, 6) at ``pose`` (n, 7) less the distance travelled during the delay."""
+        """Start a uniform motion with ``twist`` (n, 6) at ``pose`` (n, 7) less the distance
+        travelled during the delay.
+        """
         self._ticks[0] = 0
         start = np.hstack([pose[:, :3], rotation_vectors(pose[:, 3:])])
         slots = self.ring.shape[1]
@@ -158,7 +189,18 @@ class ResponsePath:
     def advance(self, pose_cmd: Array) -> Array:
         """The path (n, m, 7) over the tick for whose end ``pose_cmd`` (n, 7) is commanded."""
         turn = rotation_vectors(pose_cmd[:, 3:])
-        _advance(int(self._ticks[0]), pose_cmd, turn, self._late, self._bend, self._step, self.ring, self.state, self.path, self.rate)
+        _advance(
+            int(self._ticks[0]),
+            pose_cmd,
+            turn,
+            self._late,
+            self._bend,
+            self._step,
+            self.ring,
+            self.state,
+            self.path,
+            self.rate,
+        )
         self._ticks[0] += 1
         return self.path
 

@@ -1,4 +1,6 @@
-"""A facility as stepped by the plant: its composed model, and its drives or bodies with the interface that the plant uses for any rig."""
+"""A facility as stepped by the plant: its composed model, and its drives or bodies with the
+interface that the plant uses for any rig.
+"""
 
 from __future__ import annotations
 
@@ -34,17 +36,24 @@ class Mover(Protocol):
     kinematics: Any
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None: ...
-    def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool: ...
-    def observing(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> Callable[[], bool]: ...
+    def observe(
+        self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]
+    ) -> bool: ...
+    def observing(
+        self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]
+    ) -> Callable[[], bool]: ...
 
 
 class FacilityRig:
     """The rigs of `n` runs on one facility.
 
     Attributes:
-        model: as it is stepped. keeps_history: whether the sensor's readings within a tick are in MuJoCo's history.
-        moves_passive: see :class:`Facility`. load: compensation of the sensor's load if the passive side moves. target: (n, J) commanded
-            positions of the driven joints at t_k, from home. units: (J,) of them. watch: monitor of their limits.
+        model: as it is stepped. keeps_history: whether the sensor's readings within a tick are in
+            MuJoCo's history.
+        moves_passive: see :class:`Facility`. load: compensation of the sensor's load if the passive
+            side moves. target: (n, J) commanded
+            positions of the driven joints at t_k, from home. units: (J,) of them. watch: monitor of
+            their limits.
     """
 
     keeps_history = False
@@ -69,9 +78,14 @@ class FacilityRig:
             self.mover = self._bodies = facility.bodies(self.model, settings, dt, TOOL)
         else:
             feed = np.array([s.compensation.motion.feeds for s in scenarios])
-            self.mover = self._drives = facility.drives(self.model, settings, first.tick, first.substeps, feed, TOOL)
+            self.mover = self._drives = facility.drives(
+                self.model, settings, first.tick, first.substeps, feed, TOOL
+            )
             self.target = self._drives.reference
-            watched = [[s.safety.stroke, s.safety.speed, s.safety.acceleration, True, True] for s in scenarios]
+            watched = [
+                [s.safety.stroke, s.safety.speed, s.safety.acceleration, True, True]
+                for s in scenarios
+            ]
             self.watch = Watch(
                 facility.axes,
                 self._drives.kinematics.joints_home,
@@ -85,24 +99,32 @@ class FacilityRig:
         return self
 
     def tare(self, contacts: Contacts, reading: Array, columns: slice) -> Array:
-        """``(n, 6)`` the sensor's reading at rest; zero if the sensor moves, whose load is then subtracted from every reading instead."""
+        """``(n, 6)`` the sensor's reading at rest; zero if the sensor moves, whose load is then
+        subtracted from every reading instead.
+        """
         if self.moves_passive:
             return np.zeros_like(reading)
         mount = contacts.mount
         return np.array(
             [
-                rest_reading(self.model, self.mover.kinematics.home, columns, mount.body, balance, centre)
+                rest_reading(
+                    self.model, self.mover.kinematics.home, columns, mount.body, balance, centre
+                )
                 for balance, centre in zip(mount.balance, mount.centre, strict=True)
             ]
         )
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
-        """Initialise joints and drives in the uniform motion through ``pose`` (n, 7) with ``twist`` (n, 6)."""
+        """Initialise joints and drives in the uniform motion through ``pose`` (n, 7) with ``twist``
+        (n, 6).
+        """
         qpos[:] = self.mover.kinematics.home
         self.mover.settle(pose, twist, qpos, qvel)
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Plan one tick, at whose end ``pose_cmd`` (n, 7) is to be reached; freely moving bodies have no command."""
+        """Plan one tick, at whose end ``pose_cmd`` (n, 7) is to be reached; freely moving bodies
+        have no command.
+        """
         if self._drives is not None:
             self._drives.aim(pose_cmd, twist_cmd, accel_cmd)
 
@@ -119,9 +141,18 @@ class FacilityRig:
             self._drives.arrive()
 
     def observe(
-        self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, joints: Array, diverged: NDArray[np.bool_]
+        self,
+        qpos: Array,
+        qvel: Array,
+        limit: float,
+        pose: Array,
+        twist: Array,
+        joints: Array,
+        diverged: NDArray[np.bool_],
     ) -> bool:
-        """Read relative pose, twist and driven joints; returns whether a run just exceeded ``limit``, and marks it in ``diverged``."""
+        """Read relative pose, twist and driven joints; returns whether a run just exceeded
+        ``limit``, and marks it in ``diverged``.
+        """
         lost = self.mover.observe(qpos, qvel, limit, diverged)
         if self.mover.pose is not pose:
             pose[:], twist[:] = self.mover.pose, self.mover.twist
@@ -130,16 +161,25 @@ class FacilityRig:
         return lost
 
     def observing(
-        self, qpos: Array, qvel: Array, limit: float, shown: tuple[Array, Array, Array], diverged: NDArray[np.bool_]
+        self,
+        qpos: Array,
+        qvel: Array,
+        limit: float,
+        shown: tuple[Array, Array, Array],
+        diverged: NDArray[np.bool_],
     ) -> Callable[[], bool] | None:
-        """:meth:`observe` bound to reused arrays, those of :meth:`shown`; None for drives that override it."""
+        """:meth:`observe` bound to reused arrays, those of :meth:`shown`; None for drives that
+        override it.
+        """
         mover, whole = self.mover, Bodies if self._drives is None else Drives
         if type(mover).observe is not whole.observe or shown[0] is not mover.pose:
             return None
         return mover.observing(qpos, qvel, limit, diverged)
 
     def shown(self) -> tuple[Array, Array, Array]:
-        """The arrays that :meth:`observe` fills: poses (n, 7), twists (n, 6) and driven joints (n, J), those of drives or bodies."""
+        """The arrays that :meth:`observe` fills: poses (n, 7), twists (n, 6) and driven joints (n,
+        J), those of drives or bodies.
+        """
         joints = self.target[:, :0] if self._drives is None else self._drives.joints
         return self.mover.pose, self.mover.twist, joints
 
@@ -163,13 +203,22 @@ class FacilityFollower:
         self.model = facility_model(self.facility, structure, dt)
         self.units = tuple(axis.unit for axis in self.facility.axes)
         settings = [s.rig.platform for s in scenarios]
-        self._drives = self.facility.drives(self.model, settings, first.tick, first.substeps, np.zeros(len(scenarios), dtype=bool), TOOL)
+        self._drives = self.facility.drives(
+            self.model,
+            settings,
+            first.tick,
+            first.substeps,
+            np.zeros(len(scenarios), dtype=bool),
+            TOOL,
+        )
 
     @property
     def qpos(self) -> Array:
         return self._drives.solution
 
     def follow(self, pose: Array, twist: Array, joints: Array) -> None:
-        """Write the driven ``joints`` (n, J), from home, at the poses (n, 7) of A in P with the twists (n, 6)."""
+        """Write the driven ``joints`` (n, J), from home, at the poses (n, 7) of A in P with the
+        twists (n, 6).
+        """
         self._drives.follow(pose, twist)
         joints[:] = self._drives.joints

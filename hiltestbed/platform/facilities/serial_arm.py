@@ -1,7 +1,8 @@
 """A six-axis industrial arm that carries the active docking mechanism on its flange.
 
-Commands go to the controller at its own rate, are interpolated there, and take effect whole cycles later; each joint has a motor, an
-elastic gear, a link and friction (:mod:`hiltestbed.platform.facilities.elastic_joint`).
+Commands go to the controller at its own rate, are interpolated there, and take effect whole cycles
+later; each joint has a motor, an elastic gear, a link and friction
+(:mod:`hiltestbed.platform.facilities.elastic_joint`).
 """
 
 from __future__ import annotations
@@ -18,17 +19,26 @@ from hiltestbed.frames import Array
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.drives import Drives, drive_inputs
 from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
-from hiltestbed.platform.facilities.facility import MOUNT, Facility, Response, add_carrier, frame_of, per_run
+from hiltestbed.platform.facilities.facility import (
+    MOUNT,
+    Facility,
+    Response,
+    add_carrier,
+    frame_of,
+    per_run,
+)
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.shipped.serial_arm import SerialArmSettings
 
-# Travel and speed of KR 210 R2700 extra as in the public description of the ROS-Industrial project; torque and acceleration: estimates.
+# Travel and speed of KR 210 R2700 extra as in the public description of the ROS-Industrial project;
+# torque and acceleration: estimates.
 TRAVEL_DEG = ((-185, 185), (-140, -5), (-120, 155), (-350, 350), (-125, 125), (-350, 350))
 SPEED_DEG = (123, 115, 112, 179, 172, 219)  # [deg/s]
 TORQUE = (15e3, 20e3, 12e3, 3e3, 3e3, 1.8e3)  # [N m]
 ACCELERATION = (5.0, 5.0, 6.0, 10.0, 10.0, 12.0)  # [rad/s^2]
-FRICTION_SHARE = (1.0, 1.2, 0.8, 0.2, 0.2, 0.12)  # friction relative to the first axis, in the ratio of the torques
+# friction relative to the first axis, in the ratio of the torques
+FRICTION_SHARE = (1.0, 1.2, 0.8, 0.2, 0.2, 0.12)
 PRESLIDING = 3.0e6  # [N m/rad] of the motor's bearings and seals, at the joint
 
 
@@ -36,13 +46,23 @@ def arm_axes(prefix: str = "") -> tuple[Axis, ...]:
     """The six axes of one arm."""
     travel, speed = np.radians(TRAVEL_DEG), np.radians(SPEED_DEG)
     return tuple(
-        Axis(f"{prefix}a{j + 1}", "rad", float(travel[j, 0]), float(travel[j, 1]), float(speed[j]), ACCELERATION[j], TORQUE[j])
+        Axis(
+            f"{prefix}a{j + 1}",
+            "rad",
+            float(travel[j, 0]),
+            float(travel[j, 1]),
+            float(speed[j]),
+            ACCELERATION[j],
+            TORQUE[j],
+        )
         for j in range(6)
     )
 
 
 def pose_arm(spec: mujoco.MjSpec, angles: Array) -> None:
-    """Set the reference configuration of an arm's specification, its home, to the motor angles ``angles`` (6,) [rad]."""
+    """Set the reference configuration of an arm's specification, its home, to the motor angles
+    ``angles`` (6,) [rad].
+    """
     for j, angle in enumerate(angles):
         joint, rotor = spec.joint(f"a{j + 1}"), spec.body(f"rotor_{j + 1}")
         half = 0.5 * float(angle)
@@ -51,10 +71,19 @@ def pose_arm(spec: mujoco.MjSpec, angles: Array) -> None:
 
 
 def arm_rubbing(
-    model: mujoco.MjModel, settings: Sequence[Any], axes: Sequence[Axis], step: float, share: Sequence[float]
+    model: mujoco.MjModel,
+    settings: Sequence[Any],
+    axes: Sequence[Axis],
+    step: float,
+    share: Sequence[float],
 ) -> Rubbing | None:
-    """Friction of the motors of every run, None if no run has any; ``share`` (J,) relative to the first axis."""
-    numbers = [per_run(settings, f"controller.friction.{name}")[:, None] for name in ("coulomb", "stiction", "stribeck_speed", "viscous")]
+    """Friction of the motors of every run, None if no run has any; ``share`` (J,) relative to the
+    first axis.
+    """
+    numbers = [
+        per_run(settings, f"controller.friction.{name}")[:, None]
+        for name in ("coulomb", "stiction", "stribeck_speed", "viscous")
+    ]
     if not (numbers[0].any() or numbers[1].any() or numbers[3].any()):
         return None
     scale = np.array(share)[None, :]
@@ -62,9 +91,16 @@ def arm_rubbing(
     dofs = np.array([int(j.dofadr[0]) for j in joints])
     speeds = np.tile(numbers[2], (1, len(share)))
     return Rubbing(
-        numbers[0] * scale, numbers[1] * scale, speeds, numbers[3] * scale, np.tile(PRESLIDING * scale, (len(settings), 1)),
-        model.dof_armature[dofs], dofs, drive_inputs(model, [a.joint for a in axes]), step,
-    )  # fmt: skip
+        numbers[0] * scale,
+        numbers[1] * scale,
+        speeds,
+        numbers[3] * scale,
+        np.tile(PRESLIDING * scale, (len(settings), 1)),
+        model.dof_armature[dofs],
+        dofs,
+        drive_inputs(model, [a.joint for a in axes]),
+        step,
+    )
 
 
 class SerialArm(Facility):
@@ -87,21 +123,41 @@ class SerialArm(Facility):
         return Kinematics(model, [tool], self.axes, locked=[f"g{j + 1}" for j in range(6)])
 
     def drives(
-        self, model: mujoco.MjModel, settings: Sequence[Any], tick: float, substeps: int, feed: NDArray[np.bool_], tool: str = MOUNT
+        self,
+        model: mujoco.MjModel,
+        settings: Sequence[Any],
+        tick: float,
+        substeps: int,
+        feed: NDArray[np.bool_],
+        tool: str = MOUNT,
     ) -> Drives:
         cycles, lates = self.lags(settings, tick)
         return ElasticJoints(
-            model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed, gears=[f"g{j + 1}" for j in range(6)],
+            model,
+            self.kinematics(model, tool),
+            tick,
+            substeps,
+            cycles,
+            lates,
+            feed,
+            gears=[f"g{j + 1}" for j in range(6)],
             bandwidth=per_run(settings, "controller.bandwidth").tolist(),
             damping_ratio=per_run(settings, "controller.damping_ratio").tolist(),
             encoder=per_run(settings, "controller.encoder_resolution").tolist(),
             rubbing=arm_rubbing(model, settings, self.axes, tick / substeps, FRICTION_SHARE),
-        )  # fmt: skip
+        )
 
     def response(self, rate: float, feed: bool) -> Response:
-        """The second-order response of the motors; at low frequency the gears add (w/w_gear)^2 and no delay."""
+        """The second-order response of the motors; at low frequency the gears add (w/w_gear)^2 and
+        no delay.
+        """
         controller = self.settings.controller
-        return Response((controller.bandwidth,) * 6, (controller.damping_ratio,) * 6, self.settings.command.lag(rate), followed=feed)
+        return Response(
+            (controller.bandwidth,) * 6,
+            (controller.damping_ratio,) * 6,
+            self.settings.command.lag(rate),
+            followed=feed,
+        )
 
     def alike(self) -> Hashable:
         return self.kind

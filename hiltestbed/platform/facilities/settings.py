@@ -1,4 +1,5 @@
-"""Settings of a facility in a scenario: every parameter of a drive as a key with unit, default and source. Needs only pydantic.
+"""Settings of a facility in a scenario: every parameter of a drive as a key with unit, default and
+source. Needs only pydantic.
 
 The source [recalled] marks an order of magnitude from memory, not a figure that was looked up.
 """
@@ -27,7 +28,9 @@ class CommandPath(Strictly):
     """Path of commands to a facility's drives."""
 
     controller_rate: Positive | None = Field(
-        default=None, description="Rate of the facility's own controller [Hz], which interpolates between commands; null: the loop's rate"
+        default=None,
+        description="Rate of the facility's own controller [Hz], which interpolates between "
+        "commands; null: the loop's rate",
     )
     delay_cycles: Annotated[int, Field(ge=0, le=200)] = Field(
         default=0, description="Delay of commands in the controller, in whole cycles [-]"
@@ -38,7 +41,9 @@ class CommandPath(Strictly):
         return 1 if self.controller_rate is None else max(1, round(rate / self.controller_rate))
 
     def lag(self, rate: float) -> float:
-        """Lag of the controller [s]: a pose commanded for the end of a tick is reached at the end of a later cycle."""
+        """Lag of the controller [s]: a pose commanded for the end of a tick is reached at the end
+        of a later cycle.
+        """
         return (self.cycle(rate) * (self.delay_cycles + 1) - 1) / rate
 
     def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
@@ -50,7 +55,8 @@ class CommandPath(Strictly):
             near = rate / max(1, round(ratio))
             yield (
                 ("controller_rate",),
-                f"does not divide the loop's rate (got {self.controller_rate:g} Hz in a loop of {rate:g} Hz = {ratio:g} ticks per cycle); "
+                f"does not divide the loop's rate (got {self.controller_rate:g} Hz in a loop of "
+                f"{rate:g} Hz = {ratio:g} ticks per cycle); "
                 f"allowed is the loop's rate divided by a whole number, such as {near:g}",
             )
 
@@ -60,7 +66,10 @@ class Friction(Strictly):
 
     coulomb: NotNegative = Field(description="Sliding friction [N, N m]")
     stiction: NotNegative = Field(description="Break-away friction [N, N m], at least coulomb")
-    stribeck_speed: Positive = Field(description="Speed at which the excess of the break-away friction has fallen to 1/e [m/s, rad/s]")
+    stribeck_speed: Positive = Field(
+        description="Speed at which the excess of the break-away friction has fallen to 1/e [m/s, "
+        "rad/s]"
+    )
     viscous: NotNegative = Field(description="Viscous friction [N s/m, N m s/rad]")
 
 
@@ -68,9 +77,15 @@ class ResponseSettings(Strictly):
     """A response of each axis instead of simulated drives."""
 
     order: Literal[2, 3] = Field(default=2, description="Order of each axis [-]")
-    bandwidth: Positive | SixPositive = Field(default=20.0, description="Natural frequency [Hz] of all axes or x, y, z, rx, ry, rz")
-    damping_ratio: Positive | SixPositive = Field(default=0.7, description="Damping ratio [-] of all axes or of each")
-    gain: Positive | SixPositive = Field(default=60.0, description="Gain of order 3 [1/s] of all axes or of each")
+    bandwidth: Positive | SixPositive = Field(
+        default=20.0, description="Natural frequency [Hz] of all axes or x, y, z, rx, ry, rz"
+    )
+    damping_ratio: Positive | SixPositive = Field(
+        default=0.7, description="Damping ratio [-] of all axes or of each"
+    )
+    gain: Positive | SixPositive = Field(
+        default=60.0, description="Gain of order 3 [1/s] of all axes or of each"
+    )
     delay: NotNegative = Field(default=0.0, description="Pure delay [s], any length")
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
@@ -85,21 +100,29 @@ class Driven(Platform):
 
     tracking: Literal["servo", "response", "ideal"] = Field(
         default="servo",
-        description="Tracking. servo: dynamics with simulated drives; response: a second- or third-order response with a delay instead; "
+        description="Tracking. servo: dynamics with simulated drives; response: a second- or "
+        "third-order response with a delay instead; "
         "ideal: the pose reaches the command exactly, one tick later",
     )
-    response: ResponseSettings = Field(default=ResponseSettings(), description="Response to the command; only with tracking response")
+    response: ResponseSettings = Field(
+        default=ResponseSettings(),
+        description="Response to the command; only with tracking response",
+    )
 
     @placeholder
     def build(self) -> Facility:
-        """The facility that these settings describe. Raises InputError for an unsuitable model of the user."""
+        """The facility that these settings describe. Raises InputError for an unsuitable model of
+        the user.
+        """
         raise NotImplementedError
 
     def facility(self) -> Facility:
         return _built(self, self.stamp())  # type: ignore[arg-type]  # frozen, thus hashable
 
     def stamp(self) -> Hashable:
-        """State of the model's file, which may change while the settings stay the same; None for a shipped model."""
+        """State of the model's file, which may change while the settings stay the same; None for a
+        shipped model.
+        """
         return None
 
 

@@ -1,6 +1,7 @@
 """A facility alone, with a payload on its mount: `n` copies in lockstep, for measurements.
 
-A tick is that of the closed loop's plant without contact: aim, push and step, observe. A wrench may act on the payload.
+A tick is that of the closed loop's plant without contact: aim, push and step, observe. A wrench may
+act on the payload.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 
 @njit(cache=True)
 def _apply(wrench, body, place, centre, applied):
-    """Apply the wrench (n, 6) at A, in W, to the payload's body, whose centre of mass is at ``centre`` (3,) from A, in A."""
+    """Apply the wrench (n, 6) at A, in W, to the payload's body, whose centre of mass is at
+    ``centre`` (3,) from A, in A.
+    """
     r = np.empty(3)
     for i in range(wrench.shape[0]):
         _turned(place[i, 3:7], centre, r)
@@ -51,7 +54,8 @@ class Stand:
     """`n` facilities with a payload.
 
     Attributes:
-        drives: their drives. pose, twist: those of A relative to P, in P, at t_k. diverged: (n,) which runs have diverged.
+        drives: their drives. pose, twist: those of A relative to P, in P, at t_k. diverged: (n,)
+            which runs have diverged.
     """
 
     def __init__(
@@ -66,7 +70,9 @@ class Stand:
         mechanism: Mechanism | None = None,
         threads: int = 0,
     ) -> None:
-        """Args: settings: one per run, by default the facility's own. mechanism: both sides are mounted; None: the bumper's active one."""
+        """Args: settings: one per run, by default the facility's own. mechanism: both sides are
+        mounted; None: the bumper's active one.
+        """
         self.facility, self.tick, self.substeps = facility, 1.0 / rate, substeps
         tool = TOOL
         if mechanism is None:
@@ -79,7 +85,14 @@ class Stand:
 
             tool, self.model = A, facility_model(facility, drawn(mechanism), self.tick / substeps)
         self.batch = Batch(self.model, n, threads, persistent=True)
-        self.drives = facility.drives(self.model, list(settings or [facility.settings] * n), self.tick, substeps, np.full(n, feed), tool)
+        self.drives = facility.drives(
+            self.model,
+            list(settings or [facility.settings] * n),
+            self.tick,
+            substeps,
+            np.full(n, feed),
+            tool,
+        )
         bind = self.batch.bind
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self.warmstart = bind("qacc_warmstart")
@@ -87,7 +100,9 @@ class Stand:
         site = self.model.site(tool)
         self._body = int(site.bodyid[0])
         self._centre = np.zeros(3)
-        rotate_back(site.quat[[1, 2, 3, 0]], self.model.body(self._body).ipos - site.pos, self._centre)
+        rotate_back(
+            site.quat[[1, 2, 3, 0]], self.model.body(self._body).ipos - site.pos, self._centre
+        )
         self.wrench = np.zeros((n, 6))
         self.diverged = np.zeros(n, dtype=bool)
         self.pose, self.twist = self.drives.pose, self.drives.twist

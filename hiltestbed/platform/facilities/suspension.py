@@ -1,13 +1,15 @@
-"""Two articles on cables: each hangs in a gimbal at its centre of mass, from a pivot in the roof, and a winch supports its weight.
+"""Two articles on cables: each hangs in a gimbal at its centre of mass, from a pivot in the roof,
+and a winch supports its weight.
 
-Disturbances compared with free flight: a cable pulls back (a pendulum) and has mass, its winch follows the article with friction, inertia
-and an imperfect tension servo, and the gimbal is not exactly at the centre of mass. With m the suspended mass, m_c the cable's, L from the
-pivot to the gimbal, the small swing has
+Disturbances compared with free flight: a cable pulls back (a pendulum) and has mass, its winch
+follows the article with friction, inertia and an imperfect tension servo, and the gimbal is not
+exactly at the centre of mass. With m the suspended mass, m_c the cable's, L from the pivot to the
+gimbal, the small swing has
 
     w^2 = (g/L) (1 + m_c/(2 m))/(1 + m_c/(3 m))
 
-since the article does not rotate with the cable. The tension follows T' = w_t (T_0 - T) with T_0 the weight; the winch applies T along the
-cable and adds its own inertia and friction.
+since the article does not rotate with the cable. The tension follows T' = w_t (T_0 - T) with T_0
+the weight; the winch applies T along the cable and adds its own inertia and friction.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ THIN = 0.012  # [m] radius of the cable
 
 @njit(cache=True)
 def _push(numbers, rub, dt, hung, dofs, swings, tension, bristles, qvel, applied):
-    """numbers: (n, 3) swing damping, low-pass coefficient per step of the tension servo, tension error. rub: (n, 7) friction.
+    """numbers: (n, 3) swing damping, low-pass coefficient per step of the tension servo, tension
+    error. rub: (n, 7) friction.
 
     dofs (2,): of the winches. swings (2, 2): of the cables' pivots.
     """
@@ -46,7 +49,9 @@ def _push(numbers, rub, dt, hung, dofs, swings, tension, bristles, qvel, applied
         for b in range(dofs.shape[0]):
             goal = hung[b] * GRAVITY * (1.0 + numbers[i, 2])
             tension[i, b] += numbers[i, 1] * (goal - tension[i, b])
-            applied[i, dofs[b]] = -tension[i, b] - drag(qvel[i, dofs[b]], dt, rub[i], bristles[i, b], 0)
+            applied[i, dofs[b]] = -tension[i, b] - drag(
+                qvel[i, dofs[b]], dt, rub[i], bristles[i, b], 0
+            )
             for c in range(2):
                 applied[i, swings[b, c]] = -numbers[i, 0] * qvel[i, swings[b, c]]
 
@@ -55,28 +60,55 @@ class Hung(Bodies):
     """Articles of `n` runs on their cables.
 
     Attributes:
-        tension: (n, b) of each cable [N]. bristles: (n, b, 1) deflection of its winch's bristle [m].
+        tension: (n, b) of each cable [N]. bristles: (n, b, 1) deflection of its winch's bristle
+            [m].
     """
 
-    def __init__(self, model: mujoco.MjModel, facility: Suspension, settings: Sequence[Any], step: float, tool: str) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        facility: Suspension,
+        settings: Sequence[Any],
+        step: float,
+        tool: str,
+    ) -> None:
         super().__init__(model, facility.kinematics(model, tool), len(settings), step)
         moving = [side for side in SIDES if facility.hangs(side)]
         self._dofs = np.array([int(model.joint(f"{side}_winch").dofadr[0]) for side in moving])
-        self._swings = np.array([[int(model.joint(f"{side}_swing_{c}").dofadr[0]) for c in "xz"] for side in moving])
+        self._swings = np.array(
+            [[int(model.joint(f"{side}_swing_{c}").dofadr[0]) for c in "xz"] for side in moving]
+        )
         self._hung = np.array([float(model.body(f"{side}_hook").subtreemass[0]) for side in moving])
         share = 1.0 - np.exp(-2.0 * math.pi * per_run(settings, "tension_bandwidth") * step)
-        self._numbers = np.column_stack([per_run(settings, "swing_damping"), share, per_run(settings, "tension_error")])
+        self._numbers = np.column_stack(
+            [per_run(settings, "swing_damping"), share, per_run(settings, "tension_error")]
+        )
         slides, n = per_run(settings, "winch_friction"), len(settings)
         bristle = min(PRESLIDING, 0.25 * HOOK / step**2)
         self._rub = np.column_stack(
             [
-                slides, BREAKAWAY * slides, np.full(n, STRIBECK_SPEED), np.zeros(n), np.zeros(n), np.full(n, bristle),
+                slides,
+                BREAKAWAY * slides,
+                np.full(n, STRIBECK_SPEED),
+                np.zeros(n),
+                np.zeros(n),
+                np.full(n, bristle),
                 np.full(n, 2.0 * math.sqrt(bristle * HOOK)),
             ]
-        )  # fmt: skip
+        )
         self.tension, self.bristles = np.zeros((n, len(moving))), np.zeros((n, len(moving), 1))
         self._pushed = Call(
-            _push, self._numbers, self._rub, step, self._hung, self._dofs, self._swings, self.tension, self.bristles, GIVEN, GIVEN
+            _push,
+            self._numbers,
+            self._rub,
+            step,
+            self._hung,
+            self._dofs,
+            self._swings,
+            self.tension,
+            self.bristles,
+            GIVEN,
+            GIVEN,
         )
 
     def rest(self, qpos: Array, qvel: Array) -> None:
@@ -104,7 +136,8 @@ class Suspension(PhysicalFacility):
         half = 0.5 * s.length
         for side in SIDES:
             place = self.place_of(side)
-            up = np.array([0.0, s.gimbal_offset, 0.0])  # from the centre of mass to the gimbal, in W, at home
+            # from the centre of mass to the gimbal, in W, at home
+            up = np.array([0.0, s.gimbal_offset, 0.0])
             spec.body(f"{side}_pivot").pos = place[:3] + up + [0.0, s.length, 0.0]
             cable = spec.body(f"{side}_cable")
             thick = max(s.cable_mass, 1e-6)
@@ -126,7 +159,9 @@ class Suspension(PhysicalFacility):
         self.add_ports(spec)
         return spec
 
-    def bodies(self, model: mujoco.MjModel, settings: Sequence[Any], step: float, tool: str = MOUNT) -> Hung:
+    def bodies(
+        self, model: mujoco.MjModel, settings: Sequence[Any], step: float, tool: str = MOUNT
+    ) -> Hung:
         return Hung(model, self, settings, step, tool)
 
     def alike(self) -> Hashable:
@@ -144,6 +179,8 @@ def _in_body(vector: Array, place: Array) -> Array:
 
 
 def swing_frequency(settings: SuspensionSettings, mass: float) -> float:
-    """Small-swing frequency [rad/s] of a suspended mass [kg], gimbal and hook included: the closed form of the module docstring."""
+    """Small-swing frequency [rad/s] of a suspended mass [kg], gimbal and hook included: the closed
+    form of the module docstring.
+    """
     ratio = settings.cable_mass / mass
     return math.sqrt(GRAVITY / settings.length * (1.0 + 0.5 * ratio) / (1.0 + ratio / 3.0))

@@ -1,8 +1,10 @@
-"""The kinematic tree of a compiled MuJoCo model, loop closures included, as arrays for compiled code.
+"""The kinematic tree of a compiled MuJoCo model, loop closures included, as arrays for compiled
+code.
 
-It contains bodies, joints, the equality constraints that close loops (``connect``, ``weld``, ``joint``), and the tools,
-sites whose pose is commanded. Quaternions are x, y, z, w here; MuJoCo's w-first ones are converted on input. A tree is constant
-and shared by all runs; quantities that depend on the joints are in :class:`hiltestbed.platform.facilities.motion.Scratch`.
+It contains bodies, joints, the equality constraints that close loops (``connect``, ``weld``,
+``joint``), and the tools, sites whose pose is commanded. Quaternions are x, y, z, w here; MuJoCo's
+w-first ones are converted on input. A tree is constant and shared by all runs; quantities that
+depend on the joints are in :class:`hiltestbed.platform.facilities.motion.Scratch`.
 """
 
 from __future__ import annotations
@@ -24,18 +26,25 @@ _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 class Tree(NamedTuple):
-    """Constants of a kinematic tree of nb bodies, nj joints, nl loops, ne coupled joints, nt tools and np prescribed joints.
+    """Constants of a kinematic tree of nb bodies, nj joints, nl loops, ne coupled joints, nt tools
+    and np prescribed joints.
 
     Attributes:
-        bodies: (nb, 3) parent, first joint, number of joints. frames: (nb, 7) pose of a body in its parent, joints at their reference.
-        masses: (nb, 14) mass [kg], centre of mass (3) [m] and inertia about it (9) [kg m^2], in the body's frame, and the fraction of its
-            weight that a counterweight supports (MuJoCo's gravcomp).
-        joints: (nj, 4) type, body, address of its position, of its rate. axes: (nj, 7) anchor (3) [m] and axis (3) in its body, reference.
+        bodies: (nb, 3) parent, first joint, number of joints. frames: (nb, 7) pose of a body in its
+            parent, joints at their reference.
+        masses: (nb, 14) mass [kg], centre of mass (3) [m] and inertia about it (9) [kg m^2], in the
+            body's frame, and the fraction of its weight that a counterweight supports (MuJoCo's
+            gravcomp).
+        joints: (nj, 4) type, body, address of its position, of its rate. axes: (nj, 7) anchor (3)
+            [m] and axis (3) in its body, reference.
         armature: (nv,) [kg, kg m^2].
-        loops: (nl, 3) POINT or FRAME, the two bodies. loop_frames: (nl, 2, 7) what coincides, in its body.
-        coupled: (ne, 2) joints of which the first is a polynomial of the second (-1: constant). polynomial: (ne, 5).
+        loops: (nl, 3) POINT or FRAME, the two bodies. loop_frames: (nl, 2, 7) what coincides, in
+            its body.
+        coupled: (ne, 2) joints of which the first is a polynomial of the second (-1: constant).
+            polynomial: (ne, 5).
         tools: (nt,) bodies. tool_frames: (nt, 7) pose of each tool in its body.
-        prescribed: (np,) joints whose value is given. unknown: (u,) degrees of freedom that are solved for; the others are constant.
+        prescribed: (np,) joints whose value is given. unknown: (u,) degrees of freedom that are
+            solved for; the others are constant.
     """
 
     bodies: Integers
@@ -54,7 +63,9 @@ class Tree(NamedTuple):
     unknown: Integers
 
     def towards_tools(self) -> Tree:
-        """The subtree that determines poses and velocities of the tools for known joints: the bodies between them and the world."""
+        """The subtree that determines poses and velocities of the tools for known joints: the
+        bodies between them and the world.
+        """
         kept = {0}
         for b in map(int, self.tools):
             while b > 0:
@@ -69,24 +80,45 @@ class Tree(NamedTuple):
         joints = self.joints[chosen].reshape(-1, 4)
         joints[:, 1] = [new[int(b)] for b in joints[:, 1]]
         return self._replace(
-            bodies=np.column_stack([parents, starts, [len(joints) for joints in moved]]).astype(np.int64),
-            frames=self.frames[order], masses=self.masses[order], joints=joints, axes=self.axes[chosen].reshape(-1, 7),
-            loops=self.loops[:0], loop_frames=self.loop_frames[:0], coupled=self.coupled[:0], polynomial=self.polynomial[:0],
-            tools=np.array([new[int(b)] for b in self.tools], dtype=np.int64), prescribed=self.prescribed[:0], unknown=self.unknown[:0],
-        )  # fmt: skip
+            bodies=np.column_stack([parents, starts, [len(joints) for joints in moved]]).astype(
+                np.int64
+            ),
+            frames=self.frames[order],
+            masses=self.masses[order],
+            joints=joints,
+            axes=self.axes[chosen].reshape(-1, 7),
+            loops=self.loops[:0],
+            loop_frames=self.loop_frames[:0],
+            coupled=self.coupled[:0],
+            polynomial=self.polynomial[:0],
+            tools=np.array([new[int(b)] for b in self.tools], dtype=np.int64),
+            prescribed=self.prescribed[:0],
+            unknown=self.unknown[:0],
+        )
 
 
-def build_tree(m: mujoco.MjModel, tools: Sequence[str], prescribed: Sequence[str] = (), locked: Sequence[str] = ()) -> Tree:
+def build_tree(
+    m: mujoco.MjModel,
+    tools: Sequence[str],
+    prescribed: Sequence[str] = (),
+    locked: Sequence[str] = (),
+) -> Tree:
     """The tree of a compiled model.
 
     Args:
-        tools: names of sites. prescribed: joints whose values are given. locked: joints that keep their value.
+        tools: names of sites. prescribed: joints whose values are given. locked: joints that keep
+            their value.
 
     Raises:
         InputError: an equality constraint that is neither ``connect``, ``weld`` nor ``joint``.
     """
     kinds = m.jnt_type.astype(np.int64)
-    reference = np.array([m.qpos0[a] if k in (SLIDE, HINGE) else 0.0 for k, a in zip(kinds, m.jnt_qposadr, strict=True)])
+    reference = np.array(
+        [
+            m.qpos0[a] if k in (SLIDE, HINGE) else 0.0
+            for k, a in zip(kinds, m.jnt_qposadr, strict=True)
+        ]
+    )
     loops, loop_frames, coupled, polynomial = _loops(m)
     sites = [m.site(name).id for name in tools]
     held = {m.joint(name).id for name in locked}
@@ -94,16 +126,22 @@ def build_tree(m: mujoco.MjModel, tools: Sequence[str], prescribed: Sequence[str
     return Tree(
         bodies=np.column_stack([m.body_parentid, m.body_jntadr, m.body_jntnum]).astype(np.int64),
         frames=np.hstack([m.body_pos, quat_from_mujoco(m.body_quat)]),
-        masses=np.hstack([m.body_mass[:, None], m.body_ipos, _inertias(m), m.body_gravcomp[:, None]]),
+        masses=np.hstack(
+            [m.body_mass[:, None], m.body_ipos, _inertias(m), m.body_gravcomp[:, None]]
+        ),
         joints=np.column_stack([kinds, m.jnt_bodyid, m.jnt_qposadr, m.jnt_dofadr]).astype(np.int64),
-        axes=np.hstack([m.jnt_pos.reshape(-1, 3), m.jnt_axis.reshape(-1, 3), reference.reshape(-1, 1)]),
+        axes=np.hstack(
+            [m.jnt_pos.reshape(-1, 3), m.jnt_axis.reshape(-1, 3), reference.reshape(-1, 1)]
+        ),
         armature=m.dof_armature.copy(),
         loops=np.array(loops, dtype=np.int64).reshape(-1, 3),
         loop_frames=np.array(loop_frames, dtype=float).reshape(-1, 2, 7),
         coupled=np.array(coupled, dtype=np.int64).reshape(-1, 2),
         polynomial=np.array(polynomial, dtype=float).reshape(-1, 5),
         tools=m.site_bodyid[sites].astype(np.int64),
-        tool_frames=np.hstack([m.site_pos[sites].reshape(-1, 3), quat_from_mujoco(m.site_quat[sites].reshape(-1, 4))]),
+        tool_frames=np.hstack(
+            [m.site_pos[sites].reshape(-1, 3), quat_from_mujoco(m.site_quat[sites].reshape(-1, 4))]
+        ),
         prescribed=np.array([m.joint(name).id for name in prescribed], dtype=np.int64),
         unknown=np.array(unknown, dtype=np.int64),
     )
@@ -121,7 +159,9 @@ def _inertias(m: mujoco.MjModel) -> Array:
 
 
 def _loops(m: mujoco.MjModel) -> tuple[list, list, list, list]:
-    """Loop closures (type, bodies; frames) and coupled joints (joints; polynomial) of the active equality constraints."""
+    """Loop closures (type, bodies; frames) and coupled joints (joints; polynomial) of the active
+    equality constraints.
+    """
     loops, frames, coupled, polynomial = [], [], [], []
     for e in range(m.neq):
         if not m.eq_active0[e]:
@@ -137,12 +177,17 @@ def _loops(m: mujoco.MjModel) -> tuple[list, list, list, list]:
                 frames.append(np.hstack([m.site_pos[ends], quat_from_mujoco(m.site_quat[ends])]))
                 ends = [int(m.site_bodyid[end]) for end in ends]
             else:
-                frames.append(_welded(m.eq_data[e]) if welded else np.hstack([m.eq_data[e, :6].reshape(2, 3), [_UPRIGHT] * 2]))
+                frames.append(
+                    _welded(m.eq_data[e])
+                    if welded
+                    else np.hstack([m.eq_data[e, :6].reshape(2, 3), [_UPRIGHT] * 2])
+                )
             loops.append([FRAME if welded else POINT, *ends])
         else:
             name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_EQUALITY, e) or str(e)
             raise InputError(
-                f"equality {name!r} closes a loop by {kind.name.removeprefix('mjEQ_').lower()}; allowed are connect, weld and joint"
+                f"equality {name!r} closes a loop by {kind.name.removeprefix('mjEQ_').lower()}; "
+                f"allowed are connect, weld and joint"
             )
     return loops, frames, coupled, polynomial
 

@@ -1,15 +1,17 @@
-"""Two industrial arms facing each other, one of them on a rail, as at EPOS: the passive side moves too.
+"""Two industrial arms facing each other, one of them on a rail, as at EPOS: the passive side moves
+too.
 
-Insertion is horizontal here: W's z along the rail, y up, gravity along -y. The base of the active arm is fixed, the passive arm moves on
-the rail and carries force sensor and passive mechanism.
+Insertion is horizontal here: W's z along the rail, y up, gravity along -y. The base of the active
+arm is fixed, the passive arm moves on the rail and carries force sensor and passive mechanism.
 
 Allocation of the relative pose (p, R = exp(r)) to the two sides, with s the passive side's share:
 
-    rail     far(g), g = -p_z: 0 up to HOLD, then growing, from CLEAR on with slope 1: in contact it is at rest
+    rail     far(g), g = -p_z: 0 up to HOLD, then growing,slope 1 from CLEAR on: at rest in contact
     passive  attitude exp(-s (1 - far') r), position  far z - s R_P p',   p' = p + far z
     active   the rest: its pose in W is that of P in W times (p, R)
 
-so that near the touch the two arms perform (1 - s) and s of every motion, and far away the passive arm only moves with the rail.
+so that near the touch the two arms perform (1 - s) and s of every motion, and far away the passive
+arm only moves with the rail.
 """
 
 from __future__ import annotations
@@ -23,7 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.bound import GIVEN, Call
-from hiltestbed.frames import Array, pose_step, quat_exp, quat_mul, rotate, rotation_vector, twist_between
+from hiltestbed.frames import (
+    Array,
+    pose_step,
+    quat_exp,
+    quat_mul,
+    rotate,
+    rotation_vector,
+    twist_between,
+)
 from hiltestbed.jit import njit
 from hiltestbed.models import load
 from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
@@ -38,13 +48,20 @@ from hiltestbed.platform.facilities.facility import (
     per_run,
 )
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.serial_arm import FRICTION_SHARE, arm_axes, arm_rubbing, pose_arm
+from hiltestbed.platform.facilities.serial_arm import (
+    FRICTION_SHARE,
+    arm_axes,
+    arm_rubbing,
+    pose_arm,
+)
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
 from hiltestbed.platform.shipped.two_arms import TwoArmsSettings
 
 ACTIVE, PASSIVE = "chaser_", "target_"  # prefixes of the two arms' names
-HOME = (0.0, -1.0506357359978915, 1.6113790755209094, 0.0, -0.5607433395296182, 1.5707963267948966)  # [rad], a6 of the passive arm
-HOLD, CLEAR = 0.10, 0.30  # [m] gap up to which the rail is at rest, and beyond which it performs the whole motion
+# [rad], a6 of the passive arm
+HOME = (0.0, -1.0506357359978915, 1.6113790755209094, 0.0, -0.5607433395296182, 1.5707963267948966)
+# [m] gap up to which the rail is at rest, and beyond which it performs the whole motion
+HOLD, CLEAR = 0.10, 0.30
 RAIL = Axis("rail", "m", -0.3, 24.5, 2.0, 1.0, 2.0e4)
 RAIL_FRICTION = 1.0  # the first axis' friction parameters, with N in place of N m
 SLICE = 1e-4  # [s] interval of the difference quotient of the allocated poses
@@ -63,7 +80,9 @@ def far(gap):
 
 @njit(cache=True)
 def share_out(pose, share, active, passive):
-    """Poses (7,) of A and P in W for the relative ``pose`` (7,) of A in P; returns the rail's position [m]."""
+    """Poses (7,) of A and P in W for the relative ``pose`` (7,) of A in P; returns the rail's
+    position [m].
+    """
     ride, slope = far(-pose[2])
     r, v = np.empty(3), np.empty(3)
     rotation_vector(pose[3:7], r)
@@ -85,7 +104,9 @@ def share_out(pose, share, active, passive):
 
 @njit(cache=True)
 def _allocate(pose, twist, accel, half, shares, poses, twists, held, speeds):
-    """Tools' poses and twists (n, 2, .) and the rail; twists are central differences of the allocated poses over SLICE."""
+    """Tools' poses and twists (n, 2, .) and the rail; twists are central differences of the
+    allocated poses over SLICE.
+    """
     speed = np.empty(6)
     moved, before, after = np.empty(7), np.empty((2, 7)), np.empty((2, 7))
     for i in range(pose.shape[0]):
@@ -111,7 +132,18 @@ class FacingArms(ElasticJoints):
 
     @cached_property
     def _shared(self) -> Call:
-        return Call(_allocate, GIVEN, GIVEN, GIVEN, ..., self.shares, self.poses, self.twists, self.held, self.held_rates)
+        return Call(
+            _allocate,
+            GIVEN,
+            GIVEN,
+            GIVEN,
+            ...,
+            self.shares,
+            self.poses,
+            self.twists,
+            self.held,
+            self.held_rates,
+        )
 
 
 class TwoArms(Facility):
@@ -126,7 +158,10 @@ class TwoArms(Facility):
 
     def spec(self) -> mujoco.MjSpec:
         spec = load("two_arms/two_arms")
-        for prefix, stand, turn in ((ACTIVE, "active_stand", -1.0), (PASSIVE, "passive_stand", 1.0)):
+        for prefix, stand, turn in (
+            (ACTIVE, "active_stand", -1.0),
+            (PASSIVE, "passive_stand", 1.0),
+        ):
             arm = load("serial_arm/serial_arm")
             pose_arm(arm, np.array([*HOME[:5], turn * HOME[5]]))
             arm.body("base").pos, arm.body("base").quat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
@@ -135,7 +170,9 @@ class TwoArms(Facility):
         flange = spec.site(PASSIVE + MOUNT)
         # The sensor's flange points along -z of P; P is SENSOR_HEIGHT in front of it.
         down = np.array([0.0, 0.0, SENSOR_HEIGHT, 1.0, 0.0, 0.0, 0.0])
-        at = compose(np.array([*flange.pos, *np.array(flange.quat)[[1, 2, 3, 0]]]), inverse_pose(down))
+        at = compose(
+            np.array([*flange.pos, *np.array(flange.quat)[[1, 2, 3, 0]]]), inverse_pose(down)
+        )
         add_carrier(flange.parent, at)
         return spec
 
@@ -144,7 +181,13 @@ class TwoArms(Facility):
         return Kinematics(model, [tool, NOMINAL], self.axes, locked=gears, prescribed=["rail"])
 
     def drives(
-        self, model: mujoco.MjModel, settings: Sequence[Any], tick: float, substeps: int, feed: NDArray[np.bool_], tool: str = MOUNT
+        self,
+        model: mujoco.MjModel,
+        settings: Sequence[Any],
+        tick: float,
+        substeps: int,
+        feed: NDArray[np.bool_],
+        tool: str = MOUNT,
     ) -> FacingArms:
         cycles, lates = self.lags(settings, tick)
         share = (*FRICTION_SHARE, *FRICTION_SHARE, RAIL_FRICTION)
@@ -161,12 +204,21 @@ class TwoArms(Facility):
 
     def response(self, rate: float, feed: bool) -> Response:
         controller = self.settings.controller
-        return Response((controller.bandwidth,) * 6, (controller.damping_ratio,) * 6, self.settings.command.lag(rate), followed=feed)
+        return Response(
+            (controller.bandwidth,) * 6,
+            (controller.damping_ratio,) * 6,
+            self.settings.command.lag(rate),
+            followed=feed,
+        )
 
     def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
         active, passive = np.empty(7), np.empty(7)
-        rail = share_out(np.asarray(pose, dtype=float), self.settings.passive_share, active, passive)
-        return self.bare.complaints(np.array([compose(active, inverse_pose(tool)), passive]), np.array([rail]))
+        rail = share_out(
+            np.asarray(pose, dtype=float), self.settings.passive_share, active, passive
+        )
+        return self.bare.complaints(
+            np.array([compose(active, inverse_pose(tool)), passive]), np.array([rail])
+        )
 
     def alike(self) -> Hashable:
         return self.kind

@@ -1,14 +1,19 @@
-"""Redundancy resolution of the nine axes: allocation of the relative pose to the upper and the lower platform.
+"""Redundancy resolution of the nine axes: allocation of the relative pose to the upper and the
+lower platform.
 
-The upper platform's pose is a function of the relative pose alone, so that a closed path of the relative pose is a closed path of the
-rig, and the lower platform provides the exact remainder: its pose in W is that of P times the relative one. With the gap g = -pz and
+The upper platform's pose is a function of the relative pose alone, so that a closed path of the
+relative pose is a closed path of the
+rig, and the lower platform provides the exact remainder: its pose in W is that of P times the
+relative one. With the gap g = -pz and
 
     w(g) = smooth step from 0 at DOCKING to 1 at DOCKING + BLEND, twice continuously differentiable
 
-the upper platform's heave u has du/dg = w and its tilt is the fraction w of the relative tilt, up to the limit prs3.TILT. So
+the upper platform's heave u has du/dg = w and its tilt is the fraction w of the relative tilt, up
+to the limit prs3.TILT. So
 
 - within DOCKING of the touch it stays at home, and the lower platform moves alone;
-- beyond DOCKING + BLEND it follows the gap metre for metre, and the lower platform rests DOCKING + BLEND/2 below its home;
+- beyond DOCKING + BLEND it follows the gap metre for metre, and the lower platform rests DOCKING +
+  BLEND/2 below its home;
 - near the end of its heave, prs3.HEAVE, it comes to rest in the same way.
 
 At a speed v its acceleration stays below MOST_BENT v^2/BLEND.
@@ -24,7 +29,9 @@ from hiltestbed.frames import Array, quat_mul, rotate, rotation_vector
 from hiltestbed.jit import njit
 from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
 
-DOCKING = 0.19  # [m] the cone's rim is 0.155 m in front of P's origin; the rest takes 0.1 s at 0.3 m/s, enough time to come to rest
+# [m] the cone's rim is 0.155 m in front of P's origin; the rest takes 0.1 s at 0.3 m/s, enough time
+# to come to rest
+DOCKING = 0.19
 BLEND = 0.10  # [m] the lower platform then rests 0.24 m below home, just within its reach
 MOST_BENT = 1.875  # largest slope of the smooth step: 15/8
 LONGEST = DOCKING + HEAVE  # [m] gap up to which the upper platform follows metre for metre
@@ -48,7 +55,9 @@ def _ramp(x):
 
 @njit(cache=True)
 def share(pose, x):
-    """``x`` (3,), the upper platform's coordinates (u, rx, ry), for the relative pose ``(7,)``; unchanged if that is not finite."""
+    """``x`` (3,), the upper platform's coordinates (u, rx, ry), for the relative pose ``(7,)``;
+    unchanged if that is not finite.
+    """
     gap = -pose[2]
     if not math.isfinite(pose[0] + pose[1] + gap + pose[3] + pose[4] + pose[5] + pose[6]):
         return
@@ -83,7 +92,9 @@ def lower_pose(pose: Array) -> Array:
 
 
 def upper_coordinates(pose: Array) -> Array:
-    """``(n, 3)`` heave [m] and tilt [rad] of the upper platform for the relative poses ``(n, 7)``."""
+    """``(n, 3)`` heave [m] and tilt [rad] of the upper platform for the relative poses ``(n,
+    7)``.
+    """
     out = np.zeros((len(pose), 3))
     for i in range(len(pose)):
         share(pose[i], out[i])

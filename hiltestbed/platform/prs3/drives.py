@@ -1,9 +1,11 @@
 """The upper platform with its three drives, in MuJoCo, and the payload's load on the force sensor.
 
-Only runs whose upper platform is not clamped at home are stepped. The control law of a drive is that of the lower platform
-(:mod:`hiltestbed.platform.pss33.servo`), with feed-forward of the forces for the planned motion and gravity. The payload's weight
-and inertia in the planned motion (:mod:`hiltestbed.platform.prs3.payload`) are subtracted from the sensor's reading;
-the residual is due to the difference between planned and actual acceleration. The passive mechanism moves with the platform as one
+Only runs whose upper platform is not clamped at home are stepped. The control law of a drive is
+that of the lower platform (:mod:`hiltestbed.platform.pss33.servo`), with feed-forward of the forces
+for the planned motion and gravity. The payload's weight and inertia in the planned motion
+(:mod:`hiltestbed.platform.prs3.payload`) are subtracted from the sensor's reading; the residual is
+due to the difference between planned and actual acceleration. The passive mechanism moves with the
+platform as one
 rigid body: a compliant mount is assumed locked until the upper platform is clamped.
 """
 
@@ -31,13 +33,16 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 MOVED_PER_DRIVE = 240.0  # [kg] a third of platform, payload and links, carriage and armature
-BANDWIDTH = 25.0  # [Hz] of the position loop, critically damped: longer limbs than the lower platform's
+# [Hz] of the position loop, critically damped: longer limbs than the lower platform's
+BANDWIDTH = 25.0
 SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 
 
 @njit(cache=True)
 def _drive_forces(upper, masses, moved, x, pose, spin, accel, slider_accel, force):
-    """``force`` (3,) [N] of the drives at ``x`` (3,), ``pose`` (7,) of P, for its acceleration ``accel`` (6,) and the sliders'."""
+    """``force`` (3,) [N] of the drives at ``x`` (3,), ``pose`` (7,) of P, for its acceleration
+    ``accel`` (6,) and the sliders'.
+    """
     shape, legs = upper
     rates, jac, sliders = np.empty((6, 3)), np.empty((3, 6)), np.empty(3)
     lever, inverse = np.zeros((3, 3)), np.empty((3, 3))
@@ -50,7 +55,11 @@ def _drive_forces(upper, masses, moved, x, pose, spin, accel, slider_accel, forc
         f[0] = accel[0] + accel[4] * arm[2] - accel[5] * arm[1]
         f[1] = accel[1] + accel[5] * arm[0] - accel[3] * arm[2]
         f[2] = accel[2] + accel[3] * arm[1] - accel[4] * arm[0]
-        force[j] = link * (f[2] / 6.0 + a / 3.0) + (carriage + armature) * a + (0.5 * link + carriage) * GRAVITY
+        force[j] = (
+            link * (f[2] / 6.0 + a / 3.0)
+            + (carriage + armature) * a
+            + (0.5 * link + carriage) * GRAVITY
+        )
         for c in range(3):
             f[c] *= link / 3.0
         f[2] += link * (a / 6.0 + 0.5 * GRAVITY)
@@ -72,11 +81,12 @@ def _drive_forces(upper, masses, moved, x, pose, spin, accel, slider_accel, forc
 
 @njit(cache=True)
 def _aim(upper, masses, moved, payload, away, dt, xs, pose, twist, target, velocity, plan, felt):
-    """Write ``plan`` (n, m + 1, 3, 3), position, velocity and force of the drives at the start of each substep and at the end, and
-    ``felt`` (n, m + 1, 6), the payload's wrench on the sensor then, in P; update the references.
+    """Write ``plan`` (n, m + 1, 3, 3), position, velocity and force of the drives at the start of
+    each substep and at the end, and ``felt`` (n, m + 1, 6), the payload's wrench on the sensor
+    then, in P; update the references.
 
-    xs: (n, m, 3) coordinates at the ends of the substeps. pose (n, 7), twist (n, 6) of P, target and velocity (n, 3) of the sliders:
-    planned values at the end of the last substep, updated.
+    xs: (n, m, 3) coordinates at the ends of the substeps. pose (n, 7), twist (n, 6) of P, target
+        and velocity (n, 3) of the sliders: planned values at the end of the last substep, updated.
     """
     shape, legs = upper
     m = xs.shape[1]
@@ -97,7 +107,9 @@ def _aim(upper, masses, moved, payload, away, dt, xs, pose, twist, target, veloc
                     now[j] = slider(legs[j], goal, arm)
                     speed[j] = (now[j] - target[i, j]) / dt
                     bend[j] = (speed[j] - velocity[i, j]) / dt
-                _drive_forces(upper, masses, moved, x, pose[i], twist[i, 3:6], accel, bend, plan[i, s, 2])
+                _drive_forces(
+                    upper, masses, moved, x, pose[i], twist[i, 3:6], accel, bend, plan[i, s, 2]
+                )
             else:
                 plan[i, m, 2] = plan[i, m - 1, 2]
             plan[i, s, 0] = target[i]
@@ -114,13 +126,16 @@ def _push(away, plan, sub, kp, kv, adr, qpos, qvel, force):
     for i in range(force.shape[0]):
         if away[i]:
             for j in range(3):
-                held = kp * (plan[i, sub, 0, j] - qpos[i, adr[0, j]]) + kv * (plan[i, sub, 1, j] - qvel[i, adr[1, j]])
+                held = kp * (plan[i, sub, 0, j] - qpos[i, adr[0, j]]) + kv * (
+                    plan[i, sub, 1, j] - qvel[i, adr[1, j]]
+                )
                 force[i, j] = plan[i, sub, 2, j] + held
 
 
 @njit(cache=True)
 def _take_out(away, felt, sub, reading, residual, left):
-    """Subtract the payload from the sensor's reading: the residual is a wrench of active on passive side, zero while clamped.
+    """Subtract the payload from the sensor's reading: the residual is a wrench of active on passive
+    side, zero while clamped.
 
     left: (n, 2) largest residual force and torque so far.
     """
@@ -134,7 +149,9 @@ def _take_out(away, felt, sub, reading, residual, left):
 
 @njit(cache=True)
 def _observe(away, above, adr, free, qpos, qvel, pose, twist, sliders, diverged):
-    """Pose and twist of P in W from the platform's free joint, and the sliders; returns whether a run has just diverged."""
+    """Pose and twist of P in W from the platform's free joint, and the sliders; returns whether a
+    run has just diverged.
+    """
     arm, lost = np.empty(3), False
     p, d = free[0], free[1]
     for i in range(qpos.shape[0]):
@@ -168,7 +185,8 @@ class UpperDrives:
 
     Attributes:
         payload: (13,) load on the sensor (:func:`hiltestbed.platform.prs3.payload.load_of`).
-        residual: (n, m, 6) residual of the payload in the reading, at the m instants of the tick, in P at P's origin [N, N m].
+        residual: (n, m, 6) residual of the payload in the reading, at the m instants of the tick,
+            in P at P's origin [N, N m].
         left: (n, 2) its largest force [N] and torque [N m] so far.
     """
 
@@ -189,7 +207,10 @@ class UpperDrives:
         self.kv = 2.0 * MOVED_PER_DRIVE * 2.0 * math.pi * BANDWIDTH
         self._pose, self._twist = np.zeros((n, 7)), np.zeros((n, 6))  # planned
         self._target, self._velocity = np.zeros((n, 3)), np.zeros((n, 3))
-        self._plan, self._felt = np.zeros((n, first.substeps + 1, 3, 3)), np.zeros((n, first.substeps + 1, 6))
+        self._plan, self._felt = (
+            np.zeros((n, first.substeps + 1, 3, 3)),
+            np.zeros((n, first.substeps + 1, 6)),
+        )
         self.residual = np.zeros((n, first.substeps, 6))
         self.left = np.zeros((n, 2))
 
@@ -198,13 +219,23 @@ class UpperDrives:
         mujoco.mj_forward(m, data)
         platform, carrier = m.body("platform").id, m.body(CARRIER).id
         moved = [b for b in range(m.nbody) if m.body_rootid[b] == platform]
-        self.payload = load_of(m, data, [b for b in moved if b >= carrier], data.site("P_nominal").xpos)
+        self.payload = load_of(
+            m, data, [b for b in moved if b >= carrier], data.site("P_nominal").xpos
+        )
         self._moved = load_of(m, data, moved, data.site("P_nominal").xpos)
-        self._masses = np.array([m.body("link_0").mass[0], m.body("carriage_0").mass[0], m.dof_armature[m.joint("slider_0").dofadr[0]]])
+        self._masses = np.array(
+            [
+                m.body("link_0").mass[0],
+                m.body("carriage_0").mass[0],
+                m.dof_armature[m.joint("slider_0").dofadr[0]],
+            ]
+        )
         self._parts = (self.upper.shape, self.upper.legs)
 
     def settle(self, i: int, x: Array, rates: Array) -> None:
-        """Initialise the joints of run ``i`` in a motion with ``rates`` (3,) at the coordinates ``x`` (3,)."""
+        """Initialise the joints of run ``i`` in a motion with ``rates`` (3,) at the coordinates
+        ``x`` (3,).
+        """
         self._warmstart[i] = 0.0
         ahead = [self._joints(x + side * self._dt * rates) for side in (-1.0, 0.0, 1.0)]
         self._qpos[i] = ahead[1]
@@ -231,7 +262,9 @@ class UpperDrives:
         return q
 
     def run(self, xs: Array, away: NDArray[np.bool_], going: NDArray[np.intp]) -> None:
-        """One tick through the coordinates ``xs`` (n, m, 3) for the runs ``away`` (n,), whose indices are ``going``."""
+        """One tick through the coordinates ``xs`` (n, m, 3) for the runs ``away`` (n,), whose
+        indices are ``going``.
+        """
         _aim(
             self._parts, self._masses, self._moved, self.payload, away, self._dt, xs,
             self._pose, self._twist, self._target, self._velocity, self._plan, self._felt,
@@ -249,10 +282,30 @@ class UpperDrives:
         _take_out(away, self._felt, m - 1, self._reading, self.residual, self.left)
 
     def _push(self, sub: int, away: NDArray[np.bool_]) -> None:
-        _push(away, self._plan, sub, self.kp, self.kv, self._adr, self._qpos, self._qvel, self._ctrl)
+        _push(
+            away, self._plan, sub, self.kp, self.kv, self._adr, self._qpos, self._qvel, self._ctrl
+        )
 
-    def observe(self, away: NDArray[np.bool_], pose: Array, twist: Array, sliders: Array, diverged: NDArray[np.bool_]) -> bool:
-        """Read pose (n, 7) and twist (n, 6) of P in W, and the sliders (n, 3); returns whether a run has just diverged."""
+    def observe(
+        self,
+        away: NDArray[np.bool_],
+        pose: Array,
+        twist: Array,
+        sliders: Array,
+        diverged: NDArray[np.bool_],
+    ) -> bool:
+        """Read pose (n, 7) and twist (n, 6) of P in W, and the sliders (n, 3); returns whether a
+        run has just diverged.
+        """
         return _observe(
-            away, self.upper.shape[1], self._adr, self._free, self._qpos, self._qvel, pose, twist, sliders, diverged
-        )  # fmt: skip
+            away,
+            self.upper.shape[1],
+            self._adr,
+            self._free,
+            self._qpos,
+            self._qvel,
+            pose,
+            twist,
+            sliders,
+            diverged,
+        )

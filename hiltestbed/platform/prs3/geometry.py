@@ -1,15 +1,18 @@
-"""Kinematics of the upper platform, a 3-PRS mechanism: three vertical sliders, each with a link on a revolute joint that keeps it in
-the vertical plane through the platform's axis, and spherical joints at the platform.
+"""Kinematics of the upper platform, a 3-PRS mechanism: three vertical sliders, each with a link on
+a revolute joint that keeps it in the vertical plane through the platform's axis, and spherical
+joints at the platform.
 
-It has three degrees of freedom, here ``x = (u, rx, ry)``: the heave u [m] of the anchors' centre and the rotation vector (rx, ry, 0)
-[rad], 0 at home. Each anchor stays in its leg's plane, so that the platform does not twist about the axis (zero torsion: Bonev,
-Zlatanov, Gosselin, 2002) and its centre moves sideways as it tilts by theta towards alpha, for legs at phi, phi + 120, phi + 240 deg and
-anchors on the radius r, the parasitic motion
+It has three degrees of freedom, here ``x = (u, rx, ry)``: the heave u [m] of the anchors' centre
+and the rotation vector (rx, ry, 0) [rad], 0 at home. Each anchor stays in its leg's plane, so that
+the platform does not twist about the axis (zero torsion: Bonev, Zlatanov, Gosselin, 2002) and its
+centre moves sideways as it tilts by theta towards alpha, for legs at phi, phi + 120, phi + 240 deg
+and anchors on the radius r, the parasitic motion
 
-    c_x = r/2 (1 - cos theta) cos(2 alpha - 3 phi),   c_y = -r/2 (1 - cos theta) sin(2 alpha - 3 phi)
+    c_x = r/2 (1 - cos theta) cos(2 alpha - 3 phi),   c_y = -r/2 (1 - cos theta) sin(2 alpha - 3
+    phi)
 
-with alpha the direction of the tilt's axis. The quotients are computed as series in theta^2: at 0.3 rad, far beyond the tilt limit,
-they are accurate to 1e-13.
+with alpha the direction of the tilt's axis. The quotients are computed as series in theta^2: at 0.3
+rad, far beyond the tilt limit, they are accurate to 1e-13.
 """
 
 from __future__ import annotations
@@ -32,7 +35,9 @@ RADIUS, ABOVE, COS3, SIN3 = range(4)
 
 @njit(cache=True, inline="always")
 def _series(t):
-    """(1 - cos)/theta^2, its derivative with respect to theta^2, and (theta - sin)/theta^3, for t = theta^2."""
+    """(1 - cos)/theta^2, its derivative with respect to theta^2, and (theta - sin)/theta^3, for t =
+    theta^2.
+    """
     k = 0.5 - t * (1.0 / 24.0 - t * (1.0 / 720.0 - t * (1.0 / 40320.0 - t / 3628800.0)))
     dk = -1.0 / 24.0 + t * (1.0 / 360.0 - t * (1.0 / 13440.0 - t / 907200.0))
     b = 1.0 / 6.0 - t * (1.0 / 120.0 - t * (1.0 / 5040.0 - t / 362880.0))
@@ -85,9 +90,11 @@ def motion(shape, x, out):
 
 @njit(cache=True)
 def slider(leg, pose, arm):
-    """Slider position [m] of one leg at the pose ``(7,)`` of P in W; ``arm`` (3,) becomes the anchor from P's origin, in W.
+    """Slider position [m] of one leg at the pose ``(7,)`` of P in W; ``arm`` (3,) becomes the
+    anchor from P's origin, in W.
 
-    ``leg`` (7,): foot of the link at home (3) in W, anchor (3) in P, length of the link. The link hangs below its slider.
+    ``leg`` (7,): foot of the link at home (3) in W, anchor (3) in P, length of the link. The link
+    hangs below its slider.
     """
     rotate(pose[3:7], leg[3:6], arm)
     dx, dy = pose[0] + arm[0] - leg[0], pose[1] + arm[1] - leg[1]
@@ -105,7 +112,8 @@ def inverse(legs, poses, sliders):
 
 @njit(cache=True)
 def jacobian(legs, pose, sliders, out):
-    """``out`` (3, 6): slider rates from the twist of P in W; ``sliders`` (3,) become those of the pose.
+    """``out`` (3, 6): slider rates from the twist of P in W; ``sliders`` (3,) become those of the
+    pose.
 
     With d the vector along the link, d.(v + w x arm) = d_z s'.
     """
@@ -124,10 +132,14 @@ def jacobian(legs, pose, sliders, out):
 
 @njit(cache=True)
 def revolute(leg, pose, arm):
-    """Angle [rad] of the leg's revolute joint at a pose of P, 0 at home; ``arm`` (3,) is overwritten."""
+    """Angle [rad] of the leg's revolute joint at a pose of P, 0 at home; ``arm`` (3,) is
+    overwritten.
+    """
     s = slider(leg, pose, arm)
     outward = math.hypot(leg[0], leg[1])
-    inward = -(leg[0] * (pose[0] + arm[0] - leg[0]) + leg[1] * (pose[1] + arm[1] - leg[1])) / outward
+    inward = (
+        -(leg[0] * (pose[0] + arm[0] - leg[0]) + leg[1] * (pose[1] + arm[1] - leg[1])) / outward
+    )
     down = leg[2] + s - pose[2] - arm[2]
     anchor = math.hypot(leg[3], leg[4])
     at_home = math.atan2(math.sqrt(leg[6] * leg[6] - (outward - anchor) ** 2), outward - anchor)
@@ -139,7 +151,8 @@ class Upper:
     """The upper platform's constants, read from its MJCF at home.
 
     Attributes:
-        shape: (4,) radius of the anchors, height of their plane above P [m], cosine and sine of 3 phi.
+        shape: (4,) radius of the anchors, height of their plane above P [m], cosine and sine of 3
+            phi.
         legs: (3, 7) a leg's constants, as in :func:`slider`.
     """
 
@@ -160,4 +173,6 @@ class Upper:
             legs[j, 6] = np.linalg.norm(legs[j, 3:6] - legs[j, 0:3])
         x, y, above = legs[0, 3:6]
         phi = math.atan2(y, x)
-        return Upper(np.array([math.hypot(x, y), above, math.cos(3.0 * phi), math.sin(3.0 * phi)]), legs)
+        return Upper(
+            np.array([math.hypot(x, y), above, math.cos(3.0 * phi), math.sin(3.0 * phi)]), legs
+        )

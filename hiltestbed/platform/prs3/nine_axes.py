@@ -1,8 +1,11 @@
-"""The nine-axis rig: the lower platform's six axes and the upper one's three realise one relative pose.
+"""The nine-axis rig: the lower platform's six axes and the upper one's three realise one relative
+pose.
 
-The upper platform moves to the pose given by the allocation (:mod:`hiltestbed.platform.prs3.allocation`); the lower one is commanded to
-the resulting pose of A in W. Ports can touch only while the upper platform is clamped at home, where W and P coincide and the lower
-platform's command equals that without an upper one, bit for bit. The sensor's wrench is that of the contact plus the uncompensated rest
+The upper platform moves to the pose given by the allocation
+(:mod:`hiltestbed.platform.prs3.allocation`); the lower one is commanded to the resulting pose of A
+in W. Ports can touch only while the upper platform is clamped at home, where W and P coincide and
+the lower platform's command equals that without an upper one, bit for bit. The sensor's wrench is
+that of the contact plus the uncompensated rest
 of the moving payload: `payload_left` in a run's summary, some 0.05 N of 1177 N.
 """
 
@@ -30,10 +33,13 @@ if TYPE_CHECKING:
 
 @njit(cache=True)
 def _command(planned, x, was_home, pose, twist, accel, h, before, slope, pose_W, twist_W, accel_W):
-    """The lower platform's command in W for that of A in P, ``pose`` (n, 7), ``twist`` and ``accel`` (n, 6).
+    """The lower platform's command in W for that of A in P, ``pose`` (n, 7), ``twist`` and
+    ``accel`` (n, 6).
 
-    planned (n, 7), x (n, 3): P in W and the upper platform's coordinates at the end of the tick; was_home: (n,) whether these were 0 at
-    its start, updated. before (n, 7), slope (n, 6): the command of the last tick and its slope, updated.
+    planned (n, 7), x (n, 3): P in W and the upper platform's coordinates at the end of the tick;
+    was_home: (n,) whether these were 0 at
+    its start, updated. before (n, 7), slope (n, 6): the command of the last tick and its slope,
+    updated.
     """
     for i in range(pose.shape[0]):
         home = x[i, 0] == 0.0 and x[i, 1] == 0.0 and x[i, 2] == 0.0
@@ -50,10 +56,14 @@ def _command(planned, x, was_home, pose, twist, accel, h, before, slope, pose_W,
 
 
 @njit(cache=True)
-def _together(ideal, away, h, pose_W, twist_W, place_P, motion_P, lower_wrench, residual, pose, twist, wrench):
-    """Relative pose and twist from those of A and of P in W, and the sensor's wrench as the sum of contact and payload residual.
+def _together(
+    ideal, away, h, pose_W, twist_W, place_P, motion_P, lower_wrench, residual, pose, twist, wrench
+):
+    """Relative pose and twist from those of A and of P in W, and the sensor's wrench as the sum of
+    contact and payload residual.
 
-    ``ideal``: while the upper platform is away from home, the twist is the slope of the relative pose over the tick ``h``.
+    ``ideal``: while the upper platform is away from home, the twist is the slope of the relative
+        pose over the tick ``h``.
     """
     before = pose.copy()
     relate(pose_W, twist_W, place_P, motion_P, pose, twist)
@@ -66,19 +76,31 @@ def _together(ideal, away, h, pose_W, twist_W, place_P, motion_P, lower_wrench, 
 
 
 class NineAxes:
-    """The rigs of `n` runs with both platforms; arrays as in :class:`hiltestbed.platform.plant.Plant`."""
+    """The rigs of `n` runs with both platforms; arrays as in
+    :class:`hiltestbed.platform.plant.Plant`.
+    """
 
-    def __init__(self, scenarios: Sequence[Scenario], lower: ServoTracking | IdealTracking, nthread: int) -> None:
+    def __init__(
+        self, scenarios: Sequence[Scenario], lower: ServoTracking | IdealTracking, nthread: int
+    ) -> None:
         n, first = len(scenarios), scenarios[0]
         self.lower, self.upper = lower, UpperPlatform(scenarios, nthread)
         self.tick = first.tick
         self.contacts, self.causes, self.diverged = lower.contacts, lower.causes, lower.diverged
-        self.contact_now, self.slider_cmd, self.slider_act = lower.contact_now, lower.slider_cmd, lower.slider_act
+        self.contact_now, self.slider_cmd, self.slider_act = (
+            lower.contact_now,
+            lower.slider_cmd,
+            lower.slider_act,
+        )
         self._ideal = isinstance(lower, IdealTracking)
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros_like(lower.wrench_sub)
         self._before, self._slope = np.zeros((n, 7)), np.zeros((n, 6))  # of the command in W
-        self._pose_W, self._twist_W, self._accel_W = np.zeros((n, 7)), np.zeros((n, 6)), np.zeros((n, 6))
+        self._pose_W, self._twist_W, self._accel_W = (
+            np.zeros((n, 7)),
+            np.zeros((n, 6)),
+            np.zeros((n, 6)),
+        )
         self._was_home = np.zeros(n, dtype=bool)
         self._left = np.zeros((n, 6))  # residual of the payload in the reading at t_k
         self.upper_cmd, self.upper_act = np.zeros((n, 3)), np.zeros((n, 3))
@@ -93,7 +115,9 @@ class NineAxes:
         self.lower.bare_steps(count)
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Start at the relative ``pose`` (n, 7), moving with the uniform relative ``twist`` (n, 6)."""
+        """Start at the relative ``pose`` (n, 7), moving with the uniform relative ``twist`` (n,
+        6).
+        """
         self.upper.reset(pose, twist)
         before, x, place_before = np.empty(7), np.zeros(3), np.empty(7)
         for i in range(len(pose)):
@@ -108,20 +132,31 @@ class NineAxes:
         for i in range(len(pose)):
             self.lower.path.begin(i, self._before[i, :3], self._slope[i, :3])
         self.lower.reset(self._before, self._slope)
-        relate(self.lower.pose_act, self.lower.twist_act, self.upper.pose, self.upper.twist, self.pose_act, self.twist_act)
+        relate(
+            self.lower.pose_act,
+            self.lower.twist_act,
+            self.upper.pose,
+            self.upper.twist,
+            self.pose_act,
+            self.twist_act,
+        )
         self.wrench_sub[:] = self.lower.wrench_sub
         self.upper_cmd[:], self.upper_act[:] = self.upper.slider_cmd, self.upper.slider_act
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Start the tick towards the relative ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6).
+        """Start the tick towards the relative ``pose_cmd`` (n, 7), with ``twist_cmd`` and
+        ``accel_cmd`` (n, 6).
 
-        The upper platform's tick is computed at once; its published state stays that of t_k until :meth:`finish`.
+        The upper platform's tick is computed at once; its published state stays that of t_k until
+        :meth:`finish`.
         """
         upper, lower = self.upper, self.lower
         self._left[:] = upper.residual[:, -1]
         if upper.advance(pose_cmd, self.diverged):
             for i in np.flatnonzero(self.diverged):
-                self.causes[i] = self.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
+                self.causes[i] = (
+                    self.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
+                )
         _command(
             upper.planned, upper.x, self._was_home, pose_cmd, twist_cmd, accel_cmd, self.tick,
             self._before, self._slope, self._pose_W, self._twist_W, self._accel_W,
@@ -134,13 +169,25 @@ class NineAxes:
         upper, lower = self.upper, self.lower
         lower.finish()
         _together(
-            self._ideal, upper.away, self.tick, lower.pose_act, lower.twist_act, upper.pose, upper.twist, lower.wrench_sub,
-            upper.residual, self.pose_act, self.twist_act, self.wrench_sub,
-        )  # fmt: skip
+            self._ideal,
+            upper.away,
+            self.tick,
+            lower.pose_act,
+            lower.twist_act,
+            upper.pose,
+            upper.twist,
+            lower.wrench_sub,
+            upper.residual,
+            self.pose_act,
+            self.twist_act,
+            self.wrench_sub,
+        )
         self.upper_cmd[:], self.upper_act[:] = upper.slider_cmd, upper.slider_act
 
     def payload_left(self, i: int) -> dict[str, float] | None:
-        """Largest residual of the passive side's weight and inertia in the sensor's reading of run ``i``; None: not simulated."""
+        """Largest residual of the passive side's weight and inertia in the sensor's reading of run
+        ``i``; None: not simulated.
+        """
         drives = self.upper.drives
         if drives is None:
             return None

@@ -1,8 +1,8 @@
 """Wrench for carrying a rigid load on a moving platform: weight and inertia, at P's origin.
 
-A six-axis sensor on a moving platform measures its payload as well as the contact. With the load's mass m, its centre of mass r
-and its inertia I about it known from weighing, and the platform's motion known from its command, that part can be subtracted
-(Newton-Euler, about P's origin):
+A six-axis sensor on a moving platform measures its payload as well as the contact. With the load's
+mass m, its centre of mass r and its inertia I about it known from weighing, and the platform's
+motion known from its command, that part can be subtracted (Newton-Euler, about P's origin):
 
     f = m (a + alpha x r + omega x (omega x r) + g),   t = I alpha + omega x I omega + r x f
 """
@@ -20,13 +20,17 @@ from hiltestbed.platform.pss33.dynamics import GRAVITY
 
 
 def load_of(m: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int], origin: Array) -> Array:
-    """``(13,)``: mass [kg], centre of mass from ``origin`` (3,) [m], inertia about it (9, row-major) [kg m^2] of ``bodies`` in W."""
+    """``(13,)``: mass [kg], centre of mass from ``origin`` (3,) [m], inertia about it (9,
+    row-major) [kg m^2] of ``bodies`` in W.
+    """
     mass = m.body_mass[bodies]
     com = (mass[:, None] * data.xipos[bodies]).sum(axis=0) / mass.sum()
     inertia = np.zeros((3, 3))
     for b in bodies:
         axes, r = data.ximat[b].reshape(3, 3), data.xipos[b] - com
-        inertia += axes @ np.diag(m.body_inertia[b]) @ axes.T + m.body_mass[b] * (r @ r * np.eye(3) - np.outer(r, r))
+        inertia += axes @ np.diag(m.body_inertia[b]) @ axes.T + m.body_mass[b] * (
+            r @ r * np.eye(3) - np.outer(r, r)
+        )
     return np.concatenate([[mass.sum()], com - origin, inertia.ravel()])
 
 
@@ -45,7 +49,8 @@ def carry(load, attitude, spin, accel, wrench):
     """``wrench`` (6,) in W at P's origin that accelerates ``load`` (13,) and supports its weight.
 
     Args:
-        attitude: (4,) of P in W. spin: (3,) angular velocity of P. accel: (6,) linear (of P's origin) and angular acceleration; all in W.
+        attitude: (4,) of P in W. spin: (3,) angular velocity of P. accel: (6,) linear (of P's
+            origin) and angular acceleration; all in W.
     """
     r, v, w, f = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     rotate(attitude, load[1:4], r)

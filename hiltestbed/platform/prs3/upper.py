@@ -1,7 +1,8 @@
 """The upper platform of `n` rigs: pose of the passive port, tick by tick, and clamping.
 
-Over a tick its coordinates follow the cubic that reaches the allocated ones (:mod:`hiltestbed.platform.prs3.allocation`) at
-t_(k+1) and leaves them with their velocity there. It is clamped SETTLE after it has come to rest at home, and released as
+Over a tick its coordinates follow the cubic that reaches the allocated ones
+(:mod:`hiltestbed.platform.prs3.allocation`) at t_(k+1) and leaves them with their velocity there.
+It is clamped SETTLE after it has come to rest at home, and released as
 soon as it is commanded to move: docking takes place against a platform that cannot yield.
 """
 
@@ -28,13 +29,34 @@ SETTLE = 0.1  # [s] after which an error of a critically damped 25 Hz loop has d
 
 @njit(cache=True)
 def _plan(
-    shape, legs, pose, h, settle, diverged, x, rate, speed, still, away, was_away, xs, planned, slope, sliders, reached, twist, slid
-):  # fmt: skip
-    """Advance to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``; returns whether a run is or was away.
+    shape,
+    legs,
+    pose,
+    h,
+    settle,
+    diverged,
+    x,
+    rate,
+    speed,
+    still,
+    away,
+    was_away,
+    xs,
+    planned,
+    slope,
+    sliders,
+    reached,
+    twist,
+    slid,
+):
+    """Advance to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``;
+    returns whether a run is or was away.
 
-    x, rate, speed: (n, 3) coordinates, their mean rate over the last tick, and the velocity of the cubic at its end. still: (n,)
-    ticks at home. xs: (n, m, 3) coordinates at the ends of the substeps. planned (n, 7), slope (n, 6): P in W at the end, and its
-    slope over the tick; sliders: (n, 3) at the end. reached (n, 7), twist (n, 6) and slid (n, 3) are set to these.
+    x, rate, speed: (n, 3) coordinates, their mean rate over the last tick, and the velocity of the
+        cubic at its end. still: (n,)
+    ticks at home. xs: (n, m, 3) coordinates at the ends of the substeps. planned (n, 7), slope (n,
+        6): P in W at the end, and its slope over the tick; sliders: (n, 3) at the end. reached (n,
+        7), twist (n, 6) and slid (n, 3) are set to these.
     """
     m = xs.shape[1]
     busy = False
@@ -51,7 +73,11 @@ def _plan(
                 t = (s + 1.0) / m
                 a = goal[j] - x[i, j]
                 b, c = h * speed[i, j], h * leave
-                xs[i, s, j] = goal[j] if s == m - 1 else x[i, j] + t * (b + t * ((3.0 * a - 2.0 * b - c) + t * (b + c - 2.0 * a)))
+                xs[i, s, j] = (
+                    goal[j]
+                    if s == m - 1
+                    else x[i, j] + t * (b + t * ((3.0 * a - 2.0 * b - c) + t * (b + c - 2.0 * a)))
+                )
             rate[i, j], speed[i, j] = new, leave
         still[i] = 0 if moves else still[i] + 1
         away[i] = still[i] <= settle and not diverged[i]
@@ -74,7 +100,9 @@ def _plan(
 
 @njit(cache=True)
 def _begin(shape, pose, twist, h, x, rate, planned, planned_twist):
-    """Coordinates, their rates and P's pose and twist for a rig whose ports have moved uniformly to ``pose`` with ``twist``."""
+    """Coordinates, their rates and P's pose and twist for a rig whose ports have moved uniformly to
+    ``pose`` with ``twist``.
+    """
     before, x_before, place_before = np.empty(7), np.zeros(3), np.empty(7)
     for i in range(pose.shape[0]):
         x[i] = 0.0
@@ -96,8 +124,10 @@ class UpperPlatform:
         planned: (n, 7) pose of P in W that is to be reached at t_(k+1).
         pose, twist: (n, 7), (n, 6) of P in W as reached; while clamped exactly home.
         slider_cmd, slider_act: (n, 3) its sliders [m], 0 at home.
-        residual: (n, m, 6) residual of the payload in the sensor's reading, at the m instants of the tick, in P [N, N m].
-        away: (n,) bool, not clamped. x: (n, 3) coordinates, heave [m] and tilts [rad]; rate: (n, 3) their mean rate over the last tick.
+        residual: (n, m, 6) residual of the payload in the sensor's reading, at the m instants of
+            the tick, in P [N, N m].
+        away: (n,) bool, not clamped. x: (n, 3) coordinates, heave [m] and tilts [rad]; rate: (n, 3)
+            their mean rate over the last tick.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], nthread: int) -> None:
@@ -105,7 +135,9 @@ class UpperPlatform:
         self.tick = first.tick
         self._settle = math.ceil(SETTLE / first.tick)
         self._shape, self._legs = Upper.load().shape, Upper.load().legs
-        self.drives = UpperDrives(scenarios, nthread) if first.rig.upper.tracking == "servo" else None
+        self.drives = (
+            UpperDrives(scenarios, nthread) if first.rig.upper.tracking == "servo" else None
+        )
         self.x, self.rate, self._speed = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
         self._still = np.zeros(n, dtype=np.int64)
         self.away = np.zeros(n, dtype=bool)
@@ -117,7 +149,9 @@ class UpperPlatform:
         self.residual = self.drives.residual if self.drives else np.zeros((n, first.substeps, 6))
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Start at the coordinates for the relative ``pose`` (n, 7), with the rates for the uniform relative ``twist`` (n, 6)."""
+        """Start at the coordinates for the relative ``pose`` (n, 7), with the rates for the uniform
+        relative ``twist`` (n, 6).
+        """
         _begin(self._shape, pose, twist, self.tick, self.x, self.rate, self.planned, self._slope)
         self._speed[:] = self.rate
         self.away[:] = self.x.any(axis=1)
@@ -133,15 +167,35 @@ class UpperPlatform:
                 self.drives.settle(i, self.x[i], self.rate[i])
 
     def advance(self, pose: Array, diverged: NDArray[np.bool_]) -> bool:
-        """One tick towards the relative ``pose`` (n, 7); returns whether a run has just ``diverged`` (n,)."""
+        """One tick towards the relative ``pose`` (n, 7); returns whether a run has just
+        ``diverged`` (n,).
+        """
         busy = _plan(
-            self._shape, self._legs, pose, self.tick, self._settle, diverged, self.x, self.rate, self._speed, self._still, self.away,
-            self._was_away, self._xs, self.planned, self._slope, self.slider_cmd, self.pose, self.twist, self.slider_act,
-        )  # fmt: skip
+            self._shape,
+            self._legs,
+            pose,
+            self.tick,
+            self._settle,
+            diverged,
+            self.x,
+            self.rate,
+            self._speed,
+            self._still,
+            self.away,
+            self._was_away,
+            self._xs,
+            self.planned,
+            self._slope,
+            self.slider_cmd,
+            self.pose,
+            self.twist,
+            self.slider_act,
+        )
         return self._drive(self.drives, diverged) if busy and self.drives else False
 
     def _drive(self, drives: UpperDrives, diverged: NDArray[np.bool_]) -> bool:
-        for i in np.flatnonzero(self._was_away & ~self.away & ~diverged):  # now clamped: its next motion starts from home
+        # now clamped: its next motion starts from home
+        for i in np.flatnonzero(self._was_away & ~self.away & ~diverged):
             drives.settle(int(i), np.zeros(3), np.zeros(3))
         self._was_away[:] = self.away
         drives.run(self._xs, self.away, np.flatnonzero(self.away))

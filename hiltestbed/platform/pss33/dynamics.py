@@ -1,8 +1,9 @@
-"""Inverse dynamics of the 3-3 PSS platform in its sliders: the drive forces for a given motion, gravity included.
+"""Inverse dynamics of the 3-3 PSS platform in its sliders: the drive forces for a given motion,
+gravity included.
 
-Platform with mechanism as one rigid body, links as uniform rods between carriage and anchor (consistent mass m/3, m/6, m/3, half
-the weight at each end), carriages with their drives' armature. Velocity-dependent terms are neglected: at 0.3 m/s and 0.2 rad/s they
-are below 1 N of some 7000 N.
+Platform with mechanism as one rigid body, links as uniform rods between carriage and anchor
+(consistent mass m/3, m/6, m/3, half the weight at each end), carriages with their drives' armature.
+Velocity-dependent terms are neglected: at 0.3 m/s and 0.2 rad/s they are below 1 N of some 7000 N.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ GRAVITY = 9.81  # [m/s^2], along -z of W
 
 
 def load_constants(m: mujoco.MjModel, tool: str = "active_A") -> Array:
-    """``(16,)``: moved mass [kg], its centre of mass from A in A (3) [m], inertia about it in A (9, row-major) [kg m^2], link mass,
-    carriage mass, armature [kg], of a compiled rig at home; A is its site ``tool``."""
+    """``(16,)``: moved mass [kg], its centre of mass from A in A (3) [m], inertia about it in A (9,
+    row-major) [kg m^2], link mass, carriage mass, armature [kg], of a compiled rig at home; A is
+    its site ``tool``.
+    """
     data = mujoco.MjData(m)
     mujoco.mj_forward(m, data)
     platform = m.body("platform").id
@@ -32,7 +35,9 @@ def load_constants(m: mujoco.MjModel, tool: str = "active_A") -> Array:
     for b in bodies:
         axes = data.ximat[b].reshape(3, 3)
         r = data.xipos[b] - com
-        inertia += axes @ np.diag(m.body_inertia[b]) @ axes.T + m.body_mass[b] * (r @ r * np.eye(3) - np.outer(r, r))
+        inertia += axes @ np.diag(m.body_inertia[b]) @ axes.T + m.body_mass[b] * (
+            r @ r * np.eye(3) - np.outer(r, r)
+        )
     carriage, link = m.body("carriage_0").mass[0], m.body("link_0").mass[0]
     armature = m.dof_armature[m.joint("slider_0").dofadr[0]]
     return np.concatenate([[mass], com - origin, inertia.ravel(), [link, carriage, armature]])
@@ -40,7 +45,9 @@ def load_constants(m: mujoco.MjModel, tool: str = "active_A") -> Array:
 
 @njit(cache=True)
 def invert(a, out):
-    """``out = a^-1`` (6, 6) by Gauss-Jordan with row pivoting; ``a`` is overwritten. A singular matrix gives huge numbers."""
+    """``out = a^-1`` (6, 6) by Gauss-Jordan with row pivoting; ``a`` is overwritten. A singular
+    matrix gives huge numbers.
+    """
     n = a.shape[0]
     out[:] = 0.0
     for i in range(n):
@@ -68,9 +75,11 @@ def invert(a, out):
 
 @njit(cache=True)
 def drive_forces(limbs, load, pose, inverse, accel, force):
-    """``force`` (6,) [N] of the drives at the pose ``(7,)`` for slider accelerations ``accel`` (6,) [m/s^2].
+    """``force`` (6,) [N] of the drives at the pose ``(7,)`` for slider accelerations ``accel`` (6,)
+    [m/s^2].
 
-    ``inverse`` (6, 6) maps slider rates to the twist of A in W; by virtual work its transpose maps wrenches to slider forces.
+    ``inverse`` (6, 6) maps slider rates to the twist of A in W; by virtual work its transpose maps
+    wrenches to slider forces.
     """
     mass, link, carriage, armature = load[0], load[13], load[14], load[15]
     a = np.empty(6)

@@ -1,4 +1,6 @@
-"""The 3-3 PSS platform with the interface of a facility, so that all measurements of facilities work on it as well."""
+"""The 3-3 PSS platform with the interface of a facility, so that all measurements of facilities
+work on it as well.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,10 @@ class SliderDrives(Drives):
         feed: NDArray[np.bool_],
         tool: str,
     ) -> None:
-        cycles, lates = [s.command.cycle(1.0 / tick) for s in settings], [s.command.delay_cycles for s in settings]
+        cycles, lates = (
+            [s.command.cycle(1.0 / tick) for s in settings],
+            [s.command.delay_cycles for s in settings],
+        )
         super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
         self.servo = Servo(model, settings, tick, substeps, feed, tool)
 
@@ -61,7 +66,10 @@ class Pss33Facility(Facility):
     @property
     def axes(self) -> tuple[Axis, ...]:
         s = self.settings.limits
-        return tuple(Axis(f"slider_{j}", "m", -s.stroke, s.stroke, s.speed, s.acceleration, s.force) for j in range(6))
+        return tuple(
+            Axis(f"slider_{j}", "m", -s.stroke, s.stroke, s.speed, s.acceleration, s.force)
+            for j in range(6)
+        )
 
     def spec(self) -> mujoco.MjSpec:
         spec = load("pss33/pss33")
@@ -71,10 +79,20 @@ class Pss33Facility(Facility):
         return spec
 
     def drives(
-        self, model: mujoco.MjModel, settings: Sequence[Any], tick: float, substeps: int, feed: NDArray[np.bool_], tool: str = MOUNT
+        self,
+        model: mujoco.MjModel,
+        settings: Sequence[Any],
+        tick: float,
+        substeps: int,
+        feed: NDArray[np.bool_],
+        tool: str = MOUNT,
     ) -> Drives:
-        return SliderDrives(model, self.kinematics(model, tool), settings, tick, substeps, feed, tool)
+        return SliderDrives(
+            model, self.kinematics(model, tool), settings, tick, substeps, feed, tool
+        )
 
     def response(self, rate: float, feed: bool) -> Response:
         s = self.settings
-        return Response((s.bandwidth,) * 6, (s.damping_ratio,) * 6, s.command.lag(rate), followed=feed)
+        return Response(
+            (s.bandwidth,) * 6, (s.damping_ratio,) * 6, s.command.lag(rate), followed=feed
+        )

@@ -1,12 +1,15 @@
-"""Kinematics of the 3-3 PSS platform: six limbs, each an actuated slider, a link with a spherical joint at both ends.
+"""Kinematics of the 3-3 PSS platform: six limbs, each an actuated slider, a link with a spherical
+joint at both ends.
 
-A limb's slider moves along the unit vector a through b (the far end of the link at home, s = 0); the link of length L ends at the
-platform's anchor p. Of the roots of |p - b - s a| = L, the one that is home at s = 0 is (Merlet, Parallel Robots, 2006, ch. 4):
+A limb's slider moves along the unit vector a through b (the far end of the link at home, s = 0);
+the link of length L ends at the platform's anchor p. Of the roots of |p - b - s a| = L, the one
+that is home at s = 0 is (Merlet, Parallel Robots, 2006, ch. 4):
 
     s = a.(p - b) - sqrt(L^2 - |perp|^2),   perp = (p - b) - a a.(p - b)
 
-A limb's row of constants is ``b (3), a (3), anchor (3), L, e1 (3), e2 (3)``: b [m] and a in W, the anchor [m] in A (so that the
-pose of A alone is needed), and the axes of the universal joint at the slider, in W at home, with e1 x e2 along the link.
+A limb's row of constants is ``b (3), a (3), anchor (3), L, e1 (3), e2 (3)``: b [m] and a in W, the
+anchor [m] in A (so that the pose of A alone is needed), and the axes of the universal joint at the
+slider, in W at home, with e1 x e2 along the link.
 """
 
 from __future__ import annotations
@@ -22,12 +25,15 @@ from hiltestbed.frames import Array, rotate
 from hiltestbed.jit import njit
 from hiltestbed.platform import model
 
-STEEPEST = 0.05  # smallest cosine between link and slider in the rates: keeps them finite for a link that does not reach
+# smallest cosine between link and slider in the rates: keeps them finite for a link that does not
+# reach
+STEEPEST = 0.05
 
 
 @njit(cache=True)
 def slider(limb, pose, arm):
-    """Slider position [m] of one limb at the pose ``(7,)`` of A in W; ``arm`` (3,) becomes the anchor from A's origin, in W.
+    """Slider position [m] of one limb at the pose ``(7,)`` of A in W; ``arm`` (3,) becomes the
+    anchor from A's origin, in W.
 
     A link that does not reach the anchor is treated as perpendicular to its slider.
     """
@@ -51,7 +57,8 @@ def inverse(limbs, pose, sliders):
 
 @njit(cache=True)
 def jacobian(limbs, pose, sliders, out):
-    """``out`` (6, 6): slider rates from the twist of A in W, at the pose ``(7,)``; ``sliders`` (6,) become those of the pose.
+    """``out`` (6, 6): slider rates from the twist of A in W, at the pose ``(7,)``; ``sliders`` (6,)
+    become those of the pose.
 
     With d the unit vector along the link, d.(v + w x arm) = d.a s'.
     """
@@ -75,9 +82,11 @@ def jacobian(limbs, pose, sliders, out):
 
 @njit(cache=True)
 def joints(limb, pose, twist, q, v):
-    """Slider and universal joint of one limb: positions ``q`` (3,) [m, rad, rad] and rates ``v`` (3,), at the pose and twist of A.
+    """Slider and universal joint of one limb: positions ``q`` (3,) [m, rad, rad] and rates ``v``
+    (3,), at the pose and twist of A.
 
-    The unit vector along the link is d = sin(q2) e1 + cos(q2) cos(q1) u - cos(q2) sin(q1) e2, with u = e1 x e2.
+    The unit vector along the link is d = sin(q2) e1 + cos(q2) cos(q1) u - cos(q2) sin(q1) e2, with
+    u = e1 x e2.
     """
     arm = np.empty(3)
     s = slider(limb, pose, arm)

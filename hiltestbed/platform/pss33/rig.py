@@ -24,7 +24,9 @@ UNITS = ("m",) * 6
 
 
 class Pss33Rig(Servo):
-    """The rigs of `n` runs; see :class:`hiltestbed.platform.facilities.rig.FacilityRig` for the interface to the plant."""
+    """The rigs of `n` runs; see :class:`hiltestbed.platform.facilities.rig.FacilityRig` for the
+    interface to the plant.
+    """
 
     keeps_history, moves_passive = True, False
     load = watch = None
@@ -35,7 +37,9 @@ class Pss33Rig(Servo):
         self.model = model.rig_model(structure, dt, kept=scenarios[0].substeps)
         feed = np.array([s.compensation.motion.feeds for s in scenarios])
         first = scenarios[0]
-        super().__init__(self.model, [pss33_of(s) for s in scenarios], first.tick, first.substeps, feed)
+        super().__init__(
+            self.model, [pss33_of(s) for s in scenarios], first.tick, first.substeps, feed
+        )
 
     def start(self, batch: Batch, scenarios: Sequence[Scenario], dt: float) -> Pss33Rig:
         """Bind the servo to the batch of the model."""
@@ -51,7 +55,12 @@ class Pss33Rig(Servo):
         return reading.copy()
 
     def observing(
-        self, qpos: Array, qvel: Array, limit: float, shown: tuple[Array, Array, Array], diverged: NDArray[np.bool_]
+        self,
+        qpos: Array,
+        qvel: Array,
+        limit: float,
+        shown: tuple[Array, Array, Array],
+        diverged: NDArray[np.bool_],
     ) -> Callable[[], bool] | None:
         """:meth:`observe` bound to arrays that are reused."""
         return self._seen.on(qpos, qvel, limit, *shown, diverged)

@@ -1,14 +1,17 @@
 """The motion platform with its six drives.
 
-Over a tick each slider's reference follows the cubic that starts from the last reference with its velocity, reaches the commanded
-pose at t_(k+1), and leaves it with the velocity that the numerical model will have there: that of the tick plus half a tick of its
-acceleration, since a semi-implicit velocity belongs to the middle of its tick. A controller with a cycle of several ticks, or with a
-delay, interpolates as described in :mod:`hiltestbed.platform.facilities.reference`. The force of a drive is
+Over a tick each slider's reference follows the cubic that starts from the last reference with its
+velocity, reaches the commanded pose at t_(k+1), and leaves it with the velocity that the numerical
+model will have there: that of the tick plus half a tick of its acceleration, since a semi-implicit
+velocity belongs to the middle of its tick. A controller with a cycle of several ticks, or with a
+delay, interpolates as described in :mod:`hiltestbed.platform.facilities.reference`. The force of a
+drive is
 
-    f = kp (s_ref - s) + kv (s_ref' - s') + f_ff,   f_ff the inverse dynamics (:mod:`hiltestbed.platform.pss33.dynamics`)
+    f = kp (s_ref - s) + kv (s_ref' - s') + f_ff,   f_ff the inverse dynamics
+    (:mod:`hiltestbed.platform.pss33.dynamics`)
 
-with velocity and acceleration as differences at the physics step, so that without contact MuJoCo's integrator reproduces the
-reference.
+with velocity and acceleration as differences at the physics step, so that without contact MuJoCo's
+integrator reproduces the reference.
 """
 
 from __future__ import annotations
@@ -35,15 +38,35 @@ if TYPE_CHECKING:
     from hiltestbed.platform.pss33.settings import Pss33
     from hiltestbed.scenario import Scenario
 
-# A drive's share of the mass moved in heave: platform and mechanism 350 kg, three links, carriages and armatures of 97 kg, over 3.
+# A drive's share of the mass moved in heave: platform and mechanism 350 kg, three links, carriages
+# and armatures of 97 kg, over 3.
 MOVED_PER_DRIVE = 214.0  # [kg]
 
 
 @njit(cache=True)
-def _aim(limbs, load, feed, k, cycles, lates, h, pose_cmd, twist_cmd, accel_cmd, target, ring, span, velocity, plan, ahead):
-    """Write ``plan`` (n, m, 3, 6), position, velocity and force at the start of each substep of tick ``k``, and its end ``ahead`` (n, 6).
+def _aim(
+    limbs,
+    load,
+    feed,
+    k,
+    cycles,
+    lates,
+    h,
+    pose_cmd,
+    twist_cmd,
+    accel_cmd,
+    target,
+    ring,
+    span,
+    velocity,
+    plan,
+    ahead,
+):
+    """Write ``plan`` (n, m, 3, 6), position, velocity and force at the start of each substep of
+    tick ``k``, and its end ``ahead`` (n, 6).
 
-    cycles, lates: (n,) of the controllers. target: (n, 6) slider references [m]; velocity: difference at the last substep, updated.
+    cycles, lates: (n,) of the controllers. target: (n, 6) slider references [m]; velocity:
+        difference at the last substep, updated.
     ring, span: see :func:`hiltestbed.platform.facilities.reference.sample`.
     Without ``feed`` (n,) only positions are commanded, interpolated linearly.
     """
@@ -69,7 +92,9 @@ def _aim(limbs, load, feed, k, cycles, lates, h, pose_cmd, twist_cmd, accel_cmd,
             for j in range(6):
                 s0, s1 = span[i, START, 0, j], span[i, LEAVE, 0, j]
                 if feed[i]:
-                    now[j] = cubic(t, s0, span[i, START, 1, j], s1, span[i, LEAVE, 1, j], cycles[i] * h)
+                    now[j] = cubic(
+                        t, s0, span[i, START, 1, j], s1, span[i, LEAVE, 1, j], cycles[i] * h
+                    )
                     rate[j] = (now[j] - before[j]) / dt
                     accel[j] = (rate[j] - velocity[i, j]) / dt
                 else:
@@ -88,18 +113,26 @@ def _aim(limbs, load, feed, k, cycles, lates, h, pose_cmd, twist_cmd, accel_cmd,
 
 @njit(cache=True)
 def _push(plan, sub, kp, kv, step, adr, qpos, qvel, force):
-    """``force`` (n, 6) [N] of the drives at the start of substep ``sub``; ``step`` (n,) encoder resolution [m], 0: not quantised."""
+    """``force`` (n, 6) [N] of the drives at the start of substep ``sub``; ``step`` (n,) encoder
+    resolution [m], 0: not quantised.
+    """
     for i in range(force.shape[0]):
         for j in range(6):
             s = qpos[i, adr[0, j]]
             if step[i] > 0.0:
                 s = step[i] * np.rint(s / step[i])
-            force[i, j] = plan[i, sub, 2, j] + kp[i] * (plan[i, sub, 0, j] - s) + kv[i] * (plan[i, sub, 1, j] - qvel[i, adr[1, j]])
+            force[i, j] = (
+                plan[i, sub, 2, j]
+                + kp[i] * (plan[i, sub, 0, j] - s)
+                + kv[i] * (plan[i, sub, 1, j] - qvel[i, adr[1, j]])
+            )
 
 
 @njit(cache=True)
 def _settle(limbs, pose, twist, target, speed, velocity, qpos, qvel, adr, platform, centre):
-    """Joints, rates and references of a rig that moves uniformly with ``twist`` (n, 6) through ``pose`` (n, 7)."""
+    """Joints, rates and references of a rig that moves uniformly with ``twist`` (n, 6) through
+    ``pose`` (n, 7).
+    """
     q, v = np.empty(3), np.empty(3)
     arm, turn = np.empty(3), np.empty(3)
     for i in range(pose.shape[0]):
@@ -125,7 +158,9 @@ def _settle(limbs, pose, twist, target, speed, velocity, qpos, qvel, adr, platfo
 
 @njit(cache=True)
 def _observe(qpos, qvel, adr, platform, centre, limit, pose, twist, sliders, diverged):
-    """Pose, twist and sliders from the joints; returns whether a run has just exceeded ``limit`` or become non-finite."""
+    """Pose, twist and sliders from the joints; returns whether a run has just exceeded ``limit`` or
+    become non-finite.
+    """
     arm, turn = np.empty(3), np.empty(3)
     lost = False
     p, d = platform[0], platform[1]
@@ -160,45 +195,89 @@ class Servo:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, platforms: Sequence[Pss33], tick: float, substeps: int, feed: NDArray[np.bool_], tool: str = "active_A"
+        self,
+        model: mujoco.MjModel,
+        platforms: Sequence[Pss33],
+        tick: float,
+        substeps: int,
+        feed: NDArray[np.bool_],
+        tool: str = "active_A",
     ) -> None:
         """``tool``: the site that follows the command."""
         n = len(platforms)
         self.platform = Platform.load()
         self.tick, self._feed = tick, feed
         self._load = load_constants(model, tool)
-        self.kp = np.array([MOVED_PER_DRIVE * (2.0 * math.pi * p.bandwidth) ** 2 for p in platforms])
-        self.kv = np.array([2.0 * p.damping_ratio * MOVED_PER_DRIVE * 2.0 * math.pi * p.bandwidth for p in platforms])
+        self.kp = np.array(
+            [MOVED_PER_DRIVE * (2.0 * math.pi * p.bandwidth) ** 2 for p in platforms]
+        )
+        self.kv = np.array(
+            [
+                2.0 * p.damping_ratio * MOVED_PER_DRIVE * 2.0 * math.pi * p.bandwidth
+                for p in platforms
+            ]
+        )
         self._encoder = np.array([p.encoder_resolution for p in platforms])
         sliders = [model.joint(f"slider_{j}") for j in range(6)]
         free = model.joint("platform")
         self._adr = np.array([[s.qposadr[0] for s in sliders], [s.dofadr[0] for s in sliders]])
         self._free = np.array([free.qposadr[0], free.dofadr[0]])
-        self.target, self.speed, self.velocity = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
+        self.target, self.speed, self.velocity = (
+            np.zeros((n, 6)),
+            np.zeros((n, 6)),
+            np.zeros((n, 6)),
+        )
         self._cycles = np.array([p.command.cycle(1.0 / tick) for p in platforms], dtype=np.int64)
         self._lates = np.array([p.command.delay_cycles for p in platforms], dtype=np.int64)
-        self._ring, self._span = np.zeros((n, int(self._lates.max(initial=0)) + 1, 2, 6)), np.zeros((n, 2, 2, 6))
+        self._ring, self._span = (
+            np.zeros((n, int(self._lates.max(initial=0)) + 1, 2, 6)),
+            np.zeros((n, 2, 2, 6)),
+        )
         self._start, self._ticks = np.zeros((n, 7)), np.zeros(1, dtype=np.int64)
         self._plan, self._ahead = np.zeros((n, substeps, 3, 6)), np.zeros((n, 6))
         self._step, self._least = tick / substeps, float(self._load[14] + self._load[15])
         self._friction: DriveFriction | None = None
         self._applied = np.zeros((n, model.nv))
         self._aimed = Call(
-            _aim, self.platform.limbs, self._load, self._feed, ..., self._cycles, self._lates, tick, GIVEN, GIVEN, GIVEN, self.target,
-            self._ring, self._span, self.velocity, self._plan, self._ahead,
-        )  # fmt: skip
-        self._pushed = Call(_push, self._plan, ..., self.kp, self.kv, self._encoder, self._adr, GIVEN, GIVEN, GIVEN)
-        self._seen = Call(_observe, GIVEN, GIVEN, self._adr, self._free, self.platform.centre, *(GIVEN,) * 5)
+            _aim,
+            self.platform.limbs,
+            self._load,
+            self._feed,
+            ...,
+            self._cycles,
+            self._lates,
+            tick,
+            GIVEN,
+            GIVEN,
+            GIVEN,
+            self.target,
+            self._ring,
+            self._span,
+            self.velocity,
+            self._plan,
+            self._ahead,
+        )
+        self._pushed = Call(
+            _push, self._plan, ..., self.kp, self.kv, self._encoder, self._adr, GIVEN, GIVEN, GIVEN
+        )
+        self._seen = Call(
+            _observe, GIVEN, GIVEN, self._adr, self._free, self.platform.centre, *(GIVEN,) * 5
+        )
 
     def add_friction(self, scenarios: Sequence[Scenario], applied: Array) -> None:
-        """Add the friction of the scenarios' actuators to the generalised forces ``applied`` (n, nv), if any has friction."""
-        friction = DriveFriction([pss33_of(s).actuator for s in scenarios], self._adr[1], self._least, self._step)
+        """Add the friction of the scenarios' actuators to the generalised forces ``applied`` (n,
+        nv), if any has friction.
+        """
+        friction = DriveFriction(
+            [pss33_of(s).actuator for s in scenarios], self._adr[1], self._least, self._step
+        )
         if friction.acts:
             self._friction, self._applied = friction, applied
 
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
-        """Initialise joints and references in a uniform motion with ``twist`` (n, 6) whose command is at ``pose`` (n, 7): the platform
-        is behind by the controller's lag."""
+        """Initialise joints and references in a uniform motion with ``twist`` (n, 6) whose command
+        is at ``pose`` (n, 7): the platform is behind by the controller's lag.
+        """
         lag = self.tick * (self._cycles * (self._lates + 1) - 1)
         self._start[:] = pose
         for i in np.flatnonzero(lag):
@@ -211,7 +290,9 @@ class Servo:
         self._span[:, :, 0], self._span[:, :, 1] = self.target[:, None], self.speed[:, None]
         for back in range(1, self._ring.shape[1]):  # commands that are still delayed
             ahead = self.tick * self._cycles * (self._lates + 1 - back)
-            self._ring[:, -back % self._ring.shape[1], 0] = self.target + self.speed * ahead[:, None]
+            self._ring[:, -back % self._ring.shape[1], 0] = (
+                self.target + self.speed * ahead[:, None]
+            )
             self._ring[:, -back % self._ring.shape[1], 1] = self.speed
         if self._friction:
             self._friction.settle(qvel)
@@ -226,15 +307,36 @@ class Servo:
         self.target[:] = self._ahead
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """The arrays of the state between two ticks; restoring them resumes the drives from there."""
-        return {"sliders": self.target, "slope": self.velocity, "held": self._ring, "between": self._span, "cycle": self._ticks}
+        """The arrays of the state between two ticks; restoring them resumes the drives from
+        there.
+        """
+        return {
+            "sliders": self.target,
+            "slope": self.velocity,
+            "held": self._ring,
+            "between": self._span,
+            "cycle": self._ticks,
+        }
 
     def push(self, sub: int, qpos: Array, qvel: Array, force: Array) -> None:
-        """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the current joint state."""
+        """``force`` (n, 6) [N] of the drives for substep ``sub`` of the tick, from the current
+        joint state.
+        """
         self._pushed.on(qpos, qvel, force)(sub)
         if self._friction:
             self._friction.act(qvel, self._applied)
 
-    def observe(self, qpos: Array, qvel: Array, limit: float, pose: Array, twist: Array, sliders: Array, diverged: Array) -> bool:
-        """Read pose, twist and sliders; returns whether a run has just exceeded ``limit`` [m/s, rad/s], and marks it in ``diverged``."""
+    def observe(
+        self,
+        qpos: Array,
+        qvel: Array,
+        limit: float,
+        pose: Array,
+        twist: Array,
+        sliders: Array,
+        diverged: Array,
+    ) -> bool:
+        """Read pose, twist and sliders; returns whether a run has just exceeded ``limit`` [m/s,
+        rad/s], and marks it in ``diverged``.
+        """
         return self._seen.on(qpos, qvel, limit, pose, twist, sliders, diverged)()

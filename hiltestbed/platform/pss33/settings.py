@@ -22,46 +22,83 @@ if TYPE_CHECKING:
 class Actuator(Strictly):
     """The drive of each slider of the platform, and the friction of each of its motors.
 
-    The defaults are those of a preloaded screw with its guide: sliding friction 0.5 % of a drive's 40 kN, break-away 1.5 times that, the
-    Stribeck speed of oiled steel, and a viscous part that equals the sliding friction at 0.5 m/s.
+    The defaults are those of a preloaded screw with its guide: sliding friction 0.5 % of a drive's
+    40 kN, break-away 1.5 times that, the Stribeck speed of oiled steel, and a viscous part that
+    equals the sliding friction at 0.5 m/s.
     """
 
     kind: Literal["ideal", "single", "dual"] = Field(
         default="ideal",
-        description="Motors of a drive. ideal: without friction; single: one; dual: two, added by a differential screw, that always turn",
+        description="Motors of a drive. ideal: without friction; single: one; dual: two, added by "
+        "a differential screw, that always turn",
     )
     coulomb: NotNegative = Field(default=200.0, description="Sliding friction of a motor [N]")
-    stiction: NotNegative = Field(default=300.0, description="Break-away friction of a motor [N], at least coulomb")
+    stiction: NotNegative = Field(
+        default=300.0, description="Break-away friction of a motor [N], at least coulomb"
+    )
     stribeck_speed: Positive = Field(
-        default=0.005, description="Speed at which the excess of the break-away friction has fallen to 1/e [m/s]"
+        default=0.005,
+        description="Speed at which the excess of the break-away friction has fallen to 1/e [m/s]",
     )
     viscous: NotNegative = Field(default=400.0, description="Viscous friction of a motor [N s/m]")
     bias_speed: Positive = Field(
-        default=0.3, description="Speed of both motors of a dual drive while the slider is at rest, as slider speed [m/s]"
+        default=0.3,
+        description="Speed of both motors of a dual drive while the slider is at rest, as slider "
+        "speed [m/s]",
     )
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
         if self.kind == "ideal":
             names = ("coulomb", "stiction", "stribeck_speed", "viscous", "bias_speed")
-            yield from (((name,), "the actuator's kind is ideal, a drive without friction; take kind single or dual") for name in names)
+            yield from (
+                (
+                    (name,),
+                    "the actuator's kind is ideal, a drive without friction; take kind single or "
+                    "dual",
+                )
+                for name in names
+            )
         elif self.kind == "single":
-            yield ("bias_speed",), "the actuator's kind is single, whose motor has no bias speed; take kind dual"
+            yield (
+                ("bias_speed",),
+                "the actuator's kind is single, whose motor has no bias speed; take kind dual",
+            )
 
     @model_validator(mode="after")
     def _breaks_away(self) -> Actuator:
         if self.stiction < self.coulomb:
-            refuse([(("stiction",), f"is less than coulomb (got {self.stiction:g} N); allowed is {self.coulomb:g} N and more")])
+            refuse(
+                [
+                    (
+                        ("stiction",),
+                        f"is less than coulomb (got {self.stiction:g} N); allowed is "
+                        f"{self.coulomb:g} N and more",
+                    )
+                ]
+            )
         return self
 
 
 class Limits(Strictly):
-    """Limits of a drive of the platform; they bound workspace measurements, while runs are bounded by the section ``safety``."""
+    """Limits of a drive of the platform; they bound workspace measurements, while runs are bounded
+    by the section ``safety``.
+    """
 
-    stroke: Positive = Field(default=0.72, description="Largest travel of a slider from home [m]; that of the guides in models/pss33")
-    speed: Positive = Field(default=2.0, description="Highest speed of a slider [m/s]; a screw of 40 mm lead at 3000 rpm")
-    acceleration: Positive = Field(default=20.0, description="Highest acceleration of a slider [m/s^2]; 40 kN on 2 t")
+    stroke: Positive = Field(
+        default=0.72,
+        description="Largest travel of a slider from home [m]; that of the guides in models/pss33",
+    )
+    speed: Positive = Field(
+        default=2.0,
+        description="Highest speed of a slider [m/s]; a screw of 40 mm lead at 3000 rpm",
+    )
+    acceleration: Positive = Field(
+        default=20.0, description="Highest acceleration of a slider [m/s^2]; 40 kN on 2 t"
+    )
     force: Positive = Field(
-        default=4.0e4, description="Largest force of a drive [N]; four times the sum of static load, docking load and 1 m/s^2"
+        default=4.0e4,
+        description="Largest force of a drive [N]; four times the sum of static load, docking "
+        "load and 1 m/s^2",
     )
 
 
@@ -69,41 +106,72 @@ class Workspace(Strictly):
     """Largest distance of a start from home; home is at the nominal first touch."""
 
     translation: Positive = Field(default=0.25, description="Reach from home along each axis [m]")
-    rotation_deg: Positive = Field(default=10.0, description="Reach from home about each axis [deg]")
+    rotation_deg: Positive = Field(
+        default=10.0, description="Reach from home about each axis [deg]"
+    )
 
 
 @register
 class Pss33(Platform):
-    """Platform of the 3-3 PSS kind: six sliders, each with a link to the platform; drives with computed-torque control."""
+    """Platform of the 3-3 PSS kind: six sliders, each with a link to the platform; drives with
+    computed-torque control.
+    """
 
     states_limits: ClassVar[bool] = False
     carries_upper: ClassVar[bool] = True
-    drives: ClassVar[tuple[str, ...]] = ("bandwidth", "damping_ratio", "encoder_resolution", "command", "actuator")
+    drives: ClassVar[tuple[str, ...]] = (
+        "bandwidth",
+        "damping_ratio",
+        "encoder_resolution",
+        "command",
+        "actuator",
+    )
     distorts: ClassVar[str] = (
-        "Computed torque with feed-forward removes the drives' lag in free motion; in contact the position loops yield like springs, so "
-        "that A deviates from its command by force over stiffness. What remains is the delay of the force sensor, which a phase lead "
+        "Computed torque with feed-forward removes the drives' lag in free motion; in contact the "
+        "position loops yield like springs, so "
+        "that A deviates from its command by force over stiffness. What remains is the delay of "
+        "the force sensor, which a phase lead "
         "of the force removes, as at Shanghai Jiao Tong University."
     )
 
-    kind: Literal["pss33"] = Field(default="pss33", description="Motion platform. pss33: 3-3 PSS, six sliders")
+    kind: Literal["pss33"] = Field(
+        default="pss33", description="Motion platform. pss33: 3-3 PSS, six sliders"
+    )
     tracking: Literal["servo", "response", "ideal"] = Field(
         default="servo",
-        description="Tracking. servo: dynamics with simulated drives; response: a second- or third-order response with a delay instead; "
+        description="Tracking. servo: dynamics with simulated drives; response: a second- or "
+        "third-order response with a delay instead; "
         "ideal: the pose reaches the command exactly, one tick later",
     )
-    response: ResponseSettings = Field(default=ResponseSettings(), description="Response to the command; only with tracking response")
+    response: ResponseSettings = Field(
+        default=ResponseSettings(),
+        description="Response to the command; only with tracking response",
+    )
     bandwidth: Positive = Field(
         default=40.0,
-        description="Bandwidth of the drives' position loop [Hz]; the default is a quarter of the first mode of a large rig's limbs",
+        description="Bandwidth of the drives' position loop [Hz]; the default is a quarter of the "
+        "first mode of a large rig's limbs",
     )
-    damping_ratio: Positive = Field(default=1.0, description="Damping ratio of the drives' position loop [-]")
+    damping_ratio: Positive = Field(
+        default=1.0, description="Damping ratio of the drives' position loop [-]"
+    )
     encoder_resolution: NotNegative = Field(
-        default=0.0, description="Resolution of a slider's encoder [m]; 0: not quantised; linear scales have 1e-8 to 1e-6"
+        default=0.0,
+        description="Resolution of a slider's encoder [m]; 0: not quantised; linear scales have "
+        "1e-8 to 1e-6",
     )
-    command: CommandPath = Field(default=CommandPath(), description="Controller of the drives: its rate, and its delay in cycles")
+    command: CommandPath = Field(
+        default=CommandPath(),
+        description="Controller of the drives: its rate, and its delay in cycles",
+    )
     limits: Limits = Field(default=Limits(), description="Limits of a drive")
-    workspace: Workspace = Field(default=Workspace(), description="Largest distance of a start from home")
-    actuator: Actuator = Field(default=Actuator(), description="Motors and friction of the drives; only with tracking servo")
+    workspace: Workspace = Field(
+        default=Workspace(), description="Largest distance of a start from home"
+    )
+    actuator: Actuator = Field(
+        default=Actuator(),
+        description="Motors and friction of the drives; only with tracking servo",
+    )
 
     def facility(self) -> Facility:
         from hiltestbed.platform.pss33.facility import Pss33Facility
@@ -115,7 +183,9 @@ class Pss33(Platform):
 
         return Pss33Rig(scenarios, structure, dt)
 
-    def follower(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> Pss33Follower:
+    def follower(
+        self, scenarios: Sequence[Scenario], structure: Structure, dt: float
+    ) -> Pss33Follower:
         from hiltestbed.platform.pss33.rig import Pss33Follower
 
         return Pss33Follower()
@@ -132,7 +202,9 @@ class Pss33(Platform):
         return start_problems(scenario)
 
     def nearest_bandwidth(self, scenario: Scenario) -> float:
-        return self.bandwidth if self.tracking != "response" else super().nearest_bandwidth(scenario)
+        return (
+            self.bandwidth if self.tracking != "response" else super().nearest_bandwidth(scenario)
+        )
 
 
 def pss33_of(scenario: Scenario) -> Pss33:

@@ -1,1 +1,3 @@
-"""The shipped platforms, one file each: the settings in a scenario, and the facility that they describe."""
+"""The shipped platforms, one file each: the settings in a scenario, and the facility that they
+describe.
+"""

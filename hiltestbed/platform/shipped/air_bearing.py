@@ -19,27 +19,43 @@ class AirBearingSettings(Physical):
     """Two articles on a flat floor: full physical simulation in the plane."""
 
     distorts: ClassVar[str] = (
-        "No loop and no delay, but only three of six degrees of freedom, a floor that is not level, hoses that pull, and the mass of the "
-        "air-bearing carriage under each article: the reduced mass of the contact is not that in orbit."
+        "No loop and no delay, but only three of six degrees of freedom, a floor that is not "
+        "level, hoses that pull, and the mass of the "
+        "air-bearing carriage under each article: the reduced mass of the contact is not that in "
+        "orbit."
     )
 
     still: ClassVar[tuple[str, ...]] = ("py",)  # of the floor's plane, in which A turns about y
 
     kind: Literal["air_bearing"]
-    target: Literal["free", "fixed"] = Field(default="free", description="Target. free: it floats as well; fixed: it is bolted down")
-    float_mass: NotNegative = Field(default=60.0, description="Mass of an article's carriage: pads, bottles, frame [kg]; an estimate")
+    target: Literal["free", "fixed"] = Field(
+        default="free", description="Target. free: it floats as well; fixed: it is bolted down"
+    )
+    float_mass: NotNegative = Field(
+        default=60.0,
+        description="Mass of an article's carriage: pads, bottles, frame [kg]; an estimate",
+    )
     tilt: Vector2 = Field(
         default=(0.0, 4.2e-5),
-        description="Tilt of the floor along x and z [rad]; 0.005 inch in 10 feet, as the Air Bearing Floor at NASA Johnson",
+        description="Tilt of the floor along x and z [rad]; 0.005 inch in 10 feet, as the Air "
+        "Bearing Floor at NASA Johnson",
     )
     film_damping: NotNegative = Field(
-        default=0.2, description="Viscous damping of an article's pads [N s/m]; air of 1.8e-5 Pa s, 0.15 m^2 of pads, a film of 15 um: 0.18"
+        default=0.2,
+        description="Viscous damping of an article's pads [N s/m]; air of 1.8e-5 Pa s, 0.15 m^2 "
+        "of pads, a film of 15 um: 0.18",
     )
-    pad_radius: Positive = Field(default=0.6, description="Radius of the pads about the article's centre [m]")
+    pad_radius: Positive = Field(
+        default=0.6, description="Radius of the pads about the article's centre [m]"
+    )
     friction: Annotated[float, Field(ge=0, le=0.01)] = Field(
-        default=1e-5, description="Friction coefficient of the pads [-]; 1e-5 according to makers [recalled]"
+        default=1e-5,
+        description="Friction coefficient of the pads [-]; 1e-5 according to makers [recalled]",
     )
-    hose_stiffness: NotNegative = Field(default=0.5, description="Stiffness of an air line, along x and z [N/m]; 0: bottles on board")
+    hose_stiffness: NotNegative = Field(
+        default=0.5,
+        description="Stiffness of an air line, along x and z [N/m]; 0: bottles on board",
+    )
     hose_damping: NotNegative = Field(default=0.5, description="Damping of an air line [N s/m]")
 
     def build(self) -> AirBearing:

@@ -22,16 +22,27 @@ class MjcfSettings(Driven):
     """The user's own rig."""
 
     distorts: ClassVar[str] = (
-        "Depends on the file. Plain position servos track with velocity feed-forward and yield under load; coupled axes ring at "
+        "Depends on the file. Plain position servos track with velocity feed-forward and yield "
+        "under load; coupled axes ring at "
         "frequencies that no single axis shows."
     )
 
     drives: ClassVar[tuple[str, ...]] = ("command",)
     kind: Literal["mjcf"]
-    model: str = Field(description="MJCF file of the rig, with a site `mount` and position actuators")
-    speed: Positive = Field(default=1.0, description="Highest speed of a sliding joint [m/s]; MJCF has no such number")
-    spin: Positive = Field(default=2.0, description="Highest speed of a rotating joint [rad/s]; MJCF has no such number")
-    acceleration: Positive = Field(default=20.0, description="Highest acceleration of a joint [m/s^2, rad/s^2]; MJCF has no such number")
+    model: str = Field(
+        description="MJCF file of the rig, with a site `mount` and position actuators"
+    )
+    speed: Positive = Field(
+        default=1.0, description="Highest speed of a sliding joint [m/s]; MJCF has no such number"
+    )
+    spin: Positive = Field(
+        default=2.0,
+        description="Highest speed of a rotating joint [rad/s]; MJCF has no such number",
+    )
+    acceleration: Positive = Field(
+        default=20.0,
+        description="Highest acceleration of a joint [m/s^2, rad/s^2]; MJCF has no such number",
+    )
     command: CommandPath = Field(default=CommandPath(), description="How commands reach the drives")
 
     def file(self) -> Path:
@@ -49,7 +60,11 @@ class MjcfSettings(Driven):
     @classmethod
     def contest(cls) -> Mapping[str, Mapping[str, Any]]:
         own = cls is MjcfSettings  # its model has no default
-        return {"mjcf": {"kind": "mjcf", "model": "xyz_table/xyz_table.xml"}} if own else super().contest()
+        return (
+            {"mjcf": {"kind": "mjcf", "model": "xyz_table/xyz_table.xml"}}
+            if own
+            else super().contest()
+        )
 
     def build(self) -> Mjcf:
         from hiltestbed.platform.facilities.mjcf import Mjcf

@@ -19,17 +19,23 @@ class ArmController(Strictly):
 
     bandwidth: Positive = Field(
         default=12.0,
-        description="Bandwidth of the motors' position loop [Hz]; not published for this arm, 10 to 15 Hz are usual [recalled]",
+        description="Bandwidth of the motors' position loop [Hz]; not published for this arm, 10 "
+        "to 15 Hz are usual [recalled]",
     )
     damping_ratio: Ratio = Field(
-        default=0.9, description="Damping ratio of the motors' position loop [-]; no overshoot, as path controllers are tuned"
+        default=0.9,
+        description="Damping ratio of the motors' position loop [-]; no overshoot, as path "
+        "controllers are tuned",
     )
     encoder_resolution: NotNegative = Field(
-        default=4.0e-7, description="Resolution of a motor's encoder, at the joint [rad]; resolver of 16 bits at a ratio of 240"
+        default=4.0e-7,
+        description="Resolution of a motor's encoder, at the joint [rad]; resolver of 16 bits at "
+        "a ratio of 240",
     )
     friction: Friction = Field(
         default=Friction(coulomb=120.0, stiction=180.0, stribeck_speed=0.003, viscous=900.0),
-        description="Friction of the first axis' gear, at the joint; 1 % of its torque, the usual rest after a controller's own friction "
+        description="Friction of the first axis' gear, at the joint; 1 % of its torque, the usual "
+        "rest after a controller's own friction "
         "compensation; the other axes in the ratio of their torques",
     )
 
@@ -39,22 +45,30 @@ class SerialArmSettings(Driven):
     """A six-axis industrial arm of the 200-kg class."""
 
     distorts: ClassVar[str] = (
-        "The controller takes a command every 4 ms and acts on it whole cycles later: a dead time that feed-forward cannot remove, and the "
-        "main reason why a stiff contact becomes active. Elastic gears ring at 5 to 8 Hz and yield to the force. A soft contact with a "
+        "The controller takes a command every 4 ms and acts on it whole cycles later: a dead time "
+        "that feed-forward cannot remove, and the "
+        "main reason why a stiff contact becomes active. Elastic gears ring at 5 to 8 Hz and "
+        "yield to the force. A soft contact with a "
         "virtual damper in parallel restores the damping, as at EPOS."
     )
 
     drives: ClassVar[tuple[str, ...]] = ("controller", "command")
     kind: Literal["serial_arm"]
-    controller: ArmController = Field(default=ArmController(), description="Controller and motors of the arm")
+    controller: ArmController = Field(
+        default=ArmController(), description="Controller and motors of the arm"
+    )
     command: CommandPath = Field(
         default=CommandPath(controller_rate=250.0, delay_cycles=2),
-        description="Path of commands to the arm; 250 Hz: the 4 ms of KUKA's RSI, and the rate at EPOS; a delay of two cycles [recalled]",
+        description="Path of commands to the arm; 250 Hz: the 4 ms of KUKA's RSI, and the rate at "
+        "EPOS; a delay of two cycles [recalled]",
     )
 
     def cure(self, lost: float) -> tuple[str, dict[str, Any]]:
         force = {"kind": "virtual_contact", "damping": lost}
-        return "hybrid: a virtual damper in parallel with the real contact (EPOS)", {"force": force, "motion": {"kind": "feedforward"}}
+        return "hybrid: a virtual damper in parallel with the real contact (EPOS)", {
+            "force": force,
+            "motion": {"kind": "feedforward"},
+        }
 
     def build(self) -> SerialArm:
         from hiltestbed.platform.facilities.serial_arm import SerialArm

@@ -27,8 +27,12 @@ class SensorBias(Effect):
     """A constant offset on the wrench."""
 
     kind: Literal["sensor.bias"] = "sensor.bias"
-    force: Vector3 = quantity("N", "Offset of the force, x, y, z", default=(0.0, 0.0, 0.0), search=(-50.0, 50.0))
-    torque: Vector3 = quantity("N m", "Offset of the torque, x, y, z", default=(0.0, 0.0, 0.0), search=(-20.0, 20.0))
+    force: Vector3 = quantity(
+        "N", "Offset of the force, x, y, z", default=(0.0, 0.0, 0.0), search=(-50.0, 50.0)
+    )
+    torque: Vector3 = quantity(
+        "N m", "Offset of the torque, x, y, z", default=(0.0, 0.0, 0.0), search=(-20.0, 20.0)
+    )
     link = "sensor"
     equation = "w += (force, torque)"
     reference = "tare error"
@@ -66,7 +70,12 @@ class SensorDrift(Effect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         fastest = DRIFTS * scales.force / scales.duration
-        return (candidate(cls, {"rate": [0.0]}, choices=3, bounds={"rate": (-fastest, fastest)}, axis=axis) for axis in AXES)
+        return (
+            candidate(
+                cls, {"rate": [0.0]}, choices=3, bounds={"rate": (-fastest, fastest)}, axis=axis
+            )
+            for axis in AXES
+        )
 
 
 @register
@@ -74,10 +83,16 @@ class SensorHum(Effect):
     """A sinusoidal tone on the force reading, in contact and out of it."""
 
     kind: Literal["sensor.hum"] = "sensor.hum"
-    frequency: float = quantity("Hz", "Frequency of the tone", gt=0.0, search=(1.0, 400.0), ratio=True)
+    frequency: float = quantity(
+        "Hz", "Frequency of the tone", gt=0.0, search=(1.0, 400.0), ratio=True
+    )
     amplitude: float = quantity("N", "Amplitude of the tone", ge=0.0, search=(0.0, 20.0))
-    phase: float = quantity("rad", "Phase of the tone at t = 0", default=0.0, search=(-math.pi, math.pi))
-    axis: Literal["x", "y", "z", "all"] = Field(default="z", description="Force axis that shows the tone, or all three")
+    phase: float = quantity(
+        "rad", "Phase of the tone at t = 0", default=0.0, search=(-math.pi, math.pi)
+    )
+    axis: Literal["x", "y", "z", "all"] = Field(
+        default="z", description="Force axis that shows the tone, or all three"
+    )
     link = "sensor"
     equation = "f_axis += amplitude sin(2 pi frequency t + phase)"
     reference = "mains pick-up or a structural tone"
@@ -95,7 +110,9 @@ class SensorHum(Effect):
 
     @classmethod
     def near(cls, axis: str, frequency: float, amplitude: float, phase: float) -> Candidate:
-        """The hypothesis of a tone near an observed spectral line: frequency [Hz], amplitude [N], phase [rad]."""
+        """The hypothesis of a tone near an observed spectral line: frequency [Hz], amplitude [N],
+        phase [rad].
+        """
         start = {"frequency": [frequency], "amplitude": [amplitude], "phase": [phase]}
         bounds = {
             "frequency": (max(0.5, frequency - NEAR), frequency + NEAR),

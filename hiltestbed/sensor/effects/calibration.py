@@ -23,7 +23,9 @@ class SensorGain(Effect):
     """The gain of one axis of the wrench is wrong."""
 
     kind: Literal["sensor.gain"] = "sensor.gain"
-    factor: float = quantity("-", "True gain over nominal gain", gt=0.0, search=(0.3, 3.0), ratio=True)
+    factor: float = quantity(
+        "-", "True gain over nominal gain", gt=0.0, search=(0.3, 3.0), ratio=True
+    )
     axis: WrenchAxis = Field(default="z", description="Axis of the wrench that is scaled")
     link = "sensor"
     equation = "w_axis *= factor"
@@ -37,7 +39,9 @@ class SensorGain(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        return (candidate(cls, {"factor": [0.9, 1.1]}, choices=2, axis=axis) for axis in WRENCH_AXES)
+        return (
+            candidate(cls, {"factor": [0.9, 1.1]}, choices=2, axis=axis) for axis in WRENCH_AXES
+        )
 
 
 @register
@@ -45,9 +49,19 @@ class SensorCrosstalk(Effect):
     """A fraction of one axis of the wrench appears on another axis."""
 
     kind: Literal["sensor.crosstalk"] = "sensor.crosstalk"
-    ratio: float = quantity("-", "Fraction of the source axis that appears on the other", ge=-1.0, le=1.0, search=(-0.3, 0.3))
-    source: WrenchAxis = Field(default="z", description="Axis of the wrench that couples into the other")
-    axis: WrenchAxis = Field(default="x", description="Axis of the wrench on which the crosstalk appears")
+    ratio: float = quantity(
+        "-",
+        "Fraction of the source axis that appears on the other",
+        ge=-1.0,
+        le=1.0,
+        search=(-0.3, 0.3),
+    )
+    source: WrenchAxis = Field(
+        default="z", description="Axis of the wrench that couples into the other"
+    )
+    axis: WrenchAxis = Field(
+        default="x", description="Axis of the wrench on which the crosstalk appears"
+    )
     link = "sensor"
     equation = "w_axis += ratio w_source"
     reference = "calibration-matrix error"
@@ -56,7 +70,9 @@ class SensorCrosstalk(Effect):
     leading = "ratio"
 
     def apply(self, p: SensorParameters) -> None:
-        p.calibration[WRENCH_AXES.index(self.axis)] += self.ratio * p.calibration[WRENCH_AXES.index(self.source)]
+        p.calibration[WRENCH_AXES.index(self.axis)] += (
+            self.ratio * p.calibration[WRENCH_AXES.index(self.source)]
+        )
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:

@@ -20,7 +20,9 @@ class SensorDeadzone(Effect):
     """A dead zone in the sensor: force axes read zero below a threshold."""
 
     kind: Literal["sensor.deadzone"] = "sensor.deadzone"
-    width: float = quantity("N", "Force below which an axis reads zero", gt=0.0, search=(0.2, 60.0), ratio=True)
+    width: float = quantity(
+        "N", "Force below which an axis reads zero", gt=0.0, search=(0.2, 60.0), ratio=True
+    )
     link = "sensor"
     equation = "f_axis = 0 where |f_axis| < width"
     reference = "dead zone of an analogue-to-digital conversion"
@@ -35,7 +37,9 @@ class SensorDeadzone(Effect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         widths = list(np.geomspace(scales.noise, 0.5 * scales.force, 16))
-        yield candidate(cls, {"width": widths}, bounds={"width": (0.5 * scales.noise, 0.7 * scales.force)})
+        yield candidate(
+            cls, {"width": widths}, bounds={"width": (0.5 * scales.noise, 0.7 * scales.force)}
+        )
 
 
 @register
@@ -43,7 +47,9 @@ class SensorSaturation(Effect):
     """Force axes clip at the range of the sensor."""
 
     kind: Literal["sensor.saturation"] = "sensor.saturation"
-    limit: float = quantity("N", "Force at which an axis clips", gt=0.0, search=(5.0, 5000.0), ratio=True)
+    limit: float = quantity(
+        "N", "Force at which an axis clips", gt=0.0, search=(5.0, 5000.0), ratio=True
+    )
     link = "sensor"
     equation = "f_axis = min(max(f_axis, -limit), limit)"
     reference = "range of the sensor or of its amplifier"

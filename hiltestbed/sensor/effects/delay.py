@@ -20,7 +20,9 @@ class SensorDelay(Effect):
     """An additional constant delay of the force reading."""
 
     kind: Literal["sensor.delay"] = "sensor.delay"
-    delay: float = quantity("s", "Delay on top of the nominal one", ge=0.0, le=1.0, search=(0.0, 0.03))
+    delay: float = quantity(
+        "s", "Delay on top of the nominal one", ge=0.0, le=1.0, search=(0.0, 0.03)
+    )
     link = "sensor"
     equation = "w_meas(t) = w(t - delay_nominal - delay)"
     reference = "pure transport delay"
@@ -37,7 +39,9 @@ class SensorDelay(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        yield candidate(cls, {"delay": scales.delays}, bounds={"delay": (0.0, scales.longest_delay)})
+        yield candidate(
+            cls, {"delay": scales.delays}, bounds={"delay": (0.0, scales.longest_delay)}
+        )
 
 
 @register
@@ -45,7 +49,9 @@ class SensorJitter(Effect):
     """Jitter: the delay of the force reading varies from sample to sample."""
 
     kind: Literal["sensor.jitter"] = "sensor.jitter"
-    sigma: float = quantity("s", "Standard deviation of the delay", ge=0.0, le=0.1, search=(0.0, 0.005))
+    sigma: float = quantity(
+        "s", "Standard deviation of the delay", ge=0.0, le=0.1, search=(0.0, 0.005)
+    )
     link = "sensor"
     equation = "w_meas(t_k) = w(t_k - delay - sigma n_k), n_k standard normal, total delay >= 0"
     reference = "sampling jitter"
@@ -58,5 +64,7 @@ class SensorJitter(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """None: jitter is noise proportional to the reading's rate of change; it is found by likelihood, not by a change of the mean."""
+        """None: jitter is noise proportional to the reading's rate of change; it is found by
+        likelihood, not by a change of the mean.
+        """
         return iter(())

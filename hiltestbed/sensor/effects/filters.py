@@ -22,7 +22,9 @@ class SensorLag(Effect):
     """The force reading passes an additional first-order low-pass."""
 
     kind: Literal["sensor.lag"] = "sensor.lag"
-    time_constant: float = quantity("s", "Time constant of the low-pass", gt=0.0, search=(1e-4, 0.05), ratio=True)
+    time_constant: float = quantity(
+        "s", "Time constant of the low-pass", gt=0.0, search=(1e-4, 0.05), ratio=True
+    )
     link = "sensor"
     equation = "y_k = y_(k-1) + (u_k - y_(k-1)) (1 - exp(-h/T))"
     reference = "first-order low-pass, exact for an input held over the tick"
@@ -40,15 +42,21 @@ class SensorLag(Effect):
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         h = scales.tick
         bounds = {"time_constant": (1e-4, max(0.05, SLOWEST * h))}
-        yield candidate(cls, {"time_constant": [0.3 * h, h, 3.0 * h, 8.0 * h, 25.0 * h]}, bounds=bounds)
+        yield candidate(
+            cls, {"time_constant": [0.3 * h, h, 3.0 * h, 8.0 * h, 25.0 * h]}, bounds=bounds
+        )
 
 
 @register
 class SensorHighpass(Effect):
-    """Charge leakage, a high-pass: the reading of a steady force decays, and an undershoot follows the contact."""
+    """Charge leakage, a high-pass: the reading of a steady force decays, and an undershoot follows
+    the contact.
+    """
 
     kind: Literal["sensor.highpass"] = "sensor.highpass"
-    time_constant: float = quantity("s", "Time constant of the charge leakage", gt=0.0, search=(0.02, 100.0), ratio=True)
+    time_constant: float = quantity(
+        "s", "Time constant of the charge leakage", gt=0.0, search=(0.02, 100.0), ratio=True
+    )
     link = "sensor"
     equation = "y_k = exp(-h/T) (y_(k-1) + u_k - u_(k-1))"
     reference = "charge amplifier, s T/(1 + s T)"
@@ -61,7 +69,8 @@ class SensorHighpass(Effect):
         p.leak.append(math.exp(-p.tick / self.time_constant))
 
     def worth(self, scenario: Scenario, frequency: float) -> float:
-        return -1.0 / (frequency * frequency * self.time_constant)  # a high-pass leads: phase 1/(w T)
+        # a high-pass leads: phase 1/(w T)
+        return -1.0 / (frequency * frequency * self.time_constant)
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:

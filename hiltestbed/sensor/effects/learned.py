@@ -1,4 +1,6 @@
-"""A calibration curve of the sensor learned from data, for departures that no named effect explains."""
+"""A calibration curve of the sensor learned from data, for departures that no named effect
+explains.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,19 @@ Reading = Annotated[Curve, Field(min_length=2)]
 
 @register
 class SensorMap(Effect):
-    """The reading of one axis follows a non-linear calibration curve instead of the nominal straight line."""
+    """The reading of one axis follows a non-linear calibration curve instead of the nominal
+    straight line.
+    """
 
     kind: Literal["sensor.map"] = "sensor.map"
     reading: Reading = quantity(
-        "N, N", "Knots of the reading over the true force (torque axes: N m); linearly extrapolated beyond the ends"
+        "N, N",
+        "Knots of the reading over the true force (torque axes: N m); linearly extrapolated "
+        "beyond the ends",
     )
-    axis: WrenchAxis = Field(default="z", description="Axis of the wrench that the curve applies to")
+    axis: WrenchAxis = Field(
+        default="z", description="Axis of the wrench that the curve applies to"
+    )
     link = "sensor"
     equation = "w_axis = curve(w_axis), piecewise linear"
     reference = "calibration curve"
@@ -40,5 +48,7 @@ class SensorMap(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """None: it is learned where the named effects leave a residual above the noise floor, see :mod:`hiltestbed.diagnosis.learned`."""
+        """None: it is learned where the named effects leave a residual above the noise floor, see
+        :mod:`hiltestbed.diagnosis.learned`.
+        """
         return iter(())

@@ -16,17 +16,27 @@ from hiltestbed.plugins import register
 if TYPE_CHECKING:
     from hiltestbed.sensor.parameters import SensorParameters
 
-Angles = Annotated[tuple[Annotated[float, Field(ge=-180.0, le=180.0)], ...], Strict(False), Field(min_length=3, max_length=3)]
+Angles = Annotated[
+    tuple[Annotated[float, Field(ge=-180.0, le=180.0)], ...],
+    Strict(False),
+    Field(min_length=3, max_length=3),
+]
 LATERAL = ("angles_deg.0", "angles_deg.1")
 ALL = (*LATERAL, "angles_deg.2")
 
 
 @register
 class SensorRotation(Effect):
-    """The sensor's frame is rotated against its nominal attitude: force and torque are read along other axes."""
+    """The sensor's frame is rotated against its nominal attitude: force and torque are read along
+    other axes.
+    """
 
     kind: Literal["sensor.rotation"] = "sensor.rotation"
-    angles_deg: Angles = quantity("deg", "Rotation vector of the sensor's true frame in the nominal frame, x, y, z", search=(-10.0, 10.0))
+    angles_deg: Angles = quantity(
+        "deg",
+        "Rotation vector of the sensor's true frame in the nominal frame, x, y, z",
+        search=(-10.0, 10.0),
+    )
     link = "sensor"
     equation = "f = R^T f and tau = R^T tau, R = exp([angles]_x), before gain and crosstalk"
     reference = "mounting error"
@@ -46,5 +56,7 @@ class SensorRotation(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """About the lateral axes, and about all three: a rotation about z shows only in lateral loads and must justify its parameter."""
+        """About the lateral axes, and about all three: a rotation about z shows only in lateral
+        loads and must justify its parameter.
+        """
         return (candidate(cls, {name: [0.0] for name in names}) for names in (LATERAL, ALL))

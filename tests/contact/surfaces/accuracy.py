@@ -1,4 +1,5 @@
-"""A ball in the shipped cone: what each way to describe the cone says of penetration and normal, and what it costs.
+"""A ball in the shipped cone: what each way to describe the cone says of penetration and normal,
+and what it costs.
 
 python -m tests.contact.surfaces.accuracy
 """
@@ -26,12 +27,15 @@ CONE = Path(__file__).resolve().parents[3] / "models" / "probe_cone"
 BALL, SOCKET, GENERATOR, HALF_ANGLE = 0.03, 0.035, 0.20, math.radians(45.0)
 THICKNESS = 0.024
 DEPTH = 1e-3  # [m]
-Query = Callable[[np.ndarray], tuple[float, np.ndarray]]  # a place of the ball's centre to penetration and outward normal
+# a place of the ball's centre to penetration and outward normal
+Query = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
 @dataclass(frozen=True)
 class Row:
-    """What a description of the cone is worth: worst error of the normal [deg], of the penetration [m], and a query's time [s]."""
+    """What a description of the cone is worth: worst error of the normal [deg], of the penetration
+    [m], and a query's time [s].
+    """
 
     name: str
     normal: float
@@ -40,18 +44,24 @@ class Row:
 
 
 def turned_cone(segments: int) -> tuple[np.ndarray, np.ndarray]:
-    return turn(polyline(shell(SOCKET, HALF_ANGLE, GENERATOR, THICKNESS), math.radians(5.0)), segments)
+    return turn(
+        polyline(shell(SOCKET, HALF_ANGLE, GENERATOR, THICKNESS), math.radians(5.0)), segments
+    )
 
 
 def places(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (count, 3) [m] of a ball that is DEPTH in the straight part of the cone, and the normals there, by hand."""
+    """Centres (count, 3) [m] of a ball that is DEPTH in the straight part of the cone, and the
+    normals there, by hand.
+    """
     rng = np.random.default_rng(4)
     azimuth, along = rng.uniform(0.0, 2.0 * math.pi, count), rng.uniform(0.04, 0.18, count)
     sin, cos = math.sin(HALF_ANGLE), math.cos(HALF_ANGLE)
     off = SOCKET - (BALL - DEPTH)  # from the socket's centre across the generator
     rho, z = off * cos + along * sin, off * sin - SOCKET - along * cos
     radial = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
-    return np.column_stack([rho[:, None] * radial, z]), np.column_stack([-cos * radial, np.full(count, -sin)])
+    return np.column_stack([rho[:, None] * radial, z]), np.column_stack(
+        [-cos * radial, np.full(count, -sin)]
+    )
 
 
 @njit
@@ -80,8 +90,16 @@ def _row(name: str, query: Query, cost: float | None = None, count: int = 300) -
     start = time.thread_time()
     found = [(depth, normal.copy()) for depth, normal in map(query, centres)]
     spent = (time.thread_time() - start) / count
-    angles = [math.atan2(np.linalg.norm(np.cross(n, m)), n @ m) for (_, n), m in zip(found, normals, strict=True)]
-    return Row(name, math.degrees(max(angles)), max(abs(d - DEPTH) for d, _ in found), spent if cost is None else cost)
+    angles = [
+        math.atan2(np.linalg.norm(np.cross(n, m)), n @ m)
+        for (_, n), m in zip(found, normals, strict=True)
+    ]
+    return Row(
+        name,
+        math.degrees(max(angles)),
+        max(abs(d - DEPTH) for d, _ in found),
+        spent if cost is None else cost,
+    )
 
 
 def _coal(segments: int) -> Row:
@@ -91,7 +109,12 @@ def _coal(segments: int) -> Row:
     tree.addVertices(vertices)
     tree.addTriangles(faces)
     tree.endModel()
-    point, request, still, turned = coal.Sphere(1e-9), coal.DistanceRequest(), coal.Transform3s(), np.eye(3)
+    point, request, still, turned = (
+        coal.Sphere(1e-9),
+        coal.DistanceRequest(),
+        coal.Transform3s(),
+        np.eye(3),
+    )
 
     def query(p: np.ndarray) -> tuple[float, np.ndarray]:
         result = coal.DistanceResult()
@@ -117,7 +140,10 @@ def _contacts(name: str, assets: str, geoms: str, files: dict[str, bytes]) -> Ro
         depths = np.maximum(-data.contact.dist, 0.0)
         if not depths.size or depths.max() == 0.0:
             return 0.0, np.array([1.0, 0.0, 0.0])
-        normals = data.contact.frame[:, :3] * np.where(data.contact.geom2 == model.ngeom - 1, 1.0, -1.0)[:, None]
+        normals = (
+            data.contact.frame[:, :3]
+            * np.where(data.contact.geom2 == model.ngeom - 1, 1.0, -1.0)[:, None]
+        )
         normal = depths @ normals
         return float(depths.max()), normal / np.linalg.norm(normal)
 
@@ -142,7 +168,12 @@ def _wedges(count: int) -> Row:
 def _field(segments: int) -> Row:
     text = obj_text(*turned_cone(segments), "cone").encode()
     assets = '<mesh name="cone" file="cone.obj" inertia="shell"/>'
-    return _contacts(f"MuJoCo signed distance field, {segments} segments", assets, '<geom type="sdf" mesh="cone"/>', {"cone.obj": text})
+    return _contacts(
+        f"MuJoCo signed distance field, {segments} segments",
+        assets,
+        '<geom type="sdf" mesh="cone"/>',
+        {"cone.obj": text},
+    )
 
 
 def _turned(segments: int) -> Surface:
@@ -164,6 +195,9 @@ def table() -> list[Row]:
 
 
 if __name__ == "__main__":
-    print("| model of the cone | normal error [deg] | penetration error [mm] | cost [us] |\n|---|---|---|---|")
+    print(
+        "| model of the cone | normal error [deg] | penetration error [mm] | cost [us] "
+        "|\n|---|---|---|---|"
+    )
     for row in table():
         print(f"| {row.name} | {row.normal:.2g} | {row.depth * 1e3:.2g} | {row.cost * 1e6:.3g} |")

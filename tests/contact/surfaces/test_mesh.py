@@ -17,7 +17,9 @@ from hiltestbed.contact.surfaces.surface import MESH, TURNED, of_geom
 from tests.contact.surfaces.accuracy import table, turned_cone
 
 CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+SIDES = np.array(
+    [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+)
 CUBE_FACES = np.concatenate([SIDES[:, [0, 1, 2]], SIDES[:, [0, 2, 3]]])
 
 
@@ -40,7 +42,14 @@ def test_nearest_points_are_those_of_coal() -> None:
     point, normal = coal.Sphere(1e-9), np.zeros(3)
     for p in np.random.default_rng(0).uniform(-0.2, 0.2, (300, 3)):
         result = coal.DistanceResult()
-        coal.distance(model, coal.Transform3s(), point, coal.Transform3s(np.eye(3), p), coal.DistanceRequest(), result)
+        coal.distance(
+            model,
+            coal.Transform3s(),
+            point,
+            coal.Transform3s(np.eye(3), p),
+            coal.DistanceRequest(),
+            result,
+        )
         theirs = float(np.linalg.norm(p - result.getNearestPoint1()))
         assert abs(mesh_distance(tree, p, math.inf, normal)) == pytest.approx(theirs, abs=2e-9)
 
@@ -57,12 +66,21 @@ def test_beyond_reach_a_bound_is_told_and_within_it_the_distance() -> None:
 
 
 def test_the_bound_of_a_segment_is_no_more_than_the_least_of_its_points() -> None:
-    """And it tells most of those that are away from what can touch: a rod of 18 mm before or in a cone."""
-    tree, normal, rng, told, away = plant(*turned_cone(256)), np.zeros(3), np.random.default_rng(4), 0, 0
+    """And it tells most of those that are away from what can touch: a rod of 18 mm before or in a
+    cone.
+    """
+    tree, normal, rng, told, away = (
+        plant(*turned_cone(256)),
+        np.zeros(3),
+        np.random.default_rng(4),
+        0,
+        0,
+    )
     for start in rng.uniform(-0.2, 0.2, (300, 3)):
         end = start + rng.normal(scale=0.1, size=3)
         points = start + np.linspace(0.0, 1.0, 65)[:, None] * (end - start)
-        least = min(abs(mesh_distance(tree, p, math.inf, normal)) for p in points)  # of points: no less than the segment's
+        # of points: no less than the segment's
+        least = min(abs(mesh_distance(tree, p, math.inf, normal)) for p in points)
         bound = mesh_beyond(tree, start, end, 0.018)
         assert bound <= least + 1e-15
         assert bound == -math.inf or bound >= 0.018
@@ -71,7 +89,9 @@ def test_the_bound_of_a_segment_is_no_more_than_the_least_of_its_points() -> Non
 
 
 def test_the_table_of_descriptions() -> None:
-    """Facets of n segments turn the normal by pi/n at most on a cone: 0.70 deg and 0.18 deg, times the sine of the half angle."""
+    """Facets of n segments turn the normal by pi/n at most on a cone: 0.70 deg and 0.18 deg, times
+    the sine of the half angle.
+    """
     rows = {row.name: row for row in table()}
     exact = rows["profile recovered from 96 segments"]
     assert exact.normal < 1e-6
@@ -80,7 +100,9 @@ def test_the_table_of_descriptions() -> None:
         for segments in (256, 1024):
             row = rows[f"{kind}, {segments} segments"]
             assert row.normal < math.degrees(math.pi / segments) * math.sin(math.pi / 4.0) * 1.02
-    assert rows["coal, 1024 segments"].depth == pytest.approx(rows["tree of triangles, 1024 segments"].depth, rel=1e-3)
+    assert rows["coal, 1024 segments"].depth == pytest.approx(
+        rows["tree of triangles, 1024 segments"].depth, rel=1e-3
+    )
     assert rows["64 convex wedges"].normal > 1.0
 
 
@@ -91,18 +113,25 @@ def test_rod_against_the_rim_is_the_least_of_its_points() -> None:
     normal, nearest, scratch = np.zeros(3), np.zeros(3), np.zeros(3)
     rng = np.random.default_rng(2)
     for _ in range(30):
-        start, end = rng.uniform([-0.2, -0.2, -0.1], [0.2, 0.2, 0.1]), rng.uniform([-0.2, -0.2, -0.5], [0.2, 0.2, -0.2])
+        start, end = (
+            rng.uniform([-0.2, -0.2, -0.1], [0.2, 0.2, 0.1]),
+            rng.uniform([-0.2, -0.2, -0.5], [0.2, 0.2, -0.2]),
+        )
         least = segment_distance(surface, start, end, math.inf, normal, nearest)
         along = start + np.linspace(0.0, 1.0, 3001)[:, None] * (end - start)
         sampled = min(profile_distance(surface.profile, p, scratch) for p in along)
         assert sampled - 0.5 * np.linalg.norm(end - start) / 3000 <= least <= sampled
-        assert profile_distance(surface.profile, nearest, scratch) == pytest.approx(least, abs=1e-15)
+        assert profile_distance(surface.profile, nearest, scratch) == pytest.approx(
+            least, abs=1e-15
+        )
         bounded = segment_distance(surface, start, end, 0.02, normal, nearest)
         assert bounded == pytest.approx(least, abs=1e-12) if least < 0.02 else bounded >= 0.02
 
 
 def test_rod_across_a_box_edge() -> None:
-    """Closed form: a line at the height h over the edge, at right angles to it and at 45 degrees to both faces."""
+    """Closed form: a line at the height h over the edge, at right angles to it and at 45 degrees to
+    both faces.
+    """
     start, end = np.array([2.0 + 0.1, 0.0, 0.1]), np.array([0.1, 0.0, 2.0 + 0.1])
     normal, nearest = np.zeros(3), np.zeros(3)
     least = segment_distance(of_geom(6, np.ones(3)), start, end, 1.0, normal, nearest)
@@ -141,4 +170,6 @@ def test_flat_triangles_are_left_out_and_doubled_vertices_made_one() -> None:
     assert surface is not None
     assert [(f.kind, f.count) for f in findings] == [("flat", 1)]
     assert examine(corners, faces[:12]) == []
-    assert signed_distance(surface, np.array([1.2, 1.3, 0.0]), math.inf, np.zeros(3)) == pytest.approx(math.hypot(0.2, 0.3), abs=1e-14)
+    assert signed_distance(
+        surface, np.array([1.2, 1.3, 0.0]), math.inf, np.zeros(3)
+    ) == pytest.approx(math.hypot(0.2, 0.3), abs=1e-14)

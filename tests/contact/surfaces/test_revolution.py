@@ -27,7 +27,10 @@ BALL = [Element((0.0, 0.2), (0.0, -0.2), (0.0, 0.0), clockwise=True)]
 
 
 def found(
-    loop: list[Element], segments: int = 48, turned: Rotation | None = None, at: tuple[float, float, float] = (0, 0, 0)
+    loop: list[Element],
+    segments: int = 48,
+    turned: Rotation | None = None,
+    at: tuple[float, float, float] = (0, 0, 0),
 ) -> Revolution:
     vertices, faces = turn(polyline(loop, math.radians(6.0)), segments)
     result = recognise((turned or Rotation.identity()).apply(vertices) + at, faces)
@@ -40,7 +43,9 @@ def distance(revolution: Revolution, point: tuple[float, float, float]) -> float
 
 
 def test_the_shipped_cone_is_what_its_dimensions_say() -> None:
-    """Against the closed form of a shell about a cone and a socket, within the shell's half thickness of its inside and its rim."""
+    """Against the closed form of a shell about a cone and a socket, within the shell's half
+    thickness of its inside and its rim.
+    """
     cone = _shipped()
     rng, normal, expected = np.random.default_rng(0), np.zeros(3), np.zeros(3)
     compared = 0
@@ -56,7 +61,8 @@ def test_the_shipped_cone_is_what_its_dimensions_say() -> None:
 def _shipped() -> Revolution:
     model = mujoco.MjModel.from_xml_path(str(CONE / "passive.xml"))
     vertices = np.zeros((model.nmeshvert, 3))
-    for v, out in zip(model.mesh_vert.astype(float), vertices, strict=True):  # MuJoCo keeps them in a frame of the mesh's own
+    # MuJoCo keeps them in a frame of the mesh's own
+    for v, out in zip(model.mesh_vert.astype(float), vertices, strict=True):
         mujoco.mju_rotVecQuat(out, v, model.mesh_quat[0])
     cone = recognise(vertices + model.mesh_pos[0], model.mesh_face)
     assert cone is not None
@@ -68,7 +74,9 @@ def _shipped() -> Revolution:
 def test_the_shipped_cone_is_what_its_script_writes() -> None:
     script = runpy.run_path(str(CONE / "turn_cone.py"))
     vertices, faces = turn(polyline(script["PROFILE"], script["ARC_STEP"]), script["SEGMENTS"])
-    assert (CONE / "cone.obj").read_text().split("\n", 1)[1] == obj_text(vertices, faces, "").split("\n", 1)[1]
+    assert (CONE / "cone.obj").read_text().split("\n", 1)[1] == obj_text(vertices, faces, "").split(
+        "\n", 1
+    )[1]
 
 
 def test_elements_of_the_cone() -> None:
@@ -85,8 +93,12 @@ def test_any_axis_and_place(seed: int) -> None:
     turned, at = Rotation.from_quat(np.random.default_rng(seed).normal(size=4)), (0.3, -0.2, 0.5)
     torus = found(TORUS, turned=turned, at=at)
     assert abs(torus.axis @ turned.apply([0.0, 0.0, 1.0])) == pytest.approx(1.0, abs=1e-12)
-    assert distance(torus, tuple(turned.apply([0.0, 0.35, 0.0]) + at)) == pytest.approx(0.02, abs=1e-9)
-    assert distance(torus, tuple(turned.apply([0.31, 0.0, 0.01]) + at)) == pytest.approx(math.hypot(0.01, 0.01) - 0.03, abs=1e-9)
+    assert distance(torus, tuple(turned.apply([0.0, 0.35, 0.0]) + at)) == pytest.approx(
+        0.02, abs=1e-9
+    )
+    assert distance(torus, tuple(turned.apply([0.31, 0.0, 0.01]) + at)) == pytest.approx(
+        math.hypot(0.01, 0.01) - 0.03, abs=1e-9
+    )
 
 
 def test_single_precision_vertices() -> None:
@@ -112,7 +124,10 @@ def test_the_corners_of_a_rectangle_are_no_circle() -> None:
 
 
 def test_a_ball_with_a_hollow() -> None:
-    outer, inner = turn(polyline(BALL, math.radians(6.0)), 48), turn(polyline(BALL, math.radians(6.0)), 48)
+    outer, inner = (
+        turn(polyline(BALL, math.radians(6.0)), 48),
+        turn(polyline(BALL, math.radians(6.0)), 48),
+    )
     vertices = np.concatenate([outer[0], 0.5 * inner[0]])
     hollow = recognise(vertices, np.concatenate([outer[1], inner[1][:, ::-1] + len(outer[0])]))
     assert hollow is not None

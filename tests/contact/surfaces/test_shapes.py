@@ -1,4 +1,6 @@
-"""Distances from analytic geoms against a dense sampling of their surfaces and against what a nearest point must fulfil."""
+"""Distances from analytic geoms against a dense sampling of their surfaces and against what a
+nearest point must fulfil.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,15 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from hiltestbed.contact.surfaces.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, shape_distance
+from hiltestbed.contact.surfaces.shapes import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    PLANE,
+    SPHERE,
+    shape_distance,
+)
 
 SIZES = {
     PLANE: [0.0, 0.0, 0.0],
@@ -44,7 +54,9 @@ def awkward_points(kind: int) -> np.ndarray:
         points[20 * i : 20 * (i + 1), i] = 0.0
     points[60:70, :2] = 0.0
     points[70:80, 1:] = 0.0
-    points[80:100] = rng.choice([-1.0, 1.0], (20, 3)) * np.array(SIZES[BOX]) * rng.uniform(0.8, 1.2, (20, 1))
+    points[80:100] = (
+        rng.choice([-1.0, 1.0], (20, 3)) * np.array(SIZES[BOX]) * rng.uniform(0.8, 1.2, (20, 1))
+    )
     return points
 
 
@@ -60,14 +72,19 @@ def test_the_foot_is_on_the_surface_and_the_sign_tells_the_side(kind: int) -> No
 
 @pytest.mark.parametrize("kind", [k for k in SIZES if k != PLANE])
 def test_no_point_of_the_surface_is_nearer(kind: int) -> None:
-    """A ball of the distance's radius about the point holds no change of side: on 200 of its directions all is inside, or outside."""
+    """A ball of the distance's radius about the point holds no change of side: on 200 of its
+    directions all is inside, or outside.
+    """
     sizes, normal = np.array(SIZES[kind]), np.zeros(3)
     directions = np.random.default_rng(1).normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     for p in awkward_points(kind)[::4]:
         distance = shape_distance(kind, sizes, p, normal)
         within = inside(kind, SIZES[kind], p)
-        assert all(inside(kind, SIZES[kind], q) == within for q in p + abs(distance) * (1.0 - 1e-9) * directions)
+        assert all(
+            inside(kind, SIZES[kind], q) == within
+            for q in p + abs(distance) * (1.0 - 1e-9) * directions
+        )
 
 
 def test_ellipsoid_against_a_constrained_minimiser() -> None:
@@ -76,14 +93,24 @@ def test_ellipsoid_against_a_constrained_minimiser() -> None:
     for p in awkward_points(ELLIPSOID)[100:120]:
         distance = shape_distance(ELLIPSOID, sizes, p, normal)
         starts = [p - distance * normal + 0.02, p / np.sqrt(((p / sizes) ** 2).sum())]
-        found = min(float(minimize(lambda x, p=p: ((x - p) ** 2).sum(), s, constraints=on, tol=1e-14).fun) for s in starts)
+        found = min(
+            float(minimize(lambda x, p=p: ((x - p) ** 2).sum(), s, constraints=on, tol=1e-14).fun)
+            for s in starts
+        )
         assert abs(distance) == pytest.approx(np.sqrt(found), abs=1e-6)
 
 
 @pytest.mark.parametrize("kind", SIZES)
 def test_the_sizes_are_those_of_mujoco(kind: int) -> None:
     """MuJoCo's own distance of a small ball from the geom."""
-    name = {PLANE: "plane", SPHERE: "sphere", CAPSULE: "capsule", CYLINDER: "cylinder", BOX: "box", ELLIPSOID: "ellipsoid"}[kind]
+    name = {
+        PLANE: "plane",
+        SPHERE: "sphere",
+        CAPSULE: "capsule",
+        CYLINDER: "cylinder",
+        BOX: "box",
+        ELLIPSOID: "ellipsoid",
+    }[kind]
     size = "1 1 1" if kind == PLANE else " ".join(map(str, SIZES[kind]))
     model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody><geom type="{name}" size="{size}"/>
         <body><freejoint/><geom type="sphere" size="0.01"/></body></worldbody></mujoco>""")
@@ -94,4 +121,6 @@ def test_the_sizes_are_those_of_mujoco(kind: int) -> None:
             continue
         data.qpos[:3] = p
         mujoco.mj_kinematics(model, data)
-        assert mujoco.mj_geomDistance(model, data, 0, 1, 10.0, None) == pytest.approx(distance - 0.01, abs=1e-4)
+        assert mujoco.mj_geomDistance(model, data, 0, 1, 10.0, None) == pytest.approx(
+            distance - 0.01, abs=1e-4
+        )

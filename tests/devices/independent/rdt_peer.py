@@ -1,7 +1,8 @@
-"""A client and a sensor of ATI's Raw Data Transfer, written from the manual (document 9620-05-NET FT, section 10) and sharing nothing.
+"""A client and a sensor of ATI's Raw Data Transfer, written from the manual (document 9620-05-NET
+FT, section 10) and sharing nothing.
 
-Big-endian throughout. Request: uint16 0x1234, uint16 command, uint32 count. Record: uint32 rdt_sequence, ft_sequence, status, int32 Fx Fy
-Fz Tx Ty Tz; value = counts / counts per unit.
+Big-endian throughout. Request: uint16 0x1234, uint16 command, uint32 count. Record: uint32
+rdt_sequence, ft_sequence, status, int32 Fx Fy Fz Tx Ty Tz; value = counts / counts per unit.
 """
 
 from __future__ import annotations
@@ -40,17 +41,32 @@ class IndependentRdtClient:
         unsigned = [int.from_bytes(data[i : i + 4], "big") for i in (0, 4, 8)]
         counts = [int.from_bytes(data[i : i + 4], "big", signed=True) for i in range(12, 36, 4)]
         force, torque = [c / self.cpf for c in counts[:3]], [c / self.cpt for c in counts[3:]]
-        return {"rdt": unsigned[0], "ft": unsigned[1], "status": unsigned[2], "force": force, "torque": torque}
+        return {
+            "rdt": unsigned[0],
+            "ft": unsigned[1],
+            "status": unsigned[2],
+            "force": force,
+            "torque": torque,
+        }
 
     def close(self) -> None:
         self.socket.close()
 
 
 class IndependentRdtSensor:
-    """Streams ``wrench(k)`` in counts, k counting the records of a request, from a thread of its own."""
+    """Streams ``wrench(k)`` in counts, k counting the records of a request, from a thread of its
+    own.
+    """
 
-    def __init__(self, counts, period: float = 0.002, first_sample: int = 7000, per_sample: int = 7) -> None:
-        self.counts, self.period, self.sample, self.per_sample = counts, period, first_sample, per_sample
+    def __init__(
+        self, counts, period: float = 0.002, first_sample: int = 7000, per_sample: int = 7
+    ) -> None:
+        self.counts, self.period, self.sample, self.per_sample = (
+            counts,
+            period,
+            first_sample,
+            per_sample,
+        )
         self.status = 0
         self.requests: list[bytes] = []
         self.ignore = 0  # requests to leave unanswered, as if they had been lost
@@ -96,7 +112,9 @@ class IndependentRdtSensor:
             self._number += 1
             self.sample += self.per_sample
             datagram += _u32(self._number) + _u32(self.sample) + _u32(self.status)
-            datagram += b"".join(int(c).to_bytes(4, "big", signed=True) for c in self.counts(self._number))
+            datagram += b"".join(
+                int(c).to_bytes(4, "big", signed=True) for c in self.counts(self._number)
+            )
         self.socket.sendto(datagram, self._client)
 
     def close(self) -> None:

@@ -1,7 +1,9 @@
-"""A robot controller and a sensor system of KUKA's RobotSensorInterface, written from its description and sharing nothing.
+"""A robot controller and a sensor system of KUKA's RobotSensorInterface, written from its
+description and sharing nothing.
 
-The controller sends <Rob Type="KUKA"> with RIst [mm, deg] and IPOC, the sensor system answers <Sen Type="ImFree"> with RKorr and the same
-IPOC before the next cycle. A, B, C turn about z, y', x''. Rotations by SciPy, XML by ElementTree.
+The controller sends <Rob Type="KUKA"> with RIst [mm, deg] and IPOC, the sensor system answers <Sen
+Type="ImFree"> with RKorr and the same IPOC before the next cycle. A, B, C turn about z, y', x''.
+Rotations by SciPy, XML by ElementTree.
 """
 
 from __future__ import annotations
@@ -25,16 +27,27 @@ def from_frame(frame) -> tuple[np.ndarray, Rotation]:
 
 
 class IndependentRobot:
-    """The controller: sends cycle after cycle from a thread and moves to start + correction, turned about the base axes.
+    """The controller: sends cycle after cycle from a thread and moves to start + correction, turned
+    about the base axes.
 
-    With ``patience`` [s] the next cycle begins when the answer has come, or after that time: a robot that a busy machine can keep up with.
+    With ``patience`` [s] the next cycle begins when the answer has come, or after that time: a
+    robot that a busy machine can keep up with.
     """
 
     def __init__(
-        self, port: int, position=(0.5, -0.2, 1.1), angles=(20.0, -35.0, 60.0), period: float = 0.004, relative=False, patience=0.0
+        self,
+        port: int,
+        position=(0.5, -0.2, 1.1),
+        angles=(20.0, -35.0, 60.0),
+        period: float = 0.004,
+        relative=False,
+        patience=0.0,
     ) -> None:
         self.towards = ("127.0.0.1", port)
-        self.start_position, self.start_rotation = np.array(position), Rotation.from_euler("ZYX", angles, degrees=True)
+        self.start_position, self.start_rotation = (
+            np.array(position),
+            Rotation.from_euler("ZYX", angles, degrees=True),
+        )
         self.position, self.rotation = self.start_position.copy(), self.start_rotation
         self.period, self.relative, self.patience = period, relative, patience
         self.ipoc = 4_208_000_000
@@ -49,7 +62,10 @@ class IndependentRobot:
     def telegram(self) -> bytes:
         frame = to_frame(self.position, self.rotation)
         inside = " ".join(f'{n}="{v:.6f}"' for n, v in zip("XYZABC", frame, strict=True))
-        body = f'<RIst {inside}/><RSol {inside}/><Delay D="{self.late}"/><Tech C11="0.0" C12="0.0"/><DiL>0</DiL>'
+        body = (
+            f'<RIst {inside}/><RSol {inside}/><Delay D="{self.late}"/><Tech C11="0.0" '
+            f'C12="0.0"/><DiL>0</DiL>'
+        )
         return f'<Rob TYPE="KUKA">\r\n{body}\r\n<IPOC>{self.ipoc}</IPOC></Rob>'.encode()
 
     def _run(self) -> None:
@@ -110,12 +126,19 @@ class IndependentSensorSystem:
         assert reached is not None
         assert delay is not None
         self.ipoc = int(root.findtext("IPOC", ""))
-        return {"frame": [float(reached.attrib[name]) for name in "XYZABC"], "ipoc": self.ipoc, "delay": int(delay.attrib["D"])}
+        return {
+            "frame": [float(reached.attrib[name]) for name in "XYZABC"],
+            "ipoc": self.ipoc,
+            "delay": int(delay.attrib["D"]),
+        }
 
     def answer(self, frame, ipoc: int | None = None) -> None:
         inside = " ".join(f'{n}="{v:.8f}"' for n, v in zip("XYZABC", frame, strict=True))
         ipoc = self.ipoc if ipoc is None else ipoc
-        text = f'<Sen Type="ImFree"><EStr>independent</EStr><RKorr {inside} /><DiO>125</DiO><IPOC>{ipoc}</IPOC></Sen>'
+        text = (
+            f'<Sen Type="ImFree"><EStr>independent</EStr><RKorr {inside} '
+            f"/><DiO>125</DiO><IPOC>{ipoc}</IPOC></Sen>"
+        )
         self.socket.sendto(text.encode(), self.robot)
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
 """A client and a controller of Universal Robots' RTDE, written from its guide and sharing nothing.
 
-A package: uint16 size with its header, uint8 type, payload; big-endian. Types: V protocol version, O outputs, I inputs, S start, P pause,
-U data, M text.
+A package: uint16 size with its header, uint8 type, payload; big-endian. Types: V protocol version,
+O outputs, I inputs, S start, P pause, U data, M text.
 """
 
 from __future__ import annotations
@@ -62,7 +62,9 @@ class IndependentRtdeClient:
 
 
 class IndependentController:
-    """Accepts one client and answers as a controller does; then sends ``state()``: (timestamp, pose, safety bits, robot bits)."""
+    """Accepts one client and answers as a controller does; then sends ``state()``: (timestamp,
+    pose, safety bits, robot bits).
+    """
 
     KNOWN = {
         "timestamp": "DOUBLE",
@@ -100,11 +102,19 @@ class IndependentController:
                     send(connection, "V", bytes([payload == b"\x00\x02"]))
                 elif kind == "O":
                     outputs = payload[8:].decode().split(",")
-                    send(connection, "O", b"\x01" + ",".join(self.KNOWN.get(name, "NOT_FOUND") for name in outputs).encode())
+                    send(
+                        connection,
+                        "O",
+                        b"\x01"
+                        + ",".join(self.KNOWN.get(name, "NOT_FOUND") for name in outputs).encode(),
+                    )
                 elif kind == "I":
                     names = payload.decode().split(",")
                     inputs = len(names)
-                    types = ["IN_USE" if self.in_use else "INT32" if "int" in name else "DOUBLE" for name in names]
+                    types = [
+                        "IN_USE" if self.in_use else "INT32" if "int" in name else "DOUBLE"
+                        for name in names
+                    ]
                     send(connection, "I", b"\x03" + ",".join(types).encode())
                 elif kind == "S":
                     send(connection, "S", b"\x01")
@@ -123,7 +133,9 @@ class IndependentController:
             values = self.values | {"timestamp": [self.timestamp]}
             payload = b"\x01"
             for name in outputs:
-                payload += struct.pack("!" + ("I" if "bits" in name else "d") * len(values[name]), *values[name])
+                payload += struct.pack(
+                    "!" + ("I" if "bits" in name else "d") * len(values[name]), *values[name]
+                )
             send(connection, "U", payload)
             until = time.monotonic() + self.period
             while time.monotonic() < until:
@@ -134,13 +146,17 @@ class IndependentController:
                 if not piece:
                     raise ConnectionError
                 pending += piece
-                while len(pending) >= 3 and len(pending) >= (size := int.from_bytes(pending[:2], "big")):
+                while len(pending) >= 3 and len(pending) >= (
+                    size := int.from_bytes(pending[:2], "big")
+                ):
                     package, pending = pending[:size], pending[size:]
                     if package[2:3] == b"P":
                         self.paused = True
                     elif package[2:3] == b"U":
                         assert package[3] == 3
-                        self.received.append(struct.unpack("!" + "d" * (inputs - 1) + "i", package[4:]))
+                        self.received.append(
+                            struct.unpack("!" + "d" * (inputs - 1) + "i", package[4:])
+                        )
 
     def close(self) -> None:
         self._stop.set()

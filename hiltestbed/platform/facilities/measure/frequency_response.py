@@ -1,7 +1,9 @@
-"""Frequency response of a facility in six axes: stepped sines, one run of a batch for each axis and frequency.
+"""Frequency response of a facility in six axes: stepped sines, one run of a batch for each axis and
+frequency.
 
-Ratio of reached to commanded pose of A, from a least-squares fit of sine, cosine and mean over whole cycles after the transient. The motion
-of the other axes is the cross response. Command and response are samples at t_k, without a hold in between.
+Ratio of reached to commanded pose of A, from a least-squares fit of sine, cosine and mean over
+whole cycles after the transient. The motion of the other axes is the cross response. Command and
+response are samples at t_k, without a hold in between.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ class FrequencyResponse:
     """Response of A to its command.
 
     Attributes:
-        frequency: (F,) [Hz]. own: (6, F) complex ratio of each axis. cross: (6, F) largest relative amplitude of another axis.
+        frequency: (F,) [Hz]. own: (6, F) complex ratio of each axis. cross: (6, F) largest relative
+            amplitude of another axis.
     """
 
     frequency: Array
@@ -53,7 +56,9 @@ class FrequencyResponse:
         return float(-np.angle(self.own[axis, 0]) / (2.0 * math.pi * self.frequency[0]))
 
     def bandwidth(self, axis: int = 2, phase_deg: float = 90.0) -> float:
-        """Frequency [Hz] at which the response first lags by ``phase_deg`` or falls by 3 dB, interpolated; inf: above all measured."""
+        """Frequency [Hz] at which the response first lags by ``phase_deg`` or falls by 3 dB,
+        interpolated; inf: above all measured.
+        """
         low = np.minimum(3.0 + self.gain_db()[axis], phase_deg + self.phase_deg()[axis])
         below = np.flatnonzero(low < 0.0)
         if not len(below):
@@ -81,25 +86,41 @@ def frequency_response(
     """Measure at the frequencies [Hz], about home. Axes that are left out are NaN.
 
     Args:
-        feed: feed-forward of velocity and acceleration. friction: of the drives; without it the response is linear.
+        feed: feed-forward of velocity and acceleration. friction: of the drives; without it the
+            response is linear.
     """
     f = np.asarray(frequency, dtype=float)
     count = len(axes) * len(f)
-    stand = Stand(facility, count, feed=feed, rate=rate, substeps=substeps, settings=settings and [settings] * count, mechanism=mechanism)
+    stand = Stand(
+        facility,
+        count,
+        feed=feed,
+        rate=rate,
+        substeps=substeps,
+        settings=settings and [settings] * count,
+        mechanism=mechanism,
+    )
     if not friction:
         stand.drives.release()
     axis, w = np.repeat(np.asarray(axes), len(f)), 2.0 * math.pi * np.tile(f, len(axes))
-    size = np.minimum(np.where(axis < 3, amplitude, amplitude / LEVER), np.where(axis < 3, PULL, PULL / LEVER) / w**2)
+    size = np.minimum(
+        np.where(axis < 3, amplitude, amplitude / LEVER),
+        np.where(axis < 3, PULL, PULL / LEVER) / w**2,
+    )
     ticks = math.ceil((LEAD_IN + CYCLES / f.min()) * rate)
     record = _drive(stand, axis, w, size, ticks)
     own, cross = np.full((6, len(f)), np.nan, dtype=complex), np.full((6, len(f)), np.nan)
     t = np.arange(1, ticks + 1) / rate
     for i in range(count):
         window = t > t[-1] - 2.0 * math.pi * CYCLES / w[i]
-        basis = np.column_stack([np.sin(w[i] * t[window]), np.cos(w[i] * t[window]), np.ones(window.sum())])
+        basis = np.column_stack(
+            [np.sin(w[i] * t[window]), np.cos(w[i] * t[window]), np.ones(window.sum())]
+        )
         fit = np.linalg.lstsq(basis, record[window, i], rcond=None)[0]
         ratio = (fit[0] + 1j * fit[1]) / size[i]
-        others = np.abs(ratio) * np.where(np.arange(6) < 3, 1.0, LEVER) / (1.0 if axis[i] < 3 else LEVER)
+        others = (
+            np.abs(ratio) * np.where(np.arange(6) < 3, 1.0, LEVER) / (1.0 if axis[i] < 3 else LEVER)
+        )
         row, column = int(axis[i]), i % len(f)
         own[row, column] = ratio[row]
         cross[row, column] = np.delete(others, row).max()
@@ -125,7 +146,10 @@ def _drive(stand: Stand, axis: NDArray[np.intp], w: Array, size: Array, ticks: i
         pose[:, 3:6] = 0.5 * place[:, 3:] * np.sinc(half / math.pi)
         pose[:, 6] = np.cos(half[:, 0])
         stand.advance(pose, speed, bend)
-        out[k - 1, :, :3], out[k - 1, :, 3:] = stand.pose[:, :3], rotation_vectors(stand.pose[:, 3:])
+        out[k - 1, :, :3], out[k - 1, :, 3:] = (
+            stand.pose[:, :3],
+            rotation_vectors(stand.pose[:, 3:]),
+        )
     return out
 
 

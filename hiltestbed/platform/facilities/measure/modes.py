@@ -1,7 +1,9 @@
-"""Modes of a rig with active drives: the one-tick map, linearised by central differences, one run of a batch for each perturbed state.
+"""Modes of a rig with active drives: the one-tick map, linearised by central differences, one run
+of a batch for each perturbed state.
 
-The state consists of positions and velocities that the loops allow, and the drives' own state (pressures, spools). With a constant command,
-the map z_(k+1) = Phi z_k has the eigenvalues e^(s h): |s| is a mode's natural frequency, -Re s/|s| its damping ratio. Friction is omitted.
+The state consists of positions and velocities that the loops allow, and the drives' own state
+(pressures, spools). With a constant command, the map z_(k+1) = Phi z_k has the eigenvalues e^(s h):
+|s| is a mode's natural frequency, -Re s/|s| its damping ratio. Friction is omitted.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ class Mode:
     """A mode of the rig.
 
     Attributes:
-        frequency: natural [Hz]. damping_ratio: [-]. shape: (6,) motion of A, largest component 1, rotations times 0.5 m.
+        frequency: natural [Hz]. damping_ratio: [-]. shape: (6,) motion of A, largest component 1,
+            rotations times 0.5 m.
         motion: the shape in words.
     """
 
@@ -76,7 +79,9 @@ def modes(
 
 
 def _map(probe: Stand, stand: Stand, allowed: Array, count: int) -> Array:
-    """``(N, N)`` one-tick map of positions and velocities in the allowed motions and of the drives' state."""
+    """``(N, N)`` one-tick map of positions and velocities in the allowed motions and of the drives'
+    state.
+    """
     n, free = 2 * count, allowed.shape[1]
     pose, still = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 6))
     probe.drives.release()
@@ -104,14 +109,23 @@ def _map(probe: Stand, stand: Stand, allowed: Array, count: int) -> Array:
     for c in range(count):
         up, down = 2 * c, 2 * c + 1
         mujoco.mj_differentiatePos(stand.model, between, 1.0, stand.qpos[down], stand.qpos[up])
-        change = np.concatenate([allowed.T @ between, allowed.T @ (stand.qvel[up] - stand.qvel[down]), own[up] - own[down]])
+        change = np.concatenate(
+            [
+                allowed.T @ between,
+                allowed.T @ (stand.qvel[up] - stand.qvel[down]),
+                own[up] - own[down],
+            ]
+        )
         phi[:, c] = change / (2.0 * step[c])
     return phi
 
 
 def _shape(kinematics, rates: Array) -> Array:
     """Motion of A relative to P for complex joint rates, at the phase of its largest component."""
-    parts = [kinematics.twists(kinematics.home, np.ascontiguousarray(x)) for x in (rates.real, rates.imag)]
+    parts = [
+        kinematics.twists(kinematics.home, np.ascontiguousarray(x))
+        for x in (rates.real, rates.imag)
+    ]
     twist = parts[0][0] + 1j * parts[1][0]
     if len(parts[0]) == 2:
         twist = twist - (parts[0][1] + 1j * parts[1][1])

@@ -21,8 +21,16 @@ FORCE, TORQUE = 200.0, 60.0  # [N], [N m]
 _SIZE = np.array([FORCE] * 3 + [TORQUE] * 3)
 
 
-def static_compliance(facility: Facility, *, friction: bool = False, settle: float = 3.0, rate: float = 2000.0, substeps: int = 2) -> Array:
-    """``(6, 6)`` displacement of A, relative to P, for a unit force or torque on each axis, after ``settle`` [s] [m/N, rad/N, ...].
+def static_compliance(
+    facility: Facility,
+    *,
+    friction: bool = False,
+    settle: float = 3.0,
+    rate: float = 2000.0,
+    substeps: int = 2,
+) -> Array:
+    """``(6, 6)`` displacement of A, relative to P, for a unit force or torque on each axis, after
+    ``settle`` [s] [m/N, rad/N, ...].
 
     Half the difference between push and pull, so that the weight cancels.
     """
@@ -50,14 +58,20 @@ def dynamic_stiffness(
     substeps: int = 2,
     mechanism: Mechanism | None = None,
 ) -> NDArray[np.complex128]:
-    """``(6, F)`` complex stiffness of each axis at A, force over displacement, with a constant command [N/m, N m/rad]."""
+    """``(6, F)`` complex stiffness of each axis at A, force over displacement, with a constant
+    command [N/m, N m/rad].
+    """
     f = np.asarray(frequency, dtype=float)
     n = 6 * len(f)
     stand = Stand(facility, n, rate=rate, substeps=substeps, mechanism=mechanism)
     if not friction:
         stand.drives.release()
     axis, w = np.repeat(np.arange(6), len(f)), 2.0 * math.pi * np.tile(f, 6)
-    pose, still, runs = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 6)), np.arange(n)
+    pose, still, runs = (
+        np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)),
+        np.zeros((n, 6)),
+        np.arange(n),
+    )
     stand.reset(pose, still)
     ticks = math.ceil((LEAD_IN + CYCLES / f.min()) * rate)
     record = np.empty((ticks, n))
@@ -69,7 +83,9 @@ def dynamic_stiffness(
     out, t = np.empty((6, len(f)), dtype=complex), np.arange(1, ticks + 1) / rate
     for i in range(n):
         window = t > t[-1] - 2.0 * math.pi * CYCLES / w[i]
-        basis = np.column_stack([np.sin(w[i] * t[window]), np.cos(w[i] * t[window]), np.ones(window.sum())])
+        basis = np.column_stack(
+            [np.sin(w[i] * t[window]), np.cos(w[i] * t[window]), np.ones(window.sum())]
+        )
         fit = np.linalg.lstsq(basis, record[window, i], rcond=None)[0]
         out[axis[i], i % len(f)] = _SIZE[axis[i]] / (fit[0] + 1j * fit[1])
     return out

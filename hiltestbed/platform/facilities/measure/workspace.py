@@ -22,7 +22,8 @@ class Reach:
     """Reach from home along one axis.
 
     Attributes:
-        axis: x, y, z, rx, ry, rz. low, high: [m, rad]. stops: what limits it below and above; empty at the end of the search range.
+        axis: x, y, z, rx, ry, rz. low, high: [m, rad]. stops: what limits it below and above; empty
+            at the end of the search range.
     """
 
     axis: str
@@ -32,7 +33,9 @@ class Reach:
 
 
 def workspace(facility: Facility, stand: Stand | None = None) -> tuple[Reach, ...]:
-    """The reach of A from home in six axes, the others constant: up to a joint's travel, a singularity or the limit of reach."""
+    """The reach of A from home in six axes, the others constant: up to a joint's travel, a
+    singularity or the limit of reach.
+    """
     drives = (stand or Stand(facility)).drives
     out = []
     for k, axis in enumerate(AXES):
@@ -68,12 +71,19 @@ def _walk(drives, k: int, sign: float) -> tuple[float, str]:
 
 
 def _look(drives, k: int, shift: float, q: Array) -> tuple[str, Array]:
-    """Why A cannot be at ``shift`` from home along axis ``k`` (empty: it can), and the joints, solved from nearby joints ``q``."""
+    """Why A cannot be at ``shift`` from home along axis ``k`` (empty: it can), and the joints,
+    solved from nearby joints ``q``.
+    """
     step, pose = np.zeros(6), np.empty((1, 7))
     step[k] = shift
     home = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     pose_step(home, step, 1.0, pose[0])
-    drives.allocate(np.tile(pose, (len(drives.pose), 1)), np.zeros_like(drives.twist), np.zeros_like(drives.twist), 0.0)
+    drives.allocate(
+        np.tile(pose, (len(drives.pose), 1)),
+        np.zeros_like(drives.twist),
+        np.zeros_like(drives.twist),
+        0.0,
+    )
     kinematics = drives.kinematics
     solved, left = kinematics.solve(drives.poses[0], drives.held[0], q)
     if not left < 1e-7:
