@@ -64,7 +64,7 @@ def on_page_content(html: str, **_: Any) -> str:
 
 def keys(kind: str, title: str) -> str:
     """Every key of a kind of file, from its JSON Schema."""
-    from hiltestbed.check import json_schema
+    from hiltestbed.config.check import json_schema
 
     schema = json_schema(kind)  # type: ignore[arg-type]
     lines = [
@@ -93,7 +93,7 @@ def _called(name: str, definition: Mapping[str, Any]) -> str:
 
 
 def _section(title: str, definition: Mapping[str, Any]) -> Iterator[str]:
-    from hiltestbed.keys import OF_ITS_KEYS, default_of, takes
+    from hiltestbed.config.keys import OF_ITS_KEYS, default_of, takes
 
     yield from (f"## {title}", "", _cell(definition.get("description", "")), "")
     yield from ("| key | takes | default | meaning |", "|---|---|---|---|")

@@ -16,23 +16,23 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hiltestbed.kernel_cache import settle
+from hiltestbed.compiled.kernel_cache import settle
 
 if TYPE_CHECKING:
+    from hiltestbed.analysis.comparison import Comparison, compare
     from hiltestbed.campaign.schema import load_campaign
     from hiltestbed.campaign.sweep import Sweep, read_sweep, sweep
-    from hiltestbed.comparison import Comparison, compare
-    from hiltestbed.dataset import load_dataset
+    from hiltestbed.config.dataset import load_dataset
+    from hiltestbed.config.gallery import shipped
     from hiltestbed.diagnosis.diagnose import diagnose
     from hiltestbed.diagnosis.result import Diagnosis
-    from hiltestbed.failure import replay_failure
-    from hiltestbed.gallery import shipped
     from hiltestbed.plugins import load_plugins
-    from hiltestbed.recording import read_run, write_run
-    from hiltestbed.result import Run
+    from hiltestbed.run_folder.result import Run
+    from hiltestbed.run_folder.store import read_run, write_run
     from hiltestbed.scenario import Scenario, dump_scenario, load_scenario
     from hiltestbed.signals import RunTrace
     from hiltestbed.simulation import run, run_batch
+    from hiltestbed.supervision.failure import replay_failure
 
     __version__: str
 

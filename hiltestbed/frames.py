@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 Array = NDArray[np.float64]
 

@@ -14,24 +14,24 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import bound, together
+from hiltestbed.analysis.metrics import Tally
+from hiltestbed.analysis.outcome import Outcomes
 from hiltestbed.compensation.blocks import Drive, make_drive
 from hiltestbed.compensation.input import InputDeadZone
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion import MotionCommand
+from hiltestbed.compiled.bound import bound, together
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.phases import Phases
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
-from hiltestbed.jit import njit
-from hiltestbed.metrics import Tally
-from hiltestbed.monitoring import ProcessMonitor
-from hiltestbed.outcome import Outcomes
 from hiltestbed.platform.free_motion import FreeMotion
 from hiltestbed.platform.plant import Plant
-from hiltestbed.safety import Safety
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.sensor import Sensor
 from hiltestbed.signals import Trace
+from hiltestbed.supervision.monitoring import ProcessMonitor
+from hiltestbed.supervision.safety import Safety
 
 ROW = (
     "pose_cmd",
@@ -89,7 +89,7 @@ class SensorSide(Protocol):
 
 
 class Watch(Protocol):
-    """The monitor that stops a run; implemented by :class:`~hiltestbed.safety.Safety`."""
+    """The monitor that stops a run; :class:`~hiltestbed.supervision.safety.Safety` is one."""
 
     def passed(self, plant: Any, pose_before: Array, energy: Array) -> bool: ...
     def reason(self, i: int) -> str | None: ...

@@ -241,7 +241,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         return f"RunTrace({len(self.t)} rows, {span}: t, {', '.join(self.data)}, contact)"
 
     def _repr_html_(self) -> str:
-        from hiltestbed.notebook import html_table
+        from hiltestbed.run_folder.notebook import html_table
 
         rows = [
             (g.name, ", ".join(g.parts), ", ".join(dict.fromkeys(g.units)), g.frame, g.meaning)
@@ -267,7 +267,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         """A pandas DataFrame, time [s] as its index; ``attrs`` holds unit, frame and meaning of
         each column.
         """
-        from hiltestbed.labelled import trace_to_pandas
+        from hiltestbed.run_folder.labelled import trace_to_pandas
 
         return trace_to_pandas(self)
 
@@ -275,7 +275,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         """An xarray Dataset: one variable ``(t, part)`` per group, with units and frame in its
         ``attrs``. Raises MissingExtra.
         """
-        from hiltestbed.labelled import trace_to_xarray
+        from hiltestbed.run_folder.labelled import trace_to_xarray
 
         return trace_to_xarray(self)
 
@@ -283,7 +283,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         """Columns or groups over time, with contacts shaded; returns the Matplotlib axes. Raises
         UnknownColumn.
         """
-        from hiltestbed.labelled import plot_trace
+        from hiltestbed.run_folder.labelled import plot_trace
 
         return plot_trace(self, names or ("wrench_meas.fz",), axes)
 

@@ -11,23 +11,23 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hiltestbed import plugins
-from hiltestbed.budget import refuse_beyond, run_budget
+from hiltestbed.analysis.ledger import delay_ledger, predicted_log_error
+from hiltestbed.analysis.metrics import ContactFigures
+from hiltestbed.analysis.stability import stability
+from hiltestbed.config.budget import refuse_beyond, run_budget
+from hiltestbed.config.sense import warnings
 from hiltestbed.contact.truth import axis_truth, normal_truth
+from hiltestbed.effects.log import stamp_late
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
-from hiltestbed.ledger import delay_ledger, predicted_log_error
-from hiltestbed.log import stamp_late
 from hiltestbed.loop import Loop
-from hiltestbed.metrics import ContactFigures
 from hiltestbed.numerical_model.bodies import effective_mass
-from hiltestbed.result import Run
+from hiltestbed.run_folder.result import Run
+from hiltestbed.run_folder.versions import versions
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
 from hiltestbed.scenario.monitoring import ContactEstimate
-from hiltestbed.sense import warnings
 from hiltestbed.signals import AXES, Trace
-from hiltestbed.snapshot import Snapshot, Snapshots
-from hiltestbed.stability import stability
-from hiltestbed.versions import versions
+from hiltestbed.supervision.snapshot import Snapshot, Snapshots
 
 Progress = Callable[[int, int], None]
 # makes an object that takes the rows of a loop instead of a Trace

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hiltestbed.result import Run
+from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import run_batch
 

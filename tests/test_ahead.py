@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hiltestbed import bound
 from hiltestbed.cli import ahead
+from hiltestbed.compiled import bound
 from hiltestbed.scenario import load_scenario
 from hiltestbed.simulation import run
 from tests.slow import slow

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from hiltestbed.bound import GIVEN, Bound, Call, Joined, bound, together
-from hiltestbed.state import arrays_of
+from hiltestbed.compiled.bound import GIVEN, Bound, Call, Joined, bound, together
+from hiltestbed.compiled.state import arrays_of
 
 
 @njit(cache=True)

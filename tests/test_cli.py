@@ -15,7 +15,7 @@ import pytest
 
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.cli.options import complete
-from hiltestbed.report import Report
+from hiltestbed.report.page import Report
 from hiltestbed.scenario import load_scenario
 
 TEXT = """\

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario, run
-from hiltestbed.bounce import bounce
+from hiltestbed.analysis.bounce import bounce
+from hiltestbed.analysis.stability import EXACT, RigResponse, stability
+from hiltestbed.analysis.trial import Case, first_contact
 from hiltestbed.contact.directions import directions
-from hiltestbed.stability import EXACT, RigResponse, stability
-from hiltestbed.trial import Case, first_contact
 from tests.slow import slow
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 LATE = """
 import os, signal, sys
-from hiltestbed import interrupt
+from hiltestbed.process import interrupt
 class Late:
     def __del__(self, kill=os.kill, process=os.getpid()): kill(process, 2)
 sys.held = Late()  # until the modules are taken down, which is the last thing
@@ -26,7 +26,7 @@ def test_ctrl_c_in_the_last_instant_leaves_the_status_as_it_is() -> None:
 
 THROUGH_TEXT = """
 import os, sys
-from hiltestbed import interrupt
+from hiltestbed.process import interrupt
 interrupt.install()
 try:
     exec("os.kill(os.getpid(), 2)")
@@ -45,7 +45,7 @@ def test_ctrl_c_that_passed_through_an_exec_leaves_the_status_as_it_is(tmp_path:
 
 COMPILING = """
 import os, time
-from hiltestbed import interrupt
+from hiltestbed.process import interrupt
 interrupt.install()
 compiler = {"__name__": "llvmlite.binding.executionengine", "os": os, "time": time}
 exec("def work():\\n    os.kill(os.getpid(), 2)\\n    time.sleep(0.3)\\n    print('compiled', flush=True)", compiler)

@@ -14,7 +14,7 @@ import pytest
 import hiltestbed
 
 LAW = """
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 FACTOR = {factor}
 
@@ -25,7 +25,7 @@ def law(x):
 """
 USER = """
 import law as laws
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 from law import FACTOR, law
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.ledger import delay_ledger, predicted_log_error
+from hiltestbed.analysis.ledger import delay_ledger, predicted_log_error
 from hiltestbed.simulation import simulate
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "02-bumper.yaml"

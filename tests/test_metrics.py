@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hiltestbed import load_scenario, run
-from hiltestbed.gallery import shipped
+from hiltestbed.config.gallery import shipped
 from hiltestbed.loop import Loop
 
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.assessment import monitored
+from hiltestbed.analysis.assessment import monitored
 from hiltestbed.bench.contacts import Contact, bounce
 from hiltestbed.loop import Loop
-from hiltestbed.monitoring import ProcessMonitor, wear
 from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.monitoring import ContactEstimate
 from hiltestbed.simulation import simulate
+from hiltestbed.supervision.monitoring import ProcessMonitor, wear
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 FORCE = {"kind": "resynchronised"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from hiltestbed.piecewise import MOST, PACKED, Curve, along, between, packed, steepest
+from hiltestbed.config.piecewise import MOST, PACKED, Curve, along, between, packed, steepest
 
 PAIRS = ((-1.0, 4.0), (0.5, 1.0), (2.0, 7.0))
 

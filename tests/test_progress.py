@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numba.core.event import unregister
 
-from hiltestbed import kernels
 from hiltestbed.bench.contacts import Contact, bounce, effort
-from hiltestbed.progress import Pace
+from hiltestbed.compiled import warm as kernels
+from hiltestbed.process.progress import Pace
 
 from .slow import SLOW
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import hiltestbed
-from hiltestbed.assessment import NEUTRAL, assess, energy_share
+from hiltestbed.analysis.assessment import NEUTRAL, assess, energy_share
 from hiltestbed.errors import InputError
 from hiltestbed.signals import GROUPS
 

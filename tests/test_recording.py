@@ -9,8 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed import load_scenario, read_run, replay_failure, run, write_run
-from hiltestbed import recording as recording_module
 from hiltestbed.errors import InputError
+from hiltestbed.run_folder import store as recording_module
 from hiltestbed.signals import GROUPS
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import hiltestbed
-from hiltestbed.assessment import ACTIVE, NEUTRAL, assess, is_active
-from hiltestbed.energy import energy_generated
+from hiltestbed.analysis.assessment import ACTIVE, NEUTRAL, assess, is_active
+from hiltestbed.analysis.energy import energy_generated
 from hiltestbed.numerical_model.bodies import effective_mass, mobility
-from hiltestbed.run_report import run_report
+from hiltestbed.report.run import run_report
 
 SHORT = {"duration": 0.6, "approach.gap": 0.002, "rig.platform.tracking": "ideal"}
 

@@ -10,8 +10,8 @@ import pytest
 
 from hiltestbed import load_scenario
 from hiltestbed.platform.pss33.kinematics import Platform, inverse
-from hiltestbed.safety import LIMITS
 from hiltestbed.scenario import Scenario
+from hiltestbed.supervision.safety import LIMITS
 from tests.running import run
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"

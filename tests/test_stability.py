@@ -10,13 +10,7 @@ import pytest
 from scipy.optimize import fsolve
 
 from hiltestbed import load_scenario, run
-from hiltestbed.contact.directions import directions, first_touch
-from hiltestbed.errors import InputError
-from hiltestbed.loop import Loop
-from hiltestbed.numerical_model.bodies import effective_mass
-from hiltestbed.platform.pss33.settings import Pss33
-from hiltestbed.signals import Trace
-from hiltestbed.stability import (
+from hiltestbed.analysis.stability import (
     EXACT,
     RigResponse,
     judge,
@@ -25,6 +19,12 @@ from hiltestbed.stability import (
     net_damping,
     stability,
 )
+from hiltestbed.contact.directions import directions, first_touch
+from hiltestbed.errors import InputError
+from hiltestbed.loop import Loop
+from hiltestbed.numerical_model.bodies import effective_mass
+from hiltestbed.platform.pss33.settings import Pss33
+from hiltestbed.signals import Trace
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 # of the platform: natural frequency [Hz], damping ratio, delay [s]

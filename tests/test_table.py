@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hiltestbed.table import print_comparison, print_run
+from hiltestbed.report.table import print_comparison, print_run
 
 NAMES = ("late", "right", "with-a-long-name-of-a-run")
 ROWS = [

@@ -22,7 +22,7 @@ from hiltestbed.diagnosis.report.pictures import (
     learned_curves,
 )
 from hiltestbed.diagnosis.result import Diagnosis, Series
-from hiltestbed.report import new_figure
+from hiltestbed.report.page import new_figure
 
 HERE = Path(__file__).resolve().parent
 DOCS = HERE.parent

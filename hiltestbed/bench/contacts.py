@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.analysis.metrics import ContactFigures
 from hiltestbed.frames import Array
 from hiltestbed.loop import Loop
-from hiltestbed.metrics import ContactFigures
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.signals import Trace

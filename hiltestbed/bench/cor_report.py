@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.campaign.boundary import closed_contact_delay
-from hiltestbed.report import Report, new_figure
+from hiltestbed.report.page import Report, new_figure
 
 COLUMNS = (
     ("to_w_tau_0.25", "w tau to 0.25"),

@@ -25,9 +25,9 @@ from hiltestbed.bench.diagnosis_sets import Task, plan
 from hiltestbed.bench.diagnosis_summary import summarise, summary_lines
 from hiltestbed.bench.kept import Kept
 from hiltestbed.bench.result import BenchResult
+from hiltestbed.compiled.warm import cores
 from hiltestbed.errors import HiltestbedError
-from hiltestbed.kernels import cores
-from hiltestbed.workers import end_pool, new_pool
+from hiltestbed.process.workers import end_pool, new_pool
 
 # largest set of indistinguishable causes, the true one included, that counts as right
 MOST_TOGETHER = 3

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.bench.reliability import reliability_plot
-from hiltestbed.report import Report, new_figure
+from hiltestbed.report.page import Report, new_figure
 
 RATES = {
     "named_rate": "one hidden effect, named (alone or in a set of three)",

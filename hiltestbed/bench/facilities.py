@@ -15,17 +15,17 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.analysis.stability import measured_response, stability
 from hiltestbed.bench.facilities_report import facilities_report
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.bench.throughput import side_by_side
-from hiltestbed.gallery import shipped
+from hiltestbed.config.gallery import shipped
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.facilities.hall import facility_of
 from hiltestbed.platform.facilities.measure import workspace
 from hiltestbed.platform.kinds import PLATFORMS
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import log_error, reference_scenario, simulate
-from hiltestbed.stability import measured_response, stability
 
 DELAY = 0.002  # [s] of the force sensor
 RATIO = 0.05  # damping ratio of the contacts

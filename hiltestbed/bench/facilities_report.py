@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.report import Report, new_figure
+from hiltestbed.report.page import Report, new_figure
 
 LEAST = 1e-4  # smallest |ln(e/e_ref)| that is drawn
 

@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from hiltestbed.report import Report
+from hiltestbed.report.page import Report
 
 CHUNK = 64
 CASES = ((64, 250), (128, 250), (256, 250), (512, 250), (1024, 250))  # (cases, ticks)
@@ -32,7 +32,7 @@ def measured(cases: int, ticks: int) -> dict[str, Any]:
     """One point: a campaign with the reference bumper, ended after `ticks`, in chunks."""
     from hiltestbed.campaign.chunk import run_chunk
     from hiltestbed.campaign.schema import load_campaign
-    from hiltestbed.gallery import shipped
+    from hiltestbed.config.gallery import shipped
 
     file = shipped("scenarios") / "campaigns" / "delay-stiffness.yaml"
     campaign = load_campaign(

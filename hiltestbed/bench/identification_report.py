@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.report import Report, new_figure
+from hiltestbed.report.page import Report, new_figure
 
 
 def identification_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Report:

@@ -12,7 +12,7 @@ from typing import Any
 
 import hiltestbed
 from hiltestbed.errors import InputError
-from hiltestbed.versions import versions
+from hiltestbed.run_folder.versions import versions
 
 
 def made_by() -> str:

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hiltestbed.gallery import shipped
-from hiltestbed.recording import write_trace
+from hiltestbed.config.gallery import shipped
+from hiltestbed.config.yaml_source import dump_yaml
+from hiltestbed.run_folder.store import write_trace
 from hiltestbed.scenario import Scenario, dump_scenario, load_scenario, resolved, scenario_from
 from hiltestbed.simulation import simulate
-from hiltestbed.yaml_source import dump_yaml
 
 # factors on both, one pair per run
 SPEEDS_AND_SPRINGS = ((1.0, 1.0), (0.75, 1.0), (1.25, 1.0), (1.0, 0.6), (1.0, 1.6))

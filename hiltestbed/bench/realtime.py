@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.devices.bench import Steadiness, measure
-from hiltestbed.report import Report, new_figure
+from hiltestbed.report.page import Report, new_figure
 
 RATES = (250.0, 1000.0, 2000.0)  # [Hz]
 SECONDS, QUICK = 600.0, 2.0  # [s] total time, shared by the measurements

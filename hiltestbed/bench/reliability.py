@@ -10,7 +10,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from hiltestbed.report import new_figure
+from hiltestbed.report.page import new_figure
 
 EDGES = (0.0, 0.5, 0.8, 0.95, 0.99, 1.0)
 

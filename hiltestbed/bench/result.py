@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from hiltestbed import plugins
-from hiltestbed.recording import whole_folder
-from hiltestbed.report import Report, provenance
-from hiltestbed.versions import versions
+from hiltestbed.report.page import Report, provenance
+from hiltestbed.run_folder.store import whole_folder
+from hiltestbed.run_folder.versions import versions
 
 BENCH, REPORT = "bench.json", "report.html"
 

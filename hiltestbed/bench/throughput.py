@@ -18,16 +18,16 @@ from typing import Any
 
 from hiltestbed.bench.growth import growth, report_growth
 from hiltestbed.bench.result import BenchResult
+from hiltestbed.compiled.state import arrays_of
+from hiltestbed.config.gallery import shipped
 from hiltestbed.contact.surfaces.turned import obj_text, polyline, turn
 from hiltestbed.errors import HiltestbedError
-from hiltestbed.gallery import shipped
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
-from hiltestbed.report import Report, new_figure
+from hiltestbed.report.page import Report, new_figure
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.signals import Trace
 from hiltestbed.simulation import run
-from hiltestbed.state import arrays_of
 
 STRETCH = 0.05  # [s] approximate length of an interval
 DOCKING_TICKS = 1000  # 0.5 s, with contact in the last two thirds

@@ -19,9 +19,9 @@ from functools import cache
 
 import numpy as np
 
+from hiltestbed.analysis.ledger import effective_mass
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.frames import Array
-from hiltestbed.ledger import effective_mass
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
 

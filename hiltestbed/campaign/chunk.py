@@ -112,7 +112,7 @@ def case_folder(case: int) -> str:
 
 def _kept_files(case: int, run: Any, recording: bool) -> dict[str, bytes]:
     """The trace alone, or the whole run folder, as bytes: the worker may be on another machine."""
-    from hiltestbed.recording import TRACE, write_run, write_trace
+    from hiltestbed.run_folder.store import TRACE, write_run, write_trace
 
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "run"

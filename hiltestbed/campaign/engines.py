@@ -16,7 +16,7 @@ from itertools import islice
 from hiltestbed.campaign.chunk import ChunkResult, run_chunk
 from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.errors import HiltestbedError, InputError, MissingExtra
-from hiltestbed.workers import end_pool, new_pool
+from hiltestbed.process.workers import end_pool, new_pool
 
 Chunk = Sequence[int]
 Results = Generator[ChunkResult, None, None]
@@ -140,7 +140,7 @@ def _on_cluster(
 
     from distributed import KilledWorker, as_completed
 
-    from hiltestbed.versions import versions
+    from hiltestbed.run_folder.versions import versions
 
     warned = False
     running = as_completed(loop=client.loop)
@@ -173,7 +173,7 @@ def run_chunk_of(campaign: LoadedCampaign, chunk: Chunk, expected: dict[str, str
     """`run_chunk` on a remote worker, which must have the package versions with which the campaign
     was started.
     """
-    from hiltestbed.versions import versions
+    from hiltestbed.run_folder.versions import versions
 
     if versions() != expected:
         differ = {

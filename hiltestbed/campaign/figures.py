@@ -13,13 +13,13 @@ import numpy as np
 from hiltestbed.campaign.boundary import applies, margin
 from hiltestbed.campaign.choices import Choice
 from hiltestbed.campaign.schema import LoadedCampaign, Variation
+from hiltestbed.config.validation import description_of
+from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.labelled import PALETTE
-from hiltestbed.report import new_figure
+from hiltestbed.report.page import new_figure
+from hiltestbed.run_folder.labelled import PALETTE
 from hiltestbed.scenario import Scenario, resolved, scenario_from
-from hiltestbed.validation import description_of
-from hiltestbed.yaml_source import key_path
 
 HARMLESS = (
     "approach.gap",

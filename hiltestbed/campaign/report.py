@@ -16,7 +16,7 @@ from hiltestbed.campaign.columns import is_numeric
 from hiltestbed.campaign.schema import FIGURES, LoadedCampaign, Variation
 from hiltestbed.campaign.sensitivity import Sensitivity, explained_share, sensitivity
 from hiltestbed.frames import Array
-from hiltestbed.report import Report
+from hiltestbed.report.page import Report
 
 REPORT = "report.html"
 WORST = 10

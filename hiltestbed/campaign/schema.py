@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from hiltestbed.config.validation import Problem, Strictly, Vector2, refuse, validate
+from hiltestbed.config.yaml_source import Source, key_path, read_source, referenced_source
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.scenario import Scenario, scenario_from
-from hiltestbed.validation import Problem, Strictly, Vector2, refuse, validate
-from hiltestbed.yaml_source import Source, key_path, read_source, referenced_source
 
 # shown in a report
 FIGURES = (

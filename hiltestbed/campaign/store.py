@@ -26,10 +26,10 @@ import pyarrow.parquet as pq
 from hiltestbed.campaign.chunk import ChunkResult
 from hiltestbed.campaign.columns import schema, table
 from hiltestbed.campaign.schema import LoadedCampaign
+from hiltestbed.config.yaml_source import dump_yaml
 from hiltestbed.errors import InputError
+from hiltestbed.run_folder.versions import versions
 from hiltestbed.scenario import resolved
-from hiltestbed.versions import versions
-from hiltestbed.yaml_source import dump_yaml
 
 ABOUT, CHUNKS, CASES, KEPT, LOCK = "campaign.json", "chunks", "cases.parquet", "cases", ".lock"
 CAMPAIGN, SCENARIO = "campaign.yaml", "scenario.yaml"

@@ -17,14 +17,14 @@ from hiltestbed.campaign.designs import case_values
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
 from hiltestbed.campaign.store import CASES, Store, read_about, refuse_another
 from hiltestbed.campaign.structure import structural_keys
+from hiltestbed.config.validation import nearest
+from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError, MissingExtra
-from hiltestbed.folders import safe_name
-from hiltestbed.labelled import PALETTE
-from hiltestbed.notebook import html_table
+from hiltestbed.run_folder.folders import safe_name
+from hiltestbed.run_folder.labelled import PALETTE
+from hiltestbed.run_folder.notebook import html_table
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.scenario.idle import idle_keys
-from hiltestbed.validation import nearest
-from hiltestbed.yaml_source import key_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ import gc
 import sys
 from typing import TYPE_CHECKING, Any
 
-from hiltestbed import interrupt
+from hiltestbed.process import interrupt
 
 if TYPE_CHECKING:
     from hiltestbed.cli.program import app

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiltestbed.kernels import compiled, cores
+from hiltestbed.compiled.warm import compiled, cores
 
 if TYPE_CHECKING:
     from hiltestbed.loop import Side
@@ -54,9 +54,9 @@ def compile_later_blocks(scenario: Scenario) -> None:
     The identification takes longest and comes first: it is done when the run reaches it. The loop
     itself comes last, since the run compiles the start of its numerical model meanwhile.
     """
+    from hiltestbed.analysis.rig_response import measured_response
     from hiltestbed.identification.settings import IDENTIFIERS
     from hiltestbed.loop import Loop
-    from hiltestbed.rig_response import measured_response
     from hiltestbed.signals import Trace
     from hiltestbed.viewer.spacecraft import place_chaser
 
@@ -73,8 +73,8 @@ def compile_later_blocks(scenario: Scenario) -> None:
 
 def _no_rig(scenarios: Sequence[Scenario]) -> Side:
     """Static arrays with the shapes and types of a rig's."""
-    from hiltestbed.safety import Safety
     from hiltestbed.sensor.sensor import Sensor
+    from hiltestbed.supervision.safety import Safety
 
     wrench, pose, twist, joints, no = (
         np.zeros(shape) for shape in ((1, 2, 6), (1, 7), (1, 6), (1, 3), (1,))

@@ -76,8 +76,8 @@ def live(
     from hiltestbed.devices.live import Observed, Options
     from hiltestbed.devices.live import live as run_live
     from hiltestbed.devices.recorder import discard
-    from hiltestbed.folders import free_folder, safe_name
-    from hiltestbed.recording import refuse_foreign, write_run
+    from hiltestbed.run_folder.folders import free_folder, safe_name
+    from hiltestbed.run_folder.store import refuse_foreign, write_run
 
     spec = _for_seconds(scenario, sets, seconds)
     folder = out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-live"))
@@ -160,9 +160,9 @@ def commission(
     from hiltestbed.devices.commission.folder import RESULT, figures, write_commission
     from hiltestbed.devices.commission.procedure import commission as run_commission
     from hiltestbed.devices.session import Options
-    from hiltestbed.folders import free_folder, safe_name
-    from hiltestbed.progress import step_line
-    from hiltestbed.recording import refuse_foreign
+    from hiltestbed.process.progress import step_line
+    from hiltestbed.run_folder.folders import free_folder, safe_name
+    from hiltestbed.run_folder.store import refuse_foreign
 
     spec = read_scenario(scenario, sets)
     folder = (
@@ -285,7 +285,7 @@ def _print_live(summary: dict[str, Any], folder: Path, recording: bool, as_json:
     if as_json:
         print(json.dumps(summary | {"folder": str(folder)}, allow_nan=False))
         return
-    from hiltestbed.table import print_run
+    from hiltestbed.report.table import print_run
 
     print_run(summary, folder, recording=recording)
     cycles, jitter, busy = (summary["live"][name] for name in ("cycles", "jitter", "busy"))

@@ -30,7 +30,7 @@ def complete(incomplete: str) -> list[str]:
     """Shell completion: shipped scenarios and campaigns, and files, that begin with
     ``incomplete``.
     """
-    from hiltestbed.gallery import campaign_names, scenario_names
+    from hiltestbed.config.gallery import campaign_names, scenario_names
 
     files = [str(path) for path in Path().glob("*.yaml")]
     return [
@@ -58,11 +58,16 @@ def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -
     """The scenario in a file, or one case of the campaign in it. Raises InputError that names the
     kind of any other file.
     """
-    from hiltestbed.check import file_kind
-    from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown, scenario_names
-    from hiltestbed.kernels import tell_of_compiling
+    from hiltestbed.compiled.warm import tell_of_compiling
+    from hiltestbed.config.check import file_kind
+    from hiltestbed.config.gallery import (
+        campaign_names,
+        find_scenario,
+        refuse_unknown,
+        scenario_names,
+    )
+    from hiltestbed.config.yaml_source import read_source
     from hiltestbed.scenario import scenario_from
-    from hiltestbed.yaml_source import read_source
 
     tell_of_compiling()
     refuse_unknown(file, scenario_names() if case is None else campaign_names())

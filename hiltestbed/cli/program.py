@@ -10,10 +10,10 @@ from typing import Annotated
 
 import typer
 
-from hiltestbed import interrupt
 from hiltestbed.cli import devices, scenarios, studies
 from hiltestbed.errors import HiltestbedError, InputError, printable
-from hiltestbed.folders import FIGURES_APART
+from hiltestbed.process import interrupt
+from hiltestbed.run_folder.folders import FIGURES_APART
 
 app = typer.Typer(
     help="A hardware-in-the-loop contact simulator for spacecraft docking, in software.",

@@ -14,7 +14,7 @@ import typer
 
 from hiltestbed.cli.options import Json, Out, Sets, complete, overrides, read_scenario
 from hiltestbed.errors import InputError, printable
-from hiltestbed.folders import free_folder, safe_name
+from hiltestbed.run_folder.folders import free_folder, safe_name
 
 app = typer.Typer()
 
@@ -45,19 +45,19 @@ def run(
     """
     start = time.monotonic()
     from hiltestbed.cli import ahead
-    from hiltestbed.progress import progress_bar
+    from hiltestbed.process.progress import progress_bar
 
     ahead.begin(scenario, sets, case)
     spec = read_scenario(scenario, sets, case)
     label = spec.name if case is None else f"{scenario.stem}-case-{case}"
     folder = out if out is not None else free_folder(Path("runs") / safe_name(label))
 
-    from hiltestbed.recording import refuse_foreign, write_run
+    from hiltestbed.run_folder.store import refuse_foreign, write_run
     from hiltestbed.simulation import run as simulate
 
     refuse_foreign(folder)
-    from hiltestbed.budget import refuse_beyond, run_budget
-    from hiltestbed.sense import warnings
+    from hiltestbed.config.budget import refuse_beyond, run_budget
+    from hiltestbed.config.sense import warnings
 
     refuse_beyond(
         run_budget([spec]),
@@ -74,7 +74,7 @@ def run(
     if as_json:
         print(json.dumps(result.summary | {"folder": str(folder)}, allow_nan=False))
     else:
-        from hiltestbed.table import print_run
+        from hiltestbed.report.table import print_run
 
         print_run(result.summary, folder, not no_rerun, time.monotonic() - start)
     if result.summary["status"] != "completed":
@@ -104,10 +104,10 @@ def check(
 
     hiltestbed check my-rig.yaml --set sensor.delay=0.010
     """
-    from hiltestbed.check import look_at
-    from hiltestbed.gallery import find_scenario
-    from hiltestbed.kernels import tell_of_compiling
-    from hiltestbed.stability import stability_of_file
+    from hiltestbed.analysis.stability import stability_of_file
+    from hiltestbed.compiled.warm import tell_of_compiling
+    from hiltestbed.config.check import look_at
+    from hiltestbed.config.gallery import find_scenario
 
     tell_of_compiling()
     changes = overrides(sets)
@@ -158,8 +158,8 @@ def rig(
     stiffness; as figures and a JSON file.
     """
     from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
-    from hiltestbed.progress import count_bar
-    from hiltestbed.recording import refuse_foreign
+    from hiltestbed.process.progress import count_bar
+    from hiltestbed.run_folder.store import refuse_foreign
 
     spec = read_scenario(scenario, sets)
     folder = out if out is not None else free_folder(Path("runs") / f"rig-{safe_name(spec.name)}")
@@ -170,7 +170,7 @@ def rig(
     if as_json:
         print(json.dumps(figures.to_json() | {"folder": str(folder)}, allow_nan=False))
     else:
-        from hiltestbed.table import print_lines
+        from hiltestbed.report.table import print_lines
 
         print_lines(f"rig of {spec.name}", figures.lines(), folder)
 
@@ -198,8 +198,8 @@ def compare(
 
     hiltestbed compare runs/late runs/right --out both.html
     """
-    from hiltestbed.comparison import compare as side_by_side
-    from hiltestbed.comparison import write_comparison
+    from hiltestbed.analysis.comparison import compare as side_by_side
+    from hiltestbed.analysis.comparison import write_comparison
 
     result = side_by_side(list(runs))
     if out is not None:
@@ -216,7 +216,7 @@ def compare(
             )
         )
     else:
-        from hiltestbed.table import print_comparison
+        from hiltestbed.report.table import print_comparison
 
         print_comparison(result.names, result.rows(), out)
 
@@ -229,7 +229,7 @@ def new(
     as_json: Json = False,
 ) -> None:
     """Write a commented scenario to start from."""
-    from hiltestbed.template import write_template
+    from hiltestbed.config.template import write_template
 
     path = write_template(name)
     if as_json:
@@ -243,7 +243,7 @@ def doctor(as_json: Json = False) -> None:
     """List what this installation has: versions, extras, cores, viewer, compiled kernels. Status 1
     if something required is missing.
     """
-    from hiltestbed.doctor import examine
+    from hiltestbed.process.doctor import examine
 
     found = examine()
     if as_json:
@@ -256,7 +256,7 @@ def doctor(as_json: Json = False) -> None:
             )
         )
     else:
-        from hiltestbed.table import print_doctor
+        from hiltestbed.report.table import print_doctor
 
         print_doctor(found)
     if not all(f.good for f in found if f.needed):
@@ -285,9 +285,9 @@ def schema(
     hiltestbed schema rig.platform; hiltestbed schema dataset.channels; hiltestbed schema --search
     bandwidth
     """
-    from hiltestbed.check import KINDS, json_schema
-    from hiltestbed.keys import at, keys_of
-    from hiltestbed.keys import search as search_keys
+    from hiltestbed.config.check import KINDS, json_schema
+    from hiltestbed.config.keys import at, keys_of
+    from hiltestbed.config.keys import search as search_keys
 
     kind, _, key = what.partition(".")
     kind, key = (kind, key) if kind in KINDS else ("scenario", what)

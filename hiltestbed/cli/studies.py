@@ -10,7 +10,7 @@ import typer
 
 from hiltestbed.cli.options import Json, Out, Sets, overrides
 from hiltestbed.errors import HiltestbedError, InputError
-from hiltestbed.folders import free_folder, safe_name
+from hiltestbed.run_folder.folders import free_folder, safe_name
 
 app = typer.Typer()
 
@@ -83,9 +83,9 @@ def bench(
             f"only; leave them out"
         )
     from hiltestbed.bench.result import BENCH, write_bench
-    from hiltestbed.kernels import tell_of_compiling
-    from hiltestbed.progress import count_bar
-    from hiltestbed.recording import refuse_foreign
+    from hiltestbed.compiled.warm import tell_of_compiling
+    from hiltestbed.process.progress import count_bar
+    from hiltestbed.run_folder.store import refuse_foreign
 
     folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
     refuse_foreign(folder, BENCH)
@@ -118,7 +118,7 @@ def bench(
             )
         )
     else:
-        from hiltestbed.table import print_lines
+        from hiltestbed.report.table import print_lines
 
         print_lines(f"bench {name}", result.lines, folder)
     if result.failed:
@@ -163,9 +163,9 @@ def sweep(
     from hiltestbed.campaign.schema import load_campaign
     from hiltestbed.campaign.sweep import default_folder
     from hiltestbed.campaign.sweep import sweep as run_sweep
-    from hiltestbed.gallery import campaign_names, find_scenario, refuse_unknown
-    from hiltestbed.kernels import cores, tell_of_compiling
-    from hiltestbed.progress import case_bar
+    from hiltestbed.compiled.warm import cores, tell_of_compiling
+    from hiltestbed.config.gallery import campaign_names, find_scenario, refuse_unknown
+    from hiltestbed.process.progress import case_bar
 
     if workers is not None and scheduler is not None:
         raise InputError(
@@ -176,7 +176,7 @@ def sweep(
     spec = load_campaign(find_scenario(campaign), overrides(sets))
     folder = out if out is not None else default_folder(spec)
     workers = workers if workers is not None else cores()
-    from hiltestbed.budget import campaign_budget, refuse_beyond
+    from hiltestbed.config.budget import campaign_budget, refuse_beyond
 
     budget = campaign_budget(spec, max(workers, 1), max(chunk, 1))
     refuse_beyond(
@@ -197,7 +197,7 @@ def sweep(
     if as_json:
         print(json.dumps(result.about | {"folder": str(folder)}, allow_nan=False))
     else:
-        from hiltestbed.table import print_sweep
+        from hiltestbed.report.table import print_sweep
 
         print_sweep(result.about, folder)
 
@@ -221,19 +221,19 @@ def diagnose(
 
     hiltestbed check dataset.yaml && hiltestbed diagnose dataset.yaml --out results/mine
     """
+    from hiltestbed.compiled.warm import tell_of_compiling
     from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
     from hiltestbed.diagnosis.find import CLOSING_STEPS
     from hiltestbed.diagnosis.report.folder import DIAGNOSIS
-    from hiltestbed.kernels import tell_of_compiling
-    from hiltestbed.progress import step_line
-    from hiltestbed.recording import refuse_foreign
+    from hiltestbed.process.progress import step_line
+    from hiltestbed.run_folder.store import refuse_foreign
 
     tell_of_compiling()
     label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
     folder = out if out is not None else free_folder(Path("runs") / f"diagnosis-{safe_name(label)}")
     refuse_foreign(folder, DIAGNOSIS)
-    from hiltestbed.budget import dataset_budget, refuse_beyond
-    from hiltestbed.dataset import load_dataset as load_specification
+    from hiltestbed.config.budget import dataset_budget, refuse_beyond
+    from hiltestbed.config.dataset import load_dataset as load_specification
 
     loaded = load_specification(dataset)
     refuse_beyond(dataset_budget(loaded), str(dataset), "fewer or shorter runs need less", folder)
@@ -244,6 +244,6 @@ def diagnose(
     if as_json:
         print(json.dumps(result.to_json() | {"folder": str(folder)}, allow_nan=False))
     else:
-        from hiltestbed.table import print_diagnosis
+        from hiltestbed.report.table import print_diagnosis
 
         print_diagnosis(result.to_json(), folder)

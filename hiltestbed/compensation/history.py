@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 
 
 class History:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

@@ -13,7 +13,7 @@ from hiltestbed.compensation.settings import (
     AnyForceMethod,
     AnyMotionMethod,
 )
-from hiltestbed.validation import Problem, Strictly
+from hiltestbed.config.validation import Problem, Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
+from hiltestbed.config.validation import Strictly
 from hiltestbed.plugins import OneOf, Registry, placeholder
-from hiltestbed.validation import Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.compensation.blocks import Drive, ForceBlock, PoseBlock

@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from hiltestbed.bound import bound
+from hiltestbed.compiled.bound import bound
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact import solref
 from hiltestbed.contact.composition import ACTIVE, Structure
 from hiltestbed.contact.engagement import Engagement
@@ -19,7 +20,6 @@ from hiltestbed.contact.mount import Mount
 from hiltestbed.contact.wrench import load_body, to_frame
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotate, rotate_back
-from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.platform.plant import AppliedForce

@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 
 from pydantic import Field, model_validator
 
+from hiltestbed.config.models import models_folder
 from hiltestbed.contact import description
 from hiltestbed.contact.description import Phase, Touching
 from hiltestbed.contact.settings import Contact, Mechanism
 from hiltestbed.contact.sides import Rule
-from hiltestbed.models import models_folder
 
 
 class Described(Mechanism):

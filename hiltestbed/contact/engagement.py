@@ -26,7 +26,8 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from hiltestbed.bound import Joined, bound
+from hiltestbed.compiled.bound import Joined, bound
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import (
     ACTIVE,
     AWAY,
@@ -69,7 +70,6 @@ from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all, tilts
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_mul, rotate_back
-from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

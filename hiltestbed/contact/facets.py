@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import math
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import FACET
 from hiltestbed.contact.parameters import DAMPING, STIFFNESS
 from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.frames import quat_mul, rotate, rotate_back
-from hiltestbed.jit import njit
 
 # columns of a contact's results; the first two are penetration and rate
 POINT, NORM, SLIP, PUSH, DRAG, MET = 2, 5, 8, 11, 12, 13

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from hiltestbed.config.models import stamp
 from hiltestbed.contact.composition import ACTIVE, PASSIVE, Structure, add_side, drawn
 from hiltestbed.contact.parameters import PARAMETERS
 from hiltestbed.contact.phases import actuators_of, dropped_by, joints_of
@@ -16,7 +17,6 @@ from hiltestbed.contact.sides import Pair, Sides, sides_of
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_attitude_deg, quat_to_mujoco
-from hiltestbed.models import stamp
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.surfaces.mesh import Tree
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, beyond, profile_distance
 from hiltestbed.contact.surfaces.surface import (
@@ -27,7 +28,6 @@ from hiltestbed.contact.surfaces.surface import (
     signed_distance,
 )
 from hiltestbed.frames import Array, rotate, rotate_back
-from hiltestbed.jit import njit
 
 # Columns of a row of `index`: frames of the round (ball or rod) and of the surface; 1 if the
 # surface is on the passive side, else -1; kind of the surface; start and length of its parts.

@@ -18,7 +18,8 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from hiltestbed.bound import bound
+from hiltestbed.compiled.bound import bound
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import LATCH, Structure, inverse_mass
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE
 from hiltestbed.contact.law import STATES, contact_force
@@ -26,7 +27,6 @@ from hiltestbed.contact.parameters import DAMPING, STIFFNESS
 from hiltestbed.contact.solref import NO_DAMPING
 from hiltestbed.contact.wrench import LATCH_RADIUS, relate_one
 from hiltestbed.frames import Array, quat_exp, quat_mul, quat_mul_conj, rotate, rotation_vector
-from hiltestbed.jit import njit
 
 # stiffness of MuJoCo's spring over that of the closure; the distance of the anchors is smaller by
 # the same factor

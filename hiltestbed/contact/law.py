@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import math
 
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.piecewise import PACKED, along, between, steepest
 from hiltestbed.contact.parameters import (
     ADHESION,
     ALPHA,
@@ -41,8 +43,6 @@ from hiltestbed.contact.parameters import (
     STOP,
     STOP_STIFFNESS,
 )  # fmt: skip
-from hiltestbed.jit import njit
-from hiltestbed.piecewise import PACKED, along, between, steepest
 
 BRANCH, TOUCHING, DEFLECTION, DEFLECTION_RATE, SLIDER, LEARNED_SLIDER, STATES = 0, 1, 2, 3, 4, 5, 6
 SLIP_SPEED = 2e-4  # [m/s] sgn(v) is tanh(v/SLIP_SPEED)

@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from hiltestbed.bound import GIVEN, Call
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_mul, rotate, sin_cos
-from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

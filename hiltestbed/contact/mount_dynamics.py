@@ -14,10 +14,10 @@ import mujoco
 import numpy as np
 from scipy.signal import lfilter
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import PASSIVE, add_side
 from hiltestbed.contact.mount import MOUNTED
 from hiltestbed.frames import Array, sin_cos
-from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

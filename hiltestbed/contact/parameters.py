@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.config.piecewise import PACKED, packed
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
-from hiltestbed.piecewise import PACKED, packed
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Contact, Mechanism

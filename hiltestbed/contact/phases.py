@@ -16,6 +16,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import ACTIVE, Structure
 from hiltestbed.contact.description import Phase, matching
 from hiltestbed.contact.engagement import Engagement
@@ -24,7 +25,6 @@ from hiltestbed.contact.sides import Sides
 from hiltestbed.contact.wrench import relate_one
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 
 
 class _Condition(NamedTuple):

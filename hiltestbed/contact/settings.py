@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import Field, model_validator
 
+from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly, refuse
 from hiltestbed.plugins import OneOf, Registry, placeholder
-from hiltestbed.validation import NotNegative, Positive, Problem, Strictly, refuse
 
 if TYPE_CHECKING:
     from mujoco import MjSpec

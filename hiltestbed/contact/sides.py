@@ -23,14 +23,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import mujoco
 import numpy as np
 
+from hiltestbed.config.models import stamp
 from hiltestbed.contact.description import matching
 from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE, Geometry, Placed, Round, packed
 from hiltestbed.contact.surfaces import Finding, Surface, of_geom, of_mesh
 from hiltestbed.contact.surfaces.shapes import KINDS
 from hiltestbed.errors import InputError
-from hiltestbed.folders import is_file
 from hiltestbed.frames import Array, quat_from_mujoco
-from hiltestbed.models import stamp
+from hiltestbed.run_folder.folders import is_file
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism

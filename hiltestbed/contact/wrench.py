@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, meet
 from hiltestbed.contact.law import contact_force
 from hiltestbed.contact.parameters import (
@@ -30,7 +31,6 @@ from hiltestbed.contact.parameters import (
     TILT_Y,
 )
 from hiltestbed.frames import Array, pose_between, quat_mul, rotate, rotate_back, rotation_vector
-from hiltestbed.jit import njit
 
 CREEP = 1e-4  # [m/s] speed below which friction is viscous
 LATCH_RADIUS = 0.15  # [m] of the ring of latches: the rotational stiffness is k LATCH_RADIUS^2

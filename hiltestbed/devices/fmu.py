@@ -24,10 +24,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hiltestbed.config.validation import nearest
 from hiltestbed.devices.interface import Array, DeviceError
 from hiltestbed.errors import Fault, HiltestbedError, InputError, MissingExtra
-from hiltestbed.folders import is_file
-from hiltestbed.validation import nearest
+from hiltestbed.run_folder.folders import is_file
 
 POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")

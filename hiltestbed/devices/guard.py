@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.devices.section import MotionLimits
 from hiltestbed.frames import Array, rotation_vector, twist_between
-from hiltestbed.jit import njit
 
 _SAID = (
     ("position", "A is commanded {value:.4g} m from the nominal touch", "m"),

@@ -30,10 +30,10 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from hiltestbed.config.validation import Strictly, refuse, validate
+from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.devices import poses
 from hiltestbed.devices.interface import Array
-from hiltestbed.validation import Strictly, refuse, validate
-from hiltestbed.yaml_source import Source, read_source
 
 CODES = {
     "int8": "b",

@@ -20,6 +20,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.config.validation import Positive
 from hiltestbed.devices import rdt_page, sockets
 from hiltestbed.devices.interface import (
     LONGEST_DRAIN,
@@ -33,7 +34,6 @@ from hiltestbed.devices.interface import (
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings, Port
 from hiltestbed.errors import InputError
-from hiltestbed.validation import Positive
 
 REQUEST = struct.Struct(">HHI")
 RECORD = struct.Struct(">III6i")

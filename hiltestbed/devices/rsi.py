@@ -35,6 +35,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.config.validation import Positive
 from hiltestbed.devices import poses, sockets
 from hiltestbed.devices.interface import (
     LONGEST_DRAIN,
@@ -50,7 +51,6 @@ from hiltestbed.devices.rsi_controller import RsiServer
 from hiltestbed.devices.rsi_telegram import LARGEST, answer, read_count, read_telegram
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
-from hiltestbed.validation import Positive
 
 MILLISECOND = 1e-3  # [s]
 

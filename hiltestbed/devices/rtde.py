@@ -33,6 +33,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.config.validation import Positive
 from hiltestbed.devices import poses, rtde_wire, sockets
 from hiltestbed.devices.interface import (
     Array,
@@ -48,7 +49,6 @@ from hiltestbed.devices.interface import (
 from hiltestbed.devices.rtde_controller import RtdePlatformServer, RtdeSensorServer
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
-from hiltestbed.validation import Positive
 
 # safety_status_bits: normal or reduced mode; a stop, violation or fault of any kind
 SAFETY_GOOD, SAFETY_STOPPED = 0b11, 0x7FC

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from hiltestbed.config.validation import NotNegative, Positive, Strictly, Vector3
 from hiltestbed.devices.watch import CommunicationLimits
-from hiltestbed.validation import NotNegative, Positive, Strictly, Vector3
 
 _NONE = (0.0, 0.0, 0.0)
 

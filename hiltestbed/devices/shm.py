@@ -12,6 +12,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from hiltestbed.config.validation import Positive
 from hiltestbed.devices.interface import (
     Array,
     DeviceError,
@@ -28,7 +29,6 @@ from hiltestbed.devices.numbered import NumberedClient, NumberedKeeper, Numbered
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
 from hiltestbed.errors import InputError
-from hiltestbed.validation import Positive
 
 NAP = 20e-6  # [s] between two polls while waiting
 Part = Literal["wrench", "state", "command"]

@@ -28,8 +28,8 @@ from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.loop import MakeSide, Side
-from hiltestbed.monitoring import ProcessMonitor
 from hiltestbed.scenario import Scenario
+from hiltestbed.supervision.monitoring import ProcessMonitor
 
 GATE_SIGMA = 5.0  # a force above this many standard deviations of its noise counts as contact
 LEAST_FORCE = 0.5  # [N] the same threshold if the scenario has no noise

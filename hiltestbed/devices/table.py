@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
+from hiltestbed.config.validation import nearest
 from hiltestbed.devices.interface import (
     PlatformClient,
     PlatformServer,
@@ -18,7 +19,6 @@ from hiltestbed.devices.interface import (
 )
 from hiltestbed.devices.url import DeviceSettings, parse, scheme_of
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.validation import nearest
 
 MODULES = {"rdt": "rdt", "rsi": "rsi", "rtde": "rtde", "udp": "udp", "shm": "shm"}
 

@@ -9,13 +9,13 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
+from hiltestbed.config.validation import Positive
 from hiltestbed.devices import sockets
 from hiltestbed.devices.interface import LONGEST_DRAIN, Event, Sample
 from hiltestbed.devices.layout import LARGEST, Layout, Record, default_layout, read_layout
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import LOOPBACK, DeviceSettings
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.validation import Positive
 
 RecordKind = Literal["sensor", "state", "command"]
 

@@ -12,9 +12,9 @@ from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from pydantic import BaseModel, Field
 
+from hiltestbed.config.validation import Strictly, nearest, validate
+from hiltestbed.config.yaml_source import Source, parse_yaml
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.validation import Strictly, nearest, validate
-from hiltestbed.yaml_source import Source, parse_yaml
 
 LOOPBACK = "127.0.0.1"
 LONGEST = 2000  # characters

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.config.validation import Positive, Strictly
 from hiltestbed.devices.interface import Event, Link, PlatformClient, SensorClient
-from hiltestbed.validation import Positive, Strictly
 
 DISTURBANCES = (Event.MALFORMED, Event.SENDER, Event.REPEATED, Event.REORDERED)
 

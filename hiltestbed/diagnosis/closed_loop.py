@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hiltestbed.analysis.metrics import settle_ticks
 from hiltestbed.campaign.structure import lockstep_groups
 from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
-from hiltestbed.metrics import settle_ticks
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.signals import RunTrace

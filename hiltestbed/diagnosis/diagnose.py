@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hiltestbed.dataset import LoadedDataset
+from hiltestbed.config.dataset import LoadedDataset
 from hiltestbed.diagnosis.find import CLOSING_STEPS, find
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.report.conclude import conclude

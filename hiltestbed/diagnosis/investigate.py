@@ -92,9 +92,9 @@ from hiltestbed.diagnosis.timing import (
     timing_departs,
     timing_under,
 )
+from hiltestbed.effects.log import log_parameters
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.effects.table import EFFECTS
-from hiltestbed.log import log_parameters
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.replay import follows_exactly
 from hiltestbed.signals import GROUPS

@@ -20,7 +20,7 @@ from hiltestbed.diagnosis.search import Progress
 from hiltestbed.diagnosis.settings import DETECTION, PENALTY
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.progress import Pace, time_left_text
+from hiltestbed.process.progress import Pace, time_left_text
 
 # chosen: of two residuals, above which effects are look-alikes: a tenth of the smaller one's energy
 # is its own

@@ -17,9 +17,9 @@ from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import DETECTION, MAX_NOISE_SIGMA, MAX_SKEW_RESIDUAL
 from hiltestbed.diagnosis.stamps import exact
 from hiltestbed.diagnosis.timing import MAX_UNNAMED_DELAY_ROWS
+from hiltestbed.effects.log import log_parameters
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
-from hiltestbed.log import log_parameters
 from hiltestbed.replay.wrench import shifted
 
 

@@ -313,7 +313,7 @@ class Diagnosis:
         return f"Diagnosis({self.name}: {self.verdict}, {causes})"
 
     def _repr_html_(self) -> str:
-        from hiltestbed.notebook import html_table
+        from hiltestbed.run_folder.notebook import html_table
 
         rows = [
             (cause.effect, name, estimate_text(p), p.unit, f"{cause.probability:.2f}")
@@ -408,7 +408,7 @@ class Diagnosis:
             partial_sentence,
             verdict_sentence,
         )
-        from hiltestbed.versions import versions
+        from hiltestbed.run_folder.versions import versions
 
         learned = self.finding.learned
         return finite(

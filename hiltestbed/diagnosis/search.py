@@ -38,7 +38,7 @@ from hiltestbed.diagnosis.settings import (
     SELECTION_INADEQUATE,
 )
 from hiltestbed.effects.search import Candidate
-from hiltestbed.progress import Pace, time_left_text
+from hiltestbed.process.progress import Pace, time_left_text
 
 Judge = Callable[[Residual, Effects], dict[str, Leftover]]
 # a hypothesis from the residual of a fit; chi-square that another has reached

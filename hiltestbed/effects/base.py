@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr
 
+from hiltestbed.config.validation import Strictly
 from hiltestbed.plugins import placeholder
-from hiltestbed.validation import Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.effects.search import Candidate, Scales

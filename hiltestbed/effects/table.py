@@ -17,7 +17,7 @@ EFFECTS: Registry[Effect] = Registry(
         "hiltestbed.platform.effects",
         "hiltestbed.numerical_model.effects",
         "hiltestbed.compensation.effects",
-        "hiltestbed.log",
+        "hiltestbed.effects.log",
     ),
 )
 AnyEffect = Annotated[Effect, OneOf(EFFECTS)]

@@ -47,7 +47,7 @@ import math
 
 import numpy as np
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 PAIRS = 2  # x with ry, y with rx
 # of each axis; none of z and rz, which lie along the axis of a mechanism

@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import ACTIVE, PASSIVE
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array, quat_mul_conj, rotate, rotate_back, rotation_vector
-from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

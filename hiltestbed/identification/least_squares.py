@@ -26,8 +26,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.identification.coupled import (
     PAIRS,
@@ -37,7 +38,6 @@ from hiltestbed.identification.coupled import (
     take_in_partner,
 )
 from hiltestbed.identification.samples import NORMAL, ContactSamples
-from hiltestbed.jit import njit
 
 MINIMUM_SAMPLES = 8
 # fraction of the force's variance that k x + c v may leave, beyond noise, on an axis of a latch: 3

@@ -30,14 +30,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call, Joined
+from hiltestbed.compiled.bound import GIVEN, Call, Joined
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import ROW, SIDE
 from hiltestbed.contact.parameters import LEVER, PARAMETERS
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array
 from hiltestbed.identification.held import HeldPlace, add_moment, referred
-from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

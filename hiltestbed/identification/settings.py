@@ -7,9 +7,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol, TypeVar
 
+from hiltestbed.config.validation import Strictly
 from hiltestbed.frames import Array
 from hiltestbed.plugins import OneOf, Registry, placeholder
-from hiltestbed.validation import Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.identification.samples import ContactSamples

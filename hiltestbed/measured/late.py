@@ -18,8 +18,8 @@ from hiltestbed.contact.latch import latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
+from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.log import log_parameters
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.survey import Survey
 from hiltestbed.numerical_model.bodies import approach_state

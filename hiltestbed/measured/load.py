@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.dataset import Dataset, LoadedDataset
-from hiltestbed.dataset import load_dataset as load_specification
+from hiltestbed.config.dataset import Dataset, LoadedDataset
+from hiltestbed.config.dataset import load_dataset as load_specification
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.measured.checks import check_dataset, check_run
 from hiltestbed.measured.reading import read_record

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hiltestbed.dataset import Check
+from hiltestbed.config.dataset import Check
 from hiltestbed.frames import Array, quat_from_attitude_deg
 from hiltestbed.measured.balance import balances, imbalances
 from hiltestbed.measured.driven import is_driven

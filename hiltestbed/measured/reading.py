@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hiltestbed.dataset import Channel
+from hiltestbed.config.dataset import Channel
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured.clock import Clock, bend, check_clock, start_of_run, to_ticks

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from hiltestbed.dataset import Check
+from hiltestbed.config.dataset import Check
 
 Severity = Literal["error", "loss", "note"]
 

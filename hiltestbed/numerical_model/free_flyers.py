@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, rotate, rotate_back
-from hiltestbed.jit import njit
 
 RUNS_PER_MODEL = (
     # Pinocchio's Data holds several (nv, nv, nv) tensors: at 6 runs, nv = 72, 12 MB and 2 ms to

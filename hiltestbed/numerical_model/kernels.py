@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import (
     cross,
     pose_between,
@@ -21,7 +22,6 @@ from hiltestbed.frames import (
     rotate,
     rotate_back,
 )
-from hiltestbed.jit import njit
 
 CHASER, TARGET = 0, 1
 WORK = 9  # scratch rows of 7 that the kernels of one run need

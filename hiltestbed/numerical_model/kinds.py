@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
+from hiltestbed.config.validation import ModelFile
 from hiltestbed.numerical_model.settings import ModelKind
 from hiltestbed.plugins import register
-from hiltestbed.validation import ModelFile
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel

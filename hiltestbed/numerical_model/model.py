@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call, bound
+from hiltestbed.compiled.bound import GIVEN, Call, bound
+from hiltestbed.compiled.jit import njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, cross, pose_step, rotate, rotate_back
-from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import (
     approach_state,
     inertia_matrix,

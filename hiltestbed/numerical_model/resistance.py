@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 from hiltestbed.numerical_model.kernels import (
     CHASER,
     TARGET,

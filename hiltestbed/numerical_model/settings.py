@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
+from hiltestbed.config.validation import Strictly
 from hiltestbed.plugins import OneOf, Registry, placeholder
-from hiltestbed.validation import Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel

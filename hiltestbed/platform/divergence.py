@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 
 @njit(cache=True)

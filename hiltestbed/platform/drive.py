@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 # parameters of a drive: [rad/s], -, m, m, m/s^2, s, -
 W, ZETA, FRICTION, OFFSET, LIMIT, INTEGRAL, STATIC = range(7)

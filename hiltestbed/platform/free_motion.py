@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import approach_state
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
-from hiltestbed.jit import njit
 from hiltestbed.platform import model
 from hiltestbed.platform.facilities.response import ResponsePath
 from hiltestbed.platform.response import PlatformResponse

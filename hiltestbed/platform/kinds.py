@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from hiltestbed.config.validation import Problem, Strictly
 from hiltestbed.plugins import Registry, kind_of, placeholder
-from hiltestbed.validation import Problem, Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.contact.composition import Structure

@@ -10,6 +10,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from hiltestbed.config.models import load
 from hiltestbed.contact.composition import (
     FLANGE,
     Structure,
@@ -21,7 +22,6 @@ from hiltestbed.contact.composition import (
 )
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.settings import Mechanism
-from hiltestbed.models import load
 
 BODY = "A_body"  # body of the active side without a platform
 PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]

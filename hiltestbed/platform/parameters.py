@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.config.piecewise import packed
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
-from hiltestbed.piecewise import packed
 from hiltestbed.platform.drive import NUMBERS
 
 if TYPE_CHECKING:
@@ -33,7 +33,8 @@ class PlatformParameters:
             between two.
         begun: share of the approach's rate at which lags and modes start, see
             :func:`hiltestbed.platform.effects.response.stepped`.
-        step: response to a step of the command, packed, see :func:`hiltestbed.piecewise.packed`;
+        step: response to a step of the command, packed, see
+            :func:`hiltestbed.config.piecewise.packed`;
             without knots: the step itself.
     """
 

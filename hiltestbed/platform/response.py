@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.effects.table import by_link
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.platform.drive import PLACE, RATE, STATE, W, drive_over
 from hiltestbed.platform.parameters import PlatformParameters, stack
 from hiltestbed.platform.step_response import longest_memory, summed_over

@@ -26,11 +26,11 @@ from hiltestbed.platform.facilities.measure import (
     modes,
     workspace,
 )
-from hiltestbed.recording import whole_folder
-from hiltestbed.report import Report, new_figure
+from hiltestbed.report.page import Report, new_figure
+from hiltestbed.run_folder.store import whole_folder
+from hiltestbed.run_folder.versions import versions
 from hiltestbed.scenario import Scenario, resolved
 from hiltestbed.signals import AXES
-from hiltestbed.versions import versions
 
 RIG, REPORT = "rig.json", "report.html"
 SLOWEST, FASTEST = 1.0, 100.0  # [Hz] of the sines

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
+from hiltestbed.config.validation import Problem, Strictly
 from hiltestbed.platform.kinds import PLATFORMS, Platform
 from hiltestbed.plugins import OneOf
-from hiltestbed.validation import Problem, Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

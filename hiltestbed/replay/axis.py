@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.numerical_model.parameters import DAMPING, RATIO, STIFFNESS
 from hiltestbed.numerical_model.resistance import AXIS, BETWEEN, BODY, resisting

@@ -12,10 +12,10 @@ import numpy as np
 from hiltestbed.compensation.blocks import make_drive
 from hiltestbed.compensation.input import InputDeadZone, InputParameters
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.latch import closes, latch_limits
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.identification.settings import IDENTIFIERS
-from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.numerical_model.kernels import place_at_start
 from hiltestbed.numerical_model.model import NumericalModel

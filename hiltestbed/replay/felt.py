@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import Geometry, arm
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import BLUNT, LEVER, OFFSET, PARAMETERS
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array, twist_between
-from hiltestbed.jit import njit
 
 # [byte] of contact wrenches that are cached, for replays that change only the sensor
 KEPT = 64_000_000

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from hiltestbed.compiled.state import arrays_of
 from hiltestbed.contact.parameters import OFFSET, TILT_X, TILT_Y
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
-from hiltestbed.state import arrays_of
 
 # [m] least distance of the sides during free flight; a hypothesis may shift a surface by half of it
 CLEAR = 0.01

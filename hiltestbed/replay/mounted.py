@@ -13,10 +13,10 @@ import math
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.mount_dynamics import mount_reading, mount_step
 from hiltestbed.contact.parameters import FRICTION, OFFSET
 from hiltestbed.contact.wrench import CREEP
-from hiltestbed.jit import njit
 
 # [N, N m] force transmitted by an oscillating mount, below which it is taken to be at rest
 AT_REST = 1e-9

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import math
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import PASSIVE, ROUND_FRAME, ROW, SURFACE_FRAME, VALUES, arm, meet
 from hiltestbed.contact.parameters import BLUNT, LEVER, OFFSET
 from hiltestbed.contact.wrench import relate_one
-from hiltestbed.jit import njit
 from hiltestbed.replay.felt import way_between
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import approach_state, inertia_matrix, port_pose
 from hiltestbed.numerical_model.kernels import (
     load_wrench,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.platform.drive import FRICTION, OFFSET, PLACE, RATE, STATE, STATIC, W
 from hiltestbed.platform.parameters import stack
 from hiltestbed.platform.response import (

@@ -16,13 +16,13 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.compiled.jit import njit
+from hiltestbed.compiled.warm import threads
 from hiltestbed.contact.composition import carried_by
 from hiltestbed.contact.mount import CARRIER, MOUNTED
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array, pose_step, twist_between
-from hiltestbed.jit import njit
-from hiltestbed.kernels import threads
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.kinds import PLATFORMS
 from hiltestbed.platform.model import BODY

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 # chosen: of the time between two instants: within it a bend of the command lies on one
 ON_AN_INSTANT = 1e-9

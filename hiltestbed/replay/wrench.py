@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import get_num_threads
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import arm
 from hiltestbed.contact.latch import closes
 from hiltestbed.contact.law import STATES
@@ -35,9 +36,8 @@ from hiltestbed.contact.wrench import (
     tilts,
 )
 from hiltestbed.effects.base import Effect
+from hiltestbed.effects.log import LogParameters
 from hiltestbed.frames import Array, quat_exp, quat_mul
-from hiltestbed.jit import njit
-from hiltestbed.log import LogParameters
 from hiltestbed.replay.felt import NEAR, ContactKey, Felt, way_between
 from hiltestbed.replay.mounted import (
     LAST,

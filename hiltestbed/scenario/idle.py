@@ -1,9 +1,9 @@
 """Keys of a scenario that were given but have no effect, because another choice in the scenario
 makes them irrelevant.
 
-Each section reports its own idle keys (:meth:`hiltestbed.validation.Strictly.idle`). A key counts
-as given if it is in the file; in a resolved file, in which every default is written out, if it
-differs from the default.
+Each section reports its own idle keys (:meth:`hiltestbed.config.validation.Strictly.idle`). A key
+counts as given if it is in the file; in a resolved file, in which every default is written out, if
+it differs from the default.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from hiltestbed.validation import Problem, Strictly
-from hiltestbed.yaml_source import KeyPath
+from hiltestbed.config.validation import Problem, Strictly
+from hiltestbed.config.yaml_source import KeyPath
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

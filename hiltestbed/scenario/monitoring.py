@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hiltestbed.validation import NotNegative, Positive, Strictly
+from hiltestbed.config.validation import NotNegative, Positive, Strictly
 
 
 class ContactEstimate(Strictly):

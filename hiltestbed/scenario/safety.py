@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from hiltestbed.validation import Positive, Problem, Strictly
+from hiltestbed.config.validation import Positive, Problem, Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

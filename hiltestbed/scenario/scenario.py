@@ -17,10 +17,12 @@ from pydantic import Field, model_validator
 
 from hiltestbed import plugins
 from hiltestbed.compensation.section import Compensation
+from hiltestbed.config.gallery import find_scenario
+from hiltestbed.config.validation import Positive, Strictly, refuse, validate
+from hiltestbed.config.yaml_source import Source, dump_yaml, read_source
 from hiltestbed.contact.settings import AnyMechanism
 from hiltestbed.devices.section import Devices
 from hiltestbed.effects.table import AnyEffect
-from hiltestbed.gallery import find_scenario
 from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
 from hiltestbed.numerical_model.settings import MODELS, AnyModel
 from hiltestbed.platform.settings import Rig
@@ -29,8 +31,6 @@ from hiltestbed.scenario.monitoring import Monitoring
 from hiltestbed.scenario.safety import Safety
 from hiltestbed.scenario.spacecraft import Approach, Spacecraft
 from hiltestbed.sensor.settings import Sensor
-from hiltestbed.validation import Positive, Strictly, refuse, validate
-from hiltestbed.yaml_source import Source, dump_yaml, read_source
 
 
 class Scenario(Strictly):

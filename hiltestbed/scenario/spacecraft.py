@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from hiltestbed.validation import Positive, Strictly, Vector2, Vector3, refuse
+from hiltestbed.config.validation import Positive, Strictly, Vector2, Vector3, refuse
 
 _ORIGIN = (0.0, 0.0, 0.0)
 

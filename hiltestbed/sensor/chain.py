@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
-from hiltestbed.jit import njit
-from hiltestbed.piecewise import along
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.piecewise import along
 
 
 @njit(cache=True)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiltestbed.config.piecewise import Pairs, packed
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
-from hiltestbed.piecewise import Pairs, packed
 
 if TYPE_CHECKING:
     from hiltestbed.sensor.settings import Sensor as SensorSettings

@@ -4,7 +4,7 @@ passive one.
 
 from __future__ import annotations
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 
 @njit(cache=True)

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.bound import GIVEN, Call
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.sensor.chain import condition_all
 from hiltestbed.sensor.parameters import SensorParameters, stack
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from hiltestbed.validation import NotNegative, Positive, Strictly, Vector3
+from hiltestbed.config.validation import NotNegative, Positive, Strictly, Vector3
 
 
 class Sensor(Strictly):

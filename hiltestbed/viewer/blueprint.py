@@ -9,9 +9,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from hiltestbed.energy import energy_generated
+from hiltestbed.analysis.energy import energy_generated
 from hiltestbed.frames import Array
-from hiltestbed.result import Run
+from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.viewer import plots, rig, spacecraft

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from hiltestbed.energy import energy_generated
+from hiltestbed.analysis.energy import energy_generated
 from hiltestbed.frames import Array, rotation_vectors
-from hiltestbed.result import Run
+from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.viewer import colors
 from hiltestbed.viewer.sureness import unsure

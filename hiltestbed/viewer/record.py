@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from hiltestbed.result import Run
+from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import RunTrace
 from hiltestbed.viewer import spacecraft
 from hiltestbed.viewer.blueprint import Facts, layout

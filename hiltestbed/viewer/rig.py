@@ -13,9 +13,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import ACTIVE, PASSIVE
 from hiltestbed.frames import Array, quat_from_mujoco, quat_to_mujoco, rotation_matrix
-from hiltestbed.jit import njit
 from hiltestbed.platform.model import nine_axis_scene, rig_scene
 from hiltestbed.platform.prs3.allocation import compose, upper_coordinates
 from hiltestbed.platform.prs3.geometry import Upper, place, revolute, slider

@@ -12,8 +12,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_mul, rotate, rotation_matrix
-from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
 from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.numerical_model.model import NumericalModel

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.assessment import UNSURE
+from hiltestbed.analysis.assessment import UNSURE
 from hiltestbed.frames import Array
 
 CHECKED = 300  # rows at which an estimate is compared with its past

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hiltestbed.assessment import assess, monitored
-from hiltestbed.result import Run
+from hiltestbed.analysis.assessment import assess, monitored
+from hiltestbed.run_folder.result import Run
 
 
 def figures(run: Run) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from hiltestbed.bench.throughput import _oval_cone, docking_ratios
+from hiltestbed.config.gallery import shipped
 from hiltestbed.contact.geometry import FACES, KIND, ROW
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.surfaces.surface import MESH
-from hiltestbed.gallery import shipped
 from hiltestbed.scenario import load_scenario
 
 

@@ -14,7 +14,7 @@ from hiltestbed.campaign.choices import choices_of, in_words, results
 from hiltestbed.campaign.figures import _cells, _edges, heat_maps, with_unit
 from hiltestbed.campaign.schema import LoadedCampaign, Variation, load_campaign
 from hiltestbed.campaign.sweep import Sweep, sweep
-from hiltestbed.gallery import shipped
+from hiltestbed.config.gallery import shipped
 
 CAMPAIGN = """\
 name: choices

@@ -10,10 +10,10 @@ import pytest
 
 from hiltestbed import load_scenario, run
 from hiltestbed.bench.contacts import Contact, bounce
-from hiltestbed.gallery import shipped
+from hiltestbed.compiled.state import arrays_of
+from hiltestbed.config.gallery import shipped
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario
-from hiltestbed.state import arrays_of
 
 BARE = {"kind": "none"}
 

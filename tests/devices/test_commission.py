@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.config.yaml_source import dump_yaml, read_source
 from hiltestbed.devices.commission.folder import write_commission
 from hiltestbed.devices.commission.procedure import Commissioned, commission
 from hiltestbed.devices.interface import DeviceError
@@ -20,7 +21,6 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import attitude_deg_from_quat, quat_from_attitude_deg, rotation_matrix
 from hiltestbed.measured.load import load_dataset
 from hiltestbed.scenario import load_scenario
-from hiltestbed.yaml_source import dump_yaml, read_source
 from tests.devices.lockstep import against, scenario_of
 from tests.slow import SLOW, slow
 

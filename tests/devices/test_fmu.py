@@ -220,7 +220,7 @@ def test_the_half_tick_of_a_force_that_is_held_is_what_the_ledger_says(tmp_path:
     """A model that is exact within the tick: ln(e/e_semi_implicit) = (pi/2) w h/2."""
     import math
 
-    from hiltestbed.ledger import contact_frequency
+    from hiltestbed.analysis.ledger import contact_frequency
     from hiltestbed.scenario import load_scenario
     from tests.running import run
 
@@ -236,8 +236,8 @@ def test_the_half_tick_of_a_force_that_is_held_is_what_the_ledger_says(tmp_path:
 def test_the_bounce_of_a_users_model_is_foretold_with_the_vehicles_that_are_given(
     tmp_path: Path,
 ) -> None:
+    from hiltestbed.analysis.stability import stability
     from hiltestbed.scenario import load_scenario
-    from hiltestbed.stability import stability
 
     rubs = SHORT | {"mechanism.contact.friction": 0.1}  # played, and not computed
     own = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))}}

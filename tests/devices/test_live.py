@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed import bound
+from hiltestbed.compiled import bound
 from hiltestbed.devices.recorder import discard
-from hiltestbed.recording import read_run, write_run
+from hiltestbed.run_folder.store import read_run, write_run
 from hiltestbed.signals import CYCLE
 from tests.devices.lockstep import SCENARIOS, played, scenario_of, urls_of
 from tests.running import run

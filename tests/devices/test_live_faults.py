@@ -19,7 +19,7 @@ from hiltestbed.devices.rsi_controller import RsiServer
 from hiltestbed.devices.session import Session
 from hiltestbed.devices.udp_device import UdpPlatformServer
 from hiltestbed.devices.watch import CommunicationLimits
-from hiltestbed.recording import read_run, write_run
+from hiltestbed.run_folder.store import read_run, write_run
 from hiltestbed.scenario import Scenario
 from tests.devices.lockstep import played, scenario_of
 

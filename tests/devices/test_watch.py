@@ -7,11 +7,11 @@ import time
 import numpy as np
 import pytest
 
+from hiltestbed.config.validation import validate
+from hiltestbed.config.yaml_source import Source
 from hiltestbed.devices.interface import Event, SensorClient
 from hiltestbed.devices.watch import CommunicationLimits, CommunicationWatch, said
 from hiltestbed.errors import InputError
-from hiltestbed.validation import validate
-from hiltestbed.yaml_source import Source
 
 
 class MadeUp(SensorClient):

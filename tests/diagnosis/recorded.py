@@ -11,7 +11,7 @@ from typing import Any
 import pyarrow.parquet as pq
 from ruamel.yaml import YAML
 
-from hiltestbed.recording import write_trace
+from hiltestbed.run_folder.store import write_trace
 from hiltestbed.scenario import scenario_from
 from hiltestbed.simulation import simulate
 

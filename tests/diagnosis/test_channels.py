@@ -20,7 +20,7 @@ from hiltestbed.diagnosis.links import LinkRun, WrenchLink
 from hiltestbed.diagnosis.paths import best_path
 from hiltestbed.diagnosis.yielding import told_pose
 from hiltestbed.measured import load_dataset
-from hiltestbed.recording import write_trace
+from hiltestbed.run_folder.store import write_trace
 from hiltestbed.simulation import simulate
 
 from ..slow import SLOW, slow

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
+from hiltestbed.config.yaml_source import dump_yaml
 from hiltestbed.diagnosis.find import find
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.yielding import deflection
 from hiltestbed.measured import MeasuredDataset, load_dataset
-from hiltestbed.recording import write_trace
-from hiltestbed.yaml_source import dump_yaml
+from hiltestbed.run_folder.store import write_trace
 from tests.running import run
 from tests.slow import SLOW
 

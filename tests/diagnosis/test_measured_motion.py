@@ -23,7 +23,7 @@ from hiltestbed.diagnosis.readings import choose_lever
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import SMOOTHING_ROWS
 from hiltestbed.measured import load_dataset
-from hiltestbed.recording import write_trace
+from hiltestbed.run_folder.store import write_trace
 from hiltestbed.simulation import simulate
 
 # [N/m], [N s/m], [kg], [m], [m/s]

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from hiltestbed import diagnose, write_run
+from hiltestbed.config.gallery import find_scenario
 from hiltestbed.diagnosis.links import flat_pose
 from hiltestbed.diagnosis.result import Finding
 from hiltestbed.diagnosis.yielding import deflection, engagement, told_pose
-from hiltestbed.gallery import find_scenario
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import load_dataset
 from hiltestbed.scenario import load_scenario

@@ -16,7 +16,7 @@ import pytest
 
 import hiltestbed
 from hiltestbed import cli
-from hiltestbed.check import KINDS, json_schema
+from hiltestbed.config.check import KINDS, json_schema
 from hiltestbed.effects import EFFECTS
 from hiltestbed.signals import GROUPS
 

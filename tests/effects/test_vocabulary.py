@@ -16,8 +16,8 @@ from hiltestbed.compensation.input import InputParameters
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.effects.base import LINKS
+from hiltestbed.effects.log import LogParameters
 from hiltestbed.effects.search import Candidate, DrivenAxis, Scales
-from hiltestbed.log import LogParameters
 from hiltestbed.numerical_model.parameters import DynamicsParameters
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.scenario import Scenario, load_scenario

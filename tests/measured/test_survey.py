@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.gallery import find_scenario
+from hiltestbed.config.gallery import find_scenario
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.survey import Contact, Survey, look

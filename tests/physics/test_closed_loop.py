@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.ledger import delay_ledger, predicted_log_error
+from hiltestbed.analysis.ledger import delay_ledger, predicted_log_error
 from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import pair_momentum
 from hiltestbed.scenario import Scenario, load_scenario

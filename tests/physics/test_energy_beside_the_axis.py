@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.gallery import shipped
+from hiltestbed.config.gallery import shipped
 from hiltestbed.loop import Loop
 
 

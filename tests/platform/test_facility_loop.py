@@ -19,11 +19,11 @@ from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.errors import InputError
 from hiltestbed.loop import Loop
 from hiltestbed.measured import load_dataset
-from hiltestbed.recording import write_run, write_trace
+from hiltestbed.run_folder.store import write_run, write_trace
 from hiltestbed.scenario import Scenario, dump_scenario
 from hiltestbed.signals import Trace
 from hiltestbed.simulation import run_batch, simulate
-from hiltestbed.snapshot import Snapshots, restore
+from hiltestbed.supervision.snapshot import Snapshots, restore
 from tests.platform.halls import GANTRY
 from tests.running import run
 from tests.slow import slow

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.config.models import load, models_folder
 from hiltestbed.frames import Array
-from hiltestbed.models import load, models_folder
 from hiltestbed.platform.pss33.kinematics import Platform, inverse, jacobian, joints
 
 PLATFORM = Platform.load()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.compiled.state import arrays_of
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
@@ -18,7 +19,6 @@ from hiltestbed.platform.prs3.nine_axes import NineAxes
 from hiltestbed.platform.prs3.payload import carry
 from hiltestbed.platform.pss33.dynamics import GRAVITY
 from hiltestbed.scenario import Scenario, scenario_from
-from hiltestbed.state import arrays_of
 from tests.platform.rigs import scenario
 from tests.running import run
 from tests.slow import slow

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiltestbed.compiled.state import arrays_of
+from hiltestbed.config.gallery import find_scenario
 from hiltestbed.errors import InputError
-from hiltestbed.gallery import find_scenario
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.pss33.servo import Servo
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.scenario import load_scenario
-from hiltestbed.state import arrays_of
 from tests.platform.rigs import Press, pose, scenario
 
 OUTPUTS = ("pose_act", "twist_act", "wrench_sub", "slider_cmd", "slider_act", "contact")

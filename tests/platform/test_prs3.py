@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.config.models import load
 from hiltestbed.frames import Array
-from hiltestbed.models import load
 from hiltestbed.platform.prs3.geometry import (
     HEAVE,
     TILT,

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from hiltestbed.config.models import load
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.models import load
 from hiltestbed.platform.facilities.facility import compiled
 from hiltestbed.platform.facilities.inverse_dynamics import joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from hiltestbed.config.models import models_folder
 from hiltestbed.errors import InputError
-from hiltestbed.models import models_folder
 from hiltestbed.platform.facilities.facility import MOUNT_HOME, compiled
 from hiltestbed.platform.facilities.mjcf import Mjcf
 from hiltestbed.platform.facilities.stand import Stand

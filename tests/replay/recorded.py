@@ -16,8 +16,8 @@ from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import believed_contacts, contact_rows
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import Effect
+from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.log import log_parameters
 from hiltestbed.platform.plant import alike
 from hiltestbed.replay import Felt, creep_of, replay_wrench
 from hiltestbed.replay.wrench import Lane

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from hiltestbed.budget import run_budget
-from hiltestbed.check import look_at
+from hiltestbed.config.budget import run_budget
+from hiltestbed.config.check import look_at
+from hiltestbed.config.gallery import shipped
+from hiltestbed.config.sense import warnings
 from hiltestbed.errors import InputError
-from hiltestbed.gallery import shipped
 from hiltestbed.scenario import Scenario, load_scenario
-from hiltestbed.sense import warnings
 from hiltestbed.simulation import run
 from tests.measured import bounce
 

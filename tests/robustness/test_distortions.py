@@ -36,7 +36,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def distorted(good: Path, folder: Path, name: str, runs: int = 2, lines: str = "") -> Path:
     """The dataset of the first runs, each distorted."""
     (folder / "nominal.yaml").write_text((good / "nominal.yaml").read_text())
-    from hiltestbed.yaml_source import dump_yaml, read_source
+    from hiltestbed.config.yaml_source import dump_yaml, read_source
 
     entries = read_source(good / "dataset.yaml").data["runs"][:runs]
     for entry in entries:

@@ -11,7 +11,7 @@ import pytest
 
 from hiltestbed.bench.robustness import kills
 from hiltestbed.bench.robustness.kills import COMMANDS, Command, KillError, kill
-from hiltestbed.check import look_at
+from hiltestbed.config.check import look_at
 from hiltestbed.measured import load_dataset
 from tests.slow import slow
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from hiltestbed import diagnose, load_scenario, run, run_batch, write_run
-from hiltestbed.result import Run
+from hiltestbed.run_folder.result import Run
 from tests.diagnosis.recorded import recorded
 from tests.slow import SLOW
 

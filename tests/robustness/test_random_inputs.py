@@ -16,23 +16,23 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hiltestbed.analysis.stability import stability
+from hiltestbed.analysis.trial import first_contact
 from hiltestbed.bench.kept import Kept
 from hiltestbed.bench.robustness.run import STRETCH, robustness
 from hiltestbed.bench.robustness.trials import TRIALS, mutated
 from hiltestbed.bench.robustness.values import value_of
 from hiltestbed.campaign.schema import campaign_from
-from hiltestbed.check import check_file, json_schema
+from hiltestbed.config.check import check_file, json_schema
+from hiltestbed.config.dataset import Dataset
+from hiltestbed.config.gallery import shipped
+from hiltestbed.config.validation import validate
+from hiltestbed.config.yaml_source import Source
 from hiltestbed.contact.settings import Contact
-from hiltestbed.dataset import Dataset
 from hiltestbed.errors import InputError
 from hiltestbed.frames import rotation_vector
-from hiltestbed.gallery import shipped
 from hiltestbed.scenario import load_scenario, scenario_from
 from hiltestbed.simulation import run
-from hiltestbed.stability import stability
-from hiltestbed.trial import first_contact
-from hiltestbed.validation import validate
-from hiltestbed.yaml_source import Source
 from tests.slow import ALL
 
 QUICK = settings(

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.gallery import shipped
-from hiltestbed.kernel_cache import VARIABLE, settle
-from hiltestbed.recording import read_run
+from hiltestbed.compiled.kernel_cache import VARIABLE, settle
+from hiltestbed.config.gallery import shipped
+from hiltestbed.run_folder.store import read_run
 from tests.slow import SLOW, slow
 
 BUMPER = shipped("scenarios") / "02-bumper.yaml"

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.check import look_at
-from hiltestbed.gallery import shipped
+from hiltestbed.config.check import look_at
+from hiltestbed.config.gallery import shipped
+from hiltestbed.config.sense import warnings
 from hiltestbed.scenario import Scenario, dump_scenario, resolved, scenario_from
 from hiltestbed.scenario.idle import given_in_vain, idle_keys
-from hiltestbed.sense import warnings
 from hiltestbed.signals import RunTrace
 from hiltestbed.simulation import run_batch
 

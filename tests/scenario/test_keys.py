@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from hiltestbed.check import json_schema
+from hiltestbed.config.check import json_schema
+from hiltestbed.config.keys import Key, at, keys_of, search
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import InputError
-from hiltestbed.keys import Key, at, keys_of, search
 from hiltestbed.platform.kinds import PLATFORMS
 from hiltestbed.scenario import load_scenario, resolved
 

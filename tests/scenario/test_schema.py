@@ -13,8 +13,8 @@ import jsonschema
 import pytest
 from ruamel.yaml import YAML
 
-from hiltestbed.check import json_schema
 from hiltestbed.compensation.settings import FORCE_METHODS, MOTION_METHODS
+from hiltestbed.config.check import json_schema
 from hiltestbed.contact.settings import MECHANISMS
 from hiltestbed.effects import EFFECTS
 from hiltestbed.identification.settings import IDENTIFIERS

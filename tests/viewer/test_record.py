@@ -16,7 +16,7 @@ import hiltestbed
 from hiltestbed.frames import Array, rotation_matrix
 from hiltestbed.platform.prs3.geometry import Upper
 from hiltestbed.platform.pss33.kinematics import Platform
-from hiltestbed.result import Run
+from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
 from hiltestbed.viewer import write_recording

@@ -20,7 +20,7 @@ from hiltestbed.bench.independent_rig.rotation import (
     times,
     turn,
 )
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 CHASER, TARGET = 0, 1
 R, Q, V, W, AQ, AV = (

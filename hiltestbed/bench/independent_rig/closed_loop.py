@@ -15,7 +15,7 @@ from hiltestbed.bench.independent_rig import six_axes
 from hiltestbed.bench.independent_rig.links import Noise, Records, Rig
 from hiltestbed.bench.independent_rig.measured_pose import all_noisy, noisy, slope
 from hiltestbed.bench.independent_rig.rotation import inverse, product, turn, turn_of
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 
 @njit(cache=True)

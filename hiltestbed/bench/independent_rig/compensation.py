@@ -28,7 +28,7 @@ import numpy as np
 
 from hiltestbed.bench.independent_rig.identification import SUMS, estimate, take
 from hiltestbed.bench.independent_rig.rotation import turn_of
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 (
     LEAD,

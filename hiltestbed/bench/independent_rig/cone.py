@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 FIRST_LOOK = 16  # intervals of a coarse search along the rod for the point nearest to the rim
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)

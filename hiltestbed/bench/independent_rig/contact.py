@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 # states: Maxwell force [N], frame [m], [m/s], time since the touch [s], slider [m]
 BRANCH, FRAME, FRAME_V, AGE, SLIDER = range(5)

@@ -27,7 +27,7 @@ from hiltestbed.bench.independent_rig.rotation import (
     product,
     turn_of,
 )
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 TIP, ROD = 0, 1
 # m, radius of the ring of latches: the rotational stiffness is that of the latch times its square

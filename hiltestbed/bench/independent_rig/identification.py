@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 SUMS = 10  # 1, x, v, y, xx, xv, vv, xy, vy, yy
 LEAST = 8  # samples

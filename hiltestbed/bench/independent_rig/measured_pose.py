@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hiltestbed.bench.independent_rig.rotation import inverse, product, turn_of
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 
 @njit(cache=True)

@@ -22,7 +22,7 @@ from hiltestbed.bench.independent_rig.rotation import (
     turn,
     turn_of,
 )
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 RIGID = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 CONE_MASS = 120.0  # kg, with the next two as in models/probe_cone/passive.xml

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 LIMITED, LAG, LAG_V, MODE, MODE_V, PLAY, HELD, COMMAND, SLEWED, SLEWED_V, NEAR, NEAR_V = range(12)
 STATES = 12

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 
 @njit(cache=True)

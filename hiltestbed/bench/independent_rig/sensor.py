@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 LAG, HIGH, BEFORE, HELD = range(4)  # states, (4, 6)
 EXPONENTIAL, BACKWARD, TRAPEZOIDAL = range(3)  # schemes of the lag

@@ -23,7 +23,7 @@ from hiltestbed.bench.independent_rig import sensor as gauge
 from hiltestbed.bench.independent_rig.links import Noise, Records, Rig
 from hiltestbed.bench.independent_rig.measured_pose import all_noisy, noisy, slope
 from hiltestbed.bench.independent_rig.rotation import inverse, product, turn, turn_of
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 STOPPED = 5e4  # N, at which a facility stops its run: the records are NaN from then on
 # s of the trail kept in addition to the delays, for the look-back of a stretched or skewed record

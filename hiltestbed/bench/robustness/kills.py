@@ -195,8 +195,8 @@ def prepared(folder: Path) -> Path:
     """The folder of inputs beside ``folder``: a campaign and a short dataset."""
     inputs = folder.parent / "kill"
     if not inputs.exists():
-        from hiltestbed.gallery import shipped
-        from hiltestbed.yaml_source import dump_yaml, read_source
+        from hiltestbed.config.gallery import shipped
+        from hiltestbed.config.yaml_source import dump_yaml, read_source
 
         made = Path(tempfile.mkdtemp(dir=folder))
         (made / "campaign.yaml").write_text(

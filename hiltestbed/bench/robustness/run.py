@@ -25,8 +25,8 @@ from typing import Any
 from hiltestbed.bench.kept import Kept
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.bench.robustness.trials import REFUSED, REMARKED, SURVIVED, TRIALS
-from hiltestbed.kernels import cores
-from hiltestbed.report import Report
+from hiltestbed.compiled.warm import cores
+from hiltestbed.report.page import Report
 
 QUICK, LONG = 0.5, 60.0  # [min] default time limits
 TARGETS = {

@@ -20,7 +20,7 @@ from hiltestbed.bench.robustness.values import value_of
 from hiltestbed.errors import HiltestbedError, InputError
 
 if TYPE_CHECKING:
-    from hiltestbed.check import Kind
+    from hiltestbed.config.check import Kind
 
 SURVIVED, REFUSED, REMARKED = "survived", "refused", "remarked"
 Trial = Callable[[Generator, Path], str]
@@ -33,15 +33,15 @@ _good: dict[str, Any] = {}
 
 @cache
 def _schema(kind: Kind) -> dict[str, Any]:
-    from hiltestbed.check import json_schema
+    from hiltestbed.config.check import json_schema
 
     return json_schema(kind)
 
 
 def _shipped(rng: Generator) -> dict[str, Any]:
     """The data of a random shipped scenario."""
-    from hiltestbed.gallery import shipped
-    from hiltestbed.yaml_source import read_source
+    from hiltestbed.config.gallery import shipped
+    from hiltestbed.config.yaml_source import read_source
 
     files = sorted(shipped("scenarios").glob("*.yaml"))
     return read_source(files[int(rng.integers(len(files)))]).data
@@ -111,8 +111,8 @@ def _stretch(node: Any, rng: Generator) -> None:
 
 def text(rng: Generator, folder: Path) -> str:
     """A scenario file with some bytes changed."""
-    from hiltestbed.check import check_file
-    from hiltestbed.gallery import shipped
+    from hiltestbed.config.check import check_file
+    from hiltestbed.config.gallery import shipped
 
     files = sorted(shipped("scenarios").glob("*.yaml"))
     path = folder / "text.yaml"
@@ -132,8 +132,8 @@ def _mistyped(data: bytes, rng: Generator) -> bytes:
 
 def dataset(rng: Generator, folder: Path) -> str:
     """A random dataset file from its schema, mostly with an existing scenario and files."""
-    from hiltestbed.check import look_at
-    from hiltestbed.yaml_source import dump_yaml
+    from hiltestbed.config.check import look_at
+    from hiltestbed.config.yaml_source import dump_yaml
 
     _good_set(folder)
     data = value_of(_schema("dataset"), rng)
@@ -247,7 +247,7 @@ def campaign(rng: Generator, folder: Path) -> str:
     """A random campaign file with a shipped scenario; its first case is made if it is valid."""
     from hiltestbed.campaign.schema import load_campaign
     from hiltestbed.campaign.sweep import case_scenario
-    from hiltestbed.yaml_source import dump_yaml
+    from hiltestbed.config.yaml_source import dump_yaml
 
     data = value_of(_schema("campaign"), rng)
     if not isinstance(data, dict):

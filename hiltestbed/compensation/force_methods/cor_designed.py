@@ -23,11 +23,11 @@ from pydantic import Field
 from hiltestbed.compensation.force_methods.virtual_contact import add_virtual
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative, Positive
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel

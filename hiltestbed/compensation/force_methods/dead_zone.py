@@ -15,9 +15,9 @@ from pydantic import Field
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.config.validation import NotNegative
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel

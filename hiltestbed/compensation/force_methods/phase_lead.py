@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from hiltestbed.bound import GIVEN, Call
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import ForceMethod, Input
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative, Positive
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel

@@ -25,10 +25,10 @@ from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.resynchronised.captured import CapturedContact, observe
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative, Positive
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel

@@ -19,10 +19,10 @@ from pydantic import Field
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.validation import NotNegative
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel

@@ -21,10 +21,10 @@ from pydantic import Field
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod, motion_of
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.jit import njit
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative, Positive
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

@@ -25,10 +25,10 @@ from pydantic import Field
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod, motion_of
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.validation import Positive
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.plugins import register
-from hiltestbed.validation import Positive
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

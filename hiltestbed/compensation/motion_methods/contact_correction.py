@@ -17,10 +17,10 @@ import numpy as np
 
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, rotate, twist_between
 from hiltestbed.identification.held import add_moment
 from hiltestbed.identification.samples import GATE_SIGMA
-from hiltestbed.jit import njit
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:

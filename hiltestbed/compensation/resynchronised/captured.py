@@ -18,9 +18,9 @@ import numpy as np
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, rotation_vector
 from hiltestbed.identification.held import UNTURNED, add_moment, referred
-from hiltestbed.jit import njit
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

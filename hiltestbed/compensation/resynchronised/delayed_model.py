@@ -12,8 +12,8 @@ import math
 import numpy as np
 
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import rotation_vector
-from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import (
     carry,
     relative_motion,

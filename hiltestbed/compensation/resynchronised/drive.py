@@ -51,8 +51,8 @@ from hiltestbed.compensation.resynchronised.delayed_model import (
 from hiltestbed.compensation.resynchronised.predictor import predict
 from hiltestbed.compensation.resynchronised.settings import Resynchronised
 from hiltestbed.compensation.settings import force_of
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_conj_mul, rotate, rotation_vector
-from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import SCRATCH, mobility, solve, wrench_at_A, wrench_at_P
 from hiltestbed.numerical_model.model import NumericalModel
 

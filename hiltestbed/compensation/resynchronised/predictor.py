@@ -11,8 +11,8 @@ import numpy as np
 
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
 from hiltestbed.compensation.resynchronised.delayed_model import DELAYED, DONE, along
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import rotation_vector
-from hiltestbed.jit import njit
 from hiltestbed.numerical_model.kernels import (
     carry,
     mobility,

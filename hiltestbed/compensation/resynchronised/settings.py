@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field
 
 from hiltestbed.compensation.settings import ForceMethod, Input
+from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative, Positive, Problem, Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.compensation.resynchronised.drive import ResynchronisedDrive

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal
 
+from hiltestbed.config.piecewise import Curve, packed
 from hiltestbed.effects.base import Effect, quantity
 from hiltestbed.effects.search import Candidate, Scales
-from hiltestbed.piecewise import Curve, packed
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:

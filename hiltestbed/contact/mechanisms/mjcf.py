@@ -7,13 +7,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from hiltestbed.config.models import digest
+from hiltestbed.config.validation import ModelFile
 from hiltestbed.contact.described import Described
 from hiltestbed.contact.description import Phase, Touching
 from hiltestbed.contact.settings import Contact
 from hiltestbed.contact.sides import Rule
-from hiltestbed.models import digest
 from hiltestbed.plugins import register
-from hiltestbed.validation import ModelFile
 
 
 @register

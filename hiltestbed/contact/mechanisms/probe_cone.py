@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar, Literal
 
+from hiltestbed.config.models import models_folder
 from hiltestbed.contact.settings import Mechanism
-from hiltestbed.models import models_folder
 from hiltestbed.plugins import register
 
 

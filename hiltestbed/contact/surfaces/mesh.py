@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.surfaces.soundness import welded
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 
 LEAF = 2  # triangles per leaf: testing one takes as long as testing seven boxes
 DEEPEST = 64  # depth of the stack that traverses the tree

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 
 SEGMENT, ARC = 0.0, 1.0
 # Columns of an element: kind; its two ends; for a segment the direction, the outward normal and the

@@ -13,7 +13,7 @@ import math
 import mujoco
 import numpy as np
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.surfaces import mesh, profile, shapes
 from hiltestbed.contact.surfaces.mesh import Tree, mesh_beyond, mesh_distance
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, between, profile_distance
@@ -17,7 +18,6 @@ from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.shapes import shape_distance
 from hiltestbed.contact.surfaces.soundness import Finding, examine
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 
 MESH = 7  # number of this kind of surface, in addition to those of :mod:`shapes`, as in MuJoCo
 HALVINGS = 5  # largest number of times that a segment is halved in the search for minima

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.config.yaml_source import dump_yaml
 from hiltestbed.devices.commission.procedure import Commissioned
 from hiltestbed.frames import attitude_deg_from_quat
-from hiltestbed.recording import whole_folder, write_trace
+from hiltestbed.run_folder.store import whole_folder, write_trace
+from hiltestbed.run_folder.versions import versions
 from hiltestbed.scenario import dump_scenario
 from hiltestbed.signals import AXES, RunTrace
-from hiltestbed.versions import versions
-from hiltestbed.yaml_source import dump_yaml
 
 RESULT, NOMINAL, BELIEVED, DATASET = (
     "commission.json",

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hiltestbed.config.piecewise import Pairs
 from hiltestbed.contact.effects.learned import ContactMap
 from hiltestbed.diagnosis.learned.curves import Block
 from hiltestbed.diagnosis.learned.selection import Choices
@@ -19,7 +20,6 @@ from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import REACHES_TRIED
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
-from hiltestbed.piecewise import Pairs
 from hiltestbed.platform.effects.learned import LearnedResponse
 from hiltestbed.sensor.effects.calibration import WRENCH_AXES
 from hiltestbed.sensor.effects.learned import SensorMap

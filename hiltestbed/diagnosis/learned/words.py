@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
+from hiltestbed.config.piecewise import Pairs
 from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.learned.learn import Law
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import MAX_EQUATION_ERROR, MIN_RESEMBLANCE
 from hiltestbed.frames import Array
-from hiltestbed.piecewise import Pairs
 
 CURVE_POINTS = 200  # chosen: of a curve at which an equation is compared with it
 MAX_RESEMBLING = 3  # named effects that are listed

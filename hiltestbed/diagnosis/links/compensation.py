@@ -8,8 +8,8 @@ import numpy as np
 
 from hiltestbed.compensation.input import InputParameters
 from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded
+from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array
-from hiltestbed.log import log_parameters
 from hiltestbed.replay import moves_linearly, replay_compensation
 from hiltestbed.replay.compensation import central_rates, reads_rates
 from hiltestbed.replay.wrench import shifted

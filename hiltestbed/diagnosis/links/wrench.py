@@ -29,8 +29,8 @@ from hiltestbed.diagnosis.links.base import (
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.low_pass import LowPass
 from hiltestbed.diagnosis.settings import BLOCK_ROWS
+from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.log import log_parameters
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import Felt, Simulated, creep_of, replay_platform, replay_wrench

@@ -12,7 +12,7 @@ import numpy as np
 from hiltestbed.diagnosis.certainty import Certainty, Profile
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.report.pictures import EXTENDED, FLOOR, NOMINAL
-from hiltestbed.report import Report, new_figure
+from hiltestbed.report.page import Report, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ from pathlib import Path
 from hiltestbed.diagnosis.report.extend import extended_yaml
 from hiltestbed.diagnosis.report.page import report_of
 from hiltestbed.diagnosis.result import Diagnosis
-from hiltestbed.recording import RECORDING, whole_folder
+from hiltestbed.run_folder.store import RECORDING, whole_folder
 
 DIAGNOSIS, REPORT, EXTENDED = "diagnosis.json", "report.html", "extended.yaml"
 

@@ -24,7 +24,7 @@ from hiltestbed.diagnosis.report.sentence import (
 )
 from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Finding, Isolable
 from hiltestbed.effects.table import EFFECTS
-from hiltestbed.report import Report
+from hiltestbed.report.page import Report
 
 FITTED = (
     "k and c: least squares over the contact. A delay that is not in the model appears "

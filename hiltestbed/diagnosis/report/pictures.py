@@ -15,7 +15,7 @@ from hiltestbed.diagnosis.report.evidence import counted, in_sigma, misfit
 from hiltestbed.diagnosis.result import ChannelResidual, ClosedLoop, Heldout, Ranked, Series
 from hiltestbed.errors import InputError
 from hiltestbed.measured import MeasuredDataset
-from hiltestbed.report import new_figure
+from hiltestbed.report.page import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier
-from hiltestbed.jit import njit
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:

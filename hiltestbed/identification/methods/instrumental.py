@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier, identifier_of
-from hiltestbed.jit import njit
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:

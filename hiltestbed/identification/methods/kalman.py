@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.validation import NotNegative
 from hiltestbed.frames import Array
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier, identifier_of
-from hiltestbed.jit import njit
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field
 
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
+from hiltestbed.config.validation import Positive
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier, identifier_of
 from hiltestbed.plugins import register
-from hiltestbed.validation import Positive
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

@@ -22,10 +22,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
-from hiltestbed.jit import njit
 from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.drives import UPRIGHT, relative
 from hiltestbed.platform.facilities.facility import (

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from hiltestbed.config.validation import Problem
 from hiltestbed.errors import InputError
-from hiltestbed.validation import Problem
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

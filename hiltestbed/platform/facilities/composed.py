@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import (
     ACTIVE,
     FLANGE,
@@ -21,7 +22,6 @@ from hiltestbed.contact.composition import (
 )
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, cross, rotate_back
-from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, NOMINAL, TOOL_HOME, Facility, stiffen
 from hiltestbed.platform.prs3.payload import load_of

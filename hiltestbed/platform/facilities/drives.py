@@ -20,10 +20,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call, bound, together
+from hiltestbed.compiled.bound import GIVEN, Call, bound, together
+from hiltestbed.compiled.jit import njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
-from hiltestbed.jit import njit
 from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights

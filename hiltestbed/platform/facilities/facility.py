@@ -20,9 +20,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.config.models import load
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array
-from hiltestbed.models import load
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.tree import compose, inverse_pose

@@ -13,9 +13,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
 from hiltestbed.platform.friction import BRISTLE, STEPS, drag, stribeck
 
 # [m/s], [rad/s] smaller speeds at the start are rounding errors of the inverse kinematics, and

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import rotate, rotate_back
-from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.tree import FREE, HINGE, SLIDE
 
 

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
-from hiltestbed.folders import is_file
 from hiltestbed.frames import Array, rotate
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.facility import (
@@ -38,6 +37,7 @@ from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.position_actuators import PositionActuators
 from hiltestbed.platform.facilities.tree import compose, inverse_pose, site_pose
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
+from hiltestbed.run_folder.folders import is_file
 
 PREFIX = "rig/"  # prefix of all names of the file in the composed model
 PASSIVE = "passive"

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_mul, quat_normalise, rotate
-from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, Integers, Tree
 
 SPARE = 27

@@ -14,8 +14,8 @@ import math
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import quat_exp, quat_mul, quat_normalise, rotate, rotation_vector
-from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.motion import place, tool_pose
 from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE
 

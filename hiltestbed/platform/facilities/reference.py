@@ -11,7 +11,7 @@ physics step, so that MuJoCo's semi-implicit Euler method with these inputs repr
 
 from __future__ import annotations
 
-from hiltestbed.jit import njit
+from hiltestbed.compiled.jit import njit
 
 START, LEAVE = 0, 1
 

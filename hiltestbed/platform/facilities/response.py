@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_exp, rotation_vectors
-from hiltestbed.jit import njit
 from hiltestbed.platform.facilities.facility import Response
 from hiltestbed.platform.facilities.settings import ResponseSettings
 

@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.config.models import load
 from hiltestbed.frames import Array
-from hiltestbed.models import load
 from hiltestbed.platform.facilities.drives import Drives, drive_inputs
 from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
 from hiltestbed.platform.facilities.facility import (

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, Strict
 
+from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly
 from hiltestbed.platform.kinds import Platform
 from hiltestbed.plugins import placeholder
-from hiltestbed.validation import NotNegative, Positive, Problem, Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.platform.facilities.facility import Facility

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mujoco.batch import Batch
 
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.models import load
 from hiltestbed.contact.composition import drawn
 from hiltestbed.frames import Array, rotate_back
-from hiltestbed.jit import njit
-from hiltestbed.models import load
 from hiltestbed.platform.facilities.facility import MOUNT, Facility, compiled
 
 if TYPE_CHECKING:

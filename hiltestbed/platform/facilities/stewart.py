@@ -18,8 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.config.models import load
 from hiltestbed.frames import Array
-from hiltestbed.models import load
 from hiltestbed.platform.facilities import hydraulic
 from hiltestbed.platform.facilities.drives import Drives, drive_inputs, mass_matrix
 from hiltestbed.platform.facilities.facility import (

@@ -22,10 +22,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.models import load
 from hiltestbed.frames import Array
-from hiltestbed.jit import njit
-from hiltestbed.models import load
 from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, per_run
 from hiltestbed.platform.friction import drag

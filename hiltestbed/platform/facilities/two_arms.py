@@ -24,7 +24,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
+from hiltestbed.config.models import load
 from hiltestbed.frames import (
     Array,
     pose_step,
@@ -34,8 +36,6 @@ from hiltestbed.frames import (
     rotation_vector,
     twist_between,
 )
-from hiltestbed.jit import njit
-from hiltestbed.models import load
 from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
 from hiltestbed.platform.facilities.facility import (
     MOUNT,

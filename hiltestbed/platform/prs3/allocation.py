@@ -25,8 +25,8 @@ import math
 
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_mul, rotate, rotation_vector
-from hiltestbed.jit import njit
 from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
 
 # [m] the cone's rim is 0.155 m in front of P's origin; the rest takes 0.1 s at 0.3 m/s, enough time

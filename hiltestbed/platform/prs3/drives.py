@@ -19,9 +19,9 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, rotate, rotate_back, twist_between
-from hiltestbed.jit import njit
 from hiltestbed.platform import model
 from hiltestbed.platform.prs3.geometry import Upper, jacobian, motion, place, revolute, slider
 from hiltestbed.platform.prs3.payload import carry, load_of

@@ -24,8 +24,8 @@ from functools import cache
 import mujoco
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_exp, rotate
-from hiltestbed.jit import njit
 from hiltestbed.platform import model
 
 HEAVE = 2.0  # [m] from home upwards

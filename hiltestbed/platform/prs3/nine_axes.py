@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.wrench import relate
 from hiltestbed.frames import Array, pose_step, twist_between
-from hiltestbed.jit import njit
 from hiltestbed.platform.driven import ServoTracking
 from hiltestbed.platform.ideal import IdealTracking
 from hiltestbed.platform.prs3.allocation import compose

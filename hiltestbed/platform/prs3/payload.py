@@ -14,8 +14,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, cross, rotate, rotate_back
-from hiltestbed.jit import njit
 from hiltestbed.platform.pss33.dynamics import GRAVITY
 
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, pose_step, twist_between
-from hiltestbed.jit import njit
 from hiltestbed.platform.prs3.allocation import share
 from hiltestbed.platform.prs3.drives import UpperDrives
 from hiltestbed.platform.prs3.geometry import Upper, inverse, place, slider

@@ -13,8 +13,8 @@ import math
 import mujoco
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, rotate, rotate_back
-from hiltestbed.jit import njit
 
 GRAVITY = 9.81  # [m/s^2], along -z of W
 

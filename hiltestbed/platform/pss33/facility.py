@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.config.models import load
 from hiltestbed.frames import Array
-from hiltestbed.models import load
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.facility import MOUNT, Facility, Response, add_carrier, frame_of
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics

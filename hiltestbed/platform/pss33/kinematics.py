@@ -21,8 +21,8 @@ from functools import cache
 import mujoco
 import numpy as np
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, rotate
-from hiltestbed.jit import njit
 from hiltestbed.platform import model
 
 # smallest cosine between link and slider in the rates: keeps them finite for a link that does not

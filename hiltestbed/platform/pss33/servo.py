@@ -24,9 +24,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.bound import GIVEN, Call
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, pose_step, rotate, rotate_back
-from hiltestbed.jit import njit
 from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.reference import LEAVE, START, cubic, sample
 from hiltestbed.platform.friction import DriveFriction

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly, refuse
 from hiltestbed.platform.facilities.settings import CommandPath, ResponseSettings
 from hiltestbed.platform.kinds import Platform
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative, Positive, Problem, Strictly, refuse
 
 if TYPE_CHECKING:
     from hiltestbed.contact.composition import Structure

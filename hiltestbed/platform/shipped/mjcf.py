@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from hiltestbed.folders import is_file
+from hiltestbed.config.validation import Positive
 from hiltestbed.platform.facilities.settings import CommandPath, Driven
 from hiltestbed.plugins import register
-from hiltestbed.validation import Positive
+from hiltestbed.run_folder.folders import is_file
 
 if TYPE_CHECKING:
     from hiltestbed.platform.facilities.mjcf import Mjcf
@@ -47,7 +47,7 @@ class MjcfSettings(Driven):
 
     def file(self) -> Path:
         """The MJCF file: the given path, or else one of the shipped models."""
-        from hiltestbed.models import models_folder
+        from hiltestbed.config.models import models_folder
 
         given, shipped = Path(self.model), models_folder() / self.model
         return shipped if not is_file(given) and is_file(shipped) else given

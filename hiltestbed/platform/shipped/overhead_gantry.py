@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from hiltestbed.config.validation import Positive
 from hiltestbed.platform.facilities.settings import CommandPath
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
 from hiltestbed.plugins import register
-from hiltestbed.validation import Positive
 
 
 @register

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from hiltestbed.config.validation import NotNegative, Positive, Strictly
 from hiltestbed.platform.facilities.settings import CommandPath, Driven, Friction, Ratio
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative, Positive, Strictly
 
 if TYPE_CHECKING:
     from hiltestbed.platform.facilities.stewart import Stewart

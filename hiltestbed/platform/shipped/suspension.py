@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
+from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.platform.facilities.settings import Physical
 from hiltestbed.plugins import register
-from hiltestbed.validation import NotNegative, Positive
 
 if TYPE_CHECKING:
     from hiltestbed.platform.facilities.suspension import Suspension

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.config.validation import Vector3
 from hiltestbed.effects.base import Effect, quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.plugins import register
-from hiltestbed.validation import Vector3
 
 if TYPE_CHECKING:
     from hiltestbed.sensor.parameters import SensorParameters

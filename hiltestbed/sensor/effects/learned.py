@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
+from hiltestbed.config.piecewise import Curve
 from hiltestbed.effects.base import Effect, quantity
 from hiltestbed.effects.search import Candidate, Scales
-from hiltestbed.piecewise import Curve
 from hiltestbed.plugins import register
 from hiltestbed.sensor.effects.calibration import WRENCH_AXES, WrenchAxis
 

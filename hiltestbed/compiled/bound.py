@@ -1,0 +1,293 @@
+"""Compiled kernels whose arrays are bound once.
+
+At each call of a compiled kernel, Numba determines type, address, shape and strides of every array
+argument. For a kernel with twenty arrays of one run, this takes longer than the computation. The
+blocks of the loop work on buffers at fixed addresses, so this can be done
+in advance: :func:`bound` writes addresses, shapes and strides into a table, and compiles a call
+that reads them there and takes only the address of the table and the arguments that change from
+call to call. The kernel itself is the same, and so are its results.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import partial
+from operator import is_
+from typing import Any
+
+import numpy as np
+from numba import typeof, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array, populate_array
+
+from hiltestbed.compiled.jit import njit
+
+WORD = 8  # [bytes] of an entry of the table
+
+REMEMBERED = 4  # sets of a caller's arrays that stay bound
+GIVEN = object()  # placeholder for an array that the caller of a block passes
+
+# by kernel and types of its arguments: one entry per combination of types, not per block
+_calls: dict[tuple[Any, ...], Any] = {}
+
+
+class Bound(partial):
+    """A kernel with its arrays; ``kept`` references them and their table for as long as the kernel
+    can be called.
+
+    The additional attribute also prevents ``partial`` from flattening a nested ``Bound``, which
+    would lose the references.
+    """
+
+    __slots__ = ("kept",)
+    kept: tuple[Any, ...]
+    whole: bool
+
+    def __new__(cls, call: Any, table: Any, *kept: Any) -> Bound:
+        self = super().__new__(cls, call, int(table.ctypes.data))
+        self.kept, self.whole = (table, *kept), True
+        return self
+
+
+def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
+    """``kernel`` with its arguments ``given`` in order: arrays, numbers, and ``...`` for those that
+    each call passes.
+
+    Arrays must keep their memory: they may be written, but not replaced. Numbers are bound with
+        their current values.
+    """
+    words: list[int] = []
+    kinds: list[Any] = []
+    for value in given:
+        if value is ...:
+            kinds.append(None)
+        elif isinstance(value, np.ndarray):
+            kinds.append((len(words), typeof(value)))
+            words += [value.ctypes.data, *value.shape, *value.strides]
+        else:
+            number = (
+                np.float64(value) if isinstance(value, (float, np.floating)) else np.int64(value)
+            )
+            kinds.append(
+                (len(words), types.float64 if isinstance(number, np.float64) else _integer(value))
+            )
+            words.append(int(number.view(np.int64)))
+    table = np.array(words, dtype=np.int64)
+    key = (kernel, *kinds)
+    if key not in _calls:
+        _calls[key] = _compiled(kernel, kinds)
+    return Bound(_calls[key], table, given)
+
+
+def together(*calls: Callable[..., Any], telling: int = -1) -> Callable[..., Any]:
+    """Several results of :func:`bound`, in this order, as one call; it returns the result of the
+    one at index ``telling`` (the last).
+
+    Each takes as many of the call's numbers as it takes by itself.
+    """
+    parts = [_whole(call) for call in calls]
+    table = np.array([part.args[0] for part in parts], dtype=np.int64)
+    telling %= len(parts)
+    key = (together, telling, *(part.func for part in parts))
+    if key not in _calls:
+        _calls[key] = _joined([part.func for part in parts], telling)
+    return Bound(_calls[key], table, parts)
+
+
+def _whole(call: Callable[..., Any]) -> Bound:
+    if not isinstance(call, Bound):
+        raise TypeError(
+            f"together: {call!r} cannot be joined; allowed is what bound and together give"
+        )
+    return call
+
+
+class Call:
+    """A kernel with some arrays of the caller, which are the same at almost every call; it is bound
+    again if one of them changes.
+    """
+
+    __slots__ = ("_a", "_b", "_bound", "_c", "_d", "_e", "_f", "_g", "_given", "_kernel", "_known")
+
+    def __init__(self, kernel: Any, *given: Any) -> None:
+        """``given``: as for :func:`bound`, with :data:`GIVEN` for each array or number that is
+        passed to :meth:`on`: at most seven.
+        """
+        self._kernel, self._given = kernel, given
+        self._a: Any = self  # not an array, so that the first call binds
+        self._b = self._c = self._d = self._e = self._f = self._g = None
+        self._bound: Any = None
+        self._known: dict[tuple[int, ...], tuple[tuple[Any, ...], Any]] = {}
+
+    def on(
+        self,
+        a: Any = None,
+        b: Any = None,
+        c: Any = None,
+        d: Any = None,
+        e: Any = None,
+        f: Any = None,
+        g: Any = None,
+    ) -> Callable[..., Any]:
+        """The kernel bound to the caller's arrays, in the order of its arguments; it is called with
+        the arguments that change.
+        """
+        if (
+            a is self._a
+            and b is self._b
+            and c is self._c
+            and d is self._d
+            and e is self._e
+            and f is self._f
+            and g is self._g
+        ):
+            return self._bound
+        self._a, self._b, self._c, self._d, self._e, self._f, self._g = arrays = a, b, c, d, e, f, g
+        # the arrays are referenced, so that their ids cannot be reused
+        key = tuple(map(id, arrays))
+        if key not in self._known:
+            if len(self._known) >= REMEMBERED:
+                self._known.clear()
+            rest = iter(arrays)
+            self._known[key] = (
+                arrays,
+                bound(
+                    self._kernel,
+                    *(next(rest) if value is GIVEN else value for value in self._given),
+                ),
+            )
+        self._bound = self._known[key][1]
+        return self._bound
+
+
+class Joined:
+    """Several kernels on the caller's arrays as one call, joined again if an array changes."""
+
+    __slots__ = ("_call", "_last", "_parts")
+
+    def __init__(self, parts: Callable[..., list[Callable[..., Any]]]) -> None:
+        """``parts``: makes the calls that :func:`together` joins, from the caller's arrays."""
+        self._parts = parts
+        self._last: tuple[Any, ...] = (self,)  # not an array, so that the first call joins
+        self._call: Any = None
+
+    def on(self, *arrays: Any) -> Callable[..., Any]:
+        """The one call on the caller's ``arrays``."""
+        if len(arrays) != len(self._last) or not all(map(is_, arrays, self._last)):
+            self._call, self._last = together(*self._parts(*arrays)), arrays
+        return self._call
+
+
+def _integer(value: Any) -> Any:
+    return types.boolean if isinstance(value, (bool, np.bool_)) else types.int64
+
+
+def _compiled(kernel: Any, kinds: list[Any]) -> Any:
+    """A function of the table's address and of the arguments of each call, cached on disk beside
+    its kernel.
+    """
+    function = kernel.py_func
+    brought = [f"given_{i}" for i, kind in enumerate(kinds) if kind is None]
+    space: dict[str, Any] = {
+        "kernel": kernel,
+        "number": _number,
+        "array": _array,
+        "__name__": function.__module__,
+    }
+    passed = []
+    for i, kind in enumerate(kinds):
+        if kind is None:
+            passed.append(f"given_{i}")
+            continue
+        space[f"kind_{i}"] = kind[1]
+        passed.append(
+            f"{'array' if isinstance(kind[1], types.Array) else 'number'}(table, {kind[0]}, "
+            f"kind_{i})"
+        )
+    # Numba names its cache entries by file, function and line; the time stamp of the file decides
+    # whether they are valid.
+    mark = hashlib.sha256(
+        repr([kind and (kind[0], str(kind[1])) for kind in kinds]).encode()
+    ).hexdigest()[:16]
+    name = f"{function.__name__}_bound_{mark}"
+    text = (
+        f"def {name}({', '.join(['table', *brought])}):\n    return kernel({', '.join(passed)})\n"
+    )
+    exec(compile(text, function.__code__.co_filename, "exec"), space)
+    return njit(cache=True)(space[name])
+
+
+def _joined(calls: list[Any], telling: int) -> Any:
+    """A function of the address of a table of tables, cached on disk beside the last of the
+    ``calls``.
+    """
+    takes = [call.py_func.__code__.co_argcount - 1 for call in calls]
+    brought = [f"given_{i}" for i in range(max(takes))]
+    last = calls[-1].py_func
+    space: dict[str, Any] = {"number": _number, "word": types.int64, "__name__": last.__module__}
+    space |= {f"call_{i}": call for i, call in enumerate(calls)}
+    lines = [
+        f"call_{i}({', '.join([f'number(table, {i}, word)', *brought[:count]])})"
+        for i, count in enumerate(takes)
+    ]
+    lines[telling] = f"result = {lines[telling]}"
+    names = str(telling).join(
+        f"{call.py_func.__module__}.{call.py_func.__name__}" for call in calls
+    )
+    name = f"{last.__name__}_after_{hashlib.sha256(names.encode()).hexdigest()[:16]}"
+    text = (
+        "\n    ".join([f"def {name}({', '.join(['table', *brought])}):", *lines, "return result"])
+        + "\n"
+    )
+    exec(compile(text, last.__code__.co_filename, "exec"), space)
+    return njit(cache=True)(space[name])
+
+
+def _entry(builder: Any, table: Any, at: Any, kind: Any) -> Any:
+    """The word at ``at`` of the table, as ``kind``."""
+    place = builder.add(table, builder.mul(at, at.type(WORD)))
+    return builder.load(builder.inttoptr(place, kind.as_pointer()))
+
+
+@intrinsic
+def _number(typingctx, table, at, kind):
+    """The number at an index of the table."""
+    found = kind.instance_type if hasattr(kind, "instance_type") else kind.dtype
+
+    def make(context, builder, signature, args):
+        if found == types.boolean:
+            word = _entry(builder, args[0], args[1], context.get_value_type(types.int64))
+            return builder.icmp_signed("!=", word, word.type(0))
+        return _entry(builder, args[0], args[1], context.get_value_type(found))
+
+    return found(types.int64, types.int64, kind), make
+
+
+@intrinsic
+def _array(typingctx, table, at, kind):
+    """The array whose address, shape and strides begin at an index of the table."""
+    found = kind.instance_type
+
+    def make(context, builder, signature, args):
+        ary = make_array(found)(context, builder)
+        word = context.get_value_type(types.intp)
+        first = [
+            _entry(builder, args[0], builder.add(args[1], args[1].type(i)), word)
+            for i in range(1 + 2 * found.ndim)
+        ]
+        pointer = context.get_data_type(found.dtype).as_pointer()
+        populate_array(
+            ary,
+            data=builder.inttoptr(first[0], pointer),
+            shape=cgutils.pack_array(builder, first[1 : 1 + found.ndim]) if found.ndim else (),
+            strides=cgutils.pack_array(builder, first[1 + found.ndim :]) if found.ndim else (),
+            itemsize=context.get_constant(
+                types.intp, found.dtype.bitwidth // 8 if found.dtype != types.boolean else 1
+            ),
+            meminfo=None,
+        )
+        return ary._getvalue()
+
+    return found(types.int64, types.int64, kind), make

@@ -1,0 +1,223 @@
+"""Estimated memory, time and disk space of a run, a sweep or a diagnosis, from its files, before
+anything is allocated.
+
+The estimates are rough: their constants are those of one machine, for any kind of rig. They
+distinguish a minute from a week, and a gigabyte from a petabyte. Work beyond a limit is refused;
+environment variables set the limits:
+
+    HILTESTBED_MEMORY_LIMIT   [GB], default: MEMORY_PART of the free memory
+    HILTESTBED_DISK_LIMIT     [GB], default: DISK_PART of the free disk space
+    HILTESTBED_TIME_LIMIT     [h], default: WEEK
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hiltestbed.errors import InputError
+from hiltestbed.signals import GROUPS
+
+if TYPE_CHECKING:
+    from hiltestbed.campaign.schema import LoadedCampaign
+    from hiltestbed.config.dataset import LoadedDataset
+    from hiltestbed.scenario import Scenario
+
+GB = 1e9
+MEMORY_PART, DISK_PART = 0.8, 0.9
+WEEK = 168.0  # [h]
+COLUMNS = sum(len(group.parts) for group in GROUPS.values()) + 2
+COPIES = 3  # of a trace in memory while it is written
+BASE = 0.47 * GB  # an interpreter with its packages and compiled blocks
+STATES = 4  # copies of the delay lines: the loop's own and those kept for the replay of a failure
+TICK, INSTANT = 6e-5, 6e-6  # [s] on one core per tick and per physics step, for a single run
+BATCH_FACTOR = 0.25  # part of that for each further run in its batch
+STARTUP = 6.0  # [s] to start with compiled kernels, and to write report and recording
+ROW = 700.0  # [byte] per row in trace.parquet and recording.rrd together
+FIXED_FILES = 2.5e6  # [byte] of a recording and a report of even the shortest run
+DIAGNOSIS_PER_ROW = 6e-3  # [s] per row of a dataset: 6 runs of 900 rows take 10 to 60 s
+FIT_PER_ROW = 3.0e4  # [byte] per row of a dataset while links are replayed for many hypotheses
+# time constants of a low-pass, the sensor's or its own, for which the identification keeps data
+FILTER_MEMORY = 10.0
+VARIABLES = {
+    "memory": "HILTESTBED_MEMORY_LIMIT",
+    "disk": "HILTESTBED_DISK_LIMIT",
+    "time": "HILTESTBED_TIME_LIMIT",
+}
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Resources that a task needs. memory, disk: [byte]; time: [s] on one core."""
+
+    memory: float
+    time: float
+    disk: float
+
+    def __str__(self) -> str:
+        return (
+            f"about {_bytes(self.memory)} of memory, {_duration(self.time)} on one core, "
+            f"{_bytes(self.disk)} on disk"
+        )
+
+    def refused(self, folder: Path = Path()) -> list[str]:
+        """Why the task is refused: a sentence for each limit that it exceeds."""
+        out = []
+        for name, need, limit, show in (
+            ("memory", self.memory, memory_limit(), _bytes),
+            ("disk", self.disk, disk_limit(folder), _bytes),
+            ("time", self.time, time_limit(), _duration),
+        ):
+            if not need <= limit:
+                unit = "h" if name == "time" else "GB"
+                out.append(
+                    f"needs about {show(need)} of {name} (allowed: {show(limit)}); "
+                    f"{VARIABLES[name]} [{unit}] sets the limit"
+                )
+        return out
+
+
+def refuse_beyond(budget: Budget, what: str, do: str, folder: Path = Path()) -> None:
+    """Raises InputError if ``what`` exceeds a limit; ``do`` says how to reduce its needs."""
+    found = budget.refused(folder)
+    if found:
+        raise InputError(f"{what}: {'; '.join(found)}; {do}")
+
+
+def memory_limit() -> float:
+    """Limit of memory [byte]."""
+    return _given("memory", GB) or MEMORY_PART * _free_memory()
+
+
+def disk_limit(folder: Path) -> float:
+    """Limit of the disk space below ``folder`` [byte]."""
+    given = _given("disk", GB)
+    if given:
+        return given
+    there = folder.absolute()
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    try:
+        usage = shutil.disk_usage(there)
+        # a file system without blocks reports no size
+        return DISK_PART * usage.free if usage.total else math.inf
+    except OSError:
+        return math.inf
+
+
+def time_limit() -> float:
+    """Limit of time [s]."""
+    return _given("time", 3600.0) or WEEK * 3600.0
+
+
+def _given(name: str, unit: float) -> float | None:
+    text = os.environ.get(VARIABLES[name], "")
+    if not text:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not value > 0:
+        raise InputError(
+            f"{VARIABLES[name]}: is no limit (got {text!r}); allowed is a number above 0, or inf"
+        )
+    return value * unit
+
+
+def _free_memory() -> float:
+    """[byte] available without swapping; infinite if the system does not report it."""
+    found = []
+    try:
+        with open("/proc/meminfo", encoding="ascii") as file:
+            found += [
+                1024.0 * float(line.split()[1]) for line in file if line.startswith("MemAvailable")
+            ]
+        with open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:
+            found += [float(text) for text in [file.read().strip()] if text.isdigit()]
+    except (OSError, ValueError):
+        pass
+    return min(found, default=math.inf)
+
+
+def run_budget(scenarios: Sequence[Scenario], rows: bool = True) -> Budget:
+    """Budget of runs in lockstep; ``rows``: whether their traces are kept and written."""
+    ticks, n, first = max(s.ticks for s in scenarios), len(scenarios), scenarios[0]
+    trace = ticks * n * COLUMNS * 8.0
+    lines = sum(delay_line(s) for s in scenarios)
+    core = (
+        ticks * (TICK + INSTANT * first.substeps) * (1 + BATCH_FACTOR * (n - 1)) * (1 + REFERENCE)
+    )
+    disk = n * (ticks * ROW + FIXED_FILES) if rows else 2e3 * n
+    return Budget(BASE + (COPIES * trace if rows else 0.0) + STATES * lines, STARTUP + core, disk)
+
+
+REFERENCE = 0.5  # time of a reference run, relative to that of its run
+
+
+def delay_line(scenario: Scenario) -> float:
+    """[byte] of the delay lines: the wrench of every physics step until it is read, poses and
+    estimates of every tick.
+    """
+    delays = [scenario.sensor.delay] + [
+        getattr(effect, "delay", 0.0) for effect in scenario.effects
+    ]
+    delays += [8.0 * e.sigma for e in scenario.effects if e.kind == "sensor.jitter"]  # type: ignore[attr-defined]
+    late = sum(getattr(effect, "ticks", 0) for effect in scenario.effects)
+    longest = float(sum(delays))
+    lowpass = scenario.sensor.lowpass
+    constant = max(
+        0.0 if lowpass is None else 1.0 / (2.0 * math.pi * lowpass), scenario.identification.settles
+    )
+    remembered = FILTER_MEMORY * constant * scenario.rate * 28 * 8.0
+    return (
+        remembered
+        + longest * (scenario.physics_rate * 48.0 + scenario.rate * 8.0 * 80.0)
+        + late * 13 * 8.0
+    )
+
+
+def campaign_budget(campaign: LoadedCampaign, workers: int = 1, chunk: int = 64) -> Budget:
+    """Budget of a campaign whose cases are like its scenario."""
+    from hiltestbed.scenario import scenario_from
+
+    scenario = scenario_from(campaign.source)
+    cases, keeps = campaign.spec.cases, campaign.spec.keep != "summary"
+    together = min(chunk, cases)
+    one = run_budget([scenario] * together, rows=False)
+    held = min(together * scenario.ticks, 400_000) * COLUMNS * 8.0 * COPIES if keeps else 0.0
+    disk = cases * (scenario.ticks * ROW if keeps else 2e3)
+    return Budget(
+        workers * (one.memory + held),
+        STARTUP + (one.time - STARTUP) * cases / together / workers,
+        disk,
+    )
+
+
+def dataset_budget(dataset: LoadedDataset) -> Budget:
+    """Budget of a diagnosis of runs that last as long as their scenarios."""
+    rows = sum(s.ticks for s in dataset.scenarios)
+    return Budget(BASE + rows * FIT_PER_ROW, 10.0 + rows * DIAGNOSIS_PER_ROW, 2e6 + rows * ROW)
+
+
+def _bytes(size: float) -> str:
+    if math.isinf(size):
+        return "no limit"
+    for unit, factor in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if size >= factor:
+            return f"{size / factor:.3g} {unit}"
+    return f"{size / 1e3:.3g} kB"
+
+
+def _duration(seconds: float) -> str:
+    if math.isinf(seconds):
+        return "no limit"
+    for unit, factor in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * factor:
+            return f"{seconds / factor:.3g} {unit}"
+    return f"{seconds:.3g} s"

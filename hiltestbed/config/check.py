@@ -1,0 +1,138 @@
+"""Check of a file: its kind, its faults, its cost, remarks on unusual values; and the JSON Schema
+of each kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from hiltestbed.config.budget import Budget
+from hiltestbed.config.yaml_source import Source, read_source
+from hiltestbed.errors import Fault, InputError
+
+Kind = Literal["scenario", "campaign", "dataset"]
+KINDS: tuple[Kind, ...] = ("scenario", "campaign", "dataset")
+
+
+def file_kind(source: Source) -> Kind:
+    """A campaign varies keys, a dataset lists runs, anything else is a scenario."""
+    if "vary" in source.data or "design" in source.data:
+        return "campaign"
+    return "dataset" if "runs" in source.data else "scenario"
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Result of `hiltestbed check` for a file.
+
+    Attributes:
+        kind: None if it is not a YAML file. faults: errors. remarks: losses and notes on a
+            dataset's files, and numbers of a scenario
+            that are implausible in combination. budget: resources that the task needs, None if it
+            cannot be started.
+    """
+
+    kind: Kind | None
+    faults: tuple[Fault, ...]
+    remarks: tuple[str, ...] = ()
+    budget: Budget | None = None
+
+
+def check_file(path: str | Path) -> tuple[Kind | None, tuple[Fault, ...]]:
+    """The kind of a file (None if it is not a YAML file) and every fault in it. The data of a
+    dataset are not opened.
+    """
+    found = _look_at(path, data=False)
+    return found.kind, found.faults
+
+
+def look_at(path: str | Path, set: Mapping[str, Any] | None = None) -> Findings:
+    """All findings on a file, with dotted keys overridden; the data of a dataset are opened and
+    checked against its scenario.
+    """
+    return _look_at(path, data=True, set=set)
+
+
+def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None) -> Findings:
+    kind: Kind | None = None
+    try:
+        source = read_source(path).with_set(set)
+        kind = file_kind(source)
+        return {"scenario": _scenario, "campaign": _campaign, "dataset": _dataset}[kind](
+            source, data
+        )
+    except InputError as error:
+        return Findings(kind, error.faults or (Fault(str(path), None, None, "", str(error)),))
+
+
+def _scenario(source: Source, data: bool) -> Findings:
+    from hiltestbed.config.budget import run_budget
+    from hiltestbed.config.sense import warnings
+    from hiltestbed.contact.findings import remarks
+    from hiltestbed.scenario import scenario_from
+
+    scenario = scenario_from(source)
+    if not data:
+        return Findings("scenario", ())
+    remarked = (*_as_warnings(warnings(scenario)), *remarks(scenario.mechanism))
+    return _within(Findings("scenario", (), remarked, run_budget([scenario])), source)
+
+
+def _campaign(source: Source, data: bool) -> Findings:
+    from hiltestbed.campaign.schema import campaign_from
+    from hiltestbed.campaign.sweep import varied_in_vain
+    from hiltestbed.config.budget import campaign_budget
+    from hiltestbed.config.sense import warnings
+
+    campaign = campaign_from(source)
+    if not data:
+        return Findings("campaign", ())
+    remarked = (*_as_warnings(warnings(campaign.nominal)), *_as_warnings(varied_in_vain(campaign)))
+    return _within(Findings("campaign", (), remarked, campaign_budget(campaign)), source)
+
+
+def _dataset(source: Source, data: bool) -> Findings:
+    from hiltestbed.config.budget import dataset_budget
+    from hiltestbed.config.dataset import dataset_from
+
+    loaded = dataset_from(source)
+    if not data:
+        return Findings("dataset", ())
+    from hiltestbed.measured import as_faults, examine
+    from hiltestbed.measured.remark import together
+
+    examined = examine(loaded)
+    faults = tuple(as_faults(examined))
+    remarks = tuple(
+        str(remark) for remark in together(r for r in examined.remarks if r.severity != "error")
+    )
+    return _within(Findings("dataset", faults, remarks, dataset_budget(loaded)), source)
+
+
+def _as_warnings(found: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"warning: {text}" for text in found)
+
+
+def _within(found: Findings, source: Source) -> Findings:
+    """The findings, with a fault for each limit that the budget exceeds."""
+    over = (
+        ()
+        if found.budget is None
+        else tuple(source.fault((), reason) for reason in found.budget.refused())
+    )
+    return replace(found, faults=(*found.faults, *over))
+
+
+def json_schema(kind: Kind) -> dict[str, Any]:
+    """The JSON Schema of one kind of file."""
+    from hiltestbed import plugins
+    from hiltestbed.campaign.schema import Campaign
+    from hiltestbed.config.dataset import Dataset
+    from hiltestbed.scenario import Scenario
+
+    plugins.load()
+    model = {"scenario": Scenario, "campaign": Campaign, "dataset": Dataset}[kind]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | model.model_json_schema()

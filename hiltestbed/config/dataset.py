@@ -1,0 +1,197 @@
+"""The schema of a set of measured runs: their files, the differences between them, the mapping of
+columns to signals.
+
+A dataset file names the facility's believed scenario and, for every run, the file and the keys that
+differed. The data themselves are read in :mod:`hiltestbed.measured`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from hiltestbed.config.validation import Strictly, validate
+from hiltestbed.config.yaml_source import KeyPath, Source, read_source, referenced_source
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.run_folder.folders import is_file
+from hiltestbed.scenario import Scenario, scenario_from
+
+MISSPELT = 0.8  # likeness of two names, above which one is taken for a misspelling of the other
+FORCE_PARTS = ("fx", "fy", "fz", "tx", "ty", "tz")
+COMMANDED = ("cmd", "com", "des", "ref", "set", "target")  # in the name of a commanded pose
+Check = Literal["unit", "sign", "axes", "start", "attitude", "lever", "copy", "constant", "shift"]
+
+
+class Channel(Strictly):
+    """Mapping of a column of the file to a signal of the trace: SI value = scale x (unit in SI) x
+    value in the file + offset.
+    """
+
+    column: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None, description="name in the file; left out: the trace's own name"
+    )
+    scale: float = Field(default=1.0, description="factor; -1 for a reversed sign")
+    offset: float = Field(
+        default=0.0, description="added last, in SI units; for t the shift of the clock [s]"
+    )
+    unit: str | None = Field(
+        default=None, description="unit of the column, such as mm, kN, ms or deg/s; left out: SI"
+    )
+
+
+class MeasuredRun(Strictly):
+    """One file of measured data."""
+
+    file: Annotated[str, Field(min_length=1)] = Field(
+        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, relative to the dataset's "
+        "folder; ${NAME}: an environment variable"
+    )
+    set: dict[str, Any] = Field(
+        default={}, description="settings of this run that differ: dotted scenario key to value"
+    )
+    channels: dict[str, Channel] = Field(
+        default={},
+        description="channels that are mapped differently in this file than in the others",
+    )
+
+
+class Dataset(Strictly):
+    """Measured runs of one rig."""
+
+    name: str = Field(default="", description="Name of the data")
+    description: str = Field(
+        default="", description="Where the data come from, in a sentence or two"
+    )
+    scenario: Annotated[str, Field(min_length=1)] = Field(
+        description="file of the facility's scenario, relative to the dataset's folder, or a "
+        "shipped name"
+    )
+    runs: Annotated[tuple[MeasuredRun, ...], Field(strict=False, min_length=1)] = Field(
+        description="the measured runs, one file each"
+    )
+    channels: dict[str, Channel] | None = Field(
+        default=None,
+        description="signal of the trace to its column; a signal left out is expected with the "
+        "trace's name and unit",
+    )
+    accept: Annotated[tuple[Check, ...], Field(strict=False)] = Field(
+        default=(),
+        description="checks whose errors are overridden, so that the data are used unchanged; a "
+        "list of the words in the error messages: "
+        "unit, sign, axes (exchanged), start (position and speed at the start), attitude, lever "
+        "(torque over force), copy (of another "
+        "channel), constant (where it should move), shift (by whole rows)",
+    )
+
+
+@dataclass(frozen=True)
+class LoadedDataset:
+    """A dataset whose scenario and overrides are valid.
+
+    nominal is the scenario in the file; scenarios and files have one entry per run, with that run's
+    overrides applied.
+    """
+
+    spec: Dataset
+    path: Path
+    nominal: Scenario
+    scenarios: tuple[Scenario, ...]
+    files: tuple[Path, ...]
+
+
+def load_dataset(path: str | Path, set: Mapping[str, Any] | None = None) -> LoadedDataset:
+    """The dataset in a YAML file; `set` overrides keys of the dataset. Raises InputError with every
+    fault.
+    """
+    return dataset_from(read_source(path).with_set(set))
+
+
+def dataset_from(source: Source) -> LoadedDataset:
+    """The dataset in a source that has been read already. Raises InputError with every fault."""
+    spec = validate(Dataset, source)
+    faults = [*_missing_files(spec, source), *_channel_faults(spec, source)]
+    nominal_source = referenced_source(source)
+    nominal = scenario_from(nominal_source)
+    scenarios = []
+    for index, run in enumerate(spec.runs):
+        try:
+            scenarios.append(scenario_from(nominal_source, run.set))
+        except InputError as error:
+            faults += [source.relocated(fault, ("runs", index, "set")) for fault in error.faults]
+    if faults:
+        raise InputError(faults)
+    files = tuple(_data_file(run, source) for run in spec.runs)
+    return LoadedDataset(spec, Path(source.file), nominal, tuple(scenarios), files)
+
+
+def _data_file(run: MeasuredRun, source: Source) -> Path:
+    return source.folder / os.path.expandvars(run.file)
+
+
+def _missing_files(spec: Dataset, source: Source) -> Iterator[Fault]:
+    for index, run in enumerate(spec.runs):
+        where = _data_file(run, source)
+        if not is_file(where):
+            yield source.fault(
+                ("runs", index, "file"), f"names no file (got {run.file!r}); looked for {where}"
+            )
+
+
+def _channel_faults(spec: Dataset, source: Source) -> Iterator[Fault]:
+    yield from _map_faults(spec.channels or {}, source, ("channels",))
+    for index, run in enumerate(spec.runs):
+        yield from _map_faults(run.channels, source, ("runs", index, "channels"))
+
+
+def _map_faults(channels: Mapping[str, Channel], source: Source, where: KeyPath) -> Iterator[Fault]:
+    from hiltestbed.measured.units import unit_fault
+    from hiltestbed.signals import GROUPS
+
+    known = {"t", "contact"} | {column for group in GROUPS.values() for column in group.columns}
+    unknown: dict[str, list[str]] = {}
+    for name in channels:
+        if name not in known:
+            unknown.setdefault(name.rpartition(".")[0] or name, []).append(name)
+    for names in unknown.values():
+        allowed = (
+            f"allowed: t, contact and {', '.join(f'{group.name}.*' for group in GROUPS.values())}"
+        )
+        meant = ", ".join(
+            dict.fromkeys(f"{guess!r}" for name in names if (guess := _meant(name, known)))
+        )
+        several = f"s (got {', '.join(names)})" if len(names) > 1 else ""
+        yield source.fault(
+            (*where, names[0]),
+            f"unknown channel{several}{f' (did you mean {meant}?)' if meant else ''}; {allowed}",
+        )
+    for name, channel in channels.items():
+        if channel.scale == 0.0:
+            yield source.fault(
+                (*where, name, "scale"), "is out of range (got 0); allowed is any other number"
+            )
+        fault = unit_fault(name, channel.unit)
+        if fault:
+            yield source.fault((*where, name, "unit"), fault)
+
+
+def _meant(name: str, known: Iterable[str]) -> str | None:
+    """The channel that an unknown name may stand for: the nearest by its letters, or a measured one
+    with the same part.
+    """
+    close = difflib.get_close_matches(name, sorted(known), n=1, cutoff=MISSPELT)
+    if close:
+        return close[0]
+    group, _, part = name.rpartition(".")
+    family, other, words = (
+        ("wrench_meas", "wrench_comp", ("comp",))
+        if part in FORCE_PARTS
+        else ("pose_act", "pose_cmd", COMMANDED)
+    )
+    guess = f"{other if any(word in group.lower() for word in words) else family}.{part}"
+    return guess if guess in known else None

@@ -1,0 +1,380 @@
+"""YAML 1.2 files as plain data with the place of each key.
+
+A `Source` is the tree of a file (dicts, lists, numbers, strings) with the line and column of every
+key, and with the `--set` overrides applied. This module is independent of the content of a
+scenario.
+"""
+
+from __future__ import annotations
+
+import copy
+import io
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hiltestbed.config.gallery import find_scenario, scenario_names
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.run_folder.folders import is_file
+
+# [byte] a scenario is a page or two; a file a hundred times larger is something else
+SIZE_LIMIT = 500_000
+VALUE_LIMIT = 100_000  # values after expansion of aliases: nested aliases grow without bound
+DEPTH_LIMIT = 40
+
+KeyPath = tuple[str | int, ...]
+
+_PREFIX = "tag:yaml.org,2002:"
+_SCALARS = {
+    _PREFIX + name for name in ("null", "bool", "int", "float", "str", "timestamp", "binary")
+}
+
+
+def dotted(path: KeyPath) -> str:
+    """`("approach", "velocity", 2)` as written on the command line: `approach.velocity.2`."""
+    return ".".join(str(part) for part in path)
+
+
+@dataclass
+class Source:
+    """The data of one file (or of a dict from Python), with the place of each key; `overridden` are
+    the paths set by overrides.
+    """
+
+    file: str
+    data: Any
+    marks: dict[KeyPath, tuple[int, int]] = field(default_factory=dict)
+    overridden: frozenset[KeyPath] = frozenset()
+
+    @property
+    def folder(self) -> Path:
+        """The folder to which paths in the file are relative."""
+        return Path(self.file).parent
+
+    def fault(self, path: KeyPath, message: str) -> Fault:
+        """A fault at `path`, or at the nearest key above it that is in the file or in a `--set`."""
+        key = dotted(path)
+        for end in range(len(path), -1, -1):
+            if path[:end] in self.overridden:
+                return Fault(f"--set {dotted(path[:end])}", None, None, key, message)
+        # a key that is not in the file was created by an override below it
+        if path and path not in self.marks:
+            for below in sorted(self.overridden, key=dotted):
+                if below[: len(path)] == path:
+                    return Fault(f"--set {dotted(below)}", None, None, key, message)
+        for end in range(len(path), -1, -1):
+            if path[:end] in self.marks:
+                line, column = self.marks[path[:end]]
+                return Fault(self.file, line, column, key, message)
+        return Fault(self.file, *((1, 1) if self.marks else (None, None)), key, message)
+
+    def relocated(self, fault: Fault, base: KeyPath) -> Fault:
+        """A fault of an override that is written in this source below `base`, with its place there;
+        any other fault unchanged.
+        """
+        if not fault.file.startswith("--set "):
+            return fault
+        key = fault.file.removeprefix("--set ")
+        message = fault.message if fault.key == key else f"{fault.key}: {fault.message}"
+        return self.fault((*base, key), message)
+
+    def with_set(self, overrides: Mapping[str, Any] | None) -> Source:
+        """The same source with dotted keys set; a string value is read as YAML. Raises InputError
+        with every fault.
+        """
+        if not overrides:
+            return self
+        result = Source(self.file, copy.deepcopy(self.data), self.marks, self.overridden)
+        faults = []
+        for key, value in overrides.items():
+            path = key_path(key)
+            if isinstance(value, str):
+                try:
+                    value = parse_yaml(value, f"--set {key}")[0]
+                except InputError as error:
+                    faults.extend(
+                        Fault(f"--set {key}", None, None, key, fault.message)
+                        for fault in error.faults
+                    )
+                    continue
+            problem = "is not a key" if not key or "" in path else _assign(result.data, path, value)
+            if problem:
+                faults.append(Fault(f"--set {key}", None, None, key, problem))
+            result.overridden |= {path}
+        if faults:
+            raise InputError(faults)
+        return result
+
+
+def key_path(key: str) -> KeyPath:
+    """`approach.velocity.2` as `("approach", "velocity", 2)`: a part with digits only is the index
+    of a list item.
+    """
+    return tuple(int(part) if part.isdecimal() else part for part in key.split("."))
+
+
+def _assign(data: Any, path: KeyPath, value: Any) -> str | None:
+    """Sets `value` at `path` inside `data`, creating mappings as needed; returns a message if that
+    is not possible.
+    """
+    node = data
+    for depth, part in enumerate(path):
+        last = depth == len(path) - 1
+        where = dotted(path[:depth]) or "the file"
+        if isinstance(node, list):
+            if not isinstance(part, int):
+                return (
+                    f"{where} is a list (got the key {part!r}); its items are numbered 0 "
+                    f"to {max(len(node) - 1, 0)}"
+                )
+            if part > len(node):
+                return (
+                    f"{where} has {len(node)} items (got number {part}); allowed is 0 to "
+                    f"{len(node)}"
+                )
+            node += [None] * (part == len(node))
+        elif isinstance(node, dict):
+            part = str(part)
+            node.setdefault(part)
+        else:
+            return f"{where} is {describe(node)}, which has no keys (got the key {part!r})"
+        if last:
+            node[part] = value  # type: ignore[index]
+        elif node[part] is None:  # type: ignore[index]
+            node[part] = [] if isinstance(path[depth + 1], int) else {}  # type: ignore[index]
+        node = node[part]  # type: ignore[index]
+    return None
+
+
+def describe(value: Any) -> str:
+    """A value as shown in a message, shortened if necessary."""
+    if isinstance(value, dict):
+        return "a mapping"
+    if value is None:
+        return "null"
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def read_source(path: str | Path) -> Source:
+    """Reads one YAML file. Raises InputError for anything else, and for a file that is too large
+    before reading it.
+    """
+    path = Path(path)
+    text = _read_text(path)
+    data, marks = parse_yaml(text, str(path))
+    if data is None:
+        raise InputError(
+            Fault(str(path), 1, 1, "", "the file is empty; a YAML mapping is expected")
+        )
+    if not isinstance(data, dict):
+        raise InputError(
+            Fault(
+                str(path),
+                1,
+                1,
+                "",
+                f"the file holds {describe(data)}; a YAML mapping (key: value) is expected",
+            )
+        )
+    return Source(str(path), data, marks)
+
+
+def referenced_source(source: Source, key: str = "scenario") -> Source:
+    """The file that a source names under `key`, relative to the source's folder, or a shipped
+    scenario. Raises InputError.
+    """
+    name = str(source.data[key])
+    target = source.folder / name
+    if is_file(target):
+        return read_source(target)
+    if name in scenario_names():
+        return read_source(find_scenario(name))
+    text = (
+        f"names no file and no shipped scenario (got {describe(source.data[key])}); "
+        f"looked for {target}"
+    )
+    raise InputError(source.fault((key,), text))
+
+
+def _read_text(path: Path) -> str:
+    def refuse(message: str) -> InputError:
+        return InputError(Fault(str(path), None, None, "", message))
+
+    try:
+        if path.is_dir():
+            raise refuse("is a folder; a YAML file is expected")
+        if not path.exists():
+            raise refuse("no such file")
+        if not path.is_file():
+            raise refuse("is not a regular file; a YAML file is expected")
+        size = path.stat().st_size
+        if size > SIZE_LIMIT:
+            raise refuse(
+                f"the file is too large (got {size / 1e6:.1f} MB); at most {SIZE_LIMIT / 1e6:g} "
+                f"MB is read"
+            )
+        raw = path.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise refuse(f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    if b"\0" in raw:
+        raise refuse("is a binary file; a YAML file is expected")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        column = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
+        message = (
+            f"is not UTF-8 text (got byte 0x{raw[error.start]:02x}); a YAML file in "
+            f"UTF-8 is expected"
+        )
+        raise InputError(Fault(str(path), line, column, "", message)) from None
+
+
+def parse_yaml(text: str, file: str) -> tuple[Any, dict[KeyPath, tuple[int, int]]]:
+    """YAML text as plain data, with the (line, column) of every key and list item, counted from 1.
+    Raises InputError.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    yaml = YAML(typ="safe", pure=True)
+    try:
+        node = yaml.compose(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
+        raise InputError(
+            Fault(file, *place, "", f"is not YAML: {error.problem or error.context}")
+        ) from None
+    except YAMLError as error:
+        line = text.count("\n", 0, getattr(error, "position", 0)) + 1
+        reason = getattr(error, "reason", None) or str(error).splitlines()[0]
+        raise InputError(Fault(file, line, 1, "", f"is not YAML: {reason}")) from None
+    except RecursionError:
+        raise InputError(
+            Fault(file, 1, 1, "", f"is nested too deeply; at most {DEPTH_LIMIT} levels are read")
+        ) from None
+    except ValueError as error:
+        raise InputError(Fault(file, 1, 1, "", f"is not YAML: {error}")) from None
+    builder = _Builder(file)
+    data = None if node is None else builder.build(node, ())
+    if builder.faults:
+        raise InputError(builder.faults)
+    return data, builder.marks
+
+
+def dump_yaml(data: Any) -> str:
+    """Plain data as YAML text, which reads back as the same data."""
+    from ruamel.yaml import YAML
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = None  # lists of numbers on one line, mappings below each other
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.width = 120
+    text = io.StringIO()
+    yaml.dump(data, text)
+    return text.getvalue()
+
+
+class _Builder:
+    """Plain data from a tree of YAML nodes; collects duplicate keys and unusable values as
+    faults.
+    """
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.marks: dict[KeyPath, tuple[int, int]] = {(): (1, 1)}
+        self.faults: list[Fault] = []
+        self.count = 0
+
+    def fault(self, node: Any, path: KeyPath, message: str) -> None:
+        self.faults.append(
+            Fault(
+                self.file,
+                node.start_mark.line + 1,
+                node.start_mark.column + 1,
+                dotted(path),
+                message,
+            )
+        )
+
+    def build(self, node: Any, path: KeyPath) -> Any:
+        self.count += 1
+        if self.count > VALUE_LIMIT or len(path) > DEPTH_LIMIT:
+            limit = f"{VALUE_LIMIT} values" if self.count > VALUE_LIMIT else f"{DEPTH_LIMIT} levels"
+            self.faults.clear()
+            self.fault(node, (), f"is too large; at most {limit} are read")
+            raise InputError(self.faults)
+        if node.id == "mapping":
+            return self._mapping(node, path)
+        if node.id == "sequence":
+            items = []
+            for index, item in enumerate(node.value):
+                self.marks[(*path, index)] = (item.start_mark.line + 1, item.start_mark.column + 1)
+                items.append(self.build(item, (*path, index)))
+            return items
+        return self._scalar(node, path)
+
+    def _mapping(self, node: Any, path: KeyPath) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            if key_node.id != "scalar":
+                self.fault(key_node, path, "a key is a list or a mapping; a key is a name")
+                continue
+            key = str(key_node.value)
+            place = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
+            if key in result:
+                first = self.marks[(*path, key)][0]
+                self.fault(
+                    key_node,
+                    (*path, key),
+                    f"is given twice (first in line {first}); each key may stand once",
+                )
+                self.build(value_node, (*path, key))
+                continue
+            self.marks[(*path, key)] = place
+            result[key] = self.build(value_node, (*path, key))
+            self.marks[(*path, key)] = place
+        return result
+
+    def _scalar(self, node: Any, path: KeyPath) -> Any:
+        tag, text = str(node.tag), node.value
+        if tag not in _SCALARS:
+            self.fault(
+                node,
+                path,
+                f"has the tag {tag.removeprefix(_PREFIX)!r}; plain YAML values alone are read",
+            )
+            return None
+        try:
+            if tag == _PREFIX + "null":
+                return None
+            if tag == _PREFIX + "bool":
+                return text.lower() == "true"
+            if tag == _PREFIX + "int":
+                return _integer(text)
+            if tag == _PREFIX + "float":
+                return _float(text)
+        except ValueError:
+            self.fault(node, path, f"cannot be read as a number (got {describe(text)})")
+            return None
+        return text
+
+
+def _integer(text: str) -> int:
+    digits = text.replace("_", "")
+    if len(digits) > 400:  # Python refuses to convert thousands of digits, and no value needs them
+        raise ValueError(text)
+    if digits.lstrip("+-")[:2] in ("0x", "0o", "0b"):
+        return int(digits, 0)
+    return int(digits)
+
+
+def _float(text: str) -> float:
+    lowered = text.replace("_", "").lower()
+    if lowered.lstrip("+-") == ".inf":
+        return -math.inf if lowered.startswith("-") else math.inf
+    return math.nan if lowered == ".nan" else float(lowered)

@@ -1,0 +1,1 @@
+"""The process itself: interruption, progress, workers, the installation."""

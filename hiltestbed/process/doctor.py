@@ -1,0 +1,113 @@
+"""Check of an installation: what it has and what it lacks."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+
+from hiltestbed.compiled.warm import cores
+
+EXTRAS = {  # optional package, to its purpose and the extra that installs it
+    "h5py": ("HDF5 data", "hdf5"),
+    "asammdf": ("MDF4 data", "mdf"),
+    "nptdms": ("TDMS data", "tdms"),
+    "mcap": ("MCAP data", "mcap"),
+    "distributed": ("campaigns on a cluster", "cluster"),
+    "pandas": ("to_pandas()", "pandas"),
+    "xarray": ("to_xarray()", "xarray"),
+    "fmpy": ("FMUs", "fmi"),
+}
+NEEDED = (
+    "mujoco",
+    "pin",
+    "numpy",
+    "scipy",
+    "numba",
+    "rerun-sdk",
+    "pyarrow",
+    "matplotlib",
+    "pydantic",
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check: its subject, its result, whether that is good, and whether hiltestbed needs it."""
+
+    what: str
+    state: str
+    good: bool
+    needed: bool = True
+
+
+def examine() -> list[Finding]:
+    """Versions, optional packages, cores, compiled kernels, viewer and plugins."""
+    found = [Finding("python", sys.version.split()[0], sys.version_info >= (3, 11))]
+    found += [_package(name) for name in ("hiltestbed", *NEEDED)]
+    found += [_extra(name, *about) for name, about in EXTRAS.items()]
+    found.append(Finding("cores", str(cores()), True))
+    found += [_cache(), _viewer(), _plugins()]
+    return found
+
+
+def _package(name: str) -> Finding:
+    try:
+        return Finding(name, version(name), True)
+    except PackageNotFoundError:
+        return Finding(name, "is not installed; pip install hiltestbed installs it", False)
+
+
+def _extra(name: str, purpose: str, extra: str) -> Finding:
+    here = find_spec(name) is not None
+    return Finding(
+        name,
+        f"{purpose}" if here else f"not installed ({purpose}); pip install 'hiltestbed[{extra}]'",
+        here,
+        needed=False,
+    )
+
+
+def _cache() -> Finding:
+    from hiltestbed.compiled.warm import cache_folder, compiled
+
+    folder = cache_folder()
+    above = next(path for path in (folder, *folder.parents) if path.exists())
+    if not os.access(above, os.W_OK):
+        return Finding(
+            "compiled kernels",
+            f"{folder} cannot be written: every run compiles again; set NUMBA_CACHE_DIR",
+            False,
+        )
+    return Finding(
+        "compiled kernels",
+        f"in {folder}"
+        if compiled()
+        else "none yet: the first run compiles them, in about a minute",
+        True,
+    )
+
+
+def _viewer() -> Finding:
+    display = sys.platform != "linux" or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
+    state = (
+        "a display is available"
+        if display
+        else "no display: `hiltestbed view` needs one; report.html only needs a browser"
+    )
+    return Finding("viewer", state, display, needed=False)
+
+
+def _plugins() -> Finding:
+    from hiltestbed import plugins
+    from hiltestbed.errors import InputError
+
+    try:
+        plugins.load()
+    except InputError as error:
+        return Finding("plugins", str(error), False)
+    return Finding("plugins", ", ".join(plugins.loaded()) or "none", True)

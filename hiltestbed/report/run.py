@@ -1,0 +1,292 @@
+"""report.html of a run: what happened, whether the loop is passive and by what margin, what was
+identified, what to do next.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.analysis.assessment import (
+    CLOSE,
+    NEUTRAL,
+    assess,
+    energy_share,
+    identified,
+    monitored,
+)
+from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.report.page import Report, new_figure, provenance
+from hiltestbed.run_folder.labelled import PALETTE, shade_contacts
+from hiltestbed.run_folder.notebook import number
+from hiltestbed.run_folder.result import Run
+from hiltestbed.scenario import Scenario
+from hiltestbed.signals import RunTrace
+
+REPORT = "report.html"
+NORMAL = " normal: along the contact normal of the surfaces, which is not an axis."
+POINTS = 4000  # rows in a figure: more cannot be distinguished
+
+
+def write_run_report(run: Run, path: Path) -> None:
+    """Write the page of a run to ``path``."""
+    run_report(run).write(path)
+
+
+def run_report(run: Run) -> Report:
+    """The page of a run."""
+    summary = run.summary
+    judged = assess(summary)
+    report = Report(f"Run {summary['name']}")
+    report.lead(judged.headline)
+    for warning in judged.warnings:
+        report.warning(f"{warning}.")
+    report.heading("What happened")
+    report.table(("figure", "value", "meaning"), _figures(summary))
+    if run.trace is not None and len(run.trace.t):
+        report.figure(_signals(run.trace), "Along the insertion. Shaded: in contact.")
+    report.heading("Is the loop passive?")
+    report.text(_margin(run.scenario, summary))
+    if run.trace is not None and summary["contact_duration"] and len(run.trace.t) > 1:
+        caption = "Energy that the rig has made so far. For a passive rig it is never above zero."
+        report.figure(_energy(run.trace, run.scenario, summary), caption)
+    _ledger(report, summary)
+    _identified(report, summary)
+    report.heading("What to do next")
+    report.items(judged.advice or ("Nothing: no further action is needed.",))
+    report.heading("How it was made")
+    rows = [("scenario", summary["scenario_sha256"][:16]), ("seed", summary["seed"])]
+    report.table(
+        ("what", "version, or start of the SHA-256"),
+        rows + provenance(summary["versions"], summary.get("plugins", {})),
+    )
+    return report
+
+
+def _figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
+    rows = [
+        (
+            "outcome",
+            summary["outcome"].replace("_", " "),
+            f"{summary['contacts']} contacts" if summary["contacts"] != 1 else "1 contact",
+        ),
+        (
+            "coefficient of restitution",
+            number(summary["cor"]),
+            "rebound speed over approach speed, of the numerical model",
+        ),
+        (
+            "its reference",
+            number(summary["cor_reference"]),
+            "the same contact with no delay and ideal tracking",
+        ),
+    ]
+    if summary["cor_log_error"] is not None:
+        percent = 100.0 * math.expm1(summary["cor_log_error"])
+        rows.append(
+            (
+                "ln of their ratio",
+                f"{summary['cor_log_error']:+.4f}",
+                f"the rebound deviates by {percent:+z.1f} %",
+            )
+        )
+    if summary.get("cor_normal") is not None and summary["cor"] is None:
+        reference = number(summary.get("cor_normal_reference"))
+        note = (
+            f"of the first contact: speed after over before, along the direction of its "
+            f"impulse; reference {reference}"
+        )
+        rows.append(("restitution along the impulse", number(summary["cor_normal"]), note))
+    rows += [
+        (
+            "energy made by the rig",
+            number(summary["energy_generated"], 4, "J"),
+            assess(summary).energy,
+        ),
+        ("peak force", number(summary["peak_force"], 4, "N"), ""),
+        ("contact time", number(summary["contact_duration"], 4, "s"), ""),
+        (
+            "largest tracking error",
+            number(1e3 * summary["tracking_error"], 3, "mm"),
+            "commanded minus reached position",
+        ),
+    ]
+    if (seen := monitored(summary)) is not None:
+        rows.append(("process monitoring", *seen))
+    return rows
+
+
+def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:
+    """The energy balance in words, and the further delay up to which the loop is stable."""
+    share = energy_share(summary)
+    if not summary["contact_duration"]:
+        return "Nothing touched, so the question does not arise."
+    words = []
+    if share is not None:
+        verdict = (
+            "made no significant energy"
+            if abs(share) <= NEUTRAL
+            else "made energy"
+            if share > 0.0
+            else "dissipated energy"
+        )
+        words.append(f"The rig {verdict}: {100.0 * share:+z.2f} % of the approach energy.")
+    total = summary["delay_ledger"][-1]["delay"] if summary["delay_ledger"] else 0.0
+    contact, stability = scenario.mechanism.contact, summary.get("stability")
+    words.append(
+        f"The remaining delays add up to {1e3 * total:+.3f} ms, equivalent to a damping of "
+        f"{-contact.stiffness * total:+.4g} N s/m."
+    )
+    if stability:
+        without = stability.get("uncompensated") or {}
+        words.append(f"The loop in this contact is {stability['verdict']}.")
+        if without.get("verdict") and without["verdict"] != stability["verdict"]:
+            words.append(f"Without the compensation it would be {without['verdict']}.")
+    elif contact.damping > 0.0:
+        bears = contact.damping / contact.stiffness
+        words.append(
+            f"The damping of the surfaces, {contact.damping:.4g} N s/m, compensates a delay of "
+            f"c/k = {1e3 * bears:.3g} ms: "
+            + (
+                f"{1e3 * (bears - total):.3g} ms more until the loop gains energy."
+                if total < bears
+                else "less than that delay."
+            )
+        )
+    else:
+        words.append(
+            "The surfaces have no damping: any remaining delay makes the loop gain energy."
+        )
+    return " ".join(words)
+
+
+def _ledger(report: Report, summary: dict[str, Any]) -> None:
+    if not summary["delay_ledger"]:
+        return
+    rows = [
+        (e["source"], f"{1e3 * e['delay']:+.4f}", f"{e['equivalent_damping']:+.2f}")
+        for e in summary["delay_ledger"]
+    ]
+    caption = (
+        "Effect of each delay: a delay tau acts on a contact of stiffness k like a "
+        "damping of -k tau."
+    )
+    predicted = summary.get("cor_log_error_predicted")
+    if predicted is not None:
+        caption += f" Their sum predicts {predicted:+.4f} for the ln of the ratio."
+    report.table(("source", "delay [ms]", "as damping [N s/m]"), rows, caption)
+
+
+def _identified(report: Report, summary: dict[str, Any]) -> None:
+    rows = []
+    for axis, values in identified(summary).items():
+        cells = [axis]
+        for quantity in ("stiffness", "damping"):
+            found, true = values[quantity], values[f"{quantity}_true"]
+            error = "" if found is None or not true else f"{100.0 * (found / true - 1.0):+z.2f} %"
+            cells += [number(found, 6), number(true, 6), error]
+        rows.append([*cells, values["samples"]])
+    report.heading("What was identified")
+    if rows:
+        header = ("axis", "k", "true", "error", "c", "true", "error", "samples")
+        report.table(
+            header,
+            rows,
+            "k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)."
+            + NORMAL * ("normal" in identified(summary)),
+        )
+    else:
+        report.text(
+            "No axis and no normal was in contact long enough to identify stiffness and damping."
+        )
+
+
+def _signals(trace: RunTrace):
+    """Force and position along the insertion."""
+    rows = _shown(trace)
+    t = trace.t[rows]
+    figure, axes = new_figure(9.0, 5.6, nrows=3, sharex=True)
+    panels = (
+        (
+            "force [N]",
+            (
+                ("physical", "wrench_true.fz", 1.0),
+                ("measured", "wrench_meas.fz", 1.0),
+                ("used", "wrench_comp.fz", 1.0),
+            ),
+        ),
+        ("measured minus\nphysical [N]", ()),
+        ("pz [mm]", (("reached", "pose_act.pz", 1e3), ("commanded", "pose_cmd.pz", 1e3))),
+    )
+    for axis, (label, lines) in zip(axes, panels, strict=True):
+        shade_contacts(axis, trace.t, trace.contact)
+        for i, (name, column, scale) in enumerate(lines):
+            axis.plot(
+                t,
+                scale * trace[column][rows],
+                color=PALETTE[i],
+                linewidth=1.3,
+                label=name,
+                linestyle=("-", "--", ":")[i],
+            )
+        if lines:
+            axis.legend(loc="upper right", fontsize=8)
+        axis.set_ylabel(label)
+    axes[1].plot(
+        t,
+        (trace["wrench_meas.fz"] - trace["wrench_true.fz"])[rows],
+        color=PALETTE[1],
+        linewidth=1.2,
+    )
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(t[0], t[-1])
+    return figure
+
+
+def _shown(trace: RunTrace) -> np.ndarray:
+    """The rows of the displayed span, at most as many as can be distinguished."""
+    start, end = _span(trace)
+    rows = np.flatnonzero((trace.t >= start) & (trace.t <= end))
+    return rows[:: max(1, len(rows) // POINTS)]
+
+
+def _span(trace: RunTrace) -> tuple[float, float]:
+    """From shortly before the first contact to shortly after the last; the whole run if that is
+    most of it.
+    """
+    start, end = float(trace.t[0]), float(trace.t[-1])
+    if trace.contact.any():
+        first = float(trace.t[np.argmax(trace.contact)])
+        last = float(trace.t[len(trace.t) - 1 - np.argmax(trace.contact[::-1])])
+        margin = max(0.25 * (last - first), 0.02)
+        return max(start, first - margin), min(end, last + margin)
+    return start, end
+
+
+def _energy(trace: RunTrace, scenario: Scenario, summary: dict[str, Any]):
+    """Energy that the rig has made so far: the work on the physical contact minus the work of the
+    numerical model.
+    """
+    made = energy_generated(trace, scenario)
+    rows = _shown(trace)
+    figure, axis = new_figure(9.0, 2.6)
+    shade_contacts(axis, trace.t, trace.contact)
+    axis.plot(
+        trace.t[rows],
+        1e3 * made[rows],
+        color=PALETTE[1] if made[-1] > 0.0 else PALETTE[0],
+        linewidth=1.5,
+    )
+    axis.axhline(0.0, color="#5b6b7a", linewidth=0.8)
+    approach = summary.get("approach_energy")
+    if approach and float(np.abs(made).max()) > 0.2 * CLOSE * approach:
+        second = axis.secondary_yaxis(
+            "right",
+            functions=(lambda mj: 0.1 * mj / approach, lambda share: 10.0 * share * approach),
+        )
+        second.set_ylabel("% of the approach")
+    axis.set(xlabel="time [s]", ylabel="energy [mJ]", xlim=(trace.t[rows[0]], trace.t[rows[-1]]))
+    return figure

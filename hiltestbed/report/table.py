@@ -1,0 +1,298 @@
+"""Output of `hiltestbed run` and other commands: the figures at a glance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from hiltestbed.analysis.assessment import assess, identified, monitored
+from hiltestbed.errors import printable
+
+if TYPE_CHECKING:
+    from hiltestbed.process.doctor import Finding
+
+
+def print_run(
+    summary: dict[str, Any], folder: Path, recording: bool = True, elapsed: float | None = None
+) -> None:
+    """Prints the summary of a run and its folder to standard output; ``elapsed`` [s]: duration of
+    the whole command.
+    """
+    console = Console(highlight=False, soft_wrap=False)
+    console.print(_figures(summary, elapsed))
+    for warning in assess(summary).warnings:
+        console.print(f"[bold red]warning:[/bold red] {escape(warning)}")
+    if summary["delay_ledger"]:
+        console.print(_ledger(summary["delay_ledger"]))
+    found = _identified(identified(summary))
+    if found.row_count:
+        console.print(found)
+    look = (
+        f"hiltestbed view {folder}"
+        if recording
+        else "run again without --no-rerun, then hiltestbed view"
+    )
+    console.print(
+        f"run folder: {folder}\nreport:     {folder / 'report.html'}\nlook at it: {look}",
+        soft_wrap=True,
+        markup=False,
+    )
+
+
+def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
+    """Prints the figures of a benchmark and the path of its report to standard output."""
+    table = _table(title, header=False)
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    for label, value in lines:
+        table.add_row(label, value)
+    console = Console(highlight=False)
+    console.print(table)
+    console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+
+
+def print_comparison(
+    names: Sequence[str], rows: Sequence[Sequence[str]], page: Path | None
+) -> None:
+    """Prints runs side by side to standard output; one below the other where the terminal is too
+    narrow for whole words.
+    """
+    console = Console(highlight=False)
+    widths = _whole_words(list(zip(("", *names), *rows, strict=True)), console.width)
+    if widths:
+        table = _table("runs side by side")
+        for name, width in zip(("", *names), widths, strict=True):
+            table.add_column(escape(name), justify="right" if name else "left", width=width)
+        for row in rows:
+            table.add_row(*map(escape, row))
+        console.print(table)
+    else:
+        console.print("[bold]runs side by side[/bold]")
+        for key, *values in rows:
+            console.print(
+                key,
+                *(f"  {name}: {value}" for name, value in zip(names, values, strict=True)),
+                sep="\n",
+                soft_wrap=True,
+                markup=False,
+            )
+    if page is not None:
+        console.print(f"page: {page}", soft_wrap=True, markup=False)
+
+
+def print_doctor(findings: Sequence[Finding]) -> None:
+    """Prints the findings on an installation to standard output."""
+    table = _table("this installation", header=False)
+    for name in ("", "what", "state"):
+        table.add_column(name, overflow="fold")
+    for found in findings:
+        table.add_row(
+            "[green]ok[/green]" if found.good else "[red]no[/red]" if found.needed else "-",
+            escape(found.what),
+            escape(found.state),
+        )
+    Console(highlight=False).print(table)
+
+
+def print_sweep(about: dict[str, Any], folder: Path) -> None:
+    """Prints the outcome of a campaign and its results folder to standard output."""
+    wall = about["wall"]
+    lines = [
+        (status, str(count))
+        for status, count in sorted(about["counts"].items(), key=lambda item: -item[1])
+    ]
+    lines.append(
+        ("last session", f"{wall['last_session_cases']} cases in {wall['last_session']:.1f} s")
+    )
+    lines.append(("engine", f"{about['engine']}, chunks of {about['chunk']}"))
+    lines.append(("results", str(folder / "cases.parquet")))
+    print_lines(f"{about['name']}: {about['cases']} cases, {about['status']}", lines, folder)
+
+
+def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
+    """Prints the main results of diagnosis.json and the path of the report to standard output."""
+    console = Console(highlight=False)
+    console.print(
+        f"[bold]{escape(result['name'])}: {result['verdict']}[/bold]\n{escape(result['sentence'])}",
+        soft_wrap=False,
+    )
+    for text in result["overridden"]:
+        console.print(text, markup=False)
+    heldout, loop = result["heldout"], result["closed_loop"]
+    if heldout:
+        low, high = (100.0 * v for v in heldout["ci95"])
+        placebo = 100.0 * heldout["placebo_reduction"]
+        gain = (
+            f"{100.0 * heldout['reduction']:.4g} % ({low:.4g} to {high:.4g} %); with a "
+            f"wrong effect by {placebo:.3g} %"
+        )
+        console.print(f"residual on runs that were not fitted: lower by {gain}", markup=False)
+    if result["partial"]["sentence"]:
+        console.print(result["partial"]["sentence"], markup=False)
+    if result["learned"]:
+        console.print(result["learned"]["sentence"], markup=False)
+    cor = [
+        ", ".join(_number(v, 4) for v in loop[f"cor_{source}"])
+        for source in ("measured", "nominal", "extended")
+    ]
+    if any(v is not None for v in loop["cor_measured"]):
+        console.print(
+            "coefficient of restitution, run by run:\n  measured  "
+            + cor[0]
+            + "\n  nominal   "
+            + cor[1],
+            markup=False,
+        )
+        if result["extended_scenario"]:
+            console.print(f"  extended  {cor[2]}", markup=False)
+    if result["next_experiment"]:
+        console.print(f"next experiment: {result['next_experiment']}", markup=False)
+    console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+
+
+def _whole_words(columns: Sequence[Sequence[str]], room: int) -> list[int] | None:
+    """Widths of columns of cells that break no word; None if ``room`` characters do not suffice."""
+    least = [
+        max(len(word) for cell in column for word in cell.split() or [""]) for column in columns
+    ]
+    widths = [max(map(len, column)) for column in columns]
+    room -= 3 * len(columns) + 1  # spaces between the columns and at the edges
+    if sum(least) > room:
+        return None
+    while sum(widths) > room:
+        widest = max(
+            (i for i in range(len(widths)) if widths[i] > least[i]), key=lambda i: widths[i]
+        )
+        widths[widest] -= 1
+    return widths
+
+
+def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
+    table = _table(f"{summary['name']}: {summary['status']}", header=False)
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    table.add_column("note")
+    table.add_row("outcome", summary["outcome"].replace("_", " "), _outcome_note(summary))
+    cor, reference, log_error = summary["cor"], summary["cor_reference"], summary["cor_log_error"]
+    table.add_row("coefficient of restitution", _number(cor, 4), _cor_note(cor, reference))
+    if log_error is not None:
+        table.add_row("  ln of the ratio", f"{log_error:+.4f}", _error_note(summary))
+    elif (along := summary.get("cor_normal")) is not None:
+        reference = _number(summary.get("cor_normal_reference"), 4)
+        table.add_row(
+            "  along the impulse",
+            _number(along, 4),
+            f"of the first contact, speed after over before; reference {reference}",
+        )
+    table.add_row(
+        "energy made by the rig",
+        _number(summary["energy_generated"], 4, "J"),
+        assess(summary).energy,
+    )
+    stability = summary.get("stability")
+    if stability:
+        judged = {True: "stable", False: "unstable", None: "not judged"}[stability["stable"]]
+        table.add_row(
+            "the loop in contact",
+            judged,
+            stability["verdict"].removeprefix(f"{judged}: ").removeprefix(f"{judged} "),
+        )
+    table.add_row("peak force", _number(summary["peak_force"], 4, "N"), "")
+    table.add_row(
+        "contact time",
+        _number(summary["contact_duration"], 4, "s"),
+        "" if summary["contact_duration"] else "the ports did not touch",
+    )
+    if (seen := monitored(summary)) is not None:
+        table.add_row("process monitoring", *seen)
+    timing = summary["timing"]
+    pace = (
+        ""
+        if timing["real_time_factor"] is None
+        else f", {timing['real_time_factor']:.1f} times real time"
+    )
+    table.add_row(
+        "time in the loop", _number(timing["wall"], 3, "s"), f"{timing['ticks']} ticks{pace}"
+    )
+    if elapsed is not None:
+        table.add_row(
+            "total time", _number(elapsed, 3, "s"), "with start, compiling, reference and files"
+        )
+    return table
+
+
+def _outcome_note(summary: dict[str, Any]) -> str:
+    contacts = f"{summary['contacts']} contact" + ("" if summary["contacts"] == 1 else "s")
+    captured = summary["captured_at"]
+    return contacts if captured is None else f"{contacts}, latched at {captured:.3f} s"
+
+
+def _cor_note(cor: float | None, reference: float | None) -> str:
+    if reference is None:
+        return "" if cor is not None else "no rebound to measure"
+    note = f"reference {reference:.4f} (no delay, ideal)"
+    return note if cor is not None else f"no rebound to measure; {note}"
+
+
+def _error_note(summary: dict[str, Any]) -> str:
+    predicted = summary.get("cor_log_error_predicted")
+    percent = 100.0 * math.expm1(summary["cor_log_error"])
+    return f"{percent:+z.1f} %" + (
+        "" if predicted is None else f"; the delay ledger predicts {predicted:+.4f}"
+    )
+
+
+def _ledger(entries: list[dict[str, Any]]) -> Table:
+    table = _table("delays in the loop")
+    table.add_column("source")
+    table.add_column(escape("delay [ms]"), justify="right")
+    table.add_column(escape("as damping [N s/m]"), justify="right")
+    for entry in entries:
+        table.add_row(
+            entry["source"], f"{1e3 * entry['delay']:+.4f}", f"{entry['equivalent_damping']:+.2f}"
+        )
+    return table
+
+
+def _identified(axes: dict[str, dict[str, Any]]) -> Table:
+    table = _table(
+        "identified against true; k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)"
+    )
+    table.add_column("axis")
+    for heading in ("k", "true", "error", "c", "true", "error", "samples"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for axis, values in axes.items():
+        cells = [
+            cell
+            for quantity in ("stiffness", "damping")
+            for cell in _against(values[quantity], values[f"{quantity}_true"])
+        ]
+        table.add_row(axis, *cells, str(values["samples"]))
+    return table
+
+
+def _table(title: str, header: bool = True) -> Table:
+    return Table(
+        title=escape(printable(title)),
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        show_header=header,
+        pad_edge=False,
+    )
+
+
+def _against(value: float | None, true: float | None) -> tuple[str, str, str]:
+    error = "" if value is None or not true else f"{100.0 * (value / true - 1.0):+z.2f} %"
+    return _number(value, 6), _number(true, 6), error
+
+
+def _number(value: float | None, digits: int, unit: str = "") -> str:
+    return "-" if value is None else f"{value:.{digits}g} {unit}".rstrip()

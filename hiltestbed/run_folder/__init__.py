@@ -1,0 +1,1 @@
+"""The run as it is returned and stored: folder, result, labelled data."""

@@ -1,0 +1,246 @@
+"""The run folder: scenario.yaml, summary.json, trace.parquet, report.html, recording.rrd. A folder
+that exists is complete.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hiltestbed import plugins
+from hiltestbed.config.models import copy_model
+from hiltestbed.config.yaml_source import dump_yaml
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.frames import Array
+from hiltestbed.run_folder.result import Run
+from hiltestbed.scenario import Scenario, load_scenario, resolved
+from hiltestbed.signals import RunTrace, about_column, groups
+from hiltestbed.supervision.snapshot import Snapshot, flatten, unflatten
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+SUMMARY, SCENARIO, TRACE, RECORDING, FAILURE = (
+    "summary.json",
+    "scenario.yaml",
+    "trace.parquet",
+    "recording.rrd",
+    "failure.npz",
+)
+MODELS = "models"
+
+
+@contextmanager
+def whole_folder(path: Path, mark: str = SUMMARY) -> Iterator[Path]:
+    """A temporary folder beside ``path``; it is renamed to ``path`` if the block succeeds, and
+    removed otherwise.
+
+    An earlier result at ``path``, recognised by its file ``mark``, is replaced; anything else there
+    is refused.
+
+    Raises:
+        InputError: ``path`` exists and holds something else, or cannot be written.
+    """
+    refuse_foreign(path, mark)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); choose another --out"
+        ) from None
+    try:
+        yield beside
+        for file in beside.rglob("*"):
+            if file.is_file():
+                _sync(file)
+        beside.chmod(0o755)
+        _swap(beside, path)
+    except BaseException:
+        shutil.rmtree(beside, ignore_errors=True)
+        raise
+
+
+def refuse_foreign(path: Path, mark: str = SUMMARY) -> None:
+    """Refuse to replace anything that is not a result of hiltestbed.
+
+    Raises:
+        InputError: ``path`` is a file, or a folder with other things in it.
+    """
+    if path.is_dir():
+        if any(path.iterdir()) and not (path / mark).exists():
+            raise InputError(
+                f"{path}: is a folder with other things in it; allowed is a new folder or an "
+                f"earlier result; choose another --out"
+            )
+    elif path.exists() or path.is_symlink():
+        raise InputError(
+            f"{path}: is not a folder; allowed is a new folder or an earlier result; choose "
+            f"another --out"
+        )
+
+
+def _swap(beside: Path, path: Path) -> None:
+    """Move the finished folder into place; an earlier one is moved away first, so that ``path``
+    never contains a mixture.
+    """
+    if path.exists():
+        old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
+        os.rename(path, old / path.name)
+        os.rename(beside, path)
+        shutil.rmtree(old, ignore_errors=True)
+    else:
+        os.rename(beside, path)
+
+
+def _sync(file: Path) -> None:
+    with file.open("rb") as handle:
+        os.fsync(handle.fileno())
+
+
+def write_run(run: Run, path: str | Path, *, rerun: bool = True, report: bool = True) -> Path:
+    """Write the run folder and return its path; ``rerun=False`` leaves recording.rrd out,
+    ``report=False`` report.html.
+
+    Raises:
+        InputError: the folder cannot be written, or holds something else.
+    """
+    path = Path(path)
+    with whole_folder(path) as folder:
+        (folder / SCENARIO).write_text(
+            dump_yaml(_with_models(run.scenario, folder)), encoding="utf-8"
+        )
+        (folder / SUMMARY).write_text(
+            json.dumps(run.summary, indent=2, allow_nan=False) + "\n", encoding="utf-8"
+        )
+        if run.trace is not None:
+            write_trace(run.trace, folder / TRACE)
+            if rerun:
+                from hiltestbed.viewer import write_recording
+
+                write_recording(folder / RECORDING, run)
+        if report:
+            from hiltestbed.report.run import REPORT, write_run_report
+
+            write_run_report(run, folder / REPORT)
+        if run.failure is not None:
+            np.savez(folder / FAILURE, **flatten(run.failure))  # type: ignore[arg-type]
+    return path
+
+
+def _with_models(scenario: Scenario, folder: Path) -> dict[str, Any]:
+    """The resolved scenario; the user's models are copied into ``folder``, and their keys name the
+    copies.
+    """
+    data = resolved(scenario)
+    for key in scenario.mechanism.fingerprint():
+        copy = copy_model(Path(data["mechanism"][key]), folder / MODELS / key)
+        data["mechanism"][key] = str(copy.relative_to(folder))
+    return data
+
+
+def read_run(path: str | Path) -> Run:
+    """The run in a run folder.
+
+    Raises:
+        InputError: it is not a run folder.
+    """
+    path = Path(path)
+    if not (path / SUMMARY).is_file():
+        raise InputError(
+            f"{path}: is not a run folder (no {SUMMARY}); allowed is a folder that `hiltestbed "
+            f"run --out` wrote"
+        )
+    summary: dict[str, Any] = json.loads((path / SUMMARY).read_text(encoding="utf-8"))
+    trace = read_trace(path / TRACE) if (path / TRACE).is_file() else None
+    return Run(_scenario_of(path, summary), summary, trace, _read_failure(path / FAILURE))
+
+
+def _scenario_of(path: Path, summary: dict[str, Any]) -> Scenario:
+    """The scenario of a run folder. Raises InputError; it names the plugins of the run that are not
+    loaded.
+    """
+    try:
+        return load_scenario(path / SCENARIO)
+    except InputError as error:
+        lacking = [name for name in summary.get("plugins", {}) if name not in plugins.loaded()]
+        if not lacking:
+            raise
+        options = " ".join(f"--plugin {name}" for name in lacking)
+        hint = (
+            f"was made with a plugin that is not loaded; give {options} (or its current "
+            f"path), from Python hiltestbed.load_plugins"
+        )
+        raise InputError([*error.faults, Fault(str(path), None, None, "", hint)]) from None
+
+
+def _read_failure(path: Path) -> Snapshot | None:
+    if not path.is_file():
+        return None
+    with np.load(path) as arrays:
+        return unflatten(dict(arrays))
+
+
+def write_trace(trace: RunTrace, path: Path) -> None:
+    """One row per tick; the metadata of each field have unit, frame and meaning. The same rows give
+    the same bytes.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = trace.columns()
+    fields = []
+    for name, values in columns.items():
+        kind = pa.bool_() if values.dtype == bool else pa.float64()
+        fields.append(pa.field(name, kind, metadata=about_column(name, trace.joints)))
+    arrays = [
+        pa.Array.from_buffers(field.type, len(v), [None, _buffer(v)])
+        for field, v in zip(fields, columns.values(), strict=True)
+    ]
+    pq.write_table(
+        pa.table(arrays, schema=pa.schema(fields)),
+        path,
+        compression="zstd",
+        compression_level=1,
+        use_dictionary=False,
+    )
+
+
+def _buffer(values: np.ndarray) -> pa.Buffer:
+    """A column as Arrow has it in memory. ``pa.array`` makes the same of it, but imports pandas
+    first: a quarter of a second.
+    """
+    import pyarrow as pa
+
+    return pa.py_buffer(
+        np.packbits(values, bitorder="little")
+        if values.dtype == bool
+        else np.ascontiguousarray(values, dtype=float)
+    )
+
+
+def read_trace(path: Path) -> RunTrace:
+    """The trace in a Parquet file."""
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    columns: dict[str, Array] = {name: table[name].to_numpy() for name in table.column_names}
+    joints = tuple(
+        _unit(table, name) for name in table.column_names if name.startswith("slider_cmd.")
+    )
+    present = [g for g in groups(joints).values() if g.columns and g.columns[0] in columns]
+    data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in present}
+    return RunTrace(columns["t"], data, columns["contact"].astype(bool), joints)
+
+
+def _unit(table: pa.Table, column: str) -> str:
+    """The unit of a column of a trace file."""
+    return ((table.schema.field(column).metadata or {}).get(b"unit", b"m")).decode()

@@ -1,0 +1,137 @@
+"""The rig's safety limits: if one is exceeded, the run stops within the tick.
+
+The monitored quantities are those of a rig's own electronics: the sliders and limbs of the
+platform, its tracking error, the sensor's load before any delay (its overload relay is analogue),
+and the energy that the rig has created so far, the integral of ``F . v_act - F_used . v_cmd``. A
+delay makes energy from the first millimetre of penetration on, long before the
+force is large: the energy limit stops a diverging loop before the hardware is damaged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
+from hiltestbed.frames import Array
+from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.pss33.kinematics import Platform, slider
+from hiltestbed.scenario import Scenario
+
+LIMITS = (
+    "stroke",
+    "speed",
+    "acceleration",
+    "limb_angle_deg",
+    "tracking_error",
+    "force",
+    "torque",
+    "energy",
+)
+_UNITS = ("m", "m/s", "m/s^2", "deg", "m", "N", "N m", "J")
+_MESSAGES = (
+    "a slider is {value:.4g} m from home",
+    "a slider moves at {value:.4g} m/s",
+    "a slider accelerates at {value:.4g} m/s^2",
+    "a limb leans {value:.4g} deg from its slider",
+    "the platform is {value:.4g} m from its command",
+    "the sensor carries {value:.4g} N",
+    "the sensor carries {value:.4g} N m",
+    "the rig has created {value:.4g} J",
+)
+
+
+class Safety:
+    """The safety limits of ``n`` runs.
+
+    Attributes:
+        quantities: ``(n, 8)`` the largest value at this tick of each quantity in :data:`LIMITS`.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        n = len(scenarios)
+        self._tick = 1.0 / scenarios[0].rate
+        limits = [[getattr(s.safety, name) for name in LIMITS] for s in scenarios]
+        self._limits = np.array(
+            [[math.inf if limit is None else limit for limit in row] for row in limits]
+        )
+        # If a platform states limits of its joints, Plant.joint_limit checks these; sliders and
+        # limbs of other platforms are checked here.
+        stated = scenarios[0].rig.platform.states_limits
+        self._limbs = Platform.load().limbs[: 0 if stated else 6]
+        self._plant: Plant | None = None
+        self.quantities = np.zeros((n, len(LIMITS)))
+        self._sliders = np.zeros((n, 2, 6))  # positions and speeds at the previous tick
+        self._ticks = np.zeros(n, dtype=np.int64)
+        self._watch = Call(
+            _watch,
+            self._tick,
+            self._limbs,
+            *(GIVEN,) * 6,
+            self._ticks,
+            self._sliders,
+            self.quantities,
+            self._limits,
+        )
+
+    def passed(self, plant: Plant, pose_before: Array, energy: Array) -> bool:
+        """Whether a run has exceeded a limit at this tick.
+
+        Args:
+            plant: at t_k. pose_before: ``(n, 7)`` that had been commanded for this tick. energy:
+                ``(n,)`` created so far [J].
+        """
+        self._plant = plant
+        passed = plant.joint_limit_passed()
+        look = self._watch.on(
+            plant.slider_act, plant.pose_W, plant.pose_act, pose_before, plant.wrench_sub, energy
+        )
+        return look() or passed
+
+    def reason(self, i: int) -> str | None:
+        """The limit that run ``i`` has exceeded, with the value; None if it has exceeded none."""
+        for j, name in enumerate(LIMITS):
+            value, limit = self.quantities[i, j], self._limits[i, j]
+            if value > limit:
+                return f"{_MESSAGES[j].format(value=value)}; safety.{name} is {limit:g} {_UNITS[j]}"
+        return self._plant.joint_limit(i) if self._plant is not None else None
+
+
+@njit(cache=True)
+def _watch(
+    h, limbs, sliders, pose_W, pose, pose_before, wrench_sub, energy, ticks, before, q, limits
+):
+    passed = False
+    arm = np.empty(3)
+    for i in range(sliders.shape[0]):
+        q[i] = 0.0
+        steepest = 1.0  # cosine of the angle between the limb that leans most and its slider
+        for j in range(limbs.shape[0]):
+            speed = (sliders[i, j] - before[i, 0, j]) / h if ticks[i] > 0 else 0.0
+            acceleration = (speed - before[i, 1, j]) / h if ticks[i] > 1 else 0.0
+            before[i, 0, j], before[i, 1, j] = sliders[i, j], speed
+            q[i, 0] = max(q[i, 0], abs(sliders[i, j]))
+            q[i, 1] = max(q[i, 1], abs(speed))
+            q[i, 2] = max(q[i, 2], abs(acceleration))
+            s = slider(limbs[j], pose_W[i], arm)
+            along = 0.0
+            for c in range(3):
+                along += limbs[j, 3 + c] * (pose_W[i, c] + arm[c] - limbs[j, c])
+            steepest = min(steepest, (along - s) / limbs[j, 9])
+        q[i, 3] = math.degrees(math.acos(max(steepest, -1.0)))
+        error = 0.0
+        for c in range(3):
+            error += (pose_before[i, c] - pose[i, c]) ** 2
+        q[i, 4] = math.sqrt(error)
+        for s in range(wrench_sub.shape[1]):
+            w = wrench_sub[i, s]
+            q[i, 5] = max(q[i, 5], math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2))
+            q[i, 6] = max(q[i, 6], math.sqrt(w[3] ** 2 + w[4] ** 2 + w[5] ** 2))
+        q[i, 7] = energy[i]
+        ticks[i] += 1
+        for c in range(q.shape[1]):
+            passed = passed or q[i, c] > limits[i, c]
+    return passed
