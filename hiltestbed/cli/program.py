@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from hiltestbed.cli import devices, scenarios, studies
+from hiltestbed.cli import contact, devices, scenarios, studies
 from hiltestbed.errors import HiltestbedError, InputError, printable
 from hiltestbed.process import interrupt
 from hiltestbed.run_folder.folders import FIGURES_APART
@@ -60,7 +60,7 @@ def _root(
         plugins.load(plugin)
 
 
-for group in (scenarios, studies, devices):
+for group in (scenarios, contact, studies, devices):
     for command in group.app.registered_commands:
         command.epilog = (
             "With every command: --plugin MODULE, --figures (explained by hiltestbed --help)."

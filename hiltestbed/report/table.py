@@ -46,8 +46,8 @@ def print_run(
     )
 
 
-def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
-    """Prints the figures of a benchmark and the path of its report to standard output."""
+def print_lines(title: str, lines: list[tuple[str, str]], folder: Path | None) -> None:
+    """Prints figures, and the path of their report if there is one, to standard output."""
     table = _table(title, header=False)
     table.add_column("figure")
     table.add_column("value", justify="right")
@@ -55,7 +55,8 @@ def print_lines(title: str, lines: list[tuple[str, str]], folder: Path) -> None:
         table.add_row(label, value)
     console = Console(highlight=False)
     console.print(table)
-    console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+    if folder is not None:
+        console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
 
 
 def print_comparison(
