@@ -14,7 +14,6 @@ a datagram contains several records, and the client uses the last.
 from __future__ import annotations
 
 import struct
-import time
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -31,7 +30,7 @@ from hiltestbed.devices.interface import (
     SensorClient,
     SensorServer,
 )
-from hiltestbed.devices.sequence import Sequence
+from hiltestbed.devices.sequence import Advancing, Sequence
 from hiltestbed.devices.url import DeviceSettings, Port
 from hiltestbed.errors import InputError
 
@@ -113,7 +112,8 @@ class RdtClient(SensorClient):
             np.frombuffer(self._buffer, ">i4", 6, i * RECORD.size + 12) for i in range(MOST_RECORDS)
         ]
         self._sequence = Sequence(self.counts)
-        self._sample = -1
+        self._wrench = np.zeros(6)
+        self._samples = Advancing(self.counts, 32)  # the sensor's own counter
         self._socket = None
 
     def open(self) -> None:
@@ -127,6 +127,7 @@ class RdtClient(SensorClient):
         self._socket = sockets.connected_udp(address, self.where)
         for _ in range(TRIES):
             self._sequence.restart()
+            self._samples.restart()
             self.counts[:] = 0
             self._request(BUFFERED if settings.mode == "buffered" else REALTIME)
             if self.wait(PATIENCE):
@@ -182,21 +183,12 @@ class RdtClient(SensorClient):
         rdt, sample, status, *_ = RECORD.unpack_from(self._buffer, i * RECORD.size)
         if not self._sequence.judge(rdt):
             return False
-        if status & ~self.settings.ignore_status:
-            self.counts[Event.STATUS] += 1
-            self.reading.status = status
+        status = status if status & ~self.settings.ignore_status else 0
+        if not status and not self._samples.judge(sample):  # the sensor itself has no new sample
             return False
-        if sample == self._sample:  # the sensor itself has no new sample
-            self.counts[Event.REPEATED] += 1
-            return False
-        self._sample = sample
-        self.counts[Event.RECEIVED] += 1
-        np.multiply(self._records[i], self._scale, out=self.reading.wrench)
-        self.reading.sequence = self._sequence.newest
-        self.reading.device_time = sample * self._internal_period
-        self.reading.status = 0
-        self.reading.arrival = time.monotonic_ns()
-        return True
+        np.multiply(self._records[i], self._scale, out=self._wrench)
+        number, time = self._sequence.newest, sample * self._internal_period
+        return self.reading.take(self._wrench, self.counts, number, time, status)
 
     def _request(self, command: int) -> None:
         if self._socket is None:

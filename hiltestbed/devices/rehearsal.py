@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 
+from hiltestbed.devices.clock import SECOND
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.section import Devices, MotionLimits
 from hiltestbed.devices.session import Options, Session
@@ -56,6 +57,7 @@ class _Follower(PlatformClient):
 
 def rehearse(scenario: Scenario) -> None:
     """Make a complete run of :data:`TICKS` ticks."""
+    devices = _PushedSensor("rehearsal"), _Follower("rehearsal")
     short = scenario.model_copy(update={"duration": TICKS / scenario.rate, "devices": _UNWATCHED})
     session = Session(
         short,
@@ -63,7 +65,8 @@ def rehearse(scenario: Scenario) -> None:
             "",
             "",
             armed=True,
-            connect=lambda *_: (_PushedSensor("rehearsal"), _Follower("rehearsal")),
+            now=lambda: round(devices[1].state.sequence * scenario.tick * SECOND),
+            connect=lambda *_: devices,
         ),
     )
     session.devices.sensor.poll()

@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import math
 import socket
-import time
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -197,12 +196,8 @@ class RsiClient(PlatformClient):
             self.counts[Event.LATE] += 1
         self._robot, self._answered = sender, False
         self._compare(read_count(message.attributes.get("Delay", {}).get("D")))
-        self.counts[Event.RECEIVED] += 1
-        self.state.pose[:] = poses.pose_from_kuka(frame)
-        self.state.sequence = ipoc
-        self.state.device_time = ipoc * MILLISECOND
-        self.state.arrival = time.monotonic_ns()
-        return True
+        pose = poses.pose_from_kuka(frame)
+        return self.state.take(pose, self.counts, ipoc, ipoc * MILLISECOND)
 
     def _compare(self, delay: int | None) -> None:
         """Count the answers that the controller reports as late, beyond the telegrams known to be

@@ -124,6 +124,7 @@ def against(
     platform: str,
     before: Callable[[Emulator], Collection[str]] = lambda emulator: (),
     armed: bool = True,
+    faster: Callable[[], float] = lambda: 1.0,
 ) -> Iterator[tuple[Options, Emulator]]:
     """Options for a session against the emulated rig of ``emulated``, which moves when the session
     waits for it.
@@ -131,6 +132,7 @@ def against(
     Args:
         before: called before each cycle of the devices; the devices whose record of this cycle does
             not arrive in it.
+        faster: how much faster than the wall clock the devices' clock runs.
     """
     urls = urls_of(platform)
     emulator = Emulator(emulated, urls.emulated_sensor, urls.emulated_platform)
@@ -162,4 +164,12 @@ def against(
                 emulator.cycle()
 
     with emulator, going(step, 0.002):
-        yield Options(urls.sensor, urls.platform, armed=armed, pace=pace, connect=clients), emulator
+        options = Options(
+            urls.sensor,
+            urls.platform,
+            armed=armed,
+            pace=pace,
+            now=lambda: round(1e9 * emulator.cycles * emulator.rig.period / faster()),
+            connect=clients,
+        )
+        yield options, emulator

@@ -40,7 +40,16 @@ def test_an_independent_robot_and_sensor_play_a_run() -> None:
     sensor = IndependentRdtSensor(lambda k: [7_000_000, 0, 0, 0, 0, 0])  # 7 N before the tare
     try:
         url = f"rdt://127.0.0.1:{sensor.port}?counts_per_force={COUNTS}&counts_per_torque={COUNTS}"
-        session = Session(scenario, Options(url, f"rsi://127.0.0.1:{port}?connect=5", armed=True))
+        session = Session(
+            scenario,
+            Options(
+                url,
+                f"rsi://127.0.0.1:{port}?connect=5",
+                armed=True,
+                # this robot's time passes with the answers: its clock is the wall clock here
+                now=lambda: robot.ipoc * 1_000_000,
+            ),
+        )
         with session.connected():
             observed = session.observe()
             session.run()

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hiltestbed.devices.interface import Event
-from hiltestbed.devices.sequence import Sequence
+from hiltestbed.devices.sequence import Advancing, Sequence
 
 
 def _follow(
@@ -51,11 +52,37 @@ def test_a_reader_that_has_paused_goes_on_with_the_second_record() -> None:
     assert sequence.newest == 20_002
 
 
-def test_a_device_that_counts_from_the_start_again_goes_on_with_the_second_record() -> None:
+@pytest.mark.parametrize("bits", [8, 16, 32, 62])
+def test_numbers_that_are_sent_again_are_never_news(bits: int) -> None:
+    """Whether one by one, in blocks, or counted from the start again: the past is not news."""
+    count = np.zeros(len(Event), dtype=np.int64)
+    sequence, top = Sequence(count, bits), (1 << bits) - 40
+    first = [(top + k) % (1 << bits) for k in range(80)]  # over the wrap
+    assert all(sequence.judge(n) for n in first)
+    again = [*first, *reversed(first), *first[10:40] * 3]
+    assert not any(sequence.judge(n) for n in again)
+    assert count[[Event.REPEATED, Event.REORDERED]].sum() == len(again)
+    assert sequence.judge((first[-1] + 1) % (1 << bits))
+
+
+def test_a_device_that_counts_from_the_start_again_is_not_believed() -> None:
     judged, counts, sequence = _follow([4_000_000, 0, 4_000_001, 7, 3, 4, 5])
-    assert judged == [True, False, True, False, False, True, True]
-    assert (counts[Event.MALFORMED], counts[Event.LOST]) == (3, 0)
-    assert sequence.newest == 4_000_003
+    assert judged == [True, False, True, False, False, False, False]
+    assert (counts[Event.MALFORMED], counts[Event.LOST]) == (5, 0)
+    assert sequence.newest == 4_000_001
+
+
+@pytest.mark.parametrize("bits", [0, 16, 32])
+def test_a_counter_of_any_steps_has_to_advance(bits: int) -> None:
+    counts = np.zeros(len(Event), dtype=np.int64)
+    samples = Advancing(counts, bits)
+    numbers = [3, 10, 10, 9, 10_000, 3, 10_001]
+    assert [samples.judge(n) for n in numbers] == [True, True, False, False, True, False, True]
+    assert (counts[Event.REPEATED], counts[Event.REORDERED]) == (1, 2)
+    if bits:
+        top = (1 << bits) - 1
+        samples.restart()
+        assert [samples.judge(n) for n in (top, 4, top)] == [True, True, False]
 
 
 def test_a_stream_with_losses_and_swaps_is_accounted_for() -> None:
