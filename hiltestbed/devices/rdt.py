@@ -14,10 +14,12 @@ a datagram contains several records, and the client uses the last.
 from __future__ import annotations
 
 import struct
-from typing import ClassVar, Literal
+from collections.abc import Iterable
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
 from hiltestbed.config.validation import Positive
 from hiltestbed.devices import rdt_page, sockets
@@ -47,6 +49,21 @@ ERROR = 1 << 31  # of the status word: set with any other bit
 TRIES, PATIENCE = 10, 0.1
 
 
+def _force(unit: str) -> str:
+    return _unit(unit, rdt_page.force_factor(unit), rdt_page.FORCE)
+
+
+def _torque(unit: str) -> str:
+    return _unit(unit, rdt_page.torque_factor(unit), rdt_page.TORQUE)
+
+
+def _unit(unit: str, factor: float | None, known: Iterable[str]) -> str:
+    if factor is None:
+        said = {"got": repr(unit), "known": ", ".join(known)}
+        raise PydanticCustomError("unit", "is no unit (got {got}); allowed: {known}", said)
+    return unit
+
+
 class RdtSettings(DeviceSettings):
     """Options of ``rdt://``. Options that are not given are read from the device's page; without a
     page they must be given.
@@ -59,10 +76,10 @@ class RdtSettings(DeviceSettings):
     counts_per_torque: Positive | None = Field(
         default=None, description="counts per unit of torque"
     )
-    force_unit: Literal["N", "kN", "lbf", "klbf", "kgf"] = Field(
+    force_unit: Annotated[str, AfterValidator(_force)] = Field(
         default="N", description="unit of force to which counts_per_force refers"
     )
-    torque_unit: Literal["N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kgf-cm"] = Field(
+    torque_unit: Annotated[str, AfterValidator(_torque)] = Field(
         "N-m", description="unit of torque to which counts_per_torque refers"
     )
     rate: Positive | None = Field(default=None, description="rate of the records [Hz]")
