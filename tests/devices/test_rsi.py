@@ -219,7 +219,7 @@ def test_telegrams_that_are_not_understood_are_described(telegram: str) -> None:
         client = platform_client(f"rsi://127.0.0.1:{port}?connect=0.3")
         with (
             going(lambda: robot.sendto(telegram.encode(), ("127.0.0.1", port)), 0.02),
-            pytest.raises(DeviceError, match="telegrams arrive from 127.0.0.1") as refused,
+            pytest.raises(DeviceError, match=r"telegrams arrive from 127.0.0.1") as refused,
         ):
             client.open()
     assert re.search(ODD[telegram], str(refused.value))
