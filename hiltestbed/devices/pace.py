@@ -81,11 +81,16 @@ class DevicePace:
         return (self._link.sample.sequence - self._first) / self._numbers
 
     def advice(self, factor: float) -> str:
+        whole = round(max(factor, 1.0 / factor)) if factor > 0.0 else 1
+        near = whole if factor > 1.0 else 1.0 / whole
+        if abs(factor / near - 1.0) <= RATE_ERROR:  # measured to a fraction of a per cent
+            factor = near
         records = factor * self._records / self._tick
         return (
-            f"its records arrive at {records:.4g} Hz where {self._records / self._tick:.4g} Hz "
-            f"were expected: set rate to {factor / self._tick:.4g} (--set rate=...), or give the "
-            f"true rate in the device's URL (rate={records:.4g})"
+            f"its records arrive at some {records:.4g} Hz where "
+            f"{self._records / self._tick:.4g} Hz were expected: set rate to "
+            f"{factor / self._tick:.4g} (--set rate=...), or give the true rate in the device's "
+            f"URL (rate={records:.4g})"
         )
 
     def _wait(self, deadline: float) -> bool:

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import time
 
-from hiltestbed.devices.clock import SECOND
 from hiltestbed.devices.interface import PlatformClient, SensorClient
+from hiltestbed.devices.pace import AtOnce
 from hiltestbed.devices.section import Devices, MotionLimits
 from hiltestbed.devices.session import Options, Session
 from hiltestbed.frames import Array
@@ -57,7 +57,6 @@ class _Follower(PlatformClient):
 
 def rehearse(scenario: Scenario) -> None:
     """Make a complete run of :data:`TICKS` ticks."""
-    devices = _PushedSensor("rehearsal"), _Follower("rehearsal")
     short = scenario.model_copy(update={"duration": TICKS / scenario.rate, "devices": _UNWATCHED})
     session = Session(
         short,
@@ -65,8 +64,8 @@ def rehearse(scenario: Scenario) -> None:
             "",
             "",
             armed=True,
-            now=lambda: round(devices[1].state.sequence * scenario.tick * SECOND),
-            connect=lambda *_: devices,
+            pace=lambda *_: AtOnce(),
+            connect=lambda *_: (_PushedSensor("rehearsal"), _Follower("rehearsal")),
         ),
     )
     session.devices.sensor.poll()

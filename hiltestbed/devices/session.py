@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.devices.clock import SECOND
 from hiltestbed.devices.emulate import with_rate
 from hiltestbed.devices.interface import DeviceError, PlatformClient, SensorClient
 from hiltestbed.devices.motion import run_down, run_up, travel
@@ -53,8 +54,9 @@ class Options:
         say: called with a message when the platform is about to move.
         record: file to which the rows are written as they are produced, in case the process dies;
             None: they stay in memory until the end.
-        pace: creates the :class:`Pace` from sensor, platform and tick; now: the wall clock [ns];
-            for tests without a clock.
+        pace: creates the :class:`Pace` from sensor, platform and tick; for tests without a clock.
+            now: the wall clock [ns]; None: that of the machine, or with a pace of one's own the
+            time that it tells.
     """
 
     sensor: str
@@ -63,7 +65,7 @@ class Options:
     cpu: int | None = None
     record: Path | None = None
     pace: MakePace = pace_of
-    now: Now = time.monotonic_ns
+    now: Now | None = None
     say: Callable[[str], None] = lambda step: None
     connect: Callable[[Scenario, Options], tuple[SensorClient, PlatformClient]] = field(
         default=lambda *a: clients(*a)
@@ -119,7 +121,9 @@ class Session:
     def __init__(self, scenario: Scenario, options: Options) -> None:
         self.scenario, self.options, self.armed = scenario, options, options.armed
         self.devices = Connected(*options.connect(scenario, options))
-        self.rig = DeviceRig(scenario, self.devices, scenario.ticks + 1, options.now)
+        clock = time.monotonic_ns if options.pace is pace_of else self._time_told
+        self._now: Now = options.now or clock
+        self.rig = DeviceRig(scenario, self.devices, scenario.ticks + 1, self._now)
         self.loop = Loop([scenario], side=side_of(self.rig))
         self.trace = Trace(scenario.ticks, 1, scenario.rate, self.rig.units)
         self.granted = Granted()
@@ -164,6 +168,7 @@ class Session:
         ticks = round(max(OBSERVED, tare) * self.scenario.rate)
         readings, shown = np.zeros((2, max(ticks, 2), 6))
         rig.watch()
+        observed = self._now() + round(OBSERVED * SECOND)  # by the wall clock, not by ticks
         for k in range(len(readings)):
             self._hold()
             readings[k], shown[k] = rig.wrench_sub[0, 0], rig.shown
@@ -172,11 +177,9 @@ class Session:
             rig.tare[:] = readings[-max(round(tare * self.scenario.rate), 2) :].mean(axis=0)
         until = time.monotonic() + READY
         watchdog = self.devices.watchdog
-        while (
-            watchdog is not None
-            and not watchdog.ready
-            and time.monotonic() < until
-            and rig.stop is None
+        while rig.stop is None and (
+            self._now() < observed
+            or (watchdog is not None and not watchdog.ready and time.monotonic() < until)
         ):
             self._hold()
         if watchdog is not None and not watchdog.ready and rig.stop is None:
@@ -195,6 +198,9 @@ class Session:
             self._counts(),
             refused or rig.stop,
         )
+
+    def _time_told(self) -> int:
+        return round(self.devices.pace.told() * self.scenario.tick * SECOND)
 
     def _other_rate(self) -> str | None:
         """Why the rate of the clock is not that of the scenario; None if it is."""

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from hiltestbed.devices.interface import Event
+from hiltestbed.devices.layout import Layout, Record
 from hiltestbed.devices.sequence import Advancing, Sequence
+from hiltestbed.devices.udp_receiver import Receiver
 
 
 def _follow(
@@ -100,3 +102,26 @@ def test_a_stream_with_losses_and_swaps_is_accounted_for() -> None:
     new, last = sum(judged), int(kept.max())
     assert counts[Event.REORDERED] == len(kept) - new
     assert new + counts[Event.LOST] == last - int(kept[0]) + 1
+
+
+@pytest.mark.parametrize(("kind", "scale"), [("uint32", 1e-6), ("float64", 1.0)])
+def test_records_without_a_number_are_ordered_by_their_time(kind: str, scale: float) -> None:
+    """A counter of microseconds wraps after 71 minutes, a floating-point time never."""
+    wrench = [{"name": name, "type": "float64"} for name in ("fx", "fy", "fz", "tx", "ty", "tz")]
+    time = {"name": "time", "type": kind, "scale": scale}
+    layout = Layout.model_validate({"sensor": [time, *wrench]})
+    counts = np.zeros(len(Event), dtype=np.int64)
+    receiver = Receiver(Record(layout, "sensor"), counts, lambda: True)
+    sent, sender = Record(layout, "sensor"), ("127.0.0.1", 1)
+
+    def is_news(seconds: float) -> bool:
+        data = sent.pack(np.zeros(6), 0, seconds)
+        receiver._view[: len(data)] = data
+        return receiver._take(len(data), sender)
+
+    top = (1 << 32) * 1e-6
+    judged = [is_news(t) for t in (1.0, 1.001, 1.001, 0.5, 1.002, top - 0.001)]
+    assert judged == [True, True, False, False, True, kind == "float64"]
+    assert (counts[Event.REPEATED], counts[Event.REORDERED]) == (1, 2 - (kind == "float64"))
+    if kind == "uint32":
+        assert [is_news(t) for t in (2000.0, top - 0.001, 0.001, top - 0.001)] == [1, 1, 1, 0]
