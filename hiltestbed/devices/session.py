@@ -28,7 +28,7 @@ from hiltestbed.devices.realtime import Granted, prepared
 from hiltestbed.devices.recorder import TraceRecorder
 from hiltestbed.devices.side import Connected, DeviceRig, side_of
 from hiltestbed.devices.table import platform_client, sensor_client, settings_of
-from hiltestbed.devices.timekeeping import RATE_ERROR, Now
+from hiltestbed.devices.timekeeping import Now
 from hiltestbed.devices.watch import said
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import HiltestbedError
@@ -39,7 +39,9 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.signals import CYCLE, Trace
 from hiltestbed.simulation import Run, collected, concluded, reference_scenario, simulate
 
-OBSERVED = 1.0  # [s] least time for which the devices are observed before the start
+# [s] least time for which the devices are observed before the start, and longest, while their rate
+# cannot be told
+OBSERVED, LONGEST = 1.0, 10.0
 READY = 20.0  # [s] to wait for the watchdog's process
 
 MakePace = Callable[[SensorClient, PlatformClient, float], Pace]
@@ -168,7 +170,8 @@ class Session:
         ticks = round(max(OBSERVED, tare) * self.scenario.rate)
         readings, shown = np.zeros((2, max(ticks, 2), 6))
         rig.watch()
-        observed = self._now() + round(OBSERVED * SECOND)  # by the wall clock, not by ticks
+        # by the wall clock, not by ticks
+        observed, longest = (self._now() + round(s * SECOND) for s in (OBSERVED, LONGEST))
         for k in range(len(readings)):
             self._hold()
             readings[k], shown[k] = rig.wrench_sub[0, 0], rig.shown
@@ -179,6 +182,7 @@ class Session:
         watchdog = self.devices.watchdog
         while rig.stop is None and (
             self._now() < observed
+            or (self._now() < longest and self.rig.time.is_right() is None)
             or (watchdog is not None and not watchdog.ready and time.monotonic() < until)
         ):
             self._hold()
@@ -204,9 +208,9 @@ class Session:
 
     def _other_rate(self) -> str | None:
         """Why the rate of the clock is not that of the scenario; None if it is."""
-        factor, pace = self.rig.time.factor(), self.devices.pace
-        if abs(factor - 1.0) <= RATE_ERROR:
+        if self.rig.time.is_right():
             return None
+        factor, pace = self.rig.time.factor, self.devices.pace
         return (
             f"{pace.source}: sets the clock, and by the wall clock it runs at "
             f"{self.rig.time.rate:.5g} ticks a second; the scenario's rate is "

@@ -13,10 +13,9 @@ import time
 from collections.abc import Callable
 
 RATE_ERROR = 0.01  # largest relative deviation of a clock's rate from the scenario's
-# [s] over which a rate is measured: records that arrive up to 50 ms late, alone or in a burst,
-# then change the slope of the regression by less than RATE_ERROR
-WINDOW = 1.0
+WINDOW = 1.0  # [s] after which a rate is judged
 LEAST = 20  # ticks in a window
+DOUBT = 12.0  # residuals over the window that a rate is uncertain by; derived in is_right
 NANOSECOND = 1e-9  # [s]
 
 Now = Callable[[], int]  # the wall clock [ns], monotonic
@@ -28,6 +27,7 @@ class Timekeeper:
     Attributes:
         fault: why the motion has to stop; None while both times agree.
         rate: ticks a second that the clock has told in the last window, by the wall clock [Hz].
+            factor: that over the scenario's rate.
         worst: largest difference between model time and wall time since :meth:`start` [s].
     """
 
@@ -37,7 +37,7 @@ class Timekeeper:
         self._now = now
         self._last = now()  # of the last tick
         self._checked = False
-        self.rate = math.nan
+        self.rate = self.factor = math.nan
         self.watch()
 
     def watch(self) -> None:
@@ -57,9 +57,9 @@ class Timekeeper:
         self._window()
 
     def _window(self) -> None:
-        """Begin a window: sums of wall time, told time, its products, and the number of records."""
+        """Begin a window: number of records, sums of wall time x, told time y and products."""
         self._opened, self._told = self._now(), -math.inf
-        self._sums = [0.0] * 5
+        self._sums = [0.0] * 6
 
     def ticked(self, ticks: int, told: float) -> None:
         """A tick begins.
@@ -73,7 +73,8 @@ class Timekeeper:
         late = wall - (self._ticks + 1) * self._tick
         self._ticks += ticks
         early = self._ticks * self._tick - wall
-        self._add((now - self._opened) * NANOSECOND, told)
+        seconds = (now - self._opened) * NANOSECOND
+        self._add(seconds, told)
         if not self._checked:
             return
         apart, sign = max((late, "behind"), (early, "ahead of"))
@@ -83,30 +84,44 @@ class Timekeeper:
                 f"model time is {1e3 * apart:.1f} ms {sign} the wall clock; "
                 f"devices.limits.time_offset is {1e3 * self._limit:g} ms"
             )
-        if now - self._opened > max(WINDOW, LEAST * self._tick) / NANOSECOND:
-            factor = self.factor()
-            self._window()
-            if abs(factor - 1.0) > RATE_ERROR and self.fault is None:
+        if seconds > max(WINDOW, LEAST * self._tick):
+            right = self.is_right()
+            if right is False and self.fault is None:
                 self.fault = (
-                    f"in the last second it ran at {self.rate:.5g} Hz by the wall clock; the "
+                    f"in the last {seconds:.1f} s it ran at {self.rate:.5g} Hz by the wall clock; the "
                     f"scenario's rate is {1.0 / self._tick:g} Hz (limit {100.0 * RATE_ERROR:g} %)"
                 )
+            if right is not None:
+                self._window()
 
     def _add(self, x: float, told: float) -> None:
         if not told > self._told:  # no new record
             return
         y = told * self._tick
         self._told = told
-        for i, value in enumerate((1.0, x, y, x * x, x * y)):
+        for i, value in enumerate((1.0, x, y, x * x, x * y, y * y)):
             self._sums[i] += value
 
-    def factor(self) -> float:
-        """Rate of the clock over the scenario's, since the window began: the slope of the
-        regression of the time that its records tell on the wall clock. 0 for one that stands still.
+    def is_right(self) -> bool | None:
+        """Whether the clock has run at the scenario's rate since the window began; None where that
+        cannot be told yet, because its records came too unevenly.
+
+        The rate is the slope of the regression of the time that its records tell on the wall clock;
+        a clock that stands still has none. Records that were held back, or a clock that paused
+        once, for d leave a residual of d/4 (root mean square) in a window T with a slope that is
+        off by 1.5 d/T: six times the residual over T covers that, twice as much also a pause of a
+        third of the window, without records. With T it vanishes.
         """
-        n, x, y, xx, xy = self._sums
-        spread = n * xx - x * x
-        # of three records and fewer a slope is as uncertain as their arrival
-        factor = (n * xy - x * y) / spread if n > 3 and spread > 0.0 else 0.0
-        self.rate = factor / self._tick
-        return factor
+        n, x, y, xx, xy, yy = self._sums
+        spread = xx - x * x / n if n > 3 else 0.0  # of fewer records a slope is nothing
+        if spread <= 0.0:
+            self.factor = self.rate = 0.0
+            return False
+        self.factor = (xy - x * y / n) / spread
+        self.rate = self.factor / self._tick
+        residual = math.sqrt(max(yy - y * y / n - self.factor**2 * spread, 0.0) / n)
+        length = math.sqrt(12.0 * spread / n)
+        off = abs(self.factor - 1.0)
+        if off <= RATE_ERROR:
+            return True
+        return None if off - DOUBT * residual / length <= RATE_ERROR else False

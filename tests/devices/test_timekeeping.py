@@ -40,15 +40,17 @@ def _faults(arrivals: np.ndarray, limit: float | None = LIMIT) -> tuple[float, s
     """
     wall = Wall()
     keeper = Timekeeper(TICK, limit, wall)
-    factor = np.nan
+    factor, right = np.nan, None
     for k, at in enumerate(arrivals):
         wall.at = float(at)
         keeper.ticked(1, k)
         if np.isnan(factor) and at >= 2.0:
-            factor = keeper.factor()
+            right = keeper.is_right()
+            factor = keeper.factor
             keeper.start()
         if keeper.fault is not None:
             break
+    assert right is (abs(factor - 1.0) <= RATE_ERROR)
     return factor, keeper.fault, wall.at
 
 
@@ -134,7 +136,38 @@ def test_a_clock_that_is_silent_has_no_rate() -> None:
     for _ in range(2000):
         wall.at += TICK
         keeper.ticked(1, 7.0)
-    assert keeper.factor() == 0.0
+    assert keeper.is_right() is False
+    assert keeper.rate == 0.0
+
+
+@pytest.mark.parametrize("held", [0.03, 0.1, 0.25])
+def test_one_stall_of_a_busy_machine_is_waited_out(held: float) -> None:
+    """Records held back, and a clock that paused, look like another rate at first: that cannot be
+    told, and after a while it can.
+    """
+    for change in (lambda t: np.maximum(t, held), lambda t: t + held):
+        wall, after = Wall(), np.arange(60_000) * TICK
+        keeper = Timekeeper(TICK, LIMIT, wall)
+        found = []
+        arrivals = np.concatenate([np.arange(500) * TICK, 0.5 + change(after)])
+        for k in np.flatnonzero(np.diff(arrivals)):  # of those that come at once, the newest
+            wall.at = at = float(arrivals[k])
+            keeper.ticked(1, k)
+            if k % 50 == 49 and at > 1.0:
+                found.append(keeper.is_right())
+        assert False not in found
+        assert found[-1] is True
+
+
+def test_a_clock_that_pauses_again_and_again_has_its_mean_rate() -> None:
+    wall = Wall()
+    keeper = Timekeeper(TICK, None, wall)
+    keeper.start()
+    for k in range(10_000):
+        wall.at += TICK + (0.003 if k % 100 == 99 else 0.0)
+        keeper.ticked(1, k)
+    assert keeper.fault is not None
+    assert "it ran at 9" in keeper.fault
 
 
 @pytest.mark.parametrize(
