@@ -88,8 +88,9 @@ class Timekeeper:
             right = self.is_right()
             if right is False and self.fault is None:
                 self.fault = (
-                    f"in the last {seconds:.1f} s it ran at {self.rate:.5g} Hz by the wall clock; the "
-                    f"scenario's rate is {1.0 / self._tick:g} Hz (limit {100.0 * RATE_ERROR:g} %)"
+                    f"in the last {seconds:.1f} s it ran at {self.rate:.5g} Hz by the wall clock; "
+                    f"the scenario's rate is {1.0 / self._tick:g} Hz (limit "
+                    f"{100.0 * RATE_ERROR:g} %)"
                 )
             if right is not None:
                 self._window()
