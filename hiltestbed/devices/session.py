@@ -28,7 +28,7 @@ from hiltestbed.devices.realtime import Granted, prepared
 from hiltestbed.devices.recorder import TraceRecorder
 from hiltestbed.devices.side import Connected, DeviceRig, side_of
 from hiltestbed.devices.table import platform_client, sensor_client, settings_of
-from hiltestbed.devices.timekeeping import Now
+from hiltestbed.devices.timekeeping import SimulatedClock, WallClock
 from hiltestbed.devices.watch import said
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import HiltestbedError
@@ -57,8 +57,8 @@ class Options:
         record: file to which the rows are written as they are produced, in case the process dies;
             None: they stay in memory until the end.
         pace: creates the :class:`Pace` from sensor, platform and tick; for tests without a clock.
-            now: the wall clock [ns]; None: that of the machine, or with a pace of one's own the
-            time that it tells.
+            clock: the wall clock; None: that of the machine, or with a pace of one's own the time
+            that it tells.
     """
 
     sensor: str
@@ -67,7 +67,7 @@ class Options:
     cpu: int | None = None
     record: Path | None = None
     pace: MakePace = pace_of
-    now: Now | None = None
+    clock: WallClock | None = None
     say: Callable[[str], None] = lambda step: None
     connect: Callable[[Scenario, Options], tuple[SensorClient, PlatformClient]] = field(
         default=lambda *a: clients(*a)
@@ -123,8 +123,8 @@ class Session:
     def __init__(self, scenario: Scenario, options: Options) -> None:
         self.scenario, self.options, self.armed = scenario, options, options.armed
         self.devices = Connected(*options.connect(scenario, options))
-        clock = time.monotonic_ns if options.pace is pace_of else self._time_told
-        self._now: Now = options.now or clock
+        machines = options.pace is pace_of
+        self._now = options.clock or (WallClock() if machines else SimulatedClock(self._told))
         self.rig = DeviceRig(scenario, self.devices, scenario.ticks + 1, self._now)
         self.loop = Loop([scenario], side=side_of(self.rig))
         self.trace = Trace(scenario.ticks, 1, scenario.rate, self.rig.units)
@@ -203,8 +203,8 @@ class Session:
             refused or rig.stop,
         )
 
-    def _time_told(self) -> int:
-        return round(self.devices.pace.told() * self.scenario.tick * SECOND)
+    def _told(self) -> float:
+        return self.devices.pace.told() * self.scenario.tick
 
     def _other_rate(self) -> str | None:
         """Why the rate of the clock is not that of the scenario; None if it is."""

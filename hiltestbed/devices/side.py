@@ -23,7 +23,7 @@ from hiltestbed.devices.guard import Guard
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.mounting import Mounting
 from hiltestbed.devices.pace import AtOnce, Pace
-from hiltestbed.devices.timekeeping import Now, Timekeeper
+from hiltestbed.devices.timekeeping import Timekeeper, WallClock
 from hiltestbed.devices.watch import CommunicationWatch
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import InputError
@@ -122,7 +122,7 @@ class DeviceRig:
         scenario: Scenario,
         connected: Connected,
         ticks: int,
-        now: Now = time.monotonic_ns,
+        clock: WallClock | None = None,
     ) -> None:
         if scenario.rig.platform.physical:
             kind = scenario.rig.platform.kind
@@ -134,7 +134,7 @@ class DeviceRig:
         self.scenario, self.connected, self.tick = scenario, connected, tick
         self.mounting = Mounting(scenario.devices)
         self.guard = Guard(scenario.devices.limits, tick)
-        self.time = Timekeeper(tick, scenario.devices.limits.time_offset, now)
+        self.time = Timekeeper(tick, scenario.devices.limits.time_offset, clock or WallClock())
         self._bound_values()
         communication = scenario.devices.communication
         self._watches = (

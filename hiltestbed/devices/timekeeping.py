@@ -18,11 +18,37 @@ LEAST = 20  # ticks in a window
 DOUBT = 12.0  # residuals over the window that a rate is uncertain by; derived in is_right
 NANOSECOND = 1e-9  # [s]
 
-Now = Callable[[], int]  # the wall clock [ns], monotonic
+
+class WallClock:
+    """The machine's monotonic clock."""
+
+    def __call__(self) -> int:
+        """The time [ns]."""
+        return time.monotonic_ns()
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+class SimulatedClock(WallClock):
+    """The time that a function tells [s], and what has been slept."""
+
+    def __init__(self, told: Callable[[], float]) -> None:
+        self._told, self._slept = told, 0.0
+
+    def __call__(self) -> int:
+        return round((self._told() + self._slept) / NANOSECOND)
+
+    def sleep(self, seconds: float) -> None:
+        self._slept += seconds
 
 
 class Timekeeper:
-    """Compares the ticks of a loop with the wall clock.
+    """Compares the ticks of a loop with the wall clock, and holds back those that come too early.
+
+    A record may be late, but not early: the earliest records of a clock show its phase. While the
+    platform moves, no tick begins earlier against that phase than a clock that is fast by
+    :data:`RATE_ERROR` would begin it.
 
     Attributes:
         fault: why the motion has to stop; None while both times agree.
@@ -31,11 +57,12 @@ class Timekeeper:
         worst: largest difference between model time and wall time since :meth:`start` [s].
     """
 
-    def __init__(self, tick: float, limit: float | None, now: Now = time.monotonic_ns) -> None:
+    def __init__(self, tick: float, limit: float | None, clock: WallClock) -> None:
         """``tick`` [s]; ``limit`` [s] of the difference in any cycle, None for none."""
         self._tick, self._limit = tick, math.inf if limit is None else limit
-        self._now = now
-        self._last = now()  # of the last tick
+        self._now = clock
+        self._last = clock()  # of the last tick
+        self._phase = 0.0  # [s] by which the earliest ticks are ahead of the wall clock
         self._checked = False
         self.rate = self.factor = math.nan
         self.watch()
@@ -43,11 +70,14 @@ class Timekeeper:
     def watch(self) -> None:
         """Begin to measure the rate while nothing moves."""
         self._checked = False
+        self._phase = -math.inf
         self._zero(self._now())
 
     def start(self) -> None:
         """From the last tick on both times are compared: the platform may move."""
         self._checked = True
+        last = self._ticks * self._tick - (self._last - self._begin) * NANOSECOND
+        self._phase = max(self._phase - last, 0.0)
         self._zero(self._last)
 
     def _zero(self, at: int) -> None:
@@ -62,19 +92,23 @@ class Timekeeper:
         self._sums = [0.0] * 6
 
     def ticked(self, ticks: int, told: float) -> None:
-        """A tick begins.
+        """A tick is to begin; returns when it may, once it would be too early.
 
         Args:
             ticks: that have begun since the last call; all but one are made up for.
             told: ticks since the start by the clock's own count.
         """
-        now = self._last = self._now()
+        now = self._now()
+        slack = (now - self._last) * NANOSECOND * RATE_ERROR
+        self._last = now
         wall = (now - self._begin) * NANOSECOND
         late = wall - (self._ticks + 1) * self._tick
         self._ticks += ticks
         early = self._ticks * self._tick - wall
         seconds = (now - self._opened) * NANOSECOND
         self._add(seconds, told)
+        latest = self._phase + slack
+        self._phase = max(self._phase - slack, min(early, latest) if self._checked else early)
         if not self._checked:
             return
         apart, sign = max((late, "behind"), (early, "ahead of"))
@@ -94,6 +128,8 @@ class Timekeeper:
                 )
             if right is not None:
                 self._window()
+        if early > latest and self.fault is None:
+            self._now.sleep(early - latest)
 
     def _add(self, x: float, told: float) -> None:
         if not told > self._told:  # no new record

@@ -18,6 +18,7 @@ from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.pace import DevicePace, Pace
 from hiltestbed.devices.session import Observed, Options, Session, clients
+from hiltestbed.devices.timekeeping import SimulatedClock
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import Run
 from tests.devices.running import free_ports, going, until
@@ -169,7 +170,7 @@ def against(
             urls.platform,
             armed=armed,
             pace=pace,
-            now=lambda: round(1e9 * emulator.cycles * emulator.rig.period / faster()),
+            clock=SimulatedClock(lambda: emulator.cycles * emulator.rig.period / faster()),
             connect=clients,
         )
         yield options, emulator

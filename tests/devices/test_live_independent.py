@@ -10,6 +10,7 @@ import pytest
 from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.rdt import RdtServer
 from hiltestbed.devices.session import Options, Session
+from hiltestbed.devices.timekeeping import SimulatedClock
 from hiltestbed.devices.watch import CommunicationLimits
 from tests.devices.independent.rdt_peer import IndependentRdtClient, IndependentRdtSensor
 from tests.devices.independent.rsi_peer import IndependentRobot, IndependentSensorSystem
@@ -47,7 +48,7 @@ def test_an_independent_robot_and_sensor_play_a_run() -> None:
                 f"rsi://127.0.0.1:{port}?connect=5",
                 armed=True,
                 # this robot's time passes with the answers: its clock is the wall clock here
-                now=lambda: robot.ipoc * 1_000_000,
+                clock=SimulatedClock(lambda: 1e-3 * robot.ipoc),
             ),
         )
         with session.connected():
