@@ -146,6 +146,6 @@ print("goes on")
 """
 
 
-def test_what_is_ignored_stays_ignored() -> None:
+def test_a_hang_up_that_is_ignored_stays_ignored() -> None:
     ended = subprocess.run([sys.executable, "-c", IGNORED], capture_output=True, timeout=60)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"goes on\n", b"")

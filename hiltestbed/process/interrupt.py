@@ -33,9 +33,9 @@ def install() -> None:
 
 def like_ctrl_c() -> None:
     """Handle the other signals that end a program like Ctrl-C from now on, so that it gives back
-    the shared memory and the semaphores that it holds; one that is ignored (nohup) stays ignored.
+    the shared memory and the semaphores that it holds; a hang-up that is ignored (nohup) stays so.
     """
-    taken = [n for n in ENDINGS if signal.getsignal(n) is not signal.SIG_IGN]
+    taken = [n for n in ENDINGS if n.name != "SIGHUP" or signal.getsignal(n) is not signal.SIG_IGN]
     # Python's process that removes what others leave must not be ended by what ends its group
     for number in taken:
         signal.signal(number, signal.SIG_IGN)
