@@ -78,6 +78,11 @@ class {name}(Fmi3Slave):
         self.side = PackedSide(self, "{factory}", Path(self.resources) / "{scenario}")
         self.default_experiment = DefaultExperiment(start_time=0.0, step_size=self.side.period)
 
+    def to_xml(self, *options):
+        root = super().to_xml(*options)
+        root.find("CoSimulation").set("fixedInternalStepSize", repr(self.side.period))
+        return root
+
     def do_step(self, current_time, step_size):
         problem = self.side.advance(current_time, step_size)
         if problem:

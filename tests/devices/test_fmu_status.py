@@ -215,6 +215,7 @@ def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_time_of_a_packed_side_advances_with_that_of_the_tool(packed: Path) -> None:
     description = fmpy.read_model_description(str(packed))
     assert float(description.defaultExperiment.stepSize) == PERIOD
+    assert float(description.coSimulation.fixedInternalStepSize) == PERIOD
     references = {v.name: v.valueReference for v in description.modelVariables}
     for start in (0.0, 5.0):
         slave = FMU3Slave(
