@@ -236,7 +236,8 @@ class CoSimulation:
     """An FMU that is stepped from Python: ``open``, then ``step`` by ``step``, then ``close``.
 
     Attributes:
-        ended: [s] when the FMU has ended the simulation (terminateSimulation); None: it has not.
+        time: [s] up to which the FMU has been stepped. ended: [s] when it has ended the simulation
+            (terminateSimulation); None: it has not.
     """
 
     def __init__(self, path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> None:
@@ -252,7 +253,7 @@ class CoSimulation:
         self._outputs, self._out_unit = self._references(outputs, "output")
         self._slave: Any = None
         self._unpacked = ""
-        self._time = 0.0
+        self.time = 0.0
         self.ended: float | None = None
 
     def open(self) -> None:
@@ -279,11 +280,11 @@ class CoSimulation:
                 return status
 
         def clock() -> float:
-            return self._time
+            return self.time
 
         self._unpacked = fmpy.extract(str(self.path))
         identifier = self._description.coSimulation.modelIdentifier
-        self._time, self.ended = 0.0, None
+        self.time, self.ended = 0.0, None
         try:
             self._slave = Slave(
                 guid=self._description.guid,
@@ -314,24 +315,24 @@ class CoSimulation:
         with self._obeyed() as slave:
             factor, offset = self._in_unit
             slave.setFloat64(self._inputs, ((values - offset) / factor).tolist())
-            self._advance(slave, self._time + period)
+            self._advance(slave, self.time + period)
         return self.outputs()
 
     def _advance(self, slave: Any, until: float) -> None:
         """Step until ``until`` [s], in parts where the FMU returns early."""
         while True:
-            _, ended, early, last = slave.doStep(self._time, until - self._time)
+            _, ended, early, last = slave.doStep(self.time, until - self.time)
             if ended:
-                self.ended = last if self._time <= last <= until else until
+                self.ended = last if self.time <= last <= until else until
             if ended or not early or last >= until:
-                self._time = until if self.ended is None else self.ended
+                self.time = until if self.ended is None else self.ended
                 return
-            if not last > self._time:
+            if not last > self.time:
                 raise DeviceError(
-                    f"{self.path}: the FMU returned early at t = {self._time:.6f} s without having "
+                    f"{self.path}: the FMU returned early at t = {self.time:.6f} s without having "
                     f"advanced; it cannot be stepped to {until:.6f} s"
                 )
-            self._time = last
+            self.time = last
 
     def outputs(self) -> Array:
         """The present outputs, in SI. Raises DeviceError."""
@@ -340,7 +341,7 @@ class CoSimulation:
             outputs = np.array(slave.getFloat64(self._outputs)) * factor + offset
         if not np.isfinite(outputs).all():
             raise DeviceError(
-                f"{self.path}: the FMU gave a value that is not finite at t = {self._time:.6f} s"
+                f"{self.path}: the FMU gave a value that is not finite at t = {self.time:.6f} s"
             )
         return outputs
 
@@ -357,7 +358,7 @@ class CoSimulation:
             # after an error the FMU must not be called again, not even to terminate it
             self._slave = None
             raise DeviceError(
-                f"{self.path}: the FMU failed at t = {self._time:.6f} s ({error})"
+                f"{self.path}: the FMU failed at t = {self.time:.6f} s ({error})"
             ) from None
 
     def close(self) -> None:

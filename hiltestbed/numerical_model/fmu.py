@@ -4,6 +4,7 @@ run.
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from hiltestbed.devices.fmu import POSE, TWIST, WRENCH, CoSimulation
+from hiltestbed.devices.interface import DeviceError
+from hiltestbed.devices.layout import UNIT_LENGTH
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.numerical_model.model import NumericalModel
@@ -49,6 +52,12 @@ class FmuModel(NumericalModel):
             if i in self.ended:
                 continue
             values = part.step(wrench[i], self.tick)
+            if not abs(math.hypot(*values[3:7]) - 1.0) <= UNIT_LENGTH:
+                given = ", ".join(f"{value:.4g}" for value in values[3:7])
+                raise DeviceError(
+                    f"{part.path}: pose.qx ... qw is no rotation at t = {part.time:.6f} s (got "
+                    f"{given}); allowed are quaternions of length 1"
+                )
             self.pose[i], self.twist[i] = values[:7], values[7:]
             if part.ended is not None:
                 self.ended[i] = (

@@ -204,6 +204,21 @@ def test_a_unit_that_is_none_of_the_quantity_is_refused(
         CoSimulation(fmu, ["wrench.fz"], [])
 
 
+def test_an_output_that_is_no_rotation_is_a_failure_with_its_time(
+    built, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fmu, whole = built(), CoSimulation.outputs
+
+    def turned(self: CoSimulation) -> np.ndarray:
+        values = whole(self)
+        values[3:7] *= 1.0 - 0.1 * (self.time > 0.2999)
+        return values
+
+    monkeypatch.setattr(CoSimulation, "outputs", turned)
+    with pytest.raises(DeviceError, match=r"no rotation at t = 0.300000 s \(got 0, 0, 0, 0.9\)"):
+        _run(fmu)
+
+
 @pytest.fixture(scope="module")
 def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("packed")

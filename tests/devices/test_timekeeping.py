@@ -155,7 +155,9 @@ def test_one_stall_of_a_busy_machine_is_waited_out(held: float) -> None:
         keeper = Timekeeper(TICK, LIMIT, wall)
         found = []
         arrivals = np.concatenate([np.arange(500) * TICK, 0.5 + change(after)])
-        for k in np.flatnonzero(np.diff(arrivals)):  # of those that come at once, the newest
+        for k in np.flatnonzero(
+            np.diff(arrivals)
+        ).tolist():  # of those that come at once, the newest
             wall.at = at = float(arrivals[k])
             keeper.ticked(1, k)
             if k % 50 == 49 and at > 1.0:
