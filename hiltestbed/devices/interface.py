@@ -38,7 +38,9 @@ LONGEST_DRAIN = 256  # datagrams processed per poll: a flood must not stall the 
 # [N], [N m] and [m] beyond which no value is physical, whatever the scenario: some hundred times
 # the range of the largest force sensors, and more than any hall
 LARGEST_LOAD, FARTHEST = 1.0e7, 1.0e3
-UNIT_LENGTH = 1.01  # largest component of a quaternion, with the rounding of short number formats
+LARGEST_COMPONENT = (
+    1.01  # largest component of a quaternion, with the rounding of short number formats
+)
 
 
 class DeviceError(HiltestbedError):
@@ -137,7 +139,7 @@ class PoseState(Sample):
 
     def __init__(self) -> None:
         self.pose: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-        super().__init__(self.pose, np.repeat([FARTHEST, UNIT_LENGTH], [3, 4]))
+        super().__init__(self.pose, np.repeat([FARTHEST, LARGEST_COMPONENT], [3, 4]))
 
 
 class Link(ABC):

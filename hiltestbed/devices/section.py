@@ -85,7 +85,7 @@ class MotionLimits(Strictly):
     time_offset: Positive | None = Field(
         default=0.02,
         description="Largest difference between model time and wall time in any cycle, since the "
-        "platform was armed [s]; null: no limit. A clock that is 100 ppm off needs 200 s for the "
+        "platform was armed [s]; null: 1 s. A clock that is 100 ppm off needs 200 s for the "
         "default",
     )
 

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 
 RATE_ERROR = 0.01  # largest relative deviation of a clock's rate from the scenario's
-WINDOW = 1.0  # [s] after which a rate is judged
+WINDOW = 1.0  # [s] after which a rate is judged; no larger difference of the times is allowed
 LEAST = 20  # ticks in a window
 DOUBT = 12.0  # residuals over the window that a rate is uncertain by; derived in is_right
 NANOSECOND = 1e-9  # [s]
@@ -58,8 +58,8 @@ class Timekeeper:
     """
 
     def __init__(self, tick: float, limit: float | None, clock: WallClock) -> None:
-        """``tick`` [s]; ``limit`` [s] of the difference in any cycle, None for none."""
-        self._tick, self._limit = tick, math.inf if limit is None else limit
+        """``tick`` [s]; ``limit`` [s] of the difference in any cycle, None: :data:`WINDOW`."""
+        self._tick, self._limit = tick, WINDOW if limit is None else limit
         self._now = clock
         self._last = clock()  # of the last tick
         self._phase = 0.0  # [s] by which the earliest ticks are ahead of the wall clock
@@ -92,7 +92,7 @@ class Timekeeper:
         self._sums = [0.0] * 6
 
     def ticked(self, ticks: int, told: float) -> None:
-        """A tick is to begin; returns when it may, once it would be too early.
+        """A tick is to begin; waits if it comes too early.
 
         Args:
             ticks: that have begun since the last call; all but one are made up for.
