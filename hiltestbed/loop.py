@@ -182,7 +182,7 @@ class Loop:
         self.sensor.feel(k, self._wrench)
         lost = self._kept(trace)(k)
         passed = self.safety.passed(plant, self._pose_before, self.tally.energy)
-        if passed or lost:
+        if passed or lost or self.model.ended:
             self._end_runs()
         plant.finish()
         self.k = k + 1
@@ -254,7 +254,7 @@ class Loop:
     def _end_runs(self) -> None:
         """End the runs that diverged or passed a safety limit at this tick."""
         for i in map(int, np.flatnonzero(self.alive)):
-            reason = self.safety.reason(i)
+            reason = self.safety.reason(i) or self.model.ended.get(i)
             if self.plant.diverged[i]:
                 self.trouble[i] = (self.k, "diverged", self.plant.divergence(i))
             elif not np.all(np.abs(self.drive.pose[i]) <= POSE_LIMIT):

@@ -4,9 +4,13 @@ the tests of its commands.
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 LATE = """
 import os, signal, sys
@@ -79,3 +83,69 @@ main()
 def test_ctrl_c_while_the_program_is_being_loaded_ends_it_in_a_word() -> None:
     ended = subprocess.run([sys.executable, "-c", EARLY], capture_output=True, timeout=60)
     assert (ended.returncode, ended.stderr) == (1, b"interrupted\n")
+
+
+HOLDING = """
+import os, signal, sys, time
+from hiltestbed.devices.ring import Ring
+from hiltestbed.process import interrupt
+from hiltestbed.process.workers import end_pool, new_pool
+if __name__ == "__main__":
+    interrupt.install()
+    interrupt.like_ctrl_c()
+    ring, pool = Ring(3, 8), new_pool(1)
+    try:
+        try:
+            pool.submit(int, 3).result()
+            print(ring.name, flush=True)
+            time.sleep(60.0)
+        finally:
+            end_pool(pool)
+            ring.close()
+    except KeyboardInterrupt:
+        sys.exit(3)
+"""
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="shared memory is elsewhere")
+@pytest.mark.parametrize("group", [False, True])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_no_ending_leaves_shared_memory_or_semaphores(
+    number: signal.Signals, group: bool, tmp_path: Path
+) -> None:
+    """Whether it reaches the program alone, or, from a terminal, all of its processes at once."""
+    program = tmp_path / "holding.py"
+    program.write_text(HOLDING)
+    before = set(os.listdir("/dev/shm"))
+    with subprocess.Popen(
+        [sys.executable, str(program)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as running:
+        assert running.stdout is not None
+        name = running.stdout.readline().strip()
+        mine = {name} | {n for n in set(os.listdir("/dev/shm")) - before if n.startswith("sem.mp")}
+        assert name in os.listdir("/dev/shm")
+        (os.killpg if group else os.kill)(running.pid, number)
+        told = running.communicate(timeout=60)[1]
+    assert (running.returncode, told) == (3, "")
+    assert not mine & set(os.listdir("/dev/shm"))
+
+
+IGNORED = """
+import signal
+signal.signal(signal.SIGHUP, signal.SIG_IGN)
+from hiltestbed.process import interrupt
+interrupt.install()
+interrupt.like_ctrl_c()
+import os
+os.kill(os.getpid(), signal.SIGHUP)
+print("goes on")
+"""
+
+
+def test_a_hang_up_that_is_ignored_stays_ignored() -> None:
+    ended = subprocess.run([sys.executable, "-c", IGNORED], capture_output=True, timeout=60)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"goes on\n", b"")

@@ -5,7 +5,6 @@ fmu`.
 from __future__ import annotations
 
 import json
-import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hiltestbed.cli.options import Json, Sets, read_scenario
+from hiltestbed.process import interrupt
 
 if TYPE_CHECKING:
     from hiltestbed.devices.session import Observed
@@ -82,7 +82,7 @@ def live(
     spec = _for_seconds(scenario, sets, seconds)
     folder = out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-live"))
     refuse_foreign(folder)
-    _end_like_ctrl_c()
+    interrupt.like_ctrl_c()
     # remains if the process dies; deleted once the run is written
     rows = folder.with_name(folder.name + ".rows.f64")
     result = run_live(spec, Options(sensor, platform, armed=arm, cpu=cpu, record=rows, say=_say))
@@ -118,7 +118,7 @@ def emulate(
     """Emulate the physical side of a scenario in real time, with the protocols of real devices."""
     from hiltestbed.devices.emulate import emulate as run_emulation
 
-    _end_like_ctrl_c()
+    interrupt.like_ctrl_c()
     spec = read_scenario(scenario, sets)
 
     def ready() -> None:
@@ -169,7 +169,7 @@ def commission(
         out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-commission"))
     )
     refuse_foreign(folder, RESULT)
-    _end_like_ctrl_c()
+    interrupt.like_ctrl_c()
     with step_line(spec.name) as progress:
         result = run_commission(
             spec, Options(sensor, platform, armed=arm, cpu=cpu, say=_say), force, progress
@@ -250,22 +250,18 @@ def _say(step: str) -> None:
     print(step, file=sys.stderr, flush=True)
 
 
-def _end_like_ctrl_c() -> None:
-    """Handle SIGTERM like Ctrl-C: hold the platform and write the run folder."""
-    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
-
-
 def _print_observed(observed: Observed, scenario: Scenario, as_json: bool) -> None:
     figures: dict[str, Any] = {
         "armed": False,
         "rate": observed.rate,
+        "fault": observed.fault,
         "pose": [float(v) for v in observed.pose],
         "wrench": [float(v) for v in observed.wrench],
         "noise": [float(v) for v in observed.noise],
         "events": observed.counts,
     }
     if as_json:
-        print(json.dumps(figures))
+        print(json.dumps(figures, allow_nan=False))
         return
     print(
         f"not armed: nothing was commanded; {observed.rate:.1f} ticks a second, the scenario asks "
@@ -278,6 +274,9 @@ def _print_observed(observed: Observed, scenario: Scenario, as_json: bool) -> No
             f"  {name}: "
             + ", ".join(f"{event} {count}" for event, count in counts.items() if count)
         )
+    if observed.fault is not None:
+        print(f"--arm would be refused: {observed.fault}")
+        return
     print("give --arm to let the platform move; read docs/safety.md first")
 
 

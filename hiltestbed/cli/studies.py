@@ -10,6 +10,7 @@ import typer
 
 from hiltestbed.cli.options import Json, Out, Sets, overrides
 from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.process import interrupt
 from hiltestbed.run_folder.folders import free_folder, safe_name
 
 app = typer.Typer()
@@ -172,6 +173,7 @@ def sweep(
             "--workers is for this machine and --scheduler for a cluster; allowed is one of the two"
         )
     refuse_unknown(campaign, campaign_names())
+    interrupt.like_ctrl_c()
     tell_of_compiling()
     spec = load_campaign(find_scenario(campaign), overrides(sets))
     folder = out if out is not None else default_folder(spec)

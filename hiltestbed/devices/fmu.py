@@ -12,11 +12,13 @@ once per step therefore adds up to one communication step of delay to the loop.
 
 from __future__ import annotations
 
+import logging
 import math
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,18 +28,43 @@ import numpy as np
 
 from hiltestbed.config.validation import nearest
 from hiltestbed.devices.interface import Array, DeviceError
+from hiltestbed.devices.layout import UNIT_LENGTH
 from hiltestbed.errors import Fault, HiltestbedError, InputError, MissingExtra
+from hiltestbed.measured.units import UNITS
 from hiltestbed.run_folder.folders import is_file
 
 POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
 WHOLE = 1e-6  # of a tick: largest deviation of a communication step from a whole number of ticks
 SCENARIO = "scenario.yaml"  # its name among the FMU's resources
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+# SI unit by the last part of a variable's name
+SI = (
+    dict.fromkeys(POSE[:3], "m")
+    | dict.fromkeys(POSE[3:], "1")
+    | dict.fromkeys(WRENCH[:3], "N")
+    | dict.fromkeys(WRENCH[3:], "N m")
+    | dict.fromkeys(TWIST[:3], "m/s")
+    | dict.fromkeys(TWIST[3:], "rad/s")
+)
+BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
+DIMENSIONS = {  # exponents of the base units
+    "1": (0,) * 7,
+    "m": (0, 1, 0, 0, 0, 0, 0),
+    "m/s": (0, 1, -1, 0, 0, 0, 0),
+    "rad/s": (0, 0, -1, 0, 0, 0, 0),
+    "N": (1, 1, -2, 0, 0, 0, 0),
+    "N m": (1, 2, -2, 0, 0, 0, 0),
+}
+WARNING = 1  # fmi3Status
+# calls that return an fmi3Status while the FMU runs
+STATUS_CALLS = ("fmi3DoStep", "fmi3SetFloat64", "fmi3GetFloat64")
+_LOG = logging.getLogger(__name__)
 
 _SCRIPT = """\
 from pathlib import Path
 
-from pythonfmu3 import Fmi3Slave, Fmi3Status, Fmi3StepResult
+from pythonfmu3 import DefaultExperiment, Fmi3Slave, Fmi3Status, Fmi3StepResult
 
 from hiltestbed.devices.fmu import PackedSide
 
@@ -49,9 +76,15 @@ class {name}(Fmi3Slave):
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         self.side = PackedSide(self, "{factory}", Path(self.resources) / "{scenario}")
+        self.default_experiment = DefaultExperiment(start_time=0.0, step_size=self.side.period)
+
+    def to_xml(self, *options):
+        root = super().to_xml(*options)
+        root.find("CoSimulation").set("fixedInternalStepSize", repr(self.side.period))
+        return root
 
     def do_step(self, current_time, step_size):
-        problem = self.side.advance(step_size)
+        problem = self.side.advance(current_time, step_size)
         if problem:
             self.log(problem, Fmi3Status.error)
         return Fmi3StepResult(status=Fmi3Status.error if problem else Fmi3Status.ok)
@@ -76,34 +109,49 @@ class PhysicalSide(Protocol):
 
 
 class PackedSide:
-    """The physical side inside an FMU: registers its variables with the slave and steps it."""
+    """The physical side inside an FMU: registers its variables with the slave and steps it.
+
+    Attributes:
+        time: [s] of the tool that steps the FMU; 0 until its first step, since PythonFMU3 does not
+            pass the start time on. period: of a tick [s].
+    """
 
     def __init__(self, slave: Any, factory: str, scenario: Path) -> None:
         self.side = _made(factory)(scenario)
+        self.time, self.period = 0.0, self.side.period
         self._command: Array = np.array(self.side.pose, dtype=float)
         self._register(slave)
 
-    def advance(self, step: float) -> str:
-        """Advance by a communication step [s]; returns an error message or "", since an exception
-        would end the tool that steps the FMU.
+    def advance(self, current: float, step: float) -> str:
+        """Advance from ``current`` by a communication step [s]; returns an error message or "",
+        since an exception would end the tool that steps the FMU.
         """
-        ticks = round(step / self.side.period)
-        if ticks < 1 or abs(step / self.side.period - ticks) > WHOLE:
+        ratio = step / self.period
+        ticks = round(ratio) if math.isfinite(ratio) else 0
+        if ticks < 1 or abs(ratio - ticks) > WHOLE:
             return (
                 f"the communication step is not a whole number of ticks (got {step:g} "
-                f"s); allowed: multiples of {self.side.period:g} s"
+                f"s); allowed: multiples of {self.period:g} s"
+            )
+        length = math.hypot(*self._command[3:])
+        # false for NaN as well
+        if not (abs(length - 1.0) <= UNIT_LENGTH and np.isfinite(self._command).all()):
+            given = ", ".join(f"{value:.6g}" for value in self._command)
+            return (
+                f"pose_cmd is no pose (got {given}); allowed: finite numbers, and a quaternion of "
+                f"length 1 (qx, qy, qz, qw)"
             )
         try:
             for _ in range(ticks):
                 self.side.step(self._command)
         except HiltestbedError as error:
             return str(error)
+        self.time = current + step
         return ""
 
     def _register(self, slave: Any) -> None:
         from pythonfmu3 import Float64, Fmi3Causality
 
-        self.time = 0.0
         slave.register_variable(
             Float64("time", causality=Fmi3Causality.independent, getter=lambda: self.time)
         )
@@ -185,32 +233,60 @@ def pack(
 
 
 class CoSimulation:
-    """An FMU that is stepped from Python: ``open``, then ``step`` by ``step``, then ``close``."""
+    """An FMU that is stepped from Python: ``open``, then ``step`` by ``step``, then ``close``.
+
+    Attributes:
+        time: [s] up to which the FMU has been stepped. ended: [s] when it has ended the simulation
+            (terminateSimulation); None: it has not.
+    """
 
     def __init__(self, path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """``inputs`` and ``outputs``: names of Float64 variables of the FMU. Raises MissingExtra;
-        InputError with every fault.
+        """``inputs`` and ``outputs``: names of Float64 variables of the FMU, whose last part tells
+        the quantity (:data:`SI`); they are set and returned in SI. Raises MissingExtra; InputError
+        with every fault.
         """
         if find_spec("fmpy") is None:
             raise MissingExtra("stepping an FMU", "fmi")
         self.path = path
         self._description = _described(path)
-        self._inputs = self._references(inputs, "input")
-        self._outputs = self._references(outputs, "output")
+        self._inputs, self._in_unit = self._references(inputs, "input")
+        self._outputs, self._out_unit = self._references(outputs, "output")
         self._slave: Any = None
         self._unpacked = ""
-        self._time = 0.0
+        self.time = 0.0
+        self.ended: float | None = None
 
     def open(self) -> None:
         """Unpack and start at time 0. Raises DeviceError if the FMU does not start."""
         import fmpy
         from fmpy.fmi3 import FMU3Slave
 
+        path, said = self.path, set()
+
+        class Slave(FMU3Slave):
+            """Logs what the FMU warns of, once each."""
+
+            def _call(self, fname: str, *args: Any) -> Any:
+                status = super()._call(fname, *args)
+                if status == WARNING and fname in STATUS_CALLS and fname not in said:
+                    said.add(fname)
+                    _LOG.warning(
+                        "%s: %s returned a warning at t = %.6f s; its results are used, further "
+                        "warnings of this call are not reported",
+                        path,
+                        fname,
+                        clock(),
+                    )
+                return status
+
+        def clock() -> float:
+            return self.time
+
         self._unpacked = fmpy.extract(str(self.path))
         identifier = self._description.coSimulation.modelIdentifier
-        self._time = 0.0
+        self.time, self.ended = 0.0, None
         try:
-            self._slave = FMU3Slave(
+            self._slave = Slave(
                 guid=self._description.guid,
                 unzipDirectory=self._unpacked,
                 modelIdentifier=identifier,
@@ -228,41 +304,69 @@ class CoSimulation:
             ) from error
 
     def step(self, values: Array, period: float) -> Array:
-        """Set the inputs, step by ``period`` [s], and return the outputs at its end. Raises
-        DeviceError if the FMU fails.
+        """Set the inputs, step by ``period`` [s], and return the outputs at its end, or where the
+        FMU has ended the simulation: :attr:`ended`. Raises DeviceError if the FMU fails, or has
+        ended the simulation before.
         """
+        if self.ended is not None:
+            raise DeviceError(
+                f"{self.path}: the FMU has ended the simulation at t = {self.ended:.6f} s"
+            )
+        with self._obeyed() as slave:
+            factor, offset = self._in_unit
+            slave.setFloat64(self._inputs, ((values - offset) / factor).tolist())
+            self._advance(slave, self.time + period)
+        return self.outputs()
+
+    def _advance(self, slave: Any, until: float) -> None:
+        """Step until ``until`` [s], in parts where the FMU returns early."""
+        while True:
+            _, ended, early, last = slave.doStep(self.time, until - self.time)
+            if ended:
+                self.ended = last if self.time <= last <= until else until
+            if ended or not early or last >= until:
+                self.time = until if self.ended is None else self.ended
+                return
+            if not last > self.time:
+                raise DeviceError(
+                    f"{self.path}: the FMU returned early at t = {self.time:.6f} s without having "
+                    f"advanced; it cannot be stepped to {until:.6f} s"
+                )
+            self.time = last
+
+    def outputs(self) -> Array:
+        """The present outputs, in SI. Raises DeviceError."""
+        with self._obeyed() as slave:
+            factor, offset = self._out_unit
+            outputs = np.array(slave.getFloat64(self._outputs)) * factor + offset
+        if not np.isfinite(outputs).all():
+            raise DeviceError(
+                f"{self.path}: the FMU gave a value that is not finite at t = {self.time:.6f} s"
+            )
+        return outputs
+
+    @contextmanager
+    def _obeyed(self) -> Iterator[Any]:
+        """The instance, for calls whose status is obeyed: discard, error and fatal end it."""
         from fmpy.fmi1 import FMICallException
 
         if self._slave is None:
             raise DeviceError(f"{self.path}: is not open")
         try:
-            self._slave.setFloat64(self._inputs, values.tolist())
-            self._slave.doStep(self._time, period)
-            outputs = np.array(self._slave.getFloat64(self._outputs))
+            yield self._slave
         except FMICallException as error:
             # after an error the FMU must not be called again, not even to terminate it
             self._slave = None
             raise DeviceError(
-                f"{self.path}: the FMU failed at t = {self._time:.6f} s ({error})"
+                f"{self.path}: the FMU failed at t = {self.time:.6f} s ({error})"
             ) from None
-        self._time += period
-        if not all(map(math.isfinite, outputs)):
-            raise DeviceError(
-                f"{self.path}: the FMU gave a value that is not finite at t = {self._time:.6f} s"
-            )
-        return outputs
-
-    def outputs(self) -> Array:
-        """The present outputs. Raises DeviceError."""
-        if self._slave is None:
-            raise DeviceError(f"{self.path}: is not open")
-        return np.array(self._slave.getFloat64(self._outputs))
 
     def close(self) -> None:
         """Terminate the FMU and remove the unpacked files; may be called twice."""
         if self._slave is not None:
-            self._slave.terminate()
-            self._slave.freeInstance()
+            with suppress(DeviceError), self._obeyed() as slave:
+                slave.terminate()
+                slave.freeInstance()
             self._slave = None
         if self._unpacked:
             shutil.rmtree(self._unpacked, ignore_errors=True)
@@ -275,7 +379,10 @@ class CoSimulation:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _references(self, names: Sequence[str], causality: str) -> list[int]:
+    def _references(
+        self, names: Sequence[str], causality: str
+    ) -> tuple[list[int], tuple[Array, Array]]:
+        """Value references, and factors and offsets (n,) from the FMU's units to SI."""
         known = {
             v.name: v
             for v in self._description.modelVariables
@@ -289,9 +396,46 @@ class CoSimulation:
                     f"allowed: {', '.join(known) or 'none'}"
                 )
                 faults.append(Fault(str(self.path), None, None, name, message))
+        units = []
+        for name in set(names) & set(known):
+            try:
+                units.append((name, self._unit(known[name])))
+            except ValueError as error:
+                faults.append(Fault(str(self.path), None, None, name, str(error)))
         if faults:
             raise InputError(faults)
-        return [known[name].valueReference for name in names]
+        to_si = np.array([dict(units)[name] for name in names]).reshape(-1, 2)
+        return [known[name].valueReference for name in names], (to_si[:, 0], to_si[:, 1])
+
+    def _unit(self, variable: Any) -> tuple[float, float]:
+        """Factor and offset from the unit in which a variable is declared to SI (FMI 3.0, section
+        2.4.3); ``displayUnit`` is not the unit. Raises ValueError for a unit of something else.
+        """
+        declared = variable.declaredType
+        unit = variable.unit or (declared.unit if declared is not None else None)
+        si = SI.get(variable.name.rpartition(".")[2])
+        if unit is None or si is None:
+            return 1.0, 0.0
+        defined = {d.name: d.baseUnit for d in self._description.unitDefinitions}
+        base = defined.get(unit)
+        if base is None:  # defined by its name only
+            factor = UNITS.get(si, {}).get(unit.replace(".", " "))
+            if factor is None:
+                raise ValueError(
+                    f"has the unit {unit!r}, which the FMU does not define by base units; define "
+                    f"it there (BaseUnit), or declare {si}"
+                )
+            return factor, 0.0
+        # a plane angle is a ratio: rad may be given or not
+        exponents = tuple(getattr(base, name) for name in BASE)
+        if exponents != DIMENSIONS[si]:
+            given = " ".join(f"{n}^{e}" for n, e in zip(BASE, exponents, strict=True) if e) or "1"
+            raise ValueError(
+                f"has the unit {unit!r} ({given}), which is no unit of this quantity; declare it "
+                f"in {si}, or a multiple of it"
+            )
+        relative = variable.relativeQuantity or getattr(declared, "relativeQuantity", None)
+        return float(base.factor), 0.0 if relative else float(base.offset)
 
 
 def _silent(*_: object) -> None:

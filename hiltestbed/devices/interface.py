@@ -35,6 +35,12 @@ Array = NDArray[np.float64]
 # [s] of busy waiting around an instant; an ordinary kernel oversleeps by about as much
 SPIN = 150e-6
 LONGEST_DRAIN = 256  # datagrams processed per poll: a flood must not stall the loop
+# [N], [N m] and [m] beyond which no value is physical, whatever the scenario: some hundred times
+# the range of the largest force sensors, and more than any hall
+LARGEST_LOAD, FARTHEST = 1.0e7, 1.0e3
+LARGEST_COMPONENT = (
+    1.01  # largest component of a quaternion, with the rounding of short number formats
+)
 
 
 class DeviceError(HiltestbedError):
@@ -50,7 +56,7 @@ class Event(IntEnum):
     REPEATED = 3  # the newest record again, or a device whose own sample counter does not advance
     REORDERED = 4  # older than the newest
     STALE = 5  # cycles in which the newest sample was older than allowed
-    MALFORMED = 6  # not a record of this protocol
+    MALFORMED = 6  # not a record of this protocol, or one with values that are not physical
     STATUS = 7  # the device reports an error
     SENDER = 8  # from an address other than the device's
     GONE = 9  # the connection was refused or closed
@@ -69,17 +75,51 @@ class Sample:
     """The newest good record of a device, updated in place.
 
     Attributes:
+        values: of the record, in SI. largest: largest physical magnitude of each.
+        implausible: the last values that were refused, for messages; None for none.
         sequence: the device's own number of the record; -1 before the first.
         device_time: by the device's clock [s]; NaN if the protocol has none.
         status: the device's status, 0 for no error.
         arrival: when it was received, monotonic clock [ns].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, values: Array, largest: Array) -> None:
+        self.values, self.largest = values, largest
+        self.implausible: str | None = None
         self.sequence = -1
         self.device_time = math.nan
         self.status = 0
         self.arrival = 0
+
+    def take(
+        self,
+        values: Array,
+        counts: NDArray[np.int64],
+        sequence: int,
+        device_time: float,
+        status: int = 0,
+    ) -> bool:
+        """Take in a record that is news, unless its status is an error or a value is not physical
+        (or NaN): that is counted, nothing else changes, and False is returned.
+        """
+        self.status = status
+        if status:
+            counts[Event.STATUS] += 1
+            return False
+        within = np.abs(values) <= self.largest  # false for NaN as well
+        if not within.all():
+            counts[Event.MALFORMED] += 1
+            i = int(np.argmin(within))
+            self.implausible = (
+                f"value {i + 1} of {len(values)} is {values[i]:.4g}, which is not physical here "
+                f"(largest magnitude {self.largest[i]:.4g}, SI)"
+            )
+            return False
+        counts[Event.RECEIVED] += 1
+        self.values[:] = values
+        self.sequence, self.device_time = sequence, device_time
+        self.arrival = time.monotonic_ns()
+        return True
 
     def age(self) -> float:
         """Time since it was received [s]; infinite before the first."""
@@ -90,16 +130,16 @@ class Reading(Sample):
     """A sample of a force sensor: ``wrench`` (6,) [N, N m] in the sensor's frame."""
 
     def __init__(self) -> None:
-        super().__init__()
         self.wrench: Array = np.zeros(6)
+        super().__init__(self.wrench, np.full(6, LARGEST_LOAD))
 
 
 class PoseState(Sample):
     """A sample of a platform: the pose (7,) that it has reached, in its base frame."""
 
     def __init__(self) -> None:
-        super().__init__()
         self.pose: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        super().__init__(self.pose, np.repeat([FARTHEST, LARGEST_COMPONENT], [3, 4]))
 
 
 class Link(ABC):
@@ -167,10 +207,15 @@ class Link(ABC):
 
 
 class SensorClient(Link):
-    """The loop's side of a force sensor; ``reading`` is its newest good record."""
+    """The loop's side of a force sensor; ``reading`` is its newest good record.
+
+    Attributes:
+        clock: who paces the cycle if the platform does not.
+    """
 
     def __init__(self, where: str) -> None:
         super().__init__(where)
+        self.clock = Clock.DEVICE
         self.reading = Reading()
 
     @property
@@ -250,9 +295,16 @@ class PlatformServer(Link):
 
     def __init__(self, where: str) -> None:
         super().__init__(where)
-        self.command: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        self._commands = PoseState()
+        self.command: Array = self._commands.pose
         self.commanded = False
         self.stopped: str | None = None
+
+    def _obey(self, pose: Array) -> bool:
+        """Follow a commanded pose (7,); one that is not physical is counted and not followed."""
+        taken = self._commands.take(pose, self.counts, 0, math.nan)
+        self.commanded = self.commanded or taken
+        return taken
 
     @abstractmethod
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:

@@ -225,8 +225,10 @@ class Record:
     Attributes:
         size: of the record [byte].
         sequence_bits: width of the counter; 0 if there is none.
+        clock_bits: width of the time on the wire if it is an unsigned counter, which wraps; else 0.
         sequence, time, flag: of the record last unpacked; ``flag`` is the status, or the stop of a
             command.
+        clock: the time as on the wire; None if there is none.
         values: (6,) the wrench or (7,) the pose of the record last unpacked, and of the one to
             pack.
     """
@@ -245,8 +247,14 @@ class Record:
         self._wide = crc == "I"
         self._fields = [field for field in body if field.name != "pad"]
         self.size = self._body.size + (self._crc.size if self._crc else 0)
-        numbers = [field.type for field in body if field.name == "sequence"]
-        self.sequence_bits = 8 * struct.calcsize(CODES[numbers[0]]) if numbers else 0
+        self.sequence_bits, self.clock_bits = (
+            sum(
+                8 * struct.calcsize(CODES[field.type])
+                for field in body
+                if field.name == name and field.type.startswith("uint")
+            )
+            for name in ("sequence", "time")
+        )
         self._names = (
             FORCE
             if kind == "sensor"
@@ -255,6 +263,7 @@ class Record:
         self._turned = self._names[-1] == "rz" and kind != "sensor"
         self._flag = "stop" if kind == "command" else "status"
         self.sequence, self.time, self.flag = 0, math.nan, 0
+        self.clock: float | None = None
         self.values: Array = np.zeros(6 if kind == "sensor" else 7)
 
     def unpack(self, data: bytes | bytearray | memoryview) -> bool:
@@ -266,7 +275,7 @@ class Record:
         ):
             return False
         wire = self._body.unpack_from(data)
-        found = {}
+        found, clock = {}, None
         for field, raw in zip(self._fields, wire, strict=True):
             if field.name == "const":
                 if raw != field.value:
@@ -275,18 +284,19 @@ class Record:
             found[field.name] = (
                 raw if field.name in ("sequence", "status", "stop") else raw * field.scale
             )
+            clock = raw if field.name == "time" else clock
         values = np.array([found[name] for name in self._names])
         time = found.get("time", math.nan)
-        if not np.isfinite(values).all() or math.isinf(time):
+        if not np.isfinite(values).all() or not (math.isfinite(time) or clock is None):
             return False
         if self._turned:
             values = poses.pose_from_rotation_vector(values)
         elif len(values) == 7:
-            length = float(np.linalg.norm(values[3:]))
+            length = math.hypot(*values[3:].tolist())  # of huge components, too
             if abs(length - 1.0) > UNIT_LENGTH:
                 return False
             values[3:] /= length
-        self.values[:] = values
+        self.values[:], self.clock = values, clock
         self.sequence, self.time, self.flag = (
             found.get("sequence", self.sequence + 1),
             time,

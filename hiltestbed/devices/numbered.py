@@ -9,7 +9,7 @@ import time
 from abc import abstractmethod
 from typing import Literal, Protocol
 
-from hiltestbed.devices.interface import Array, Clock, Event, Keeper, PlatformClient, PlatformServer
+from hiltestbed.devices.interface import Array, Clock, Keeper, PlatformClient, PlatformServer
 from hiltestbed.devices.url import DeviceSettings
 
 STOP = 1  # value of the stop field of a command that requests a stop
@@ -83,10 +83,7 @@ class NumberedServer(PlatformServer):
             self.stopped = "the client asked for a stop"
         if self.stopped is not None:
             return False
-        self.counts[Event.RECEIVED] += 1
-        self.command[:] = pose
-        self.commanded = True
-        return True
+        return self._obey(pose)
 
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
         if self._number == 0:

@@ -4,7 +4,8 @@ loop's own clock.
 A tick is assigned to a record by the device's own record number, not by the time of arrival. A lost
 or late record affects only its tick,
 not the time base: half a period after it was due the tick begins without it, and if several records
-have arrived at once, the loop catches up.
+have arrived at once, the loop catches up. Whether the device's time base is that of the wall clock
+is the concern of :mod:`~hiltestbed.devices.timekeeping`.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from typing import Protocol
 
 from hiltestbed.devices.clock import CycleClock
 from hiltestbed.devices.interface import Clock, DeviceError, PlatformClient, SensorClient
+from hiltestbed.devices.timekeeping import RATE_ERROR
 
 SLACK = 0.5  # periods after the due time at which a missing record counts as a miss
-RATE_ERROR = 0.02  # largest relative deviation of the device's rate from the scenario's
 
 
 class Pace(Protocol):
@@ -39,6 +40,16 @@ class Pace(Protocol):
         """
         ...
 
+    def told(self) -> float:
+        """Ticks since :meth:`start` by the clock's own count, which is not the loop's where records
+        are missing.
+        """
+        ...
+
+    def advice(self, factor: float) -> str:
+        """What to set for a clock that runs at ``factor`` times the expected rate."""
+        ...
+
 
 class DevicePace:
     """Ticks that begin with every ``records``-th record of ``link``."""
@@ -46,7 +57,7 @@ class DevicePace:
     def __init__(self, link: SensorClient | PlatformClient, tick: float, records: int) -> None:
         self.source = link.where
         self._link, self._tick = link, tick
-        self._numbers = records * link.step
+        self._records, self._numbers = records, records * link.step
         self._first = self._count = 0
         self._due = 0.0
 
@@ -66,6 +77,22 @@ class DevicePace:
         self._due += self._tick
         return 1
 
+    def told(self) -> float:
+        return (self._link.sample.sequence - self._first) / self._numbers
+
+    def advice(self, factor: float) -> str:
+        whole = round(max(factor, 1.0 / factor)) if factor > 0.0 else 1
+        near = whole if factor > 1.0 else 1.0 / whole
+        if abs(factor / near - 1.0) <= RATE_ERROR:  # measured to a fraction of a per cent
+            factor = near
+        records = factor * self._records / self._tick
+        return (
+            f"its records arrive at some {records:.4g} Hz where "
+            f"{self._records / self._tick:.4g} Hz were expected: set rate to "
+            f"{factor / self._tick:.4g} (--set rate=...), or give the true rate in the device's "
+            f"URL (rate={records:.4g})"
+        )
+
     def _wait(self, deadline: float) -> bool:
         now = time.monotonic()
         return self._link.wait(max(deadline - now, 0.0), max(self._due + self._tick - now, 0.0))
@@ -76,26 +103,43 @@ class AtOnce:
 
     source = "none"
 
+    def __init__(self) -> None:
+        self._count = 0
+
     def start(self) -> None:
-        """Nothing to start."""
+        self._count = 0
 
     def wait(self) -> int:
+        self._count += 1
         return 1
 
+    def told(self) -> float:
+        return self._count
 
-class HostPace:
+    def advice(self, factor: float) -> str:
+        return "give it a clock"
+
+
+class HostPace(AtOnce):
     """Ticks from the loop's own clock."""
 
     source = "the loop's own clock"
 
     def __init__(self, tick: float) -> None:
+        super().__init__()
         self._clock = CycleClock(1.0 / tick, 1)
 
     def start(self) -> None:
+        super().start()
         self._clock.start()
 
     def wait(self) -> int:
-        return 1 + self._clock.wait()
+        ticks = 1 + self._clock.wait()
+        self._count += ticks
+        return ticks
+
+    def advice(self, factor: float) -> str:
+        return "this machine cannot keep the rate; set a lower one, or relieve it of other work"
 
 
 def pace_of(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace:
@@ -106,11 +150,8 @@ def pace_of(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace
         DeviceError: the rate of the device that sets the clock is not a whole multiple of the
             loop's.
     """
-    for link, sets in (
-        (platform, platform.clock is Clock.DEVICE),
-        (sensor, math.isfinite(sensor.period)),
-    ):
-        if not sets:
+    for link in (platform, sensor):
+        if link.clock is not Clock.DEVICE or not math.isfinite(link.period):
             continue
         records = max(round(tick / link.period), 1)
         if abs(records * link.period / tick - 1.0) > RATE_ERROR:

@@ -7,6 +7,8 @@ Robots: x y z [m] and the rotation vector rx ry rz [rad] (URScript manual, "pose
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hiltestbed.devices.interface import Array
@@ -22,6 +24,8 @@ from hiltestbed.frames import (
 )
 
 MILLIMETRE = 1e-3  # [m]
+# [rad] longest rotation vector: two turns; controllers give at most one
+LONGEST_TURN = 4.0 * math.pi
 
 
 def pose_from_kuka(frame: Array) -> Array:
@@ -41,9 +45,13 @@ def kuka_from_pose(pose: Array) -> Array:
 
 
 def pose_from_rotation_vector(frame: Array) -> Array:
-    """Pose (7,) of x y z rx ry rz (6,) [m, rad]."""
-    pose = np.empty(7)
+    """Pose (7,) of x y z rx ry rz (6,) [m, rad]; NaN for a rotation of more than two turns, which
+    is no rotation of a tool.
+    """
+    pose = np.full(7, np.nan)
     pose[:3] = frame[:3]
+    if not math.hypot(*frame[3:6].tolist()) <= LONGEST_TURN:
+        return pose
     quat_exp(np.ascontiguousarray(frame[3:6], dtype=float), pose[3:7])
     return pose
 

@@ -14,11 +14,12 @@ a datagram contains several records, and the client uses the last.
 from __future__ import annotations
 
 import struct
-import time
-from typing import ClassVar, Literal
+from collections.abc import Iterable
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
 from hiltestbed.config.validation import Positive
 from hiltestbed.devices import rdt_page, sockets
@@ -31,7 +32,7 @@ from hiltestbed.devices.interface import (
     SensorClient,
     SensorServer,
 )
-from hiltestbed.devices.sequence import Sequence
+from hiltestbed.devices.sequence import Advancing, Sequence
 from hiltestbed.devices.url import DeviceSettings, Port
 from hiltestbed.errors import InputError
 
@@ -48,6 +49,21 @@ ERROR = 1 << 31  # of the status word: set with any other bit
 TRIES, PATIENCE = 10, 0.1
 
 
+def _force(unit: str) -> str:
+    return _unit(unit, rdt_page.force_factor(unit), rdt_page.FORCE)
+
+
+def _torque(unit: str) -> str:
+    return _unit(unit, rdt_page.torque_factor(unit), rdt_page.TORQUE)
+
+
+def _unit(unit: str, factor: float | None, known: Iterable[str]) -> str:
+    if factor is None:
+        said = {"got": repr(unit), "known": ", ".join(known)}
+        raise PydanticCustomError("unit", "is no unit (got {got}); allowed: {known}", said)
+    return unit
+
+
 class RdtSettings(DeviceSettings):
     """Options of ``rdt://``. Options that are not given are read from the device's page; without a
     page they must be given.
@@ -60,10 +76,10 @@ class RdtSettings(DeviceSettings):
     counts_per_torque: Positive | None = Field(
         default=None, description="counts per unit of torque"
     )
-    force_unit: Literal["N", "kN", "lbf", "klbf", "kgf"] = Field(
+    force_unit: Annotated[str, AfterValidator(_force)] = Field(
         default="N", description="unit of force to which counts_per_force refers"
     )
-    torque_unit: Literal["N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kgf-cm"] = Field(
+    torque_unit: Annotated[str, AfterValidator(_torque)] = Field(
         "N-m", description="unit of torque to which counts_per_torque refers"
     )
     rate: Positive | None = Field(default=None, description="rate of the records [Hz]")
@@ -113,7 +129,8 @@ class RdtClient(SensorClient):
             np.frombuffer(self._buffer, ">i4", 6, i * RECORD.size + 12) for i in range(MOST_RECORDS)
         ]
         self._sequence = Sequence(self.counts)
-        self._sample = -1
+        self._wrench = np.zeros(6)
+        self._samples = Advancing(self.counts, 32)  # the sensor's own counter
         self._socket = None
 
     def open(self) -> None:
@@ -127,6 +144,7 @@ class RdtClient(SensorClient):
         self._socket = sockets.connected_udp(address, self.where)
         for _ in range(TRIES):
             self._sequence.restart()
+            self._samples.restart()
             self.counts[:] = 0
             self._request(BUFFERED if settings.mode == "buffered" else REALTIME)
             if self.wait(PATIENCE):
@@ -182,21 +200,12 @@ class RdtClient(SensorClient):
         rdt, sample, status, *_ = RECORD.unpack_from(self._buffer, i * RECORD.size)
         if not self._sequence.judge(rdt):
             return False
-        if status & ~self.settings.ignore_status:
-            self.counts[Event.STATUS] += 1
-            self.reading.status = status
+        status = status if status & ~self.settings.ignore_status else 0
+        if not status and not self._samples.judge(sample):  # the sensor itself has no new sample
             return False
-        if sample == self._sample:  # the sensor itself has no new sample
-            self.counts[Event.REPEATED] += 1
-            return False
-        self._sample = sample
-        self.counts[Event.RECEIVED] += 1
-        np.multiply(self._records[i], self._scale, out=self.reading.wrench)
-        self.reading.sequence = self._sequence.newest
-        self.reading.device_time = sample * self._internal_period
-        self.reading.status = 0
-        self.reading.arrival = time.monotonic_ns()
-        return True
+        np.multiply(self._records[i], self._scale, out=self._wrench)
+        number, time = self._sequence.newest, sample * self._internal_period
+        return self.reading.take(self._wrench, self.counts, number, time, status)
 
     def _request(self, command: int) -> None:
         if self._socket is None:

@@ -8,9 +8,14 @@ enabled), ``comrdtrate`` (its rate [Hz]), ``runrate`` (the sensor's internal rat
 
 from __future__ import annotations
 
+import contextlib
+import http.client
+import math
+import re
+import socket
 import threading
-import urllib.error
-import urllib.request
+import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING
@@ -18,26 +23,41 @@ from typing import TYPE_CHECKING
 from hiltestbed.devices import plain_xml
 from hiltestbed.devices.interface import DeviceError
 from hiltestbed.errors import Fault, InputError
+from hiltestbed.measured.units import KILOGRAM_FORCE, UNITS
 
 if TYPE_CHECKING:
     from hiltestbed.devices.rdt import RdtSettings
 
-POUND, INCH, FOOT, KILOGRAM_FORCE = 4.4482216152605, 0.0254, 0.3048, 9.80665
-FORCE = {"N": 1.0, "kN": 1000.0, "lbf": POUND, "klbf": 1000.0 * POUND, "kgf": KILOGRAM_FORCE}  # [N]
-TORQUE = {
-    "N-m": 1.0,
-    "N-mm": 1.0e-3,
-    "kN-m": 1000.0,
-    "lbf-in": POUND * INCH,
-    "lbf-ft": POUND * FOOT,
-    "kgf-cm": KILOGRAM_FORCE * 0.01,
+FORCE = UNITS["N"] | {"klbf": UNITS["N"]["kip"], "gf": 1e-3 * KILOGRAM_FORCE}  # [N]
+# the units of torque that ATI's manual names; any other product of a force and a length is read too
+TORQUE = ("N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kgf-cm")
+_TORQUES = {
+    name: FORCE[force] * UNITS["m"][length]
+    for force in FORCE
+    for length in UNITS["m"]
+    # in-lbf and ft-lbf are spelt in both orders
+    for name in (force + length, *([length + force] if length in ("in", "ft") else []))
 }  # [N m]
+SEPARATOR = re.compile("[-\\s.*\u00b7\u22c5]")
 PATH = "/netftapi2.xml"
 LARGEST = 65536  # [byte]
-PATIENCE = 2.0  # [s]
+PATIENCE = 2.0  # [s] to wait for each part of the page
+DEADLINE = 5.0  # [s] for the whole page
 HTTP_PORT = 80
 # [Hz] defaults of an emulated sensor; 7 kHz is the internal rate of a Net F/T
 RATE, INTERNAL_RATE = 1000.0, 7000.0
+
+
+def force_factor(unit: str) -> float | None:
+    """A unit of force in N; None for none."""
+    return FORCE.get(unit.strip())
+
+
+def torque_factor(unit: str) -> float | None:
+    """A unit of torque in N m, a force and a length with any separator (N-m, Nm, N m); None for
+    none.
+    """
+    return _TORQUES.get(SEPARATOR.sub("", unit))
 
 
 @dataclass(frozen=True)
@@ -55,50 +75,83 @@ class Page:
 
     @property
     def force(self) -> float:
-        return FORCE[self.force_unit]
+        return force_factor(self.force_unit) or math.nan
 
     @property
     def torque(self) -> float:
-        return TORQUE[self.torque_unit]
+        return torque_factor(self.torque_unit) or math.nan
 
 
 def from_options(settings: RdtSettings, counts: float, host: str | None) -> Page:
     """The page from the URL's options, completed from the device at ``host``, or (None) with
     ``counts`` per unit. Raises DeviceError.
     """
-    scaled = settings.counts_per_force is not None and settings.counts_per_torque is not None
+    by_hand = {
+        name for name in ("force", "torque") if getattr(settings, f"counts_per_{name}") is not None
+    }
+    scaled = len(by_hand) == 2
     whole = scaled and settings.rate is not None and settings.internal_rate is not None
     if host is None or whole or (scaled and settings.http is None):
         page = Page(counts, counts, settings.force_unit, settings.torque_unit)
     else:
-        page = fetch(host, settings.http or HTTP_PORT, settings.where)
+        page = fetch(host, settings.http or HTTP_PORT, settings.where, by_hand)
     return Page(
         settings.counts_per_force or page.counts_per_force,
         settings.counts_per_torque or page.counts_per_torque,
-        settings.force_unit if scaled else page.force_unit,
-        settings.torque_unit if scaled else page.torque_unit,
+        settings.force_unit if "force" in by_hand else page.force_unit,
+        settings.torque_unit if "torque" in by_hand else page.torque_unit,
         settings.rate or page.rate,
         settings.internal_rate or page.internal_rate,
     )
 
 
-def fetch(host: str, port: int, where: str) -> Page:
-    """The content of the page of the device at ``host``. Raises DeviceError."""
+def fetch(host: str, port: int, where: str, by_hand: Collection[str] = ()) -> Page:
+    """The content of the page of the device at ``host``; ``by_hand``: of force and torque, those
+    whose counts and unit are not read there. Raises DeviceError.
+    """
     address = f"http://{host}:{port}{PATH}"
-    hint = "or give counts_per_force and counts_per_torque in the URL"
-    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}), _NoRedirect())
+    hint = (
+        "or give counts_per_force, counts_per_torque, force_unit, torque_unit and rate, the rate "
+        "of the device's records, in the URL"
+    )
+    connection = http.client.HTTPConnection(host, port, timeout=PATIENCE)
+    until = time.monotonic() + DEADLINE
+    # each byte that trickles in would begin the time-out of the socket anew
+    deadline = threading.Timer(DEADLINE, lambda: _cut(opened))
+    deadline.daemon = True
+    opened: socket.socket | None = None
     try:
-        with opener.open(address, timeout=PATIENCE) as response:
-            data = response.read(LARGEST + 1)
-    except (OSError, ValueError) as error:
+        connection.connect()
+        opened = connection.sock
+        deadline.start()
+        connection.request("GET", PATH)
+        response = connection.getresponse()
+        data = response.read(LARGEST + 1)
+        if time.monotonic() > until:
+            raise TimeoutError
+        if response.status != http.client.OK:
+            raise OSError(f"status {response.status}, {response.reason}")
+    except (OSError, ValueError, http.client.HTTPException) as error:
+        late = time.monotonic() > until
+        reason = f"it was not complete within {DEADLINE:g} s" if late else error or type(error)
         raise DeviceError(
-            f"{where}: the configuration page {address} cannot be read ({error}); check the "
+            f"{where}: the configuration page {address} cannot be read ({reason}); check the "
             f"address, {hint}"
         ) from None
-    return _understand(data, where, hint)
+    finally:
+        deadline.cancel()
+        connection.close()
+    return _understand(data, where, hint, by_hand)
 
 
-def _understand(data: bytes, where: str, hint: str) -> Page:
+def _cut(opened: socket.socket | None) -> None:
+    """End a connection under a read that waits."""
+    if opened is not None:
+        with contextlib.suppress(OSError):
+            opened.shutdown(socket.SHUT_RDWR)
+
+
+def _understand(data: bytes, where: str, hint: str, by_hand: Collection[str]) -> Page:
     try:
         text = plain_xml.read(data, LARGEST).text
     except plain_xml.NotPlain:
@@ -123,30 +176,24 @@ def _understand(data: bytes, where: str, hint: str) -> Page:
             )
         return value
 
-    def unit(element: str, known: dict[str, float]) -> str:
+    def unit(element: str, quantity: str) -> str:
         value = text.get(element, "").strip()
-        if value not in known:
+        known, factor = (FORCE, force_factor) if quantity == "force" else (TORQUE, torque_factor)
+        if quantity not in by_hand and factor(value) is None:
             raise DeviceError(
-                f"{where}: the configuration page gives {element} = {value!r}; known: "
-                f"{', '.join(known)}; {hint}"
+                f"{where}: the configuration page gives {element} = {value!r}, which is no unit "
+                f"of {quantity}; known: {', '.join(known)}; set one of these on the device, {hint}"
             )
         return value
 
     return Page(
-        amount("cfgcpf", None),
-        amount("cfgcpt", None),
-        unit("scfgfu", FORCE),
-        unit("scfgtu", TORQUE),
+        1.0 if "force" in by_hand else amount("cfgcpf", None),
+        1.0 if "torque" in by_hand else amount("cfgcpt", None),
+        unit("scfgfu", "force"),
+        unit("scfgtu", "torque"),
         amount("comrdtrate", RATE),
         amount("runrate", INTERNAL_RATE),
     )
-
-
-class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """Refuses redirects: a sensor's page is at the requested address."""
-
-    def redirect_request(self, *_: object) -> None:
-        return None
 
 
 class PageServer:

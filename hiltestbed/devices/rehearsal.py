@@ -7,6 +7,7 @@ from __future__ import annotations
 import time
 
 from hiltestbed.devices.interface import PlatformClient, SensorClient
+from hiltestbed.devices.pace import AtOnce
 from hiltestbed.devices.section import Devices, MotionLimits
 from hiltestbed.devices.session import Options, Session
 from hiltestbed.frames import Array
@@ -63,6 +64,7 @@ def rehearse(scenario: Scenario) -> None:
             "",
             "",
             armed=True,
+            pace=lambda *_: AtOnce(),
             connect=lambda *_: (_PushedSensor("rehearsal"), _Follower("rehearsal")),
         ),
     )

@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import math
 import socket
-import time
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -48,7 +47,7 @@ from hiltestbed.devices.interface import (
     Protocol,
 )
 from hiltestbed.devices.rsi_controller import RsiServer
-from hiltestbed.devices.rsi_telegram import LARGEST, answer, read_count, read_telegram
+from hiltestbed.devices.rsi_telegram import LARGEST, answer, oddity, read_count, read_telegram
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
 
@@ -129,6 +128,7 @@ class RsiClient(PlatformClient):
         self._offset = (
             poses.offset_in_base if settings.reference == "base" else poses.offset_in_tool
         )
+        self._odd: tuple[bytes, sockets.Address] | None = None  # the last malformed telegram
         self._socket: socket.socket | None = None
         # compile now, not in the first cycle
         poses.pose_from_kuka(poses.kuka_from_pose(self._offset(self.start, self.start)))
@@ -141,14 +141,11 @@ class RsiClient(PlatformClient):
             sockets.resolve(settings.host, settings.port, self.where), self.where
         )
         self._robot, self._answered, self._unanswered, self.delay = None, True, 0, -1
+        self._odd = None
         self._sequence.restart()
         if not self.wait(settings.connect):
             self.close()
-            raise DeviceError(
-                f"{self.where}: no telegram of a robot in {settings.connect:g} s; check IP_NUMBER "
-                f"and PORT in the controller's "
-                "configuration file, and that its program has begun the correction"
-            )
+            raise DeviceError(f"{self.where}: {self._silence()}")
         self.start[:] = self._from[:] = self.state.pose
         self._correction[:] = 0.0
         self.counts[:] = 0  # telegrams queued before the connection was open do not count
@@ -177,6 +174,19 @@ class RsiClient(PlatformClient):
             new = self._take(data, sender) or new
         return new
 
+    def _silence(self) -> str:
+        """Why there was no telegram of a robot."""
+        if self._odd is None:
+            others = int(self.counts[Event.SENDER])
+            seen = f" ({others} datagrams of other senders than robot={self._only})" * (others > 0)
+            return (
+                f"no telegram of a robot in {self.settings.connect:g} s{seen}; check IP_NUMBER and "
+                f"PORT in the controller's configuration file, and that its program has begun the "
+                f"correction"
+            )
+        data, (address, port) = self._odd
+        return f"telegrams arrive from {address}:{port}, but {oddity(data, 'Rob', 'RIst')}"
+
     def _take(self, data: bytes, sender: sockets.Address) -> bool:
         if (self._only is not None and sender[0] != self._only) or (
             self._robot is not None and sender != self._robot
@@ -186,6 +196,7 @@ class RsiClient(PlatformClient):
         read = read_telegram(data, "Rob", "RIst")
         if read is None:
             self.counts[Event.MALFORMED] += 1
+            self._odd = data, sender
             return False
         message, frame, ipoc = read
         lost = int(self.counts[Event.LOST])
@@ -197,12 +208,8 @@ class RsiClient(PlatformClient):
             self.counts[Event.LATE] += 1
         self._robot, self._answered = sender, False
         self._compare(read_count(message.attributes.get("Delay", {}).get("D")))
-        self.counts[Event.RECEIVED] += 1
-        self.state.pose[:] = poses.pose_from_kuka(frame)
-        self.state.sequence = ipoc
-        self.state.device_time = ipoc * MILLISECOND
-        self.state.arrival = time.monotonic_ns()
-        return True
+        pose = poses.pose_from_kuka(frame)
+        return self.state.take(pose, self.counts, ipoc, ipoc * MILLISECOND)
 
     def _compare(self, delay: int | None) -> None:
         """Count the answers that the controller reports as late, beyond the telegrams known to be
@@ -273,7 +280,7 @@ class RsiKeeper(Keeper):
                 break
             read = read_telegram(data, "Rob", "RIst")
             if read is not None:
-                newest = read[2], sender
+                newest = max(newest or (-1, sender), (read[2], sender))
         if newest is not None and math.isfinite(float(held.sum())):
             self._socket.sendto(
                 answer(self._settings.sentype, held[:6], newest[0], self._settings.decimals),

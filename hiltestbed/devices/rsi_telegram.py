@@ -60,6 +60,34 @@ def read_count(text: str | None) -> int | None:
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= LONGEST_IPOC else None
 
 
+def oddity(data: bytes, root: str, element: str) -> str:
+    """Why :func:`read_telegram` does not take a telegram, and what to set in the controller's
+    configuration file.
+    """
+    try:
+        message = plain_xml.read(data, LARGEST)
+    except plain_xml.NotPlain:
+        return (
+            f"they are not plain XML of at most {LARGEST} bytes ({data[:20]!r}...); check what "
+            f"sends to this port"
+        )
+    if message.root != root:
+        return f"their root is <{message.root}>, not <{root}>; check what sends to this port"
+    if element not in message.attributes:
+        have = ", ".join(message.attributes) or "nothing"
+        return (
+            f"they are without {element} (they hold {have}); add the tag DEF_{element}, type "
+            f"DOUBLE, to SEND/ELEMENTS in the controller's configuration file"
+        )
+    if read_frame(message, element) is None:
+        given = " ".join(f'{k}="{v}"' for k, v in message.attributes[element].items())
+        return (
+            f"{element} has no six plausible numbers {' '.join(AXES)} (got {given[:120]!r}); check "
+            f"the tag DEF_{element} of SEND/ELEMENTS in the controller's configuration file"
+        )
+    return f"IPOC is no whole number (got {message.text.get('IPOC')!r}); check what sends them"
+
+
 def read_telegram(
     data: bytes, root: str, element: str
 ) -> tuple[plain_xml.Message, Array, int] | None:

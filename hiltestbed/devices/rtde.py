@@ -187,25 +187,16 @@ class _Session:
             return False
         if math.isnan(self._first_time):
             self._first_time = values[0]
-        elapsed = round((values[0] - self._first_time) * self.settings.rate)
+        elapsed = (values[0] - self._first_time) * self.settings.rate
+        elapsed = round(elapsed) if math.isfinite(elapsed) else -1
         if elapsed < 0:
             self.counts[Event.REORDERED] += 1
             return False
         return self._sequence.judge(elapsed) and self.take(values)
 
-    def note(self, sample: Sample, device_time: float, status: int) -> bool:
-        """Copy a package's time and status into ``sample``; if the status is an error, count it and
-        return False.
-        """
-        sample.status = status
-        if status:
-            self.counts[Event.STATUS] += 1
-            return False
-        self.counts[Event.RECEIVED] += 1
-        sample.sequence = self._sequence.newest
-        sample.device_time = device_time
-        sample.arrival = time.monotonic_ns()
-        return True
+    def note(self, sample: Sample, values: Array, device_time: float, status: int) -> bool:
+        """Take a package into ``sample``."""
+        return sample.take(values, self.counts, self._sequence.newest, device_time, status)
 
     def _ask(self, kind: int, payload: bytes, what: str) -> bytes:
         where, stream = self.settings.where, self.stream
@@ -289,10 +280,8 @@ class RtdeSensorClient(SensorClient):
         return self._session.poll()
 
     def _take(self, values: tuple) -> bool:
-        if not self._session.note(self.reading, values[0], status_of(values[7], None)):
-            return False
-        self.reading.wrench[:] = values[1:7]
-        return True
+        wrench = np.array(values[1:7])
+        return self._session.note(self.reading, wrench, values[0], status_of(values[7], None))
 
 
 def register_names(first: int) -> list[str]:
@@ -343,10 +332,8 @@ class RtdePlatformClient(PlatformClient):
 
     def _take(self, values: tuple) -> bool:
         robot = values[8] if self.settings.need_program else None
-        if not self._session.note(self.state, values[0], status_of(values[7], robot)):
-            return False
-        self.state.pose[:] = poses.pose_from_rotation_vector(np.array(values[1:7]))
-        return True
+        pose = poses.pose_from_rotation_vector(np.array(values[1:7]))
+        return self._session.note(self.state, pose, values[0], status_of(values[7], robot))
 
     def command(self, pose: Array) -> None:
         self._check(pose)

@@ -273,11 +273,9 @@ class RtdePlatformServer(PlatformServer):
             self.stopped = "the client asked for a stop"
             return False
         if self.stopped is None:
-            self.command[:] = poses.pose_from_rotation_vector(
-                np.array([registers[name] for name in self._names])
-            )
-            self.commanded = True
-        return self.stopped is None
+            frame = np.array([registers[name] for name in self._names])
+            return self._obey(poses.pose_from_rotation_vector(frame))
+        return False
 
     def wait(self, timeout: float, expected: float = math.inf) -> bool:
         until = time.monotonic() + timeout

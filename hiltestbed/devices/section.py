@@ -82,6 +82,12 @@ class MotionLimits(Strictly):
     acceleration: Positive | None = Field(
         default=20.0, description="Highest acceleration of A's origin [m/s^2]; null: no limit"
     )
+    time_offset: Positive | None = Field(
+        default=0.02,
+        description="Largest difference between model time and wall time in any cycle, since the "
+        "platform was armed [s]; null: 1 s. A clock that is 100 ppm off needs 200 s for the "
+        "default",
+    )
 
 
 class StopBehaviour(Strictly):

@@ -1,10 +1,45 @@
-"""Evaluation of a device's sequence numbers: new, lost, repeated, reordered or implausible."""
+"""Evaluation of a device's sequence numbers: new, lost, repeated, reordered or implausible.
+
+The one rule of all protocols: a record is news only if its number is ahead of the newest before it.
+"""
 
 from __future__ import annotations
 
 from numpy.typing import NDArray
 
 from hiltestbed.devices.interface import Event
+
+
+def ahead_of(number: float, other: float, bits: int) -> float:
+    """How far ``number`` is ahead of ``other``, negative: behind, on a counter of ``bits`` that
+    wraps (serial number arithmetic, RFC 1982), or for 0 bits on one that does not.
+    """
+    half = 1 << bits >> 1
+    return (number - other + half) % (2 * half) - half if half else number - other
+
+
+class Advancing:
+    """A counter that has to advance with each record, by whatever amount: a device's own sample
+    number, or its time.
+    """
+
+    def __init__(self, counts: NDArray, bits: int) -> None:
+        """``bits`` of the counter, which wraps; 0: it does not."""
+        self._counts, self._bits = counts, bits
+        self._newest: float | None = None
+
+    def restart(self) -> None:
+        """Accept any number next."""
+        self._newest = None
+
+    def judge(self, number: float) -> bool:
+        """Whether ``number`` is ahead of all before; anything else is counted."""
+        ahead = 1 if self._newest is None else ahead_of(number, self._newest, self._bits)
+        if ahead <= 0:
+            self._counts[Event.REORDERED if ahead else Event.REPEATED] += 1
+            return False
+        self._newest = number
+        return True
 
 
 class Sequence:
@@ -17,13 +52,12 @@ class Sequence:
     def __init__(
         self, counts: NDArray, bits: int = 32, step: int = 1, longest_gap: int = 10_000
     ) -> None:
-        """``longest_gap``: number of records that may be missing at once. A larger step is
-        implausible (malformed), unless the next record
-        continues from it: then the reader has paused, or the device has restarted its counter (RFC
-            3550, appendix A.1).
+        """``longest_gap``: number of records that may be missing at once. A larger step ahead is
+        implausible (malformed), unless the next record continues from it: then the reader has
+        paused (RFC 3550, appendix A.1). A step back is never news, however large.
         """
         self._counts = counts
-        self._modulus = 1 << bits
+        self._bits = bits
         self._step = step
         self._longest = longest_gap * step
         self.newest = -1
@@ -36,31 +70,28 @@ class Sequence:
 
     def judge(self, number: int) -> bool:
         """Whether ``number`` is newer than all before; anything else is counted."""
+        if not 0 <= number < 1 << self._bits:
+            self._counts[Event.MALFORMED] += 1
+            return False
         if self.newest < 0:
             self.newest = self._wrapped = number
             return True
-        ahead = (number - self._wrapped) % self._modulus
-        behind = self._modulus - ahead
+        ahead = int(ahead_of(number, self._wrapped, self._bits))
+        resumed = number == self._resumed
         if ahead == 0:
             self._counts[Event.REPEATED] += 1
-        elif ahead <= self._longest:
-            if ahead % self._step:
-                self._counts[Event.MALFORMED] += 1
-                return False
-            self._counts[Event.LOST] += ahead // self._step - 1
-            self.newest += ahead
-            self._wrapped = number
-            return True
-        elif behind <= self._longest:
+        elif -self._longest <= ahead < 0:
             self._counts[Event.REORDERED] += 1
-        elif number == self._resumed:
-            if ahead < behind:
-                # the previous record did arrive, but was rejected
-                self._counts[Event.LOST] += ahead // self._step - 2
-            self.newest += ahead if ahead < behind else self._step
+        elif ahead < 0 or ahead % self._step:
+            self._counts[Event.MALFORMED] += 1
+        elif ahead <= self._longest or resumed:
+            # of a reader that has paused, the previous record did arrive, but was rejected
+            missing = ahead // self._step - 1 - (resumed and ahead > self._longest)
+            self._counts[Event.LOST] += missing
+            self.newest += ahead
             self._wrapped = number
             return True
         else:
             self._counts[Event.MALFORMED] += 1
-            self._resumed = (number + self._step) % self._modulus
+            self._resumed = (number + self._step) % (1 << self._bits)
         return False

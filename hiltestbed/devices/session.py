@@ -9,6 +9,7 @@ as they are produced, in case the loop's process dies.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,14 +19,16 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.devices.clock import SECOND
 from hiltestbed.devices.emulate import with_rate
-from hiltestbed.devices.interface import PlatformClient, SensorClient
+from hiltestbed.devices.interface import DeviceError, PlatformClient, SensorClient
 from hiltestbed.devices.motion import run_down, run_up, travel
 from hiltestbed.devices.pace import Pace, pace_of
 from hiltestbed.devices.realtime import Granted, prepared
 from hiltestbed.devices.recorder import TraceRecorder
 from hiltestbed.devices.side import Connected, DeviceRig, side_of
 from hiltestbed.devices.table import platform_client, sensor_client, settings_of
+from hiltestbed.devices.timekeeping import SimulatedClock, WallClock
 from hiltestbed.devices.watch import said
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import HiltestbedError
@@ -36,7 +39,9 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.signals import CYCLE, Trace
 from hiltestbed.simulation import Run, collected, concluded, reference_scenario, simulate
 
-OBSERVED = 1.0  # [s] least time for which the devices are observed before the start
+# [s] least time for which the devices are observed before the start, and longest, while their rate
+# cannot be told
+OBSERVED, LONGEST = 1.0, 10.0
 READY = 20.0  # [s] to wait for the watchdog's process
 
 MakePace = Callable[[SensorClient, PlatformClient, float], Pace]
@@ -52,6 +57,8 @@ class Options:
         record: file to which the rows are written as they are produced, in case the process dies;
             None: they stay in memory until the end.
         pace: creates the :class:`Pace` from sensor, platform and tick; for tests without a clock.
+            clock: the wall clock; None: that of the machine, or with a pace of one's own the time
+            that it tells.
     """
 
     sensor: str
@@ -60,6 +67,7 @@ class Options:
     cpu: int | None = None
     record: Path | None = None
     pace: MakePace = pace_of
+    clock: WallClock | None = None
     say: Callable[[str], None] = lambda step: None
     connect: Callable[[Scenario, Options], tuple[SensorClient, PlatformClient]] = field(
         default=lambda *a: clients(*a)
@@ -82,7 +90,8 @@ class Observed:
 
     Attributes:
         shown, shown_noise: (6,) mean and standard deviation of the reading in the sensor's own
-            frame.
+            frame. rate: ticks a second by the wall clock [Hz]. fault: why nothing may move; None
+            if it may.
     """
 
     pose: Array
@@ -92,6 +101,7 @@ class Observed:
     shown_noise: Array
     rate: float
     counts: dict[str, dict[str, int]]
+    fault: str | None
 
 
 @dataclass
@@ -113,7 +123,9 @@ class Session:
     def __init__(self, scenario: Scenario, options: Options) -> None:
         self.scenario, self.options, self.armed = scenario, options, options.armed
         self.devices = Connected(*options.connect(scenario, options))
-        self.rig = DeviceRig(scenario, self.devices, scenario.ticks + 1)
+        machines = options.pace is pace_of
+        self._now = options.clock or (WallClock() if machines else SimulatedClock(self._told))
+        self.rig = DeviceRig(scenario, self.devices, scenario.ticks + 1, self._now)
         self.loop = Loop([scenario], side=side_of(self.rig))
         self.trace = Trace(scenario.ticks, 1, scenario.rate, self.rig.units)
         self.granted = Granted()
@@ -148,41 +160,62 @@ class Session:
             yield
 
     def observe(self) -> Observed:
-        """Observe the devices while the platform is held, tare the sensor, and wait for the
-        watchdog's process.
+        """Observe the devices while the platform is held, tare the sensor, wait for the watchdog's
+        process, and compare the rate of the clock with the scenario's.
+
+        Raises:
+            DeviceError: something is to move, and the rate is another one.
         """
         rig, tare = self.rig, self.scenario.devices.sensor.tare
-        ticks = round(max(OBSERVED if not self.armed else 0.0, tare) * self.scenario.rate)
+        ticks = round(max(OBSERVED, tare) * self.scenario.rate)
         readings, shown = np.zeros((2, max(ticks, 2), 6))
         rig.watch()
-        began = time.monotonic()
+        # by the wall clock, not by ticks
+        observed, longest = (self._now() + round(s * SECOND) for s in (OBSERVED, LONGEST))
         for k in range(len(readings)):
             self._hold()
-            readings[k], shown[k] = rig.wrench_sub[0, 0], self.devices.sensor.reading.wrench
-        rate = len(readings) / max(time.monotonic() - began, 1e-9)
+            readings[k], shown[k] = rig.wrench_sub[0, 0], rig.shown
         wrench = readings.mean(axis=0)
         if tare > 0.0:
-            rig.tare[:] = wrench
+            rig.tare[:] = readings[-max(round(tare * self.scenario.rate), 2) :].mean(axis=0)
         until = time.monotonic() + READY
         watchdog = self.devices.watchdog
-        while (
-            watchdog is not None
-            and not watchdog.ready
-            and time.monotonic() < until
-            and rig.stop is None
+        while rig.stop is None and (
+            self._now() < observed
+            or (self._now() < longest and self.rig.time.is_right() is None)
+            or (watchdog is not None and not watchdog.ready and time.monotonic() < until)
         ):
             self._hold()
         if watchdog is not None and not watchdog.ready and rig.stop is None:
             rig.stop = f"the watchdog did not start within {READY:g} s"
         spread = readings.std(axis=0)
+        refused = self._other_rate()
+        if refused is not None and self.armed and rig.stop is None:
+            raise DeviceError(refused)
         return Observed(
             rig.pose_act[0].copy(),
             wrench,
             spread,
             shown.mean(axis=0),
             shown.std(axis=0),
-            rate,
+            rig.time.rate,
             self._counts(),
+            refused or rig.stop,
+        )
+
+    def _told(self) -> float:
+        return self.devices.pace.told() * self.scenario.tick
+
+    def _other_rate(self) -> str | None:
+        """Why the rate of the clock is not that of the scenario; None if it is."""
+        if self.rig.time.is_right():
+            return None
+        factor, pace = self.rig.time.factor, self.devices.pace
+        return (
+            f"{pace.source}: sets the clock, and by the wall clock it runs at "
+            f"{self.rig.time.rate:.5g} ticks a second; the scenario's rate is "
+            f"{self.scenario.rate:g} Hz: the platform would move {factor:.4g} times as fast as the "
+            f"model. Nothing was moved; {pace.advice(factor)}"
         )
 
     def run(self) -> None:
@@ -282,7 +315,6 @@ class Session:
         if settings.kind == "retract":
             goal = rig.last.copy()
             goal[2] -= settings.distance
-            rig.stop = None
             rig.guard.start(rig.last)
             self.follow(
                 travel(rig.last.copy(), goal, rig.tick, settings.speed, np.radians(5.0)),
@@ -298,18 +330,17 @@ class Session:
         """Command ``poses`` (7,), one per tick; False if stopped.
 
         Args:
-            tolerant: only the guard can stop it, for the retraction after a stop.
+            tolerant: only the guard and the wall clock can stop it, for the retraction after a
+                stop.
             rows: receives the readings of each tick and the command sent from them.
         """
         rig = self.rig
         for pose in poses:
             self._to_send[0] = pose
             if tolerant:
-                rig.stop = None
+                rig.stop = rig.time.fault
             if rows is not None:
-                rows.append(
-                    Row(pose, rig.pose_act[0].copy(), self.devices.sensor.reading.wrench.copy())
-                )
+                rows.append(Row(pose, rig.pose_act[0].copy(), rig.shown.copy()))
             rig.begin(self._to_send, self._zero, self._zero)
             if rig.stop is not None:
                 return False
@@ -338,6 +369,7 @@ class Session:
         run = concluded(collected(loop, rows, self.wall, {}), reference, 0)
         run.summary["energy_generated"] += rig.late_work
         run.summary["live"] = self._report(observed, int(rows.length[0]))
+        run.summary = _written(run.summary)
         return run
 
     def _report(self, observed: Observed, rows: int) -> dict[str, Any]:
@@ -347,6 +379,8 @@ class Session:
             "sensor": self.devices.sensor.where,
             "platform": self.devices.platform.where,
             "clock": self.devices.pace.source,
+            "rate": observed.rate,
+            "time_offset": self.rig.time.worst,
             "cycles": rows,
             "missed": int(self.rig.missed),
             "jitter": {
@@ -365,3 +399,12 @@ class Session:
             "granted": self.granted.granted,
             "refused": self.granted.refused,
         }
+
+
+def _written(value: Any) -> Any:
+    """``value`` as it can be written as JSON: None for a number that is not finite."""
+    if isinstance(value, dict):
+        return {key: _written(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_written(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -15,6 +15,7 @@ from pydantic import Field
 from hiltestbed.config.validation import Positive
 from hiltestbed.devices.interface import (
     Array,
+    Clock,
     DeviceError,
     Event,
     PlatformClient,
@@ -98,20 +99,13 @@ class _Inbox:
             self.counts[Event.MALFORMED] += 1
         return bool(found) and self.sequence.judge(self.box.number)
 
-    def note(self, sample: Sample) -> bool:
-        if self.box is None:
+    def take(self, sample: Sample) -> bool:
+        """Poll, and take a new message into ``sample``."""
+        box = self.box
+        if box is None or not self.poll():
             return False
-        sample.status = self.box.flag
-        if self.box.flag:
-            self.counts[Event.STATUS] += 1
-            return False
-        self.counts[Event.RECEIVED] += 1
-        sample.sequence, sample.device_time, sample.arrival = (
-            self.box.number,
-            self.box.time,
-            time.monotonic_ns(),
-        )
-        return True
+        values = box.values[: len(sample.values)]
+        return sample.take(values, self.counts, box.number, box.time, box.flag)
 
 
 def _wait(link: SensorClient | PlatformClient | PlatformServer, timeout: float) -> bool:
@@ -131,6 +125,7 @@ class ShmSensorClient(SensorClient):
         super().__init__(settings.where)
         self.settings = settings
         self.period = 1.0 / settings.rate
+        self.clock = Clock(settings.clock)
         self._inbox = _Inbox(self.counts)
 
     def open(self) -> None:
@@ -141,10 +136,7 @@ class ShmSensorClient(SensorClient):
         self._inbox.close()
 
     def poll(self) -> bool:
-        if not self._inbox.poll() or not self._inbox.note(self.reading):
-            return False
-        self.reading.wrench[:] = self._inbox.box.values[:6]  # type: ignore[union-attr]
-        return True
+        return self._inbox.take(self.reading)
 
     def wait(self, timeout: float, expected: float = math.inf) -> bool:
         return _wait(self, timeout)
@@ -172,10 +164,7 @@ class ShmPlatformClient(NumberedClient):
             self._outbox = None
 
     def poll(self) -> bool:
-        if not self._inbox.poll() or not self._inbox.note(self.state):
-            return False
-        self.state.pose[:] = self._inbox.box.values  # type: ignore[union-attr]
-        return True
+        return self._inbox.take(self.state)
 
     def wait(self, timeout: float, expected: float = math.inf) -> bool:
         return _wait(self, timeout)

@@ -23,6 +23,7 @@ from hiltestbed.devices.guard import Guard
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.mounting import Mounting
 from hiltestbed.devices.pace import AtOnce, Pace
+from hiltestbed.devices.timekeeping import Timekeeper, WallClock
 from hiltestbed.devices.watch import CommunicationWatch
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import InputError
@@ -33,7 +34,11 @@ from hiltestbed.supervision.monitoring import ProcessMonitor
 
 GATE_SIGMA = 5.0  # a force above this many standard deviations of its noise counts as contact
 LEAST_FORCE = 0.5  # [N] the same threshold if the scenario has no noise
+# of the scenario's limits: readings before the tare contain the weight of a tool, and a platform
+# may stand away from the rig; a value beyond this multiple is not physical
+HEADROOM = 10.0
 NANOSECOND = 1e-9
+DRAINS = 100  # polls, each of up to LONGEST_DRAIN datagrams: several seconds of any sensor
 
 
 @dataclass
@@ -100,7 +105,8 @@ class DeviceRig:
             since the bodies do not move freely.
         stop: why the run has to stop; None while there is no fault. tare: (6,) subtracted from the
             sensor's wrench in P.
-        last: (7,) the pose of A in P that was sent last.
+        last: (7,) the pose of A in P that was sent last. shown: (6,) the newest reading in the
+            sensor's own frame. time: compares model time with wall time.
         late_work: [J] work of the force with each reading paired with the motion at which it acted,
             by the scenario's sensor.delay, less that with the motion of the tick at which it was
             read.
@@ -111,7 +117,13 @@ class DeviceRig:
     units: tuple[str, ...] = ()
     physical = False
 
-    def __init__(self, scenario: Scenario, connected: Connected, ticks: int) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        connected: Connected,
+        ticks: int,
+        clock: WallClock | None = None,
+    ) -> None:
         if scenario.rig.platform.physical:
             kind = scenario.rig.platform.kind
             raise InputError(
@@ -122,6 +134,8 @@ class DeviceRig:
         self.scenario, self.connected, self.tick = scenario, connected, tick
         self.mounting = Mounting(scenario.devices)
         self.guard = Guard(scenario.devices.limits, tick)
+        self.time = Timekeeper(tick, scenario.devices.limits.time_offset, clock or WallClock())
+        self._bound_values()
         communication = scenario.devices.communication
         self._watches = (
             CommunicationWatch(connected.sensor, communication, "sensor"),
@@ -134,6 +148,7 @@ class DeviceRig:
         self.armed = False
         self.missed = 0
         self.tare, self.last = np.zeros(6), np.zeros(7)
+        self.shown: Array = connected.sensor.reading.wrench
         self._command, self._raw, self._before = np.zeros(7), np.zeros(6), np.zeros(7)
         self._slope, self._slope_before = np.zeros(6), np.zeros(6)
         late = scenario.sensor.delay / tick
@@ -171,9 +186,31 @@ class DeviceRig:
     def reset(self, pose: Array, twist: Array) -> None:
         """Do nothing: the platform has already been brought to its start."""
 
+    def _bound_values(self) -> None:
+        """Narrow what counts as physical to the scenario's limits."""
+        safety, devices = self.scenario.safety, self.scenario.devices
+        away = math.hypot(*devices.platform.base.position, *devices.platform.tool.position)
+        position = devices.limits.position
+        load, place = (
+            self.connected.sensor.reading.largest,
+            self.connected.platform.state.largest,
+        )
+        for values, limit in (
+            (load[:3], safety.force),
+            (load[3:], safety.torque),
+            (place[:3], None if position is None else position + away),
+        ):
+            if limit is not None:
+                np.minimum(values, HEADROOM * limit, out=values)
+
     def watch(self) -> None:
         """Begin to process the records; events before now are ignored."""
+        # what arrived while the devices were opened is not the first tick
+        for _ in range(DRAINS):
+            if not (self.connected.sensor.poll() or self.connected.platform.poll()):
+                break
         self.connected.pace.start()
+        self.time.watch()
         self._seen[:] = [-1, -1]
         for watch in self._watches:
             watch.start()
@@ -184,6 +221,7 @@ class DeviceRig:
         """Allow commands to the platform from now on."""
         self.last[:] = self.pose_act[0]
         self.guard.start(self.last)
+        self.time.start()
         self.armed = True
 
     def tick_zero(self) -> None:
@@ -222,6 +260,9 @@ class DeviceRig:
             return
         ticks = self.connected.pace.wait()
         self._behind = ticks - 1
+        self.time.ticked(ticks, self.connected.pace.told())
+        if self.stop is None and self.time.fault is not None:
+            self.stop = f"{self.connected.pace.source}: {self.time.fault}"
         new = self._take_in()
         self.log.begin(1 + (not new), self.connected.sensor.sample.age())
         self.missed += not new

@@ -12,7 +12,7 @@ from __future__ import annotations
 from contextlib import suppress
 
 from hiltestbed.devices import sockets
-from hiltestbed.devices.interface import Array, DeviceError, Event, Protocol, SensorClient
+from hiltestbed.devices.interface import Array, Clock, DeviceError, Event, Protocol, SensorClient
 from hiltestbed.devices.numbered import NumberedClient, NumberedKeeper
 from hiltestbed.devices.udp_device import UdpPlatformServer, UdpSensorServer
 from hiltestbed.devices.udp_receiver import Receiver, UdpSettings, end_of, record_of
@@ -25,6 +25,7 @@ class UdpSensorClient(SensorClient):
         super().__init__(settings.where)
         self.settings = settings
         self.period = 1.0 / settings.rate
+        self.clock = Clock(settings.clock)
         self._receiver = Receiver(record_of(settings, "sensor"), self.counts, self._take)
 
     def open(self) -> None:
@@ -40,10 +41,7 @@ class UdpSensorClient(SensorClient):
         return self._receiver.poll()
 
     def _take(self) -> bool:
-        if not self._receiver.note(self.reading):
-            return False
-        self.reading.wrench[:] = self._receiver.record.values
-        return True
+        return self._receiver.note(self.reading)
 
 
 class UdpPlatformClient(NumberedClient):
@@ -71,10 +69,7 @@ class UdpPlatformClient(NumberedClient):
         return self._receiver.poll()
 
     def _take(self) -> bool:
-        if not self._receiver.note(self.state):
-            return False
-        self.state.pose[:] = self._receiver.record.values
-        return True
+        return self._receiver.note(self.state)
 
     def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
         self._receiver.send(self._command.pack(pose, number, now, stop), self._towards)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import time
 from collections.abc import Callable
 from typing import ClassVar, Literal
 
@@ -13,7 +12,7 @@ from hiltestbed.config.validation import Positive
 from hiltestbed.devices import sockets
 from hiltestbed.devices.interface import LONGEST_DRAIN, Event, Sample
 from hiltestbed.devices.layout import LARGEST, Layout, Record, default_layout, read_layout
-from hiltestbed.devices.sequence import Sequence
+from hiltestbed.devices.sequence import Advancing, Sequence
 from hiltestbed.devices.url import LOOPBACK, DeviceSettings
 from hiltestbed.errors import Fault, InputError
 
@@ -97,6 +96,7 @@ class Receiver:
         self.socket: socket.socket | None = None
         self.sender: sockets.Address | None = None
         self.any_port = False
+        self._clock = Advancing(counts, record.clock_bits)
         self._buffer = bytearray(LARGEST + 1)
         self._view = memoryview(self._buffer)
 
@@ -105,6 +105,7 @@ class Receiver:
     ) -> None:
         self.sender, self.any_port = sender, any_port
         self.sequence.restart()
+        self._clock.restart()
         self.socket = sockets.bound_udp(own, where)
 
     def close(self) -> None:
@@ -137,9 +138,14 @@ class Receiver:
         if not self.record.unpack(self._view[:size]):
             self.counts[Event.MALFORMED] += 1
             return False
-        return (
-            not self.record.sequence_bits or self.sequence.judge(self.record.sequence)
-        ) and self.take()
+        return self._is_news() and self.take()
+
+    def _is_news(self) -> bool:
+        """By the sequence number; in a layout without one, by the time."""
+        record = self.record
+        if record.sequence_bits:
+            return self.sequence.judge(record.sequence)
+        return record.clock is None or self._clock.judge(record.clock)
 
     def send(self, data: bytes, towards: sockets.Address) -> None:
         if self.socket is None:
@@ -150,17 +156,7 @@ class Receiver:
             self.counts[Event.GONE] += 1
 
     def note(self, sample: Sample) -> bool:
-        """Copy the record's number, time and status into ``sample``; if the status is an error,
-        count it and return False.
-        """
-        sample.status = self.record.flag
-        if self.record.flag:
-            self.counts[Event.STATUS] += 1
-            return False
-        self.counts[Event.RECEIVED] += 1
-        sample.sequence = (
-            self.sequence.newest if self.record.sequence_bits else self.record.sequence
-        )
-        sample.device_time = self.record.time
-        sample.arrival = time.monotonic_ns()
-        return True
+        """Take the record into ``sample``."""
+        record = self.record
+        number = self.sequence.newest if record.sequence_bits else record.sequence
+        return sample.take(record.values, self.counts, number, record.time, record.flag)

@@ -5,7 +5,7 @@ A cycle without a new record is a *miss*; so is each record that the sequence nu
 A rejected record (malformed, from
 another sender, repeated, out of order) is a *disturbance*: it changes nothing, but many of them
 mean that the connection is unreliable. An error status (beyond the allowed number), a closed
-connection and a sample older than allowed stop the run at once.
+connection, a sample older than allowed and a value that is not physical stop the run at once.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class CommunicationWatch:
         self._cycle = self._in_a_row = self._errors = self._missed = self._disturbed = (
             self._waited
         ) = 0
-        self.stop = None
+        self.stop = self.link.sample.implausible = None
 
     def check(self, new: bool) -> Stop | None:
         """Call after the reads of a cycle; ``new``: whether there was a new sample. Returns
@@ -120,6 +120,8 @@ class CommunicationWatch:
 
     def _judge(self, age: float) -> Stop | None:
         limits, name, status = self.limits, self._name, self.link.sample.status
+        if self.link.sample.implausible is not None:
+            return Stop(Event.MALFORMED, f"{name}: {self.link.sample.implausible}")
         if self._errors > limits.status_in_a_row:
             return Stop(
                 Event.STATUS,

@@ -4,6 +4,7 @@ run.
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +12,9 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from hiltestbed.devices.fmu import POSE, WRENCH, CoSimulation
+from hiltestbed.devices.fmu import POSE, TWIST, WRENCH, CoSimulation
+from hiltestbed.devices.interface import DeviceError
+from hiltestbed.devices.layout import UNIT_LENGTH
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.numerical_model.model import NumericalModel
@@ -20,7 +23,6 @@ if TYPE_CHECKING:
     from hiltestbed.numerical_model.kinds import Fmu
     from hiltestbed.scenario import Scenario
 
-TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 # [m], [rad], [m/s], [rad/s] largest difference between the FMU's start and that of the approach
 APART = 1e-6
 
@@ -47,8 +49,21 @@ class FmuModel(NumericalModel):
 
     def advance(self, wrench: Array) -> None:
         for i, part in enumerate(self._parts):
+            if i in self.ended:
+                continue
             values = part.step(wrench[i], self.tick)
+            if not abs(math.hypot(*values[3:7]) - 1.0) <= UNIT_LENGTH:
+                given = ", ".join(f"{value:.4g}" for value in values[3:7])
+                raise DeviceError(
+                    f"{part.path}: pose.qx ... qw is no rotation at t = {part.time:.6f} s (got "
+                    f"{given}); allowed are quaternions of length 1"
+                )
             self.pose[i], self.twist[i] = values[:7], values[7:]
+            if part.ended is not None:
+                self.ended[i] = (
+                    f"{part.path} has ended the simulation at t = {part.ended:.6f} s "
+                    f"(terminateSimulation)"
+                )
 
     def _refuse_other_start(self) -> None:
         apart = np.empty(6)

@@ -54,6 +54,7 @@ class NumericalModel:
         v: ``(n, 2, 6)`` linear velocity in the inertial frame, angular velocity in the body frame.
         pose: ``(n, 7)`` output pose of A in P. twist: ``(n, 6)`` output velocity of A relative to
             P, in P.
+        ended: runs whose model has ended the simulation by itself, each with the reason.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], departures: Departures | None = None) -> None:
@@ -62,6 +63,7 @@ class NumericalModel:
         """
         n = len(scenarios)
         self.n = n
+        self.ended: dict[int, str] = {}
         self.tick = 1.0 / scenarios[0].rate
         bodies = [(s.spacecraft.chaser, s.spacecraft.target) for s in scenarios]
         self.mass = np.array([[b.mass for b in pair] for pair in bodies])

@@ -16,6 +16,9 @@ from typing import Any
 
 COMPILERS = ("llvmlite", "numba.core.codegen")  # modules that call LLVM and are called back by it
 
+# the signals that end a program besides Ctrl-C: a request, a terminal that closes, its Ctrl-\
+ENDINGS = [n for n in signal.Signals if n.name in ("SIGTERM", "SIGHUP", "SIGQUIT")]
+
 _asked = False
 
 
@@ -26,6 +29,28 @@ def install() -> None:
     atexit.register(_over)
     before = sys.unraisablehook
     sys.unraisablehook = lambda raised: None if _asked else before(raised)
+
+
+def like_ctrl_c() -> None:
+    """Handle the other signals that end a program like Ctrl-C from now on, so that it gives back
+    the shared memory and the semaphores that it holds; a hang-up that is ignored (nohup) stays so.
+    """
+    taken = [n for n in ENDINGS if n.name != "SIGHUP" or signal.getsignal(n) is not signal.SIG_IGN]
+    # Python's process that removes what others leave must not be ended by what ends its group
+    for number in taken:
+        signal.signal(number, signal.SIG_IGN)
+    if sys.platform != "win32":
+        from multiprocessing import resource_tracker  # 8 ms
+
+        resource_tracker.ensure_running()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        for other in taken:  # a second one must not interrupt what the first has begun
+            signal.signal(other, signal.SIG_IGN)
+        _on_signal(number, frame)
+
+    for number in taken:
+        signal.signal(number, end)
 
 
 def _on_signal(number: int, frame: FrameType | None) -> None:

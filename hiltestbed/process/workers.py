@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 from hiltestbed import plugins
+from hiltestbed.process import interrupt
 
 WATCH = 0.5  # [s] between two checks whether the parent is alive
 
@@ -31,12 +32,13 @@ def end_pool(pool: ProcessPoolExecutor) -> None:
 
 
 def _begin(parent: int) -> None:
-    """A worker ignores Ctrl-C, which its parent handles, and ends when the parent has ended for any
-    reason.
+    """A worker ignores Ctrl-C and what is handled like it by its parent, and ends when the parent
+    has ended for any reason.
     """
     import signal
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in {signal.SIGINT, *interrupt.ENDINGS} - {signal.SIGTERM}:
+        signal.signal(number, signal.SIG_IGN)
 
     def watch() -> None:
         while os.getppid() == parent:

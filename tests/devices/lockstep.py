@@ -18,6 +18,7 @@ from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.pace import DevicePace, Pace
 from hiltestbed.devices.session import Observed, Options, Session, clients
+from hiltestbed.devices.timekeeping import SimulatedClock
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import Run
 from tests.devices.running import free_ports, going, until
@@ -124,6 +125,7 @@ def against(
     platform: str,
     before: Callable[[Emulator], Collection[str]] = lambda emulator: (),
     armed: bool = True,
+    faster: Callable[[], float] = lambda: 1.0,
 ) -> Iterator[tuple[Options, Emulator]]:
     """Options for a session against the emulated rig of ``emulated``, which moves when the session
     waits for it.
@@ -131,6 +133,7 @@ def against(
     Args:
         before: called before each cycle of the devices; the devices whose record of this cycle does
             not arrive in it.
+        faster: how much faster than the wall clock the devices' clock runs.
     """
     urls = urls_of(platform)
     emulator = Emulator(emulated, urls.emulated_sensor, urls.emulated_platform)
@@ -162,4 +165,12 @@ def against(
                 emulator.cycle()
 
     with emulator, going(step, 0.002):
-        yield Options(urls.sensor, urls.platform, armed=armed, pace=pace, connect=clients), emulator
+        options = Options(
+            urls.sensor,
+            urls.platform,
+            armed=armed,
+            pace=pace,
+            clock=SimulatedClock(lambda: emulator.cycles * emulator.rig.period / faster()),
+            connect=clients,
+        )
+        yield options, emulator

@@ -10,6 +10,7 @@ import pytest
 from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.rdt import RdtServer
 from hiltestbed.devices.session import Options, Session
+from hiltestbed.devices.timekeeping import SimulatedClock
 from hiltestbed.devices.watch import CommunicationLimits
 from tests.devices.independent.rdt_peer import IndependentRdtClient, IndependentRdtSensor
 from tests.devices.independent.rsi_peer import IndependentRobot, IndependentSensorSystem
@@ -40,7 +41,16 @@ def test_an_independent_robot_and_sensor_play_a_run() -> None:
     sensor = IndependentRdtSensor(lambda k: [7_000_000, 0, 0, 0, 0, 0])  # 7 N before the tare
     try:
         url = f"rdt://127.0.0.1:{sensor.port}?counts_per_force={COUNTS}&counts_per_torque={COUNTS}"
-        session = Session(scenario, Options(url, f"rsi://127.0.0.1:{port}?connect=5", armed=True))
+        session = Session(
+            scenario,
+            Options(
+                url,
+                f"rsi://127.0.0.1:{port}?connect=5",
+                armed=True,
+                # this robot's time passes with the answers: its clock is the wall clock here
+                clock=SimulatedClock(lambda: 1e-3 * robot.ipoc),
+            ),
+        )
         with session.connected():
             observed = session.observe()
             session.run()

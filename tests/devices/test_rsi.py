@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import socket
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -16,7 +19,7 @@ from tests.devices.independent.rsi_peer import (
     from_frame,
     to_frame,
 )
-from tests.devices.running import START, free_ports, until
+from tests.devices.running import START, free_ports, going, until
 
 
 def _client(port: int, options: str = "") -> RsiClient:
@@ -196,3 +199,28 @@ def test_what_keeps_a_client_from_opening_is_said() -> None:
     ):
         _client(port).open()
     robot.close()
+
+
+ODD = {
+    '<Rob><AIPos A1="0"/><IPOC>4</IPOC></Rob>': r"without RIst \(they hold AIPos, IPOC\); add the "
+    "tag DEF_RIst",
+    '<Rob><RIst X="1" Y="2" Z="3" A="0" B="0"/><IPOC>4</IPOC></Rob>': "RIst has no six plausible",
+    '<Rob><RIst X="1" Y="2" Z="1e9" A="0" B="0" C="0"/><IPOC>4</IPOC></Rob>': "RIst has no six",
+    '<Rob><RIst X="1" Y="2" Z="3" A="0" B="0" C="0"/></Rob>': "IPOC is no whole number",
+    '<Robot><RIst X="1" Y="2" Z="3" A="0" B="0" C="0"/><IPOC>4</IPOC></Robot>': "root is <Robot>",
+    "hello": "not plain XML",
+}
+
+
+@pytest.mark.parametrize("telegram", ODD)
+def test_telegrams_that_are_not_understood_are_described(telegram: str) -> None:
+    (port,) = free_ports(1)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+        client = platform_client(f"rsi://127.0.0.1:{port}?connect=0.3")
+        with (
+            going(lambda: robot.sendto(telegram.encode(), ("127.0.0.1", port)), 0.02),
+            pytest.raises(DeviceError, match=r"telegrams arrive from 127.0.0.1") as refused,
+        ):
+            client.open()
+    assert re.search(ODD[telegram], str(refused.value))
+    assert "IP_NUMBER" not in str(refused.value)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hiltestbed.devices.interface import Event
-from hiltestbed.devices.sequence import Sequence
+from hiltestbed.devices.layout import Layout, Record
+from hiltestbed.devices.sequence import Advancing, Sequence
+from hiltestbed.devices.udp_receiver import Receiver
 
 
 def _follow(
@@ -51,11 +54,37 @@ def test_a_reader_that_has_paused_goes_on_with_the_second_record() -> None:
     assert sequence.newest == 20_002
 
 
-def test_a_device_that_counts_from_the_start_again_goes_on_with_the_second_record() -> None:
+@pytest.mark.parametrize("bits", [8, 16, 32, 62])
+def test_numbers_that_are_sent_again_are_never_news(bits: int) -> None:
+    """Whether one by one, in blocks, or counted from the start again: the past is not news."""
+    count = np.zeros(len(Event), dtype=np.int64)
+    sequence, top = Sequence(count, bits), (1 << bits) - 40
+    first = [(top + k) % (1 << bits) for k in range(80)]  # over the wrap
+    assert all(sequence.judge(n) for n in first)
+    again = [*first, *reversed(first), *first[10:40] * 3]
+    assert not any(sequence.judge(n) for n in again)
+    assert count[[Event.REPEATED, Event.REORDERED]].sum() == len(again)
+    assert sequence.judge((first[-1] + 1) % (1 << bits))
+
+
+def test_a_device_that_counts_from_the_start_again_is_not_believed() -> None:
     judged, counts, sequence = _follow([4_000_000, 0, 4_000_001, 7, 3, 4, 5])
-    assert judged == [True, False, True, False, False, True, True]
-    assert (counts[Event.MALFORMED], counts[Event.LOST]) == (3, 0)
-    assert sequence.newest == 4_000_003
+    assert judged == [True, False, True, False, False, False, False]
+    assert (counts[Event.MALFORMED], counts[Event.LOST]) == (5, 0)
+    assert sequence.newest == 4_000_001
+
+
+@pytest.mark.parametrize("bits", [0, 16, 32])
+def test_a_counter_of_any_steps_has_to_advance(bits: int) -> None:
+    counts = np.zeros(len(Event), dtype=np.int64)
+    samples = Advancing(counts, bits)
+    numbers = [3, 10, 10, 9, 10_000, 3, 10_001]
+    assert [samples.judge(n) for n in numbers] == [True, True, False, False, True, False, True]
+    assert (counts[Event.REPEATED], counts[Event.REORDERED]) == (1, 2)
+    if bits:
+        top = (1 << bits) - 1
+        samples.restart()
+        assert [samples.judge(n) for n in (top, 4, top)] == [True, True, False]
 
 
 def test_a_stream_with_losses_and_swaps_is_accounted_for() -> None:
@@ -73,3 +102,27 @@ def test_a_stream_with_losses_and_swaps_is_accounted_for() -> None:
     new, last = sum(judged), int(kept.max())
     assert counts[Event.REORDERED] == len(kept) - new
     assert new + counts[Event.LOST] == last - int(kept[0]) + 1
+
+
+@pytest.mark.parametrize(("kind", "scale"), [("uint32", 1e-6), ("float64", 1.0)])
+def test_records_without_a_number_are_ordered_by_their_time(kind: str, scale: float) -> None:
+    """A counter of microseconds wraps after 71 minutes, a floating-point time never."""
+    wrench = [{"name": name, "type": "float64"} for name in ("fx", "fy", "fz", "tx", "ty", "tz")]
+    time = {"name": "time", "type": kind, "scale": scale}
+    layout = Layout.model_validate({"sensor": [time, *wrench]})
+    counts = np.zeros(len(Event), dtype=np.int64)
+    receiver = Receiver(Record(layout, "sensor"), counts, lambda: True)
+    sent, sender = Record(layout, "sensor"), ("127.0.0.1", 1)
+
+    def is_news(seconds: float) -> bool:
+        data = sent.pack(np.zeros(6), 0, seconds)
+        receiver._view[: len(data)] = data
+        return receiver._take(len(data), sender)
+
+    top = (1 << 32) * 1e-6
+    judged = [is_news(t) for t in (1.0, 1.001, 1.001, 0.5, 1.002, top - 0.001)]
+    assert judged == [True, True, False, False, True, kind == "float64"]
+    assert (counts[Event.REPEATED], counts[Event.REORDERED]) == (1, 2 - (kind == "float64"))
+    if kind == "uint32":
+        after = [1500.0, 3000.0, top - 0.001, 0.001, top - 0.001]
+        assert [is_news(t) for t in after] == [True, True, True, True, False]
