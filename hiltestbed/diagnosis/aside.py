@@ -26,26 +26,53 @@ UNKNOWN = 1e6  # chosen: times the noise: an amplitude of which nothing is known
 
 
 class Aside:
-    """Nuisance terms of one run under the weights (N, C) of its misfits; ``columns`` (N, C, D):
-    each term at one standard deviation.
+    """Nuisance terms of one run under the weights (N, C) of its misfits, each at one standard
+    deviation: ``columns`` (N, C, D), whose amplitudes differ from channel to channel, and
+    ``shared`` (N, C, D'), each of which has one amplitude in all channels, like an error of an
+    input that all of them follow from.
 
     With unit noise and terms U = Q S V^T in units of it, (1 + U U^T)^(-1/2) = 1 - Q (1 - (1 +
-    S^2)^(-1/2)) Q^T whitens the misfits.
+    S^2)^(-1/2)) Q^T whitens the misfits: by the columns first, then by the shared terms as these
+    leave them.
     """
 
-    def __init__(self, weight: Array, columns: Array) -> None:
-        terms = np.moveaxis(columns * weight[:, :, None], 1, 0)  # (C, N, D)
-        q, s, _ = np.linalg.svd(terms, full_matrices=False)
-        self._q, self._share = q, 1.0 - 1.0 / np.hypot(1.0, s)
+    def __init__(self, weight: Array, columns: Array | None, shared: Array | None = None) -> None:
         self._weight, self._inverse = (
             weight,
             np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0),
         )
+        self._own = self._all = None
+        if columns is not None:
+            self._own = _basis(np.moveaxis(columns * weight[:, :, None], 1, 0))  # (C, N, D)
+        if shared is not None:
+            terms = np.moveaxis(shared * weight[:, :, None], 2, 0)  # (D', N, C)
+            white = np.stack([self._without_own(term).ravel() for term in terms], axis=1)
+            self._all = _basis(white)
 
     def of(self, left: Array) -> Array:
         """``(N, C)`` part of misfits (N, C) that whitening takes away."""
-        along = np.einsum("cnd,nc->cd", self._q, self._weight * left) * self._share
-        return np.einsum("cnd,cd->nc", self._q, along) * self._inverse
+        misfit = self._weight * left
+        white = self._without_own(misfit)
+        if self._all is not None:
+            q, share = self._all
+            flat = white.ravel()
+            along = np.einsum("md,m->d", q, flat) * share
+            white = (flat - np.einsum("md,d->m", q, along)).reshape(white.shape)
+        return (misfit - white) * self._inverse
+
+    def _without_own(self, misfit: Array) -> Array:
+        """Misfits (N, C) in units of the noise, whitened by the columns of each channel."""
+        if self._own is None:
+            return misfit
+        q, share = self._own
+        along = np.einsum("cnd,nc->cd", q, misfit) * share
+        return misfit - np.einsum("cnd,cd->nc", q, along)
+
+
+def _basis(terms: Array) -> tuple[Array, Array]:
+    """Q of terms (..., N, D), and the share of a misfit along each that whitening takes away."""
+    q, s, _ = np.linalg.svd(terms, full_matrices=False)
+    return q, 1.0 - 1.0 / np.hypot(1.0, s)
 
 
 def baseline_terms(places: Array, degree: int) -> Array:

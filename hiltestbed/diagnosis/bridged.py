@@ -1,79 +1,98 @@
 """Stage "layout": uncertainty due to what a log does not hold: lost samples, and ticks between its
 rows.
 
-A lost sample is interpolated; the error follows from second differences of its neighbours: for
-white noise the two have the same variance but for a factor of four. The numerical model integrates
-the error twice, so that it is replayed with such errors drawn at random.
+A lost sample is interpolated; the error follows from the noise and from how the force bends across
+the gap. What a link makes of such
+errors is correlated over its rows, above all where it integrates them, and is found by replays.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from hiltestbed.diagnosis.links import DynamicsLink, Link
-from hiltestbed.diagnosis.settings import SMOOTHING_ROWS
+from hiltestbed.diagnosis.aside import Aside
+from hiltestbed.diagnosis.links import Link, LinkRun
+from hiltestbed.diagnosis.settings import CORRELATED_ROWS, SMOOTHING_ROWS
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.record import Record
 
-MAX_GAP_ROWS = 5  # chosen: consecutive rows that are interpolated; a longer gap has no known error
-MONTE_CARLO_DRAWS = 12  # chosen: replays; they give a spread to a fifth
-# chosen: standard deviations; the losses of a run make one departure, which does not average out
-GAP_SIGMA = 3.0
+# replays that give the covariance of the output: whitened by that of n draws, errors with p modes
+# have a mean square of n/(n - p - 1) per mode (H. Hotelling, Ann. Math. Stat. 2, 1931): 1.2 for the
+# six that matter of an error that is integrated twice
+MODELLED_DRAWS = 40
+LEFT_DRAWS = 12  # further ones, which give what whitening leaves to a fifth
+# on errors of a computed channel, whose rows are correlated
+CORRELATION_FACTOR = math.sqrt(CORRELATED_ROWS)
 KINK_ROWS = 5  # chosen: ticks over which the error of a kink spreads
 # chosen: of a bend to their median; noise exceeds it in 3e-4 of the rows at most (simulated, 500 to
 # 1700 of 2000 Hz)
 KINK_RATIO = 7.0
-NEIGHBOUR_ROWS = 21  # chosen: rows around a lost one whose second differences stand for its own
 
 
-def lost(record: Record, group: str) -> np.ndarray:
-    """``(ticks,)`` bool: missing samples; ticks between the rows of a log slower than the loop are
-    not missing.
-    """
-    return record.unknown(group, 0.0)
-
-
-def only_short_gaps(record: Record, group: str) -> bool:
-    """Whether a group is missing samples in short gaps only."""
-    edges = np.flatnonzero(np.diff(np.r_[False, lost(record, group), False]))
-    return bool((edges[1::2] - edges[::2] <= MAX_GAP_ROWS).all())
-
-
-def bridging_noise(
-    link: DynamicsLink,
+def bridged(
+    runs: Sequence[LinkRun],
+    fed: Callable[[Sequence[Array]], Link],
     wrenches: Sequence[Array],
     missing: Sequence[np.ndarray],
     between: Sequence[Array],
     level: Array,
-) -> list[Array]:
-    """``(N, 6)`` uncertainty of the computed motion of each run [m, rad].
+) -> list[LinkRun]:
+    """The ``runs`` of a link that is computed from a wrench with gaps, with the uncertainty of its
+    output, from replays on inputs with errors drawn at random.
 
-    wrenches: (N, 6) interpolated; missing: (N,) bool. between: (N, 6) not 0 on ticks without a row
-        in the log; level: (6,) noise there. An interpolated tick is off by ``sqrt(1 + 2/3)`` of the
-        noise, averaged over the places between two rows.
+    The covariance of the output is that of the draws: most of them are nuisance terms, and what
+    whitening by these leaves of the others is noise.
+
+    fed: the link on other wrenches (N, 6). wrenches: (N, 6) interpolated; missing: (N,) bool.
+        between: (N, 6) not 0 on ticks without a row in the log. level: (6,) noise of the wrench.
     """
-    rng, everything = np.random.default_rng(0), range(len(link.runs))
-    squares = [np.zeros((run.rows, 6)) for run in link.runs]
-    spread = [
-        np.hypot(_gap_sigma(w, m), math.sqrt(5.0 / 3.0) * level * (b != 0.0))
-        for w, m, b in zip(wrenches, missing, between, strict=True)
-    ]
-    if not any(s.any() for s in spread):
-        return squares
-    shown = link.predict([(i, ()) for i in everything])
-    for _ in range(MONTE_CARLO_DRAWS):
+    unread = [m | (b != 0.0).any(axis=1) for m, b in zip(missing, between, strict=True)]
+    if not any(u.any() for u in unread):
+        return list(runs)
+    bent = [_bent(w, m) for w, m in zip(wrenches, missing, strict=True)]
+    rng, everything = np.random.default_rng(0), [(i, ()) for i in range(len(wrenches))]
+    shown = fed(wrenches).predict(everything)
+    errors: list[list[Array]] = [[] for _ in runs]
+    for _ in range(MODELLED_DRAWS + LEFT_DRAWS):
         shaken = [
-            w + s * rng.standard_normal(w.shape) for w, s in zip(wrenches, spread, strict=True)
+            w + _interpolated(rng, u, level) + b * _of_each_gap(rng, u)
+            for w, u, b in zip(wrenches, unread, bent, strict=True)
         ]
-        found = DynamicsLink(link.runs, shaken).predict([(i, ()) for i in everything])
-        for total, a, b in zip(squares, found, shown, strict=True):
-            total += (a - b) ** 2 / MONTE_CARLO_DRAWS
-    return [GAP_SIGMA * np.sqrt(np.maximum.accumulate(s, axis=0)) for s in squares]
+        for found, a, b in zip(errors, fed(shaken).predict(everything), shown, strict=True):
+            found.append(a - b)
+    out = []
+    for run, found in zip(runs, errors, strict=True):
+        terms = np.stack(found[:MODELLED_DRAWS], axis=2) / math.sqrt(MODELLED_DRAWS)
+        known = np.isfinite(run.sigma)
+        weight = np.where(known, 1.0 / np.where(known, run.sigma, 1.0), 0.0)
+        aside = Aside(weight, None, terms)
+        left = [e - aside.of(e) for e in found[MODELLED_DRAWS:]]
+        noise = np.sqrt(np.mean(np.square(left), axis=0))
+        sigma = np.hypot(run.sigma, CORRELATION_FACTOR * noise)
+        out.append(replace(run, sigma=sigma, shared=terms))
+    return out
+
+
+def _interpolated(rng: np.random.Generator, unread: np.ndarray, level: Array) -> Array:
+    """(N, 6) error of interpolated samples by noise: that of the line between the samples on both
+    sides, which all samples of a gap share, less their own.
+    """
+    noise = level * rng.standard_normal((len(unread), 6))
+    rows, known = np.arange(len(unread)), np.flatnonzero(~unread)
+    line = np.column_stack([np.interp(rows, known, column[known]) for column in noise.T])
+    return np.where(unread[:, None], line - noise, 0.0)
+
+
+def _of_each_gap(rng: np.random.Generator, unread: np.ndarray) -> Array:
+    """(N, 1) a standard normal number for each gap, the same in all of its rows."""
+    gap = np.cumsum(np.diff(unread, prepend=False) & unread)
+    return np.asarray(rng.standard_normal(gap[-1] + 1)[gap][:, None])
 
 
 def interpolation_errors(
@@ -119,16 +138,21 @@ def rms_differences(link: Link, other: Link) -> list[Array]:
     ]
 
 
-def _gap_sigma(wrench: Array, missing: np.ndarray) -> Array:
-    """(N, 6) standard deviation of the interpolation error at each lost sample [N, N m]."""
-    second = np.zeros_like(wrench)
-    second[1:-1] = 0.25 * (wrench[2:] - 2.0 * wrench[1:-1] + wrench[:-2]) ** 2
-    touched = missing | np.roll(missing, 1) | np.roll(missing, -1)
-    known = np.where(touched, 0.0, 1.0)[:, None]
-    weight = uniform_filter1d(known, NEIGHBOUR_ROWS, axis=0)
-    mean = uniform_filter1d(second * known, NEIGHBOUR_ROWS, axis=0) / np.maximum(
-        weight, 1.0 / NEIGHBOUR_ROWS
-    )
-    # where the interpolation meets measured samples: a touch
-    kinks = np.maximum(np.roll(second, 1, axis=0), np.roll(second, -1, axis=0))
-    return np.sqrt(np.maximum(mean, 4.0 * kinks)) * missing[:, None]
+def _bent(wrench: Array, missing: np.ndarray) -> Array:
+    """(N, 6) error of linear interpolation across each gap [N, N m]; 0 elsewhere.
+
+    At j of n intervals a line is off by f'' j (n - j)/2 where the force is smooth, and by at most s
+    j (n - j)/n where its slope changes by s within the gap, as at a touch. Both are at most d j (n
+    - j)/n^2, d the change from the rise over n rows before the gap to that over n rows after it.
+    """
+    out = np.zeros_like(wrench)
+    edges = np.flatnonzero(np.diff(np.r_[False, missing, False]))
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        a, b = start - 1, end  # the samples on both sides
+        n = b - a
+        if a < n or b + n >= len(wrench):
+            continue
+        change = np.abs((wrench[b + n] - wrench[b]) - (wrench[a] - wrench[a - n]))
+        j = np.arange(1, n)[:, None]
+        out[start:end] = change * j * (n - j) / n**2
+    return out

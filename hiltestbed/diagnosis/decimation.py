@@ -98,4 +98,5 @@ def _run(run: LinkRun, count: int) -> LinkRun:
         sigma=sigma,
         touching=touching,
         nuisances=None if run.nuisances is None else _means(run.nuisances, count),
+        shared=None if run.shared is None else _means(run.shared, count),
     )

@@ -24,6 +24,7 @@ from hiltestbed.diagnosis.driven import (
 )
 from hiltestbed.diagnosis.fit import Fit, null_fit, refit
 from hiltestbed.diagnosis.jitter import jitter_beside
+from hiltestbed.diagnosis.lacking import too_little
 from hiltestbed.diagnosis.late_record import (
     other_reading_betters,
     stamped_late,
@@ -172,6 +173,9 @@ def investigate(
             layout = _settle_platform(layout, found, whole, progress)
     if stamps and only_late_record(found):  # where nothing else departs, a part of a row counts
         return investigate(dataset, progress, stamps=False)
+    for name in {"platform", "wrench"} & found.keys():  # whose noise is that of the record
+        why = None if found[name].departs else too_little(found[name].residual.link)
+        missing |= {name: why} if why else {}
     return Findings(
         layout, {name: found[name] for name in LINK_NAMES if name in found}, missing, whole
     )

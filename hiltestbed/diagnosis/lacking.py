@@ -6,14 +6,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.bridged import only_short_gaps
+from hiltestbed.diagnosis.links import Link
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.momentum import centred
 from hiltestbed.replay import can_carry, follows_exactly
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
+# derived: of the information of a whole record. The smallest size that shows goes with the inverse
+# root of it: below a quarter an effect must be more than twice as large
+LEAST_INFORMATION = 0.25
 MAX_UNKNOWN_SHARE = 0.9  # chosen: of the rows of every run, that depend on missing samples
 
 
@@ -55,7 +60,7 @@ def lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
             "acts on all of pose_cmd"
         )
     elif all(
-        not only_short_gaps(r.record, "wrench_comp")
+        not r.record.only_short_gaps("wrench_comp")
         and r.record.unknown("wrench_comp")[-1]
         and r.record.unknown("wrench_comp").mean() > MAX_UNKNOWN_SHARE
         for r in runs
@@ -65,6 +70,28 @@ def lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
             "permanent"
         )
     return out | _lacking_of_wrench(runs)
+
+
+def too_little(link: Link) -> str | None:
+    """Why a link on which nothing departs is not judged: losses left too little of the rows in
+    which its effects show, those in contact or, of a platform, all; None where they did not.
+    """
+    share = 0.0
+    for channel in range(len(link.channels)):
+        sigma = np.concatenate(
+            [run.sigma[run.touching | (link.name == "platform"), channel] for run in link.runs]
+        )
+        known = np.isfinite(sigma)
+        if known.any():
+            share = max(share, float(np.sum((sigma[known].min() / sigma[known]) ** 2)) / len(sigma))
+    if share >= LEAST_INFORMATION:
+        return None
+    return (
+        f"{share:.0%} of the information of a whole record is left: only effects "
+        f"{share**-0.5:.2g} times as large as there would show"
+        if share > 0.0
+        else "no row in which its effects show could be compared"
+    )
 
 
 def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:

@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.diagnosis.bridged import (
-    bridging_noise,
+    CORRELATION_FACTOR,
+    bridged,
     interpolation_errors,
     kink_errors,
-    lost,
-    only_short_gaps,
     rms_differences,
 )
 from hiltestbed.diagnosis.driven import regression
@@ -62,8 +61,6 @@ GAP_MEMORY = 0.05
 UNUSED_END_ROWS = 3
 # chosen: of the computed force, above which a compensation on differentiated poses shows nothing
 MAX_RATE_ERROR = 0.1
-# on errors of a computed channel, whose rows are correlated
-CORRELATION_FACTOR = math.sqrt(CORRELATED_ROWS)
 ROTATIONS = ("rx", "ry", "rz")
 
 
@@ -288,10 +285,22 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     wrenches = [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs]
     link = CompensationLink(runs, wrenches, records)
     memory, gain = link.memory() or GAP_MEMORY, link.noise_gain()
+    short = [r.record.only_short_gaps("wrench_meas") for r, _ in pairs]
     runs = [
-        _computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory)
-        for r, n in pairs
+        _computed_run(
+            r, r.record.data["wrench_comp"], level, n, "wrench_meas", 0.0 if s else memory
+        )
+        for (r, n), s in zip(pairs, short, strict=True)
     ]
+    missing = [r.record.lost("wrench_meas")[:n] & s for (r, n), s in zip(pairs, short, strict=True)]
+    runs = bridged(
+        runs,
+        lambda given: CompensationLink(runs, given, records),
+        wrenches,
+        missing,
+        [np.zeros_like(w) for w in wrenches],
+        _levels(layout, "wrench_meas"),
+    )
     written = [
         np.hypot(r.record.rounding("wrench_comp"), gain * r.record.rounding("wrench_meas"))[:n]
         for r, n in pairs
@@ -353,28 +362,25 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     # [s] for which a lost sample matters: to the end of the run, unless its bridge has a known
     # error
     gone = {True: 0.0, False: None}
-    bridged = [only_short_gaps(r.record, "wrench_comp") for r in layout.runs]
+    short = [r.record.only_short_gaps("wrench_comp") for r in layout.runs]
     runs = [
-        _computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n, "wrench_comp", gone[b])
-        for (r, n), b in zip(pairs, bridged, strict=True)
+        _computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n, "wrench_comp", gone[s])
+        for (r, n), s in zip(pairs, short, strict=True)
     ]
     wrenches = [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in pairs]
-    missing = [
-        lost(r.record, "wrench_comp")[:n] & b for (r, n), b in zip(pairs, bridged, strict=True)
-    ]
+    missing = [r.record.lost("wrench_comp")[:n] & s for (r, n), s in zip(pairs, short, strict=True)]
     bends = interpolation_errors(layout.runs, "wrench_comp", rows)
-    floors = np.array([layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns])
     # at most
     half_digits = [
         math.sqrt(3.0) * np.hypot(_pose_rounding(r, "pose_cmd"), _pose_steps(r, "pose_cmd"))[:n]
         for r, n in pairs
     ]
-    noise = bridging_noise(DynamicsLink(runs, wrenches), wrenches, missing, bends, floors)
-    noise = [np.hypot(a, b) for a, b in zip(noise, half_digits, strict=True)]
     runs = [
-        replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * s))
-        for run, s in zip(runs, noise, strict=True)
+        replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * d))
+        for run, d in zip(runs, half_digits, strict=True)
     ]
+    level = _levels(layout, "wrench_comp")
+    runs = bridged(runs, lambda given: DynamicsLink(runs, given), wrenches, missing, bends, level)
     if any(b.any() for b in bends):
         # interpolation errors may add up in the motion
         coherent = [w + np.abs(b) for w, b in zip(wrenches, bends, strict=True)]
@@ -415,6 +421,11 @@ def wrench_link(
         None if jumps is None else _cut(jumps, rows),
         None if rates is None else _cut(rates, rows),
     )
+
+
+def _levels(layout: Layout, group: str) -> Array:
+    """(6,) noise of the wrench of a group."""
+    return np.array([layout.noise.get(name, 0.0) for name in GROUPS[group].columns])
 
 
 def _cut(arrays: Sequence[Array], rows: Sequence[int]) -> list[Array]:

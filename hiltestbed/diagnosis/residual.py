@@ -122,10 +122,10 @@ class Residual:
         """
         run = self.link.runs[i]
         left = run.measured - shown
-        if run.nuisances is None:
+        if run.nuisances is None and run.shared is None:
             return left
         if i not in self._aside:
-            self._aside[i] = Aside(self.weight[i], run.nuisances)
+            self._aside[i] = Aside(self.weight[i], run.nuisances, run.shared)
         return left - self._aside[i].of(left)
 
     def of_run(self, i: int, effects: Effects) -> Array:

@@ -72,7 +72,8 @@ class LinkRun:
             :func:`hiltestbed.diagnosis.noise.softened`. tail: variance of the
         square of a noise sample. nuisances: (N, C, D) nuisance terms, each at one standard
             deviation, see
-        :mod:`hiltestbed.diagnosis.aside`; None: there are none.
+        :mod:`hiltestbed.diagnosis.aside`; None: there are none. shared: (N, C, D') further ones,
+            each with one amplitude in all channels.
     """
 
     scenario: Scenario
@@ -82,6 +83,7 @@ class LinkRun:
     heavy: bool = False
     tail: float = 2.0
     nuisances: Array | None = None
+    shared: Array | None = None
 
     @property
     def rows(self) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
 
@@ -51,7 +50,7 @@ class DynamicsLink(Link):
             shown = DynamicsLink(self.runs, list(first)).predict(everything)
             for t, a, b in zip(terms, believed, shown, strict=True):
                 t[:, :, axis] = b - a
-        out.runs = [replace(r, nuisances=t) for r, t in zip(self.runs, terms, strict=True)]
+        out.runs = [r.with_nuisances(t) for r, t in zip(self.runs, terms, strict=True)]
         return out
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
