@@ -17,7 +17,7 @@ import pytest
 from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.measured import apart, load_dataset
 from hiltestbed.measured import columns as columns_module
-from hiltestbed.measured.formats import READERS, read_columns, reader
+from hiltestbed.measured.formats import format_of, read_columns
 from hiltestbed.measured.units import UNITS
 
 from . import bounce
@@ -194,7 +194,7 @@ def test_a_missing_reader_is_an_install_line(
     path.write_bytes(b"anything")
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtra, match=rf"pip install .hiltestbed\[{extra}\]"):
-        reader(READERS[f".{suffix}"])(path, frozenset({"t"}))
+        format_of(path).read(path, frozenset({"t"}))
 
 
 CRASH = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
