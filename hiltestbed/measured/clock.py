@@ -188,8 +188,8 @@ def _other_unit(size: float) -> str:
     if unit is not None:
         name, factor = unit
         return (
-            f"if its unit is {name}, channels: {{t: {{unit: {name}}}}}; on top of a scale there, "
-            f"channels: {{t: {{scale: {factor:g}}}}}"
+            f"if its unit is {name} ({factor:g} s), channels: {{t: {{unit: {name}}}}}; on top of "
+            f"a scale there, channels: {{t: {{scale: {factor:g}}}}}"
         )
     if twice is not None:
         name, factor = twice

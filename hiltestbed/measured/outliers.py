@@ -20,8 +20,9 @@ FAR = 5.0
 AROUND = 5  # rows
 # steps in median steps of the column: 10 sigma of white noise, as the median step is 0.95 sigma
 ABOVE_NOISE = 10.0
-# decimal places that a value lacks to those that the column is written with: by chance in 1 of 100
-FEWER_PLACES = 2
+# decimal places of a column from which a value with half of them or fewer is no reading: by chance
+# in 1 of 100
+PLACES = 2
 SAMPLED = 500  # values of a column whose decimal places are counted
 SPIKE_ROWS = 2  # rows of a spike, at most
 
@@ -32,8 +33,8 @@ class Outliers:
 
     Attributes:
         value: as in the file. rows: ``(rows,)`` bool, where it is.
-        code: whether it stands for a missing sample: it is repeated exactly, or has fewer decimal
-            places than the rest. Otherwise it may have been measured.
+        code: whether it stands for a missing sample: it is repeated exactly, or has half the
+            decimal places of the rest or fewer. Otherwise it may have been measured.
         low, high: range of all other values.
     """
 
@@ -90,7 +91,8 @@ def _judged(
     if not runs:
         return
     repeated = len(runs) > 1 or runs[0][1] - runs[0][0] > 1
-    code = repeated or _places(np.array([value]))[0] <= usual - FEWER_PLACES
+    places = float(_places(np.array([value]))[0])
+    code = repeated or (usual >= PLACES and 2.0 * places <= usual)
     short = max(e - s for s, e in runs) <= SPIKE_ROWS
     if not code and not (short and away > high - low):
         return

@@ -57,7 +57,7 @@ def _day_number(day: tuple[str | None, ...]) -> int | None:
     """Number of a day; 0 without a date, None if there is no such day."""
     if day[0] is None or day[1] is None or day[2] is None:
         return 0
-    a, b, c = map(int, day)
+    a, b, c = (int(part or 0) for part in day)
     parts = (a, b, c) if len(day[0]) == 4 else (c, a, b) if b > 12 else (c, b, a)
     try:
         return date(*parts).toordinal()

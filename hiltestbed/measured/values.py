@@ -111,9 +111,12 @@ def _outlier(run: int, name: str, found: Outliers) -> Remark:
 def without_empty(
     run: int, columns: Columns, source: Mapping[str, str]
 ) -> tuple[Columns, list[Remark]]:
-    """The columns that have samples, and a remark on the channels whose columns have none."""
-    empty = [name for name, column in source.items() if not len(columns.data.get(column, [0]))]
-    columns.data = {name: values for name, values in columns.data.items() if len(values)}
+    """The columns without those that are empty by intention, and a remark on their channels; one
+    with stamps of its own is a record that was cut short.
+    """
+    none = {c for c, values in columns.data.items() if not len(values) and c not in columns.clock}
+    empty = [name for name, column in source.items() if column in none]
+    columns.data = {name: values for name, values in columns.data.items() if name not in none}
     if not empty:
         return columns, []
     text = "is empty in the file (0 samples): taken as not measured"

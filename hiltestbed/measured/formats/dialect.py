@@ -151,12 +151,14 @@ def _reading(table: Sequence[_Line], header: int, delimiter: str, decimal: str) 
         names = tuple(str(j + 1) for j in range(max(widths, key=widths.count, default=0)))
     else:
         names = _named(table[header])
-    fitting = [k for k in rows if table[k].score and _fits(table[k], len(names))]
+    # cells at the end of a row may be left out
+    fitting = [k for k in rows if table[k].score and table[k].width <= len(names)]
     if not fitting:
         return None
     first = fitting[0]
     widths = [len(table[k].cells) for k in fitting]
     width = max(widths, key=widths.count)
+    names = names[:width]
     stated = next((_named(table[k]) for k in range(header + 1, first) if _units(table[k])), ())
     units = [*stated, *[""] * len(names)][: len(names)]
     found = [
@@ -174,7 +176,3 @@ def _named(line: _Line) -> tuple[str, ...]:
         cells[0] = cells[0].lstrip("#%/ ")
         cells = cells if cells[0] else cells[1:]
     return tuple(cells)
-
-
-def _fits(line: _Line, names: int) -> bool:
-    return line.width <= names <= len(line.cells) or line.width == names

@@ -16,7 +16,6 @@ from hiltestbed.measured.columns import BROKEN, Arrays, Columns, unreadable
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.plugins import register
 
-DEEPEST = 32  # groups within groups; a link may lead back to a group around it
 FILL = ("_FillValue", "missing_value")  # NetCDF's attributes for missing samples
 UNIT = ("units", "unit")
 
@@ -44,7 +43,7 @@ def read_datasets(path: Path, wanted: Set[str], rows: int) -> Columns:
     arrays = Arrays(rows)
     try:
         with h5py.File(path, "r") as file:
-            _collect(arrays, "", file, DEEPEST)
+            _collect(arrays, "", file, ())
             return arrays.columns(path, wanted)
     except BROKEN as error:
         raise unreadable(
@@ -52,22 +51,24 @@ def read_datasets(path: Path, wanted: Set[str], rows: int) -> Columns:
         ) from error
 
 
-def _collect(arrays: Arrays, name: str, item: Any, deep: int) -> None:
-    """Add the datasets at and below ``item``, through soft and external links as well."""
+def _collect(arrays: Arrays, name: str, item: Any, around: tuple[Any, ...]) -> None:
+    """Add the datasets at and below ``item``, through soft and external links as well; not those
+    of the groups ``around`` it, to which a link may lead back.
+    """
     if not hasattr(item, "dtype"):
-        for key in item if deep and hasattr(item, "keys") else ():
+        for key in item if hasattr(item, "keys") and item not in around else ():
             inner = f"{name}.{key}" if name else key
             if key.startswith("#"):  # MATLAB's own
                 continue
             try:
-                _collect(arrays, inner, item[key], deep - 1)
+                _collect(arrays, inner, item[key], (*around, item))
             except KeyError:
                 arrays.others[inner] = _broken_link(item.get(key, getlink=True))
     elif item.attrs.get("MATLAB_empty", 0):  # the numbers are the size of the variable
         arrays.add(name, np.zeros(0))
     elif item.dtype.names:
         for field in item.dtype.names:
-            _collect(arrays, f"{name}.{field}", _Field(item, field, {}), deep)
+            _collect(arrays, f"{name}.{field}", _Field(item, field, {}), around)
     elif item.dtype.kind in "biufOS" and item.shape is not None:
         arrays.add(name, item, _unit(item.attrs), _fill(item.attrs))
 

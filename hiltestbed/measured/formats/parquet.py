@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Set
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -54,11 +55,11 @@ class Parquet(DataFormat):
                 refuse_large(path, file.metadata.num_rows, len(indices))
                 # names may be there twice: whoever maps others need not mind
                 table = file.read([names[k] for k in indices]) if indices else None
+            return _columns(path, wanted, names, places, table)
         except (pa.ArrowException, *BROKEN) as error:
             raise unreadable(
                 path, f"is not a whole Parquet file ({error})", "copy or record it again"
             ) from error
-        return _columns(path, wanted, names, places, table)
 
 
 def _columns(
@@ -66,26 +67,26 @@ def _columns(
 ) -> Columns:
     arrays = Arrays()
     called = {names[k]: name for name, k in places.items()}
-    for k, field in enumerate(table.schema if table is not None else ()):
-        _add(path, arrays, called.get(field.name, field.name), field, table.column(k))
+    columns = zip(table.schema, table.columns, strict=True) if table is not None else ()
+    for field, column in columns:
+        name = str(field.name)
+        _add(path, arrays, called.get(name, name), field, column, wanted)
     return arrays.columns(path, wanted, (n for n in names if n not in arrays.places))
 
 
-def _add(path: Path, arrays: Arrays, name: str, field: pa.Field, column: pa.ChunkedArray) -> None:
-    """The columns in a column: itself, the fields of a struct, or the items of lists."""
+def _add(
+    path: Path, arrays: Arrays, name: str, field: Any, column: pa.ChunkedArray, wanted: Set[str]
+) -> None:
+    """Add the wanted columns in a column: itself, the fields of a struct, or the items of lists."""
     import pyarrow as pa
-    import pyarrow.compute as pc
 
+    pc: Any = import_module("pyarrow.compute")  # its functions are made when it is imported
     metadata = field.metadata or {}
     unit = next((metadata[key].decode("utf-8", "replace") for key in UNIT if key in metadata), "")
     if pa.types.is_struct(field.type):
         for inner, values in zip(field.type, column.flatten(), strict=True):
-            _add(path, arrays, f"{name}.{inner.name}", inner, values)
-    elif (
-        pa.types.is_list(field.type)
-        or pa.types.is_large_list(field.type)
-        or (pa.types.is_fixed_size_list(field.type))
-    ):
+            _add(path, arrays, f"{name}.{inner.name}", inner, values, wanted)
+    elif pa.types.is_nested(field.type):
         lengths = np.unique(pc.list_value_length(column).to_numpy())
         if len(lengths) == 1 and not column.null_count:
             flat = as_numbers(path, name, pc.list_flatten(column).to_numpy())
@@ -97,5 +98,5 @@ def _add(path: Path, arrays: Arrays, name: str, field: pa.Field, column: pa.Chun
                 if len(lengths)
                 else "holds no lists"
             )
-    else:
+    elif name in wanted:
         arrays.add(name, as_numbers(path, name, column.to_numpy()), unit)

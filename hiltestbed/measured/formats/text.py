@@ -8,6 +8,7 @@ import codecs
 import io
 import re
 from collections.abc import Iterator, Set
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -77,7 +78,9 @@ class Text(DataFormat):
         text = head.decode(encoding, errors="replace")
         if "\0" in text or encoding == "":
             raise unreadable(
-                path, "is not text", f"give a binary file the suffix of its format, or {KEYS}"
+                path,
+                "is not text",
+                f"name the format of a binary file, such as format: {{kind: mdf}}; of text, {KEYS}",
             )
         lines = re.split(r"\r\n|\n|\r", text)
         del lines[len(lines) - (len(head) == PROBE) :]  # the last may be cut
@@ -104,24 +107,20 @@ class Text(DataFormat):
         if rows == 0:
             raise unreadable(path, "holds no names and no rows", "the first line names the columns")
         bare = recognise(*options, 0)
-        if self.header is None and bare is not None and bare.rows >= HALF * rows:
+        top = next(k for k, s in enumerate(sample) if s.strip())
+        if self.header is None and bare is not None and bare.first == top:
             raise unreadable(
                 path,
-                f"has no header (got {lines[bare.first][:60]!r} as first line)",
+                f"has no header (got {sample[top][:60]!r} as first line)",
                 "name the columns in the first line, or give format: {kind: text, header: 0} and "
                 "map the columns 1, 2, ...",
             )
         shown = next(s for s in sample if s.strip())[:60]
-        best = "" if found is None else (
-            f"; the best reading, {found}, has {len(found.names)} names and leaves text in place "
-            f"of numbers, or other numbers of cells, in most lines"
-        )  # fmt: skip
-        raise unreadable(
-            path,
-            f"is no table of numbers below a line of names (begins with {shown!r}){best}",
-            f"a table with decimal commas needs another sign between its cells; if it is known "
-            f"how the file is written, give {KEYS}",
-        )
+        what = f"is no table of numbers below a line of names (begins with {shown!r})"
+        if bare is not None and bare.rows >= HALF * (rows - bare.first):
+            what += f"; its rows have {bare.width} cells, {bare}, and no line above as many names"
+        do = "a table with decimal commas needs another sign than commas between its cells"
+        raise unreadable(path, what, f"{do}; if it is known how the file is written, give {KEYS}")
 
     def _load(
         self, path: Path, dialect: Dialect, encoding: str, places: dict[str, int]
@@ -146,8 +145,8 @@ class Text(DataFormat):
     def _numbers(self, path: Path, dialect: Dialect, name: str, blocks: list[pa.Array]) -> Array:
         """The numbers of a column of texts; dates and times in seconds."""
         import pyarrow as pa
-        import pyarrow.compute as pc
 
+        pc: Any = import_module("pyarrow.compute")  # its functions are made when it is imported
         if not blocks:
             return np.zeros(0)
         texts = pc.utf8_trim_whitespace(pa.chunked_array(blocks))
