@@ -54,22 +54,20 @@ def outliers(values: Array) -> Iterator[Outliers]:
     """
     at = np.flatnonzero(np.isfinite(values))
     x = values[at]
-    steps = np.abs(np.diff(x))
-    if not steps.any():
+    if not len(x):
         return
-    noise = ABOVE_NOISE * float(np.median(steps[steps > 0.0]))
-    starts = np.flatnonzero(np.r_[True, steps > 0.0])
+    starts = np.flatnonzero(np.r_[True, x[1:] != x[:-1]])
     ends = np.r_[starts[1:], len(x)]
-    into, out_of = (
-        np.r_[np.inf, steps[starts[1:] - 1]],
-        np.r_[steps[starts[1:] - 1], np.inf],
-    )
+    steps = np.abs(np.diff(x[starts]))  # between stretches of equal values, as a logger may hold
+    if not len(steps):
+        return
+    noise = ABOVE_NOISE * float(np.median(steps))
+    jumps = np.minimum(np.r_[np.inf, steps], np.r_[steps, np.inf])
     found: dict[float, list[tuple[int, int]]] = {}
-    for k in np.flatnonzero(np.minimum(into, out_of) > noise):
-        start, end = int(starts[k]), int(ends[k])
-        around = np.r_[steps[max(0, start - 1 - 3) : max(0, start - 1)], steps[end : end + 3]]
-        if len(around) and min(into[k], out_of[k]) > FAR * np.median(around):
-            found.setdefault(float(x[start]), []).append((start, end))
+    for k in np.flatnonzero(jumps > noise):
+        around = np.r_[steps[max(0, k - 4) : max(0, k - 1)], steps[k + 1 : k + 4]]
+        if len(around) and jumps[k] > FAR * np.median(around):
+            found.setdefault(float(x[starts[k]]), []).append((int(starts[k]), int(ends[k])))
     if not found:
         return
     usual = float(np.median(_places(x[:: max(1, len(x) // SAMPLED)])))
