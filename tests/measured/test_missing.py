@@ -72,6 +72,9 @@ HEALTHY = {
     "separation for three rows": np.maximum(60.0 * np.sin(2 * np.pi * 300.0 * T) + 58.0, 0.0),
     "a command in steps": np.repeat(np.arange(12.0), 100),
     "a command that begins": np.where(T > 0.1, 0.02, 0.0),
+    "a command held for uneven times": np.round(
+        2e-3 * np.sin(300.0 * np.sort(np.random.default_rng(1).choice(T, len(T)))), 6
+    ),
     "rows that are held": np.repeat((FORCE + NOISE)[::4], 4),
 }
 
