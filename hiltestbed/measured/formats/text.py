@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
 from hiltestbed.measured.columns import Columns, match_names, refuse_large, unreadable
 from hiltestbed.measured.data_format import DataFormat
@@ -44,7 +45,11 @@ def _encoding(name: str) -> str:
     try:
         return codecs.lookup(name).name
     except LookupError:
-        raise ValueError("is no encoding; allowed are names such as utf-8 or cp1252") from None
+        raise PydanticCustomError(
+            "no_encoding",
+            "is no encoding (got {name}); allowed are names such as utf-8 or cp1252",
+            {"name": repr(name)},
+        ) from None
 
 
 @register
