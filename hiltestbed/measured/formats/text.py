@@ -47,8 +47,7 @@ def _encoding(name: str) -> str:
     except LookupError:
         raise PydanticCustomError(
             "no_encoding",
-            "is no encoding (got {name}); allowed are names such as utf-8 or cp1252",
-            {"name": repr(name)},
+            "is no encoding; allowed are names such as utf-8 or cp1252",
         ) from None
 
 
