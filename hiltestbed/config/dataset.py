@@ -19,6 +19,8 @@ from pydantic import Field
 from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import KeyPath, Source, read_source, referenced_source
 from hiltestbed.errors import Fault, InputError
+from hiltestbed.measured.formats import AnyFormat
+from hiltestbed.plugins import depends
 from hiltestbed.run_folder.folders import is_file
 from hiltestbed.scenario import Scenario, scenario_from
 
@@ -41,7 +43,14 @@ class Channel(Strictly):
         default=0.0, description="added last, in SI units; for t the shift of the clock [s]"
     )
     unit: str | None = Field(
-        default=None, description="unit of the column, such as mm, kN, ms or deg/s; left out: SI"
+        default=None,
+        description="unit of the column, such as mm, kN, ms or deg/s; left out: that which the "
+        "file states, or SI",
+    )
+    missing: Annotated[tuple[float, ...], Field(strict=False)] | None = Field(
+        default=None,
+        description="values in the file that stand for a missing sample, such as -9999; [] for "
+        "none; left out: isolated values far from all others are recognised",
     )
 
 
@@ -51,6 +60,9 @@ class MeasuredRun(Strictly):
     file: Annotated[str, Field(min_length=1)] = Field(
         description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, relative to the dataset's "
         "folder; ${NAME}: an environment variable"
+    )
+    format: AnyFormat | None = Field(
+        default=None, description="format of this file, where it differs from the others"
     )
     set: dict[str, Any] = Field(
         default={}, description="settings of this run that differ: dotted scenario key to value"
@@ -80,6 +92,14 @@ class Dataset(Strictly):
         description="signal of the trace to its column; a signal left out is expected with the "
         "trace's name and unit",
     )
+    format: AnyFormat | None = Field(
+        default=None,
+        description="how the files are written; left out: by their suffix, and text is recognised",
+    )
+    missing: Annotated[tuple[float, ...], Field(strict=False)] = Field(
+        default=(),
+        description="values in all channels that stand for a missing sample, such as -9999",
+    )
     accept: Annotated[tuple[Check, ...], Field(strict=False)] = Field(
         default=(),
         description="checks whose errors are overridden, so that the data are used unchanged; a "
@@ -88,6 +108,13 @@ class Dataset(Strictly):
         "(torque over force), copy (of another "
         "channel), constant (where it should move), shift (by whole rows)",
     )
+
+
+@depends
+def _rebuild() -> None:
+    """Include the formats of a plugin in the schema."""
+    for model in (MeasuredRun, Dataset):
+        model.model_rebuild(force=True)
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hiltestbed import plugins
 from hiltestbed.errors import Fault, HiltestbedError, InputError, MissingExtra
 from hiltestbed.measured.columns import Columns, unreadable
+from hiltestbed.measured.data_format import FORMATS, DataFormat
 
 TIME_LIMIT = 60.0  # [s] per file, plus the same for each GB
 MEMORY = 4 << 30  # [byte] limit of a reader's address space
@@ -27,15 +29,15 @@ COLUMNS = "columns.npz"
 ANSWER = "answer.json"
 
 
-def read_apart(module: str, path: Path, wanted: Set[str]) -> Columns:
-    """The result of the reader ``module`` for a file. Raises InputError if it finds nothing usable,
-    crashes or hangs; MissingExtra.
+def read_apart(form: DataFormat, path: Path, wanted: Set[str]) -> Columns:
+    """The result of the reader of a format for a file. Raises InputError if it finds nothing
+    usable, crashes or hangs; MissingExtra.
     """
     limit = TIME_LIMIT * (1.0 + path.stat().st_size / 1e9)
     with tempfile.TemporaryDirectory(prefix="hiltestbed-") as folder:
         order = json.dumps(
             {
-                "module": module,
+                "format": form.model_dump(mode="json"),
                 "path": str(path.absolute()),
                 "wanted": sorted(wanted),
                 "folder": folder,
@@ -82,23 +84,28 @@ def _answer(answer: dict, file: Path) -> Columns:
     with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as arrays:
         data = {name: arrays[f"data.{i}"] for i, name in enumerate(answer["data"])}
         clock = {name: arrays[f"clock.{i}"] for i, name in enumerate(answer["clock"])}
-    return Columns(tuple(answer["names"]), data, clock)
+    return Columns(
+        tuple(answer["names"]),
+        data,
+        clock,
+        answer["units"],
+        answer["missing"],
+        answer["others"],
+        tuple(answer["notes"]),
+    )
 
 
 def _serve() -> None:
     """Read the file that standard input names, and write the result to the folder that it names."""
-    from hiltestbed.measured.formats import reader
-
     order = json.loads(sys.stdin.buffer.read())
+    if order["format"]["kind"] not in FORMATS:
+        plugins.load()
+    form = FORMATS[order["format"]["kind"]].model_validate(order["format"], strict=False)
     folder, given = Path(order["folder"]), order["given"]
     try:
         _limit_memory()
-        columns = reader(order["module"])(Path(order["path"]), frozenset(order["wanted"]))
-        answer = {
-            "names": list(columns.names),
-            "data": list(columns.data),
-            "clock": list(columns.clock),
-        }
+        columns = form.read(Path(order["path"]), frozenset(order["wanted"]))
+        answer = vars(columns) | {"data": list(columns.data), "clock": list(columns.clock)}
         arrays = {f"data.{i}": a for i, a in enumerate(columns.data.values())}
         arrays |= {f"clock.{i}": a for i, a in enumerate(columns.clock.values())}
         np.savez(folder / COLUMNS, **arrays)  # type: ignore[arg-type]

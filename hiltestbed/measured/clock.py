@@ -5,6 +5,7 @@ ticks.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +14,15 @@ from scipy.interpolate import CubicSpline
 
 from hiltestbed.frames import Array
 from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.units import UNITS
 
 ON_TICK = 1e-6  # of a tick: a sample this close to a tick is used for it without interpolation
 AT_END = 0.02  # of a tick: the same for a tick just before the first or just after the last sample
 # part of the rows that repeat a time stamp, above which the clock is too coarse
 REPEATED_LIMIT = 0.1
+# a log's rate over the loop's, at most, for the unit of its stamps to be told: less than the square
+# root of 60000, from ms to min
+OTHER_RATE = 3.0
 GAP = 1.75  # sample intervals: a longer one is a gap
 LENGTH_LIMIT = 20.0  # longest record, in durations of the scenario
 # part of the ticks without a sample of their own, above which the rows follow another clock
@@ -111,8 +116,8 @@ def _backwards(run: int, t: Array, rows: NDArray[np.intp], backwards: NDArray[np
         f"({t[row]:.9g} s) to row {after} ({t[after]:.9g} s)"
     )
     fix = (
-        "allowed are rows in order of time; sort them, or split the file where a second "
-        "record begins"
+        "allowed are rows in order of time; split the file where a second record begins, or sort "
+        "them if single rows are out of order"
     )
     return Remark("error", run, "t", text, fix, {"places": len(backwards), "row": float(row)})
 
@@ -155,11 +160,7 @@ def _wrong_length(
         f"{span / LENGTH_LIMIT:.3g} s"
     )
     if shorter or ratio > LENGTH_LIMIT:
-        power = round(math.log10(ratio if longer else span / duration))
-        fix = (
-            f"if its unit is another, channels: {{t: {{scale: {10.0**-power:g}}}}} on top "
-            f"of any scale there"
-        )
+        fix = _other_unit(ratio if longer else span / duration) or fix
     return Remark(
         "error",
         run,
@@ -168,6 +169,35 @@ def _wrong_length(
         fix,
         {"span": span, "duration": duration, "interval": interval, "tick": tick},
     )
+
+
+def _other_unit(size: float) -> str:
+    """What to write in the channel map if stamps are about ``size`` times as large as seconds would
+    be: the unit whose factor is nearest, or that of a unit that was converted twice; "" if none
+    fits, even with a log at another rate.
+    """
+    units = {name: factor for name, factor in UNITS["s"].items() if factor != 1.0}
+
+    def nearest(factors: Mapping[str, float]) -> tuple[str, float] | None:
+        name = min(factors, key=lambda n: abs(math.log(factors[n] * size)))
+        off = abs(math.log(factors[name] * size))
+        return (name, factors[name]) if off < math.log(OTHER_RATE) else None
+
+    unit = nearest(units)
+    twice = nearest({name: 1.0 / factor for name, factor in units.items()})
+    if unit is not None:
+        name, factor = unit
+        return (
+            f"if its unit is {name} ({factor:g} s), channels: {{t: {{unit: {name}}}}}; on top of "
+            f"a scale there, channels: {{t: {{scale: {factor:g}}}}}"
+        )
+    if twice is not None:
+        name, factor = twice
+        return (
+            f"if it was converted from {name} twice, channels: {{t: {{scale: {factor:g}}}}} on top "
+            f"of any scale there"
+        )
+    return ""
 
 
 def start_of_run(

@@ -110,9 +110,11 @@ def examine(
     runs, remarks, faults = [], [], []
     names = _names(loaded.files)
     for index, (file, scenario) in enumerate(zip(loaded.files, loaded.scenarios, strict=True)):
-        channels = dict(loaded.spec.channels or {}) | loaded.spec.runs[index].channels
+        spec, own = loaded.spec, loaded.spec.runs[index]
+        channels = dict(spec.channels or {}) | own.channels
+        form = own.format or spec.format
         try:
-            record, found = read_record(index, file, channels, scenario)
+            record, found = read_record(index, file, channels, scenario, form, spec.missing)
         except InputError as error:
             faults += error.faults
             continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +12,16 @@ from hiltestbed.config.dataset import Channel
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured.clock import Clock, bend, check_clock, start_of_run, to_ticks
-from hiltestbed.measured.columns import Columns, near
+from hiltestbed.measured.columns import Columns, is_under, near
+from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.measured.formats import read_columns
 from hiltestbed.measured.held import without_held
 from hiltestbed.measured.noise import digits_of, step_of, white_noise
 from hiltestbed.measured.record import MEASURED_GROUPS, Record, place
 from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.rollover import unrolled
 from hiltestbed.measured.ticks import as_ticks
-from hiltestbed.measured.units import factor
+from hiltestbed.measured.values import SAME, in_si, signal, stated_unit, without_empty
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
@@ -29,26 +31,38 @@ BETWEEN = 1.5
 # 2/3
 RESAMPLED = 1.5
 MISSING_LIMIT = 0.5  # part of its samples that a channel may lack before it is left out
-SAME = Channel()
 CHANNELS = tuple(column for group in MEASURED_GROUPS for column in GROUPS[group].columns)
 
 
 def read_record(
-    run: int, file: Path, channels: Mapping[str, Channel], scenario: Scenario
+    run: int,
+    file: Path,
+    channels: Mapping[str, Channel],
+    scenario: Scenario,
+    form: DataFormat | None = None,
+    missing: Sequence[float] = (),
 ) -> tuple[Record | None, list[Remark]]:
     """One file on the loop's ticks; None if it cannot be used (the remarks say why).
+
+    Args:
+        form: format of the file, None: by its suffix. missing: values that stand for a missing
+            sample.
 
     Raises InputError if the file cannot be read or lacks a mapped column; MissingExtra if its
     reader is not installed.
     """
     source = {name: channels.get(name, SAME).column or name for name in ("t", *CHANNELS)}
-    columns = _read(file, frozenset(source.values()))
+    columns = _read(file, frozenset(source.values()), form)
     _refuse_missing(file, columns, channels, source)
-    values = {
-        name: _si(columns.data[source[name]], name, channels)
-        for name in CHANNELS
-        if source[name] in columns.data
-    }
+    notes = [Remark("note", run, "", text) for text in columns.notes]
+    columns, found = without_empty(run, columns, source)
+    notes += found
+    values = {}
+    for name in CHANNELS:
+        if source[name] in columns.data:
+            mapped = channels.get(name, SAME)
+            values[name], found = signal(run, name, source[name], columns, mapped, missing)
+            notes += found
     if not values:
         what = "holds none of the channels " + ", ".join(f"{group}.*" for group in MEASURED_GROUPS)
         raise InputError(
@@ -61,8 +75,9 @@ def read_record(
             )
         )
     values, held = without_held(run, values)
-    stamps = _stamps(file, columns, values, source, channels)
+    stamps, found = _stamps(run, file, columns, values, source, channels)
     clocks, remarks = _clocks(run, stamps, scenario)
+    remarks = [*notes, *found, *remarks]
     good = {name: (values[name], clock) for name, clock in clocks.items() if clock is not None}
     if len(good) < len(values):
         return None, remarks
@@ -81,9 +96,9 @@ def read_record(
     return record, remarks
 
 
-def _read(file: Path, wanted: frozenset[str]) -> Columns:
+def _read(file: Path, wanted: frozenset[str], form: DataFormat | None) -> Columns:
     try:
-        return read_columns(file, wanted)
+        return read_columns(file, wanted, form)
     except MemoryError as error:
         raise InputError(
             Fault(str(file), None, None, "", "does not fit into memory; cut the file to the run")
@@ -93,9 +108,17 @@ def _read(file: Path, wanted: frozenset[str]) -> Columns:
 def _refuse_missing(
     file: Path, columns: Columns, channels: Mapping[str, Channel], source: Mapping[str, str]
 ) -> None:
-    """Raises InputError, one fault for all columns that the channel map names and the file
-    lacks.
+    """Raises InputError, one fault for all columns that the channel map names and the file lacks,
+    and one for each thing in the file whose name is that of wanted columns but is none.
     """
+    others = [
+        Fault(str(file), None, None, name, what)
+        for name, what in columns.others.items()
+        if any(is_under(column, name) for column in source.values())
+        and not any(is_under(column, name) for column in columns.data)
+    ]
+    if others:
+        raise InputError(others)
     missing = [
         name
         for name in channels
@@ -112,25 +135,16 @@ def _refuse_missing(
         )
 
 
-def _si(values: Array, name: str, channels: Mapping[str, Channel]) -> Array:
-    """Values of a channel in SI units, by its entry in the channel map; unchanged without an
-    entry.
-    """
-    channel = channels.get(name, SAME)
-    scale = channel.scale * factor(name, channel.unit)
-    scaled = values if scale == 1.0 else scale * values
-    return scaled if channel.offset == 0.0 else scaled + channel.offset
-
-
 def _stamps(
+    run: int,
     file: Path,
     columns: Columns,
     values: Mapping[str, Array],
     source: Mapping[str, str],
     channels: Mapping[str, Channel],
-) -> dict[str, Array]:
+) -> tuple[dict[str, Array], list[Remark]]:
     """The time stamps [s] of each channel: the time column of the file, or the channel's own clock
-    if there is no such column.
+    if there is no such column; and remarks on their unit.
     """
     shared = columns.data.get(source["t"])
     if shared is None and not all(source[name] in columns.clock for name in values):
@@ -145,7 +159,9 @@ def _stamps(
             )
         )
     known: dict[bytes, Array] = {}
-    stamps, faults = {}, []
+    stamps, faults, remarks = {}, [], []
+    mapped = channels.get("t", SAME)
+    stated = "" if shared is None else stated_unit(columns, source["t"])
     for name, column in values.items():
         raw = columns.clock[source[name]] if shared is None else shared
         if len(raw) != len(column):
@@ -154,10 +170,11 @@ def _stamps(
                 f"one stamp a sample"
             )
             faults.append(Fault(str(file), None, None, name, what))
-        stamps[name] = known.setdefault(raw.tobytes(), _si(raw, "t", channels))
+        scaled, remarks = in_si(run, "t", raw, stated, mapped)
+        stamps[name] = known.setdefault(raw.tobytes(), scaled)
     if faults:
         raise InputError(faults)
-    return stamps
+    return stamps, remarks
 
 
 def _clocks(
@@ -167,9 +184,14 @@ def _clocks(
     once.
     """
     tick, duration = scenario.tick, scenario.duration
-    distinct = {id(t): t for t in stamps.values()}
+    distinct, remarks = {}, []
+    for t in stamps.values():
+        if id(t) not in distinct:
+            distinct[id(t)], found = unrolled(run, t)
+            remarks += [remark for remark in found if remark not in remarks]
     firsts = [float(t[np.isfinite(t)][0]) for t in distinct.values() if np.isfinite(t).any()]
-    shift, remarks = start_of_run(run, min(firsts), tick, duration) if firsts else (0.0, [])
+    shift, found = start_of_run(run, min(firsts), tick, duration) if firsts else (0.0, [])
+    remarks += found
     checked: dict[int, Clock | None] = {}
     for key, t in distinct.items():
         checked[key], found = check_clock(run, t - shift if shift else t, tick, duration)

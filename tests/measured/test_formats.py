@@ -17,8 +17,7 @@ import pytest
 from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.measured import apart, load_dataset
 from hiltestbed.measured import columns as columns_module
-from hiltestbed.measured.formats import READERS, read_columns, reader
-from hiltestbed.measured.units import UNITS
+from hiltestbed.measured.formats import format_of, read_columns
 
 from . import bounce
 
@@ -194,7 +193,7 @@ def test_a_missing_reader_is_an_install_line(
     path.write_bytes(b"anything")
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtra, match=rf"pip install .hiltestbed\[{extra}\]"):
-        reader(READERS[f".{suffix}"])(path, frozenset({"t"}))
+        format_of(path).read(path, frozenset({"t"}))
 
 
 CRASH = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
@@ -279,24 +278,16 @@ def test_text_in_a_column_is_refused_with_its_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("units", "unit"), [("s;N;m", "kN"), ("[ms];[kN];[mm]", "ms"), ("(s);(lbf);(m)", "lbf")]
+    ("units", "stated"), [("s;N;m", "s"), ("[ms];[kN];[mm]", "ms"), ("(s);(lbf);(m)", "s")]
 )
-def test_a_row_of_units_is_refused_with_what_to_do(tmp_path: Path, units: str, unit: str) -> None:
-    """A file without the row is read as it is, and the unit that the message proposes is one of the
-    channel map's.
-    """
+def test_a_row_of_units_below_the_names_gives_the_units(
+    tmp_path: Path, units: str, stated: str
+) -> None:
+    """No row is lost, and no number is changed by the reader."""
     (tmp_path / "run.csv").write_text(f"# logger\nt;F z;x\n{units}\n0;1;2\n1;2;3\n")
-    with pytest.raises(
-        InputError, match=r"in line 3, as a row of units .*; delete this line"
-    ) as raised:
-        read_columns(tmp_path / "run.csv", frozenset({"t", "F z"}))
-    assert f"unit: {unit}}}" in str(raised.value)
-    assert any(unit in known for known in UNITS.values())
-    (tmp_path / "run.csv").write_text("# logger\nt;F z;x\n0;1;2\n1;2;3\n")
-    assert read_columns(tmp_path / "run.csv", frozenset({"t", "F z"})).data["F z"].tolist() == [
-        1.0,
-        2.0,
-    ]
+    found = read_columns(tmp_path / "run.csv", frozenset({"t", "F z"}))
+    assert found.data["F z"].tolist() == [1.0, 2.0]
+    assert found.units["t"] == stated
 
 
 def test_a_file_without_header_is_refused(tmp_path: Path) -> None:

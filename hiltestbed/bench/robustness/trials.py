@@ -211,7 +211,7 @@ def data_file(rng: Generator, folder: Path) -> str:
     """A data file of one of the seven formats with some bytes changed; read in this process, so
     that a crash is detected.
     """
-    from hiltestbed.measured.formats import FRAGILE, READERS, reader
+    from hiltestbed.measured.formats import format_of
 
     suffix = SUFFIXES[int(rng.integers(len(SUFFIXES)))]
     if suffix not in _seeds:
@@ -219,11 +219,11 @@ def data_file(rng: Generator, folder: Path) -> str:
     path = folder / f"file.{suffix}"
     path.write_bytes(mutated(_seeds[suffix], rng))
     try:
-        reader(READERS[f".{suffix}"])(path, frozenset({"t", "pose_act.pz", "wrench_meas.fz"}))
+        format_of(path).read(path, frozenset({"t", "pose_act.pz", "wrench_meas.fz"}))
     except HiltestbedError:
         return REFUSED
-    except MemoryError:  # refused by the process in which a fragile format is read
-        if READERS[f".{suffix}"] in FRAGILE:
+    except MemoryError:  # refused by the process in which the format is read
+        if format_of(path).apart:
             return "contained"
         raise
     return SURVIVED

@@ -6,33 +6,37 @@ from __future__ import annotations
 
 from collections.abc import Set
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from hiltestbed.measured.columns import (
     BROKEN,
+    Arrays,
     Columns,
-    as_numbers,
+    is_under,
     refuse_large,
-    split_matrix,
     unreadable,
 )
-from hiltestbed.measured.hdf5_file import read_datasets
-
-if TYPE_CHECKING:
-    from hiltestbed.frames import Array
+from hiltestbed.measured.data_format import DataFormat
+from hiltestbed.measured.formats.hdf5 import read_datasets
+from hiltestbed.plugins import register
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
-def read(path: Path, wanted: Set[str]) -> Columns:
-    """The columns ``wanted`` of a .mat file, rows along the first axis of a matrix. Raises
-    InputError, MissingExtra.
-    """
-    if _is_hdf5(path):
-        return read_datasets(path, wanted, _rows_last, transposed=True)
-    return _read_version_5(path, wanted)
+@register
+class Matlab(DataFormat):
+    """MATLAB .mat of any version: variables and fields of structs."""
+
+    kind: Literal["matlab"] = "matlab"
+    suffixes: ClassVar[tuple[str, ...]] = (".mat",)
+
+    def read(self, path: Path, wanted: Set[str]) -> Columns:
+        """The columns ``wanted``, rows along the longer axis. Raises InputError, MissingExtra."""
+        if _is_hdf5(path):  # matrices are column-major, and so appear transposed in HDF5
+            return read_datasets(path, wanted, rows=1)
+        return _read_version_5(path, wanted)
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -40,11 +44,6 @@ def _is_hdf5(path: Path) -> bool:
     with path.open("rb") as file:
         head = file.read(520)
     return head[512:] == HDF5_SIGNATURE or head.startswith(HDF5_SIGNATURE)
-
-
-def _rows_last(dataset: Any, index: tuple[int, ...]) -> Array:
-    """One column of a MATLAB matrix, which is column-major and so appears transposed in HDF5."""
-    return dataset[index[0], :] if index else dataset[()].reshape(-1)
 
 
 def _read_version_5(path: Path, wanted: Set[str]) -> Columns:
@@ -56,7 +55,7 @@ def _read_version_5(path: Path, wanted: Set[str]) -> Columns:
         needed = [
             v
             for v, shape in variables.items()
-            if shape == (1, 1) or any(n == v or n.startswith(f"{v}.") for n in wanted)
+            if shape == (1, 1) or any(is_under(n, v) for n in wanted)
         ]
         refuse_large(path, sum(int(np.prod(variables[v])) for v in needed), 1)
         content = scipy.io.loadmat(path, variable_names=needed, simplify_cells=True)
@@ -64,24 +63,18 @@ def _read_version_5(path: Path, wanted: Set[str]) -> Columns:
         raise unreadable(
             path, f"is not a whole MATLAB file ({error})", "save it again, with -v7 or -v7.3"
         ) from error
-    found: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {}
+    arrays = Arrays()
     for name in needed:
-        _collect(name, content[name], found)
-    names = (*found, *(name for name in variables if name not in needed))
-    data = {
-        n: as_numbers(path, n, a[:, i[0]] if i else a.reshape(-1))
-        for n, (a, i) in found.items()
-        if n in wanted
-    }
-    return Columns(names, data)
+        _collect(name, content[name], arrays)
+    return arrays.columns(path, wanted, (name for name in variables if name not in needed))
 
 
-def _collect(name: str, value: Any, found: dict[str, tuple[np.ndarray, tuple[int, ...]]]) -> None:
+def _collect(name: str, value: Any, arrays: Arrays) -> None:
     """Collect the numeric arrays below ``value``; fields of structs are named with dots."""
     if isinstance(value, dict):
         for key, inner in value.items():
-            _collect(f"{name}.{key}", inner, found)
+            _collect(f"{name}.{key}", inner, arrays)
         return
     array = np.atleast_1d(np.asarray(value))
     if array.dtype.kind in "biufc":
-        found.update({column: (array, index) for column, index in split_matrix(name, array.shape)})
+        arrays.add(name, array)

@@ -1,0 +1,108 @@
+"""HDF5: every numeric dataset with one or two dimensions, named by its path with dots:
+``/wrench_meas/fz`` is ``wrench_meas.fz``; a field of a compound dataset likewise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from hiltestbed.errors import MissingExtra
+from hiltestbed.measured.columns import BROKEN, Arrays, Columns, unreadable
+from hiltestbed.measured.data_format import DataFormat
+from hiltestbed.plugins import register
+
+FILL = ("_FillValue", "missing_value")  # NetCDF's attributes for missing samples
+UNIT = ("units", "unit")
+
+
+@register
+class Hdf5(DataFormat):
+    """HDF5, with its links; attributes give units and fill values."""
+
+    kind: Literal["hdf5"] = "hdf5"
+    suffixes: ClassVar[tuple[str, ...]] = (".h5", ".hdf5", ".nc")
+
+    def read(self, path: Path, wanted: Set[str]) -> Columns:
+        """The columns ``wanted``, rows along the longer axis. Raises InputError, MissingExtra."""
+        return read_datasets(path, wanted, rows=0)
+
+
+def read_datasets(path: Path, wanted: Set[str], rows: int) -> Columns:
+    """The columns ``wanted`` of the datasets in an HDF5 file, whose rows are usually along the axis
+    ``rows`` of two.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingExtra(f"{path}: HDF5", "hdf5") from error
+    arrays = Arrays(rows)
+    try:
+        with h5py.File(path, "r") as file:
+            _collect(arrays, "", file, ())
+            return arrays.columns(path, wanted)
+    except BROKEN as error:
+        raise unreadable(
+            path, f"is not a whole HDF5 file ({error})", "copy or record it again"
+        ) from error
+
+
+def _collect(arrays: Arrays, name: str, item: Any, around: tuple[Any, ...]) -> None:
+    """Add the datasets at and below ``item``, through soft and external links as well; not those
+    of the groups ``around`` it, to which a link may lead back.
+    """
+    if not hasattr(item, "dtype"):
+        for key in item if hasattr(item, "keys") and item not in around else ():
+            inner = f"{name}.{key}" if name else key
+            if key.startswith("#"):  # MATLAB's own
+                continue
+            try:
+                _collect(arrays, inner, item[key], (*around, item))
+            except KeyError:
+                arrays.others[inner] = _broken_link(item.get(key, getlink=True))
+    elif item.attrs.get("MATLAB_empty", 0):  # the numbers are the size of the variable
+        arrays.add(name, np.zeros(0))
+    elif item.dtype.names:
+        for field in item.dtype.names:
+            _collect(arrays, f"{name}.{field}", _Field(item, field, {}), around)
+    elif item.dtype.kind in "biufOS" and item.shape is not None:
+        arrays.add(name, item, _unit(item.attrs), _fill(item.attrs))
+
+
+@dataclass(frozen=True)
+class _Field:
+    """A field of a compound dataset, as a dataset of its own."""
+
+    table: Any
+    field: str
+    attrs: Any
+
+    @property
+    def dtype(self) -> np.dtype:
+        return self.table.dtype[self.field].base
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (*self.table.shape, *self.table.dtype[self.field].shape)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.table[self.field][index]
+
+
+def _broken_link(link: Any) -> str:
+    target = f"{link.path!r}" + (f" in {link.filename!r}" if hasattr(link, "filename") else "")
+    return f"is a link to {target}, which is not there; copy the file that it names beside this one"
+
+
+def _unit(attrs: Any) -> str:
+    unit = next((attrs[key] for key in UNIT if key in attrs), "")
+    return unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
+
+
+def _fill(attrs: Any) -> tuple[float, ...]:
+    found = [np.ravel(attrs[key]) for key in FILL if key in attrs]
+    return tuple(float(v) for values in found for v in values if values.dtype.kind in "biuf")

@@ -1,0 +1,262 @@
+"""Text tables: one line of names, one row per sample. Only the wanted columns are read, block by
+block, as :mod:`hiltestbed.measured.formats.dialect` recognises them.
+"""
+
+from __future__ import annotations
+
+import codecs
+import io
+import re
+from collections.abc import Iterator, Set
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
+
+from hiltestbed.measured.columns import Columns, match_names, refuse_large, unreadable
+from hiltestbed.measured.data_format import DataFormat
+from hiltestbed.measured.formats.dialect import COMMENTS, MISSING, Dialect, recognise
+from hiltestbed.measured.stamps import seconds
+from hiltestbed.plugins import register
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from hiltestbed.frames import Array
+
+BLOCK = 1 << 22  # [byte] read at a time
+PROBE = 1 << 20  # [byte] from which the dialect and the length of a row are estimated
+PROBED = 400  # lines of it that are looked at: the first half, and others up to its end
+HALF = 0.5  # part of the lines that a table must fill, at least
+BOMS = {
+    codecs.BOM_UTF32_LE: "utf-32",
+    codecs.BOM_UTF32_BE: "utf-32",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+    codecs.BOM_UTF8: "utf-8-sig",
+}
+KEYS = "format: {kind: text, delimiter: ..., decimal: ..., header: LINE, encoding: ...}"
+
+
+def _encoding(name: str) -> str:
+    try:
+        return codecs.lookup(name).name
+    except LookupError:
+        raise PydanticCustomError(
+            "no_encoding",
+            "is no encoding; allowed are names such as utf-8 or cp1252",
+        ) from None
+
+
+@register
+class Text(DataFormat):
+    """Text table such as CSV; what is left out is recognised."""
+
+    kind: Literal["text"] = "text"
+    suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".tsv", ".dat", ".asc")
+    apart: ClassVar[bool] = False
+
+    delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = Field(
+        default=None, description='sign between the cells; " ": any number of blanks'
+    )
+    decimal: Literal[".", ","] | None = Field(default=None, description="decimal sign")
+    header: Annotated[int, Field(ge=0)] | None = Field(
+        default=None,
+        description="number of the line with the names; 0: there is none, columns are 1, 2, ...",
+    )
+    encoding: Annotated[str, AfterValidator(_encoding)] | None = Field(
+        default=None, description="such as utf-8, utf-16 or cp1252"
+    )
+    marks: Annotated[tuple[str, ...], Field(strict=False)] = Field(
+        default=(), description="texts that stand for a missing sample, such as OVL"
+    )
+
+    def read(self, path: Path, wanted: Set[str]) -> Columns:
+        """The columns ``wanted``. Raises InputError."""
+        with path.open("rb") as file:
+            head = file.read(PROBE)
+        encoding = self.encoding or _encoding_of(head)
+        text = head.decode(encoding, errors="replace")
+        if "\0" in text or encoding == "":
+            raise unreadable(
+                path,
+                "is not text",
+                f"name the format of a binary file, such as format: {{kind: mdf}}; of text, {KEYS}",
+            )
+        lines = re.split(r"\r\n|\n|\r", text)
+        del lines[len(lines) - (len(head) == PROBE) :]  # the last may be cut
+        found = self._dialect(path, lines, wanted)
+        refuse = int(path.stat().st_size / (len(head) / max(1, len(lines))))
+        places = match_names(path, found.names, wanted)
+        refuse_large(path, refuse, len(places))
+        data = self._load(path, found, encoding, places) if places else {}
+        units = {name: found.units[k] for name, k in places.items() if found.units[k]}
+        plain = Dialect(",", ".", (), (), 0, 0, 0, 0, 0.0)
+        said = str(found) + ("" if encoding in ("utf-8", "utf-8-sig") else f", in {encoding}")
+        notes = () if said == str(plain) else (f"is read as a table {said}",)
+        return Columns(tuple(n.strip() for n in found.names), data, units=units, notes=notes)
+
+    def _dialect(self, path: Path, lines: list[str], wanted: Set[str]) -> Dialect:
+        half = PROBED // 2
+        step = max(1, (len(lines) - half) // half)
+        sample = lines[:half] + lines[half::step]
+        options = sample, wanted, self.delimiter, self.decimal
+        found = recognise(*options, self.header)
+        rows = sum(bool(s.strip()) and not s.lstrip().startswith(COMMENTS) for s in sample)
+        if found is not None and found.rows >= HALF * (rows - found.first):
+            return found
+        if rows == 0:
+            raise unreadable(path, "holds no names and no rows", "the first line names the columns")
+        bare = recognise(*options, 0)
+        top = next(k for k, s in enumerate(sample) if s.strip())
+        if self.header is None and bare is not None and bare.first == top:
+            raise unreadable(
+                path,
+                f"has no header (got {sample[top][:60]!r} as first line)",
+                "name the columns in the first line, or give format: {kind: text, header: 0} and "
+                "map the columns 1, 2, ...",
+            )
+        shown = next(s for s in sample if s.strip())[:60]
+        what = f"is no table of numbers below a line of names (begins with {shown!r})"
+        if bare is not None and bare.rows >= HALF * (rows - bare.first):
+            what += f"; its rows have {bare.width} cells, {bare}, and no line above as many names"
+        do = "a table with decimal commas needs another sign than commas between its cells"
+        raise unreadable(path, what, f"{do}; if it is known how the file is written, give {KEYS}")
+
+    def _load(
+        self, path: Path, dialect: Dialect, encoding: str, places: dict[str, int]
+    ) -> dict[str, Array]:
+        import pyarrow as pa
+
+        blocks: list[list[pa.Array]] = []
+        rows = 0
+        try:
+            for batch in _batches(path, dialect, encoding, sorted(set(places.values()))):
+                rows += batch.num_rows
+                refuse_large(path, rows, len(places))
+                blocks.append([batch.column(str(k)) for k in places.values()])
+        except pa.ArrowInvalid as error:
+            do = "each row needs as many cells as there are names"
+            raise unreadable(path, f"is not a table of numbers ({error})", do) from error
+        return {
+            name: self._numbers(path, dialect, name, [block[j] for block in blocks])
+            for j, name in enumerate(places)
+        }
+
+    def _numbers(self, path: Path, dialect: Dialect, name: str, blocks: list[pa.Array]) -> Array:
+        """The numbers of a column of texts; dates and times in seconds."""
+        import pyarrow as pa
+
+        pc: Any = import_module("pyarrow.compute")  # its functions are made when it is imported
+        if not blocks:
+            return np.zeros(0)
+        texts = pc.utf8_trim_whitespace(pa.chunked_array(blocks))
+        absent = pc.is_in(texts, pa.array([*MISSING, *self.marks]))
+        texts = pc.if_else(absent, pa.scalar(None, pa.string()), texts)
+        known = pc.drop_null(texts)
+        if len(known) and seconds(np.array([known[0].as_py()])) is not None:
+            found = seconds(np.array(texts.to_pylist(), dtype=object))
+            if found is not None:
+                return found
+        plain = pc.replace_substring_regex(texts, "[dD]", "e")  # of Fortran
+        plain = pc.replace_substring(plain, ",", ".") if dialect.decimal == "," else plain
+        plain = pc.replace_substring_regex(plain, r"^\+", "")
+        try:
+            return pc.cast(plain, pa.float64()).to_numpy()
+        except pa.ArrowInvalid:
+            row, text = next(
+                (k, t)
+                for k, t in enumerate(texts.to_pylist())
+                if not _is_number(t, dialect.decimal)
+            )
+        raise unreadable(
+            path,
+            f"has text in place of a number in column {name!r} (got {text!r} in row {row + 1} "
+            f"below line {dialect.first})",
+            f"if it marks a missing sample, give format: {{kind: text, marks: [{text!r}]}}; if it "
+            f"is a number, {KEYS}",
+        )
+
+
+def _encoding_of(head: bytes) -> str:
+    """The encoding of a text by its first bytes; empty if it is no text."""
+    for mark, encoding in BOMS.items():
+        if head.startswith(mark):
+            return encoding
+    if b"\0" in head:  # every other byte of UTF-16 is zero in plain text
+        zeros = [
+            np.mean(np.frombuffer(head[: len(head) // 2 * 2], np.uint8)[k::2] == 0) for k in (0, 1)
+        ]
+        low, high = min(zeros), max(zeros)
+        return "" if high < 0.9 or low > 0.1 else "utf-16-be" if zeros[0] == high else "utf-16-le"
+    try:
+        head.decode("utf-8")
+    except UnicodeDecodeError as error:
+        return "utf-8" if error.start > len(head) - 4 else "latin-1"
+    return "utf-8"
+
+
+def _batches(
+    path: Path, dialect: Dialect, encoding: str, places: list[int]
+) -> Iterator[pa.RecordBatch]:
+    """The rows as texts, block by block; columns are named by their numbers."""
+    import pyarrow as pa
+    import pyarrow.csv as pa_csv
+
+    encoding = "utf8" if encoding.startswith("utf-8") else encoding
+    columns = [str(k) for k in range(max(dialect.width, len(dialect.names)))]
+    kept = [str(k) for k in places]
+    source: Any = path
+    if dialect.delimiter == " ":
+        source, encoding = io.BufferedReader(_SingleBlanks(path, encoding), BLOCK), "utf-8"
+    with pa_csv.open_csv(
+        source,
+        pa_csv.ReadOptions(
+            block_size=BLOCK, skip_rows=dialect.first, column_names=columns, encoding=encoding
+        ),
+        pa_csv.ParseOptions(
+            delimiter=dialect.delimiter,
+            invalid_row_handler=lambda row: (
+                "skip" if row.text.lstrip().startswith(COMMENTS) else "error"
+            ),
+        ),
+        pa_csv.ConvertOptions(
+            include_columns=kept, column_types={name: pa.string() for name in kept}
+        ),
+    ) as stream:
+        yield from stream
+
+
+class _SingleBlanks(io.RawIOBase):
+    """A text file with one blank between its cells and none before or after them."""
+
+    def __init__(self, path: Path, encoding: str) -> None:
+        self._file = path.open(encoding=encoding, errors="replace")
+        self._rest = b""
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        if not self._rest:
+            lines = self._file.readlines(BLOCK)
+            self._rest = "".join(" ".join(line.split()) + "\n" for line in lines).encode()
+        part = self._rest[: len(buffer)]
+        buffer[: len(part)] = part
+        self._rest = self._rest[len(part) :]
+        return len(part)
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+
+def _is_number(text: str | None, decimal: str) -> bool:
+    try:
+        float("nan" if text is None else re.sub("[dD]", "e", text.replace(decimal, ".")))
+    except ValueError:
+        return False
+    return True
