@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from hiltestbed.config.models import stamp
-from hiltestbed.contact.composition import ACTIVE, PASSIVE, Structure, add_side, drawn
+from hiltestbed.contact.composition import ACTIVE, PASSIVE, PREFIXES, Structure, add_side, drawn
 from hiltestbed.contact.parameters import PARAMETERS
 from hiltestbed.contact.phases import actuators_of, dropped_by, joints_of
 from hiltestbed.contact.sides import Pair, Sides, sides_of
@@ -84,7 +84,7 @@ def _penetrations(sides: Sides, model: mujoco.MjModel, pose: Array) -> Iterator[
         frames = np.zeros((2 + len(sides.frames), 7))
         frames[0], frames[1, 6] = pose, 1.0
         for k, (side, name) in enumerate(sides.frames):
-            body = data.body((ACTIVE if side == "A" else PASSIVE) + name)
+            body = data.body(PREFIXES[side] + name)
             frames[2 + k] = [*body.xpos, *body.xquat[[1, 2, 3, 0]]]
         depth, rate = np.empty(count), np.empty(count)
         meet_all(

@@ -25,7 +25,20 @@ import numpy as np
 
 from hiltestbed.config.models import stamp
 from hiltestbed.contact.description import matching
-from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE, Geometry, Placed, Round, packed
+from hiltestbed.contact.geometry import (
+    ACTIVE,
+    FRAMES,
+    PASSIVE,
+    RADIUS,
+    ROUND_FRAME,
+    ROW,
+    SURFACE_FRAME,
+    VALUES,
+    Geometry,
+    Placed,
+    Round,
+    packed,
+)
 from hiltestbed.contact.surfaces import Finding, Surface, of_geom, of_mesh
 from hiltestbed.contact.surfaces.shapes import KINDS
 from hiltestbed.errors import InputError
@@ -72,15 +85,13 @@ class Pair:
     """Two geoms that may touch.
 
     Attributes:
-        active, passive: their names. rule: number of their rule. swapped: whether the round is on
-            the passive side.
+        active, passive: their names. rule: number of their rule.
         single: whether they touch at one point at most.
     """
 
     active: str
     passive: str
     rule: int
-    swapped: bool = False
     single: bool = False
 
 
@@ -115,6 +126,13 @@ class Sides:
     def rules(self) -> tuple[int, ...]:
         """Number of the rule of each facet, then of each native pair."""
         return tuple(pair.rule for pair in (*self.facets, *self.native))
+
+    def candidate(self, k: int) -> tuple[int, int, float]:
+        """Of facet ``k``: the frames of the round and of the surface, and the radius of the round
+        [m].
+        """
+        row, radius = self.geometry.index[k * ROW :], self.geometry.values[k * VALUES + RADIUS]
+        return int(row[ROUND_FRAME]), int(row[SURFACE_FRAME]), float(radius)
 
     @property
     def rigid(self) -> bool:
@@ -161,7 +179,7 @@ def _sides(
             facets.append(Pair(*names, k))
             candidates.append(_candidate(active, a, passive, p, frames))
         elif _facets(passive.type(p), active.type(a)):
-            facets.append(Pair(*names, k, swapped=True))
+            facets.append(Pair(*names, k))
             candidates.append(_candidate(passive, p, active, a, frames))
         else:
             native.append(Pair(*names, k))
