@@ -64,6 +64,7 @@ ROD_FACETS = (CYLINDER, ELLIPSOID, MESH)
 # closed form against a ball
 EXACT = tuple(int(g) for g in (_G.mjGEOM_PLANE, _G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_BOX))
 MOST_PAIRS = 4000
+WIDTHS = np.array([7, 4, 1, 1])  # numbers in qpos of a free, ball, slide and hinge joint
 
 
 class Rule(NamedTuple):
@@ -108,8 +109,9 @@ class Sides:
         exact: whether MuJoCo's own collision detection has a closed form and one point for every
             pair, including those with facets.
         ports: (2, 7) pose of A in the file of the active side, of P in that of the passive one.
-        moving: whether a side has joints. findings: on the meshes that may touch, with the name of
-            the geom.
+        moving: whether a side has joints. releases: whether a side can release energy: it has
+            actuators, or springs that are not at rest at the start. findings: on the meshes that
+            may touch, with the name of the geom.
     """
 
     facets: tuple[Pair, ...]
@@ -120,6 +122,7 @@ class Sides:
     exact: bool
     ports: Array
     moving: bool
+    releases: bool
     findings: tuple[tuple[str, Finding], ...]
 
     @property
@@ -202,6 +205,7 @@ def _sides(
         exact and not moving,
         np.array([active.pose(), passive.pose()]),
         moving,
+        active.releases() or passive.releases(),
         tuple((name, f) for name, found in findings for f in found),
     )
 
@@ -268,6 +272,18 @@ class _Side:
     def pose(self) -> Array:
         """``(7,)`` of the port in the file's frame."""
         return np.concatenate([self.origin, _quaternion(self.axes)])
+
+    def releases(self) -> bool:
+        """Whether it has actuators, springs of tendons, or joints whose springs are loaded at the
+        start.
+        """
+        m = self.model
+        loaded = [
+            not np.array_equal(m.qpos_spring[a : a + n], m.qpos0[a : a + n])
+            for a, n, k in zip(m.jnt_qposadr, WIDTHS[m.jnt_type], m.jnt_stiffness, strict=True)
+            if k > 0.0
+        ]
+        return bool(m.nu or any(loaded) or (m.tendon_stiffness > 0.0).any())
 
     def name(self, geom: int) -> str:
         return self.model.geom(geom).name
