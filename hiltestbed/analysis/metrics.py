@@ -200,7 +200,7 @@ class Tally:
             tracking_compliance=compliance,
             tracking_error=float(self.peak_error[i]),
             energy_made=energy_made(
-                self._first_impulse[i], *self._speeds[i], self.tick * float(self.peak_force[i])
+                self._first_impulse[i], *self._speeds[i], push=self.tick * float(self.peak_force[i])
             ),
         )
 

@@ -114,7 +114,7 @@ def _both(mechanism: Mechanism) -> mujoco.MjModel:
 
 
 @lru_cache(maxsize=16)
-def _compiled(structure: Structure, stamps: tuple[tuple[int, ...], ...]) -> mujoco.MjModel:
+def _compiled(structure: Structure, stamps: tuple[str, ...]) -> mujoco.MjModel:
     """Both sides alone, the active one on a free body. Raises InputError."""
     spec = mujoco.MjSpec()
     add_side(spec, structure.mechanism, PASSIVE, spec.worldbody.add_body(name="P_body"))

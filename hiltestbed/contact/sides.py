@@ -24,6 +24,7 @@ import mujoco
 import numpy as np
 
 from hiltestbed.config.models import stamp
+from hiltestbed.config.part import compiled
 from hiltestbed.contact.description import matching
 from hiltestbed.contact.geometry import (
     ACTIVE,
@@ -43,7 +44,6 @@ from hiltestbed.contact.surfaces import Finding, Surface, of_geom, of_mesh
 from hiltestbed.contact.surfaces.shapes import KINDS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_mujoco
-from hiltestbed.run_folder.folders import is_file
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
@@ -154,7 +154,7 @@ def sides_of(mechanism: Mechanism) -> Sides:
 
 @lru_cache(maxsize=32)
 def _sides(
-    stamps: tuple[tuple[str, tuple[int, ...]], ...],
+    stamps: tuple[tuple[str, str], ...],
     rules: tuple[Rule, ...],
     sites: tuple[tuple[str, str], ...],
     captured: bool,
@@ -408,38 +408,6 @@ def _nothing_touches(active: _Side, passive: _Side, rules: Sequence[Rule]) -> st
         f"touch if contype and conaffinity are not 0: "
         'give at least one geom of each side contype="1" conaffinity="1"'
     )
-
-
-def compiled(file: Path) -> mujoco.MjModel:
-    """The model of one side alone, with geoms and bodies named. Raises InputError."""
-    spec = named(file)
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise InputError(f"{file}: MuJoCo cannot compile it: {_first_line(error)}") from error
-
-
-def named(file: Path) -> mujoco.MjSpec:
-    """The MJCF of one side; geoms and bodies without a name get their number as a name. Raises
-    InputError.
-    """
-    if not is_file(Path(file)):
-        raise InputError(f"{file}: no such file")
-    try:
-        spec = mujoco.MjSpec.from_file(str(file))
-    except ValueError as error:
-        raise InputError(
-            f"{file}: not an MJCF file that MuJoCo can read: {_first_line(error)}"
-        ) from error
-    for what, things in (("geom", spec.geoms), ("body", spec.bodies)):
-        for i, thing in enumerate(things):
-            if not thing.name:
-                thing.name = f"{what}_{i}"
-    return spec
-
-
-def _first_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def _quaternion(axes: Array) -> Array:
