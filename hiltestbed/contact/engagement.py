@@ -361,7 +361,7 @@ class _Pairs:
             batch.expand("pair_solref"),
             batch.expand("pair_solreffriction"),
         )
-        self.friction[:] = 2.0 * NO_DAMPING
+        self.friction[:, pairs] = 2.0 * NO_DAMPING
         if structure.rubs:
             batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(
                 parameters[:, :-1, FRICTION, None], 1e-4

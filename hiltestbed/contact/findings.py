@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from hiltestbed.config.models import stamp
+from hiltestbed.config.models import model_of, stamp
 from hiltestbed.contact.composition import ACTIVE, PASSIVE, PREFIXES, Structure, add_side, drawn
 from hiltestbed.contact.parameters import PARAMETERS
 from hiltestbed.contact.phases import actuators_of, dropped_by, joints_of
@@ -156,5 +156,17 @@ def remarks(mechanism: Mechanism) -> list[str]:
             f"that MuJoCo finds: exact if all have the "
             "same penetration, up to 8 % too stiff if parts roll on an edge"
         )
+    if sides.apart:
+        shown = ", ".join(" - ".join(pair) for pair in sides.apart[:LISTED])
+        more = f" and {len(sides.apart) - LISTED} more" if len(sides.apart) > LISTED else ""
+        out.append(
+            f"geoms of one side do not touch each other unless a <pair> in its file says "
+            f"so; these would in MuJoCo: {shown}{more}"
+        )
+    for file in mechanism.files():
+        if unused := model_of(file).settings():
+            out.append(
+                f"{file}: {', '.join(unused)}: without effect; the rig and the scenario decide"
+            )
     out += [f"mesh of the geom {name!r}: {finding.message}" for name, finding in sides.findings]
     return out
