@@ -19,7 +19,7 @@ from hiltestbed.config.mjcf import Packed
 from hiltestbed.errors import InputError
 
 # chosen: compiling 200,000 triangles, the most that a surface may have, takes 3 s and 0.5 GB
-TIME = 20  # [s] of the processor
+TIME = 10  # [s] of the processor
 PATIENCE = 120.0  # [s] of the clock, with other work on the machine
 MEMORY = 4 << 30  # [byte] of address space
 LARGEST = 1e9  # in SI units: beyond the size of any number of a mechanism or a rig
