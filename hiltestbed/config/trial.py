@@ -104,10 +104,8 @@ def _compiled(packed: Packed, file: str) -> dict:
 
 def _unfit(model: object) -> str:
     """Which number of a compiled ``model`` no body has; empty: none."""
-    for name in dir(model):
-        if name.startswith("_"):
-            continue
-        array = getattr(model, name)
+    for name in sorted(dir(model), key=lambda name: name not in BODY):  # those of the file first
+        array = None if name.startswith("_") else getattr(model, name)
         if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
             continue
         bad = np.isnan(array) if name not in BODY else ~(np.abs(array) <= LARGEST)
