@@ -19,7 +19,8 @@ EXIT_STATUS = {
     1: "anything else that failed: a file that cannot be written, an interrupted run, a missing "
     "extra",
     2: "bad input: every fault, with file, line and column",
-    3: "the simulation diverged, or a safety limit stopped it; the folder is written all the same",
+    3: "the simulation diverged, a safety limit stopped it, or its reference makes energy; the "
+    "folder is written all the same",
 }
 
 

@@ -2,7 +2,7 @@
 a HiltestbedError.
 
 The exit status of the command line follows the class: InputError 2, any other 1; a run that
-diverged or was stopped ends with 3.
+diverged, was stopped or has no reference ends with 3.
 """
 
 from __future__ import annotations

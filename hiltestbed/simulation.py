@@ -16,6 +16,7 @@ from hiltestbed.analysis.metrics import ContactFigures
 from hiltestbed.analysis.stability import stability
 from hiltestbed.config.budget import refuse_beyond, run_budget
 from hiltestbed.config.sense import warnings
+from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.truth import axis_truth, normal_truth
 from hiltestbed.effects.log import stamp_late
 from hiltestbed.errors import HiltestbedError
@@ -78,8 +79,11 @@ def run_batch(
     # scenarios that differ only in the rig share one
     different = dict(zip(names, references, strict=True))
     reference = simulate(list(different.values()), until_parted=True, nthread=nthread)
-    found = dict(zip(different, reference.figures, strict=True))
-    return [concluded(batch, found[name], i) for i, name in enumerate(names)]
+    found = {
+        name: (figures, reference_fault(reference, k))
+        for k, (name, figures) in enumerate(zip(different, reference.figures, strict=True))
+    }
+    return [concluded(batch, *found[name], i) for i, name in enumerate(names)]
 
 
 def simulate(
@@ -191,6 +195,25 @@ def reference_scenario(scenario: Scenario) -> Scenario:
     return scenario_from(data)
 
 
+def reference_fault(batch: Batch, i: int) -> str | None:
+    """Why run ``i`` of a ``batch`` of references is none: it diverged, or its contact made energy
+    though nothing in the mechanism can; None: it is one.
+    """
+    figures, mechanism = batch.figures[i], batch.scenarios[i].mechanism
+    if i in batch.trouble:
+        tick, status, why = batch.trouble[i]
+        return f"the reference {status} at t = {tick / batch.scenarios[i].rate:.6f} s: {why}"
+    if not figures.energy_made or sides_of(mechanism).releases:
+        return None
+    cor = figures.cor_normal if figures.cor is None else figures.cor
+    return (
+        f"the reference, an ideal rig without delay, makes {figures.energy_made:.3g} J in its "
+        f"first contact (coefficient of restitution {cor:.4g}), which a passive mechanism cannot: "
+        f"no figure of this run can be trusted; raise rate and physics_rate, and look at the law "
+        f"and the geometry of the contact"
+    )
+
+
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
     """Per axis: identified stiffness and damping (None without an estimate), and the true values if
     they are defined.
@@ -299,9 +322,11 @@ def _number(value: float) -> float | None:
     return None if not math.isfinite(value) else float(value)
 
 
-def concluded(batch: Batch, reference: ContactFigures | None, i: int) -> Run:
+def concluded(
+    batch: Batch, reference: ContactFigures | None, reference_fault: str | None, i: int
+) -> Run:
     """Run ``i`` of a batch with its summary; ``reference``: figures of the same contact with an
-    ideal rig.
+    ideal rig, and why it is no reference, see :func:`reference_fault`.
     """
     scenario, figures = batch.scenarios[i], batch.figures[i]
     cor, along = figures.cor, figures.cor_normal
@@ -309,7 +334,12 @@ def concluded(batch: Batch, reference: ContactFigures | None, i: int) -> Run:
         (None, None) if reference is None else (reference.cor, reference.cor_normal)
     )
     ledger = delay_ledger(scenario, figures)
-    trouble = batch.trouble.get(i)
+    status, stop_reason = "completed", None
+    if (trouble := batch.trouble.get(i)) is not None:
+        status = trouble[1]
+        stop_reason = f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[2]}"
+    elif reference_fault is not None:
+        status, stop_reason = "no_reference", reference_fault
     wall = batch.wall
     summary = {
         "name": scenario.name,
@@ -317,10 +347,8 @@ def concluded(batch: Batch, reference: ContactFigures | None, i: int) -> Run:
         "seed": scenario.seed,
         "versions": versions(),
         "plugins": plugins.loaded(),
-        "status": trouble[1] if trouble else "completed",
-        "stop_reason": f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[2]}"
-        if trouble
-        else None,
+        "status": status,
+        "stop_reason": stop_reason,
         "cor": cor,
         "cor_reference": cor_reference,
         "cor_log_error": log_error(cor, cor_reference),

@@ -122,6 +122,8 @@ def _energy(summary: dict[str, Any]) -> tuple[bool | None, str]:
 
 
 def _headline(summary: dict[str, Any]) -> str:
+    if summary["status"] == "no_reference":
+        return f"The run has no reference: {summary['stop_reason']}."
     if summary["status"] != "completed":
         return (
             f"The run "
@@ -252,6 +254,8 @@ def _cure(source: str, ledger: list[dict[str, Any]]) -> str:
 
 
 def _advice(summary: dict[str, Any]) -> list[str]:
+    if summary["status"] == "no_reference":
+        return ["Correct what makes energy in the reference: the run is compared with it."]
     if summary["status"] != "completed":
         return [
             "Replay the last ticks with hiltestbed.replay_failure(FOLDER) and see which quantity "

@@ -30,6 +30,9 @@ ABOVE_NOISE = 2.0
 # chosen: times the contact's duration, for which it is waited for; not at all for one that adds a
 # force of its own
 LONGEST_WAIT = 2.0
+# chosen: share of the approach energy below which energy that a contact makes is not resolved; half
+# of it is the share of the coefficient of restitution
+RESOLVED = 0.01
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,8 @@ class ContactFigures:
             or still approach afterwards. cor_normal: the same along the impulse of that contact,
                 whatever its direction, see
             :func:`along_impulse`; None if they did not touch, or did not separate before the end.
+        energy_made: [J] kinetic energy of the relative motion that the first contact added, beyond
+            what ticks resolve, see :func:`energy_made`; 0: none.
     """
 
     cor: float | None
@@ -57,6 +62,7 @@ class ContactFigures:
     tracking_delay: float | None
     tracking_compliance: float | None
     tracking_error: float
+    energy_made: float = 0.0
 
 
 class Tally:
@@ -193,6 +199,9 @@ class Tally:
             tracking_delay=delay,
             tracking_compliance=compliance,
             tracking_error=float(self.peak_error[i]),
+            energy_made=energy_made(
+                self._first_impulse[i], *self._speeds[i], push=self.tick * float(self.peak_force[i])
+            ),
         )
 
 
@@ -211,6 +220,27 @@ def along_impulse(impulse: Array, before: Array, after: Array) -> float | None:
     """
     approach, rebound = float(impulse @ before), float(impulse @ after)
     return -rebound / approach if approach > 0.0 >= rebound else None
+
+
+def energy_made(impulse: Array, before: Array, after: Array, push: float) -> float:
+    """Kinetic energy [J] that a contact adds to the relative motion, ``-J . (v_before +
+    v_after)/2`` as in :func:`along_impulse`; 0 if it adds no more than can be resolved.
+
+    A spring k appears and vanishes somewhere within a tick h: up to k (v h)^2/2 of energy is made
+    or lost, which is (h F)^2/(2 mu) at the peak force F and the reduced mass mu along J. The
+    approach energy is resolved to :data:`RESOLVED`.
+
+    Args:
+        impulse, before, after: see :func:`along_impulse`. push: [N s] h F.
+    """
+    approach, rebound = float(impulse @ before), float(impulse @ after)
+    if not approach > 0.0 >= rebound:
+        return 0.0
+    made, change = -0.5 * (approach + rebound), approach - rebound
+    square = float(impulse[:3] @ impulse[:3])
+    mass = square / change
+    resolved = max(0.5 * push * push / mass, RESOLVED * 0.5 * mass * approach * approach / square)
+    return made if made > resolved else 0.0
 
 
 def settle_ticks(scenario: Scenario) -> int:

@@ -122,6 +122,7 @@ def _kept_files(case: int, run: Any, recording: bool) -> dict[str, bytes]:
             folder.mkdir()
             write_trace(run.trace, folder / TRACE)
         return {
-            f"{case_folder(case)}/{file.name}": file.read_bytes()
-            for file in sorted(folder.iterdir())
+            f"{case_folder(case)}/{file.relative_to(folder)}": file.read_bytes()
+            for file in sorted(folder.rglob("*"))
+            if file.is_file()
         }

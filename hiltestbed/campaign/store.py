@@ -9,6 +9,7 @@ cases.parquet      every case in order, byte-identical for any division into chu
 
 from __future__ import annotations
 
+import copy
 import fcntl
 import hashlib
 import json
@@ -26,10 +27,12 @@ import pyarrow.parquet as pq
 from hiltestbed.campaign.chunk import ChunkResult
 from hiltestbed.campaign.columns import schema, table
 from hiltestbed.campaign.schema import LoadedCampaign
-from hiltestbed.config.yaml_source import dump_yaml
+from hiltestbed.config.validation import UserFile, user_files
+from hiltestbed.config.yaml_source import dotted, dump_yaml, key_path
 from hiltestbed.errors import InputError
+from hiltestbed.run_folder.store import MODELS, keep_file
 from hiltestbed.run_folder.versions import versions
-from hiltestbed.scenario import resolved
+from hiltestbed.scenario import file_sha256, identity, put, scenario_from
 
 ABOUT, CHUNKS, CASES, KEPT, LOCK = "campaign.json", "chunks", "cases.parquet", "cases", ".lock"
 CAMPAIGN, SCENARIO = "campaign.yaml", "scenario.yaml"
@@ -42,12 +45,33 @@ def campaign_sha256(campaign: LoadedCampaign) -> str:
     what is kept.
     """
     spec = campaign.spec.model_dump(mode="json")
-    identity = {"scenario": resolved(campaign.nominal)} | {
+    whole = {"scenario": identity(campaign.nominal)} | {
         key: spec[key] for key in ("vary", "design", "keep")
     }
+    for (key, k), (file, kind) in varied_files(campaign).items():
+        whole["vary"][key]["values"][k] = file_sha256(file, kind)
     return hashlib.sha256(
-        json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()
+        json.dumps(whole, sort_keys=True, separators=(",", ":")).encode()
     ).hexdigest()
+
+
+def varied_files(campaign: LoadedCampaign) -> dict[tuple[str, int], tuple[Path, UserFile]]:
+    """The user's files among the values of the varied keys, by key and number of the value."""
+    found = {}
+    for key, variation in campaign.spec.vary.items():
+        for k, value in enumerate(variation.values or ()):
+            if isinstance(value, str):
+                files = user_files(scenario_from(campaign.source, {key: value}))
+                if key_path(key) in files:
+                    found[key, k] = files[key_path(key)]
+    return found
+
+
+def files_sha256(campaign: LoadedCampaign) -> dict[str, str]:
+    """SHA-256 of each of the user's files that the campaign needs, by key and path."""
+    files = {dotted(path): entry for path, entry in user_files(campaign.nominal).items()}
+    files |= {f"vary.{key}.{k}": entry for (key, k), entry in varied_files(campaign).items()}
+    return {f"{key}: {file}": file_sha256(file, kind) for key, (file, kind) in files.items()}
 
 
 class Store:
@@ -93,7 +117,14 @@ class Store:
         """
         spec = self.campaign.spec.model_dump(mode="json", exclude_none=True)
         spec |= {"name": spec["name"] or self.campaign.path.stem, "scenario": SCENARIO, "set": {}}
-        write_whole(self.folder / SCENARIO, dump_yaml(self.campaign.source.data).encode())
+        shutil.rmtree(self.folder / MODELS, ignore_errors=True)
+        data = copy.deepcopy(self.campaign.source.data)
+        for path, (file, kind) in user_files(self.campaign.nominal).items():
+            put(data, path, keep_file(file, kind, self.folder, dotted(path)))
+        for (key, k), (file, kind) in varied_files(self.campaign).items():
+            kept = keep_file(file, kind, self.folder, f"vary.{key}.{k}")
+            spec["vary"][key]["values"][k] = kept
+        write_whole(self.folder / SCENARIO, dump_yaml(data).encode())
         write_whole(self.folder / CAMPAIGN, dump_yaml(spec).encode())
 
     def write_about(self, more: dict[str, Any]) -> None:
@@ -102,6 +133,7 @@ class Store:
             "name": self.campaign.spec.name or self.campaign.path.stem,
             "campaign": str(self.campaign.path.resolve()),
             "campaign_sha256": campaign_sha256(self.campaign),
+            "files": files_sha256(self.campaign),
             "versions": versions(),
             "cases": self.campaign.spec.cases,
         }
@@ -207,6 +239,17 @@ def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
         return
     about = read_about(folder)
     if about.get("campaign_sha256") != campaign_sha256(campaign):
+        before = about.get("files") or {}
+        changed = [
+            name
+            for name, digest in files_sha256(campaign).items()
+            if before.get(name, digest) != digest
+        ]
+        if changed:
+            raise InputError(
+                f"{folder}: was begun with another content of {', '.join(changed)}; undo the "
+                f"change, or choose another --out"
+            )
         raise InputError(
             f"{folder}: belongs to another campaign (got {about.get('name')!r} from "
             f"{about.get('campaign')}, with another scenario, vary, "

@@ -1,9 +1,9 @@
 """The command line: `hiltestbed run | check | rig | view | compare | new | doctor | schema | bench
 | sweep | diagnose | live | ...`.
 
-Exit status: 0 done; 2 bad input; 3 the simulation diverged or a safety limit stopped it; 1 any
-other failure. Results go to standard output, progress and messages to standard error. A command
-imports what it needs when it runs, so that --help is fast.
+Exit status: 0 done; 2 bad input; 3 the simulation diverged, a safety limit stopped it, or it has no
+reference; 1 any other failure. Results go to standard output, progress and messages to standard
+error. A command imports what it needs when it runs, so that --help is fast.
 """
 
 from __future__ import annotations

@@ -70,14 +70,22 @@ def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None)
 
 def _scenario(source: Source, data: bool) -> Findings:
     from hiltestbed.config.budget import run_budget
+    from hiltestbed.config.models import remarks_on
     from hiltestbed.config.sense import warnings
+    from hiltestbed.config.validation import user_files
     from hiltestbed.contact.findings import remarks
     from hiltestbed.scenario import scenario_from
 
     scenario = scenario_from(source)
     if not data:
         return Findings("scenario", ())
-    remarked = (*_as_warnings(warnings(scenario)), *remarks(scenario.mechanism))
+    said = (
+        f"{file}: {text}"
+        for file, kind in user_files(scenario).values()
+        if kind.mjcf
+        for text in remarks_on(file)
+    )
+    remarked = (*_as_warnings(warnings(scenario)), *remarks(scenario.mechanism), *said)
     return _within(Findings("scenario", (), remarked, run_budget([scenario])), source)
 
 

@@ -1,35 +1,18 @@
-"""The shipped MJCF files, one folder per mechanism or platform."""
+"""The shipped MJCF files, one folder per mechanism or platform, and those of the user."""
 
 from __future__ import annotations
 
-import hashlib
-import shutil
-from collections.abc import Iterator
-from functools import cache, lru_cache
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from hiltestbed.config.mjcf import Packed, packed
+from hiltestbed.config.trial import refuse_unfit
 from hiltestbed.errors import InputError
-from hiltestbed.run_folder.folders import is_file
 
 if TYPE_CHECKING:
     import mujoco
-
-_CONTENT = (
-    "body_",
-    "geom_",
-    "jnt_",
-    "site_",
-    "dof_",
-    "mesh_vert",
-    "mesh_face",
-    "actuator_",
-    "tendon_",
-    "eq_",
-)
 
 
 @cache
@@ -54,85 +37,32 @@ def load(name: str) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(models_folder() / f"{name}.xml"))
 
 
-def _assets(spec: mujoco.MjSpec) -> Iterator[tuple[object, Path]]:
-    """The parts of a model that are in separate files, with their paths."""
-    folder = Path(spec.modelfiledir)
-    for things, below in (
-        (spec.meshes, spec.meshdir),
-        (spec.hfields, spec.meshdir),
-        (spec.textures, spec.texturedir),
-    ):
-        for thing in things:
-            if thing.file:
-                yield thing, folder / below / thing.file
-
-
-def digest(file: Path) -> str:
-    """SHA-256 of the model that an MJCF file describes, to nine decimals; independent of its
-    location. Raises InputError.
+def model_of(file: Path) -> Packed:
+    """The model in an MJCF ``file``, the user's own only if it compiles within limits. Raises
+    InputError.
     """
-    model = _parsed(file).compile()
-    whole = hashlib.sha256(model.names)
-    for name in sorted(n for n in dir(model) if n.startswith(_CONTENT)):
-        array = np.asarray(getattr(model, name))
-        whole.update(name.encode())
-        whole.update(
-            (np.round(array, 9) + 0.0).tobytes() if array.dtype.kind == "f" else array.tobytes()
-        )
-    return whole.hexdigest()
+    found = packed(file)
+    remarks_on(file)
+    return found
 
 
-def stamp(file: Path) -> tuple[int, ...]:
-    """Modification times of an MJCF file and each of its meshes [ns]; empty if there is no such
-    file.
+def remarks_on(file: Path) -> tuple[str, ...]:
+    """MuJoCo's remarks on a user's model; none on a shipped one. Raises InputError if it does not
+    compile within limits.
     """
-    if not is_file(file):
-        return ()
-    written = file.stat().st_mtime_ns
-    return (
-        written,
-        *(path.stat().st_mtime_ns if path.is_file() else 0 for path in _asset_files(file, written)),
-    )
+    return () if is_shipped(file) else refuse_unfit(file, packed(file))
 
 
-@lru_cache(maxsize=64)
-def _asset_files(file: Path, written: int) -> tuple[Path, ...]:
-    import mujoco
+def is_shipped(file: Path) -> bool:
+    """Whether a file is one of the shipped models."""
+    return file.resolve().is_relative_to(models_folder().resolve())
 
+
+def stamp(file: Path) -> str:
+    """What changes with the content of an MJCF file or of any file that it names; empty if it
+    cannot be read: its fault is reported where it is used.
+    """
     try:
-        return tuple(path for _, path in _assets(mujoco.MjSpec.from_file(str(file))))
-    except ValueError:
-        return ()  # its fault is reported where it is read
-
-
-def copy_model(file: Path, folder: Path) -> Path:
-    """Copies an MJCF file and everything that it needs into a new ``folder``; returns the copy.
-    Raises InputError.
-    """
-    spec = _parsed(file)
-    folder.mkdir(parents=True)
-    for thing, path in list(_assets(spec)):
-        name = path.name
-        while (folder / name).exists() and (folder / name).read_bytes() != path.read_bytes():
-            name = f"_{name}"
-        shutil.copyfile(path, folder / name)
-        thing.file = name  # type: ignore[attr-defined]
-    spec.meshdir = spec.texturedir = ""
-    (folder / file.name).write_text(spec.to_xml(), encoding="utf-8")
-    return folder / file.name
-
-
-def _parsed(file: Path) -> mujoco.MjSpec:
-    import mujoco
-
-    try:
-        spec = mujoco.MjSpec.from_file(str(file))
-        for thing, path in _assets(spec):
-            if not getattr(thing, "name", "x"):
-                thing.name = path.stem  # type: ignore[attr-defined]
-        spec.compile()  # a model that does not compile cannot be written either
-    except ValueError as error:
-        raise InputError(
-            f"{file}: is no MJCF that MuJoCo can read: {' '.join(str(error).split())}"
-        ) from error
-    return spec
+        return packed(file).sha256
+    except InputError:
+        return ""

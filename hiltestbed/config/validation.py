@@ -10,7 +10,7 @@ import types
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, TypeVar, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -23,6 +23,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails, PydanticCustomError
 
+from hiltestbed.config.models import models_folder
 from hiltestbed.config.yaml_source import KeyPath, Source, describe
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.plugins import OneOf
@@ -55,23 +56,58 @@ Vector2 = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_le
 Vector3 = Annotated[tuple[float, ...], Strict(False), Field(min_length=3, max_length=3)]
 
 
-def _found(name: str, info: ValidationInfo) -> str:
-    """An existing file, as an absolute path; relative paths start at the folder of the file that
-    names it.
+class UserFile(NamedTuple):
+    """Marks a key that names a file of the user's, which belongs to the scenario: its content is in
+    the hash, and a copy of it in the run folder.
+
+    Attributes:
+        mjcf: whether it is an MJCF file, which belongs there with all the files that it names.
+        shipped: whether it may also name one of the shipped models, which stay where they are.
     """
-    path = (info.context or {}).get("folder", Path()) / name
-    with suppress(OSError, ValueError):  # a name that the file system does not accept
-        path = path.resolve()
-    if not is_file(path):
+
+    mjcf: bool = True
+    shipped: bool = False
+
+    def found(self, name: str, info: ValidationInfo) -> str:
+        """The path of the file: absolute, relative paths start at the folder of the file that
+        names it; that of a shipped one as it is.
+        """
+        path = (info.context or {}).get("folder", Path()) / name
+        with suppress(OSError, ValueError):  # a name that the file system does not accept
+            path = path.resolve()
+        if is_file(path):
+            return str(path)
+        if self.shipped and is_file(models_folder() / name):
+            return name
         raise PydanticCustomError(
             "no_file",
             "no such file (got {name}, looked for {path})",
             {"name": repr(name), "path": str(path)},
         )
-    return str(path)
 
 
-ModelFile = Annotated[str, AfterValidator(_found)]
+_MJCF, _SHIPPED, _OTHER = UserFile(), UserFile(shipped=True), UserFile(mjcf=False)
+ModelFile = Annotated[str, AfterValidator(_MJCF.found), _MJCF]
+ModelOrShipped = Annotated[str, AfterValidator(_SHIPPED.found), _SHIPPED]
+AnyFile = Annotated[str, AfterValidator(_OTHER.found), _OTHER]
+
+
+def user_files(model: BaseModel) -> dict[KeyPath, tuple[Path, UserFile]]:
+    """The files of the user's that a scenario or a section names, by the path of the key."""
+    found: dict[KeyPath, tuple[Path, UserFile]] = {}
+    for key, value in model:
+        mark = next(
+            (m for m in type(model).model_fields[key].metadata if isinstance(m, UserFile)), None
+        )
+        if mark is not None and Path(value).is_absolute():
+            found[key,] = Path(value), mark
+        for below, item in (
+            enumerate(value) if isinstance(value, (list, tuple)) else [(None, value)]
+        ):
+            if isinstance(item, BaseModel):
+                head = (key,) if below is None else (key, below)
+                found |= {(*head, *path): entry for path, entry in user_files(item).items()}
+    return found
 
 
 def refuse(problems: Iterable[Problem]) -> None:

@@ -17,6 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.contact import mount
+from hiltestbed.contact.geometry import ACTIVE as A
+from hiltestbed.contact.geometry import FRAMES
+from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.sides import Pair, Sides, sides_of
 from hiltestbed.frames import Array, quat_to_mujoco
 
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
 
 ACTIVE, PASSIVE = "active_", "passive_"
+PREFIXES = {"A": ACTIVE, "P": PASSIVE}  # by the port of a side
 FLANGE = ACTIVE + "flange"  # the body that carries the active side
 LATCH = "latch"
 # Contact that is a spring and a damper in N/m and N s/m (hiltestbed.contact.solref) needs a small,
@@ -156,8 +160,8 @@ def add_contact(spec: mujoco.MjSpec, structure: Structure) -> None:
         for k, pair in enumerate((*sides.facets, *sides.native)):
             _pair(spec, f"native_{k}", ACTIVE + pair.active, PASSIVE + pair.passive, rubs=False)
     else:
-        for k, pair in enumerate(sides.facets):
-            _facet(spec, k, pair, structure.rubs)
+        for k in range(len(sides.facets)):
+            _facet(spec, k, sides, structure.rubs)
         for k, pair in enumerate(sides.native):
             _native(spec, k, pair, structure.rubs)
     _latches(spec, structure)
@@ -220,7 +224,7 @@ def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int
 
 def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
     """Set the inverse weights of the ``parts`` (for friction, limits and contacts) as if their
-    carrier were fixed.
+    carrier were fixed; bodies that are welded together get the same.
 
     MuJoCo's own inverse weights include the joints of the rig, which would make a sticking joint's
     friction creep.
@@ -236,7 +240,10 @@ def _weigh_parts(model: mujoco.MjModel, parts: list[int], held: bool) -> None:
         own = model.dof_jntid[dofs] == joint
         _put(model.dof_invweight0, dofs[own], np.diag(yields)[own].mean())
     for body in parts:
-        mujoco.mj_jacBodyCom(model, data, jac[:3], jac[3:], body)
+        # at the centre of all that is welded together: it does not depend on the division in bodies
+        welded = model.body_weldid == model.body_weldid[body]
+        centre = np.average(data.xipos[welded], axis=0, weights=model.body_mass[welded])
+        mujoco.mj_jac(model, data, jac[:3], jac[3:], centre, body)
         moved = np.diag(jac[:, dofs] @ yields @ jac[:, dofs].T).reshape(2, 3).mean(axis=1)
         # else it cannot move in that way
         _put(model.body_invweight0, body, np.where(moved > mujoco.mjMINVAL, moved, INVERSE_WEIGHT))
@@ -276,18 +283,28 @@ def _pair(spec: mujoco.MjSpec, name: str, active: str, passive: str, rubs: bool)
     )
 
 
-def _facet(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
-    """Add a box to the body of the surface, and to that of the round a ball, which for a rod is
-    placed at its nearest point.
+def body_of(spec: mujoco.MjSpec, sides: Sides, frame: int) -> str:
+    """The name of the body to which the frame number ``frame`` is fixed: that of the port's site,
+    or the moving part; everything welded to it, at any depth, is placed in this frame.
     """
-    one, other = spec.geom(ACTIVE + pair.active), spec.geom(PASSIVE + pair.passive)
-    round_, surface = (other, one) if pair.swapped else (one, other)
+    if frame < FRAMES:
+        site = (ACTIVE + "A", PASSIVE + "P")[frame]
+        return spec.site(site).parent.name
+    port, body = sides.frames[frame - FRAMES]
+    return PREFIXES[port] + body
+
+
+def _facet(spec: mujoco.MjSpec, k: int, sides: Sides, rubs: bool) -> None:
+    """Add a box to the body that carries the frame of the surface, and to that of the round a
+    ball, which for a rod is placed at its nearest point.
+    """
+    rounds, surfaces, radius = sides.candidate(k)
     box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
-    surface.parent.add_geom(
+    spec.body(body_of(spec, sides, surfaces)).add_geom(
         name=f"facet_{k}", type=box, size=FACET, pos=[0.0, 0.0, AWAY], quat=_UNALIGNED, **_UNSEEN
     )
-    round_.parent.add_geom(
-        name=f"ball_{k}", type=ball, size=[round_.size[0], 0.0, 0.0], pos=PROXY, **_UNSEEN
+    spec.body(body_of(spec, sides, rounds)).add_geom(
+        name=f"ball_{k}", type=ball, size=[radius, 0.0, 0.0], pos=PROXY, **_UNSEEN
     )
     _pair(spec, f"facet_{k}", f"ball_{k}", f"facet_{k}", rubs)
 
@@ -312,23 +329,26 @@ def _native(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
 
 def _latches(spec: mujoco.MjSpec, structure: Structure) -> None:
     """Add an equality between the bodies that carry the sites of each closure; none is active."""
-    closures = [(LATCH, "weld", "A", "P")] if structure.latched else []
+    sides = structure.sides
+    closures = [(LATCH, "weld", A, S)] if structure.latched else []
     closures += [
-        (p.name, p.close.kind, p.close.active, p.close.passive)
+        (
+            p.name,
+            p.close.kind,
+            sides.sites["A", p.close.active][0],
+            sides.sites["P", p.close.passive][0],
+        )
         for p in structure.mechanism.phases()
         if p.close is not None
     ]
     for name, kind, active, passive in closures:
-        bodies = [
-            site.parent.name for site in (spec.site(PASSIVE + passive), spec.site(ACTIVE + active))
-        ]
         type_ = mujoco.mjtEq.mjEQ_WELD if kind == "weld" else mujoco.mjtEq.mjEQ_CONNECT
         spec.add_equality(
             name=name,
             type=type_,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=bodies[0],
-            name2=bodies[1],
+            name1=body_of(spec, sides, passive),
+            name2=body_of(spec, sides, active),
             active=False,
             solimp=CONTACT_SOLIMP,
         )

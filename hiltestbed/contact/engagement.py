@@ -38,6 +38,7 @@ from hiltestbed.contact.composition import (
     NORMAL,
     PASSIVE,
     POS,
+    PREFIXES,
     READ,
     Structure,
     inverse_mass,
@@ -292,9 +293,8 @@ class _Bodies:
             q = np.empty(4)
             quat_mul(self.carry[i, S, 3:7], tilt[i, 3:7], q)
             self.carry[i, S, 3:7] = q
-        prefixes = {"A": ACTIVE, "P": PASSIVE}
         self._ids = np.array(
-            [m.body(prefixes[side] + body).id for side, body in names], dtype=np.int64
+            [m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64
         )
         self.moving: list[Callable[[], None]] = []
         if names:
@@ -361,7 +361,7 @@ class _Pairs:
             batch.expand("pair_solref"),
             batch.expand("pair_solreffriction"),
         )
-        self.friction[:] = 2.0 * NO_DAMPING
+        self.friction[:, pairs] = 2.0 * NO_DAMPING
         if structure.rubs:
             batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(
                 parameters[:, :-1, FRICTION, None], 1e-4

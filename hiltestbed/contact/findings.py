@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from hiltestbed.config.models import stamp
-from hiltestbed.contact.composition import ACTIVE, PASSIVE, Structure, add_side, drawn
+from hiltestbed.config.models import model_of, stamp
+from hiltestbed.contact.composition import ACTIVE, PASSIVE, PREFIXES, Structure, add_side, drawn
 from hiltestbed.contact.parameters import PARAMETERS
 from hiltestbed.contact.phases import actuators_of, dropped_by, joints_of
 from hiltestbed.contact.sides import Pair, Sides, sides_of
@@ -84,7 +84,7 @@ def _penetrations(sides: Sides, model: mujoco.MjModel, pose: Array) -> Iterator[
         frames = np.zeros((2 + len(sides.frames), 7))
         frames[0], frames[1, 6] = pose, 1.0
         for k, (side, name) in enumerate(sides.frames):
-            body = data.body((ACTIVE if side == "A" else PASSIVE) + name)
+            body = data.body(PREFIXES[side] + name)
             frames[2 + k] = [*body.xpos, *body.xquat[[1, 2, 3, 0]]]
         depth, rate = np.empty(count), np.empty(count)
         meet_all(
@@ -114,7 +114,7 @@ def _both(mechanism: Mechanism) -> mujoco.MjModel:
 
 
 @lru_cache(maxsize=16)
-def _compiled(structure: Structure, stamps: tuple[tuple[int, ...], ...]) -> mujoco.MjModel:
+def _compiled(structure: Structure, stamps: tuple[str, ...]) -> mujoco.MjModel:
     """Both sides alone, the active one on a free body. Raises InputError."""
     spec = mujoco.MjSpec()
     add_side(spec, structure.mechanism, PASSIVE, spec.worldbody.add_body(name="P_body"))
@@ -156,5 +156,17 @@ def remarks(mechanism: Mechanism) -> list[str]:
             f"that MuJoCo finds: exact if all have the "
             "same penetration, up to 8 % too stiff if parts roll on an edge"
         )
+    if sides.apart:
+        shown = ", ".join(" - ".join(pair) for pair in sides.apart[:LISTED])
+        more = f" and {len(sides.apart) - LISTED} more" if len(sides.apart) > LISTED else ""
+        out.append(
+            f"geoms of one side do not touch each other unless a <pair> in its file says "
+            f"so; these would in MuJoCo: {shown}{more}"
+        )
+    for file in mechanism.files():
+        if unused := model_of(file).settings():
+            out.append(
+                f"{file}: {', '.join(unused)}: without effect; the rig and the scenario decide"
+            )
     out += [f"mesh of the geom {name!r}: {finding.message}" for name, finding in sides.findings]
     return out

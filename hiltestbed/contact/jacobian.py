@@ -20,8 +20,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from hiltestbed.contact import composition
-from hiltestbed.contact.composition import Structure
+from hiltestbed.contact.composition import PREFIXES, Structure
 from hiltestbed.contact.facets import NORM, POINT, PUSH
 from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE, ROUND_FRAME, ROW, SURFACE_FRAME
 from hiltestbed.contact.parameters import DAMPING, STIFFNESS
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from hiltestbed.contact.engagement import Engagement
 
 SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
-PREFIX = {"A": composition.ACTIVE, "P": composition.PASSIVE}
 
 
 class _Spring(NamedTuple):
@@ -156,10 +154,10 @@ def _carrier(port: str, geom: str, model: mujoco.MjModel) -> str:
     """Name of the moving body that carries a geom of a side; empty if the geom is fixed to the
     side.
     """
-    body = model.body(int(model.geom(PREFIX[port] + geom).bodyid[0]))
-    while body.name.startswith(PREFIX[port]):
+    body = model.body(int(model.geom(PREFIXES[port] + geom).bodyid[0]))
+    while body.name.startswith(PREFIXES[port]):
         if body.jntnum[0]:
-            return body.name.removeprefix(PREFIX[port])
+            return body.name.removeprefix(PREFIXES[port])
         body = model.body(int(body.parentid[0]))
     return ""
 
@@ -200,7 +198,7 @@ class _Joints:
     def __init__(self, batch: Batch, structure: Structure, i: int, places: Array) -> None:
         """places: (2, 7) poses of A and P in W."""
         m, self._frames = batch.model, _moving(structure, batch.model)
-        bodies = [m.body(PREFIX[port] + name).id for port, name in self._frames]
+        bodies = [m.body(PREFIXES[port] + name).id for port, name in self._frames]
         self._chains = [_chain(m, body) for body in bodies]
         every = sorted({j for chain in self._chains for j in chain})
         self._free = [j for j in every if not _held(batch, i, j)]
@@ -249,7 +247,7 @@ def _in_place(batch: Batch, i: int, places: Array) -> tuple[Array, Array]:
     data.qpos[:] = batch.bind("qpos")[i]
     mujoco.mj_kinematics(m, data)
     anchors, axes = data.xanchor.copy(), data.xaxis.copy()
-    for place, (port, prefix) in zip(places, PREFIX.items(), strict=True):
+    for place, (port, prefix) in zip(places, PREFIXES.items(), strict=True):
         own = [j for j in range(m.njnt) if m.body(int(m.jnt_bodyid[j])).name.startswith(prefix)]
         site = data.site(prefix + port)
         turn = rotation_matrix(place[3:7]) @ site.xmat.reshape(3, 3).T
@@ -261,7 +259,7 @@ def _in_place(batch: Batch, i: int, places: Array) -> tuple[Array, Array]:
 def _chain(m: mujoco.MjModel, body: int) -> list[int]:
     """Joints between a moving part and its side."""
     out: list[int] = []
-    while body and m.body(body).name.startswith(tuple(PREFIX.values())):
+    while body and m.body(body).name.startswith(tuple(PREFIXES.values())):
         out += range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
         body = int(m.body_parentid[body])
     return [j for j in out if int(m.jnt_type[j]) in (SLIDE, HINGE)]

@@ -103,15 +103,9 @@ class Mechanism(Strictly):
         """The MJCF of the active and of the passive side, with the sites A and P."""
         raise NotImplementedError
 
-    def fingerprint(self) -> dict[str, str]:
-        """Keys of the section that name a user's file, with the SHA-256 of the file's whole
-        content.
-        """
-        return {}
-
     def sides(self) -> tuple[MjSpec, MjSpec]:
         """Both sides as MJCF, with every geom and body named. Raises InputError."""
-        from hiltestbed.contact.sides import named
+        from hiltestbed.config.part import named
 
         active, passive = self.files()
         return named(active), named(passive)

@@ -8,8 +8,10 @@ of two kinds:
   The nearest point of the surface is computed (for a mesh of revolution exactly from its profile,
   for any other mesh from its triangles), and MuJoCo gets a facet in the tangent plane there
   (:mod:`hiltestbed.contact.engagement`);
-- *native*: any other pair. MuJoCo's own collision detection is used, and the stiffness is divided
-  among the points that it finds.
+- *native*: any other pair of convex geoms. MuJoCo's own collision detection is used, and the
+  stiffness is divided among the points that it finds. A pair that is neither is refused.
+
+Geoms of one side touch each other only in a ``pair`` of its file, with MuJoCo's own softness.
 """
 
 from __future__ import annotations
@@ -17,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
@@ -25,12 +26,22 @@ import numpy as np
 
 from hiltestbed.config.models import stamp
 from hiltestbed.contact.description import matching
-from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE, Geometry, Placed, Round, packed
-from hiltestbed.contact.surfaces import Finding, Surface, of_geom, of_mesh
+from hiltestbed.contact.geometry import (
+    RADIUS,
+    ROUND_FRAME,
+    ROW,
+    SURFACE_FRAME,
+    VALUES,
+    Geometry,
+    Placed,
+    Round,
+    packed,
+)
+from hiltestbed.contact.side import Frames, Side, quaternion
+from hiltestbed.contact.surfaces import Finding
 from hiltestbed.contact.surfaces.shapes import KINDS
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array, quat_from_mujoco
-from hiltestbed.run_folder.folders import is_file
+from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
@@ -72,15 +83,13 @@ class Pair:
     """Two geoms that may touch.
 
     Attributes:
-        active, passive: their names. rule: number of their rule. swapped: whether the round is on
-            the passive side.
+        active, passive: their names. rule: number of their rule.
         single: whether they touch at one point at most.
     """
 
     active: str
     passive: str
     rule: int
-    swapped: bool = False
     single: bool = False
 
 
@@ -97,8 +106,10 @@ class Sides:
         exact: whether MuJoCo's own collision detection has a closed form and one point for every
             pair, including those with facets.
         ports: (2, 7) pose of A in the file of the active side, of P in that of the passive one.
-        moving: whether a side has joints. findings: on the meshes that may touch, with the name of
-            the geom.
+        moving: whether a side has joints. releases: whether a side can release energy: it has
+            actuators, or springs that are not at rest at the start. findings: on the meshes that
+            may touch, with the name of the geom. apart: pairs of geoms of one side that do not
+            touch, though MuJoCo would let them.
     """
 
     facets: tuple[Pair, ...]
@@ -109,12 +120,21 @@ class Sides:
     exact: bool
     ports: Array
     moving: bool
+    releases: bool
     findings: tuple[tuple[str, Finding], ...]
+    apart: tuple[tuple[str, str], ...]
 
     @property
     def rules(self) -> tuple[int, ...]:
         """Number of the rule of each facet, then of each native pair."""
         return tuple(pair.rule for pair in (*self.facets, *self.native))
+
+    def candidate(self, k: int) -> tuple[int, int, float]:
+        """Of facet ``k``: the frames of the round and of the surface, and the radius of the round
+        [m].
+        """
+        row, radius = self.geometry.index[k * ROW :], self.geometry.values[k * VALUES + RADIUS]
+        return int(row[ROUND_FRAME]), int(row[SURFACE_FRAME]), float(radius)
 
     @property
     def rigid(self) -> bool:
@@ -133,14 +153,12 @@ def sides_of(mechanism: Mechanism) -> Sides:
 
 @lru_cache(maxsize=32)
 def _sides(
-    stamps: tuple[tuple[str, tuple[int, ...]], ...],
+    stamps: tuple[tuple[str, str], ...],
     rules: tuple[Rule, ...],
     sites: tuple[tuple[str, str], ...],
     captured: bool,
 ) -> Sides:
-    active, passive = (
-        _Side(file, site) for (file, _), site in zip(stamps, ("A", "P"), strict=True)
-    )
+    active, passive = (Side(file, site) for (file, _), site in zip(stamps, ("A", "P"), strict=True))
     pairs = (
         []
         if captured
@@ -154,16 +172,21 @@ def _sides(
             f"{MOST_PAIRS}); name only those that do, "
             "or give a class of pairs a reach"
         )
-    facets, native, candidates, frames = [], [], [], _Frames()
+    facets, native, candidates, frames = [], [], [], Frames()
     for a, p, k in pairs:
         names = active.name(a), passive.name(p)
         if _facets(active.type(a), passive.type(p)):
             facets.append(Pair(*names, k))
             candidates.append(_candidate(active, a, passive, p, frames))
         elif _facets(passive.type(p), active.type(a)):
-            facets.append(Pair(*names, k, swapped=True))
+            facets.append(Pair(*names, k))
             candidates.append(_candidate(passive, p, active, a, frames))
         else:
+            for side, geom in ((active, a), (passive, p)):
+                if (reason := side.not_convex(geom)) is not None:
+                    raise InputError(
+                        f"{side.file}: the pair {' - '.join(names)} has no exact contact: {reason}"
+                    )
             native.append(Pair(*names, k))
     placed = {
         (port, name): (active if port == "A" else passive).site(name, frames)
@@ -184,7 +207,9 @@ def _sides(
         exact and not moving,
         np.array([active.pose(), passive.pose()]),
         moving,
+        active.releases() or passive.releases(),
         tuple((name, f) for name, found in findings for f in found),
+        (*active.apart(), *passive.apart()),
     )
 
 
@@ -195,151 +220,20 @@ def _facets(round_: int, surface: int) -> bool:
 
 
 def _candidate(
-    one: _Side, round_: int, other: _Side, surface: int, frames: _Frames
+    one: Side, round_: int, other: Side, surface: int, frames: Frames
 ) -> tuple[Round, Placed]:
     frame_a, ends = one.in_frame(round_, frames)
     half = one.model.geom_size[round_, 1] if one.type(round_) == CAPSULE else 0.0
     along = ends[1][:, 2] * half
     places = np.array([ends[0] + along, ends[0] - along])
     frame_p, (position, turn) = other.in_frame(surface, frames)
-    place = np.concatenate([position, _quaternion(turn)])
+    place = np.concatenate([position, quaternion(turn)])
     return Round(float(one.model.geom_size[round_, 0]), places, frame_a), Placed(
         other.surface(surface), place, frame_p, other.port == "P"
     )
 
 
-class _Frames:
-    """Numbers of the frames to which geoms are fixed: A, S, and moving bodies of a side."""
-
-    def __init__(self) -> None:
-        self.names: list[tuple[str, str]] = []
-
-    def number(self, side: str, body: str) -> int:
-        if (side, body) not in self.names:
-            self.names.append((side, body))
-        return FRAMES + self.names.index((side, body))
-
-
-class _Side:
-    """One side, compiled alone."""
-
-    def __init__(self, file: str, site: str) -> None:
-        self.file, self.port = file, site
-        self.model = m = compiled(Path(file))
-        self.data = mujoco.MjData(m)
-        mujoco.mj_kinematics(m, self.data)
-        found = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SITE, site)
-        if found < 0:
-            have = ", ".join(m.site(i).name for i in range(m.nsite)) or "none"
-            raise InputError(
-                f"{file}: has no site {site!r} (sites: {have}); the port's frame is a site of "
-                f"that name, its +z along the insertion"
-            )
-        if m.body_weldid[m.site_bodyid[found]] != 0:
-            raise InputError(
-                f"{file}: the site {site!r} is on a part that moves; the port's frame must be "
-                f"fixed to its side"
-            )
-        self.origin, self.axes = (
-            self.data.site_xpos[found].copy(),
-            self.data.site_xmat[found].reshape(3, 3).copy(),
-        )
-        self.findings: dict[str, list[Finding]] = {}
-        self._surfaces: dict[int, Surface] = {}
-
-    def pose(self) -> Array:
-        """``(7,)`` of the port in the file's frame."""
-        return np.concatenate([self.origin, _quaternion(self.axes)])
-
-    def name(self, geom: int) -> str:
-        return self.model.geom(geom).name
-
-    def names(self) -> list[str]:
-        return [self.name(g) for g in range(self.model.ngeom)]
-
-    def type(self, geom: int) -> int:
-        return int(self.model.geom_type[geom])
-
-    def touching(self) -> list[int]:
-        """Geoms that MuJoCo would let collide with something."""
-        m = self.model
-        return [g for g in range(m.ngeom) if m.geom_contype[g] or m.geom_conaffinity[g]]
-
-    def in_frame(self, geom: int, frames: _Frames) -> tuple[int, tuple[Array, Array]]:
-        """Number of the frame to which a geom is fixed, and its position (3,) and axes (3, 3) in
-        it.
-        """
-        d = self.data
-        return self._in_frame(
-            self.model.geom_bodyid[geom], d.geom_xpos[geom], d.geom_xmat[geom].reshape(3, 3), frames
-        )
-
-    def _in_frame(
-        self, body: int, place: Array, turn: Array, frames: _Frames
-    ) -> tuple[int, tuple[Array, Array]]:
-        m, d = self.model, self.data
-        root = int(m.body_weldid[body])
-        if root == 0:
-            return (ACTIVE if self.port == "A" else PASSIVE), (
-                (place - self.origin) @ self.axes,
-                self.axes.T @ turn,
-            )
-        axes = d.xmat[root].reshape(3, 3)
-        return frames.number(self.port, m.body(root).name), (
-            (place - d.xpos[root]) @ axes,
-            axes.T @ turn,
-        )
-
-    def site(self, name: str, frames: _Frames) -> tuple[int, Array]:
-        """Number of the frame to which a site is fixed, and its pose (7,) in it. Raises InputError
-        if there is no such site.
-        """
-        m, d = self.model, self.data
-        found = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SITE, name)
-        if found < 0:
-            have = ", ".join(m.site(i).name for i in range(m.nsite))
-            raise InputError(
-                f"{self.file}: has no site {name!r}, which a phase of capture names; its sites "
-                f"are {have}"
-            )
-        frame, (place, turn) = self._in_frame(
-            m.site_bodyid[found], d.site_xpos[found], d.site_xmat[found].reshape(3, 3), frames
-        )
-        return frame, np.concatenate([place, _quaternion(turn)])
-
-    def surface(self, geom: int) -> Surface:
-        """The surface on which a facet is placed. Raises InputError for a mesh that cannot be
-        used.
-        """
-        m = self.model
-        if m.geom_type[geom] != MESH:
-            return of_geom(int(m.geom_type[geom]), m.geom_size[geom])
-        mesh = int(m.geom_dataid[geom])
-        if mesh in self._surfaces:
-            return self._surfaces[mesh]
-        vertices = m.mesh_vert[m.mesh_vertadr[mesh] :][: m.mesh_vertnum[mesh]].astype(float)
-        found, self.findings[self.name(geom)] = of_mesh(
-            vertices, m.mesh_face[m.mesh_faceadr[mesh] :][: m.mesh_facenum[mesh]]
-        )
-        if found is None:
-            raise InputError(
-                f"{self.file}: mesh of the geom {self.name(geom)!r}: "
-                + "; ".join(f.message for f in self.findings[self.name(geom)] if not f.usable)
-            )
-        self._surfaces[mesh] = found
-        return found
-
-    def ends(self, geom: int) -> Array:
-        """``(k, 2)`` lateral positions [m], in the port's axes, of points along a rod, or of the
-        centre of any other geom.
-        """
-        half = self.model.geom_size[geom, 1] if self.type(geom) == CAPSULE else 0.0
-        along = self.data.geom_xmat[geom].reshape(3, 3)[:, 2] * half
-        points = self.data.geom_xpos[geom] + np.linspace(-1.0, 1.0, 9)[:, None] * along
-        return ((points - self.origin) @ self.axes)[:, :2]
-
-
-def _meeting(active: _Side, passive: _Side, rule: Rule) -> list[tuple[int, int]]:
+def _meeting(active: Side, passive: Side, rule: Rule) -> list[tuple[int, int]]:
     """Pairs of geom numbers that a rule selects."""
     chosen = []
     for side, pattern in ((active, rule.active), (passive, rule.passive)):
@@ -363,7 +257,7 @@ def _apart(a: Array, p: Array) -> float:
     return float(np.linalg.norm(a[:, None] - p[None], axis=2).min())
 
 
-def _nothing_touches(active: _Side, passive: _Side, rules: Sequence[Rule]) -> str:
+def _nothing_touches(active: Side, passive: Side, rules: Sequence[Rule]) -> str:
     if any(rule.active for rule in rules):
         return (
             f"{active.file}, {passive.file}: no pair of geoms is within the reach of its "
@@ -374,41 +268,3 @@ def _nothing_touches(active: _Side, passive: _Side, rules: Sequence[Rule]) -> st
         f"touch if contype and conaffinity are not 0: "
         'give at least one geom of each side contype="1" conaffinity="1"'
     )
-
-
-def compiled(file: Path) -> mujoco.MjModel:
-    """The model of one side alone, with geoms and bodies named. Raises InputError."""
-    spec = named(file)
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise InputError(f"{file}: MuJoCo cannot compile it: {_first_line(error)}") from error
-
-
-def named(file: Path) -> mujoco.MjSpec:
-    """The MJCF of one side; geoms and bodies without a name get their number as a name. Raises
-    InputError.
-    """
-    if not is_file(Path(file)):
-        raise InputError(f"{file}: no such file")
-    try:
-        spec = mujoco.MjSpec.from_file(str(file))
-    except ValueError as error:
-        raise InputError(
-            f"{file}: not an MJCF file that MuJoCo can read: {_first_line(error)}"
-        ) from error
-    for what, things in (("geom", spec.geoms), ("body", spec.bodies)):
-        for i, thing in enumerate(things):
-            if not thing.name:
-                thing.name = f"{what}_{i}"
-    return spec
-
-
-def _first_line(error: Exception) -> str:
-    return " ".join(str(error).split())
-
-
-def _quaternion(axes: Array) -> Array:
-    q = np.empty(4)
-    mujoco.mju_mat2Quat(q, np.ascontiguousarray(axes).ravel())
-    return quat_from_mujoco(q)

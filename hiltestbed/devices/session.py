@@ -37,7 +37,14 @@ from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import CYCLE, Trace
-from hiltestbed.simulation import Run, collected, concluded, reference_scenario, simulate
+from hiltestbed.simulation import (
+    Run,
+    collected,
+    concluded,
+    reference_fault,
+    reference_scenario,
+    simulate,
+)
 
 # [s] least time for which the devices are observed before the start, and longest, while their rate
 # cannot be told
@@ -365,8 +372,13 @@ class Session:
             rows.length[i] = min(k + 1, self.scenario.ticks) if loop.k > 0 else 0
         rows.data["wrench_true"][:] = np.nan  # no device measures it
         rows.data[CYCLE.name] = rig.log.rows[: self.scenario.ticks, None, :]
-        reference = simulate([reference_scenario(self.scenario)], until_parted=True).figures[0]
-        run = concluded(collected(loop, rows, self.wall, {}), reference, 0)
+        reference = simulate([reference_scenario(self.scenario)], until_parted=True)
+        run = concluded(
+            collected(loop, rows, self.wall, {}),
+            reference.figures[0],
+            reference_fault(reference, 0),
+            0,
+        )
         run.summary["energy_generated"] += rig.late_work
         run.summary["live"] = self._report(observed, int(rows.length[0]))
         run.summary = _written(run.summary)

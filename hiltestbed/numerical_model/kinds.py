@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from hiltestbed.config.validation import ModelFile
+from hiltestbed.config.validation import AnyFile
 from hiltestbed.numerical_model.settings import ModelKind
 from hiltestbed.plugins import register
 
@@ -39,7 +39,7 @@ class Fmu(ModelKind):
     """
 
     kind: Literal["fmu"] = "fmu"
-    file: ModelFile = Field(description="Path of the FMU file")
+    file: AnyFile = Field(description="Path of the FMU file")
     ticks_late = 0.5
 
     @classmethod

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiltestbed import plugins
-from hiltestbed.config.models import copy_model
-from hiltestbed.config.yaml_source import dump_yaml
+from hiltestbed.config.mjcf import packed
+from hiltestbed.config.validation import UserFile, user_files
+from hiltestbed.config.yaml_source import dotted, dump_yaml
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
 from hiltestbed.run_folder.result import Run
-from hiltestbed.scenario import Scenario, load_scenario, resolved
+from hiltestbed.scenario import Scenario, load_scenario, put, resolved
 from hiltestbed.signals import RunTrace, about_column, groups
 from hiltestbed.supervision.snapshot import Snapshot, flatten, unflatten
 
@@ -141,10 +142,22 @@ def _with_models(scenario: Scenario, folder: Path) -> dict[str, Any]:
     copies.
     """
     data = resolved(scenario)
-    for key in scenario.mechanism.fingerprint():
-        copy = copy_model(Path(data["mechanism"][key]), folder / MODELS / key)
-        data["mechanism"][key] = str(copy.relative_to(folder))
+    for path, (file, kind) in user_files(scenario).items():
+        put(data, path, keep_file(file, kind, folder, dotted(path)))
     return data
+
+
+def keep_file(file: Path, kind: UserFile, folder: Path, name: str) -> str:
+    """Copy a user's file, an MJCF file with every file that it names, into ``folder``, below
+    ``name``; returns the path of the copy in it.
+    """
+    below = Path(MODELS) / name
+    if kind.mjcf:
+        packed(file).write(folder / below, file.name)
+    else:
+        (folder / below).mkdir(parents=True)
+        shutil.copyfile(file, folder / below / file.name)
+    return str(below / file.name)
 
 
 def read_run(path: str | Path) -> Run:

@@ -3,7 +3,10 @@
 from hiltestbed.scenario.scenario import (
     Scenario,
     dump_scenario,
+    file_sha256,
+    identity,
     load_scenario,
+    put,
     resolved,
     scenario_from,
     scenario_sha256,
@@ -12,7 +15,10 @@ from hiltestbed.scenario.scenario import (
 __all__ = [
     "Scenario",
     "dump_scenario",
+    "file_sha256",
+    "identity",
     "load_scenario",
+    "put",
     "resolved",
     "scenario_from",
     "scenario_sha256",

@@ -18,8 +18,16 @@ from pydantic import Field, model_validator
 from hiltestbed import plugins
 from hiltestbed.compensation.section import Compensation
 from hiltestbed.config.gallery import find_scenario
-from hiltestbed.config.validation import Positive, Strictly, refuse, validate
-from hiltestbed.config.yaml_source import Source, dump_yaml, read_source
+from hiltestbed.config.mjcf import packed
+from hiltestbed.config.validation import (
+    Positive,
+    Strictly,
+    UserFile,
+    refuse,
+    user_files,
+    validate,
+)
+from hiltestbed.config.yaml_source import KeyPath, Source, dump_yaml, read_source
 from hiltestbed.contact.settings import AnyMechanism
 from hiltestbed.devices.section import Devices
 from hiltestbed.effects.table import AnyEffect
@@ -172,11 +180,31 @@ def dump_scenario(scenario: Scenario) -> str:
     return dump_yaml(resolved(scenario))
 
 
+def identity(scenario: Scenario) -> dict[str, Any]:
+    """The resolved form with the SHA-256 of its content in place of each of the user's files."""
+    data = resolved(scenario)
+    for path, (file, kind) in user_files(scenario).items():
+        put(data, path, file_sha256(file, kind))
+    return data
+
+
+def file_sha256(file: Path, kind: UserFile) -> str:
+    """SHA-256 of a user's file, of an MJCF file with every file that it names."""
+    return packed(file).sha256 if kind.mjcf else hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def put(data: Any, path: KeyPath, value: Any) -> None:
+    """Set ``path`` of plain ``data`` to ``value``."""
+    for part in path[:-1]:
+        data = data[part]
+    data[path[-1]] = value
+
+
 def scenario_sha256(scenario: Scenario) -> str:
     """SHA-256 of the resolved form, independent of how the file was written; user's models enter by
     their content.
     """
-    data = resolved(scenario)
-    data["mechanism"] |= scenario.mechanism.fingerprint()
-    canonical = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    canonical = json.dumps(
+        identity(scenario), sort_keys=True, separators=(",", ":"), allow_nan=False
+    )
     return hashlib.sha256(canonical.encode()).hexdigest()

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from hiltestbed.config.models import digest
 from hiltestbed.config.validation import ModelFile
 from hiltestbed.contact.described import Described
 from hiltestbed.contact.description import Phase, Touching
@@ -71,6 +70,3 @@ class Mjcf(Described):
 
     def phases(self) -> tuple[Phase, ...]:
         return self.capture
-
-    def fingerprint(self) -> dict[str, str]:
-        return {"active": digest(Path(self.active)), "passive": digest(Path(self.passive))}

@@ -6,6 +6,7 @@ from hiltestbed.contact.surfaces.revolution import Revolution, recognise
 from hiltestbed.contact.surfaces.soundness import Finding, examine
 from hiltestbed.contact.surfaces.surface import (
     Surface,
+    hollow,
     of_geom,
     of_mesh,
     segment_distance,
@@ -17,6 +18,7 @@ __all__ = [
     "Revolution",
     "Surface",
     "examine",
+    "hollow",
     "of_geom",
     "of_mesh",
     "recognise",

@@ -20,6 +20,8 @@ from hiltestbed.contact.surfaces.soundness import Finding, examine
 from hiltestbed.frames import Array
 
 MESH = 7  # number of this kind of surface, in addition to those of :mod:`shapes`, as in MuJoCo
+# largest distance from the hull of a convex mesh, over its size: the digits of an STL or OBJ file
+CONVEX = 1e-5
 HALVINGS = 5  # largest number of times that a segment is halved in the search for minima
 PARTS = 2**HALVINGS
 
@@ -51,6 +53,29 @@ def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, l
     if turned is not None:
         return Surface(TURNED, np.zeros(3), turned.profile, mesh.no_tree()), findings
     return Surface(MESH, np.zeros(3), np.empty((0, COLUMNS)), mesh.plant(vertices, faces)), findings
+
+
+def hollow(vertices: Array, faces: NDArray[np.int_]) -> float | None:
+    """Largest distance [m] of a mesh from its convex hull; None for a convex mesh.
+
+    The distance is that of the centres of the faces: a face is on the hull if its centre is. It is
+    infinite for a mesh that is not closed or not usable otherwise.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    if not all(f.usable for f in examine(vertices, faces)):
+        return math.inf
+    try:
+        hull = ConvexHull(vertices)
+    except QhullError:
+        return math.inf
+    size, middle = float(np.ptp(vertices, axis=0).max()), vertices.mean(axis=0)
+    # a little larger than the hull: the distance of a point on a mesh has no direction
+    around = middle + (1.0 + CONVEX) * (vertices - middle)
+    tree, normal = mesh.plant(around, hull.simplices.astype(int)), np.empty(3)
+    centres = vertices[faces].mean(axis=1)
+    deepest = max(abs(mesh_distance(tree, centre, size, normal)) for centre in centres)
+    return deepest if deepest > 2.0 * CONVEX * size else None
 
 
 def bounds(surface: Surface) -> tuple[Array, float]:

@@ -21,6 +21,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.config.models import model_of
+from hiltestbed.config.part import named
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotate
 from hiltestbed.platform.facilities.drives import Drives
@@ -37,7 +39,6 @@ from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.position_actuators import PositionActuators
 from hiltestbed.platform.facilities.tree import compose, inverse_pose, site_pose
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
-from hiltestbed.run_folder.folders import is_file
 
 PREFIX = "rig/"  # prefix of all names of the file in the composed model
 PASSIVE = "passive"
@@ -58,7 +59,7 @@ class Mjcf(Facility):
         move it in six axes.
         """
         super().__init__(settings)
-        own = self._read().compile()
+        own = model_of(self.settings.file()).spec().compile()
         if not any(own.site(s).name == MOUNT for s in range(own.nsite)):
             names = [own.site(s).name for s in range(own.nsite) if own.site(s).name]
             raise self._fault(
@@ -66,25 +67,17 @@ class Mjcf(Facility):
                 f"{', '.join(names) or 'none'}); add one"
             )
         self._passive = any(own.site(s).name == PASSIVE for s in range(own.nsite))
+        self._sites = {
+            name: np.concatenate([own.site(name).pos, own.site(name).quat[[1, 2, 3, 0]]])
+            for name in (MOUNT, PASSIVE)[: 1 + self._passive]
+        }
+        self._gravity = own.opt.gravity.copy()
         self._axes = tuple(self._driven(own))
         self._home, self._into = self._placed(own)
         self._check_motions()
 
     def _fault(self, message: str) -> InputError:
         return InputError(f"{self.settings.model}: {message}")
-
-    def _read(self) -> mujoco.MjSpec:
-        path = self.settings.file()
-        if not is_file(path):
-            raise self._fault("no such file; give the path of an MJCF file")
-        try:
-            spec = mujoco.MjSpec.from_file(str(path))
-            spec.copy().compile()
-        except ValueError as error:
-            raise self._fault(
-                f"is not a model that MuJoCo compiles: {' '.join(str(error).split())}"
-            ) from None
-        return spec
 
     def _driven(self, own: mujoco.MjModel) -> Iterator[Axis]:
         """The joints with position actuators, with their limits from the file."""
@@ -167,23 +160,20 @@ class Mjcf(Facility):
         return self._axes
 
     def spec(self) -> mujoco.MjSpec:
-        own, spec = self._read(), mujoco.MjSpec()
-        for key in list(own.keys):
-            own.delete(key)
-        into = self._into
-        gravity = np.empty(3)
-        rotate(into[3:7], np.array(own.option.gravity), gravity)
+        spec, into, gravity = mujoco.MjSpec(), self._into, np.empty(3)
+        rotate(into[3:7], self._gravity, gravity)
         spec.attach(
-            own,
+            named(self.settings.file()),
             prefix=PREFIX,
             frame=spec.worldbody.add_frame(pos=into[:3], quat=[into[6], *into[3:6]]),
         )
         spec.option.gravity = gravity
-        site = spec.site(PREFIX + MOUNT)
-        site.parent.add_site(name=MOUNT, pos=site.pos, quat=site.quat)
+        place = self._sites[MOUNT]
+        spec.site(PREFIX + MOUNT).parent.add_site(
+            name=MOUNT, pos=place[:3], quat=place[[6, 3, 4, 5]]
+        )
         if self._passive:
-            site = spec.site(PREFIX + PASSIVE)
-            add_carrier(site.parent, np.array([*site.pos, *np.array(site.quat)[[1, 2, 3, 0]]]))
+            add_carrier(spec.site(PREFIX + PASSIVE).parent, self._sites[PASSIVE])
         else:
             add_carrier(spec.worldbody)
         return spec

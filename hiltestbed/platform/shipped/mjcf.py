@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from hiltestbed.config.validation import Positive
+from hiltestbed.config.models import models_folder, stamp
+from hiltestbed.config.validation import ModelOrShipped, Positive
 from hiltestbed.platform.facilities.settings import CommandPath, Driven
 from hiltestbed.plugins import register
-from hiltestbed.run_folder.folders import is_file
 
 if TYPE_CHECKING:
     from hiltestbed.platform.facilities.mjcf import Mjcf
@@ -29,8 +29,9 @@ class MjcfSettings(Driven):
 
     drives: ClassVar[tuple[str, ...]] = ("command",)
     kind: Literal["mjcf"]
-    model: str = Field(
-        description="MJCF file of the rig, with a site `mount` and position actuators"
+    model: ModelOrShipped = Field(
+        description="MJCF file of the rig, with a site `mount` and position actuators; relative to "
+        "the scenario file, or one of the shipped models"
     )
     speed: Positive = Field(
         default=1.0, description="Highest speed of a sliding joint [m/s]; MJCF has no such number"
@@ -46,16 +47,12 @@ class MjcfSettings(Driven):
     command: CommandPath = Field(default=CommandPath(), description="How commands reach the drives")
 
     def file(self) -> Path:
-        """The MJCF file: the given path, or else one of the shipped models."""
-        from hiltestbed.config.models import models_folder
-
-        given, shipped = Path(self.model), models_folder() / self.model
-        return shipped if not is_file(given) and is_file(shipped) else given
+        """The MJCF file: the user's own, or one of the shipped models."""
+        return models_folder() / self.model  # an absolute path stays as it is
 
     def stamp(self) -> Hashable:
-        """Path and modification time of the file; None without a file."""
-        path = self.file()
-        return (str(path.resolve()), path.stat().st_mtime_ns) if is_file(path) else None
+        """What changes with the content of the file and of the files that it names."""
+        return stamp(self.file())
 
     @classmethod
     def contest(cls) -> Mapping[str, Mapping[str, Any]]:

@@ -1,0 +1,76 @@
+"""An MJCF model as a part of another: a side of a mechanism, or a rig.
+
+What its compiler settings mean for all of its bodies together (a total mass, inertias from geoms of
+some groups only) would be lost in the other model: it is written out first. Settings of a whole
+model (gravity, time step, solver) are not those of a part.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections import OrderedDict
+from pathlib import Path
+
+import mujoco
+
+from hiltestbed.config.mjcf import Packed
+from hiltestbed.config.models import model_of
+from hiltestbed.errors import InputError
+
+
+def compiled(file: Path) -> mujoco.MjModel:
+    """The model in an MJCF ``file`` alone, with geoms and bodies named. Raises InputError."""
+    return _resolved(model_of(file).part(), file)[1]
+
+
+def named(file: Path) -> mujoco.MjSpec:
+    """The model in an MJCF ``file``, to be attached; geoms and bodies without a name get their
+    number as a name. Raises InputError.
+    """
+    return _resolved(model_of(file).part(), file)[0].copy()
+
+
+_RESOLVED: OrderedDict[str, tuple[mujoco.MjSpec, mujoco.MjModel]] = OrderedDict()
+KEPT = 16  # parts that are kept in memory
+
+
+def _resolved(part: Packed, file: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """The specification and the model of a part, in which every mass is written out: what the
+    compiler settings of the file make of all its bodies together would be lost in another model.
+    """
+    found = _RESOLVED.get(part.sha256)
+    if found is not None:
+        return found
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they are among the remarks on the model
+            spec = part.spec()
+            for what, things in (("geom", spec.geoms), ("body", spec.bodies)):
+                for i, thing in enumerate(things):
+                    if not thing.name:
+                        thing.name = f"{what}_{i}"
+            # nothing is left out that a pair may name, and a hull has as many vertices as it needs
+            spec.compiler.fusestatic = spec.compiler.discardvisual = False
+            for mesh in spec.meshes:
+                mesh.maxhullvert = -1
+            model = spec.compile()
+    except ValueError as error:
+        raise InputError(
+            f"{file}: is not a model that MuJoCo compiles: {' '.join(str(error).split())}"
+        ) from error
+    for body in spec.bodies[1:]:
+        own = model.body(body.name)
+        body.mass, body.inertia = float(own.mass[0]), own.inertia
+        body.ipos, body.iquat, body.explicitinertial = own.ipos, own.iquat, True
+        body.fullinertia = [math.nan] * 6
+    first, last = spec.compiler.inertiagrouprange
+    for geom in spec.worldbody.geoms:  # the world has no inertia, but what carries the part has
+        if not first <= geom.group <= last:
+            geom.mass = 0.0
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    spec.compiler.settotalmass = -1.0
+    _RESOLVED[part.sha256] = spec, model
+    while len(_RESOLVED) > KEPT:
+        _RESOLVED.popitem(last=False)
+    return spec, model
