@@ -7,7 +7,7 @@ inputs; ``observe`` reads poses and joints from the state. The control law of a 
 the subclass.
 
 The relative pose is that of A in P. If the passive side is fixed, P is W, and one tool follows the
-command. A facility that moves both sides overrides :meth:`Drives.allocate`.
+command. A facility that moves both sides overrides the kernel of :meth:`Drives.allocate`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call, bound, together
+from hiltestbed.compiled.bound import GIVEN, Call, Joined, bound, together
 from hiltestbed.compiled.jit import njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
 from hiltestbed.platform.divergence import has_diverged
-from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.motion import (
@@ -39,6 +38,7 @@ from hiltestbed.platform.facilities.motion import (
 )
 from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
 from hiltestbed.platform.facilities.reference import plan_tick, sample
+from hiltestbed.platform.friction import DriveFriction
 
 # Newton steps per tick; one suffices for motion, the others are for a command that jumps
 PER_TICK = 3
@@ -54,7 +54,7 @@ def _aim(
     integers,
     numbers,
     room,
-    k,
+    ticks,
     h,
     cycles,
     lates,
@@ -80,11 +80,12 @@ def _aim(
     """Plan a tick; at the start of a cycle solve for joints, rates and weights of tools at
     ``poses`` (n, nt, 7) in W, left with ``twists`` (n, nt, 6).
 
-    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the
-        tick; negative: solve for all runs, plan nothing.
+    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`).
+        ticks: (1,) number of this tick, counted on; negative: solve for all runs, plan nothing.
     qs, rate: (n, nq), (n, nv) the last solution and its rates, updated. goal, leave, load: (n, J).
         missed: (n,) residual [m, rad].
     """
+    k = ticks[0]
     for i in range(poses.shape[0]):
         if k < 0 or k % cycles[i] == 0:
             _solve(
@@ -111,6 +112,8 @@ def _aim(
                 sample(k, cycles[i], lates[i], ring, span, i, goal[i], leave[i])
         if k >= 0:
             plan_tick(k, cycles[i], feed[i], h, span, i, reference, velocity, plan)
+    if k >= 0:
+        ticks[0] = k + 1
 
 
 @njit(cache=True)
@@ -158,47 +161,6 @@ def _follow(pose, twist, accel, half, poses, twists):
             poses[i, 0, c] = pose[i, c]
         for c in range(6):
             twists[i, 0, c] = twist[i, c] + half * accel[i, c]
-
-
-@njit(cache=True)
-def _follow_and_aim(
-    pose,
-    twist,
-    accel,
-    half,
-    ticks,
-    integers,
-    numbers,
-    room,
-    h,
-    cycles,
-    lates,
-    feed,
-    axes,
-    gravity,
-    poses,
-    held,
-    twists,
-    *others,
-):
-    _follow(pose, twist, accel, half, poses, twists)
-    _aim(
-        integers,
-        numbers,
-        room,
-        ticks[0],
-        h,
-        cycles,
-        lates,
-        feed,
-        axes,
-        gravity,
-        poses,
-        held,
-        twists,
-        *others,
-    )
-    ticks[0] += 1
 
 
 @njit(cache=True)
@@ -275,13 +237,13 @@ def relative(place_A, motion_A, place_P, motion_P, r, arm, pose, twist):
 class _Pushed:
     """The arrays of the last call of ``push``, and the compiled call bound to them."""
 
-    __slots__ = ("call", "ctrl", "qpos", "qvel", "rubbing")
+    __slots__ = ("call", "ctrl", "friction", "qpos", "qvel")
 
     def __init__(self) -> None:
         self.qpos: Array | None = None
         self.qvel: Array | None = None
         self.ctrl: Array | None = None
-        self.rubbing: Rubbing | None = None
+        self.friction: DriveFriction | None = None
         self.call: Any = None
 
 
@@ -303,20 +265,18 @@ class Drives:
         kinematics: Kinematics,
         tick: float,
         substeps: int,
-        cycles: Sequence[int],
-        lates: Sequence[int],
+        settings: Sequence[Any],
         feed: NDArray[np.bool_],
     ) -> None:
-        """Args: cycles, lates: (n,) ticks per controller cycle, command delay in whole cycles.
-        feed: (n,) feed-forward.
+        """Args: settings: (n,) of each run's platform, with the path of its commands. feed: (n,)
+        feed-forward.
         """
         n, joints = len(feed), len(kinematics.axes)
         self.kinematics, self.tick, self.step = kinematics, tick, tick / substeps
         self.model, self._feed = model, np.asarray(feed, dtype=bool)
-        self._cycles, self._lates = (
-            np.asarray(cycles, dtype=np.int64),
-            np.asarray(lates, dtype=np.int64),
-        )
+        # ticks of each run's controller cycle, and its command delay in whole cycles
+        self._cycles = np.array([s.command.cycle(1.0 / tick) for s in settings], dtype=np.int64)
+        self._lates = np.array([s.command.delay_cycles for s in settings], dtype=np.int64)
         self._flat = packed(kinematics.tree)
         self._axes = np.array([kinematics.q, kinematics.v])
         self._home, self._gravity = kinematics.joints_home, np.array(model.opt.gravity, dtype=float)
@@ -345,7 +305,7 @@ class Drives:
             np.zeros((n, joints)),
             np.zeros((n, joints)),
         )
-        self._rubbing: Rubbing | None = None
+        self._friction: DriveFriction | None = None
         self._last = _Pushed()
         self._inputs = drive_inputs(model, [axis.joint for axis in kinematics.axes])
 
@@ -358,14 +318,8 @@ class Drives:
 
     @cached_property
     def _allocated(self) -> Call:
+        """The kernel of :meth:`allocate`: pose, twist, accel, half, and the arrays it writes."""
         return Call(_follow, GIVEN, GIVEN, GIVEN, ..., self.poses, self.twists)
-
-    def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
-        """Write ``poses`` and ``twists`` of the tools in W (and the prescribed joints) for the
-        relative ``pose`` (n, 7) and the velocity ``half`` [s] after ``twist`` (n, 6), with
-        ``accel`` (n, 6).
-        """
-        self._allocated.on(pose, twist, accel)(half)
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
         """Write the drives' inputs to ``ctrl`` (n, nu) for step ``sub`` of the tick, from the
@@ -382,12 +336,12 @@ class Drives:
             last.qpos is not qpos
             or last.qvel is not qvel
             or last.ctrl is not ctrl
-            or last.rubbing is not self._rubbing
+            or last.friction is not self._friction
         ):
-            last.qpos, last.qvel, last.ctrl, last.rubbing = qpos, qvel, ctrl, self._rubbing
+            last.qpos, last.qvel, last.ctrl, last.friction = qpos, qvel, ctrl, self._friction
             alone = push.on(qpos, qvel, ctrl)
             last.call = (
-                together(alone, self._rubbing.acting(qvel, ctrl)) if self._rubbing else alone
+                together(alone, self._friction.acting(qvel, ctrl)) if self._friction else alone
             )
         return last.call
 
@@ -404,6 +358,13 @@ class Drives:
 
     # Methods common to all drives.
 
+    def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
+        """Write ``poses`` and ``twists`` of the tools in W (and the prescribed joints) for the
+        relative ``pose`` (n, 7) and the velocity ``half`` [s] after ``twist`` (n, 6), with
+        ``accel`` (n, 6).
+        """
+        self._allocated.on(pose, twist, accel)(half)
+
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
         """Initialise joints, references and drives in a uniform motion with ``twist`` (n, 6) whose
         command is at ``pose`` (n, 7): the facility is behind by the controller's lag.
@@ -411,7 +372,6 @@ class Drives:
         Raises:
             InputError: a start that is out of reach, beyond a joint's travel, or singular.
         """
-        self._ticks[0] = 0
         lag = self.lag
         for i in range(len(pose)):
             pose_step(pose[i], twist[i], -lag[i], self._start[i])
@@ -420,10 +380,11 @@ class Drives:
             found = self.kinematics.complaints(self.poses[i], self.held[i])
             if found:
                 raise InputError("the start cannot be: " + "; ".join(found))
-            self._qs[i], _ = self.kinematics.solve(self.poses[i], self.held[i])
-            qpos[i] = self._qs[i]
-            qvel[i] = self.kinematics.rates(self._qs[i], self.twists[i], self.held_rates[i])
-        self._solve(-1)
+            qpos[i], qvel[i] = self.kinematics.motion(
+                self.poses[i], self.twists[i], self.held[i], self.held_rates[i]
+            )
+            self._qs[i] = qpos[i]
+        self._solve_alone()
         self._target[:], self._velocity[:] = (
             self._goal,
             np.where(self._feed[:, None], self._leave, 0.0),
@@ -446,15 +407,12 @@ class Drives:
         return np.asarray(self.tick * (self._cycles * (self._lates + 1) - 1), dtype=float)
 
     @cached_property
-    def _solve(self) -> Callable[[int], None]:
-        return bound(_aim, *self._planning)
-
-    @property
-    def _planning(self) -> tuple[Any, ...]:
-        """Arguments of :func:`_aim`; the tick is given at each call."""
-        return (
+    def _solve(self) -> Callable[[], None]:
+        """The plan of a tick, once the tools' poses and twists are written."""
+        return bound(
+            _aim,
             *self._flat,
-            ...,
+            self._ticks,
             self.tick,
             self._cycles,
             self._lates,
@@ -478,6 +436,12 @@ class Drives:
             self._plan,
         )
 
+    def _solve_alone(self) -> None:
+        """Joints and rates at the tools' poses and twists, without a plan."""
+        self._ticks[0] = -1
+        self._solve()
+        self._ticks[0] = 0
+
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """Plan one tick; ``pose_cmd`` (n, 7) is commanded for its end, with ``twist_cmd`` and
         ``accel_cmd`` (n, 6), all in P.
@@ -485,33 +449,18 @@ class Drives:
         The velocity at the command is that of the tick plus half a tick of its acceleration: a
         semi-implicit velocity belongs to the middle of its tick.
         """
-        if type(self).allocate is Drives.allocate:
-            self._followed.on(pose_cmd, twist_cmd, accel_cmd)()
-        else:
-            self.allocate(pose_cmd, twist_cmd, accel_cmd, 0.5 * self.tick)
-            self._solve(int(self._ticks[0]))
-            self._ticks[0] += 1
+        self._aimed.on(pose_cmd, twist_cmd, accel_cmd)(0.5 * self.tick)
 
     @cached_property
-    def _followed(self) -> Call:
-        """The plan of a tick for one tool that follows the command."""
-        return Call(
-            _follow_and_aim,
-            GIVEN,
-            GIVEN,
-            GIVEN,
-            0.5 * self.tick,
-            self._ticks,
-            *self._planning[:3],
-            *self._planning[4:],
-        )
+    def _aimed(self) -> Joined:
+        return Joined(lambda *command: [self._allocated.on(*command), self._solve])
 
     def follow(self, pose: Array, twist: Array) -> None:
         """Joints and their rates for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact
         tracking, without drives.
         """
         self.allocate(pose, twist, self._unaccelerated, 0.0)
-        self._solve(-1)
+        self._solve_alone()
         np.subtract(self._goal, self._home, out=self.joints)
         self.joint_rates[:], self.reference[:] = self._leave, self.joints
 
@@ -561,7 +510,7 @@ class Drives:
         """Switch off the drives' friction and encoder quantisation, so that measurements are
         linear.
         """
-        self._rubbing = None
+        self._friction = None
 
     def state(self) -> dict[str, NDArray[Any]]:
         """The arrays of the state between two ticks; restoring them resumes the drives from
@@ -578,7 +527,7 @@ class Drives:
             "goal": self._goal,
             "leave": self._leave,
             "load": self.load,
-        } | (self._rubbing.state() if self._rubbing else {})
+        } | (self._friction.state() if self._friction else {})
 
     def mass_matrix(self) -> Array:
         """``(J, J)`` [kg, kg m, kg m^2] mass matrix at the drives, at home: loops closed, by
