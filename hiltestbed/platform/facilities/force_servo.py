@@ -102,7 +102,7 @@ class ForceServo(Drives):
     def _pushed(self) -> Call:
         return Call(
             _push,
-            self._plan,
+            self.plan.steps,
             ...,
             self._mass,
             self._gains,

@@ -169,10 +169,10 @@ class Hydraulic(Drives):
     def _pushed(self) -> Call:
         return Call(
             _push,
-            self._plan,
+            self.plan.steps,
             ...,
             self.step,
-            self._feed,
+            self.cycles.feed,
             self._mass,
             self._numbers,
             self._valve,

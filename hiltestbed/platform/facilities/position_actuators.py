@@ -52,7 +52,7 @@ class PositionActuators(Drives):
         )
         self.bent = np.zeros((len(feed), len(kinematics.axes)))
         self._pushed = Call(
-            _push, self._plan, ..., self._ratio, self._lead, self.bent, self._inputs, GIVEN
+            _push, self.plan.steps, ..., self._ratio, self._lead, self.bent, self._inputs, GIVEN
         )
 
     def nominal(self) -> tuple[Array, Array]:

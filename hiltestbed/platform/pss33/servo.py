@@ -29,7 +29,7 @@ from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.facility import per_run
 from hiltestbed.platform.facilities.force_servo import quantised
-from hiltestbed.platform.facilities.reference import LEAVE, plan_tick, sample
+from hiltestbed.platform.facilities.reference import LEAVE, Cycles, TickPlan, plan_tick, sample
 from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.pss33.dynamics import drive_forces, invert, load_constants
 from hiltestbed.platform.pss33.kinematics import SliderKinematics, jacobian, joints
@@ -42,59 +42,44 @@ if TYPE_CHECKING:
 MOVED_PER_DRIVE = 214.0  # [kg]
 # [N/m] 300 N at 6 um: machine-tool drives give 1 to 50 um before they break away
 PRESLIDING = 5.0e7
+_CYCLES = len(Cycles._fields)
 KP, KV, ENCODER = range(3)  # [N/m], [N s/m], resolution [m], 0: not quantised
 
 
 @njit(cache=True)
-def _aim(
-    limbs,
-    load,
-    ticks,
-    h,
-    cycles,
-    lates,
-    feed,
-    poses,
-    twists,
-    goal,
-    leave,
-    ring,
-    span,
-    reference,
-    velocity,
-    plan,
-):
-    """Plan a tick of the sliders; see :func:`hiltestbed.platform.facilities.drives._aim`. ``plan``
-    (n, m, 3, 6) has the drives' forces in place of accelerations.
+def _aim(limbs, constants, poses, twists, *given):
+    """Plan a tick of the sliders, with the drives' forces in place of accelerations; given: the
+    fields of Cycles and TickPlan.
     """
-    k = ticks[0]
+    cycles, plan = Cycles(*given[:_CYCLES]), TickPlan(*given[_CYCLES:])
+    k = plan.ticks[0]
     jac, inverse, at, accel = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
     q, v = np.empty(3), np.empty(3)
     for i in range(poses.shape[0]):
-        pose = poses[i, 0]
+        pose, length = poses[i, 0], cycles.length[i]
         jacobian(limbs, pose, at, jac)
         if k < 0:
             for j in range(6):
                 joints(limbs[j], pose, twists[i, 0], q, v)
-                goal[i, j], leave[i, j] = q[0], v[0]
+                plan.goal[i, j], plan.leave[i, j] = q[0], v[0]
             continue
-        if k % cycles[i] == 0:
+        if k % length == 0:
             for j in range(6):
-                goal[i, j], leave[i, j] = at[j], 0.0
+                plan.goal[i, j], plan.leave[i, j] = at[j], 0.0
                 for c in range(6):
-                    leave[i, j] += jac[j, c] * twists[i, 0, c]
-            sample(k, cycles[i], lates[i], ring, span, i, goal[i], leave[i])
-        plan_tick(k, cycles[i], feed[i], h, span, i, reference, velocity, plan)
-        if k % cycles[i] == cycles[i] - 1:  # at the command itself, without the cubic's rounding
+                    plan.leave[i, j] += jac[j, c] * twists[i, 0, c]
+            sample(cycles, plan, i)
+        plan_tick(cycles, plan, i)
+        if k % length == length - 1:  # at the command itself, without the cubic's rounding
             for j in range(6):
-                reference[i, j] = span[i, LEAVE, 0, j]
+                plan.reference[i, j] = plan.span[i, LEAVE, 0, j]
         invert(jac, inverse)
-        for s in range(plan.shape[1]):
+        for s in range(plan.steps.shape[1]):
             for j in range(6):
-                accel[j] = plan[i, s, 2, j]
-            drive_forces(limbs, load, pose, inverse, accel, plan[i, s, 2])
+                accel[j] = plan.steps[i, s, 2, j]
+            drive_forces(limbs, constants, pose, inverse, accel, plan.steps[i, s, 2])
     if k >= 0:
-        ticks[0] = k + 1
+        plan.ticks[0] = k + 1
 
 
 @njit(cache=True)
@@ -112,10 +97,11 @@ def _push(plan, sub, gains, axes, inputs, qpos, qvel, ctrl):
 
 
 @njit(cache=True)
-def _observe(adr, centre, qpos, qvel, limit, pose, twist, sliders, rates, diverged):
+def _observe(adr, centre, qpos, qvel, limit, diverged, *given):
     """Pose and twist of A from the platform's free joint, and the sliders; returns whether a run
-    has just exceeded ``limit`` or become non-finite.
+    has just exceeded ``limit`` or become non-finite. given: pose, twist, sliders and their rates.
     """
+    pose, twist, sliders, rates = given
     arm, turn = np.empty(3), np.empty(3)
     lost = False
     p, d = adr[0, 6], adr[1, 6]
@@ -189,25 +175,9 @@ class SliderDrives(Drives):
 
     @cached_property
     def _solve(self) -> Callable[[], None]:
-        return bound(
-            _aim,
-            self.kinematics.limbs,
-            self._constants,
-            self._ticks,
-            self.tick,
-            self._cycles,
-            self._lates,
-            self._feed,
-            self.poses,
-            self.twists,
-            self._goal,
-            self._leave,
-            self._ring,
-            self._span,
-            self._target,
-            self._velocity,
-            self._plan,
-        )
+        limbs = self.kinematics.limbs
+        given = (self.poses, self.twists, *self.cycles, *self.plan)
+        return bound(_aim, limbs, self._constants, *given)
 
     @cached_property
     def _seen(self) -> Call:
@@ -215,14 +185,11 @@ class SliderDrives(Drives):
             _observe,
             self.kinematics.addresses,
             self.kinematics.centre,
-            GIVEN,
-            GIVEN,
-            GIVEN,
+            *(GIVEN,) * 4,
             self.pose,
             self.twist,
             self.joints,
             self.joint_rates,
-            GIVEN,
         )
 
     def rest(self, qpos: Array, qvel: Array) -> None:
@@ -236,7 +203,7 @@ class SliderDrives(Drives):
     @cached_property
     def _pushed(self) -> Call:
         return Call(
-            _push, self._plan, ..., self.gains, self._axes, self._inputs, GIVEN, GIVEN, GIVEN
+            _push, self.plan.steps, ..., self.gains, self._axes, self._inputs, GIVEN, GIVEN, GIVEN
         )
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
