@@ -42,7 +42,6 @@ from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.motion import packed, place, scratch, unpack
 from hiltestbed.platform.facilities.tree import between, compose, inverse_pose
 
-GRAVITY = 9.81  # [m/s^2], along -y of W
 WEIGHTLESS = 1e-6  # [kg], [kg m^2] of a mechanism whose mass is included in its article
 NEAR = 1e-7  # [m], [rad] tolerance of a start against the articles' degrees of freedom
 SIDES = ("chaser", "target")

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call, Joined, bound, together
 from hiltestbed.compiled.jit import njit
+from hiltestbed.contact.wrench import relate_one
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
+from hiltestbed.frames import Array, pose_step
 from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
@@ -185,31 +186,15 @@ def read_sides(tree, w, q, v, sides, i):
         return
     tool_pose(tree, w, 1, sides.place_P[i])
     tool_twist(tree, w, 1, sides.motion_P[i])
-    relative(
+    relate_one(
         sides.place_A[i],
         sides.motion_A[i],
         sides.place_P[i],
         sides.motion_P[i],
         sides.pose[i],
         sides.twist[i],
+        np.empty((1, 3)),
     )
-
-
-@njit(cache=True)
-def relative(place_A, motion_A, place_P, motion_P, pose, twist):
-    """``pose`` (7,) of A in P and ``twist`` (6,) of A relative to P, in P, from poses and twists of
-    both in W.
-    """
-    r, arm = np.empty(3), np.empty(3)
-    pose_between(place_P, place_A, pose)
-    for c in range(3):
-        r[c] = place_A[c] - place_P[c]
-    for c in range(3):
-        k, l = (c + 1) % 3, (c + 2) % 3
-        arm[c] = motion_A[c] - motion_P[c] - (motion_P[3 + k] * r[l] - motion_P[3 + l] * r[k])
-        twist[3 + c] = motion_A[3 + c] - motion_P[3 + c]
-    rotate_back(place_P[3:7], arm, twist)
-    rotate_back(place_P[3:7], twist[3:6], twist[3:6])
 
 
 def new_sides(n: int) -> Sides:
