@@ -27,7 +27,7 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.platform.divergence import has_diverged
-from hiltestbed.platform.facilities.drives import UPRIGHT, Sides, new_sides, read_sides
+from hiltestbed.platform.facilities.drives import UPRIGHT, PortMotion, ports_at_home, read_ports
 from hiltestbed.platform.facilities.facility import (
     MOUNT,
     MOUNT_HOME,
@@ -63,7 +63,7 @@ class Article:
 
 @njit(cache=True)
 def _read(integers, numbers, room, qpos, qvel, limit, diverged, *given):
-    """Read sides; given: the fields of Sides."""
+    """Read sides; given: the fields of PortMotion."""
     tree, w = unpack(integers, numbers, room)
     lost = False
     for i in range(qpos.shape[0]):
@@ -73,7 +73,7 @@ def _read(integers, numbers, room, qpos, qvel, limit, diverged, *given):
             diverged[i] = True
             lost = True
             continue
-        read_sides(tree, w, qpos[i], qvel[i], Sides(*given), i)
+        read_ports(tree, w, qpos[i], qvel[i], PortMotion(*given), i)
     return lost
 
 
@@ -87,7 +87,7 @@ class Bodies:
 
     def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, n: int, step: float) -> None:
         self.model, self.kinematics, self.step = model, kinematics, step
-        sides = new_sides(n)
+        sides = ports_at_home(n)
         self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist = sides
         self._seen = Call(_read, *packed(kinematics.tree.towards_tools()), *(GIVEN,) * 4, *sides)
 

@@ -73,7 +73,7 @@ class Targets(NamedTuple):
     missed: Array
 
 
-class Sides(NamedTuple):
+class PortMotion(NamedTuple):
     """Poses (n, 7) and twists (n, 6) of A and P in W, and those of A relative to P, in P."""
 
     place_A: Array
@@ -85,7 +85,7 @@ class Sides(NamedTuple):
 
 
 _CYCLES, _TARGETS = len(Cycles._fields), len(Cycles._fields) + len(Targets._fields)
-_SIDES = len(Sides._fields)
+_PORTS = len(PortMotion._fields)
 
 
 @njit(cache=True)
@@ -152,9 +152,9 @@ def _less(a, b, out):
 
 @njit(cache=True)
 def _observe(integers, numbers, room, axes, home, qpos, qvel, limit, diverged, *given):
-    """Read sides and driven joints; given: the fields of Sides, joints and their rates (n, J)."""
-    sides = Sides(*given[:_SIDES])
-    joints, rate = given[_SIDES:]
+    """Read ports and driven joints; given: the fields of PortMotion, joints, joint rates (n, J)."""
+    sides = PortMotion(*given[:_PORTS])
+    joints, rate = given[_PORTS:]
     tree, w = unpack(integers, numbers, room)
     lost = False
     for i in range(qpos.shape[0]):
@@ -164,7 +164,7 @@ def _observe(integers, numbers, room, axes, home, qpos, qvel, limit, diverged, *
             diverged[i] = True
             lost = True
             continue
-        read_sides(tree, w, qpos[i], qvel[i], sides, i)
+        read_ports(tree, w, qpos[i], qvel[i], sides, i)
         for j in range(home.shape[0]):
             joints[i, j] = qpos[i, axes[0, j]] - home[j]
             rate[i, j] = qvel[i, axes[1, j]]
@@ -172,7 +172,7 @@ def _observe(integers, numbers, room, axes, home, qpos, qvel, limit, diverged, *
 
 
 @njit(cache=True)
-def read_sides(tree, w, q, v, sides, i):
+def read_ports(tree, w, q, v, sides, i):
     """Write the sides of run ``i`` at the joints ``q`` (nq,) with rates ``v`` (nv,); with one tool
     P is W.
     """
@@ -197,11 +197,11 @@ def read_sides(tree, w, q, v, sides, i):
     )
 
 
-def new_sides(n: int) -> Sides:
-    """Sides of n runs at home."""
+def ports_at_home(n: int) -> PortMotion:
+    """PortMotion of n runs at home."""
     poses = [np.tile(UPRIGHT, (n, 1)) for _ in range(3)]
     twists = [np.zeros((n, 6)) for _ in range(3)]
-    return Sides(poses[0], twists[0], poses[1], twists[1], poses[2], twists[2])
+    return PortMotion(poses[0], twists[0], poses[1], twists[1], poses[2], twists[2])
 
 
 class _Pushed:
@@ -279,7 +279,7 @@ class Drives:
         self.held, self.held_rates = self.targets.held, self.targets.held_rates
         self.load, self.missed = self.targets.load, self.targets.missed
         self._start, self._unaccelerated = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
-        self.sides = sides = new_sides(n)
+        self.sides = sides = ports_at_home(n)
         self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist = sides
         self.joints, self.joint_rates, self.reference = (
             np.zeros((n, joints)),
