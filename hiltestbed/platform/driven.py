@@ -17,6 +17,7 @@ from hiltestbed.compiled.bound import GIVEN, Call, together
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
+from hiltestbed.platform.facilities.rig import FacilityRig
 from hiltestbed.platform.model import sensor_columns
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_history, read_wrench
@@ -70,7 +71,7 @@ class ServoTracking:
             mujoco.set_mju_user_warning(_log_warning)
         self.substeps = m = first.substeps
         dt = first.tick / m
-        self.servo = servo = first.rig.platform.driven(scenarios, structure, dt)
+        self.servo = servo = FacilityRig(scenarios, structure, dt)
         self.model = servo.model
         self.batch = Batch(self.model, n, nthread, persistent=True)
         self.contacts = Contacts(self.batch, scenarios, structure, dt, least_creep(dt), force)

@@ -1,7 +1,8 @@
-"""Friction of the platform's drives: its effect on a slider that reverses, for a single drive and
-for a differential pair that avoids it.
+"""Friction of drives, subtracted from their force: its effect on a joint that reverses, for a
+single motor and for a differential pair that avoids it. Units are N and m for sliders and
+cylinders, N m and rad for gears.
 
-A drive's friction f(v) is Coulomb and Stribeck, with a bristle that holds the drive at rest
+The friction f(v) is Coulomb and Stribeck, with a bristle that holds the drive at rest
 (elasto-plastic with one state: Dupont, Hayward, Armstrong, Altpeter, IEEE Trans. Automatic Control
 47(5), 2002, here with break-away at full deflection; g(v) after Canudas de Wit, Olsson, Astrom,
 Lischinsky, IEEE Trans. Automatic Control 40(3), 1995):
@@ -13,18 +14,16 @@ Lischinsky, IEEE Trans. Automatic Control 40(3), 1995):
 It does not drift below break-away; apart from the viscous part it does not exceed g, its spring
 returns no more energy than it has stored, and it needs no smaller time step.
 
-`single`: one drive moves the slider, f acts on it. `dual`: a differential screw adds two drives of
-half the speed, s = s_1 + s_2, which
-turn against each other at the bias speed b: u_1 = s'/2 + b, u_2 = s'/2 - b. The bias loop keeps b
-constant, so that by virtual work the friction on the slider is (f(u_1) + f(u_2))/2: at s' = 0 the
-Coulomb terms cancel, and no drive reverses while |s'| < 2 b.
+Without a bias speed one motor moves the joint, f acts on it. With one, b, a differential screw adds
+two motors of half the speed, s = s_1 + s_2, which turn against each other: u_1 = s'/2 + b, u_2 =
+s'/2 - b. The bias loop keeps b constant, so that by virtual work the friction on the slider is
+(f(u_1) + f(u_2))/2: at s' = 0 the Coulomb terms cancel, and no motor reverses while |s'| < 2 b.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,14 +32,10 @@ from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 
-if TYPE_CHECKING:
-    from hiltestbed.platform.pss33.settings import Actuator
-
-# [N/m] 300 N at 6 um: machine-tool drives give 1 to 50 um before they break away
-PRESLIDING = 5.0e7
 STEPS = 0.25  # fraction of m/dt^2: the stiffest bristle that a physics step can resolve
-IDEAL, SINGLE, DUAL = 0, 1, 2
-KINDS = {"ideal": IDEAL, "single": SINGLE, "dual": DUAL}
+# [m/s], [rad/s] smaller speeds at the start are rounding errors of the inverse kinematics, and
+# count as rest
+AT_REST = 1e-9
 COULOMB, STICTION, STRIBECK, VISCOUS, BIAS, BRISTLE, DAMPER = range(7)
 
 
@@ -68,75 +63,76 @@ def drag(v, dt, p, z, i):
 
 
 @njit(cache=True)
-def _act(kinds, numbers, dt, dofs, qvel, bristles, applied):
-    """Write the friction of the drives into the generalised forces ``applied`` (n, nv), at the
-    speeds ``qvel`` (n, nv).
+def _act(numbers, dt, axes, inputs, qvel, bristles, ctrl):
+    """Subtract the friction of the drives from their inputs ``ctrl`` (n, nu), at the speeds
+    ``qvel`` (n, nv).
     """
     for i in range(qvel.shape[0]):
-        p, kind = numbers[i], kinds[i]
-        for j in range(dofs.shape[0]):
-            v = qvel[i, dofs[j]]
-            if kind == SINGLE:
-                force = drag(v, dt, p, bristles[i, j], 0)
-            elif kind == DUAL:
+        for j in range(axes.shape[0]):
+            v, p = qvel[i, axes[j]], numbers[i, j]
+            if p[BIAS] > 0.0:
                 force = 0.5 * drag(0.5 * v + p[BIAS], dt, p, bristles[i, j], 0)
                 force += 0.5 * drag(0.5 * v - p[BIAS], dt, p, bristles[i, j], 1)
             else:
-                force = 0.0
-            applied[i, dofs[j]] = -force
+                force = drag(v, dt, p, bristles[i, j], 0)
+            ctrl[i, inputs[j]] -= force
 
 
 @njit(cache=True)
-def _settle(kinds, numbers, dofs, qvel, bristles):
+def _settle(numbers, axes, qvel, bristles):
     """Set the bristles to their steady state at the speeds ``qvel``; at rest they are unloaded."""
     for i in range(qvel.shape[0]):
-        p = numbers[i]
-        for j in range(dofs.shape[0]):
+        for j in range(axes.shape[0]):
+            p = numbers[i, j]
             for k in range(2):
-                v = qvel[i, dofs[j]]
-                if kinds[i] == DUAL:
+                v = qvel[i, axes[j]]
+                if p[BIAS] > 0.0:
                     v = 0.5 * v + (p[BIAS] if k == 0 else -p[BIAS])
                 bristles[i, j, k] = (
-                    0.0 if v == 0.0 else math.copysign(stribeck(v, p) / p[BRISTLE], v)
+                    0.0 if abs(v) < AT_REST else math.copysign(stribeck(v, p) / p[BRISTLE], v)
                 )
 
 
 class DriveFriction:
-    """Friction of the six drives of `n` platforms.
+    """Friction of J drives of `n` runs.
 
     Attributes:
-        bristles: (n, 6, 2) deflection of each drive's bristle [m]; a single drive uses the first.
+        numbers: (n, J, 7) of each drive: COULOMB to DAMPER.
+        bristles: (n, J, 2) deflection of each motor's bristle [m, rad]; a single motor uses the
+            first.
     """
 
     def __init__(
-        self, actuators: Sequence[Actuator], dofs: NDArray[np.intp], moved: float, dt: float
+        self,
+        law: Array,
+        presliding: Array | float,
+        moved: Array | float,
+        axes: NDArray[np.int64],
+        inputs: NDArray[np.int64],
+        dt: float,
     ) -> None:
-        """Args: dofs: (6,) of the sliders. moved: smallest mass that a drive moves, carriage and
-        armature [kg]. dt: physics step [s].
+        """Args: law: (n, J, 5) Coulomb, stiction, Stribeck speed, viscous, bias speed (0: one
+        motor). presliding: stiffness before break-away; moved: smallest mass that a drive moves,
+        both (n, J), (J,) or of all. axes, inputs: (J,) degrees of freedom and actuators. dt: [s].
         """
-        self.kinds = np.array([KINDS[a.kind] for a in actuators])
-        self.acts = bool(self.kinds.any())
-        bristle = min(PRESLIDING, STEPS * moved / (dt * dt))
-        damper = 2.0 * math.sqrt(bristle * moved)  # the bristle alone is critically damped
-        self.numbers = np.array(
-            [
-                [a.coulomb, a.stiction, a.stribeck_speed, a.viscous, a.bias_speed, bristle, damper]
-                for a in actuators
-            ],
-            dtype=float,
-        )
-        self._dofs, self._dt = np.asarray(dofs), dt
-        self.bristles = np.zeros((len(actuators), 6, 2))
+        bristle = np.broadcast_to(np.minimum(presliding, STEPS * moved / (dt * dt)), law.shape[:2])
+        damper = 2.0 * np.sqrt(bristle * moved)  # the bristle alone is critically damped
+        self.numbers = np.concatenate([law, bristle[..., None], damper[..., None]], axis=2)
+        self._axes, self._dt = np.asarray(axes), dt
+        self.bristles = np.zeros((*law.shape[:2], 2))
         self._act = Call(
-            _act, self.kinds, self.numbers, dt, self._dofs, GIVEN, self.bristles, GIVEN
+            _act, self.numbers, dt, self._axes, np.asarray(inputs), GIVEN, self.bristles, GIVEN
         )
 
     def settle(self, qvel: Array) -> None:
         """Start in the steady state at the speeds ``qvel`` (n, nv)."""
-        _settle(self.kinds, self.numbers, self._dofs, qvel, self.bristles)
+        _settle(self.numbers, self._axes, qvel, self.bristles)
 
-    def act(self, qvel: Array, applied: Array) -> None:
-        """Set the generalised forces ``applied`` (n, nv) of the sliders for one step from ``qvel``
-        (n, nv).
+    def acting(self, qvel: Array, ctrl: Array) -> Callable[[], None]:
+        """Call that subtracts the friction of one step from the drives' inputs ``ctrl`` (n, nu),
+        bound to arrays that are reused.
         """
-        self._act.on(qvel, applied)()
+        return self._act.on(qvel, ctrl)
+
+    def state(self) -> dict[str, NDArray]:
+        return {"bristles": self.bristles}

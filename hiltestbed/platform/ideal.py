@@ -20,6 +20,7 @@ from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
 from hiltestbed.platform import model
 from hiltestbed.platform.facilities.response import ResponsePath
+from hiltestbed.platform.facilities.rig import FacilityFollower
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_wrench
 
@@ -105,9 +106,7 @@ class IdealTracking:
         self._bent = self.path.active or answers
         self._along = self.path.path if self.path.active else np.zeros((n, first.substeps, 3))
         self._ticks = np.zeros(1, dtype=np.int64)
-        self.follower = first.rig.platform.follower(
-            scenarios, structure, first.tick / first.substeps
-        )
+        self.follower = FacilityFollower(scenarios, structure, first.tick / first.substeps)
         bind = self.batch.bind
         self._qpos, self._qvel, self._warmstart = bind("qpos"), bind("qvel"), bind("qacc_warmstart")
         self._reading = bind("sensordata")[:, model.sensor_columns(self.model)]

@@ -4,18 +4,14 @@ other code refers to it by name.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from hiltestbed.config.validation import Problem, Strictly
 from hiltestbed.plugins import Registry, kind_of, placeholder
 
 if TYPE_CHECKING:
-    from hiltestbed.contact.composition import Structure
-    from hiltestbed.platform.facilities.drawing import DrawnFacility
     from hiltestbed.platform.facilities.facility import Facility
-    from hiltestbed.platform.facilities.rig import FacilityFollower, FacilityRig
-    from hiltestbed.platform.pss33.rig import Pss33Follower, Pss33Rig
     from hiltestbed.scenario import Scenario
 
 
@@ -85,30 +81,6 @@ class Platform(Strictly):
         user.
         """
         raise NotImplementedError
-
-    def driven(
-        self, scenarios: Sequence[Scenario], structure: Structure, dt: float
-    ) -> FacilityRig | Pss33Rig:
-        """The rigs of runs on this platform with simulated drives or bodies, for steps of ``dt``
-        [s].
-        """
-        from hiltestbed.platform.facilities.rig import FacilityRig
-
-        return FacilityRig(scenarios, structure, dt)
-
-    def follower(
-        self, scenarios: Sequence[Scenario], structure: Structure, dt: float
-    ) -> FacilityFollower | Pss33Follower:
-        """The joints of runs on this platform under exact tracking."""
-        from hiltestbed.platform.facilities.rig import FacilityFollower
-
-        return FacilityFollower(scenarios, structure, dt)
-
-    def drawn(self, scenario: Scenario) -> DrawnFacility | None:
-        """The rig of a scenario for drawing; None for the one that the viewer draws itself."""
-        from hiltestbed.platform.facilities.drawing import DrawnFacility
-
-        return DrawnFacility(scenario)
 
     def alike(self, scenario: Scenario) -> Hashable:
         """Everything that the model depends on, which must be equal in the runs of one batch."""

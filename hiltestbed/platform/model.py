@@ -12,7 +12,6 @@ import numpy as np
 
 from hiltestbed.config.models import load
 from hiltestbed.contact.composition import (
-    FLANGE,
     Structure,
     add_active,
     add_contact,
@@ -23,6 +22,7 @@ from hiltestbed.contact.composition import (
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.settings import Mechanism
 
+UPPER = "upper_"  # prefix of the names of a drawn upper platform
 BODY = "A_body"  # body of the active side without a platform
 PRESCRIBED_MASS = 1e15  # [kg], [kg m^2]
 # likewise if other bodies are integrated as well: from 1e12 on MuJoCo's solver makes no progress
@@ -55,7 +55,7 @@ def _carrier(spec: mujoco.MjSpec, above: str | None = None) -> mujoco.MjsBody:
 
 def _mount_active(spec: mujoco.MjSpec, structure: Structure) -> None:
     site = spec.site("mount")
-    add_active(spec, structure, site.parent.add_body(name=FLANGE), np.array(site.pos), PORT)
+    add_active(spec, structure, site.parent, np.array(site.pos), PORT)
 
 
 def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
@@ -88,38 +88,6 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     return model
 
 
-def rig_spec(structure: Structure, timestep: float) -> mujoco.MjSpec:
-    """The whole rig: 3-3 PSS platform with the active mechanism, frame, force sensor, passive
-    mechanism.
-
-    The spherical joints are as stiff as MuJoCo allows: a time constant of two steps.
-    """
-    spec = load("pss33/pss33")
-    spec.modelname = f"pss33-{structure.mechanism.kind}"
-    _options(spec, timestep, gravity=True)
-    closures = list(spec.equalities)
-    spec.attach(load("frame/frame"), prefix="frame_", frame=spec.worldbody.add_frame())
-    _mount_active(spec, structure)
-    add_passive(spec, structure, _carrier(spec))
-    add_contact(spec, structure)
-    for joint in closures:
-        joint.solref[:] = [2.0 * timestep, 1.0]
-    return spec
-
-
-def rig_model(structure: Structure, timestep: float, kept: int) -> mujoco.MjModel:
-    """The simulated rig: without purely visual parts, and with the last ``kept`` readings of the
-    sensor in its history.
-    """
-    spec = rig_spec(structure, timestep)
-    spec.compiler.discardvisual = True
-    for name in ("force", "torque"):
-        spec.sensor(name).nsample = kept
-    model = spec.compile()
-    weigh_contact(model, FLANGE, structure.held)
-    return model
-
-
 def upper_model(mechanism: Mechanism, timestep: float) -> mujoco.MjModel:
     """The upper platform alone, with force sensor and passive mechanism, its spherical joints as
     stiff as those of the lower one.
@@ -140,15 +108,10 @@ def nine_axis_scene(mechanism: Mechanism) -> mujoco.MjModel:
     """
     spec = load("pss33/pss33")
     spec.modelname = f"pss33-prs3-{mechanism.kind}"
-    spec.attach(load("prs3/prs3"), prefix="upper_", frame=spec.worldbody.add_frame())
+    spec.attach(load("prs3/prs3"), prefix=UPPER, frame=spec.worldbody.add_frame())
     _mount_active(spec, drawn(mechanism))
-    add_passive(spec, drawn(mechanism), _carrier(spec, above="upper_"))
+    add_passive(spec, drawn(mechanism), _carrier(spec, above=UPPER))
     return spec.compile()
-
-
-def rig_scene(mechanism: Mechanism) -> mujoco.MjModel:
-    """The rig for drawing."""
-    return rig_spec(drawn(mechanism), timestep=1e-3).compile()
 
 
 def sensor_columns(model: mujoco.MjModel) -> slice:

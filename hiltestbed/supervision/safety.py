@@ -18,7 +18,7 @@ from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.pss33.kinematics import Platform, slider
+from hiltestbed.platform.pss33.kinematics import shipped_limbs, slider
 from hiltestbed.scenario import Scenario
 
 LIMITS = (
@@ -61,7 +61,7 @@ class Safety:
         # If a platform states limits of its joints, Plant.joint_limit checks these; sliders and
         # limbs of other platforms are checked here.
         stated = scenarios[0].rig.platform.states_limits
-        self._limbs = Platform.load().limbs[: 0 if stated else 6]
+        self._limbs = shipped_limbs()[: 0 if stated else 6]
         self._plant: Plant | None = None
         self.quantities = np.zeros((n, len(LIMITS)))
         self._sliders = np.zeros((n, 2, 6))  # positions and speeds at the previous tick

@@ -77,7 +77,7 @@ def _rig(
     scene = RigScene(run.scenario)
     time, pose = rr.TimeColumn("time", duration=trace.t[rows]), trace["pose_act"][rows]
     scene.draw(rec)
-    scene.move(rec, time, pose, scene.port_poses(run.scenario, rows, trace["pose_cmd"], pose))
+    scene.move(rec, time, pose, scene.port_poses(rows, trace["pose_cmd"], pose))
     send_force(rec, CONTACT_FORCE, time, _felt(trace)[rows], pose, trace.contact[rows], scale)
 
 

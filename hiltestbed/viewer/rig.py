@@ -13,13 +13,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import ACTIVE, PASSIVE
-from hiltestbed.frames import Array, quat_from_mujoco, quat_to_mujoco, rotation_matrix
-from hiltestbed.platform.model import nine_axis_scene, rig_scene
-from hiltestbed.platform.prs3.allocation import compose, upper_coordinates
-from hiltestbed.platform.prs3.geometry import Upper, place, revolute, slider
-from hiltestbed.platform.pss33.kinematics import Platform, joints
+from hiltestbed.frames import Array, quat_from_mujoco
+from hiltestbed.platform.facilities.drawing import drawn_rig
 from hiltestbed.scenario import Scenario
 from hiltestbed.viewer import colors
 from hiltestbed.viewer.drawing import log_solid, send_poses
@@ -29,7 +25,6 @@ ROOT = "rig"
 AT_P = f"{ROOT}/at_P"
 CONTACT_FORCE = f"{AT_P}/contact_force"
 PORT_NAMES = (f"{ROOT}/platform/port_A/name", f"{AT_P}/port_P/name")
-UPPER = "upper_"  # prefix of the upper platform's names
 DRAWN_GROUPS = 3  # geom groups 0 to 2 are drawn, as in MuJoCo's own viewer; 3 is for collision
 TRIAD = 0.1  # [m] length of a port's axes
 GLASS = 0.25  # opacity of the passive mechanism: the force on it is drawn inside it
@@ -39,19 +34,10 @@ class RigScene:
     """The drawn model of a rig, and the joint positions for given poses of its ports."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self.nine_axes = scenario.rig.upper.kind != "fixed"
-        self._facility = scenario.rig.platform.drawn(scenario)
-        if self._facility is not None:
-            self.model = self._facility.model
-        else:
-            self.model = (
-                nine_axis_scene(scenario.mechanism)
-                if self.nine_axes
-                else rig_scene(scenario.mechanism)
-            )
+        self._rig = drawn_rig(scenario)
+        self.model = self._rig.model
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
-        self._home = self.data.qpos.copy()
         self.moving = sorted({int(b) for b in self.model.body_weldid if b > 0})
 
     def path(self, body: int) -> str:
@@ -99,7 +85,7 @@ class RigScene:
         """``(moving, frames, 7)`` poses in W of the moving bodies, by inverse kinematics, at the
         poses ``(frames, 7)`` of A in P and of P in W.
         """
-        qpos = self._joints(pose, pose_P)
+        qpos = self._rig.joints(pose, pose_P)
         place, attitude = (
             np.empty((len(pose), len(self.moving), 3)),
             np.empty((len(pose), len(self.moving), 4)),
@@ -111,44 +97,9 @@ class RigScene:
             attitude[f] = self.data.xquat[self.moving]
         return np.concatenate([place, quat_from_mujoco(attitude)], axis=-1).swapaxes(0, 1)
 
-    def _joints(self, pose: Array, pose_P: Array) -> Array:
-        """``(frames, nq)`` joint positions at the poses of A in P and of P in W."""
-        if self._facility is not None:
-            return self._facility.joints(pose)[0]
-        qpos = np.tile(self._home, (len(pose), 1))
-        self._lower_joints(pose if not self.nine_axes else _composed(pose_P, pose), qpos)
-        if self.nine_axes:
-            self._upper_joints(pose_P, qpos)
-        return qpos
-
-    def port_poses(
-        self, scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, pose: Array
-    ) -> Array:
+    def port_poses(self, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
         """``(frames, 7)`` poses of P in W at the rows, at which A has ``pose`` (frames, 7) in P."""
-        if self._facility is not None:
-            return self._facility.joints(pose)[1]
-        return port_poses(scenario, rows, pose_cmd)
-
-    def _lower_joints(self, pose: Array, qpos: Array) -> None:
-        """Limbs and free joint of the lower platform at the poses ``(frames, 7)`` of A in W."""
-        first = np.array([int(self.model.joint(f"slider_{j}").qposadr[0]) for j in range(6)])
-        _limb_joints(Platform.load().limbs, first, pose, qpos)
-        self._free_joint("platform", pose, Platform.load().centre, qpos)
-
-    def _upper_joints(self, pose_P: Array, qpos: Array) -> None:
-        """Legs and free joint of the upper platform at the poses ``(frames, 7)`` of P in W."""
-        first = np.array([int(self.model.joint(f"{UPPER}slider_{j}").qposadr[0]) for j in range(3)])
-        _leg_joints(Upper.load().legs, first, pose_P, qpos)
-        free = int(self.model.joint(f"{UPPER}platform").qposadr[0])
-        self._free_joint(f"{UPPER}platform", pose_P, self._home[free : free + 3], qpos)
-
-    def _free_joint(self, name: str, pose: Array, offset: Array, qpos: Array) -> None:
-        """A body with its origin at ``offset`` (3,) from the port whose poses in W are ``pose``
-        (frames, 7).
-        """
-        first = int(self.model.joint(name).qposadr[0])
-        qpos[:, first : first + 3] = pose[:, :3] + rotation_matrix(pose[:, 3:]) @ offset
-        qpos[:, first + 3 : first + 7] = quat_to_mujoco(pose[:, 3:])
+        return self._rig.port_poses(rows, pose_cmd, pose)
 
     def move(
         self, rec: rr.RecordingStream, time: rr.TimeColumn, pose: Array, pose_P: Array
@@ -162,52 +113,6 @@ class RigScene:
             rr.LineStrips3D([pose[:, :3]], colors=[colors.PATH], radii=[0.0015]),
             static=True,
         )
-
-
-def port_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array) -> Array:
-    """``(frames, 7)`` poses of P in W at the rows: home, or the planned pose of the upper platform
-    for ``pose_cmd`` (ticks, 7).
-    """
-    home = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(rows), 1))
-    if scenario.rig.upper.kind == "fixed":
-        return home
-    shape = Upper.load().shape
-    # commanded one tick before it is reached
-    for out, x in zip(home, upper_coordinates(pose_cmd[np.maximum(rows - 1, 0)]), strict=True):
-        place(shape, x, out)
-    return home
-
-
-def _composed(pose_P: Array, pose: Array) -> Array:
-    out = np.empty_like(pose)
-    for first, second, both in zip(pose_P, pose, out, strict=True):
-        compose(first, second, both)
-    return out
-
-
-@njit(cache=True)
-def _leg_joints(legs, first, pose, qpos):
-    """Slider and revolute joint of every leg at the poses ``(frames, 7)`` of P, into ``qpos`` from
-    the columns ``first`` (3,) on.
-    """
-    arm = np.empty(3)
-    for f in range(pose.shape[0]):
-        for j in range(3):
-            qpos[f, first[j]] = slider(legs[j], pose[f], arm)
-            qpos[f, first[j] + 1] = revolute(legs[j], pose[f], arm)
-
-
-@njit(cache=True)
-def _limb_joints(limbs, first, pose, qpos):
-    """Slider and universal joint of every limb at the poses ``(frames, 7)`` of A, into ``qpos``
-    from the columns ``first`` (6,) on.
-    """
-    still, q, v = np.zeros(6), np.empty(3), np.empty(3)
-    for f in range(pose.shape[0]):
-        for j in range(6):
-            joints(limbs[j], pose[f], still, q, v)
-            for k in range(3):
-                qpos[f, first[j] + k] = q[k]
 
 
 def _log_triad(

@@ -14,7 +14,7 @@ from mujoco.batch import Batch
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.air_bearing import AirBearing
-from hiltestbed.platform.facilities.bodies import GRAVITY, Article
+from hiltestbed.platform.facilities.bodies import Article
 from hiltestbed.platform.facilities.facility import compiled
 from hiltestbed.platform.facilities.suspension import (
     HOOK,
@@ -22,6 +22,7 @@ from hiltestbed.platform.facilities.suspension import (
     SuspensionSettings,
     swing_frequency,
 )
+from hiltestbed.platform.payload import GRAVITY
 from hiltestbed.platform.shipped.air_bearing import AirBearingSettings
 
 STEP = 2.5e-4

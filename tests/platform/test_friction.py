@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from hiltestbed.frames import Array
-from hiltestbed.platform.friction import DriveFriction
+from hiltestbed.platform.friction import BRISTLE, DriveFriction
 from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.pss33.servo import PRESLIDING
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.scenario import Scenario, scenario_from
 from tests.platform.rigs import pose, scenario
@@ -34,18 +35,23 @@ class Sled:
     def __init__(self, kind: str) -> None:
         platform = with_actuator(scenario(), kind).rig.platform
         assert isinstance(platform, Pss33)
-        self.friction = DriveFriction([platform.actuator], np.arange(6), MASS, DT)
+        law = np.tile(platform.actuator.law(), (1, 6, 1))
+        self.friction = DriveFriction(law, PRESLIDING, MASS, np.arange(6), np.arange(6), DT)
         self.x, self.v, self.applied = np.zeros(6), np.zeros((1, 6)), np.zeros((1, 6))
 
     def drag(self, speed: float, steps: int = 4000) -> float:
         """Friction [N] after some time at a steady speed."""
         self.v[:] = speed
         for _ in range(steps):
-            self.friction.act(self.v, self.applied)
+            self.rub()
         return -float(self.applied[0, 0])
 
+    def rub(self) -> None:
+        self.applied[:] = 0.0
+        self.friction.acting(self.v, self.applied)()
+
     def push(self, force: Array | float) -> None:
-        self.friction.act(self.v, self.applied)
+        self.rub()
         self.v += DT / MASS * (force + self.applied)
         self.x += DT * self.v[0]
 
@@ -108,7 +114,7 @@ def test_friction_only_takes_energy(kind: str) -> None:
     sled.v[0] = [0.2, -0.1, 0.01, 1e-3, -1e-4, 0.05]
     if kind == "dual":
         sled.friction.settle(sled.v)
-    stiffness = sled.friction.numbers[0, 5]
+    stiffness = sled.friction.numbers[0, 0, BRISTLE]
     bristles = 1 if kind == "single" else 0  # those of the pair slide at the bias throughout
 
     def energy() -> Array:

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.config.models import load, models_folder
+from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.platform.pss33.kinematics import Platform, inverse, jacobian, joints
+from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, compiled
+from hiltestbed.platform.facilities.kinematics import Kinematics
+from hiltestbed.platform.plant import Plant
+from hiltestbed.platform.pss33.facility import Pss33Facility
+from hiltestbed.platform.pss33.kinematics import inverse, jacobian, joints, shipped_limbs
+from hiltestbed.platform.pss33.settings import Pss33
+from tests.platform.rigs import scenario
 
-PLATFORM = Platform.load()
+LIMBS = shipped_limbs()
+CENTRE = np.array([0.0, 0.0, -0.64])  # [m] the platform's origin from A's, models/pss33
 HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
@@ -32,14 +42,14 @@ def test_inverse_kinematics_is_mujocos_own() -> None:
     data = mujoco.MjData(m)
     poses = workspace(200)
     sliders = np.empty((200, 6))
-    inverse(PLATFORM.limbs, poses, sliders)
+    inverse(LIMBS, poses, sliders)
     q, v = np.empty(3), np.empty(3)
     for i, pose in enumerate(poses):
         turn = Rotation.from_quat(pose[3:])
-        data.joint("platform").qpos[:3] = pose[:3] + turn.apply(PLATFORM.centre)
+        data.joint("platform").qpos[:3] = pose[:3] + turn.apply(CENTRE)
         data.joint("platform").qpos[3:] = pose[[6, 3, 4, 5]]
         for j in range(6):
-            joints(PLATFORM.limbs[j], pose, np.zeros(6), q, v)
+            joints(LIMBS[j], pose, np.zeros(6), q, v)
             assert q[0] == sliders[i, j]
             data.joint(f"slider_{j}").qpos[:] = q[0]
             data.joint(f"universal_{j}a").qpos[:] = q[1]
@@ -54,7 +64,7 @@ def test_the_workspace_is_within_the_sliders_stroke() -> None:
     m = load("pss33/pss33").compile()
     stroke = m.joint("slider_0").range[1]
     sliders = np.empty((2000, 6))
-    inverse(PLATFORM.limbs, workspace(2000), sliders)
+    inverse(LIMBS, workspace(2000), sliders)
     assert np.abs(sliders).max() < stroke
 
 
@@ -62,14 +72,14 @@ def test_the_jacobian_is_the_derivative_of_the_inverse_kinematics() -> None:
     rng = np.random.default_rng(5)
     jac, sliders = np.empty((6, 6)), np.empty(6)
     for pose in workspace(20):
-        jacobian(PLATFORM.limbs, pose, sliders, jac)
+        jacobian(LIMBS, pose, sliders, jac)
         twist = rng.normal(size=6)
         e = 1e-6
         ends = np.empty((2, 6))
         for k, step in enumerate((-e, e)):
             turn = Rotation.from_rotvec(step * twist[3:]) * Rotation.from_quat(pose[3:])
             inverse(
-                PLATFORM.limbs,
+                LIMBS,
                 np.hstack([pose[:3] + step * twist[:3], turn.as_quat()])[None],
                 ends[k : k + 1],
             )
@@ -85,7 +95,7 @@ def test_joint_rates_are_the_derivative_of_the_joints() -> None:
     for pose in workspace(20):
         twist = rng.normal(size=6)
         for j in range(6):
-            limb = PLATFORM.limbs[j]
+            limb = LIMBS[j]
             joints(limb, pose, twist, q, rate)
             for out, step in ((before, -e), (after, e)):
                 turn = Rotation.from_rotvec(step * twist[3:]) * Rotation.from_quat(pose[3:])
@@ -105,17 +115,56 @@ def test_jacobian_at_home_decouples_into_two_groups() -> None:
     radius R; sum of cos^2 over three spokes is 3/2.
     """
     jac, sliders = np.empty((6, 6)), np.empty(6)
-    jacobian(PLATFORM.limbs, HOME, sliders, jac)
+    jacobian(LIMBS, HOME, sliders, jac)
     np.testing.assert_allclose(sliders, 0.0, atol=1e-9)
-    x, y, z = PLATFORM.centre
+    x, y, z = CENTRE
     from_centre = np.eye(6)  # twist of the centre to twist of A: v_A = v_C + centre x w
     from_centre[:3, 3:] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     about_centre = jac @ from_centre
     r, big_r = 0.60, 0.80
     expected = np.diag([1.5, 1.5, 3.0, 1.5 * r**2, 1.5 * r**2, 3.0 * big_r**2])
     np.testing.assert_allclose(about_centre.T @ about_centre, expected, atol=1e-9)
-    anchors = PLATFORM.limbs[:, 6:9] - PLATFORM.centre
+    anchors = LIMBS[:, 6:9] - CENTRE
     np.testing.assert_allclose(np.linalg.norm(anchors, axis=1), [r] * 3 + [big_r] * 3, rtol=1e-9)
+
+
+def test_the_closed_form_solves_the_equations_that_every_facility_solves() -> None:
+    """All joints and rates of the bare platform, from the loops' own equations by Newton's method
+    to 1e-10.
+    """
+    facility = Pss33Facility(Pss33())
+    model = compiled(facility.spec())
+    closed, general = facility.kinematics(model), Kinematics(model, [MOUNT], facility.axes)
+    rng = np.random.default_rng(7)
+    for goal in workspace(5):
+        goal[:3] += MOUNT_HOME[:3]
+        twist, none = rng.normal(size=(1, 6)), np.empty(0)
+        q, v = closed.motion(goal[None], twist, none, none)
+        np.testing.assert_allclose(q, general.solve(goal[None])[0], atol=1e-8)
+        np.testing.assert_allclose(v, general.rates(q, twist), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (
+            {"limits": {"stroke": 0.1}},
+            "joint slider_0 would be at 0.2 m; its travel is -0.1 to 0.1",
+        ),
+        ({"workspace": {"translation": 3.0}}, "a link is .* m too short at"),
+    ],
+)
+def test_a_start_that_the_sliders_do_not_reach_is_refused(
+    settings: dict[str, Any], words: str
+) -> None:
+    s = scenario()
+    platform = Pss33.model_validate({"kind": "pss33", **settings})
+    plant = Plant([s.model_copy(update={"rig": s.rig.model_copy(update={"platform": platform})})])
+    start = HOME[None].copy()
+    start[0, 2] = 0.2
+    start[0, 0] = 2.0 if "workspace" in settings else 0.0
+    with pytest.raises(InputError, match=words):
+        plant.reset(start, np.zeros((1, 6)))
 
 
 @pytest.mark.parametrize("mechanism", ["pss33", "frame", "bumper"])

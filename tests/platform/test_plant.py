@@ -12,9 +12,9 @@ import pytest
 from hiltestbed.compiled.state import arrays_of
 from hiltestbed.config.gallery import find_scenario
 from hiltestbed.errors import InputError
+from hiltestbed.platform.facilities.stand import Stand
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.pss33.servo import Servo
-from hiltestbed.platform.pss33.settings import Pss33
+from hiltestbed.platform.pss33.servo import KP, KV, SliderDrives
 from hiltestbed.scenario import load_scenario
 from tests.platform.rigs import Press, pose, scenario
 
@@ -181,9 +181,10 @@ def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
         twist[0, 2] += h * accel[0, 2]
         position[0, 2] += h * twist[0, 2]
         plant.advance(position, twist, accel)
-    assert isinstance(s.rig.platform, Pss33)
-    gains = Servo(plant.model, [s.rig.platform], s.tick, s.substeps, np.ones(1, dtype=bool))
-    taken = 1e5**2 * float(gains.kv[0]) / (3.0 * float(gains.kp[0]) ** 2)
+    drives = Stand(s.rig.platform.facility()).drives
+    assert isinstance(drives, SliderDrives)
+    gains = drives.gains[0]
+    taken = 1e5**2 * float(gains[KV]) / (3.0 * float(gains[KP]) ** 2)
     expected = -np.pi * taken / (2.0 * np.sqrt(1e5 * mu))
     assert np.log(-twist[0, 2] / 0.03) == pytest.approx(expected, abs=abs(expected) / 3.0)
     assert abs(expected) < 1e-3

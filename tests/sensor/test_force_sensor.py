@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from hiltestbed.platform.model import rig_spec
+from hiltestbed.platform.facilities.composed import facility_spec
+from hiltestbed.platform.facilities.hall import facility_of
 from hiltestbed.platform.plant import Plant, structure
 from tests.platform.rigs import pose, scenario
 
@@ -17,7 +18,8 @@ def sensor_reading(added: float, x: float) -> np.ndarray:
     """The six readings of the rig's sensor with ``added`` [kg] hung on the passive side at ``x``
     [m] from the axis.
     """
-    spec = rig_spec(structure(scenario()), timestep=1e-3)
+    s = scenario()
+    spec = facility_spec(facility_of(s), structure(s), timestep=1e-3)
     weight = spec.body("passive_mechanism").add_body(name="weight", pos=[x, 0.0, 0.1])
     weight.explicitinertial, weight.mass, weight.ipos, weight.inertia = (
         True,

@@ -119,7 +119,7 @@ def _rig(rec: rr.RecordingStream, run: MeasuredRun) -> None:
     )
     scene, time = RigScene(run.scenario), rr.TimeColumn("time", duration=t[rows])
     scene.draw(rec)
-    scene.move(rec, time, pose[rows], scene.port_poses(run.scenario, rows, pose, pose[rows]))
+    scene.move(rec, time, pose[rows], scene.port_poses(rows, pose, pose[rows]))
     touching = np.zeros(len(t), dtype=bool)
     for c in run.survey.contacts:
         touching[c.start : c.end] = True

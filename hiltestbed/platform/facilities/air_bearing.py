@@ -23,8 +23,9 @@ from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.models import load
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
+from hiltestbed.platform.facilities.bodies import SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, per_run
+from hiltestbed.platform.payload import GRAVITY
 from hiltestbed.platform.shipped.air_bearing import AirBearingSettings
 
 CREEP = 1e-4  # [m/s] v_0, speed below which the pads' friction fades

@@ -27,7 +27,7 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
 from hiltestbed.platform.divergence import has_diverged
-from hiltestbed.platform.facilities.drives import UPRIGHT, relative
+from hiltestbed.platform.facilities.drives import UPRIGHT, PortMotion, ports_at_home, read_ports
 from hiltestbed.platform.facilities.facility import (
     MOUNT,
     MOUNT_HOME,
@@ -39,18 +39,9 @@ from hiltestbed.platform.facilities.facility import (
 )
 from hiltestbed.platform.facilities.inverse_dynamics import joint_forces
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.motion import (
-    move,
-    packed,
-    place,
-    scratch,
-    tool_pose,
-    tool_twist,
-    unpack,
-)
+from hiltestbed.platform.facilities.motion import packed, place, scratch, unpack
 from hiltestbed.platform.facilities.tree import between, compose, inverse_pose
 
-GRAVITY = 9.81  # [m/s^2], along -y of W
 WEIGHTLESS = 1e-6  # [kg], [kg m^2] of a mechanism whose mass is included in its article
 NEAR = 1e-7  # [m], [rad] tolerance of a start against the articles' degrees of freedom
 SIDES = ("chaser", "target")
@@ -71,24 +62,10 @@ class Article:
 
 
 @njit(cache=True)
-def _read(
-    integers,
-    numbers,
-    room,
-    qpos,
-    qvel,
-    limit,
-    place_A,
-    motion_A,
-    place_P,
-    motion_P,
-    pose,
-    twist,
-    diverged,
-):
+def _read(integers, numbers, room, qpos, qvel, limit, diverged, *given):
+    """Read sides; given: the fields of PortMotion."""
     tree, w = unpack(integers, numbers, room)
     lost = False
-    r, arm = np.empty(3), np.empty(3)
     for i in range(qpos.shape[0]):
         if diverged[i]:
             continue
@@ -96,13 +73,7 @@ def _read(
             diverged[i] = True
             lost = True
             continue
-        place(tree, qpos[i], w)
-        move(tree, qvel[i], w)
-        tool_pose(tree, w, 0, place_A[i])
-        tool_twist(tree, w, 0, motion_A[i])
-        tool_pose(tree, w, 1, place_P[i])
-        tool_twist(tree, w, 1, motion_P[i])
-        relative(place_A[i], motion_A[i], place_P[i], motion_P[i], r, arm, pose[i], twist[i])
+        read_ports(tree, w, qpos[i], qvel[i], PortMotion(*given), i)
     return lost
 
 
@@ -116,23 +87,9 @@ class Bodies:
 
     def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, n: int, step: float) -> None:
         self.model, self.kinematics, self.step = model, kinematics, step
-        self.pose, self.twist = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
-        self.place_A, self.motion_A = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
-        self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
-        self._seen = Call(
-            _read,
-            *packed(kinematics.tree.towards_tools()),
-            GIVEN,
-            GIVEN,
-            GIVEN,
-            self.place_A,
-            self.motion_A,
-            self.place_P,
-            self.motion_P,
-            self.pose,
-            self.twist,
-            GIVEN,
-        )
+        sides = ports_at_home(n)
+        self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist = sides
+        self._seen = Call(_read, *packed(kinematics.tree.towards_tools()), *(GIVEN,) * 4, *sides)
 
     def push(self, qpos: Array, qvel: Array, applied: Array) -> None:
         """Write the forces of bearings and cables on the articles to the generalised forces

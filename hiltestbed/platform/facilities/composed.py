@@ -24,7 +24,7 @@ from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, cross, rotate_back
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, NOMINAL, TOOL_HOME, Facility, stiffen
-from hiltestbed.platform.prs3.payload import load_of
+from hiltestbed.platform.payload import load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command
 ROUNDING = 1e-9  # [N], [N m] rounding error of a difference of loads of up to 1e4
@@ -51,8 +51,11 @@ def facility_spec(facility: Facility, structure: Structure, timestep: float) -> 
     )
     stiffen(spec, timestep)
     site = spec.site(MOUNT)
-    flange = site.parent.add_body(name=FLANGE, pos=site.pos, quat=site.quat)
-    add_active(spec, structure, flange, np.zeros(3), TOOL_HOME[:3])
+    flange, plane = site.parent, np.array(site.pos)
+    if flange.name != FLANGE:
+        flange = flange.add_body(name=FLANGE, pos=site.pos, quat=site.quat)
+        plane = np.zeros(3)
+    add_active(spec, structure, flange, plane, TOOL_HOME[:3])
     spec.delete(spec.site(NOMINAL))  # add_passive adds it again, at the same pose
     add_passive(spec, structure, spec.body(CARRIER))
     if isinstance(facility, PhysicalFacility):
@@ -65,10 +68,16 @@ def facility_spec(facility: Facility, structure: Structure, timestep: float) -> 
     return spec
 
 
-def facility_model(facility: Facility, structure: Structure, timestep: float) -> mujoco.MjModel:
-    """The composed facility for stepping: without purely visual parts."""
+def facility_model(
+    facility: Facility, structure: Structure, timestep: float, kept: int = 0
+) -> mujoco.MjModel:
+    """The composed facility for stepping: without purely visual parts, and with the last ``kept``
+    readings of the force sensor in MuJoCo's history.
+    """
     spec = facility_spec(facility, structure, timestep)
     spec.compiler.discardvisual = True
+    for name in ("force", "torque"):
+        spec.sensor(name).nsample = kept
     model = spec.compile()
     weigh_contact(model, FLANGE, structure.held)
     return model

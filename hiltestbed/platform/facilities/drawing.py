@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hiltestbed.contact.composition import drawn
 from hiltestbed.frames import Array
@@ -16,6 +17,7 @@ from hiltestbed.platform.facilities.drives import UPRIGHT
 from hiltestbed.platform.facilities.hall import facility_of
 
 if TYPE_CHECKING:
+    from hiltestbed.platform.prs3.drawing import DrawnNineAxes
     from hiltestbed.scenario import Scenario
 
 STEP = 1e-3  # [s] nothing is stepped
@@ -37,15 +39,20 @@ class DrawnFacility:
             self._drives = facility.drives(
                 stepped, settings, scenario.tick, scenario.substeps, np.zeros(1, dtype=bool), TOOL
             )
-
         self._last: tuple[Array, tuple[Array, Array]] | None = None
 
-    def joints(self, pose: Array) -> tuple[Array, Array]:
-        """Joint positions ``(frames, nq)`` and poses ``(frames, 7)`` of P in W, at the poses
-        ``(frames, 7)`` of A in P.
+    def port_poses(self, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
+        """``(frames, 7)`` poses of P in W at the rows, at which A has ``pose`` (frames, 7) in P.
 
         For freely moving bodies P is drawn at home: a record contains only their relative pose.
         """
+        return self._solved(pose)[1]
+
+    def joints(self, pose: Array, pose_P: Array) -> Array:
+        """Joint positions ``(frames, nq)`` at the poses ``(frames, 7)`` of A in P."""
+        return self._solved(pose)[0]
+
+    def _solved(self, pose: Array) -> tuple[Array, Array]:
         if self._last is not None and np.array_equal(self._last[0], pose):
             return self._last[1]
         qpos, place = np.tile(self.model.qpos0, (len(pose), 1)), np.tile(UPRIGHT, (len(pose), 1))
@@ -59,3 +66,12 @@ class DrawnFacility:
                 place[f] = self._drives.poses[0, 1]
         self._last = (pose.copy(), (qpos, place))
         return qpos, place
+
+
+def drawn_rig(scenario: Scenario) -> DrawnFacility | DrawnNineAxes:
+    """The rig of a scenario for drawing."""
+    if scenario.rig.upper.kind == "fixed":
+        return DrawnFacility(scenario)
+    from hiltestbed.platform.prs3.drawing import DrawnNineAxes
+
+    return DrawnNineAxes(scenario)

@@ -7,25 +7,25 @@ inputs; ``observe`` reads poses and joints from the state. The control law of a 
 the subclass.
 
 The relative pose is that of A in P. If the passive side is fixed, P is W, and one tool follows the
-command. A facility that moves both sides overrides :meth:`Drives.allocate`.
+command. A facility that moves both sides overrides the kernel of :meth:`Drives.allocate`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call, bound, together
+from hiltestbed.compiled.bound import GIVEN, Call, Joined, bound, together
 from hiltestbed.compiled.jit import njit
+from hiltestbed.contact.wrench import relate_one
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array, pose_between, pose_step, rotate_back
+from hiltestbed.frames import Array, pose_step
 from hiltestbed.platform.divergence import has_diverged
-from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.facilities.motion import (
@@ -38,7 +38,8 @@ from hiltestbed.platform.facilities.motion import (
     unpack,
 )
 from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
-from hiltestbed.platform.facilities.reference import plan_tick, sample
+from hiltestbed.platform.facilities.reference import Cycles, TickPlan, plan_tick, sample
+from hiltestbed.platform.friction import DriveFriction
 
 # Newton steps per tick; one suffices for motion, the others are for a command that jumps
 PER_TICK = 3
@@ -49,106 +50,88 @@ WEIGHED = 4
 UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
-@njit(cache=True)
-def _aim(
-    integers,
-    numbers,
-    room,
-    k,
-    h,
-    cycles,
-    lates,
-    feed,
-    axes,
-    gravity,
-    poses,
-    held,
-    twists,
-    speeds,
-    qs,
-    rate,
-    goal,
-    leave,
-    load,
-    missed,
-    ring,
-    span,
-    reference,
-    velocity,
-    plan,
-):
-    """Plan a tick; at the start of a cycle solve for joints, rates and weights of tools at
-    ``poses`` (n, nt, 7) in W, left with ``twists`` (n, nt, 6).
+class Targets(NamedTuple):
+    """What the joints of n runs are solved for, and the solution.
 
-    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). k: the
-        tick; negative: solve for all runs, plan nothing.
-    qs, rate: (n, nq), (n, nv) the last solution and its rates, updated. goal, leave, load: (n, J).
-        missed: (n,) residual [m, rad].
+    Attributes:
+        axes: (2, J) addresses of the driven joints in positions and rates. gravity: (3,) [m/s^2].
+        poses, twists: (n, nt, 7), (n, nt, 6) of the tools in W. held, held_rates: (n, np)
+            prescribed joints.
+        qs, rates: (n, nq), (n, nv) the last solution. load: (n, J) gravity load on the drives [N,
+            N m]. missed: (n,) residual [m, rad].
     """
-    for i in range(poses.shape[0]):
-        if k < 0 or k % cycles[i] == 0:
-            _solve(
-                integers,
-                numbers,
-                room,
-                k,
-                h,
-                cycles[i],
-                axes,
-                gravity,
-                poses[i],
-                held[i],
-                twists[i],
-                speeds[i],
-                qs[i],
-                rate[i],
-                goal[i],
-                leave[i],
-                load[i],
-                missed[i : i + 1],
-            )
-            if k >= 0:
-                sample(k, cycles[i], lates[i], ring, span, i, goal[i], leave[i])
-        if k >= 0:
-            plan_tick(k, cycles[i], feed[i], h, span, i, reference, velocity, plan)
+
+    axes: NDArray[np.int64]
+    gravity: Array
+    poses: Array
+    twists: Array
+    held: Array
+    held_rates: Array
+    qs: Array
+    rates: Array
+    load: Array
+    missed: Array
+
+
+class PortMotion(NamedTuple):
+    """Poses (n, 7) and twists (n, 6) of A and P in W, and those of A relative to P, in P."""
+
+    place_A: Array
+    motion_A: Array
+    place_P: Array
+    motion_P: Array
+    pose: Array
+    twist: Array
+
+
+_CYCLES, _TARGETS = len(Cycles._fields), len(Cycles._fields) + len(Targets._fields)
+_PORTS = len(PortMotion._fields)
 
 
 @njit(cache=True)
-def _solve(
-    integers,
-    numbers,
-    room,
-    k,
-    h,
-    cycle,
-    axes,
-    gravity,
-    poses,
-    held,
-    twists,
-    speeds,
-    q,
-    rate,
-    goal,
-    leave,
-    load,
-    missed,
-):
-    """One run at the start of a cycle: joints, their rates, and every few cycles the weight."""
+def _aim(integers, numbers, room, *given):
+    """Plan a tick; at the start of a cycle solve for joints, rates and weights.
+
+    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). given:
+        the fields of Cycles, Targets and TickPlan.
+    """
+    cycles, targets, plan = (
+        Cycles(*given[:_CYCLES]),
+        Targets(*given[_CYCLES:_TARGETS]),
+        TickPlan(*given[_TARGETS:]),
+    )
     tree, w = unpack(integers, numbers, room)
+    k = plan.ticks[0]
+    for i in range(targets.poses.shape[0]):
+        if k < 0 or k % cycles.length[i] == 0:
+            _solve(tree, w, cycles, targets, plan, i)
+            if k >= 0:
+                sample(cycles, plan, i)
+        if k >= 0:
+            plan_tick(cycles, plan, i)
     if k >= 0:
-        shift(tree, q, rate, h * cycle)
-    missed[0] = newton(tree, q, poses, held, w, SOLVED, PER_TICK)
-    rates(tree, w, twists, speeds, rate)
-    for j in range(goal.shape[0]):
-        goal[j] = q[axes[0, j]]
-        leave[j] = rate[axes[1, j]]
+        plan.ticks[0] = k + 1
+
+
+@njit(cache=True)
+def _solve(tree, w, cycles, targets, plan, i):
+    """One run at the start of a cycle: joints, their rates, and every few cycles the weight."""
+    k, cycle, axes = plan.ticks[0], cycles.length[i], targets.axes
+    q, rate, poses, held = targets.qs[i], targets.rates[i], targets.poses[i], targets.held[i]
+    if k >= 0:
+        shift(tree, q, rate, cycles.tick * cycle)
+    targets.missed[i] = newton(tree, q, poses, held, w, SOLVED, PER_TICK)
+    rates(tree, w, targets.twists[i], targets.held_rates[i], rate)
+    for j in range(plan.goal.shape[1]):
+        plan.goal[i, j] = q[axes[0, j]]
+        plan.leave[i, j] = rate[axes[1, j]]
     if k < 0 or (k // cycle) % WEIGHED == 0:
-        joints, nv = goal.shape[0], tree.armature.shape[0]
+        joints, nv = plan.goal.shape[1], tree.armature.shape[0]
         every, forces = np.empty((6 * poses.shape[0] + held.shape[0], nv)), np.empty(nv)
+        square, right = np.empty((joints, joints)), np.empty(joints)
         ways(tree, w, every)
-        weights(tree, gravity, w, forces)
-        drive_forces(every, axes[1], forces, np.empty((joints, joints)), np.empty(joints), load)
+        weights(tree, targets.gravity, w, forces)
+        drive_forces(every, axes[1], forces, square, right, targets.load[i])
 
 
 @njit(cache=True)
@@ -161,47 +144,6 @@ def _follow(pose, twist, accel, half, poses, twists):
 
 
 @njit(cache=True)
-def _follow_and_aim(
-    pose,
-    twist,
-    accel,
-    half,
-    ticks,
-    integers,
-    numbers,
-    room,
-    h,
-    cycles,
-    lates,
-    feed,
-    axes,
-    gravity,
-    poses,
-    held,
-    twists,
-    *others,
-):
-    _follow(pose, twist, accel, half, poses, twists)
-    _aim(
-        integers,
-        numbers,
-        room,
-        ticks[0],
-        h,
-        cycles,
-        lates,
-        feed,
-        axes,
-        gravity,
-        poses,
-        held,
-        twists,
-        *others,
-    )
-    ticks[0] += 1
-
-
-@njit(cache=True)
 def _less(a, b, out):
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -209,29 +151,12 @@ def _less(a, b, out):
 
 
 @njit(cache=True)
-def _observe(
-    integers,
-    numbers,
-    room,
-    axes,
-    home,
-    two,
-    qpos,
-    qvel,
-    limit,
-    place_A,
-    motion_A,
-    place_P,
-    motion_P,
-    pose,
-    twist,
-    joints,
-    rate,
-    diverged,
-):
+def _observe(integers, numbers, room, axes, home, qpos, qvel, limit, diverged, *given):
+    """Read ports and driven joints; given: the fields of PortMotion, joints, joint rates (n, J)."""
+    sides = PortMotion(*given[:_PORTS])
+    joints, rate = given[_PORTS:]
     tree, w = unpack(integers, numbers, room)
     lost = False
-    r, arm = np.empty(3), np.empty(3)
     for i in range(qpos.shape[0]):
         if diverged[i]:
             continue
@@ -239,49 +164,56 @@ def _observe(
             diverged[i] = True
             lost = True
             continue
-        place(tree, qpos[i], w)
-        move(tree, qvel[i], w)
-        tool_pose(tree, w, 0, place_A[i])
-        tool_twist(tree, w, 0, motion_A[i])
+        read_ports(tree, w, qpos[i], qvel[i], sides, i)
         for j in range(home.shape[0]):
             joints[i, j] = qpos[i, axes[0, j]] - home[j]
             rate[i, j] = qvel[i, axes[1, j]]
-        if not two:
-            pose[i] = place_A[i]
-            twist[i] = motion_A[i]
-            continue
-        tool_pose(tree, w, 1, place_P[i])
-        tool_twist(tree, w, 1, motion_P[i])
-        relative(place_A[i], motion_A[i], place_P[i], motion_P[i], r, arm, pose[i], twist[i])
     return lost
 
 
 @njit(cache=True)
-def relative(place_A, motion_A, place_P, motion_P, r, arm, pose, twist):
-    """``pose`` (7,) of A in P and ``twist`` (6,) of A relative to P, in P, from poses and twists of
-    both in W.
+def read_ports(tree, w, q, v, sides, i):
+    """Write the sides of run ``i`` at the joints ``q`` (nq,) with rates ``v`` (nv,); with one tool
+    P is W.
     """
-    pose_between(place_P, place_A, pose)
-    for c in range(3):
-        r[c] = place_A[c] - place_P[c]
-    for c in range(3):
-        k, l = (c + 1) % 3, (c + 2) % 3
-        arm[c] = motion_A[c] - motion_P[c] - (motion_P[3 + k] * r[l] - motion_P[3 + l] * r[k])
-        twist[3 + c] = motion_A[3 + c] - motion_P[3 + c]
-    rotate_back(place_P[3:7], arm, twist)
-    rotate_back(place_P[3:7], twist[3:6], twist[3:6])
+    place(tree, q, w)
+    move(tree, v, w)
+    tool_pose(tree, w, 0, sides.place_A[i])
+    tool_twist(tree, w, 0, sides.motion_A[i])
+    if tree.tools.shape[0] == 1:
+        sides.pose[i] = sides.place_A[i]
+        sides.twist[i] = sides.motion_A[i]
+        return
+    tool_pose(tree, w, 1, sides.place_P[i])
+    tool_twist(tree, w, 1, sides.motion_P[i])
+    relate_one(
+        sides.place_A[i],
+        sides.motion_A[i],
+        sides.place_P[i],
+        sides.motion_P[i],
+        sides.pose[i],
+        sides.twist[i],
+        np.empty((1, 3)),
+    )
+
+
+def ports_at_home(n: int) -> PortMotion:
+    """PortMotion of n runs at home."""
+    poses = [np.tile(UPRIGHT, (n, 1)) for _ in range(3)]
+    twists = [np.zeros((n, 6)) for _ in range(3)]
+    return PortMotion(poses[0], twists[0], poses[1], twists[1], poses[2], twists[2])
 
 
 class _Pushed:
     """The arrays of the last call of ``push``, and the compiled call bound to them."""
 
-    __slots__ = ("call", "ctrl", "qpos", "qvel", "rubbing")
+    __slots__ = ("call", "ctrl", "friction", "qpos", "qvel")
 
     def __init__(self) -> None:
         self.qpos: Array | None = None
         self.qvel: Array | None = None
         self.ctrl: Array | None = None
-        self.rubbing: Rubbing | None = None
+        self.friction: DriveFriction | None = None
         self.call: Any = None
 
 
@@ -291,10 +223,11 @@ class Drives:
 
     Attributes, at t_k:
         pose, twist: (n, 7), (n, 6) of A relative to P, in P. place_A, motion_A, place_P, motion_P:
-            of both in W.
+            of both in W; all in sides.
         joints, joint_rates: (n, J) actual, from home. reference: (n, J) commanded, from home.
         missed: (n,) distance by which the last command was out of the facility's reach [m, rad].
-        load: (n, J) gravity load on the drives at the command [N, N m].
+        load: (n, J) gravity load on the drives at the command [N, N m]; both in targets.
+        cycles, plan: of the controller, and its references.
     """
 
     def __init__(
@@ -303,69 +236,71 @@ class Drives:
         kinematics: Kinematics,
         tick: float,
         substeps: int,
-        cycles: Sequence[int],
-        lates: Sequence[int],
+        settings: Sequence[Any],
         feed: NDArray[np.bool_],
     ) -> None:
-        """Args: cycles, lates: (n,) ticks per controller cycle, command delay in whole cycles.
-        feed: (n,) feed-forward.
+        """Args: settings: (n,) of each run's platform, with the path of its commands. feed: (n,)
+        feed-forward.
         """
         n, joints = len(feed), len(kinematics.axes)
         self.kinematics, self.tick, self.step = kinematics, tick, tick / substeps
-        self.model, self._feed = model, np.asarray(feed, dtype=bool)
-        self._cycles, self._lates = (
-            np.asarray(cycles, dtype=np.int64),
-            np.asarray(lates, dtype=np.int64),
+        self.model = model
+        self.cycles = Cycles(
+            tick,
+            np.array([s.command.cycle(1.0 / tick) for s in settings], dtype=np.int64),
+            np.array([s.command.delay_cycles for s in settings], dtype=np.int64),
+            np.asarray(feed, dtype=bool),
         )
-        self._flat = packed(kinematics.tree)
-        self._axes = np.array([kinematics.q, kinematics.v])
-        self._home, self._gravity = kinematics.joints_home, np.array(model.opt.gravity, dtype=float)
-        self._two = len(kinematics.tools) == 2
+        self._axes, self._home = np.array([kinematics.q, kinematics.v]), kinematics.joints_home
         tools, held = len(kinematics.tools), len(kinematics.prescribed)
-        self.poses, self.twists = np.tile(UPRIGHT, (n, tools, 1)), np.zeros((n, tools, 6))
-        self.held, self.held_rates = np.tile(kinematics.held_home, (n, 1)), np.zeros((n, held))
-        self._qs, self._rates = np.tile(kinematics.home, (n, 1)), np.zeros((n, model.nv))
-        self._goal, self._leave, self.load = (
-            np.tile(self._home, (n, 1)),
-            np.zeros((n, joints)),
-            np.zeros((n, joints)),
+        self.targets = Targets(
+            axes=self._axes,
+            gravity=np.array(model.opt.gravity, dtype=float),
+            poses=np.tile(UPRIGHT, (n, tools, 1)),
+            twists=np.zeros((n, tools, 6)),
+            held=np.tile(kinematics.held_home, (n, 1)),
+            held_rates=np.zeros((n, held)),
+            qs=np.tile(kinematics.home, (n, 1)),
+            rates=np.zeros((n, model.nv)),
+            load=np.zeros((n, joints)),
+            missed=np.zeros(n),
         )
-        self._ring = np.zeros((n, int(self._lates.max(initial=0)) + 1, 2, joints))
-        self._span = np.zeros((n, 2, 2, joints))
-        self._target, self._velocity = np.tile(self._home, (n, 1)), np.zeros((n, joints))
-        self._plan = np.zeros((n, substeps, 3, joints))
+        self.plan = TickPlan(
+            ticks=np.zeros(1, dtype=np.int64),
+            goal=np.tile(self._home, (n, 1)),
+            leave=np.zeros((n, joints)),
+            ring=np.zeros((n, int(self.cycles.late.max(initial=0)) + 1, 2, joints)),
+            span=np.zeros((n, 2, 2, joints)),
+            reference=np.tile(self._home, (n, 1)),
+            velocity=np.zeros((n, joints)),
+            steps=np.zeros((n, substeps, 3, joints)),
+        )
+        self.poses, self.twists = self.targets.poses, self.targets.twists
+        self.held, self.held_rates = self.targets.held, self.targets.held_rates
+        self.load, self.missed = self.targets.load, self.targets.missed
         self._start, self._unaccelerated = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
-        self._ticks = np.zeros(1, dtype=np.int64)
-        self.missed = np.zeros(n)
-        self.pose, self.twist = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
-        self.place_A, self.motion_A = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
-        self.place_P, self.motion_P = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
+        self.sides = sides = ports_at_home(n)
+        self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist = sides
         self.joints, self.joint_rates, self.reference = (
             np.zeros((n, joints)),
             np.zeros((n, joints)),
             np.zeros((n, joints)),
         )
-        self._rubbing: Rubbing | None = None
+        self._friction: DriveFriction | None = None
         self._last = _Pushed()
         self._inputs = drive_inputs(model, [axis.joint for axis in kinematics.axes])
 
     @property
     def solution(self) -> Array:
         """(n, nq) joint positions of the last solution."""
-        return self._qs
+        return self.targets.qs
 
     # Methods overridden by a facility that moves both sides or has other drives.
 
     @cached_property
     def _allocated(self) -> Call:
+        """The kernel of :meth:`allocate`: pose, twist, accel, half, and the arrays it writes."""
         return Call(_follow, GIVEN, GIVEN, GIVEN, ..., self.poses, self.twists)
-
-    def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
-        """Write ``poses`` and ``twists`` of the tools in W (and the prescribed joints) for the
-        relative ``pose`` (n, 7) and the velocity ``half`` [s] after ``twist`` (n, 6), with
-        ``accel`` (n, 6).
-        """
-        self._allocated.on(pose, twist, accel)(half)
 
     def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
         """Write the drives' inputs to ``ctrl`` (n, nu) for step ``sub`` of the tick, from the
@@ -382,12 +317,12 @@ class Drives:
             last.qpos is not qpos
             or last.qvel is not qvel
             or last.ctrl is not ctrl
-            or last.rubbing is not self._rubbing
+            or last.friction is not self._friction
         ):
-            last.qpos, last.qvel, last.ctrl, last.rubbing = qpos, qvel, ctrl, self._rubbing
+            last.qpos, last.qvel, last.ctrl, last.friction = qpos, qvel, ctrl, self._friction
             alone = push.on(qpos, qvel, ctrl)
             last.call = (
-                together(alone, self._rubbing.acting(qvel, ctrl)) if self._rubbing else alone
+                together(alone, self._friction.acting(qvel, ctrl)) if self._friction else alone
             )
         return last.call
 
@@ -404,6 +339,13 @@ class Drives:
 
     # Methods common to all drives.
 
+    def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
+        """Write ``poses`` and ``twists`` of the tools in W (and the prescribed joints) for the
+        relative ``pose`` (n, 7) and the velocity ``half`` [s] after ``twist`` (n, 6), with
+        ``accel`` (n, 6).
+        """
+        self._allocated.on(pose, twist, accel)(half)
+
     def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
         """Initialise joints, references and drives in a uniform motion with ``twist`` (n, 6) whose
         command is at ``pose`` (n, 7): the facility is behind by the controller's lag.
@@ -411,7 +353,6 @@ class Drives:
         Raises:
             InputError: a start that is out of reach, beyond a joint's travel, or singular.
         """
-        self._ticks[0] = 0
         lag = self.lag
         for i in range(len(pose)):
             pose_step(pose[i], twist[i], -lag[i], self._start[i])
@@ -420,21 +361,25 @@ class Drives:
             found = self.kinematics.complaints(self.poses[i], self.held[i])
             if found:
                 raise InputError("the start cannot be: " + "; ".join(found))
-            self._qs[i], _ = self.kinematics.solve(self.poses[i], self.held[i])
-            qpos[i] = self._qs[i]
-            qvel[i] = self.kinematics.rates(self._qs[i], self.twists[i], self.held_rates[i])
-        self._solve(-1)
-        self._target[:], self._velocity[:] = (
-            self._goal,
-            np.where(self._feed[:, None], self._leave, 0.0),
-        )
-        self._span[:, :, 0], self._span[:, :, 1] = self._goal[:, None], self._leave[:, None]
-        for back in range(1, self._ring.shape[1]):  # commands that are still delayed
-            ahead = self.tick * self._cycles * (self._lates + 1 - back)
-            self._ring[:, -back % self._ring.shape[1], 0] = (
-                self._goal + self._leave * ahead[:, None]
+            qpos[i], qvel[i] = self.kinematics.motion(
+                self.poses[i], self.twists[i], self.held[i], self.held_rates[i]
             )
-            self._ring[:, -back % self._ring.shape[1], 1] = self._leave
+            self.targets.qs[i] = qpos[i]
+        self._solve_alone()
+        self.plan.reference[:], self.plan.velocity[:] = (
+            self.plan.goal,
+            np.where(self.cycles.feed[:, None], self.plan.leave, 0.0),
+        )
+        self.plan.span[:, :, 0], self.plan.span[:, :, 1] = (
+            self.plan.goal[:, None],
+            self.plan.leave[:, None],
+        )
+        for back in range(1, self.plan.ring.shape[1]):  # commands that are still delayed
+            ahead = self.tick * self.cycles.length * (self.cycles.late + 1 - back)
+            self.plan.ring[:, -back % self.plan.ring.shape[1], 0] = (
+                self.plan.goal + self.plan.leave * ahead[:, None]
+            )
+            self.plan.ring[:, -back % self.plan.ring.shape[1], 1] = self.plan.leave
         self.rest(qpos, qvel)
         self.arrive()
 
@@ -443,40 +388,21 @@ class Drives:
         """(n,) lag of each run's controller [s]: its cycle less the tick at whose end a pose is
         due, plus the delay in whole cycles.
         """
-        return np.asarray(self.tick * (self._cycles * (self._lates + 1) - 1), dtype=float)
+        return np.asarray(
+            self.tick * (self.cycles.length * (self.cycles.late + 1) - 1), dtype=float
+        )
 
     @cached_property
-    def _solve(self) -> Callable[[int], None]:
-        return bound(_aim, *self._planning)
+    def _solve(self) -> Callable[[], None]:
+        """The plan of a tick, once the tools' poses and twists are written."""
+        flat = packed(self.kinematics.tree)
+        return bound(_aim, *flat, *self.cycles, *self.targets, *self.plan)
 
-    @property
-    def _planning(self) -> tuple[Any, ...]:
-        """Arguments of :func:`_aim`; the tick is given at each call."""
-        return (
-            *self._flat,
-            ...,
-            self.tick,
-            self._cycles,
-            self._lates,
-            self._feed,
-            self._axes,
-            self._gravity,
-            self.poses,
-            self.held,
-            self.twists,
-            self.held_rates,
-            self._qs,
-            self._rates,
-            self._goal,
-            self._leave,
-            self.load,
-            self.missed,
-            self._ring,
-            self._span,
-            self._target,
-            self._velocity,
-            self._plan,
-        )
+    def _solve_alone(self) -> None:
+        """Joints and rates at the tools' poses and twists, without a plan."""
+        self.plan.ticks[0] = -1
+        self._solve()
+        self.plan.ticks[0] = 0
 
     def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """Plan one tick; ``pose_cmd`` (n, 7) is commanded for its end, with ``twist_cmd`` and
@@ -485,35 +411,20 @@ class Drives:
         The velocity at the command is that of the tick plus half a tick of its acceleration: a
         semi-implicit velocity belongs to the middle of its tick.
         """
-        if type(self).allocate is Drives.allocate:
-            self._followed.on(pose_cmd, twist_cmd, accel_cmd)()
-        else:
-            self.allocate(pose_cmd, twist_cmd, accel_cmd, 0.5 * self.tick)
-            self._solve(int(self._ticks[0]))
-            self._ticks[0] += 1
+        self._aimed.on(pose_cmd, twist_cmd, accel_cmd)(0.5 * self.tick)
 
     @cached_property
-    def _followed(self) -> Call:
-        """The plan of a tick for one tool that follows the command."""
-        return Call(
-            _follow_and_aim,
-            GIVEN,
-            GIVEN,
-            GIVEN,
-            0.5 * self.tick,
-            self._ticks,
-            *self._planning[:3],
-            *self._planning[4:],
-        )
+    def _aimed(self) -> Joined:
+        return Joined(lambda *command: [self._allocated.on(*command), self._solve])
 
     def follow(self, pose: Array, twist: Array) -> None:
         """Joints and their rates for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact
         tracking, without drives.
         """
         self.allocate(pose, twist, self._unaccelerated, 0.0)
-        self._solve(-1)
-        np.subtract(self._goal, self._home, out=self.joints)
-        self.joint_rates[:], self.reference[:] = self._leave, self.joints
+        self._solve_alone()
+        np.subtract(self.plan.goal, self._home, out=self.joints)
+        self.joint_rates[:], self.reference[:] = self.plan.leave, self.joints
 
     def arrive(self) -> None:
         """Complete the tick."""
@@ -521,7 +432,7 @@ class Drives:
 
     @cached_property
     def _arrived(self) -> Callable[[], None]:
-        return bound(_less, self._target, self._home, self.reference)
+        return bound(_less, self.plan.reference, self._home, self.reference)
 
     @cached_property
     def _seen(self) -> Call:
@@ -530,19 +441,10 @@ class Drives:
             *packed(self.kinematics.tree.towards_tools()),
             self._axes,
             self._home,
-            self._two,
-            GIVEN,
-            GIVEN,
-            GIVEN,
-            self.place_A,
-            self.motion_A,
-            self.place_P,
-            self.motion_P,
-            self.pose,
-            self.twist,
+            *(GIVEN,) * 4,
+            *self.sides,
             self.joints,
             self.joint_rates,
-            GIVEN,
         )
 
     def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
@@ -561,24 +463,14 @@ class Drives:
         """Switch off the drives' friction and encoder quantisation, so that measurements are
         linear.
         """
-        self._rubbing = None
+        self._friction = None
 
     def state(self) -> dict[str, NDArray[Any]]:
         """The arrays of the state between two ticks; restoring them resumes the drives from
         there.
         """
-        return {
-            "ticks": self._ticks,
-            "solution": self._qs,
-            "rates": self._rates,
-            "target": self._target,
-            "velocity": self._velocity,
-            "ring": self._ring,
-            "span": self._span,
-            "goal": self._goal,
-            "leave": self._leave,
-            "load": self.load,
-        } | (self._rubbing.state() if self._rubbing else {})
+        solved = {"qs": self.targets.qs, "rates": self.targets.rates, "load": self.targets.load}
+        return self.plan._asdict() | solved | (self._friction.state() if self._friction else {})
 
     def mass_matrix(self) -> Array:
         """``(J, J)`` [kg, kg m, kg m^2] mass matrix at the drives, at home: loops closed, by

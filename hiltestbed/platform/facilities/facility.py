@@ -149,12 +149,6 @@ class Facility(ABC):
         """
         return self.bare.complaints(compose(np.asarray(pose, dtype=float), inverse_pose(tool)))
 
-    def lags(self, settings: Sequence[Any], tick: float) -> tuple[list[int], list[int]]:
-        """Ticks of each run's controller cycle, and its command delay in whole cycles."""
-        return [s.command.cycle(1.0 / tick) for s in settings], [
-            s.command.delay_cycles for s in settings
-        ]
-
 
 def frame_of(spec: mujoco.MjSpec) -> None:
     """Add the shipped frame, with the force sensor's flange, over a facility that stands below
@@ -206,3 +200,18 @@ def per_run(settings: Sequence[Any], name: str) -> Array:
             value = getattr(value, part)
         out.append(value)
     return np.array(out, dtype=float)
+
+
+def friction_law(settings: Sequence[Any], section: str, share: Sequence[float]) -> Array | None:
+    """``(n, J, 5)`` laws of the drives' friction (:class:`hiltestbed.platform.friction.
+    DriveFriction`) from the ``section`` of each run's settings, with forces scaled by ``share``
+    (J,); None if no run has any.
+    """
+    names = ("coulomb", "stiction", "stribeck_speed", "viscous")
+    given = np.stack([per_run(settings, f"{section}.{name}") for name in names], axis=-1)
+    if not given[:, [0, 1, 3]].any():
+        return None
+    law = np.zeros((len(settings), len(share), 5))
+    scale = np.array(share)[:, None]
+    law[:, :, :4] = given[:, None, :] * np.where([True, True, False, True], scale, 1.0)
+    return law

@@ -23,8 +23,8 @@ from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives
-from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.kinematics import Kinematics
+from hiltestbed.platform.friction import DriveFriction
 
 
 @njit(cache=True, inline="always")
@@ -68,19 +68,18 @@ class ForceServo(Drives):
         kinematics: Kinematics,
         tick: float,
         substeps: int,
-        cycles: Sequence[int],
-        lates: Sequence[int],
+        settings: Sequence[Any],
         feed: NDArray[np.bool_],
         *,
         bandwidth: Sequence[float],
         damping_ratio: Sequence[float],
         encoder: Sequence[float],
-        rubbing: Rubbing | None = None,
+        friction: DriveFriction | None = None,
     ) -> None:
-        """Args: bandwidth [Hz], damping_ratio, encoder [m]: (n,). rubbing: friction of the
+        """Args: bandwidth [Hz], damping_ratio, encoder [m]: (n,). friction: friction of the
         drives.
         """
-        super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
+        super().__init__(model, kinematics, tick, substeps, settings, feed)
         w = 2.0 * math.pi * np.asarray(bandwidth, dtype=float)
         self._gains = np.column_stack([w * w, 2.0 * np.asarray(damping_ratio, dtype=float) * w])
         self._encoder, self._mass = (
@@ -88,12 +87,12 @@ class ForceServo(Drives):
             np.ascontiguousarray(self.mass_matrix()),
         )
         self._most = np.tile([axis.force for axis in kinematics.axes], (len(feed), 1))
-        self._force, self._rubbing = np.zeros(len(kinematics.axes)), rubbing
+        self._force, self._friction = np.zeros(len(kinematics.axes)), friction
         self.bent = np.zeros((len(feed), len(kinematics.axes)))
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        if self._rubbing:
-            self._rubbing.settle(qvel)
+        if self._friction:
+            self._friction.settle(qvel)
 
     def release(self) -> None:
         super().release()
@@ -103,7 +102,7 @@ class ForceServo(Drives):
     def _pushed(self) -> Call:
         return Call(
             _push,
-            self._plan,
+            self.plan.steps,
             ...,
             self._mass,
             self._gains,

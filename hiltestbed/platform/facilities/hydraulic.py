@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -39,8 +40,8 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.force_servo import quantised
-from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.kinematics import Kinematics
+from hiltestbed.platform.friction import DriveFriction
 
 AREA, SUPPLY, FLOW, MODULUS, DEAD, STROKE, LEAKAGE, FEEDBACK, CORNER, GAIN, ENCODER, NUMBERS = (
     range(12)
@@ -133,30 +134,32 @@ class Hydraulic(Drives):
         kinematics: Kinematics,
         tick: float,
         substeps: int,
-        cycles: Sequence[int],
-        lates: Sequence[int],
+        settings: Sequence[Any],
         feed: NDArray[np.bool_],
         *,
         numbers: Array,
         valves: Sequence[tuple[float, float]],
-        rubbing: Rubbing | None = None,
+        friction: DriveFriction | None = None,
     ) -> None:
         """Args: numbers: (n, NUMBERS), in the order of the constants of this module, CORNER as the
         low-pass coefficient per step.
         valves: (n,) bandwidth [Hz] and damping ratio.
         """
-        super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
+        super().__init__(model, kinematics, tick, substeps, settings, feed)
         self._numbers, self._mass = (
             np.ascontiguousarray(numbers),
             np.ascontiguousarray(self.mass_matrix()),
         )
         self._valve = np.array([held_over(*valve, self.step) for valve in valves])
-        self.cylinders, self._rubbing = np.zeros((len(feed), len(kinematics.axes), STATES)), rubbing
+        self.cylinders, self._friction = (
+            np.zeros((len(feed), len(kinematics.axes), STATES)),
+            friction,
+        )
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         _rest(self._numbers, self.load, self._axes, qvel, self.cylinders)
-        if self._rubbing:
-            self._rubbing.settle(qvel)
+        if self._friction:
+            self._friction.settle(qvel)
 
     def release(self) -> None:
         super().release()
@@ -166,10 +169,10 @@ class Hydraulic(Drives):
     def _pushed(self) -> Call:
         return Call(
             _push,
-            self._plan,
+            self.plan.steps,
             ...,
             self.step,
-            self._feed,
+            self.cycles.feed,
             self._mass,
             self._numbers,
             self._valve,

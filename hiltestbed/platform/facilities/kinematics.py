@@ -247,6 +247,15 @@ class Kinematics:
         )
         return out
 
+    def motion(
+        self, poses: Array, twists: Array, held: Array, held_rates: Array
+    ) -> tuple[Array, Array]:
+        """Joint positions ``(nq,)`` and rates ``(nv,)`` for tools at ``poses`` (nt, 7) that move
+        with ``twists`` (nt, 6) in W, and the prescribed joints (np,).
+        """
+        q, _ = self.solve(poses, held)
+        return q, self.rates(q, twists, held_rates)
+
     def accelerations(self, q: Array, twists: Array, accels: Array, h: float = 1e-5) -> Array:
         """All joint accelerations ``(nv,)`` for twists and accelerations ``(nt, 6)`` in W: the
         central difference of the rates.
@@ -330,7 +339,7 @@ class Kinematics:
             return [self._unreached(poses, q)]
         found = self.past_travel(q)
         lost = self.lost_motion(q)
-        return [*found, f"singular: {lost} at {_at(self.poses(q)[0])}"] if lost else found
+        return [*found, f"singular: {lost} at {pose_in_words(self.poses(q)[0])}"] if lost else found
 
     def past_travel(self, q: Array) -> list[str]:
         """The joints, driven or not, that are beyond their travel at the joint positions ``q``
@@ -357,8 +366,8 @@ class Kinematics:
         reached = self.poses(q)
         t = int(np.argmax(np.linalg.norm(np.atleast_2d(poses)[:, :3] - reached[:, :3], axis=1)))
         return (
-            f"out of reach: {self.tools[t]} cannot be at {_at(np.atleast_2d(poses)[t])}; "
-            f"on the way there it gets to {_at(reached[t])}"
+            f"out of reach: {self.tools[t]} cannot be at {pose_in_words(np.atleast_2d(poses)[t])}; "
+            f"on the way there it gets to {pose_in_words(reached[t])}"
         )
 
 
@@ -402,7 +411,7 @@ def _shown(axis: Axis, value: float) -> tuple[float, float, float, str]:
     return value, axis.low, axis.high, axis.unit
 
 
-def _at(pose: Array) -> str:
+def pose_in_words(pose: Array) -> str:
     """A pose in words [m], [deg]."""
     from scipy.spatial.transform import Rotation
 

@@ -195,9 +195,8 @@ class Mjcf(Facility):
         feed: NDArray[np.bool_],
         tool: str = MOUNT,
     ) -> Drives:
-        cycles, lates = self.lags(settings, tick)
         return PositionActuators(
-            model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed
+            model, self.kinematics(model, tool), tick, substeps, settings, feed
         )
 
     def response(self, rate: float, feed: bool) -> Response:
@@ -206,7 +205,7 @@ class Mjcf(Facility):
         """
         model = compiled(self.spec())
         drives = PositionActuators(
-            model, self.kinematics(model), 1.0 / rate, 1, [1], [0], np.array([feed])
+            model, self.kinematics(model), 1.0 / rate, 1, [self.settings], np.array([feed])
         )
         w, zeta = drives.nominal()
         slowest = int(np.argmin(w))

@@ -9,6 +9,7 @@ servos under the weight at the start is compensated in the references.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -39,11 +40,10 @@ class PositionActuators(Drives):
         kinematics: Kinematics,
         tick: float,
         substeps: int,
-        cycles: Sequence[int],
-        lates: Sequence[int],
+        settings: Sequence[Any],
         feed: NDArray[np.bool_],
     ) -> None:
-        super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
+        super().__init__(model, kinematics, tick, substeps, settings, feed)
         self._ratio = model.actuator_gear[self._inputs, 0].copy()
         # stiffness at the joint
         self._kp = model.actuator_gainprm[self._inputs, 0] * self._ratio**2
@@ -52,7 +52,7 @@ class PositionActuators(Drives):
         )
         self.bent = np.zeros((len(feed), len(kinematics.axes)))
         self._pushed = Call(
-            _push, self._plan, ..., self._ratio, self._lead, self.bent, self._inputs, GIVEN
+            _push, self.plan.steps, ..., self._ratio, self._lead, self.bent, self._inputs, GIVEN
         )
 
     def nominal(self) -> tuple[Array, Array]:

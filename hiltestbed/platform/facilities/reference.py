@@ -11,9 +11,51 @@ physics step, so that MuJoCo's semi-implicit Euler method with these inputs repr
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
 from hiltestbed.compiled.jit import njit
+from hiltestbed.frames import Array
 
 START, LEAVE = 0, 1
+
+
+class Cycles(NamedTuple):
+    """The controllers of n runs.
+
+    Attributes:
+        tick: of the loop [s]. length: (n,) ticks per cycle. late: (n,) command delay in whole
+            cycles. feed: (n,) bool, feed-forward.
+    """
+
+    tick: float
+    length: NDArray[np.int64]
+    late: NDArray[np.int64]
+    feed: NDArray[np.bool_]
+
+
+class TickPlan(NamedTuple):
+    """Commands and references of J driven joints of n runs.
+
+    Attributes:
+        ticks: (1,) number of the tick that is planned next; negative: nothing is planned.
+        goal, leave: (n, J) joints and their rates at the last command taken.
+        ring: (n, D + 1, 2, J) delayed commands, by cycle. span: (n, 2, 2, J) start and end of the
+            interpolation, position and velocity.
+        reference, velocity: (n, J) at the end of the last step planned.
+        steps: (n, m, 3, J) position, velocity and acceleration at the start of each step.
+    """
+
+    ticks: NDArray[np.int64]
+    goal: Array
+    leave: Array
+    ring: Array
+    span: Array
+    reference: Array
+    velocity: Array
+    steps: Array
 
 
 @njit(cache=True, inline="always")
@@ -26,45 +68,38 @@ def cubic(t, s0, v0, s1, v1, h):
 
 
 @njit(cache=True)
-def sample(k, cycle, late, ring, span, i, goal, leave):
-    """Take the command ``goal`` (J,) with the velocity ``leave`` (J,) at tick ``k`` of run ``i``,
-    which begins a cycle.
-
-    ring: (n, D + 1, 2, J) delayed commands, by cycle. span: (n, 2, 2, J) start and end of the
-        interpolation, position and velocity.
-    """
-    size = ring.shape[1]
-    now = (k // cycle) % size
-    for j in range(goal.shape[0]):
-        ring[i, now, 0, j] = goal[j]
-        ring[i, now, 1, j] = leave[j]
-        then = (now - late) % size
+def sample(cycles, plan, i):
+    """Take the goal of run ``i`` as the command of the cycle that begins."""
+    size = plan.ring.shape[1]
+    now = (plan.ticks[0] // cycles.length[i]) % size
+    for j in range(plan.goal.shape[1]):
+        plan.ring[i, now, 0, j] = plan.goal[i, j]
+        plan.ring[i, now, 1, j] = plan.leave[i, j]
+        then = (now - cycles.late[i]) % size
         for part in range(2):
-            span[i, START, part, j] = span[i, LEAVE, part, j]
-            span[i, LEAVE, part, j] = ring[i, then, part, j]
+            plan.span[i, START, part, j] = plan.span[i, LEAVE, part, j]
+            plan.span[i, LEAVE, part, j] = plan.ring[i, then, part, j]
 
 
 @njit(cache=True)
-def plan_tick(k, cycle, fed, h, span, i, reference, velocity, plan):
-    """Write ``plan`` (n, m, 3, J) of run ``i``: position, velocity and acceleration at the start of
-    each step of tick ``k``.
-
-    reference, velocity: (n, J) at the end of the last step, updated to the end of this tick.
-    """
-    m = plan.shape[1]
-    dt, part = h / m, k % cycle
+def plan_tick(cycles, plan, i):
+    """Write the steps of run ``i``, and its references at the end of the tick."""
+    steps, reference, velocity, span = plan.steps[i], plan.reference[i], plan.velocity[i], plan.span
+    m = steps.shape[0]
+    h, cycle, part = cycles.tick, cycles.length[i], plan.ticks[0] % cycles.length[i]
+    dt = h / m
     for s in range(m):
         t = (part * m + s + 1.0) / (cycle * m)
-        for j in range(reference.shape[1]):
+        for j in range(reference.shape[0]):
             s0, s1 = span[i, START, 0, j], span[i, LEAVE, 0, j]
-            plan[i, s, 0, j] = reference[i, j]
-            if fed:
+            steps[s, 0, j] = reference[j]
+            if cycles.feed[i]:
                 now = cubic(t, s0, span[i, START, 1, j], s1, span[i, LEAVE, 1, j], cycle * h)
-                rate = (now - reference[i, j]) / dt
-                plan[i, s, 1, j] = velocity[i, j]
-                plan[i, s, 2, j] = (rate - velocity[i, j]) / dt
-                velocity[i, j] = rate
+                rate = (now - reference[j]) / dt
+                steps[s, 1, j] = velocity[j]
+                steps[s, 2, j] = (rate - velocity[j]) / dt
+                velocity[j] = rate
             else:
                 now = s0 + t * (s1 - s0)
-                plan[i, s, 1, j] = plan[i, s, 2, j] = velocity[i, j] = 0.0
-            reference[i, j] = now
+                steps[s, 1, j] = steps[s, 2, j] = velocity[j] = 0.0
+            reference[j] = now

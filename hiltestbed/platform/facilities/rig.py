@@ -49,19 +49,19 @@ class FacilityRig:
 
     Attributes:
         model: as it is stepped. keeps_history: whether the sensor's readings within a tick are in
-            MuJoCo's history.
+            MuJoCo's history; not if each of them needs the load's compensation.
         moves_passive: see :class:`Facility`. load: compensation of the sensor's load if the passive
             side moves. target: (n, J) commanded
             positions of the driven joints at t_k, from home. units: (J,) of them. watch: monitor of
             their limits.
     """
 
-    keeps_history = False
-
     def __init__(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> None:
         self.facility = facility_of(scenarios[0])
-        self.model = facility_model(self.facility, structure, dt)
         self.moves_passive = self.facility.moves_passive
+        self.keeps_history = not self.moves_passive
+        kept = scenarios[0].substeps if self.keeps_history else 0
+        self.model = facility_model(self.facility, structure, dt, kept)
         self.units = tuple(axis.unit for axis in self.facility.axes)
         self.target = np.zeros((len(scenarios), len(self.units)))
         self.watch: Watch | None = None
@@ -82,21 +82,25 @@ class FacilityRig:
                 self.model, settings, first.tick, first.substeps, feed, TOOL
             )
             self.target = self._drives.reference
-            watched = [
-                [s.safety.stroke, s.safety.speed, s.safety.acceleration, True, True]
-                for s in scenarios
-            ]
-            self.watch = Watch(
-                facility.axes,
-                self._drives.kinematics.joints_home,
-                len(scenarios),
-                first.tick,
-                np.array(watched, dtype=object) != None,  # noqa: E711
-            )
+            if first.rig.platform.states_limits:
+                self.watch = self._watch(scenarios, self._drives)
             self._forces = batch.bind("qfrc_actuator")
         if self.moves_passive:
             self.load = CarriedLoad(self.model, self.mover.kinematics.home)
         return self
+
+    def _watch(self, scenarios: Sequence[Scenario], drives: Drives) -> Watch:
+        """Monitor of the limits that no run's safety section switches off."""
+        watched = [
+            [s.safety.stroke, s.safety.speed, s.safety.acceleration, True, True] for s in scenarios
+        ]
+        return Watch(
+            self.facility.axes,
+            drives.kinematics.joints_home,
+            len(scenarios),
+            drives.tick,
+            np.array(watched, dtype=object) != None,  # noqa: E711
+        )
 
     def tare(self, contacts: Contacts, reading: Array, columns: slice) -> Array:
         """``(n, 6)`` the sensor's reading at rest; zero if the sensor moves, whose load is then
@@ -195,7 +199,7 @@ class FacilityFollower:
     """The joints of `n` runs on a facility under exact tracking.
 
     Attributes:
-        units: (J,) of the driven joints. qpos: (n, nq) all joints of the model.
+        units: (J,) of the driven joints.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> None:
@@ -211,10 +215,6 @@ class FacilityFollower:
             np.zeros(len(scenarios), dtype=bool),
             TOOL,
         )
-
-    @property
-    def qpos(self) -> Array:
-        return self._drives.solution
 
     def follow(self, pose: Array, twist: Array, joints: Array) -> None:
         """Write the driven ``joints`` (n, J), from home, at the poses (n, 7) of A in P with the

@@ -25,10 +25,11 @@ from hiltestbed.platform.facilities.facility import (
     Response,
     add_carrier,
     frame_of,
+    friction_law,
     per_run,
 )
-from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
+from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.shipped.serial_arm import SerialArmSettings
 
 # Travel and speed of KR 210 R2700 extra as in the public description of the ROS-Industrial project;
@@ -70,35 +71,27 @@ def pose_arm(spec: mujoco.MjSpec, angles: Array) -> None:
         joint.ref = float(angle)
 
 
-def arm_rubbing(
+def arm_friction(
     model: mujoco.MjModel,
     settings: Sequence[Any],
     axes: Sequence[Axis],
     step: float,
     share: Sequence[float],
-) -> Rubbing | None:
+) -> DriveFriction | None:
     """Friction of the motors of every run, None if no run has any; ``share`` (J,) relative to the
     first axis.
     """
-    numbers = [
-        per_run(settings, f"controller.friction.{name}")[:, None]
-        for name in ("coulomb", "stiction", "stribeck_speed", "viscous")
-    ]
-    if not (numbers[0].any() or numbers[1].any() or numbers[3].any()):
+    law = friction_law(settings, "controller.friction", share)
+    if law is None:
         return None
-    scale = np.array(share)[None, :]
-    joints = [model.joint(axis.joint) for axis in axes]
-    dofs = np.array([int(j.dofadr[0]) for j in joints])
-    speeds = np.tile(numbers[2], (1, len(share)))
-    return Rubbing(
-        numbers[0] * scale,
-        numbers[1] * scale,
-        speeds,
-        numbers[3] * scale,
-        np.tile(PRESLIDING * scale, (len(settings), 1)),
+    names = [axis.joint for axis in axes]
+    dofs = np.array([int(model.joint(name).dofadr[0]) for name in names])
+    return DriveFriction(
+        law,
+        PRESLIDING * np.array(share),
         model.dof_armature[dofs],
         dofs,
-        drive_inputs(model, [a.joint for a in axes]),
+        drive_inputs(model, names),
         step,
     )
 
@@ -131,20 +124,18 @@ class SerialArm(Facility):
         feed: NDArray[np.bool_],
         tool: str = MOUNT,
     ) -> Drives:
-        cycles, lates = self.lags(settings, tick)
         return ElasticJoints(
             model,
             self.kinematics(model, tool),
             tick,
             substeps,
-            cycles,
-            lates,
+            settings,
             feed,
             gears=[f"g{j + 1}" for j in range(6)],
             bandwidth=per_run(settings, "controller.bandwidth").tolist(),
             damping_ratio=per_run(settings, "controller.damping_ratio").tolist(),
             encoder=per_run(settings, "controller.encoder_resolution").tolist(),
-            rubbing=arm_rubbing(model, settings, self.axes, tick / substeps, FRICTION_SHARE),
+            friction=arm_friction(model, settings, self.axes, tick / substeps, FRICTION_SHARE),
         )
 
     def response(self, rate: float, feed: bool) -> Response:

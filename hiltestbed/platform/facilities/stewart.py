@@ -29,11 +29,12 @@ from hiltestbed.platform.facilities.facility import (
     add_carrier,
     compiled,
     frame_of,
+    friction_law,
     per_run,
 )
 from hiltestbed.platform.facilities.force_servo import ForceServo
-from hiltestbed.platform.facilities.friction import Rubbing
 from hiltestbed.platform.facilities.kinematics import Axis
+from hiltestbed.platform.friction import DriveFriction
 from hiltestbed.platform.shipped.stewart import HydraulicDrive, StewartSettings
 
 STROKE = 1.04  # [m] of a cylinder
@@ -79,14 +80,13 @@ class Stewart(Facility):
         tool: str = MOUNT,
     ) -> Drives:
         kinematics = self.kinematics(model, tool)
-        cycles, lates = self.lags(settings, tick)
         step = tick / substeps
-        rubbing = _rubbing(
-            settings,
-            kinematics.v,
-            drive_inputs(model, [a.joint for a in self.axes]),
-            step,
-            self._least(model),
+        law = friction_law(settings, "drive.friction", (1.0,) * 6)
+        inputs = drive_inputs(model, [a.joint for a in self.axes])
+        friction = (
+            DriveFriction(law, PRESLIDING, self._least(model), kinematics.v, inputs, step)
+            if law is not None
+            else None
         )
         if self.settings.drive.kind == "electric":
             return ForceServo(
@@ -94,13 +94,12 @@ class Stewart(Facility):
                 kinematics,
                 tick,
                 substeps,
-                cycles,
-                lates,
+                settings,
                 feed,
                 bandwidth=per_run(settings, "drive.bandwidth").tolist(),
                 damping_ratio=per_run(settings, "drive.damping_ratio").tolist(),
                 encoder=per_run(settings, "drive.encoder_resolution").tolist(),
-                rubbing=rubbing,
+                friction=friction,
             )
         valves = [(s.drive.valve.bandwidth, s.drive.valve.damping_ratio) for s in settings]
         numbers = np.array([cylinder_numbers(s.drive, step) for s in settings])
@@ -109,12 +108,11 @@ class Stewart(Facility):
             kinematics,
             tick,
             substeps,
-            cycles,
-            lates,
+            settings,
             feed,
             numbers=numbers,
             valves=valves,
-            rubbing=rubbing,
+            friction=friction,
         )
 
     def _least(self, model: mujoco.MjModel) -> float:
@@ -187,27 +185,4 @@ def oil_modes(drive: HydraulicDrive, facility: Stewart) -> tuple[float, ...]:
     mass = legs.T @ mass_matrix(kinematics, model) @ legs
     return tuple(
         float(x) for x in np.sqrt(oil_stiffness(drive) * np.diag(legs.T @ legs) / np.diag(mass))
-    )
-
-
-def _rubbing(
-    settings: Sequence[Any], axes: NDArray, inputs: NDArray, step: float, moved: float
-) -> Rubbing | None:
-    """Friction of the legs; None if no run has any."""
-    names = ("coulomb", "stiction", "stribeck_speed", "viscous")
-    slide, stick, speed, viscous = (
-        np.tile(per_run(settings, f"drive.friction.{name}")[:, None], (1, 6)) for name in names
-    )
-    if not (slide.any() or stick.any() or viscous.any()):
-        return None
-    return Rubbing(
-        slide,
-        stick,
-        speed,
-        viscous,
-        np.full_like(slide, PRESLIDING),
-        np.full(6, moved),
-        axes,
-        inputs,
-        step,
     )

@@ -26,9 +26,10 @@ from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.models import load
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.bodies import GRAVITY, SIDES, Bodies, PhysicalFacility
+from hiltestbed.platform.facilities.bodies import SIDES, Bodies, PhysicalFacility
 from hiltestbed.platform.facilities.facility import MOUNT, per_run
 from hiltestbed.platform.friction import drag
+from hiltestbed.platform.payload import GRAVITY
 from hiltestbed.platform.shipped.suspension import SuspensionSettings
 
 PRESLIDING = 2.0e5  # [N/m] stiffness of a winch before break-away

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array, quat_conj_mul, quat_from_mujoco, quat_mul, rotate, rotate_back
+from hiltestbed.frames import Array, pose_between, pose_compose, quat_from_mujoco, rotate
 
 Integers = NDArray[np.int64]
 FREE, BALL, SLIDE, HINGE = range(4)  # as mjtJoint
@@ -210,17 +210,14 @@ def site_pose(m: mujoco.MjModel, data: mujoco.MjData, name: str) -> Array:
 def compose(a: Array, b: Array) -> Array:
     """``(7,)`` pose of C in A, from those of B in A and of C in B."""
     out = np.empty(7)
-    rotate(a[3:7], b[:3], out[:3])
-    out[:3] += a[:3]
-    quat_mul(a[3:7], b[3:7], out[3:7])
+    pose_compose(a, b, out)
     return out
 
 
 def between(a: Array, b: Array) -> Array:
     """``(7,)`` pose of B in A, from the poses of both in one frame."""
     out = np.empty(7)
-    rotate_back(a[3:7], b[:3] - a[:3], out[:3])
-    quat_conj_mul(a[3:7], b[3:7], out[3:7])
+    pose_between(a, b, out)
     return out
 
 

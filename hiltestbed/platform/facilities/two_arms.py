@@ -51,7 +51,7 @@ from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
 from hiltestbed.platform.facilities.serial_arm import (
     FRICTION_SHARE,
     arm_axes,
-    arm_rubbing,
+    arm_friction,
     pose_arm,
 )
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
@@ -127,11 +127,8 @@ class FacingArms(ElasticJoints):
 
     shares: Array
 
-    def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
-        self._shared.on(pose, twist, accel)(half)
-
     @cached_property
-    def _shared(self) -> Call:
+    def _allocated(self) -> Call:
         return Call(
             _allocate,
             GIVEN,
@@ -189,15 +186,14 @@ class TwoArms(Facility):
         feed: NDArray[np.bool_],
         tool: str = MOUNT,
     ) -> FacingArms:
-        cycles, lates = self.lags(settings, tick)
         share = (*FRICTION_SHARE, *FRICTION_SHARE, RAIL_FRICTION)
         drives = FacingArms(
-            model, self.kinematics(model, tool), tick, substeps, cycles, lates, feed,
+            model, self.kinematics(model, tool), tick, substeps, settings, feed,
             gears=[*(f"{prefix}g{j + 1}" for prefix in (ACTIVE, PASSIVE) for j in range(6)), None],
             bandwidth=per_run(settings, "controller.bandwidth").tolist(),
             damping_ratio=per_run(settings, "controller.damping_ratio").tolist(),
             encoder=per_run(settings, "controller.encoder_resolution").tolist(),
-            rubbing=arm_rubbing(model, settings, self.axes, tick / substeps, share),
+            friction=arm_friction(model, settings, self.axes, tick / substeps, share),
         )  # fmt: skip
         drives.shares = per_run(settings, "passive_share")
         return drives

@@ -26,7 +26,7 @@ import math
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.frames import Array, quat_mul, rotate, rotation_vector
+from hiltestbed.frames import Array, pose_compose, rotation_vector
 from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
 
 # [m] the cone's rim is 0.155 m in front of P's origin; the rest takes 0.1 s at 0.3 m/s, enough time
@@ -72,22 +72,13 @@ def share(pose, x):
     x[1], x[2] = part * turn[0], part * turn[1]
 
 
-@njit(cache=True)
-def compose(pose_WP, pose_PA, pose_WA):
-    """``pose_WA`` (7,) of A in W, from the pose of P in W and that of A in P."""
-    rotate(pose_WP[3:7], pose_PA[0:3], pose_WA[0:3])
-    for j in range(3):
-        pose_WA[j] += pose_WP[j]
-    quat_mul(pose_WP[3:7], pose_PA[3:7], pose_WA[3:7])
-
-
 def lower_pose(pose: Array) -> Array:
     """``(n, 7)`` poses of A in W on the lower platform for the relative poses ``(n, 7)``."""
     x, pose_WP, out = np.zeros(3), np.empty(7), np.empty_like(pose)
     for i in range(len(pose)):
         share(pose[i], x)
         place(Upper.load().shape, x, pose_WP)
-        compose(pose_WP, pose[i], out[i])
+        pose_compose(pose_WP, pose[i], out[i])
     return out
 
 

@@ -19,13 +19,15 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, rotate, rotate_back, twist_between
 from hiltestbed.platform import model
+from hiltestbed.platform.divergence import has_diverged
+from hiltestbed.platform.payload import GRAVITY, carry, load_of
 from hiltestbed.platform.prs3.geometry import Upper, jacobian, motion, place, revolute, slider
-from hiltestbed.platform.prs3.payload import carry, load_of
-from hiltestbed.platform.pss33.dynamics import GRAVITY, add_force, invert
+from hiltestbed.platform.pss33.dynamics import add_force, invert, load_constants
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,16 +41,15 @@ SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 
 
 @njit(cache=True)
-def _drive_forces(upper, masses, moved, x, pose, spin, accel, slider_accel, force):
+def _drive_forces(shape, legs, constants, x, pose, twist, accel, slider_accel, force):
     """``force`` (3,) [N] of the drives at ``x`` (3,), ``pose`` (7,) of P, for its acceleration
     ``accel`` (6,) and the sliders'.
     """
-    shape, legs = upper
     rates, jac, sliders = np.empty((6, 3)), np.empty((3, 6)), np.empty(3)
     lever, inverse = np.zeros((3, 3)), np.empty((3, 3))
     wrench, arm, f = np.empty(6), np.empty(3), np.empty(3)
-    link, carriage, armature = masses[0], masses[1], masses[2]
-    carry(moved, pose[3:7], spin, accel, wrench)
+    link, carriage, armature = constants[13], constants[14], constants[15]
+    carry(constants, pose[3:7], twist[3:6], accel, wrench)
     for j in range(3):
         slider(legs[j], pose, arm)
         a = slider_accel[j]
@@ -80,15 +81,17 @@ def _drive_forces(upper, masses, moved, x, pose, spin, accel, slider_accel, forc
 
 
 @njit(cache=True)
-def _aim(upper, masses, moved, payload, away, dt, xs, pose, twist, target, velocity, plan, felt):
+def _aim(shape, legs, dt, away, xs, constants, payload, *given):
     """Write ``plan`` (n, m + 1, 3, 3), position, velocity and force of the drives at the start of
     each substep and at the end, and ``felt`` (n, m + 1, 6), the payload's wrench on the sensor
     then, in P; update the references.
 
-    xs: (n, m, 3) coordinates at the ends of the substeps. pose (n, 7), twist (n, 6) of P, target
-        and velocity (n, 3) of the sliders: planned values at the end of the last substep, updated.
+    xs: (n, m, 3) coordinates at the ends of the substeps. constants: (16,)
+        (:func:`hiltestbed.platform.pss33.dynamics.load_constants`). given: pose (n, 7), twist (n,
+        6) of P, target and velocity (n, 3) of the sliders: planned values at the end of the last
+        substep, updated; plan and felt.
     """
-    shape, legs = upper
+    pose, twist, target, velocity, plan, felt = given
     m = xs.shape[1]
     x = np.empty(3)
     goal, rate, accel = np.empty(7), np.empty(6), np.empty(6)
@@ -108,7 +111,7 @@ def _aim(upper, masses, moved, payload, away, dt, xs, pose, twist, target, veloc
                     speed[j] = (now[j] - target[i, j]) / dt
                     bend[j] = (speed[j] - velocity[i, j]) / dt
                 _drive_forces(
-                    upper, masses, moved, x, pose[i], twist[i, 3:6], accel, bend, plan[i, s, 2]
+                    shape, legs, constants, x, pose[i], twist[i], accel, bend, plan[i, s, 2]
                 )
             else:
                 plan[i, m, 2] = plan[i, m - 1, 2]
@@ -148,19 +151,16 @@ def _take_out(away, felt, sub, reading, residual, left):
 
 
 @njit(cache=True)
-def _observe(away, above, adr, free, qpos, qvel, pose, twist, sliders, diverged):
+def _observe(away, above, adr, qpos, qvel, diverged, pose, twist, sliders):
     """Pose and twist of P in W from the platform's free joint, and the sliders; returns whether a
     run has just diverged.
     """
     arm, lost = np.empty(3), False
-    p, d = free[0], free[1]
+    p, d = adr[0, 3], adr[1, 3]
     for i in range(qpos.shape[0]):
         if not away[i] or diverged[i]:
             continue
-        worst = 0.0
-        for k in range(qvel.shape[1]):
-            worst = max(worst, abs(qvel[i, k])) if math.isfinite(qvel[i, k]) else math.inf
-        if not worst < SPEED_LIMIT or not math.isfinite(qpos[i].sum()):
+        if has_diverged(qpos[i], qvel[i], SPEED_LIMIT):
             diverged[i] = True
             lost = True
             continue
@@ -196,13 +196,16 @@ class UpperDrives:
         self.model = m = model.upper_model(first.mechanism, self._dt)
         self.batch = Batch(m, n, nthread)
         self.upper = Upper.load()
-        self._constants(m)
+        data = mujoco.MjData(m)
+        mujoco.mj_forward(m, data)
+        platform, carrier = m.body("platform").id, m.body(CARRIER).id
+        carried = [b for b in range(carrier, m.nbody) if m.body_rootid[b] == platform]
+        self.payload = load_of(m, data, carried, data.site("P_nominal").xpos)
         bind = self.batch.bind
         self._qpos, self._qvel, self._ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self._warmstart, self._reading = bind("qacc_warmstart"), bind("sensordata")
-        sliders, free = [m.joint(f"slider_{j}") for j in range(3)], m.joint("platform")
-        self._adr = np.array([[s.qposadr[0] for s in sliders], [s.dofadr[0] for s in sliders]])
-        self._free = np.array([free.qposadr[0], free.dofadr[0]])
+        joints = [m.joint(f"slider_{j}") for j in range(3)] + [m.joint("platform")]
+        self._adr = np.array([[j.qposadr[0] for j in joints], [j.dofadr[0] for j in joints]])
         self.kp = MOVED_PER_DRIVE * (2.0 * math.pi * BANDWIDTH) ** 2
         self.kv = 2.0 * MOVED_PER_DRIVE * 2.0 * math.pi * BANDWIDTH
         self._pose, self._twist = np.zeros((n, 7)), np.zeros((n, 6))  # planned
@@ -211,26 +214,24 @@ class UpperDrives:
             np.zeros((n, first.substeps + 1, 3, 3)),
             np.zeros((n, first.substeps + 1, 6)),
         )
+        self._aim = Call(
+            _aim,
+            self.upper.shape,
+            self.upper.legs,
+            self._dt,
+            GIVEN,
+            GIVEN,
+            load_constants(m, "P_nominal"),
+            self.payload,
+            self._pose,
+            self._twist,
+            self._target,
+            self._velocity,
+            self._plan,
+            self._felt,
+        )
         self.residual = np.zeros((n, first.substeps, 6))
         self.left = np.zeros((n, 2))
-
-    def _constants(self, m: mujoco.MjModel) -> None:
-        data = mujoco.MjData(m)
-        mujoco.mj_forward(m, data)
-        platform, carrier = m.body("platform").id, m.body(CARRIER).id
-        moved = [b for b in range(m.nbody) if m.body_rootid[b] == platform]
-        self.payload = load_of(
-            m, data, [b for b in moved if b >= carrier], data.site("P_nominal").xpos
-        )
-        self._moved = load_of(m, data, moved, data.site("P_nominal").xpos)
-        self._masses = np.array(
-            [
-                m.body("link_0").mass[0],
-                m.body("carriage_0").mass[0],
-                m.dof_armature[m.joint("slider_0").dofadr[0]],
-            ]
-        )
-        self._parts = (self.upper.shape, self.upper.legs)
 
     def settle(self, i: int, x: Array, rates: Array) -> None:
         """Initialise the joints of run ``i`` in a motion with ``rates`` (3,) at the coordinates
@@ -256,7 +257,7 @@ class UpperDrives:
             q[self._adr[0, j]] = slider(leg, pose, arm)
             q[self.model.joint(f"revolute_{j}").qposadr[0]] = revolute(leg, pose, arm)
         rotate(pose[3:7], np.array([0.0, 0.0, self.upper.shape[1]]), arm)
-        p = self._free[0]
+        p = self._adr[0, 3]
         q[p : p + 3] = pose[:3] + arm
         q[p + 3 : p + 7] = pose[[6, 3, 4, 5]]
         return q
@@ -265,10 +266,7 @@ class UpperDrives:
         """One tick through the coordinates ``xs`` (n, m, 3) for the runs ``away`` (n,), whose
         indices are ``going``.
         """
-        _aim(
-            self._parts, self._masses, self._moved, self.payload, away, self._dt, xs,
-            self._pose, self._twist, self._target, self._velocity, self._plan, self._felt,
-        )  # fmt: skip
+        self._aim.on(away, xs)()
         m = xs.shape[1]
         for s in range(m):
             self._push(s, away)
@@ -301,11 +299,10 @@ class UpperDrives:
             away,
             self.upper.shape[1],
             self._adr,
-            self._free,
             self._qpos,
             self._qvel,
+            diverged,
             pose,
             twist,
             sliders,
-            diverged,
         )

@@ -17,36 +17,37 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from hiltestbed.compiled.bound import GIVEN, Call, bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.wrench import relate
-from hiltestbed.frames import Array, pose_step, twist_between
+from hiltestbed.frames import Array, pose_compose, pose_step, twist_between
 from hiltestbed.platform.driven import ServoTracking
 from hiltestbed.platform.ideal import IdealTracking
-from hiltestbed.platform.prs3.allocation import compose
+from hiltestbed.platform.payload import GRAVITY
 from hiltestbed.platform.prs3.geometry import Upper, place
-from hiltestbed.platform.prs3.upper import UpperPlatform
-from hiltestbed.platform.pss33.dynamics import GRAVITY
+from hiltestbed.platform.prs3.upper import MovingUpper
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 
 @njit(cache=True)
-def _command(planned, x, was_home, pose, twist, accel, h, before, slope, pose_W, twist_W, accel_W):
+def _command(h, planned, x, pose, twist, accel, *given):
     """The lower platform's command in W for that of A in P, ``pose`` (n, 7), ``twist`` and
     ``accel`` (n, 6).
 
-    planned (n, 7), x (n, 3): P in W and the upper platform's coordinates at the end of the tick;
-    was_home: (n,) whether these were 0 at
-    its start, updated. before (n, 7), slope (n, 6): the command of the last tick and its slope,
-    updated.
+    planned (n, 7), x (n, 3): P in W and the upper platform's coordinates at the end of the tick.
+    given: was_home (n,), whether these were 0 at its start; before (n, 7), slope (n, 6), the
+        command of the last tick and its slope; all updated; and that command's pose_W, twist_W and
+        accel_W.
     """
+    was_home, before, slope, pose_W, twist_W, accel_W = given
     for i in range(pose.shape[0]):
         home = x[i, 0] == 0.0 and x[i, 1] == 0.0 and x[i, 2] == 0.0
         if home and was_home[i]:
             pose_W[i], twist_W[i], accel_W[i] = pose[i], twist[i], accel[i]
         else:
-            compose(planned[i], pose[i], pose_W[i])
+            pose_compose(planned[i], pose[i], pose_W[i])
             twist_between(before[i], pose_W[i], h, twist_W[i])
             for j in range(6):
                 accel_W[i, j] = (twist_W[i, j] - slope[i, j]) / h
@@ -56,15 +57,15 @@ def _command(planned, x, was_home, pose, twist, accel, h, before, slope, pose_W,
 
 
 @njit(cache=True)
-def _together(
-    ideal, away, h, pose_W, twist_W, place_P, motion_P, lower_wrench, residual, pose, twist, wrench
-):
+def _together(ideal, h, away, residual, *given):
     """Relative pose and twist from those of A and of P in W, and the sensor's wrench as the sum of
-    contact and payload residual.
+    contact and payload ``residual``.
 
-    ``ideal``: while the upper platform is away from home, the twist is the slope of the relative
-        pose over the tick ``h``.
+    ideal: while the upper platform is away from home, the twist is the slope of the relative pose
+        over the tick ``h``. given: pose, twist and wrench of the lower platform in W; pose and
+        twist of P; relative pose, twist and wrench.
     """
+    pose_W, twist_W, lower_wrench, place_P, motion_P, pose, twist, wrench = given
     before = pose.copy()
     relate(pose_W, twist_W, place_P, motion_P, pose, twist)
     for i in range(pose.shape[0]):
@@ -84,7 +85,7 @@ class NineAxes:
         self, scenarios: Sequence[Scenario], lower: ServoTracking | IdealTracking, nthread: int
     ) -> None:
         n, first = len(scenarios), scenarios[0]
-        self.lower, self.upper = lower, UpperPlatform(scenarios, nthread)
+        self.lower, self.upper = lower, MovingUpper(scenarios, nthread)
         self.tick = first.tick
         self.contacts, self.causes, self.diverged = lower.contacts, lower.causes, lower.diverged
         self.contact_now, self.slider_cmd, self.slider_act = (
@@ -92,7 +93,6 @@ class NineAxes:
             lower.slider_cmd,
             lower.slider_act,
         )
-        self._ideal = isinstance(lower, IdealTracking)
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros_like(lower.wrench_sub)
         self._before, self._slope = np.zeros((n, 7)), np.zeros((n, 6))  # of the command in W
@@ -104,6 +104,35 @@ class NineAxes:
         self._was_home = np.zeros(n, dtype=bool)
         self._left = np.zeros((n, 6))  # residual of the payload in the reading at t_k
         self.upper_cmd, self.upper_act = np.zeros((n, 3)), np.zeros((n, 3))
+
+        self._commanded = Call(
+            _command,
+            self.tick,
+            self.upper.planned,
+            self.upper.x,
+            *(GIVEN,) * 3,
+            self._was_home,
+            self._before,
+            self._slope,
+            self._pose_W,
+            self._twist_W,
+            self._accel_W,
+        )
+        self._joined = bound(
+            _together,
+            isinstance(lower, IdealTracking),
+            self.tick,
+            self.upper.away,
+            self.upper.residual,
+            lower.pose_act,
+            lower.twist_act,
+            lower.wrench_sub,
+            self.upper.pose,
+            self.upper.twist,
+            self.pose_act,
+            self.twist_act,
+            self.wrench_sub,
+        )
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -121,11 +150,11 @@ class NineAxes:
         self.upper.reset(pose, twist)
         before, x, place_before = np.empty(7), np.zeros(3), np.empty(7)
         for i in range(len(pose)):
-            compose(self.upper.planned[i], pose[i], self._before[i])
+            pose_compose(self.upper.planned[i], pose[i], self._before[i])
             pose_step(pose[i], twist[i], -self.tick, before)
             x[:] = self.upper.x[i] - self.tick * self.upper.rate[i]
             place(Upper.load().shape, x, place_before)
-            compose(place_before, before, self._pose_W[i])
+            pose_compose(place_before, before, self._pose_W[i])
             twist_between(self._pose_W[i], self._before[i], self.tick, self._slope[i])
         self._was_home[:] = ~self.upper.away
         self._slope[self._was_home] = twist[self._was_home]
@@ -157,10 +186,7 @@ class NineAxes:
                 self.causes[i] = (
                     self.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
                 )
-        _command(
-            upper.planned, upper.x, self._was_home, pose_cmd, twist_cmd, accel_cmd, self.tick,
-            self._before, self._slope, self._pose_W, self._twist_W, self._accel_W,
-        )  # fmt: skip
+        self._commanded.on(pose_cmd, twist_cmd, accel_cmd)()
         lower.begin(self._pose_W, self._twist_W, self._accel_W)
         np.add(lower.wrench_sub[:, -1], self._left, out=self.wrench_sub[:, -1])
 
@@ -168,20 +194,7 @@ class NineAxes:
         """The rest of the tick."""
         upper, lower = self.upper, self.lower
         lower.finish()
-        _together(
-            self._ideal,
-            upper.away,
-            self.tick,
-            lower.pose_act,
-            lower.twist_act,
-            upper.pose,
-            upper.twist,
-            lower.wrench_sub,
-            upper.residual,
-            self.pose_act,
-            self.twist_act,
-            self.wrench_sub,
-        )
+        self._joined()
         self.upper_cmd[:], self.upper_act[:] = upper.slider_cmd, upper.slider_act
 
     def payload_left(self, i: int) -> dict[str, float] | None:

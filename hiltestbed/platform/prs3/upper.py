@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.platform.prs3.allocation import share
@@ -27,37 +28,41 @@ if TYPE_CHECKING:
 SETTLE = 0.1  # [s] after which an error of a critically damped 25 Hz loop has decayed to 3e-6
 
 
-@njit(cache=True)
-def _plan(
-    shape,
-    legs,
-    pose,
-    h,
-    settle,
-    diverged,
-    x,
-    rate,
-    speed,
-    still,
-    away,
-    was_away,
-    xs,
-    planned,
-    slope,
-    sliders,
-    reached,
-    twist,
-    slid,
-):
-    """Advance to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``;
-    returns whether a run is or was away.
+class UpperMotion(NamedTuple):
+    """The motion of n upper platforms.
 
-    x, rate, speed: (n, 3) coordinates, their mean rate over the last tick, and the velocity of the
-        cubic at its end. still: (n,)
-    ticks at home. xs: (n, m, 3) coordinates at the ends of the substeps. planned (n, 7), slope (n,
-        6): P in W at the end, and its slope over the tick; sliders: (n, 3) at the end. reached (n,
-        7), twist (n, 6) and slid (n, 3) are set to these.
+    Attributes:
+        x, rate, speed: (n, 3) coordinates, their mean rate over the last tick, and the velocity of
+            the cubic at its end. still: (n,) ticks at home. away, was_away: (n,) bool, not clamped
+            in this tick and in the last one. xs: (n, m, 3) coordinates at the ends of the substeps.
+        planned (n, 7), slope (n, 6): P in W at the end, and its slope over the tick. sliders: (n,
+            3) at the end. reached (n, 7), twist (n, 6) and slid (n, 3): set to these.
     """
+
+    x: Array
+    rate: Array
+    speed: Array
+    still: NDArray[np.int64]
+    away: NDArray[np.bool_]
+    was_away: NDArray[np.bool_]
+    xs: Array
+    planned: Array
+    slope: Array
+    sliders: Array
+    reached: Array
+    twist: Array
+    slid: Array
+
+
+@njit(cache=True)
+def _plan(shape, legs, h, settle, pose, diverged, *given):
+    """Advance to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``;
+    returns whether a run is or was away. given: the fields of UpperMotion.
+    """
+    motion = UpperMotion(*given)
+    x, rate, speed, xs = motion.x, motion.rate, motion.speed, motion.xs
+    still, away, planned, slope = motion.still, motion.away, motion.planned, motion.slope
+    sliders = motion.sliders
     m = xs.shape[1]
     busy = False
     goal, before, arm = np.empty(3), np.empty(7), np.empty(3)
@@ -81,7 +86,7 @@ def _plan(
             rate[i, j], speed[i, j] = new, leave
         still[i] = 0 if moves else still[i] + 1
         away[i] = still[i] <= settle and not diverged[i]
-        busy = busy or away[i] or was_away[i]
+        busy = busy or away[i] or motion.was_away[i]
         before[:] = planned[i]
         if moves:
             x[i] = goal
@@ -92,9 +97,9 @@ def _plan(
         else:
             slope[i] = 0.0
             sliders[i] = 0.0
-        reached[i] = planned[i]
-        twist[i] = slope[i]
-        slid[i] = sliders[i]
+        motion.reached[i] = planned[i]
+        motion.twist[i] = slope[i]
+        motion.slid[i] = sliders[i]
     return busy
 
 
@@ -117,7 +122,7 @@ def _begin(shape, pose, twist, h, x, rate, planned, planned_twist):
         twist_between(place_before, planned[i], h, planned_twist[i])
 
 
-class UpperPlatform:
+class MovingUpper:
     """The upper platforms of `n` runs.
 
     Attributes:
@@ -146,6 +151,30 @@ class UpperPlatform:
         self.planned, self._slope = np.zeros((n, 7)), np.zeros((n, 6))
         self.pose, self.twist = np.zeros((n, 7)), np.zeros((n, 6))
         self.slider_cmd, self.slider_act = np.zeros((n, 3)), np.zeros((n, 3))
+        self._planned = Call(
+            _plan,
+            self._shape,
+            self._legs,
+            self.tick,
+            self._settle,
+            GIVEN,
+            GIVEN,
+            *UpperMotion(
+                x=self.x,
+                rate=self.rate,
+                speed=self._speed,
+                still=self._still,
+                away=self.away,
+                was_away=self._was_away,
+                xs=self._xs,
+                planned=self.planned,
+                slope=self._slope,
+                sliders=self.slider_cmd,
+                reached=self.pose,
+                twist=self.twist,
+                slid=self.slider_act,
+            ),
+        )
         self.residual = self.drives.residual if self.drives else np.zeros((n, first.substeps, 6))
 
     def reset(self, pose: Array, twist: Array) -> None:
@@ -170,27 +199,7 @@ class UpperPlatform:
         """One tick towards the relative ``pose`` (n, 7); returns whether a run has just
         ``diverged`` (n,).
         """
-        busy = _plan(
-            self._shape,
-            self._legs,
-            pose,
-            self.tick,
-            self._settle,
-            diverged,
-            self.x,
-            self.rate,
-            self._speed,
-            self._still,
-            self.away,
-            self._was_away,
-            self._xs,
-            self.planned,
-            self._slope,
-            self.slider_cmd,
-            self.pose,
-            self.twist,
-            self.slider_act,
-        )
+        busy = self._planned.on(pose, diverged)()
         return self._drive(self.drives, diverged) if busy and self.drives else False
 
     def _drive(self, drives: UpperDrives, diverged: NDArray[np.bool_]) -> bool:

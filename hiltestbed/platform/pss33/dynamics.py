@@ -15,8 +15,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, rotate, rotate_back
-
-GRAVITY = 9.81  # [m/s^2], along -z of W
+from hiltestbed.platform.payload import GRAVITY, load_of
 
 
 def load_constants(m: mujoco.MjModel, tool: str = "active_A") -> Array:
@@ -28,19 +27,10 @@ def load_constants(m: mujoco.MjModel, tool: str = "active_A") -> Array:
     mujoco.mj_forward(m, data)
     platform = m.body("platform").id
     bodies = [b for b in range(m.nbody) if m.body_rootid[b] == platform]
-    mass = m.body_mass[bodies].sum()
-    origin = data.site(tool).xpos
-    com = (m.body_mass[bodies, None] * data.xipos[bodies]).sum(axis=0) / mass
-    inertia = np.zeros((3, 3))
-    for b in bodies:
-        axes = data.ximat[b].reshape(3, 3)
-        r = data.xipos[b] - com
-        inertia += axes @ np.diag(m.body_inertia[b]) @ axes.T + m.body_mass[b] * (
-            r @ r * np.eye(3) - np.outer(r, r)
-        )
     carriage, link = m.body("carriage_0").mass[0], m.body("link_0").mass[0]
     armature = m.dof_armature[m.joint("slider_0").dofadr[0]]
-    return np.concatenate([[mass], com - origin, inertia.ravel(), [link, carriage, armature]])
+    moved = load_of(m, data, bodies, data.site(tool).xpos)
+    return np.concatenate([moved, [link, carriage, armature]])
 
 
 @njit(cache=True)

@@ -1,6 +1,4 @@
-"""The 3-3 PSS platform with the interface of a facility, so that all measurements of facilities
-work on it as well.
-"""
+"""The 3-3 PSS platform of ``models/pss33``, below the frame."""
 
 from __future__ import annotations
 
@@ -12,50 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.config.models import load
-from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.drives import Drives
-from hiltestbed.platform.facilities.facility import MOUNT, Facility, Response, add_carrier, frame_of
-from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.pss33.servo import Servo
+from hiltestbed.platform.facilities.facility import (
+    MOUNT,
+    MOUNT_HOME,
+    UPRIGHT,
+    Facility,
+    Response,
+    add_carrier,
+    frame_of,
+)
+from hiltestbed.platform.facilities.kinematics import Axis
+from hiltestbed.platform.pss33.kinematics import SliderKinematics
+from hiltestbed.platform.pss33.servo import SliderDrives
 from hiltestbed.platform.pss33.settings import Pss33
-
-
-class SliderDrives(Drives):
-    """Drives of the six sliders: the servo of the plant, with A as the controlled point."""
-
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        kinematics: Kinematics,
-        settings: Sequence[Pss33],
-        tick: float,
-        substeps: int,
-        feed: NDArray[np.bool_],
-        tool: str,
-    ) -> None:
-        cycles, lates = (
-            [s.command.cycle(1.0 / tick) for s in settings],
-            [s.command.delay_cycles for s in settings],
-        )
-        super().__init__(model, kinematics, tick, substeps, cycles, lates, feed)
-        self.servo = Servo(model, settings, tick, substeps, feed, tool)
-
-    def settle(self, pose: Array, twist: Array, qpos: Array, qvel: Array) -> None:
-        super().settle(pose, twist, qpos, qvel)
-        self.servo.settle(pose, twist, qpos, qvel)
-
-    def aim(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        self.servo.aim(pose_cmd, twist_cmd, accel_cmd)
-
-    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        self.servo.push(sub, qpos, qvel, ctrl)
-
-    def arrive(self) -> None:
-        self.servo.arrive()
-        self.reference[:] = self.servo.target
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        return super().state() | self.servo.state()
 
 
 class Pss33Facility(Facility):
@@ -78,6 +45,10 @@ class Pss33Facility(Facility):
         spec.option.gravity = [0.0, 0.0, -9.81]
         return spec
 
+    def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> SliderKinematics:
+        origin = MOUNT_HOME[:3] if tool == MOUNT else UPRIGHT[:3]
+        return SliderKinematics(model, tool, self.axes, origin)
+
     def drives(
         self,
         model: mujoco.MjModel,
@@ -86,10 +57,8 @@ class Pss33Facility(Facility):
         substeps: int,
         feed: NDArray[np.bool_],
         tool: str = MOUNT,
-    ) -> Drives:
-        return SliderDrives(
-            model, self.kinematics(model, tool), settings, tick, substeps, feed, tool
-        )
+    ) -> SliderDrives:
+        return SliderDrives(model, self.kinematics(model, tool), tick, substeps, settings, feed)
 
     def response(self, rate: float, feed: bool) -> Response:
         s = self.settings

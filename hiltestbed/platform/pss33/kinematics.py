@@ -15,15 +15,16 @@ slider, in W at home, with e1 x e2 along the link.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cache
 
 import mujoco
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.frames import Array, rotate
-from hiltestbed.platform import model
+from hiltestbed.config.models import load
+from hiltestbed.frames import Array, rotate, rotate_back, rotation_matrix
+from hiltestbed.platform.facilities.kinematics import Axis, Kinematics, pose_in_words
 
 # smallest cosine between link and slider in the rates: keeps them finite for a link that does not
 # reach
@@ -120,37 +121,105 @@ def joints(limb, pose, twist, q, v):
     v[2] = r1 / max(math.cos(q[2]), STEEPEST)
 
 
-@dataclass(frozen=True)
-class Platform:
-    """The platform's constants, read from its MJCF at home.
+@njit(cache=True)
+def _all_joints(limbs, adr, centre, pose, twist, q, v):
+    """Positions ``q`` (nq,) and rates ``v`` (nv,) of all joints in MuJoCo's order, at the pose (7,)
+    and twist (6,) of A.
+
+    adr: (2, 7) addresses of the sliders and of the platform's free joint in ``q`` and ``v``.
+    centre: (3,) the platform's origin from A's, in A [m].
+    """
+    limb_q, limb_v, arm = np.empty(3), np.empty(3), np.empty(3)
+    for j in range(6):
+        joints(limbs[j], pose, twist, limb_q, limb_v)
+        for k in range(3):
+            q[adr[0, j] + k] = limb_q[k]
+            v[adr[1, j] + k] = limb_v[k]
+    p, d = adr[0, 6], adr[1, 6]
+    rotate(pose[3:7], centre, arm)
+    for k in range(3):
+        q[p + k] = pose[k] + arm[k]
+        q[p + 4 + k] = pose[3 + k]
+    q[p + 3] = pose[6]
+    v[d] = twist[0] + twist[4] * arm[2] - twist[5] * arm[1]
+    v[d + 1] = twist[1] + twist[5] * arm[0] - twist[3] * arm[2]
+    v[d + 2] = twist[2] + twist[3] * arm[1] - twist[4] * arm[0]
+    rotate_back(pose[3:7], twist[3:6], v[d + 3 : d + 6])
+
+
+def limbs_of(m: mujoco.MjModel, origin: Array) -> Array:
+    """``(6, 16)`` constants of the limbs of a compiled model that contains the platform at home,
+    with A at ``origin`` (3,) in W.
+    """
+    data = mujoco.MjData(m)
+    mujoco.mj_kinematics(m, data)
+    limbs = np.empty((6, 16))
+    for j in range(6):
+        joint = m.joint(f"slider_{j}")
+        limb = limbs[j]
+        limb[0:3] = data.xanchor[joint.id]
+        limb[3:6] = data.xaxis[joint.id]
+        limb[6:9] = data.site(f"anchor_{j}").xpos - origin
+        for k, hinge in enumerate("ab"):
+            limb[10 + 3 * k : 13 + 3 * k] = data.xaxis[m.joint(f"universal_{j}{hinge}").id]
+        limb[9] = np.linalg.norm(data.site(f"link_end_{j}").xpos - limb[0:3])
+    return limbs
+
+
+@cache
+def shipped_limbs() -> Array:
+    """``(6, 16)`` of ``models/pss33``, with A's home at W's origin."""
+    return limbs_of(load("pss33/pss33").compile(), np.zeros(3))
+
+
+class SliderKinematics(Kinematics):
+    """The platform's geometry, with its inverse kinematics in closed form.
 
     Attributes:
         limbs: (6, 16) a limb's constants, as above.
-        centre: (3,) centre of the anchors' plane, from A's origin, in A [m].
+        addresses: (2, 7) of the sliders and the platform's free joint in MuJoCo's positions and
+            rates. centre: (3,) the platform's origin from A's, in A [m].
     """
 
-    limbs: Array
-    centre: Array
+    def __init__(
+        self, model: mujoco.MjModel, tool: str, axes: Sequence[Axis], origin: Array
+    ) -> None:
+        """``origin`` (3,): position of the ``tool`` in W at home, where its attitude is W's [m]."""
+        super().__init__(model, [tool], axes)
+        self.limbs = limbs_of(model, origin)
+        moved = [model.joint(name) for name in (*(axis.joint for axis in axes), "platform")]
+        self.addresses = np.array(
+            [[int(j.qposadr[0]) for j in moved], [int(j.dofadr[0]) for j in moved]]
+        )
+        first = self.addresses[0, 6]
+        self.centre = self.home[first : first + 3] - origin
 
-    @staticmethod
-    @cache
-    def load() -> Platform:
-        """The 3-3 PSS platform of ``models/pss33``; A's home is W's origin."""
-        return Platform.from_model(model.load("pss33/pss33").compile())
+    def solve(
+        self, poses: Array, held: Array | None = None, start: Array | None = None
+    ) -> tuple[Array, float]:
+        """Joint positions ``(nq,)`` with the tool at ``poses`` (1, 7), and the length by which a
+        link is too short, or 0 [m].
+        """
+        pose = np.ravel(poses)
+        q, _ = self.motion(pose, np.zeros(6), self.held_home, self.held_home)
+        anchors = pose[:3] + self.limbs[:, 6:9] @ rotation_matrix(pose[3:7]).T - self.limbs[:, :3]
+        along = (anchors * self.limbs[:, 3:6]).sum(axis=1, keepdims=True)
+        across = np.linalg.norm(anchors - along * self.limbs[:, 3:6], axis=1)
+        longest = math.sqrt(1.0 - STEEPEST**2) * self.limbs[:, 9]
+        return q, max(0.0, float((across - longest).max()))
 
-    @staticmethod
-    def from_model(m: mujoco.MjModel) -> Platform:
-        """The constants of any compiled model that contains the platform."""
-        data = mujoco.MjData(m)
-        mujoco.mj_kinematics(m, data)
-        limbs = np.empty((6, 16))
-        for j in range(6):
-            joint = m.joint(f"slider_{j}")
-            limb = limbs[j]
-            limb[0:3] = data.xanchor[joint.id]
-            limb[3:6] = data.xaxis[joint.id]
-            limb[6:9] = data.site(f"anchor_{j}").xpos
-            for k, hinge in enumerate("ab"):
-                limb[10 + 3 * k : 13 + 3 * k] = data.xaxis[m.joint(f"universal_{j}{hinge}").id]
-            limb[9] = np.linalg.norm(data.site(f"link_end_{j}").xpos - limb[0:3])
-        return Platform(limbs, np.array(data.body("platform").xpos))
+    def motion(
+        self, poses: Array, twists: Array, held: Array, held_rates: Array
+    ) -> tuple[Array, Array]:
+        q, v = self.home.copy(), np.zeros(len(self.tree.armature))
+        pose, twist = (np.ascontiguousarray(np.ravel(x), dtype=float) for x in (poses, twists))
+        _all_joints(self.limbs, self.addresses, self.centre, pose, twist, q, v)
+        return q, v
+
+    def complaints(self, poses: Array, held: Array | None = None) -> list[str]:
+        """Links that do not reach, and sliders beyond their travel, with the tool at ``poses``."""
+        q, left = self.solve(poses)
+        if left > 0.0:
+            at = pose_in_words(np.ravel(poses))
+            return [f"out of reach: a link is {left:.3g} m too short at {at}"]
+        return self.past_travel(q)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -13,9 +13,7 @@ from hiltestbed.platform.kinds import Platform
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
-    from hiltestbed.contact.composition import Structure
     from hiltestbed.platform.facilities.facility import Facility
-    from hiltestbed.platform.pss33.rig import Pss33Follower, Pss33Rig
     from hiltestbed.scenario import Scenario
 
 
@@ -63,6 +61,16 @@ class Actuator(Strictly):
                 ("bias_speed",),
                 "the actuator's kind is single, whose motor has no bias speed; take kind dual",
             )
+
+    def law(self) -> tuple[float, ...]:
+        """Coulomb, stiction, Stribeck speed, viscous and bias speed of
+        :class:`hiltestbed.platform.friction.DriveFriction`; an ideal
+        drive has none.
+        """
+        if self.kind == "ideal":
+            return 0.0, 0.0, self.stribeck_speed, 0.0, 0.0
+        bias = self.bias_speed if self.kind == "dual" else 0.0
+        return self.coulomb, self.stiction, self.stribeck_speed, self.viscous, bias
 
     @model_validator(mode="after")
     def _breaks_away(self) -> Actuator:
@@ -177,24 +185,6 @@ class Pss33(Platform):
         from hiltestbed.platform.pss33.facility import Pss33Facility
 
         return Pss33Facility(self)
-
-    def driven(self, scenarios: Sequence[Scenario], structure: Structure, dt: float) -> Pss33Rig:
-        from hiltestbed.platform.pss33.rig import Pss33Rig
-
-        return Pss33Rig(scenarios, structure, dt)
-
-    def follower(
-        self, scenarios: Sequence[Scenario], structure: Structure, dt: float
-    ) -> Pss33Follower:
-        from hiltestbed.platform.pss33.rig import Pss33Follower
-
-        return Pss33Follower()
-
-    def drawn(self, scenario: Scenario) -> None:
-        return None
-
-    def alike(self, scenario: Scenario) -> Hashable:
-        return self.kind
 
     def problems(self, scenario: Scenario) -> Iterator[Problem]:
         from hiltestbed.platform.pss33.checks import start_problems

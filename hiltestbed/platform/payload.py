@@ -16,7 +16,8 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, cross, rotate, rotate_back
-from hiltestbed.platform.pss33.dynamics import GRAVITY
+
+GRAVITY = 9.81  # [m/s^2]; here along -z of W
 
 
 def load_of(m: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int], origin: Array) -> Array:
