@@ -17,8 +17,8 @@ from hiltestbed.config.validation import description_of
 from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.report.curves import PALETTE
 from hiltestbed.report.page import new_figure
-from hiltestbed.run_folder.labelled import PALETTE
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 
 HARMLESS = (

@@ -15,8 +15,8 @@ import numpy as np
 
 from hiltestbed.analysis.metrics import settle_ticks
 from hiltestbed.campaign.structure import lockstep_groups
-from hiltestbed.diagnosis.learned_law import Learned
-from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures
+from hiltestbed.diagnosis.conclusion import SimulatedRun
+from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures, Learned
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
@@ -35,17 +35,6 @@ SMOOTHING_PARTS = 15
 LOCKSTEP_RUNS = 64  # simulated together
 # chosen: of the largest penetration, from which samples are fitted: below it the force is clipped
 MIN_FITTED_SHARE = 0.01
-
-
-@dataclass(frozen=True)
-class SimulatedRun:
-    """One run, simulated: the nominal and the extended trace, None where the simulation could not
-    be run.
-    """
-
-    run: int
-    nominal: RunTrace | None
-    extended: RunTrace | None
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from hiltestbed.diagnosis.closed_loop import Motion, identified, restitution
 from hiltestbed.diagnosis.layout import lay_out, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.report.conclude import conclude
+from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.diagnosis.report.evidence import channel_residuals, link_series
 from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.result import (
     Cause,
-    Diagnosis,
     Finding,
     Heldout,
     Isolable,
