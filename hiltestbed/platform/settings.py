@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 AnyPlatform = Annotated[Platform, OneOf(PLATFORMS, default="pss33")]
 
 
-class UpperPlatform(Strictly):
+class UpperSettings(Strictly):
     """The support of the passive side and the force sensor."""
 
     kind: Literal["fixed", "prs3"] = Field(
@@ -43,6 +43,6 @@ class Rig(Strictly):
         default_factory=lambda: PLATFORMS["pss33"].model_validate({"kind": "pss33"}),
         description="The motion platform that carries the active side",
     )
-    upper: UpperPlatform = Field(
-        default=UpperPlatform(), description="Support of the passive side and the force sensor"
+    upper: UpperSettings = Field(
+        default=UpperSettings(), description="Support of the passive side and the force sensor"
     )

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 
-class Safety(Strictly):
+class SafetyLimits(Strictly):
     """Safety limits: a run that exceeds one is stopped; null: no limit."""
 
     stroke: Positive | None = Field(

@@ -23,7 +23,7 @@ LAG_PHASE = 0.35
 
 
 @dataclass(frozen=True)
-class Rule:
+class Discriminator:
     """`plan(facts)` gives the text and the runs that separate an effect of `first` from one of
     `second`.
     """
@@ -497,8 +497,8 @@ def slow_parting(f: Facts) -> Plan:
     return text, (f.at_speed(slow),)
 
 
-def rule(first: str, second: str, plan: Callable[[Facts], Plan]) -> Rule:
-    return Rule(frozenset(first.split()), frozenset(second.split()), plan)
+def rule(first: str, second: str, plan: Callable[[Facts], Plan]) -> Discriminator:
+    return Discriminator(frozenset(first.split()), frozenset(second.split()), plan)
 
 
 _LATE = (
