@@ -26,7 +26,8 @@ class Foreign(NamedTuple):
     draw: Callable[[Generator, Facility, float], dict]
 
 
-def _either(rng: Generator) -> float:
+def either(rng: Generator) -> float:
+    """A sign."""
     return 1.0 if rng.random() < 0.5 else -1.0
 
 
@@ -39,7 +40,7 @@ FOREIGN: dict[str, Foreign] = {
     "unknown.ageing": Foreign(
         "contact",
         lambda rig, e: contact(rig, ageing=e["rate"]),
-        lambda rng, f, s: {"rate": s * _either(rng) * rng.uniform(0.2, 0.4) / f.contact_time},
+        lambda rng, f, s: {"rate": s * either(rng) * rng.uniform(0.2, 0.4) / f.contact_time},
     ),
     "unknown.speeding": Foreign(
         "contact",
@@ -67,7 +68,7 @@ FOREIGN: dict[str, Foreign] = {
     "unknown.lateral_gain": Foreign(
         "sensor",
         lambda rig, e: sensor(rig, slope=e["slope"]),
-        lambda rng, f, s: {"slope": s * _either(rng) * rng.uniform(0.15, 0.4) / f.side},
+        lambda rng, f, s: {"slope": s * either(rng) * rng.uniform(0.15, 0.4) / f.side},
     ),
     "unknown.heavy_delay": Foreign(
         "sensor",
@@ -132,7 +133,7 @@ FOREIGN: dict[str, Foreign] = {
     "unknown.lead_gain": Foreign(
         "compensation",
         lambda rig, e: compensator(rig, gain=e["factor"]),
-        lambda rng, f, s: {"factor": 1.0 + s * _either(rng) * rng.uniform(0.04, 0.12)},
+        lambda rng, f, s: {"factor": 1.0 + s * either(rng) * rng.uniform(0.04, 0.12)},
     ),
     "unknown.lead_slew": Foreign(
         "compensation",
@@ -151,7 +152,7 @@ FOREIGN: dict[str, Foreign] = {
     "unknown.thrust": Foreign(
         "dynamics",
         lambda rig, e: bodies(rig, thrust=e["force"]),
-        lambda rng, f, s: {"force": s * _either(rng) * rng.uniform(0.01, 0.03) * f.peak},
+        lambda rng, f, s: {"force": s * either(rng) * rng.uniform(0.01, 0.03) * f.peak},
     ),
     "unknown.tether": Foreign(
         "dynamics",
@@ -161,7 +162,7 @@ FOREIGN: dict[str, Foreign] = {
     "unknown.fuel_flow": Foreign(
         "dynamics",
         lambda rig, e: bodies(rig, mass_rate=e["rate"]),
-        lambda rng, f, s: {"rate": s * _either(rng) * rng.uniform(0.1, 0.3) / f.contact_time},
+        lambda rng, f, s: {"rate": s * either(rng) * rng.uniform(0.1, 0.3) / f.contact_time},
     ),
     "unknown.clock_stretch": Foreign(
         "log",

@@ -13,18 +13,14 @@ import numpy as np
 from numpy.random import Generator
 
 from tests.equipment.independent_rig.facility import Facility
-from tests.equipment.independent_rig.foreign import FOREIGN, Foreign
-from tests.equipment.independent_rig.hidden import bodies, contact, platform, sensor
+from tests.equipment.independent_rig.foreign import FOREIGN, Foreign, either
+from tests.equipment.independent_rig.hidden import contact, sensor
 from tests.equipment.independent_rig.links import Rig
 
 KNOTS = 6
 LINE = 23.0  # Hz
 BUMPER, CONES, HELD = "bumper", ("docking", "mounted"), "held"
 EVERYWHERE = (BUMPER, *CONES, HELD)
-
-
-def _sign(rng: Generator) -> float:
-    return 1.0 if rng.random() < 0.5 else -1.0
 
 
 def _curve(rng: Generator, f: Facility, s: float) -> dict:
@@ -69,12 +65,12 @@ FURTHER: dict[str, Foreign] = {
         lambda rng, f, s: {"added": 0.05 * s, "slope": s * rng.uniform(0.8, 2.0) / f.peak},
     ),
     "unknown.oval_cone": Foreign(
-        "contact", _oval, lambda rng, f, s: {"ratio": s * _sign(rng) * rng.uniform(0.01, 0.03)}
+        "contact", _oval, lambda rng, f, s: {"ratio": s * either(rng) * rng.uniform(0.01, 0.03)}
     ),
     "unknown.depth_gain": Foreign(
         "sensor",
         lambda rig, e: sensor(rig, depth_slope=e["slope"]),
-        lambda rng, f, s: {"slope": s * _sign(rng) * rng.uniform(0.1, 0.25) / _depth_range(f)},
+        lambda rng, f, s: {"slope": s * either(rng) * rng.uniform(0.1, 0.25) / _depth_range(f)},
     ),
 }
 
@@ -84,70 +80,39 @@ def _depth_range(f: Facility) -> float:
     return max(f.side, f.depth) if "six axes" in f.design else f.depth
 
 
-def _resized(name: str, draw) -> Foreign:
-    known = FOREIGN[name]
-    return Foreign(known.link, known.apply, draw)
-
-
-LONGER: dict[str, Foreign] = {
+RESIZED = {
     # A compliant platform reacts one tick later with a velocity: beyond a compliance of 1/(c rate)
     # it becomes unstable.
-    "unknown.platform_gives": _resized(
-        "unknown.platform_gives",
-        lambda rng, f, s: {
-            "compliance": s
-            * min(rng.uniform(0.03, 0.1) / f.stiffness, rng.uniform(0.1, 0.2) * f.tick / f.damping)
-        },
-    ),
-    "unknown.ageing": _resized(
-        "unknown.ageing",
-        lambda rng, f, s: {"rate": s * _sign(rng) * rng.uniform(0.15, 0.4) / f.span},
-    ),
-    "unknown.warming": _resized(
-        "unknown.warming", lambda rng, f, s: {"rate": s * rng.uniform(0.08, 0.2) / f.span}
-    ),
-    "unknown.sample_hold": _resized(
-        "unknown.sample_hold", lambda rng, f, s: {"time": s * rng.uniform(0.006, 0.012)}
-    ),
-    "unknown.lateral_gain": _resized(
-        "unknown.lateral_gain",
-        lambda rng, f, s: {"slope": s * _sign(rng) * rng.uniform(0.15, 0.4) / f.side},
-    ),
-    "unknown.heavy_delay": _resized(
-        "unknown.heavy_delay",
-        lambda rng, f, s: {"slope": s * rng.uniform(0.006, 0.012) / f.top_peak},
-    ),
-    "unknown.one_way_lag": _resized(
-        "unknown.one_way_lag",
-        lambda rng, f, s: {
-            "bandwidth_in": 3.0 * (b := rng.uniform(10.0, 25.0) / s),
-            "bandwidth_out": b,
-        },
-    ),
-    "unknown.acceleration_limit": Foreign(
-        "platform",
-        lambda rig, e: platform(rig, acceleration=e["limit"]),
-        lambda rng, f, s: {"limit": rng.uniform(2.5, 4.0) / s * f.peak / f.reduced_mass},
-    ),
-    "unknown.drag": Foreign(
-        "dynamics",
-        lambda rig, e: bodies(rig, drag=e["coefficient"]),
-        lambda rng, f, s: {"coefficient": s * rng.uniform(0.02, 0.06) * f.reduced_mass / f.span},
-    ),
-    "unknown.tether": Foreign(
-        "dynamics",
-        lambda rig, e: bodies(rig, tether=e["stiffness"]),
-        lambda rng, f, s: {"stiffness": s * rng.uniform(0.02, 0.06) * f.peak / max(f.side, 0.01)},
-    ),
-    "unknown.fuel_flow": Foreign(
-        "dynamics",
-        lambda rig, e: bodies(rig, mass_rate=e["rate"]),
-        lambda rng, f, s: {"rate": s * _sign(rng) * rng.uniform(0.05, 0.15) / f.span},
-    ),
-    "unknown.clock_stretch": _resized(
-        "unknown.clock_stretch", lambda rng, f, s: {"ratio": s * rng.uniform(0.004, 0.01)}
-    ),
+    "unknown.platform_gives": lambda rng, f, s: {
+        "compliance": s
+        * min(rng.uniform(0.03, 0.1) / f.stiffness, rng.uniform(0.1, 0.2) * f.tick / f.damping)
+    },
+    "unknown.ageing": lambda rng, f, s: {"rate": s * either(rng) * rng.uniform(0.15, 0.4) / f.span},
+    "unknown.warming": lambda rng, f, s: {"rate": s * rng.uniform(0.08, 0.2) / f.span},
+    "unknown.sample_hold": lambda rng, f, s: {"time": s * rng.uniform(0.006, 0.012)},
+    "unknown.lateral_gain": lambda rng, f, s: {
+        "slope": s * either(rng) * rng.uniform(0.15, 0.4) / f.side
+    },
+    "unknown.heavy_delay": lambda rng, f, s: {"slope": s * rng.uniform(0.006, 0.012) / f.top_peak},
+    "unknown.one_way_lag": lambda rng, f, s: {
+        "bandwidth_in": 3.0 * (b := rng.uniform(10.0, 25.0) / s),
+        "bandwidth_out": b,
+    },
+    "unknown.acceleration_limit": lambda rng, f, s: {
+        "limit": rng.uniform(2.5, 4.0) / s * f.peak / f.reduced_mass
+    },
+    "unknown.drag": lambda rng, f, s: {
+        "coefficient": s * rng.uniform(0.02, 0.06) * f.reduced_mass / f.span
+    },
+    "unknown.tether": lambda rng, f, s: {
+        "stiffness": s * rng.uniform(0.02, 0.06) * f.peak / max(f.side, 0.01)
+    },
+    "unknown.fuel_flow": lambda rng, f, s: {
+        "rate": s * either(rng) * rng.uniform(0.05, 0.15) / f.span
+    },
+    "unknown.clock_stretch": lambda rng, f, s: {"ratio": s * rng.uniform(0.004, 0.01)},
 }
+LONGER = {name: FOREIGN[name]._replace(draw=draw) for name, draw in RESIZED.items()}
 
 IN_DOCKING: dict[str, Foreign] = FOREIGN | FURTHER | LONGER
 LEAD_ALONE = ("unknown.slow_pole",)  # effects that act only in a phase lead
