@@ -16,7 +16,7 @@ from hiltestbed.compensation.settings import (
 from hiltestbed.config.validation import Problem, Strictly
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
 class Compensation(Strictly):
@@ -31,7 +31,7 @@ class Compensation(Strictly):
         description="How the lag of the platform is compensated",
     )
 
-    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+    def idle(self, scenario: ScenarioLike) -> Iterator[Problem]:
         platform = scenario.rig.platform
         if platform.physical:
             why = (

@@ -12,7 +12,7 @@ from hiltestbed.platform.kinds import PLATFORMS, Platform
 from hiltestbed.plugins import OneOf
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 AnyPlatform = Annotated[Platform, OneOf(PLATFORMS, default="pss33")]
 
@@ -31,7 +31,7 @@ class UpperSettings(Strictly):
         "exactly at its planned pose",
     )
 
-    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+    def idle(self, scenario: ScenarioLike) -> Iterator[Problem]:
         if self.kind == "fixed":
             yield ("tracking",), "the upper platform's kind is fixed: there is none; take kind prs3"
 

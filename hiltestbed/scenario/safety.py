@@ -10,7 +10,7 @@ from pydantic import Field
 from hiltestbed.config.validation import Positive, Problem, Strictly
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
 class SafetyLimits(Strictly):
@@ -49,7 +49,7 @@ class SafetyLimits(Strictly):
         description="Largest energy that the rig may generate in a run [J]; null: no limit",
     )
 
-    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+    def idle(self, scenario: ScenarioLike) -> Iterator[Problem]:
         platform = scenario.rig.platform
         if platform.states_limits:
             yield (

@@ -61,7 +61,7 @@ SYNC_LIMIT = 0.5  # largest blending rate per tick at which the semi-implicit st
 Integers = NDArray[np.int64]
 
 
-class NominalBodies(NamedTuple):
+class Bodies(NamedTuple):
     """Nominal parameters of both vehicles in the delayed model and the predictor: ``(n, 2,
     ...)``.
     """
@@ -149,7 +149,7 @@ class ResynchronisedDrive:
         self._captured = None if self._fixed else CapturedContact(scenarios)
         self._ideal = int(scenarios[0].rig.platform.prescribed)
         self._substeps = float(scenarios[0].substeps)
-        self._bodies = NominalBodies(
+        self._bodies = Bodies(
             model.port, model.mass, model.inertia, np.linalg.inv(model.inertia).astype(np.float64)
         )
         self.state = _state(scenarios, given, model, int(self._setup.late.max()))

@@ -9,12 +9,12 @@ from hiltestbed.config.validation import Problem
 from hiltestbed.errors import InputError
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 PLATFORM = ("rig", "platform")
 
 
-def facility_problems(scenario: Scenario) -> Iterator[Problem]:
+def facility_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     """Requirements of a scenario that its facility cannot meet."""
     from hiltestbed.contact.sides import sides_of
     from hiltestbed.numerical_model.bodies import approach_state

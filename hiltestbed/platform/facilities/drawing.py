@@ -16,7 +16,7 @@ from hiltestbed.platform.facilities.drives import UPRIGHT
 from hiltestbed.platform.facilities.hall import facility_of
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 STEP = 1e-3  # [s] nothing is stepped
 

@@ -28,7 +28,7 @@ from hiltestbed.platform.prs3.upper import UpperPlatform
 from hiltestbed.platform.pss33.dynamics import GRAVITY
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 @njit(cache=True)

@@ -9,19 +9,19 @@ from hiltestbed.config.validation import Problem
 from hiltestbed.platform.pss33.settings import pss33_of
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 # [m/s] highest approach speed at which the upper platform is clamped before the first touch
 UPPER_SPEED = 0.3
 
 
-def _workspace(scenario: Scenario) -> tuple[float, float]:
+def _workspace(scenario: ScenarioLike) -> tuple[float, float]:
     """Reach from home along [m] and about [deg] each axis."""
     workspace = pss33_of(scenario).workspace
     return workspace.translation, workspace.rotation_deg
 
 
-def start_problems(scenario: Scenario) -> Iterator[Problem]:
+def start_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     """The start must be in the workspace around the nominal first touch, and the controller's cycle
     a whole number of ticks.
     """
@@ -50,7 +50,7 @@ def start_problems(scenario: Scenario) -> Iterator[Problem]:
             )
 
 
-def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
+def _nine_axis_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     """With the upper platform the gap may be as large as its heave; the lower platform's share of
     the start must be in its workspace.
     """

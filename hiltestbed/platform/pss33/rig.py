@@ -18,7 +18,7 @@ from hiltestbed.platform.pss33.settings import pss33_of
 
 if TYPE_CHECKING:
     from hiltestbed.contact.contacts import Contacts
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 UNITS = ("m",) * 6
 

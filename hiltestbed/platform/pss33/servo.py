@@ -36,7 +36,7 @@ from hiltestbed.platform.pss33.settings import pss33_of
 
 if TYPE_CHECKING:
     from hiltestbed.platform.pss33.settings import Pss33
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 # A drive's share of the mass moved in heave: platform and mechanism 350 kg, three links, carriages
 # and armatures of 97 kg, over 3.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hiltestbed.contact.composition import Structure
     from hiltestbed.platform.facilities.facility import Facility
     from hiltestbed.platform.pss33.rig import Pss33Follower, Pss33Rig
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 class Actuator(Strictly):
