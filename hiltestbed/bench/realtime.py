@@ -107,9 +107,8 @@ def _report(measured: list[Steadiness], lines: list[tuple[str, str]]) -> Report:
     report.figure(figure, "Latency of the start of a cycle.")
     report.text(
         "A cycle misses its deadline if its work, or the device's response, is not complete when "
-        "the next one is due. Measure on the "
-        "machine and under the load of its later use; results on an idle machine are not valid "
-        "for a busy one. Processor time taken by a "
-        "hypervisor (steal time) cannot be recovered by any setting of this system."
+        "the next one is due. Measure on the machine and under the load of its later use; results "
+        "on an idle machine are not valid for a busy one. Processor time taken by a hypervisor "
+        "(steal time) cannot be recovered by any setting of this system."
     )
     return report

@@ -45,7 +45,6 @@ class Compensation(Strictly):
             yield (
                 ("motion",),
                 f"{self.motion.kind} feeds velocity and acceleration to the drives, and with "
-                f"tracking {platform.tracking} there are none; "
-                "take tracking servo, or a method that changes the command (inverse_model, "
-                "adaptive_time_series)",
+                f"tracking {platform.tracking} there are none; take tracking servo, or a method "
+                "that changes the command (inverse_model, adaptive_time_series)",
             )

@@ -30,9 +30,8 @@ def _rate_problems(scenario: ScenarioLike) -> Iterator[Problem]:
         yield (
             ("physics_rate",),
             (
-                f"does not divide by rate (got {scenario.physics_rate:g} Hz over "
-                f"{scenario.rate:g} Hz = {ratio:g}); "
-                f"allowed is a whole multiple of rate, such as {near:g}"
+                f"does not divide by rate (got {scenario.physics_rate:g} Hz over {scenario.rate:g} "
+                f"Hz = {ratio:g}); allowed is a whole multiple of rate, such as {near:g}"
             ),
         )
     if not 1 <= scenario.duration * scenario.rate <= TICK_LIMIT:
@@ -40,8 +39,7 @@ def _rate_problems(scenario: ScenarioLike) -> Iterator[Problem]:
             ("duration",),
             (
                 f"is out of range (got {scenario.duration:g} s at {scenario.rate:g} Hz = "
-                f"{scenario.duration * scenario.rate:g} ticks); "
-                f"allowed are 1 to {TICK_LIMIT} ticks"
+                f"{scenario.duration * scenario.rate:g} ticks); allowed are 1 to {TICK_LIMIT} ticks"
             ),
         )
 

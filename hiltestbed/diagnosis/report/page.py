@@ -161,9 +161,8 @@ def _evidence(report: Report, d: Conclusion) -> None:
     report.heading("Evidence")
     report.text(
         "Each link of the loop was replayed alone on its measured input, so that the error of one "
-        "cannot leak into another. "
-        "Residuals are in units of the channel's own noise: within the grey band they are noise. "
-        "Contact is shaded."
+        "cannot leak into another. Residuals are in units of the channel's own noise: within the "
+        "grey band they are noise. Contact is shaded."
     )
     report.figure(
         pictures.residuals_over_time(series, compared, d.dataset.names),

@@ -35,18 +35,16 @@ def facility_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     if facility.moves_passive and scenario.mechanism.mount is not None:
         yield (
             ("mechanism", "mount"),
-            f"cannot be combined with a passive side that moves (got a mount on platform kind "
-            f"{scenario.rig.platform.kind!r}, whose "
-            "sensor could not separate the mount's load from the mechanism's weight); allowed is "
-            "null",
+            "cannot be combined with a passive side that moves (got a mount on platform kind "
+            f"{scenario.rig.platform.kind!r}, whose sensor could not separate the mount's load "
+            "from the mechanism's weight); allowed is null",
         )
     if facility.moves_passive and sides_of(scenario.mechanism).moving:
         yield (
             ("mechanism", "kind"),
             f"has moving parts (got {scenario.mechanism.kind!r} on platform kind "
-            f"{scenario.rig.platform.kind!r}, whose passive side "
-            "moves: the load of its sensor must be rigid); allowed is a mechanism without moving "
-            "parts",
+            f"{scenario.rig.platform.kind!r}, whose passive side moves: the load of its sensor "
+            "must be rigid); allowed is a mechanism without moving parts",
         )
     for complaint in facility.complaints(approach_state(scenario)[:7]):
         yield (

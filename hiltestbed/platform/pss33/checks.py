@@ -72,9 +72,8 @@ def _nine_axis_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     if not abs(approach.velocity[2]) <= UPPER_SPEED:
         yield (
             ("approach", "velocity", 2),
-            f"is too fast for the upper platform to come to rest before the touch (got "
-            f"{approach.velocity[2]:g} m/s); "
-            f"allowed is -{UPPER_SPEED:g} to {UPPER_SPEED:g} m/s",
+            "is too fast for the upper platform to come to rest before the touch (got "
+            f"{approach.velocity[2]:g} m/s); allowed is -{UPPER_SPEED:g} to {UPPER_SPEED:g} m/s",
         )
     pose = np.array(
         [[*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]]
@@ -86,7 +85,6 @@ def _nine_axis_problems(scenario: ScenarioLike) -> Iterator[Problem]:
         yield (
             ("approach",),
             f"starts outside the workspace (the lower platform would be at {where} m, rotated by "
-            f"up to {turn.max():.3g} deg); allowed "
-            f"are {reach:g} m and {widest:g} deg on each axis: take a smaller offset or "
-            f"attitude_deg",
+            f"up to {turn.max():.3g} deg); allowed are {reach:g} m and {widest:g} deg on each "
+            "axis: take a smaller offset or attitude_deg",
         )

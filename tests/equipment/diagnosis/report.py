@@ -40,8 +40,7 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
     report = Report("Diagnosis of hidden effects")
     report.lead(
         f"{summary['done']} sets of measured data from an independent rig, with hidden effects or "
-        f"without: "
-        f"{sum(g['right'] for g in summary['groups'])} were judged correctly."
+        f"without: {sum(g['right'] for g in summary['groups'])} were judged correctly."
     )
     rows = [
         [text, "-" if summary[name] is None else f"{summary[name]:.3f}"]
