@@ -33,14 +33,8 @@ class SimulatedRun:
 
 @dataclass
 class Conclusion:
-    """A finding and what follows from it: what the folder holds, and the data of its figures.
-
-    Attributes:
-        finding: verdict, link, causes, evidence. residuals, closed_loop, experiment: what follows
-            from it.
-        dataset, extended: the data, and the scenario with the named effects (the nominal one where
-            nothing was named).
-        simulated: the simulations of each run.
+    """A finding and what follows from it; attributes as in
+    :class:`hiltestbed.diagnosis.report.diagnosis.Diagnosis`.
     """
 
     name: str

@@ -13,7 +13,15 @@ if TYPE_CHECKING:
 
 
 class Diagnosis(Conclusion):
-    """The result of `diagnose`: what the folder holds, and the data of its figures."""
+    """The result of `diagnose`: what the folder holds, and the data of its figures.
+
+    Attributes:
+        finding: verdict, link, causes, evidence. residuals, closed_loop, experiment: what follows
+            from it.
+        dataset, extended: the data, and the scenario with the named effects (the nominal one where
+            nothing was named).
+        simulated: the simulations of each run.
+    """
 
     def __repr__(self) -> str:
         causes = ", ".join(cause.effect for cause in self.causes) or "no cause"
