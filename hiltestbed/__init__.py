@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from hiltestbed.config.dataset import load_dataset
     from hiltestbed.config.gallery import shipped
     from hiltestbed.diagnosis.diagnose import diagnose
-    from hiltestbed.diagnosis.result import Diagnosis
+    from hiltestbed.diagnosis.report.diagnosis import Diagnosis
     from hiltestbed.plugins import load_plugins
     from hiltestbed.run_folder.result import Run
     from hiltestbed.run_folder.store import read_run, write_run
@@ -65,7 +65,7 @@ __all__ = [
 
 _HOME = {
     "Comparison": "analysis.comparison",
-    "Diagnosis": "diagnosis.result",
+    "Diagnosis": "diagnosis.report.diagnosis",
     "Run": "run_folder.result",
     "RunTrace": "signals",
     "Scenario": "scenario",

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from hiltestbed.analysis.metrics import Tally
 from hiltestbed.analysis.outcome import Outcomes
-from hiltestbed.compensation.blocks import Drive, make_drive
+from hiltestbed.compensation.blocks import make_drive
 from hiltestbed.compensation.input import InputDeadZone
+from hiltestbed.compensation.interfaces import Drive
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion import MotionCommand
 from hiltestbed.compiled.bound import bound, together

@@ -8,12 +8,12 @@ import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.errors import InputError
+from hiltestbed.errors import InputError, MissingExtra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -267,25 +267,76 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         """A pandas DataFrame, time [s] as its index; ``attrs`` holds unit, frame and meaning of
         each column.
         """
-        from hiltestbed.run_folder.labelled import trace_to_pandas
-
-        return trace_to_pandas(self)
+        try:
+            import pandas as pd
+        except ImportError:
+            raise MissingExtra("to_pandas()", "pandas") from None
+        columns = self.columns()
+        frame = pd.DataFrame(
+            {name: values for name, values in columns.items() if name != "t"},
+            index=pd.Index(columns["t"], name="t"),
+        )
+        about = self.about()
+        frame.attrs = {"index": about.pop("t"), "columns": about}
+        return frame
 
     def to_xarray(self):
         """An xarray Dataset: one variable ``(t, part)`` per group, with units and frame in its
         ``attrs``. Raises MissingExtra.
         """
-        from hiltestbed.run_folder.labelled import trace_to_xarray
-
-        return trace_to_xarray(self)
+        try:
+            import xarray as xr
+        except ImportError:
+            raise MissingExtra("to_xarray()", "xarray") from None
+        variables: dict[str, Any] = {
+            "contact": (
+                "t",
+                self.contact,
+                {"units": "1", "long_name": about_column("contact")["meaning"]},
+            )
+        }
+        coordinates: dict[str, Any] = {
+            "t": ("t", self.t, {"units": "s", "long_name": about_column("t")["meaning"]})
+        }
+        for group in self.groups():
+            name = group.name
+            axis = f"{name}_part"
+            units = list(dict.fromkeys(group.units))
+            about = {
+                "units": units[0] if len(units) == 1 else list(group.units),
+                "frame": group.frame,
+                "long_name": group.meaning,
+            }
+            variables[name] = (("t", axis), self[name], about)
+            coordinates[axis] = (axis, list(group.parts), {"units": list(group.units)})
+        return xr.Dataset(variables, coordinates)
 
     def plot(self, *names: str, axes: Axes | None = None) -> Axes:
         """Columns or groups over time, with contacts shaded; returns the Matplotlib axes. Raises
         UnknownColumn.
         """
-        from hiltestbed.run_folder.labelled import plot_trace
+        from hiltestbed.report.curves import PALETTE, shade_contacts
 
-        return plot_trace(self, names or ("wrench_meas.fz",), axes)
+        names = names or ("wrench_meas.fz",)
+        groups = {group.name: group for group in self.groups()}
+        columns = [
+            column
+            for name in names
+            for column in (groups[name].columns if name in groups else (name,))
+        ]
+        # raises for an unknown column before anything is drawn
+        values = [self[column] for column in columns]
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            axes = plt.subplots(figsize=(8.0, 3.4), layout="constrained")[1]
+        shade_contacts(axes, self.t, self.contact)
+        for i, (column, value) in enumerate(zip(columns, values, strict=True)):
+            axes.plot(self.t, value, label=column, color=PALETTE[i % len(PALETTE)], linewidth=1.4)
+        units = list(dict.fromkeys(self.about()[column]["unit"] for column in columns))
+        axes.set(xlabel="time [s]", ylabel=f"[{', '.join(units)}]")
+        axes.legend(loc="best", fontsize=8)
+        return axes
 
 
 class UnknownColumn(KeyError, InputError):

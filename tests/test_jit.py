@@ -69,6 +69,46 @@ def test_an_old_kernel_is_taken_only_where_nothing_has_changed(folder: Path) -> 
     assert ran(folder, 3.0, "-") == [-3.0, 3.0, 3.0, 0, 1, 1]
 
 
+RECORD = """
+from typing import NamedTuple
+
+
+class {name}(NamedTuple):
+    factor: float
+"""
+TAKER = """
+from hiltestbed.compiled.jit import njit
+from {module} import {name}
+
+
+@njit(cache=True)
+def twice(p):
+    return 2.0 * p.factor
+
+
+print(twice({name}(1.5)), sum(twice.stats.cache_hits.values()))
+"""
+
+
+def taken(folder: Path, module: str, name: str) -> str:
+    (folder / f"{module}.py").write_text(RECORD.format(name=name))
+    (folder / "taker.py").write_text(TAKER.format(module=module, name=name))
+    done = subprocess.run([sys.executable, "-B", "taker.py"], cwd=folder, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()
+    return done.stdout.decode().strip()
+
+
+@pytest.mark.parametrize(("module", "name"), [("records", "Renamed"), ("moved", "Record")])
+def test_a_kernel_of_a_class_that_is_gone_is_compiled_anew(
+    tmp_path: Path, module: str, name: str
+) -> None:
+    assert taken(tmp_path, "records", "Record") == "3.0 0"
+    if module != "records":
+        (tmp_path / "records.py").unlink()
+    assert taken(tmp_path, module, name) == "3.0 0"
+    assert taken(tmp_path, module, name) == "3.0 1"
+
+
 def test_every_kernel_of_the_package_is_marked() -> None:
     package = Path(hiltestbed.__file__).parent
     bare = re.compile(r"^\s*(from numba import .*\bnjit\b|@(numba\.)?jit\b)", re.MULTILINE)

@@ -16,8 +16,8 @@ import numpy as np
 import hiltestbed
 from hiltestbed.analysis.energy import energy_generated
 from hiltestbed.diagnosis.report.pictures import residuals_over_time
+from hiltestbed.report.curves import PALETTE
 from hiltestbed.report.page import new_figure
-from hiltestbed.run_folder.labelled import PALETTE
 
 DOCS = Path(__file__).resolve().parents[1]
 DPI = 90

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import hiltestbed
+from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.diagnosis.report.pictures import (
     EXTENDED,
     MEASURED,
@@ -21,7 +22,7 @@ from hiltestbed.diagnosis.report.pictures import (
     heldout_bars,
     learned_curves,
 )
-from hiltestbed.diagnosis.result import Diagnosis, Series
+from hiltestbed.diagnosis.result import Series
 from hiltestbed.report.page import new_figure
 
 HERE = Path(__file__).resolve().parent

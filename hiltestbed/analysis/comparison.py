@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hiltestbed.errors import InputError, MissingExtra
-from hiltestbed.run_folder.labelled import PALETTE
+from hiltestbed.report.curves import PALETTE
 from hiltestbed.run_folder.notebook import html_table, number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.run_folder.store import read_run

@@ -191,7 +191,7 @@ def effort(contacts: Sequence[Contact], ticks: float | None = None) -> float:
 
 
 @dataclass
-class Bounce:
+class BenchRuns:
     """Result of a batch of bounces.
 
     Attributes:
@@ -209,7 +209,7 @@ class Bounce:
     trace: Trace | None = None
 
 
-def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> Bounce:
+def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> BenchRuns:
     """Run a batch until every run has rebounded or reached its duration."""
     loop = Loop(scenarios, nthread)
     ticks = max(s.ticks for s in scenarios)
@@ -230,7 +230,7 @@ def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> 
     figures = [loop.tally.figures(i) for i in range(len(scenarios))]
     at_the_end = ~seen & np.array([f.rebound_speed is not None for f in figures])
     velocity[at_the_end] = craft.v[at_the_end]
-    return Bounce(figures, velocity, start, loop, rows)
+    return BenchRuns(figures, velocity, start, loop, rows)
 
 
 def effective_contact(contact: Contact) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 from hiltestbed.bench.contacts import (
     DELAYS,
     FREQUENCIES,
-    Bounce,
+    BenchRuns,
     Contact,
     bounce,
     effective_contact,
@@ -163,7 +163,7 @@ def _under(contact: Contact, tracking: str, knowledge: str) -> Contact:
 
 
 def measure(
-    contender: Contender, contacts: Sequence[Contact], reference: Bounce
+    contender: Contender, contacts: Sequence[Contact], reference: BenchRuns
 ) -> list[dict[str, Any]]:
     """One record per contact."""
     servo = contacts[0].tracking == "servo"
@@ -175,7 +175,7 @@ def measure(
 
 
 def _record(
-    contender: Contender, contact: Contact, result: Bounce, reference: Bounce, i: int
+    contender: Contender, contact: Contact, result: BenchRuns, reference: BenchRuns, i: int
 ) -> dict[str, Any]:
     figures, ideal = result.figures[i], reference.figures[i]
     return {
@@ -197,7 +197,7 @@ def _record(
     }
 
 
-def _tracking(result: Bounce, i: int) -> dict[str, float]:
+def _tracking(result: BenchRuns, i: int) -> dict[str, float]:
     """J1 delay by cross-correlation [ms], J2 rms error over rms [%], J3 peak error over peak [%] of
     the position along z in contact.
     """

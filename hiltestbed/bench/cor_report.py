@@ -33,8 +33,7 @@ def cor_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Re
     first = next(row for row in board if row["contact"] == "first")
     report.lead(
         f"For a first contact, about which nothing is known, {first['method']} achieves "
-        f"|ln(e/e_ref)| <= {first['largest_log_error']:.4f} "
-        "over the whole grid."
+        f"|ln(e/e_ref)| <= {first['largest_log_error']:.4f} over the whole grid."
     )
     for name, error in summary["failed"].items():
         report.text(f"{name} is left out; it ended with: {error}")
@@ -54,9 +53,8 @@ def cor_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Re
     )
     report.text(
         "Orange, the same in each map: the delay at which a closed contact becomes unstable "
-        "without compensation, "
-        "tau = atan(c w_c/k)/w_c with "
-        "w_c^2 = (c^2 + sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2); to first order a bounce has e = 1 there."
+        "without compensation, tau = atan(c w_c/k)/w_c with w_c^2 = (c^2 + sqrt(c^4 + 4 mu^2 "
+        "k^2))/(2 mu^2); to first order a bounce has e = 1 there."
     )
     _random_rigs(report, summary["random_rigs"])
     return report
@@ -98,12 +96,10 @@ def _leaderboard(report: Report, board: Sequence[dict[str, Any]]) -> None:
         header,
         rows,
         "Largest |ln(e/e_ref)| over the grid. Ideal tracking and known delay unless the column "
-        "says otherwise; a dash: not measured; "
-        "lost: some contact of the grid gave no rebound. e <= 1: share of the contacts whose "
-        "rebound is no faster than the approach. "
-        "Energy: the largest energy created by the rig over the energy of approach. Peak force: "
-        "its largest error. "
-        "Time: per tick of one run in a batch, in addition to the numerical model.",
+        "says otherwise; a dash: not measured; lost: some contact of the grid gave no rebound. e "
+        "<= 1: share of the contacts whose rebound is no faster than the approach. Energy: the "
+        "largest energy created by the rig over the energy of approach. Peak force: its largest "
+        "error. Time: per tick of one run in a batch, in addition to the numerical model.",
     )
 
 
@@ -252,8 +248,7 @@ def _random_rigs(report: Report, results: dict[str, dict[str, Any]]) -> None:
         header,
         rows,
         "First contact with the platform's servo: masses of 0.3 to 100 t, 1 to 6 Hz, 2 to 20 ms, "
-        "hits up to 0.1 m off the axis, "
-        "tilted, rotating and sliding with friction. Twist error: error of a body's change of "
-        "velocity relative to that change, the worst "
-        "of both bodies, linear and angular.",
+        "hits up to 0.1 m off the axis, tilted, rotating and sliding with friction. Twist error: "
+        "error of a body's change of velocity relative to that change, the worst of both bodies, "
+        "linear and angular.",
     )

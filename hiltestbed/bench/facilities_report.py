@@ -18,10 +18,9 @@ def facilities_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]
     worst = summary["worst"]
     bare = [w for w in worst if w["treatment"] == "uncompensated" and not w["passive"]]
     report.lead(
-        f"{len(bare)} of {sum(w['treatment'] == 'uncompensated' for w in worst)} driven "
-        f"facilities add energy to a contact without "
-        "compensation; the rows below give the remaining errors with the field's usual "
-        "compensation and with the default."
+        f"{len(bare)} of {sum(w['treatment'] == 'uncompensated' for w in worst)} driven facilities "
+        "add energy to a contact without compensation; the rows below give the remaining errors "
+        "with the field's usual compensation and with the default."
     )
     header = [
         "facility",
@@ -80,9 +79,8 @@ def facilities_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]
     report.table(
         header,
         rows,
-        "Reach and rotation: the smallest over the axes, from home. Delay and compliance: "
-        "measured along the insertion, with feed-forward. "
-        "Cost of a tick with 16 runs on one thread.",
+        "Reach and rotation: the smallest over the axes, from home. Delay and compliance: measured "
+        "along the insertion, with feed-forward. Cost of a tick with 16 runs on one thread.",
     )
     dockings = [r for r in records if r["case"] == "docking"]
     if dockings:

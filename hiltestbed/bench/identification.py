@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.bench.contacts import Bounce, Contact, bounce, grid
+from hiltestbed.bench.contacts import BenchRuns, Contact, bounce, grid
 from hiltestbed.bench.identification_report import identification_report
 from hiltestbed.bench.result import BenchResult
 
@@ -113,7 +113,7 @@ def _again(contact: Contact, noise: float, seed: int, knowledge: str) -> Contact
     )
 
 
-def _axial(result: Bounce) -> tuple[np.ndarray, np.ndarray]:
+def _axial(result: BenchRuns) -> tuple[np.ndarray, np.ndarray]:
     estimate = result.loop.identification
     if estimate is None:
         raise ValueError("the benchmark needs an identification")

@@ -47,9 +47,8 @@ def identification_report(records: Sequence[dict[str, Any]], summary: dict[str, 
     )
     report.text(
         "An unknown delay can be determined only from the instant of touch: during contact, an "
-        "error of the delay is absorbed by c. This "
-        "requires a touch point known to within speed times the error, and a force that rises by "
-        "more than its noise within a tick."
+        "error of the delay is absorbed by c. This requires a touch point known to within speed "
+        "times the error, and a force that rises by more than its noise within a tick."
     )
     return report
 

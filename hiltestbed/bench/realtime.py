@@ -16,7 +16,7 @@ SECONDS, QUICK = 600.0, 2.0  # [s] total time, shared by the measurements
 
 
 @dataclass(frozen=True)
-class Case:
+class LoopLoad:
     """A measurement to be made."""
 
     rate: float
@@ -29,9 +29,9 @@ def realtime(
     """Measure the cycle at several rates; half the time is spent on 1 kHz with a device, the case
     closest to a real run.
     """
-    cases = [Case(rate, device) for rate in RATES for device in (False, True)]
+    cases = [LoopLoad(rate, device) for rate in RATES for device in (False, True)]
     total = QUICK if quick else SECONDS
-    main = Case(1000.0, True)
+    main = LoopLoad(1000.0, True)
     measured: list[Steadiness] = []
     for i, case in enumerate(cases):
         seconds = total * (0.5 if case == main else 0.5 / (len(cases) - 1))
@@ -107,9 +107,8 @@ def _report(measured: list[Steadiness], lines: list[tuple[str, str]]) -> Report:
     report.figure(figure, "Latency of the start of a cycle.")
     report.text(
         "A cycle misses its deadline if its work, or the device's response, is not complete when "
-        "the next one is due. Measure on the "
-        "machine and under the load of its later use; results on an idle machine are not valid "
-        "for a busy one. Processor time taken by a "
-        "hypervisor (steal time) cannot be recovered by any setting of this system."
+        "the next one is due. Measure on the machine and under the load of its later use; results "
+        "on an idle machine are not valid for a busy one. Processor time taken by a hypervisor "
+        "(steal time) cannot be recovered by any setting of this system."
     )
     return report

@@ -241,9 +241,8 @@ def _report(
     report = Report("Throughput")
     report.lead(
         f"One pass of the loop costs {summary['single_run_ratio']:.2f} times its bare physics "
-        f"steps for one run and "
-        f"{summary['batch_ratio']:.2f} times for 64 runs on two threads; one run goes "
-        f"{summary['real_time_factor']:.1f} times real time."
+        f"steps for one run and {summary['batch_ratio']:.2f} times for 64 runs on two threads; one "
+        f"run goes {summary['real_time_factor']:.1f} times real time."
     )
     header = ["runs", "threads", "loop / bare steps", "lowest", "highest", "sim-ticks per second"]
     keys = ("ratio", "ratio_low", "ratio_high")

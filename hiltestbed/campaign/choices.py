@@ -17,7 +17,7 @@ from hiltestbed.frames import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class CaseGroup:
     """One combination of the campaign's choices.
 
     Attributes:
@@ -50,17 +50,17 @@ class Result:
     best: bool = False
 
 
-def choices_of(campaign: LoadedCampaign, table: Any) -> list[Choice]:
+def choices_of(campaign: LoadedCampaign, table: Any) -> list[CaseGroup]:
     """Every combination of the campaign's choices that occurs in its cases; a single one without a
     label if there are no choices.
     """
     keys = [key for key, variation in campaign.spec.vary.items() if not is_numeric(variation)]
     if not keys:
-        return [Choice("", np.ones(table.num_rows, dtype=bool))]
+        return [CaseGroup("", np.ones(table.num_rows, dtype=bool))]
     columns = [table[key].to_pylist() for key in keys]
     combinations = list(zip(*columns, strict=True))
     return [
-        Choice(
+        CaseGroup(
             ", ".join(map(in_words, values)), np.array([case == values for case in combinations])
         )
         for values in dict.fromkeys(combinations)
@@ -82,7 +82,7 @@ def in_words(cell: str) -> str:
 
 
 def results(
-    choices: Sequence[Choice], statuses: np.ndarray, cor: Array, figure: Array
+    choices: Sequence[CaseGroup], statuses: np.ndarray, cor: Array, figure: Array
 ) -> list[Result]:
     """The results of each choice, best first. statuses: ``(n,)`` text; cor, figure: ``(n,)``."""
     out = []

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.campaign.boundary import applies, margin
-from hiltestbed.campaign.choices import Choice
+from hiltestbed.campaign.choices import CaseGroup
 from hiltestbed.campaign.schema import LoadedCampaign, Variation
 from hiltestbed.config.validation import description_of
 from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.report.curves import PALETTE
 from hiltestbed.report.page import new_figure
-from hiltestbed.run_folder.labelled import PALETTE
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 
 HARMLESS = (
@@ -47,7 +47,7 @@ def heat_maps(
     inputs: tuple[Array, Array],
     figures: dict[str, Array],
     name: str,
-    choices: Sequence[Choice],
+    choices: Sequence[CaseGroup],
     worst: bool = False,
 ):
     """Figure `name` over two keys, `(n,)` each, one map per choice, on one colour scale:
@@ -126,7 +126,7 @@ def marginals(
     inputs: dict[str, Array],
     figure: Array,
     name: str,
-    choices: Sequence[Choice],
+    choices: Sequence[CaseGroup],
 ):
     """Median and 5 to 95 % band of a figure ``(n,)`` over each key alone, one line per choice."""
     columns = min(3, len(inputs))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hiltestbed.campaign.choices import Choice, choices_of, in_words, results
+from hiltestbed.campaign.choices import CaseGroup, choices_of, in_words, results
 from hiltestbed.campaign.columns import is_numeric
 from hiltestbed.campaign.schema import FIGURES, LoadedCampaign, Variation
 from hiltestbed.campaign.sensitivity import Sensitivity, explained_share, sensitivity
@@ -110,11 +110,11 @@ def _active(report: Report, cor: Array) -> None:
 
 def _by_choice(
     report: Report,
-    choices: Sequence[Choice],
+    choices: Sequence[CaseGroup],
     statuses: np.ndarray,
     figures: dict[str, Array],
     name: str,
-) -> list[Choice]:
+) -> list[CaseGroup]:
     """A table with one row per choice, best first; returns the choices in that order."""
     if len(choices) < 2:
         return list(choices)
@@ -156,7 +156,7 @@ def _strongest(inputs: dict[str, Array], figure: Array, found: Sensitivity | Non
 def _maps(
     report: Report,
     campaign: LoadedCampaign,
-    choices: Sequence[Choice],
+    choices: Sequence[CaseGroup],
     inputs: dict[str, Array],
     figures: dict[str, Array],
     name: str,
@@ -228,7 +228,7 @@ def _map_caption(
 def _marginals(
     report: Report,
     campaign: LoadedCampaign,
-    choices: Sequence[Choice],
+    choices: Sequence[CaseGroup],
     inputs: dict[str, Array],
     figure: Array,
     name: str,

@@ -20,8 +20,8 @@ from hiltestbed.campaign.structure import structural_keys
 from hiltestbed.config.validation import nearest
 from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError, MissingExtra
+from hiltestbed.report.curves import PALETTE
 from hiltestbed.run_folder.folders import safe_name
-from hiltestbed.run_folder.labelled import PALETTE
 from hiltestbed.run_folder.notebook import html_table
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.scenario.idle import idle_keys

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from hiltestbed.bench import BENCHES, benchmark
 from hiltestbed.cli.options import Json, Out, Sets, overrides
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.process import interrupt
@@ -15,15 +16,6 @@ from hiltestbed.run_folder.folders import free_folder, safe_name
 
 app = typer.Typer()
 
-BENCHES = {  # name of a benchmark, and the module with its function of the same name
-    "cor": "hiltestbed.bench.cor",
-    "diagnosis": "hiltestbed.bench.diagnosis",
-    "facilities": "hiltestbed.bench.facilities",
-    "identification": "hiltestbed.bench.identification",
-    "realtime": "hiltestbed.bench.realtime",
-    "robustness": "hiltestbed.bench.robustness.run",
-    "throughput": "hiltestbed.bench.throughput",
-}
 # benchmarks with a time limit: suffix of the file of what is done
 LASTING = {"diagnosis": ".sets.jsonl", "robustness": ".trials.jsonl"}
 LONG = ", ".join(LASTING)
@@ -64,8 +56,6 @@ def bench(
     hiltestbed bench diagnosis --noise --for 60 --out runs/noise      (repeat the command to
     continue)
     """
-    from importlib import import_module
-
     if name not in BENCHES:
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
     chosen = {
@@ -83,6 +73,7 @@ def bench(
             f"bench {name}: --for and --workers are options of bench {' and '.join(LASTING)} "
             f"only; leave them out"
         )
+    measure = benchmark(name)
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.compiled.warm import tell_of_compiling
     from hiltestbed.process.progress import count_bar
@@ -97,9 +88,7 @@ def bench(
     keep = {"keep": folder.with_name(folder.name + LASTING[name])} if name in LASTING else {}
     try:
         with count_bar(f"bench {name}") as progress:
-            result = getattr(import_module(BENCHES[name]), name)(
-                quick=quick, progress=progress, **chosen, **more, **keep
-            )
+            result = measure(quick=quick, progress=progress, **chosen, **more, **keep)
     except KeyboardInterrupt:
         if not keep:
             raise

@@ -16,7 +16,7 @@ from hiltestbed.compensation.settings import (
 from hiltestbed.config.validation import Problem, Strictly
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
 class Compensation(Strictly):
@@ -31,7 +31,7 @@ class Compensation(Strictly):
         description="How the lag of the platform is compensated",
     )
 
-    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+    def idle(self, scenario: ScenarioLike) -> Iterator[Problem]:
         platform = scenario.rig.platform
         if platform.physical:
             why = (
@@ -45,7 +45,6 @@ class Compensation(Strictly):
             yield (
                 ("motion",),
                 f"{self.motion.kind} feeds velocity and acceleration to the drives, and with "
-                f"tracking {platform.tracking} there are none; "
-                "take tracking servo, or a method that changes the command (inverse_model, "
-                "adaptive_time_series)",
+                f"tracking {platform.tracking} there are none; take tracking servo, or a method "
+                "that changes the command (inverse_model, adaptive_time_series)",
             )

@@ -11,9 +11,9 @@ from hiltestbed.config.validation import Strictly
 from hiltestbed.plugins import OneOf, Registry, placeholder
 
 if TYPE_CHECKING:
-    from hiltestbed.compensation.blocks import Drive, ForceBlock, PoseBlock
+    from hiltestbed.compensation.interfaces import Drive, ForceBlock, PoseBlock
     from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 # What a method may read at t_k: the measured wrench; the pose and twist that the rig reached; the
 # stiffness and damping identified so far; whether the mechanism is captured; the pose and twist of
@@ -42,13 +42,13 @@ class ForceMethod(Strictly):
 
     @classmethod
     @placeholder
-    def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ForceBlock | Drive:
+    def start(cls, scenarios: Sequence[ScenarioLike], model: NumericalModel) -> ForceBlock | Drive:
         """The method for ``n`` runs: a block that corrects the wrench, or a drive that steps
         ``model`` itself.
         """
         raise NotImplementedError
 
-    def removes(self, scenario: Scenario) -> Mapping[str, float]:
+    def removes(self, scenario: ScenarioLike) -> Mapping[str, float]:
         """Name to the delay [s] that it removes from the loop at low frequency, once any contact
         model it needs is identified.
         """
@@ -115,7 +115,7 @@ class MotionMethod(Strictly):
         return bool(self.reads) and not self.corrects_force
 
     @classmethod
-    def start(cls, scenarios: Sequence[Scenario]) -> PoseBlock | None:
+    def start(cls, scenarios: Sequence[ScenarioLike]) -> PoseBlock | None:
         """The method for ``n`` runs; None if the pose is commanded unchanged."""
         return None
 
@@ -136,14 +136,14 @@ Force = TypeVar("Force", bound=ForceMethod)
 Motion = TypeVar("Motion", bound=MotionMethod)
 
 
-def force_of(scenarios: Sequence[Scenario], method: type[Force]) -> list[Force]:
+def force_of(scenarios: Sequence[ScenarioLike], method: type[Force]) -> list[Force]:
     """``compensation.force`` of each scenario, all of class ``method``. Raises TypeError for
     another class.
     """
     return _all_of(method, [s.compensation.force for s in scenarios])
 
 
-def motion_of(scenarios: Sequence[Scenario], method: type[Motion]) -> list[Motion]:
+def motion_of(scenarios: Sequence[ScenarioLike], method: type[Motion]) -> list[Motion]:
     """``compensation.motion`` of each scenario, all of class ``method``. Raises TypeError for
     another class.
     """

@@ -40,9 +40,24 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         except AttributeError:
             return _njit(**options | {"cache": False})(function)
         kept._source_stamp = Mark(function)
+        kept._load_index = _readable(kept._load_index)
         return kernel
 
     return compiled
+
+
+def _readable(load_index: Callable[[], dict]) -> Callable[[], dict]:
+    """An index of cached kernels names the classes of their arguments: without one of them, which
+    an update renamed or moved, there is no kernel that could be taken.
+    """
+
+    def load() -> dict:
+        try:
+            return load_index()
+        except (AttributeError, ImportError):
+            return {}
+
+    return load
 
 
 class Mark:

@@ -25,7 +25,7 @@ def file_kind(source: Source) -> Kind:
 
 
 @dataclass(frozen=True)
-class Findings:
+class FileReport:
     """Result of `hiltestbed check` for a file.
 
     Attributes:
@@ -49,14 +49,14 @@ def check_file(path: str | Path) -> tuple[Kind | None, tuple[Fault, ...]]:
     return found.kind, found.faults
 
 
-def look_at(path: str | Path, set: Mapping[str, Any] | None = None) -> Findings:
+def look_at(path: str | Path, set: Mapping[str, Any] | None = None) -> FileReport:
     """All findings on a file, with dotted keys overridden; the data of a dataset are opened and
     checked against its scenario.
     """
     return _look_at(path, data=True, set=set)
 
 
-def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None) -> Findings:
+def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None) -> FileReport:
     kind: Kind | None = None
     try:
         source = read_source(path).with_set(set)
@@ -65,10 +65,10 @@ def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None)
             source, data
         )
     except InputError as error:
-        return Findings(kind, error.faults or (Fault(str(path), None, None, "", str(error)),))
+        return FileReport(kind, error.faults or (Fault(str(path), None, None, "", str(error)),))
 
 
-def _scenario(source: Source, data: bool) -> Findings:
+def _scenario(source: Source, data: bool) -> FileReport:
     from hiltestbed.config.budget import run_budget
     from hiltestbed.config.models import remarks_on
     from hiltestbed.config.sense import warnings
@@ -78,7 +78,7 @@ def _scenario(source: Source, data: bool) -> Findings:
 
     scenario = scenario_from(source)
     if not data:
-        return Findings("scenario", ())
+        return FileReport("scenario", ())
     said = (
         f"{file}: {text}"
         for file, kind in user_files(scenario).values()
@@ -86,10 +86,10 @@ def _scenario(source: Source, data: bool) -> Findings:
         for text in remarks_on(file)
     )
     remarked = (*_as_warnings(warnings(scenario)), *remarks(scenario.mechanism), *said)
-    return _within(Findings("scenario", (), remarked, run_budget([scenario])), source)
+    return _within(FileReport("scenario", (), remarked, run_budget([scenario])), source)
 
 
-def _campaign(source: Source, data: bool) -> Findings:
+def _campaign(source: Source, data: bool) -> FileReport:
     from hiltestbed.campaign.schema import campaign_from
     from hiltestbed.campaign.sweep import varied_in_vain
     from hiltestbed.config.budget import campaign_budget
@@ -97,18 +97,18 @@ def _campaign(source: Source, data: bool) -> Findings:
 
     campaign = campaign_from(source)
     if not data:
-        return Findings("campaign", ())
+        return FileReport("campaign", ())
     remarked = (*_as_warnings(warnings(campaign.nominal)), *_as_warnings(varied_in_vain(campaign)))
-    return _within(Findings("campaign", (), remarked, campaign_budget(campaign)), source)
+    return _within(FileReport("campaign", (), remarked, campaign_budget(campaign)), source)
 
 
-def _dataset(source: Source, data: bool) -> Findings:
+def _dataset(source: Source, data: bool) -> FileReport:
     from hiltestbed.config.budget import dataset_budget
     from hiltestbed.config.dataset import dataset_from
 
     loaded = dataset_from(source)
     if not data:
-        return Findings("dataset", ())
+        return FileReport("dataset", ())
     from hiltestbed.measured import as_faults, examine
     from hiltestbed.measured.remark import together
 
@@ -117,14 +117,14 @@ def _dataset(source: Source, data: bool) -> Findings:
     remarks = tuple(
         str(remark) for remark in together(r for r in examined.remarks if r.severity != "error")
     )
-    return _within(Findings("dataset", faults, remarks, dataset_budget(loaded)), source)
+    return _within(FileReport("dataset", faults, remarks, dataset_budget(loaded)), source)
 
 
 def _as_warnings(found: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"warning: {text}" for text in found)
 
 
-def _within(found: Findings, source: Source) -> Findings:
+def _within(found: FileReport, source: Source) -> FileReport:
     """The findings, with a fault for each limit that the budget exceeds."""
     over = (
         ()

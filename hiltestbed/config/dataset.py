@@ -54,7 +54,7 @@ class Channel(Strictly):
     )
 
 
-class MeasuredRun(Strictly):
+class RunEntry(Strictly):
     """One file of measured data."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
@@ -84,7 +84,7 @@ class Dataset(Strictly):
         description="file of the facility's scenario, relative to the dataset's folder, or a "
         "shipped name"
     )
-    runs: Annotated[tuple[MeasuredRun, ...], Field(strict=False, min_length=1)] = Field(
+    runs: Annotated[tuple[RunEntry, ...], Field(strict=False, min_length=1)] = Field(
         description="the measured runs, one file each"
     )
     channels: dict[str, Channel] | None = Field(
@@ -157,7 +157,7 @@ def dataset_from(source: Source) -> LoadedDataset:
     return LoadedDataset(spec, Path(source.file), nominal, tuple(scenarios), files)
 
 
-def _data_file(run: MeasuredRun, source: Source) -> Path:
+def _data_file(run: RunEntry, source: Source) -> Path:
     return source.folder / os.path.expandvars(run.file)
 
 

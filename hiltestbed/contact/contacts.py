@@ -5,7 +5,7 @@ latch, mount, applied wrenches.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import mujoco
 import numpy as np
@@ -22,8 +22,17 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotate, rotate_back
 
 if TYPE_CHECKING:
-    from hiltestbed.platform.plant import AppliedForce
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
+
+
+class AppliedForce(Protocol):
+    """A wrench that replaces the contact."""
+
+    def next(self) -> Array:
+        """(6,) wrench at the next physics instant, of active on passive side, in P at P's origin
+        [N, N m].
+        """
+        ...
 
 
 class Contacts:

@@ -73,7 +73,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_mul, rotate_back
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 WIDE = 10.0  # friction coefficient of MuJoCo's cone, which must not act, over the true one
 LEAST = 1e-9  # [m] penetration that MuJoCo is given if a law pushes without penetration

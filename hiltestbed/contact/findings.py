@@ -20,13 +20,13 @@ from hiltestbed.frames import Array, quat_from_attitude_deg, quat_to_mujoco
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 OVERLAP = 1e-6  # [m] overlap of geoms that is tolerated at the start
 LISTED = 6
 
 
-def faults(scenario: Scenario) -> Iterator[str]:
+def faults(scenario: ScenarioLike) -> Iterator[str]:
     """Reasons why the mechanism cannot run: its files, its phases, geoms that overlap at A's
     initial pose.
     """
@@ -53,7 +53,7 @@ def faults(scenario: Scenario) -> Iterator[str]:
         yield from _overlaps(scenario, sides, model)
 
 
-def _overlaps(scenario: Scenario, sides: Sides, model: mujoco.MjModel) -> Iterator[str]:
+def _overlaps(scenario: ScenarioLike, sides: Sides, model: mujoco.MjModel) -> Iterator[str]:
     approach = scenario.approach
     pose = np.array(
         [*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]

@@ -13,7 +13,7 @@ from hiltestbed.contact.engagement import Engagement
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 def latch_limits(scenarios: Sequence[Scenario]) -> Array:

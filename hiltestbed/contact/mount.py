@@ -21,7 +21,7 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_mul, rotate, sin_cos
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 # bodies: the carrier of the force sensor, and the passive side on its mount

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from hiltestbed.contact.description import Phase
     from hiltestbed.contact.sides import Rule
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
 class Contact(Strictly):
@@ -90,7 +90,7 @@ class Mechanism(Strictly):
     flat: ClassVar[bool] = False
     latches: ClassVar[bool] = False
 
-    def idle(self, scenario: Scenario) -> Iterable[Problem]:
+    def idle(self, scenario: ScenarioLike) -> Iterable[Problem]:
         if self.captured and self.contact.friction > 0.0:
             yield (
                 ("contact", "friction"),

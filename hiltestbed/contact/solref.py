@@ -22,7 +22,7 @@ from hiltestbed.contact.composition import inverse_mass
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 NO_DAMPING = -1e-12  # [1/s] MuJoCo reads a solref as direct only when both numbers are negative
 

@@ -89,8 +89,7 @@ class RsiServer(PlatformServer):
         if self.late > self.settings.late_limit:
             self.stopped = (
                 f"{self.late} answers came late or not at all (Timeout "
-                f"{self.settings.late_limit}); the controller ends the "
-                f"correction"
+                f"{self.settings.late_limit}); the controller ends the correction"
             )
 
     def fileno(self) -> int:

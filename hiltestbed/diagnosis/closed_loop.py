@@ -15,8 +15,8 @@ import numpy as np
 
 from hiltestbed.analysis.metrics import settle_ticks
 from hiltestbed.campaign.structure import lockstep_groups
-from hiltestbed.diagnosis.learned_law import Learned
-from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures
+from hiltestbed.diagnosis.conclusion import SimulatedRun
+from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures, Learned
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
@@ -38,18 +38,7 @@ MIN_FITTED_SHARE = 0.01
 
 
 @dataclass(frozen=True)
-class SimulatedRun:
-    """One run, simulated: the nominal and the extended trace, None where the simulation could not
-    be run.
-    """
-
-    run: int
-    nominal: RunTrace | None
-    extended: RunTrace | None
-
-
-@dataclass(frozen=True)
-class Motion:
+class RunSignals:
     """The signals of a run that the figures need: (N,) each, NaN where not measured; None for a
     channel that is absent.
 
@@ -65,7 +54,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Bounce:
+class FirstContact:
     """A contact: before, after: the rows [first, end) from which the speeds are estimated.
     approach_speed, rebound_speed [m/s]: both positive; None where one cannot be estimated.
     """
@@ -125,17 +114,17 @@ def closed_loop(dataset: MeasuredDataset, simulated: Sequence[SimulatedRun]) -> 
     )
 
 
-def measured_motion(run: MeasuredRun) -> Motion:
+def measured_motion(run: MeasuredRun) -> RunSignals:
     """The motion of a measured run."""
     record, spans = run.record, [(c.start, c.end) for c in run.survey.contacts]
     names = ("pose_cmd.pz", "pose_act.pz", "wrench_meas.fz")
     command, reached, force = (
         record.column(name) if name in record.columns() else None for name in names
     )
-    return Motion(record.t, command, reached, force, _first(spans, record.ticks))
+    return RunSignals(record.t, command, reached, force, _first(spans, record.ticks))
 
 
-def trace_motion(trace: RunTrace | None) -> Motion | None:
+def trace_motion(trace: RunTrace | None) -> RunSignals | None:
     """The motion of a simulated run."""
     if trace is None:
         return None
@@ -143,7 +132,7 @@ def trace_motion(trace: RunTrace | None) -> Motion | None:
     command, reached, force = (
         np.ascontiguousarray(trace[g][:, 2]) for g in ("pose_cmd", "pose_act", "wrench_meas")
     )
-    return Motion(
+    return RunSignals(
         trace.t, command, reached, force, _first([(int(a), int(b)) for a, b in edges], len(trace.t))
     )
 
@@ -154,7 +143,7 @@ def _first(spans: Sequence[tuple[int, int]], ticks: int) -> tuple[int, int, int]
     return (*spans[0], spans[1][0] if len(spans) > 1 else ticks)
 
 
-def figures(motion: Motion | None, scenario: Scenario) -> Figures:
+def figures(motion: RunSignals | None, scenario: Scenario) -> Figures:
     """Figures of a run; all None for a run without contact."""
     if motion is None or motion.span is None:
         return Figures()
@@ -168,7 +157,7 @@ def figures(motion: Motion | None, scenario: Scenario) -> Figures:
     return Figures(cor, peak, stiffness, damping)
 
 
-def restitution(motion: Motion, scenario: Scenario) -> float | None:
+def restitution(motion: RunSignals, scenario: Scenario) -> float | None:
     """Rebound speed over approach speed of the first contact; None where either cannot be
     estimated.
 
@@ -181,7 +170,7 @@ def restitution(motion: Motion, scenario: Scenario) -> float | None:
     return rows.rebound_speed / rows.approach_speed
 
 
-def bounce_of(motion: Motion, scenario: Scenario) -> Bounce | None:
+def bounce_of(motion: RunSignals, scenario: Scenario) -> FirstContact | None:
     """The first contact of a motion with the speeds before and after it; None without one."""
     z = motion.command if motion.command is not None else motion.reached
     if z is None or motion.span is None:
@@ -194,7 +183,7 @@ def bounce_of(motion: Motion, scenario: Scenario) -> Bounce | None:
         (first, min(until, len(z), first + window)),
     )
     approach, rebound = _slope(motion.t, z, *before), _slope(motion.t, z, *after)
-    return Bounce(
+    return FirstContact(
         before,
         after,
         None if approach is None or approach <= 0.0 else approach,
@@ -211,7 +200,7 @@ def _slope(t: Array, z: Array, start: int, end: int) -> float | None:
     return float(np.polyfit(t[rows] - t[rows[0]], z[rows], 1)[0])
 
 
-def identified(motion: Motion, scenario: Scenario) -> tuple[float | None, float | None]:
+def identified(motion: RunSignals, scenario: Scenario) -> tuple[float | None, float | None]:
     """k [N/m] and c [N s/m] of F = k x + c v over the first contact, with the reading shifted back
     by the sensor's nominal delay.
 

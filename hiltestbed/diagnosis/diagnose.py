@@ -26,7 +26,7 @@ from hiltestbed.config.dataset import LoadedDataset
 from hiltestbed.diagnosis.find import CLOSING_STEPS, find
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.report.conclude import conclude
-from hiltestbed.diagnosis.result import Diagnosis
+from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.diagnosis.search import Progress
 from hiltestbed.measured import MeasuredDataset, load_dataset
 

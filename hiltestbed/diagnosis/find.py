@@ -23,7 +23,6 @@ from hiltestbed.diagnosis.in_part import confirmed, explained, holding
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
 from hiltestbed.diagnosis.learned.finding import learned_on
-from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.plain import LINK_NAMES, entry, listed
 from hiltestbed.diagnosis.rebound import with_rebounds
@@ -34,6 +33,7 @@ from hiltestbed.diagnosis.result import (
     Heldout,
     Interval,
     Isolable,
+    Learned,
     Parameter,
     Ranked,
 )

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from hiltestbed.diagnosis.result import Cause, Parameter
     from hiltestbed.effects.base import Effect
 
 LINK_NAMES = {
@@ -18,17 +17,6 @@ LINK_NAMES = {
     "compensation": "compensation",
     "dynamics": "numerical model",
 }
-
-
-def cause_json(cause: Cause) -> dict[str, Any]:
-    """A cause as it stands in diagnosis.json."""
-    return {
-        "effect": cause.effect,
-        "parameters": {name: vars(p) for name, p in cause.parameters.items()},
-        "probability": cause.probability,
-        "indistinguishable_from": list(cause.indistinguishable_from),
-        "alternatives": finite(cause.alternatives),
-    }
 
 
 def finite(value: Any) -> Any:
@@ -69,18 +57,3 @@ def listed(parameters: Mapping[str, Any]) -> str:
         )
 
     return ", ".join(f"{name} {text(v)}" for name, v in parameters.items() if v is not None)
-
-
-def estimate_text(parameter: Parameter) -> str:
-    """An estimate with its interval, where it is one number."""
-    estimate, interval = parameter.estimate, parameter.ci95
-    if (
-        not isinstance(estimate, float)
-        or not interval
-        or isinstance(interval[0], tuple)
-        or isinstance(interval[1], tuple)
-    ):
-        return str(estimate)
-    return (
-        f"{estimate:.4g} ({', '.join('open' if end is None else f'{end:.4g}' for end in interval)})"
-    )

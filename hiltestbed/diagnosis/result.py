@@ -1,30 +1,21 @@
 """The result of a diagnosis: the contents of diagnosis.json, as plain records.
 
-`Finding` is what the stage "decide" gives; `Diagnosis` is that with everything that the report
-derives from it.
+`Finding` is what the stage "decide" gives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiltestbed.diagnosis.learned_law import Learned
-from hiltestbed.diagnosis.plain import cause_json, estimate_text, finite, plain
-from hiltestbed.errors import MissingExtra
+from hiltestbed.diagnosis.plain import finite, plain
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from hiltestbed.diagnosis.certainty import Certainty
-    from hiltestbed.diagnosis.closed_loop import SimulatedRun
-    from hiltestbed.measured import MeasuredDataset
-    from hiltestbed.scenario import Scenario
 
 VERDICTS = ("no_discrepancy", "named", "ambiguous", "named_in_part", "unknown", "inconclusive")
 LINKS = ("platform", "contact", "sensor", "compensation", "dynamics", "log")
@@ -40,6 +31,19 @@ class Parameter:
     estimate: float | str | tuple[float, ...]
     ci95: Interval | tuple[Interval, ...] | None
     unit: str = ""
+
+    def text(self) -> str:
+        """The estimate with its interval, where it is one number."""
+        interval = self.ci95
+        if (
+            not isinstance(self.estimate, float)
+            or not interval
+            or isinstance(interval[0], tuple)
+            or isinstance(interval[1], tuple)
+        ):
+            return str(self.estimate)
+        ends = ", ".join("open" if end is None else f"{end:.4g}" for end in interval)
+        return f"{self.estimate:.4g} ({ends})"
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,16 @@ class Cause:
         """As it stands under `effects:` in a scenario."""
         return {"kind": self.effect} | {
             name: plain(p.estimate) for name, p in self.parameters.items()
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """As it stands in diagnosis.json."""
+        return {
+            "effect": self.effect,
+            "parameters": {name: vars(p) for name, p in self.parameters.items()},
+            "probability": self.probability,
+            "indistinguishable_from": list(self.indistinguishable_from),
+            "alternatives": finite(self.alternatives),
         }
 
 
@@ -121,6 +135,67 @@ class Heldout:
         """Its figures, and those of each run in a list."""
         rows = [{"run": run, "before": a, "after": b} for run, (a, b) in self.per_run.items()]
         return vars(self) | {"per_run": rows, "significant": self.significant}
+
+
+@dataclass(frozen=True)
+class LearnedCurve:
+    """One curve of a learned law, and the data for it with all other terms subtracted.
+
+    Attributes:
+        over: its abscissa, a parameter of the effect. knots: (K, 2). data: (M, 2) samples, thinned.
+            units: of both axes.
+    """
+
+    over: str
+    knots: Array
+    data: Array
+    units: tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A law that was learned on a link which no named effects explain.
+
+    Attributes:
+        effect: id. parameters: as in a scenario. link: that it acts on. numbers: how many were
+            fitted.
+        heldout: its gain on left-out runs, beside the named causes. explained: share of the
+            departure there.
+        carries_over: whether the same law holds in all runs, so that the model is extended with it.
+        equation: a short one, or None where none fits. resembles: named effects that remove much
+            the same from the residual.
+    """
+
+    effect: str
+    parameters: Mapping[str, Any]
+    link: str
+    numbers: int
+    heldout: Heldout
+    explained: float
+    carries_over: bool
+    equation: str | None
+    resembles: tuple[str, ...]
+    curves: tuple[LearnedCurve, ...] = ()
+
+    def entry(self) -> dict[str, Any]:
+        """As it stands under `effects:` in a scenario."""
+        return {"kind": self.effect, **self.parameters}
+
+    def to_json(self) -> dict[str, Any]:
+        """As it stands in diagnosis.json; `gain` is the relative reduction of the residual on
+        left-out runs.
+        """
+        return {
+            "effect": self.effect,
+            "gain": self.heldout.reduction,
+            "resembles": list(self.resembles),
+            "equation": self.equation,
+            "parameters": dict(self.parameters),
+            "numbers": self.numbers,
+            "explained": self.explained,
+            "carries_over": self.carries_over,
+            "heldout": self.heldout.to_json(),
+        }
 
 
 @dataclass(frozen=True)
@@ -283,173 +358,3 @@ class Finding:
         if self.learned is not None and self.learns:
             return (*self.causes, self.learned)
         return self.causes if self.names else ()
-
-
-@dataclass(repr=False)
-class Diagnosis:
-    """The result of `diagnose`: what the folder holds, and the data of its figures.
-
-    Attributes:
-        finding: verdict, link, causes, evidence. residuals, closed_loop, experiment: what follows
-            from it.
-        dataset, extended: the data, and the scenario with the named effects (the nominal one where
-            nothing was named).
-        simulated: the simulations of each run.
-    """
-
-    name: str
-    finding: Finding
-    residuals: tuple[ChannelResidual, ...]
-    closed_loop: ClosedLoop
-    experiment: Experiment | None
-    extended: Scenario
-    dataset: MeasuredDataset
-    simulated: tuple[SimulatedRun, ...]
-    remarks: tuple[str, ...] = ()
-    seconds: float | None = None
-
-    def __repr__(self) -> str:
-        causes = ", ".join(cause.effect for cause in self.causes) or "no cause"
-        return f"Diagnosis({self.name}: {self.verdict}, {causes})"
-
-    def _repr_html_(self) -> str:
-        from hiltestbed.run_folder.notebook import html_table
-
-        rows = [
-            (cause.effect, name, estimate_text(p), p.unit, f"{cause.probability:.2f}")
-            for cause in self.causes
-            for name, p in cause.parameters.items()
-        ]
-        header = ("cause", "parameter", "estimate and 95 % interval", "unit", "probability")
-        return html_table(f"{self.name}: {self.verdict}", header, rows, self.next_experiment or "")
-
-    def to_pandas(self) -> Any:
-        """A DataFrame, a row a parameter of a cause: estimate, 95 % interval, unit, probability.
-        Raises MissingExtra.
-        """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise MissingExtra("to_pandas()", "pandas") from None
-        rows = [
-            {
-                "cause": c.effect,
-                "parameter": name,
-                "estimate": p.estimate,
-                "ci95": p.ci95,
-                "unit": p.unit,
-                "probability": c.probability,
-            }
-            for c in self.causes
-            for name, p in c.parameters.items()
-        ]
-        return pd.DataFrame(
-            rows, columns=["cause", "parameter", "estimate", "ci95", "unit", "probability"]
-        )
-
-    def plot(self, channel: str | None = None, axes: Axes | None = None) -> Axes:
-        """A channel as measured and as predicted by its link, nominal and extended, in the run with
-        the largest nominal misfit.
-
-        Args:
-            channel: by default the one with the largest misfit.
-
-        Raises:
-            InputError: no such channel, or no link could be judged.
-        """
-        from hiltestbed.diagnosis.report.pictures import plot_channel
-
-        return plot_channel(self.finding.series, self.compared, self.dataset.names, channel, axes)
-
-    @property
-    def verdict(self) -> str:
-        return self.finding.verdict
-
-    @property
-    def link(self) -> str | None:
-        return self.finding.link
-
-    @property
-    def causes(self) -> tuple[Cause, ...]:
-        return self.finding.causes
-
-    @property
-    def heldout(self) -> Heldout | None:
-        return self.finding.heldout
-
-    @property
-    def compared(self) -> str:
-        """Name of the `extended` prediction of the series: the extended model, the best explanation
-        that is not adequate, or none.
-        """
-        return (
-            "extended"
-            if self.finding.extends
-            else "best explanation"
-            if self.finding.partial
-            else ""
-        )
-
-    @property
-    def overridden(self) -> tuple[str, ...]:
-        """A sentence on each check of the data that the dataset overrides."""
-        from hiltestbed.measured.remark import overrides
-
-        return overrides(self.dataset.remarks)
-
-    @property
-    def next_experiment(self) -> str | None:
-        return self.experiment.text if self.experiment else None
-
-    def to_json(self) -> dict[str, Any]:
-        """The contents of diagnosis.json: plain data without infinities."""
-        from hiltestbed.diagnosis.report.sentence import (
-            learned_sentence,
-            partial_sentence,
-            verdict_sentence,
-        )
-        from hiltestbed.run_folder.versions import versions
-
-        learned = self.finding.learned
-        return finite(
-            {
-                "name": self.name,
-                "verdict": self.verdict,
-                "sentence": verdict_sentence(self),
-                "link": self.link,
-                "causes": [cause_json(c) for c in self.causes],
-                "not_judged": dict(self.finding.not_judged),
-                "left": self.finding.left or None,
-                "explained": self.finding.explained,
-                "learned": learned.to_json() | {"sentence": learned_sentence(learned)}
-                if learned
-                else None,
-                "partial": {
-                    "sentence": partial_sentence(self.finding.partial, self.finding.partial_gain),
-                    "causes": [cause_json(c) for c in self.finding.partial],
-                    "heldout": self.finding.partial_gain.to_json()
-                    if self.finding.partial_gain
-                    else None,
-                },
-                "residuals": [vars(r) for r in self.residuals],
-                "heldout": self.heldout.to_json() if self.heldout else None,
-                "closed_loop": self.closed_loop.to_json(),
-                "next_experiment": self.next_experiment,
-                "next_experiment_runs": list(self.experiment.runs) if self.experiment else [],
-                "extended_scenario": "extended.yaml" if self.finding.extends else None,
-                "ranking": [vars(r) for r in self.finding.ranking],
-                "certainty": [c.to_json() for c in self.finding.certainty],
-                "overridden": list(self.overridden),
-                "unsized": dict(self.finding.unsized),
-                "isolability": [vars(i) for i in self.finding.isolability],
-                "remarks": list(self.remarks),
-                "seconds": self.seconds,
-                "versions": versions(),
-            }
-        )
-
-    def write(self, folder: str | Path) -> Path:
-        """Write the diagnosis folder. Raises InputError where it cannot be written."""
-        from hiltestbed.diagnosis.report.folder import write_diagnosis
-
-        return write_diagnosis(self, folder)

@@ -28,7 +28,7 @@ from hiltestbed.diagnosis.residual import square
 from hiltestbed.diagnosis.settings import MIN_POSE_NOISE
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import MAD_TO_SIGMA
-from hiltestbed.replay.stiction import all_paths
+from hiltestbed.replay.stiction import Followed, Obeying, all_paths
 
 DEPARTURE_SIGMA = 6.0  # chosen: times the noise: a departure that may be a stick
 # chosen: of the departures, over the noise's: a stick of s adds some (s/sigma)^2 / 3; the noise is
@@ -359,7 +359,15 @@ class Data:
         """The paths with the sticks of ``found`` that fit the first ``rows`` best, best first;
         limit: chi-square at most.
         """
-        compared = self._compared(rows)
+        followed = Followed(
+            self.commands,
+            self.goal,
+            self.sigma,
+            self._compared(rows),
+            self.start,
+            self.velocity,
+            self.moves,
+        )
         margin, out, buffer, budget = (
             PATH_MARGIN + ROW_MARGIN * rows,
             [],
@@ -371,19 +379,9 @@ class Data:
         ):
             m, phase, late = found.instants[h]
             count, budget = all_paths(
-                self.commands,
-                self.goal,
-                self.sigma,
-                compared,
-                self.start,
-                self.velocity,
-                self.moves,
-                self.tick,
-                late,
-                m,
-                phase,
-                low,
-                high,
+                followed,
+                Obeying(self.tick, late, m, phase),
+                (low, high),
                 MAX_SAMPLE_CHI2,
                 limit,
                 margin,

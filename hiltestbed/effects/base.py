@@ -18,7 +18,7 @@ from hiltestbed.plugins import placeholder
 
 if TYPE_CHECKING:
     from hiltestbed.effects.search import Candidate, Scales
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 Link = Literal["platform", "contact", "sensor", "compensation", "dynamics", "log"]
 LINKS: tuple[Link, ...] = ("platform", "contact", "sensor", "compensation", "dynamics", "log")
@@ -119,13 +119,13 @@ class Effect(Strictly):
         """
         raise NotImplementedError
 
-    def worth(self, scenario: Scenario, frequency: float) -> float | None:
+    def worth(self, scenario: ScenarioLike, frequency: float) -> float | None:
         """Its equivalent delay [s] in a contact of ``frequency`` [rad/s]; None: it does not act as
         a delay.
         """
         return None
 
-    def unfit(self, scenario: Scenario) -> str | None:
+    def unfit(self, scenario: ScenarioLike) -> str | None:
         """Why it cannot act in ``scenario``, and what it would need; None if it can act."""
         return None
 

@@ -7,13 +7,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hiltestbed.config.validation import Strictly
 from hiltestbed.frames import Array
 from hiltestbed.plugins import OneOf, Registry, placeholder
 
 if TYPE_CHECKING:
-    from hiltestbed.identification.samples import ContactSamples
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
+
+
+class SampleSource(Protocol):
+    """Where an estimator takes its contact samples from: what the loop tells it.
+
+    Attributes:
+        captured: ``(n,)`` whether the mechanism is captured. steps: ``(n,)`` capture phases begun.
+    """
+
+    captured: NDArray[np.bool_]
+    steps: NDArray[np.int64]
 
 
 class Identification(Protocol):
@@ -25,7 +38,7 @@ class Identification(Protocol):
         source: of its contact samples.
     """
 
-    source: ContactSamples
+    source: SampleSource
 
     stiffness: Array
     damping: Array
@@ -54,7 +67,7 @@ class Identifier(Strictly):
 
     @classmethod
     @placeholder
-    def start(cls, scenarios: Sequence[Scenario]) -> Identification | None:
+    def start(cls, scenarios: Sequence[ScenarioLike]) -> Identification | None:
         """The estimator for ``n`` runs; None if nothing is estimated."""
         raise NotImplementedError
 
@@ -66,7 +79,7 @@ AnyIdentifier = Annotated[Identifier, OneOf(IDENTIFIERS)]
 Own = TypeVar("Own", bound=Identifier)
 
 
-def identifier_of(scenarios: Sequence[Scenario], method: type[Own]) -> list[Own]:
+def identifier_of(scenarios: Sequence[ScenarioLike], method: type[Own]) -> list[Own]:
     """``identification`` of each scenario, all of class ``method``. Raises TypeError for another
     class.
     """

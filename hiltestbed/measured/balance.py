@@ -64,8 +64,7 @@ def imbalances(
 def _seen(pair: Momentum, change: str) -> tuple[str, dict[str, float]]:
     text = (
         f"does not explain the motion of {pair.pose} ({100 * max(pair.explained, 0.0):.0f} % of "
-        f"it); {change} it explains "
-        f"{100 * pair.explained_in_order:.0f} %"
+        f"it); {change} it explains {100 * pair.explained_in_order:.0f} %"
     )
     return text, {"explained": pair.explained, "explained_in_order": pair.explained_in_order}
 

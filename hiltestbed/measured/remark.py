@@ -121,7 +121,6 @@ def _override(check: str, alike: list[Remark]) -> str:
     )
     return (
         f"The dataset overrides a check (accept: [{check}]): {channels} in {runs}. The data are "
-        f"used as they were recorded: nothing is "
-        "turned, scaled or exchanged. They are assumed to be right, and the estimates on these "
-        "channels are worth no more than that."
+        "used as they were recorded: nothing is turned, scaled or exchanged. They are assumed to "
+        "be right, and the estimates on these channels are worth no more than that."
     )

@@ -10,7 +10,7 @@ import numpy as np
 from hiltestbed.frames import Array, quat_from_attitude_deg, rotation_matrix
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
     from hiltestbed.scenario.spacecraft import Body
 
 
@@ -25,7 +25,7 @@ def port_pose(body: Body) -> Array:
     return np.concatenate([body.port.position, quat_from_attitude_deg(body.port.attitude_deg)])
 
 
-def approach_state(scenario: Scenario) -> Array:
+def approach_state(scenario: ScenarioLike) -> Array:
     """``(13,)``: pose of A in P and relative twist in P at t = 0."""
     a = scenario.approach
     position = [a.offset[0], a.offset[1], -a.gap]
@@ -34,7 +34,7 @@ def approach_state(scenario: Scenario) -> Array:
     )
 
 
-def effective_mass(scenario: Scenario) -> float:
+def effective_mass(scenario: ScenarioLike) -> float:
     """Reduced mass [kg] of both bodies along the line of approach at P's origin, lever arms
     included.
 
@@ -90,7 +90,7 @@ def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
     return np.concatenate([linear.sum(axis=-2), angular.sum(axis=-2)], axis=-1)
 
 
-def mobility(scenario: Scenario) -> Array:
+def mobility(scenario: ScenarioLike) -> Array:
     """``(6, 6)`` M^-1: relative acceleration of A's origin per unit wrench there between both
     bodies, in P, at the nominal touch.
     """

@@ -39,7 +39,7 @@ from hiltestbed.numerical_model.parameters import (
 from hiltestbed.numerical_model.resistance import resist_between, resist_bodies
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
 class NumericalModel:
@@ -57,7 +57,9 @@ class NumericalModel:
         ended: runs whose model has ended the simulation by itself, each with the reason.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], departures: Departures | None = None) -> None:
+    def __init__(
+        self, scenarios: Sequence[ScenarioLike], departures: Departures | None = None
+    ) -> None:
         """``departures``: of the model that runs from the nominal one; by default from the effects
         of the scenarios.
         """

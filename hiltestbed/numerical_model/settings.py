@@ -12,7 +12,7 @@ from hiltestbed.plugins import OneOf, Registry, placeholder
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
 class ModelKind(Strictly):
@@ -30,7 +30,7 @@ class ModelKind(Strictly):
 
     @classmethod
     @placeholder
-    def start(cls, scenarios: Sequence[Scenario]) -> NumericalModel:
+    def start(cls, scenarios: Sequence[ScenarioLike]) -> NumericalModel:
         """The model for ``n`` runs, at the start of the approach. Raises InputError."""
         raise NotImplementedError
 

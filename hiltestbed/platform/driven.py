@@ -23,8 +23,8 @@ from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_history, read_wrench
 
 if TYPE_CHECKING:
-    from hiltestbed.platform.plant import AppliedForce
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.contact.contacts import AppliedForce
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 # [kg] half the effective mass at a point of the platform: its viscous friction cannot reverse a

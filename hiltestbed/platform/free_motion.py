@@ -5,7 +5,7 @@ nothing is commanded.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -16,8 +16,17 @@ from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
 
 if TYPE_CHECKING:
-    from hiltestbed.loop import RigSide
     from hiltestbed.scenario import Scenario
+
+
+class MovedBodies(Protocol):
+    """What is read of a plant whose bodies move freely: pose ``(n, 7)``, twist ``(n, 6)``, and the
+    wrench ``(n, substeps, 6)`` of each physics step.
+    """
+
+    pose_act: Array
+    twist_act: Array
+    wrench_sub: Array
 
 
 class FreeMotion:
@@ -27,7 +36,7 @@ class FreeMotion:
     That wrench is a view of the plant's array, which may be filled only after the tick has begun.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], plant: RigSide) -> None:
+    def __init__(self, scenarios: Sequence[Scenario], plant: MovedBodies) -> None:
         start = np.array([approach_state(s) for s in scenarios])
         self.pose: Array = start[:, :7].copy()
         self.twist: Array = start[:, 7:].copy()

@@ -25,8 +25,8 @@ from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_wrench
 
 if TYPE_CHECKING:
-    from hiltestbed.platform.plant import AppliedForce
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.contact.contacts import AppliedForce
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 @njit(cache=True)

@@ -12,7 +12,7 @@ from hiltestbed.plugins import Registry, kind_of, placeholder
 
 if TYPE_CHECKING:
     from hiltestbed.platform.facilities.facility import Facility
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 class Platform(Strictly):

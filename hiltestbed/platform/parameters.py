@@ -14,7 +14,7 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.drive import NUMBERS
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 @dataclass

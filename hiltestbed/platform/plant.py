@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -26,7 +26,8 @@ from hiltestbed.platform.ideal import IdealTracking
 from hiltestbed.platform.prs3.nine_axes import NineAxes
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.contact.contacts import AppliedForce
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 def structure(scenario: Scenario) -> Structure:
@@ -53,16 +54,6 @@ def alike(scenario: Scenario) -> Hashable:
         platform.tracking,
         above,
     )
-
-
-class AppliedForce(Protocol):
-    """A wrench that replaces the contact."""
-
-    def next(self) -> Array:
-        """(6,) wrench at the next physics instant, of active on passive side, in P at P's origin
-        [N, N m].
-        """
-        ...
 
 
 class Plant:

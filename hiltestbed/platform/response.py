@@ -23,7 +23,7 @@ from hiltestbed.platform.parameters import PlatformParameters, stack
 from hiltestbed.platform.step_response import longest_memory, summed_over
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 # state of an axis [m]: outputs of speed limit, play and stiction
 LIMITED, PLAYED, HELD, MEMORY = 0, 1, 2, 3

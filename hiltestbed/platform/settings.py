@@ -12,12 +12,12 @@ from hiltestbed.platform.kinds import PLATFORMS, Platform
 from hiltestbed.plugins import OneOf
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 AnyPlatform = Annotated[Platform, OneOf(PLATFORMS, default="pss33")]
 
 
-class UpperPlatform(Strictly):
+class UpperSettings(Strictly):
     """The support of the passive side and the force sensor."""
 
     kind: Literal["fixed", "prs3"] = Field(
@@ -31,7 +31,7 @@ class UpperPlatform(Strictly):
         "exactly at its planned pose",
     )
 
-    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+    def idle(self, scenario: ScenarioLike) -> Iterator[Problem]:
         if self.kind == "fixed":
             yield ("tracking",), "the upper platform's kind is fixed: there is none; take kind prs3"
 
@@ -43,6 +43,6 @@ class Rig(Strictly):
         default_factory=lambda: PLATFORMS["pss33"].model_validate({"kind": "pss33"}),
         description="The motion platform that carries the active side",
     )
-    upper: UpperPlatform = Field(
-        default=UpperPlatform(), description="Support of the passive side and the force sensor"
+    upper: UpperSettings = Field(
+        default=UpperSettings(), description="Support of the passive side and the force sensor"
     )

@@ -34,7 +34,7 @@ NEEDED = (
 
 
 @dataclass(frozen=True)
-class Finding:
+class Examined:
     """One check: its subject, its result, whether that is good, and whether hiltestbed needs it."""
 
     what: str
@@ -43,26 +43,26 @@ class Finding:
     needed: bool = True
 
 
-def examine() -> list[Finding]:
+def examine() -> list[Examined]:
     """Versions, optional packages, cores, compiled kernels, viewer and plugins."""
-    found = [Finding("python", sys.version.split()[0], sys.version_info >= (3, 11))]
+    found = [Examined("python", sys.version.split()[0], sys.version_info >= (3, 11))]
     found += [_package(name) for name in ("hiltestbed", *NEEDED)]
     found += [_extra(name, *about) for name, about in EXTRAS.items()]
-    found.append(Finding("cores", str(cores()), True))
+    found.append(Examined("cores", str(cores()), True))
     found += [_cache(), _viewer(), _plugins()]
     return found
 
 
-def _package(name: str) -> Finding:
+def _package(name: str) -> Examined:
     try:
-        return Finding(name, version(name), True)
+        return Examined(name, version(name), True)
     except PackageNotFoundError:
-        return Finding(name, "is not installed; pip install hiltestbed installs it", False)
+        return Examined(name, "is not installed; pip install hiltestbed installs it", False)
 
 
-def _extra(name: str, purpose: str, extra: str) -> Finding:
+def _extra(name: str, purpose: str, extra: str) -> Examined:
     here = find_spec(name) is not None
-    return Finding(
+    return Examined(
         name,
         f"{purpose}" if here else f"not installed ({purpose}); pip install 'hiltestbed[{extra}]'",
         here,
@@ -70,18 +70,18 @@ def _extra(name: str, purpose: str, extra: str) -> Finding:
     )
 
 
-def _cache() -> Finding:
+def _cache() -> Examined:
     from hiltestbed.compiled.warm import cache_folder, compiled
 
     folder = cache_folder()
     above = next(path for path in (folder, *folder.parents) if path.exists())
     if not os.access(above, os.W_OK):
-        return Finding(
+        return Examined(
             "compiled kernels",
             f"{folder} cannot be written: every run compiles again; set NUMBA_CACHE_DIR",
             False,
         )
-    return Finding(
+    return Examined(
         "compiled kernels",
         f"in {folder}"
         if compiled()
@@ -90,7 +90,7 @@ def _cache() -> Finding:
     )
 
 
-def _viewer() -> Finding:
+def _viewer() -> Examined:
     display = sys.platform != "linux" or bool(
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     )
@@ -99,15 +99,15 @@ def _viewer() -> Finding:
         if display
         else "no display: `hiltestbed view` needs one; report.html only needs a browser"
     )
-    return Finding("viewer", state, display, needed=False)
+    return Examined("viewer", state, display, needed=False)
 
 
-def _plugins() -> Finding:
+def _plugins() -> Examined:
     from hiltestbed import plugins
     from hiltestbed.errors import InputError
 
     try:
         plugins.load()
     except InputError as error:
-        return Finding("plugins", str(error), False)
-    return Finding("plugins", ", ".join(plugins.loaded()) or "none", True)
+        return Examined("plugins", str(error), False)
+    return Examined("plugins", ", ".join(plugins.loaded()) or "none", True)

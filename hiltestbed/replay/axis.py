@@ -9,6 +9,7 @@ half a minute can be fitted in seconds.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,44 +39,47 @@ def replay_axis(
     """
     d = model.departures
     out = np.zeros((len(run), force.shape[1]))
-    _replay_axis(
-        force,
-        np.asarray(place),
-        np.asarray(speed),
+    lanes = AxisLanes(
         np.asarray(run),
         np.asarray(rows),
+        np.asarray(place),
+        np.asarray(speed),
         model.whole,
         model.rigid,
-        model.tick,
         d.appendage,
         d.force,
         d.explicit,
         d.late + d.stamp / model.tick,
-        np.zeros((*d.appendage.shape[1:3], 2)),
-        np.zeros(force.shape[1] + 1),
-        out,
     )
+    swing = np.zeros((*d.appendage.shape[1:3], 2))
+    _replay_axis(force, lanes, model.tick, swing, np.zeros(force.shape[1] + 1), out)
     return out
 
 
+class AxisLanes(NamedTuple):
+    """What :func:`_replay_axis` is given of L lanes and R runs.
+
+    Attributes:
+        run: (L,) of each lane. rows, place, speed: (R,) of each run, see :func:`replay_axis`.
+        whole, rigid, appendage, laws, explicit: of each lane, see
+            :class:`~hiltestbed.replay.numerical_model.Departing`. late: (L,) ticks.
+    """
+
+    run: np.ndarray
+    rows: np.ndarray
+    place: Array
+    speed: Array
+    whole: Array
+    rigid: Array
+    appendage: Array
+    laws: Array
+    explicit: np.ndarray
+    late: Array
+
+
 @njit(cache=True)
-def _replay_axis(
-    force,
-    place,
-    speed,
-    run,
-    rows,
-    whole,
-    rigid,
-    h,
-    appendage,
-    laws,
-    explicit,
-    late,
-    swing,
-    way,
-    out,
-):
+def _replay_axis(force, lanes, h, swing, way, out):
+    run, rows, place, speed, whole, rigid, appendage, laws, explicit, late = lanes
     v, tau = np.empty(2), np.empty(2)
     for i in range(len(run)):
         r, n, at_start = run[i], rows[run[i]], speed[run[i]]

@@ -109,9 +109,8 @@ class Felt:
         )
         _slopes(self.poses, self.before, self.tick, twists)
         object.__setattr__(self, "twists", twists)
-        _meet(
-            *self.geometry, self.lever, self.blunt, self.poses, self.ends, self.before, clear, *met
-        )
+        levers = (self.lever, self.blunt)
+        _meet(tuple(self.geometry), levers, self.poses, self.ends, self.before, clear, met)
         object.__setattr__(self, "clear", clear)
         object.__setattr__(self, "met", met)
 
@@ -128,12 +127,12 @@ class Felt:
 
 
 @njit(cache=True)
-def _meet(
-    index, values, lever, blunt, poses, twists, before, clear, depth, rate, point, normal, slip
-):
+def _meet(geometry, levers, poses, twists, before, clear, met):
     """Contact geometry at each row, and a lower bound of the surfaces' distance in the tick that
     ends there.
     """
+    index, values = geometry
+    depth, rate, point, normal, slip = met
     count = depth.shape[2]
     frames, motions, work, p = (
         np.zeros((2, 7)),
@@ -142,7 +141,8 @@ def _meet(
         np.ones((max(count, 1), PARAMETERS)),
     )
     frames[1, 6] = 1.0
-    p[:, LEVER], p[:, BLUNT], p[:, OFFSET] = lever, blunt, -NEAR
+    p[:, LEVER], p[:, BLUNT] = levers
+    p[:, OFFSET] = -NEAR
     longest = arm(values, count)
     for r in range(poses.shape[0]):
         nearest = -np.inf

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -38,12 +38,15 @@ def replay_model(
     """
     d, n = model.departures, len(run)
     part = np.maximum(d.explicit.astype(float), 0.0 if old is None else old)
-    q, v, tau = np.zeros((n, 2, 7)), np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
+    state = (
+        np.zeros((n, 2, 7)),
+        np.zeros((n, 2, 6)),
+        np.zeros((n, 2, 6)),
+        np.zeros((*d.appendage.shape[:3], 2, 3)),
+        np.zeros((n, int(d.late.max()) + 1, 13)),
+    )
     out = np.empty((n, wrench.shape[1], 7))
-    handed = np.zeros((n, int(d.late.max()) + 1, 13))
-    swinging = np.zeros((*d.appendage.shape[:3], 2, 3))
-    _replay_model(
-        wrench,
+    lanes = ModelLanes(
         np.asarray(run),
         model.approach,
         model.port,
@@ -51,21 +54,36 @@ def replay_model(
         model.rigid,
         model.inertia,
         np.linalg.inv(model.inertia),
-        model.tick,
         d.appendage,
         model.placed,
         model.rest,
         d.force,
         part,
         d.late,
-        q,
-        v,
-        tau,
-        swinging,
-        handed,
-        out,
     )
+    _replay_model(wrench, lanes, model.tick, state, out)
     return out
+
+
+class ModelLanes(NamedTuple):
+    """What :func:`_replay_model` is given of L lanes: as in :class:`Departing`, with the inverse of
+    ``inertia``, the resistances ``force``, the weight ``old`` (L,) of the old twist, and ``late``
+    (L,) in ticks.
+    """
+
+    run: np.ndarray
+    approach: Array
+    port: Array
+    whole: Array
+    rigid: Array
+    inertia: Array
+    inverse: Array
+    appendage: Array
+    placed: np.ndarray
+    rest: Array
+    force: Array
+    old: Array
+    late: np.ndarray
 
 
 class Departing:
@@ -95,29 +113,10 @@ class Departing:
 
 
 @njit(cache=True)
-def _replay_model(
-    wrench,
-    run,
-    approach,
-    port,
-    whole,
-    rigid,
-    inertia,
-    inverse,
-    h,
-    appendage,
-    placed,
-    rest,
-    force,
-    old,
-    late,
-    q,
-    v,
-    tau,
-    swinging,
-    handed,
-    out,
-):
+def _replay_model(wrench, lanes, h, state, out):
+    run, approach, port, whole, rigid, inertia, inverse, appendage, placed, rest = lanes[:10]
+    force, old, late = lanes[10:]
+    q, v, tau, swinging, handed = state
     n = len(run)
     pose, twist, push, before = (
         np.empty((n, 7)),

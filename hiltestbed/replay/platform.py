@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,13 +21,59 @@ from hiltestbed.platform.response import (
     follow,
     second_order,
 )
-from hiltestbed.replay.stiction import commanded, stick_to
+from hiltestbed.replay.stiction import Obeying, commanded, stick_to
 
 if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
     from hiltestbed.scenario import Scenario
 
 WHOLE = 1e-9  # ticks within which a delay counts as a whole number
+
+
+class Lanes(NamedTuple):
+    """What :func:`_replay` is given of L lanes, of which each replays a ``run``.
+
+    Attributes:
+        start, velocity: (L, 3) of the approach. late: (L,) ticks from a command to the platform's
+            answer; at_start: the part of it that the log adds.
+        parts, steps: (L, M) ends of the steps as fractions of a tick, and their durations [s];
+            count: (L,) their number; moves: (L,) those that end at an instant; phase: (L,) of the
+            instants.
+        step, speed, play, stick, scale, drive: see
+            :class:`~hiltestbed.platform.parameters.PlatformParameters`.
+        lag, mode: (L, M, S, 5) propagators over each step; lag_long, mode_long: over the groups of
+            steps that end at ``ends`` (L, 4), of the durations ``long`` (L, 3) [s]; lag_first,
+            mode_first: over ``begun`` (L,) [s], by which the log is early. w: (L, S) [rad/s].
+        eager: (L,) whether responses start with the approach's rate.
+    """
+
+    run: np.ndarray
+    start: Array
+    velocity: Array
+    late: Array
+    at_start: Array
+    parts: Array
+    count: np.ndarray
+    steps: Array
+    step: Array
+    speed: Array
+    play: Array
+    stick: Array
+    scale: Array
+    drive: Array
+    lag: Array
+    mode: Array
+    ends: np.ndarray
+    long: Array
+    lag_long: Array
+    mode_long: Array
+    w: Array
+    begun: Array
+    lag_first: Array
+    mode_first: Array
+    moves: np.ndarray
+    phase: Array
+    eager: Array
 
 
 def replay_platform(
@@ -80,12 +126,10 @@ def replay_platform(
         _kernels(x, begun[:, None], once, base) for x, base in ((p.lag, 0.0), (p.mode, 1.0))
     )
     out = np.empty((len(run), commands.shape[1], 3))
-    _replay(
-        commands,
+    lanes = Lanes(
         np.asarray(run),
         start,
         velocity,
-        tick,
         late,
         at_start / tick,
         parts,
@@ -110,8 +154,8 @@ def replay_platform(
         moves,
         phase,
         p.begun,
-        out,
     )
+    _replay(commands, tick, lanes, out)
     return out
 
 
@@ -167,38 +211,11 @@ def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Ar
 
 
 @njit(cache=True)
-def _replay(
-    commands,
-    run,
-    start,
-    velocity,
-    h,
-    late,
-    at_start,
-    parts,
-    count,
-    steps,
-    response,
-    speed,
-    play,
-    stick,
-    scale,
-    drive,
-    lag,
-    mode,
-    ends,
-    long,
-    lag_long,
-    mode_long,
-    w,
-    begun,
-    lag_first,
-    mode_first,
-    moves,
-    phase,
-    eager,
-    out,
-):
+def _replay(commands, h, lanes, out):
+    run, start, velocity, late, at_start = lanes[:5]
+    parts, count, steps, response, speed, play, stick, scale, drive, lag, mode = lanes[5:16]
+    ends, long, lag_long, mode_long, w, begun, lag_first, mode_first = lanes[16:24]
+    moves, phase, eager = lanes[24:]
     driven = np.zeros(STATE)
     saved = np.zeros((len(w[0]), 2))
     lagged, shaken, memory = (
@@ -206,6 +223,7 @@ def _replay(
         np.zeros((mode.shape[2], 2)),
         np.zeros(MEMORY),
     )
+    state = (lagged, shaken, saved, memory)
     sums = np.zeros(commands.shape[1] + 1)
     for i in range(len(run)):
         for axis in range(3):
@@ -232,10 +250,7 @@ def _replay(
                     held,
                     start[i, axis],
                     velocity[i, axis],
-                    h,
-                    late[i],
-                    moves[i],
-                    phase[i],
+                    Obeying(h, late[i], moves[i], phase[i]),
                     stick[i],
                     scale[i, axis],
                     out[i, :, axis],
@@ -300,16 +315,11 @@ def _replay(
                             before,
                             after,
                             long[i, piece - 1],
-                            speed[i],
-                            play[i],
-                            stick[i],
+                            (speed[i], play[i], stick[i]),
                             lag_long[i, piece - 1],
                             mode_long[i, piece - 1],
                             w[i],
-                            lagged,
-                            shaken,
-                            saved,
-                            memory,
+                            state,
                         ):
                             before, reached, s = after, memory[HELD], ends[i, piece]
                             continue
@@ -356,9 +366,7 @@ def _sticks_alone(speed, play, stick, drive, lag, mode):
 
 
 @njit(cache=True)
-def _held_throughout(
-    before, after, h, speed, play, stick, lag, mode, w, lagged, shaken, saved, memory
-):
+def _held_throughout(before, after, h, bounds, lag, mode, w, state):
     """Whether a platform with stiction provably keeps its position over h, in which its command is
     straight; its state is then advanced, otherwise unchanged.
 
@@ -366,7 +374,13 @@ def _held_throughout(
     z', and w^2 z^2 + z'^2 never grows: |y'| stays below L = |u'| + sqrt(w^2 z^2 + z'^2) at the
     start. Between two instants y is therefore no further from the held position than at the nearer
     one plus L h/2. A speed limit must not act meanwhile, nor play with a response that may reverse.
+
+    Args:
+        bounds: speed limit [m/s], play and stick [m]. state: of lags and modes, a copy of both, and
+            of the rest.
     """
+    speed, play, stick = bounds
+    lagged, shaken, saved, memory = state
     if speed < np.inf and (memory[LIMITED] != before or abs(after - before) > speed * h):
         return False
     rate = (after - before) / h

@@ -7,10 +7,12 @@ m. Between two rows the command is straight, so that the instant of the next jum
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
+from hiltestbed.frames import Array
 
 # chosen: of the time between two instants: within it a bend of the command lies on one
 ON_AN_INSTANT = 1e-9
@@ -61,11 +63,41 @@ def held_after(held, before, after, a, b, instants, phase, stick, limit):
     return held, limit
 
 
+class Obeying(NamedTuple):
+    """When a platform obeys: tick ``h`` [s], delay ``late`` [ticks], number of ``instants`` in a
+    tick, and their ``phase``.
+    """
+
+    h: float
+    late: float
+    instants: int
+    phase: float
+
+
+class Followed(NamedTuple):
+    """Axes that were commanded and measured.
+
+    Attributes:
+        commands: (R, N, 3) [m]. goal, sigma: (R, N, 3) [m] where the axes were measured, and their
+            noise. rows: (R,) that are compared.
+        start, velocity: (R, 3) of the approach. moves: (R, 3) the axes that are compared.
+    """
+
+    commands: Array
+    goal: Array
+    sigma: Array
+    rows: np.ndarray
+    start: Array
+    velocity: Array
+    moves: np.ndarray
+
+
 @njit(cache=True, inline="always")
-def held_after_tick(held, command, start, velocity, k, late, h, instants, phase, stick, limit):
+def held_after_tick(held, command, start, velocity, k, obeying, stick, limit):
     """:func:`held_after` over the tick from k to k + 1 of a command that is obeyed ``late``
     [ticks]; it bends once in between.
     """
+    h, late, instants, phase = obeying
     bend = late - math.floor(late)
     before = commanded(command, start, velocity, k - late, h)
     after = commanded(command, start, velocity, k + 1 - late, h)
@@ -77,36 +109,19 @@ def held_after_tick(held, command, start, velocity, k, late, h, instants, phase,
 
 
 @njit(cache=True)
-def stick_to(command, held, start, velocity, h, late, instants, phase, stick, scale, out):
+def stick_to(command, held, start, velocity, obeying, stick, scale, out):
     """Write to ``out`` (N,) where an axis that is first ``held`` [m] stands in each row, times
     ``scale``.
     """
     out[0] = held
     for k in range(len(out) - 1):
-        held, _ = held_after_tick(
-            held, command, start, velocity, k, late, h, instants, phase, stick, np.inf
-        )
+        held, _ = held_after_tick(held, command, start, velocity, k, obeying, stick, np.inf)
         out[k + 1] = scale * held
 
 
 @njit(cache=True)
-def _misfit(
-    commands,
-    goal,
-    sigma,
-    rows,
-    start,
-    velocity,
-    moves,
-    h,
-    late,
-    instants,
-    phase,
-    stick,
-    most,
-    limit,
-    held,
-):
+def _misfit(followed, obeying, stick, most, limit, held):
+    commands, goal, sigma, rows, start, velocity, moves = followed
     total, same, done = 0.0, np.inf, 0
     for r in range(len(rows)):
         for a in range(3):
@@ -116,18 +131,9 @@ def _misfit(
                 if moves[r, a]:
                     z = (goal[r, k, a] - held[a]) / sigma[r, k, a]
                     total += min(z * z, most)
+                    command = commands[r, :, a]
                     held[a], same = held_after_tick(
-                        held[a],
-                        commands[r, :, a],
-                        start[r, a],
-                        velocity[r, a],
-                        k,
-                        late,
-                        h,
-                        instants,
-                        phase,
-                        stick,
-                        same,
+                        held[a], command, start[r, a], velocity[r, a], k, obeying, stick, same
                     )
             done += 1
             if total > limit:
@@ -136,39 +142,14 @@ def _misfit(
 
 
 @njit(cache=True)
-def all_paths(
-    commands,
-    goal,
-    sigma,
-    rows,
-    start,
-    velocity,
-    moves,
-    h,
-    late,
-    instants,
-    phase,
-    low,
-    high,
-    most,
-    limit,
-    margin,
-    speed,
-    budget,
-    out,
-):
-    """Every path that runs can take with a stick from ``low`` up to ``high`` [m], one after the
-    other.
+def all_paths(followed, obeying, sticks, most, limit, margin, speed, budget, out):
+    """Every path that runs can take with a stick in the range ``sticks`` [m], one after the other.
 
     A path changes only where the stick passes the length of one of its jumps. So each replay tells
     up to which stick it is the same.
 
     Args:
-        commands: (R, N, 3) [m]. goal, sigma: (R, N, 3) [m] where the axes were measured, and their
-            noise. rows: (R,) that are compared.
-        start, velocity: (R, 3) of the approach. moves: (R, 3) the axes that are compared.
-        h: tick [s]. late: by which commands are obeyed [ticks]. instants, phase: at which the
-            platform may move.
+        followed, obeying: the axes and their platform.
         most: chi-square of one sample at most. limit: chi-square beyond which a path is left; it
             falls with each path to its chi-square
         and ``margin``. speed: of the commands [m] a row, which over the stick is the number of
@@ -179,30 +160,15 @@ def all_paths(
     Returns:
         The number of paths written to ``out``, and what is left of the budget.
     """
-    count, stick, held = 0, low, np.empty(3)
+    stick, high = sticks
+    count, held = 0, np.empty(3)
     while stick < high and count < len(out) and budget > 0.0:
-        chi2, same, done = _misfit(
-            commands,
-            goal,
-            sigma,
-            rows,
-            start,
-            velocity,
-            moves,
-            h,
-            late,
-            instants,
-            phase,
-            stick,
-            most,
-            limit,
-            held,
-        )
+        chi2, same, done = _misfit(followed, obeying, stick, most, limit, held)
         same = max(same, stick * (1.0 + 1e-12))  # beyond round-off
         if chi2 < np.inf:
             out[count, 0], out[count, 1], out[count, 2] = stick, min(same, high), chi2
             count += 1
             limit = min(limit, chi2 + margin)
-        budget -= done * (1.0 + min(float(instants), speed / stick))
+        budget -= done * (1.0 + min(float(obeying.instants), speed / stick))
         stick = same
     return count, budget

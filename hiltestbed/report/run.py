@@ -19,8 +19,8 @@ from hiltestbed.analysis.assessment import (
     monitored,
 )
 from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.report.curves import PALETTE, shade_contacts
 from hiltestbed.report.page import Report, new_figure, provenance
-from hiltestbed.run_folder.labelled import PALETTE, shade_contacts
 from hiltestbed.run_folder.notebook import number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario

@@ -16,7 +16,7 @@ from hiltestbed.analysis.assessment import assess, identified, monitored
 from hiltestbed.errors import printable
 
 if TYPE_CHECKING:
-    from hiltestbed.process.doctor import Finding
+    from hiltestbed.process.doctor import Examined
 
 
 def print_run(
@@ -88,7 +88,7 @@ def print_comparison(
         console.print(f"page: {page}", soft_wrap=True, markup=False)
 
 
-def print_doctor(findings: Sequence[Finding]) -> None:
+def print_doctor(findings: Sequence[Examined]) -> None:
     """Prints the findings on an installation to standard output."""
     table = _table("this installation", header=False)
     for name in ("", "what", "state"):

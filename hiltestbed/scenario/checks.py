@@ -9,12 +9,12 @@ from hiltestbed.config.validation import Problem
 from hiltestbed.effects.base import repeated
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 TICK_LIMIT = 20_000_000  # a trace of this many rows fills 16 GB
 
 
-def problems(scenario: Scenario) -> Iterator[Problem]:
+def problems(scenario: ScenarioLike) -> Iterator[Problem]:
     """Every fault that concerns several keys together."""
     yield from _rate_problems(scenario)
     yield from _delay_problems(scenario)
@@ -23,16 +23,15 @@ def problems(scenario: Scenario) -> Iterator[Problem]:
     yield from _mechanism_problems(scenario)
 
 
-def _rate_problems(scenario: Scenario) -> Iterator[Problem]:
+def _rate_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     ratio = scenario.physics_rate / scenario.rate
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
         near = max(1, round(ratio)) * scenario.rate
         yield (
             ("physics_rate",),
             (
-                f"does not divide by rate (got {scenario.physics_rate:g} Hz over "
-                f"{scenario.rate:g} Hz = {ratio:g}); "
-                f"allowed is a whole multiple of rate, such as {near:g}"
+                f"does not divide by rate (got {scenario.physics_rate:g} Hz over {scenario.rate:g} "
+                f"Hz = {ratio:g}); allowed is a whole multiple of rate, such as {near:g}"
             ),
         )
     if not 1 <= scenario.duration * scenario.rate <= TICK_LIMIT:
@@ -40,13 +39,12 @@ def _rate_problems(scenario: Scenario) -> Iterator[Problem]:
             ("duration",),
             (
                 f"is out of range (got {scenario.duration:g} s at {scenario.rate:g} Hz = "
-                f"{scenario.duration * scenario.rate:g} ticks); "
-                f"allowed are 1 to {TICK_LIMIT} ticks"
+                f"{scenario.duration * scenario.rate:g} ticks); allowed are 1 to {TICK_LIMIT} ticks"
             ),
         )
 
 
-def _delay_problems(scenario: Scenario) -> Iterator[Problem]:
+def _delay_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     if scenario.sensor.delay > scenario.duration:
         yield (
             ("sensor", "delay"),
@@ -57,7 +55,7 @@ def _delay_problems(scenario: Scenario) -> Iterator[Problem]:
         )
 
 
-def _platform_problems(scenario: Scenario) -> Iterator[Problem]:
+def _platform_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     """A start that the platform cannot reach, a rate that does not match its controller's, and
     incompatible sections.
     """
@@ -72,14 +70,14 @@ def _platform_problems(scenario: Scenario) -> Iterator[Problem]:
     yield from platform.problems(scenario)
 
 
-def _mechanism_problems(scenario: Scenario) -> Iterator[Problem]:
+def _mechanism_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     from hiltestbed.contact.findings import faults
 
     for message in faults(scenario):
         yield ("mechanism",), message
 
 
-def _effect_problems(scenario: Scenario) -> Iterator[Problem]:
+def _effect_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     for index, effect in repeated(scenario.effects):
         yield (
             ("effects", index),

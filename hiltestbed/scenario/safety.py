@@ -10,10 +10,10 @@ from pydantic import Field
 from hiltestbed.config.validation import Positive, Problem, Strictly
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 
-class Safety(Strictly):
+class SafetyLimits(Strictly):
     """Safety limits: a run that exceeds one is stopped; null: no limit."""
 
     stroke: Positive | None = Field(
@@ -49,7 +49,7 @@ class Safety(Strictly):
         description="Largest energy that the rig may generate in a run [J]; null: no limit",
     )
 
-    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+    def idle(self, scenario: ScenarioLike) -> Iterator[Problem]:
         platform = scenario.rig.platform
         if platform.states_limits:
             yield (

@@ -36,7 +36,7 @@ from hiltestbed.numerical_model.settings import MODELS, AnyModel
 from hiltestbed.platform.settings import Rig
 from hiltestbed.scenario.checks import problems
 from hiltestbed.scenario.monitoring import Monitoring
-from hiltestbed.scenario.safety import Safety
+from hiltestbed.scenario.safety import SafetyLimits
 from hiltestbed.scenario.spacecraft import Approach, Spacecraft
 from hiltestbed.sensor.settings import Sensor
 
@@ -94,8 +94,8 @@ class Scenario(Strictly):
         description="Process monitoring: touch, seating, capture and wear from the "
         "identification; null: off",
     )
-    safety: Safety = Field(
-        default=Safety(),
+    safety: SafetyLimits = Field(
+        default=SafetyLimits(),
         description="Safety limits: a run that exceeds one is stopped; null: no limit",
     )
     devices: Devices = Field(

@@ -29,7 +29,7 @@ SHOWN = 10.0  # [s] playback time of the window, in slow motion if it is shorter
 
 
 @dataclass(frozen=True)
-class Facts:
+class ShownRun:
     """The data of a run that the layout depends on: ``force_scale`` [m/N] of the arrows."""
 
     run: Run
@@ -59,7 +59,7 @@ class Facts:
         return readable(max(first - margin, 0.0), min(last + margin, float(t[-1])), ACROSS)
 
 
-def layout(facts: Facts) -> rrb.Blueprint:
+def layout(facts: ShownRun) -> rrb.Blueprint:
     """The initial layout, which plays the contact in slow motion."""
     start, end = facts.window
     return rrb.Blueprint(
@@ -78,7 +78,7 @@ def layout(facts: Facts) -> rrb.Blueprint:
     )
 
 
-def _scenes(facts: Facts) -> rrb.Vertical:
+def _scenes(facts: ShownRun) -> rrb.Vertical:
     return rrb.Vertical(
         rig_view(facts.run.scenario, "The rig", facts.force_scale),
         rrb.Horizontal(
@@ -108,7 +108,7 @@ def rig_view(scenario: Scenario, name: str, force_scale: float) -> rrb.Spatial3D
     )
 
 
-def _spacecraft(facts: Facts) -> rrb.Spatial3DView:
+def _spacecraft(facts: ShownRun) -> rrb.Spatial3DView:
     up, down = spacecraft.heights(facts.run.scenario)
     down += facts.run.scenario.approach.gap
     middle, away = 0.5 * (up - down), 1.3 * (up + down)
@@ -142,7 +142,7 @@ JOINT_PLOTS = (
 )
 
 
-def _signals(facts: Facts) -> rrb.Tabs:
+def _signals(facts: ShownRun) -> rrb.Tabs:
     return rrb.Tabs(
         _contact(facts),
         _six(facts, "Pose", ("position_mm", "Position", "mm"), ("attitude_deg", "Attitude", "deg")),
@@ -164,7 +164,7 @@ def _signals(facts: Facts) -> rrb.Tabs:
     )
 
 
-def _contact(facts: Facts) -> rrb.Vertical:
+def _contact(facts: ShownRun) -> rrb.Vertical:
     """The axis of insertion, and beside it its stiffness and damping if they have a true value,
     otherwise the lateral forces.
     """
@@ -204,7 +204,7 @@ def _forces(trace: RunTrace, axis: int) -> Array:
     )
 
 
-def _six(facts: Facts, name: str, *quantities: tuple[str, str, str]) -> rrb.Horizontal:
+def _six(facts: ShownRun, name: str, *quantities: tuple[str, str, str]) -> rrb.Horizontal:
     columns = [
         rrb.Vertical(
             *(_plot(facts, f"{path}/{axis}", f"{title} {axis} [{unit}]") for axis in "xyz")
@@ -214,7 +214,7 @@ def _six(facts: Facts, name: str, *quantities: tuple[str, str, str]) -> rrb.Hori
     return rrb.Horizontal(*columns, name=name)
 
 
-def _estimates(facts: Facts) -> rrb.Horizontal:
+def _estimates(facts: ShownRun) -> rrb.Horizontal:
     """The axes that have an estimate or a true value."""
     columns = []
     for path, title in (("stiffness", "Stiffness"), ("damping", "Damping")):
@@ -233,13 +233,13 @@ def _estimates(facts: Facts) -> rrb.Horizontal:
     return rrb.Horizontal(*columns, name="Identified")
 
 
-def _time_axis(facts: Facts) -> rrb.TimeAxis:
+def _time_axis(facts: ShownRun) -> rrb.TimeAxis:
     start, end = (rr.encodings.TimeRangeBoundary.absolute(seconds=t) for t in facts.shown)
     return rrb.TimeAxis(view_range=rr.encodings.TimeRange(start=start, end=end))
 
 
 def _plot(
-    facts: Facts, path: str, name: str, y_range: tuple[float, float] | None = None
+    facts: ShownRun, path: str, name: str, y_range: tuple[float, float] | None = None
 ) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         name=name,
@@ -250,13 +250,13 @@ def _plot(
     )
 
 
-def _phases(facts: Facts) -> rrb.StateTimelineView:
+def _phases(facts: ShownRun) -> rrb.StateTimelineView:
     return rrb.StateTimelineView(
         name="Contact phase", origin=plots.PHASE, time_view=_time_axis(facts)
     )
 
 
-def _range(facts: Facts, values: Array) -> tuple[float, float] | None:
+def _range(facts: ShownRun, values: Array) -> tuple[float, float] | None:
     """Range of values ``(ticks, ...)`` in the window; None if there is none, and the viewer then
     chooses.
     """
@@ -266,7 +266,7 @@ def _range(facts: Facts, values: Array) -> tuple[float, float] | None:
     return readable(float(shown.min()), float(shown.max())) if len(shown) else None
 
 
-def _estimate_range(facts: Facts, name: str) -> tuple[float, float] | None:
+def _estimate_range(facts: ShownRun, name: str) -> tuple[float, float] | None:
     """Range of the later estimates and the true value: the first few estimates of a contact may be
     far off.
     """

@@ -26,16 +26,14 @@ def view(folder: str | Path) -> None:
     recording = path / RECORDING if path.is_dir() else path
     if not recording.is_file():
         raise InputError(
-            f"{folder}: has no {RECORDING}; allowed is a folder that `hiltestbed run --out` "
-            f"wrote, or a .rrd file; "
-            "run the scenario again without --no-rerun"
+            f"{folder}: has no {RECORDING}; allowed is a folder that `hiltestbed run --out` wrote, "
+            "or a .rrd file; run the scenario again without --no-rerun"
         )
     if not has_display():
         raise HiltestbedError(
-            f"no display on this machine (neither DISPLAY nor WAYLAND_DISPLAY is set). Copy "
-            f"{recording} to a machine with one and run "
-            f"`rerun {recording.name}` there, or serve it from here to a browser: rerun "
-            f"{recording} --serve-web"
+            "no display on this machine (neither DISPLAY nor WAYLAND_DISPLAY is set). Copy "
+            f"{recording} to a machine with one and run `rerun {recording.name}` there, or serve "
+            f"it from here to a browser: rerun {recording} --serve-web"
         )
     status = subprocess.run([str(viewer_binary()), str(recording)], check=False).returncode
     if status != 0:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import RunTrace
 from hiltestbed.viewer import spacecraft
-from hiltestbed.viewer.blueprint import Facts, layout
+from hiltestbed.viewer.blueprint import ShownRun, layout
 from hiltestbed.viewer.forces import force_scale, send_force
 from hiltestbed.viewer.frames import frame_rows
 from hiltestbed.viewer.plots import send_signals
@@ -50,7 +50,7 @@ def write_recording(path: Path, run: Run) -> None:
 
 def _write(path: Path, run: Run, trace: RunTrace) -> None:
     rows = frame_rows(trace, run.scenario.rate)
-    facts = Facts(run, trace, force_scale(_peak(trace)))
+    facts = ShownRun(run, trace, force_scale(_peak(trace)))
     with rr.RecordingStream(APPLICATION, recording_id=_identity(run), send_properties=False) as rec:
         rec.save(path, default_blueprint=layout(facts))
         rec.send_recording_name(run.scenario.name)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hiltestbed.bench.independent_rig.compensation import (
+from tests.equipment.independent_rig.compensation import (
     ENERGY,
     METHODS,
     Compensator,

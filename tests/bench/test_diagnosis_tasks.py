@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hiltestbed.bench import diagnosis as bench
-from hiltestbed.bench.diagnosis import diagnosis
-from hiltestbed.bench.diagnosis_report import diagnosis_report
-from hiltestbed.bench.diagnosis_sets import (
+import hiltestbed
+from hiltestbed.cli import main
+from tests.equipment.diagnosis import run as bench
+from tests.equipment.diagnosis.reliability import reliability, wilson
+from tests.equipment.diagnosis.report import diagnosis_report
+from tests.equipment.diagnosis.run import diagnosis
+from tests.equipment.diagnosis.summary import groups, summarise
+from tests.equipment.diagnosis.tasks import (
     COMPUTING_FULL,
     FULL,
     NOISE_FULL,
@@ -23,10 +29,7 @@ from hiltestbed.bench.diagnosis_sets import (
     noise_tasks,
     tasks,
 )
-from hiltestbed.bench.diagnosis_summary import groups, summarise
-from hiltestbed.bench.independent_rig import NOISE_KINDS, Nuisances, acting_in, alike
-from hiltestbed.bench.reliability import reliability, wilson
-from hiltestbed.cli import main
+from tests.equipment.independent_rig import NOISE_KINDS, Nuisances, acting_in, alike
 
 
 def record(task: Task, verdict: str, right: bool) -> dict[str, Any]:
@@ -146,6 +149,29 @@ def test_options_of_another_benchmark_are_refused(
     assert "bench diagnosis only" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["diagnosis", "robustness"])
+def test_without_the_sources_a_bench_that_needs_test_equipment_says_how_to_get_them(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, call: Callable[..., Any]
+) -> None:
+    monkeypatch.setattr("hiltestbed.bench.CHECKOUT", tmp_path)
+    status, _, err = call("bench", name, "--out", str(tmp_path / "out"))
+    message = " ".join(err.split())
+    assert status == 1
+    assert f"bench {name}: its test equipment is not part of the installed package" in message
+    assert "pip install -e ." in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_else_of_the_package_reaches_for_the_tests() -> None:
+    package = Path(hiltestbed.__file__).parent
+    asking = [
+        str(file.relative_to(package))
+        for file in package.rglob("*.py")
+        if re.search(r'(from |import |")tests\.', file.read_text(encoding="utf-8"))
+    ]
+    assert asking == ["bench/__init__.py"]
+
+
 def test_a_facility_that_divides_its_ticks_otherwise_keeps_its_clocks() -> None:
     divided, clocks = (
         next(t for t in computing_tasks({"single": 6}) if t.computing == way)
@@ -243,7 +269,7 @@ def test_records_of_another_program_are_not_taken_over(
     played(monkeypatch, last=5)
     with pytest.raises(KeyboardInterrupt):
         diagnosis(quick=True, keep=keep, workers=1)
-    monkeypatch.setattr("hiltestbed.bench.kept.made_by", lambda: "another")
+    monkeypatch.setattr("tests.equipment.kept.made_by", lambda: "another")
     after = played(monkeypatch, last=0)
     assert len(diagnosis(quick=True, keep=keep, workers=1).records) == len(after)
 

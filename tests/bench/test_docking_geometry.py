@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from hiltestbed.bench.independent_rig.cone import (
+from tests.equipment.independent_rig.cone import (
     Surfaces,
     clearance,
     profile,

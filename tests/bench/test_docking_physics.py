@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiltestbed.bench.independent_rig import Records, docking_rig, overridden, silence, simulate
-from hiltestbed.bench.independent_rig import bodies as model
-from hiltestbed.bench.independent_rig.cone import Surfaces
-from hiltestbed.bench.independent_rig.contact import Contact
-from hiltestbed.bench.independent_rig.docking import touch_wrench
-from hiltestbed.bench.independent_rig.generation import with_effect
-from hiltestbed.bench.independent_rig.mount import RIGID, carried, mount_of
-from hiltestbed.bench.independent_rig.rotation import matrix
+from tests.equipment.independent_rig import Records, docking_rig, overridden, silence, simulate
+from tests.equipment.independent_rig import bodies as model
+from tests.equipment.independent_rig.cone import Surfaces
+from tests.equipment.independent_rig.contact import Contact
+from tests.equipment.independent_rig.docking import touch_wrench
+from tests.equipment.independent_rig.generation import with_effect
+from tests.equipment.independent_rig.mount import RIGID, carried, mount_of
+from tests.equipment.independent_rig.rotation import matrix
 
 SCENARIO: dict[str, Any] = {
     "rate": 2000,
@@ -273,7 +273,7 @@ MOUNT = {"stiffness": [4e5, 4e5, 9e5, 4e4, 4e4, 2e4], "damping": [0.0] * 6}
 
 
 def test_a_mounted_body_swings_at_the_frequency_of_mass_and_spring() -> None:
-    from hiltestbed.bench.independent_rig.mount import derivative, moved
+    from tests.equipment.independent_rig.mount import derivative, moved
 
     mount = mount_of(MOUNT["stiffness"], MOUNT["damping"])
     y = RIGID.copy()

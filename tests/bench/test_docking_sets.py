@@ -13,7 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 from ruamel.yaml import YAML
 
-from hiltestbed.bench.independent_rig import (
+from tests.bench.test_independent_rig import CHANGED
+from tests.equipment.independent_rig import (
     EFFECTS,
     FOREIGN,
     LOOK_ALIKES,
@@ -32,11 +33,10 @@ from hiltestbed.bench.independent_rig import (
     strength,
     write_set,
 )
-from hiltestbed.bench.independent_rig.contact import STATES, Contact, force_on
-from hiltestbed.bench.independent_rig.docking_facility import DockingFacility
-from hiltestbed.bench.independent_rig.docking_sizes import SIZES
-from hiltestbed.bench.independent_rig.generation import PLAIN, rig_of
-from tests.bench.test_independent_rig import CHANGED
+from tests.equipment.independent_rig.contact import STATES, Contact, force_on
+from tests.equipment.independent_rig.docking_facility import DockingFacility
+from tests.equipment.independent_rig.docking_sizes import SIZES
+from tests.equipment.independent_rig.generation import PLAIN, rig_of
 
 FACILITIES: dict[str, DockingFacility] = {}
 
@@ -257,7 +257,7 @@ def test_in_a_docking_the_strength_of_an_effect_grows_with_its_size(name: str) -
 def test_the_rig_shares_no_code_with_what_it_checks() -> None:
     import ast
 
-    import hiltestbed.bench.independent_rig as package
+    import tests.equipment.independent_rig as package
 
     allowed = {"numpy", "numba", "scipy", "pyarrow", "ruamel"}
     for path in Path(package.__file__).parent.glob("*.py"):
@@ -268,7 +268,7 @@ def test_the_rig_shares_no_code_with_what_it_checks() -> None:
             top = name.split(".")[0]
             # which compiles and computes nothing
             own = (
-                name.startswith("hiltestbed.bench.independent_rig")
+                name.startswith("tests.equipment.independent_rig")
                 or name == "hiltestbed.compiled.jit"
             )
             assert own or top in allowed or top in sys.stdlib_module_names, (

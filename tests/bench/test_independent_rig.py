@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from ruamel.yaml import YAML
 
-from hiltestbed.bench.independent_rig import (
+from tests.equipment.independent_rig import (
     EFFECTS,
     FOREIGN,
     SIZES,
@@ -30,8 +30,8 @@ from hiltestbed.bench.independent_rig import (
     with_effect,
     write_set,
 )
-from hiltestbed.bench.independent_rig.sets import PLAIN, rig_of
-from hiltestbed.bench.independent_rig.sizes import NEEDS
+from tests.equipment.independent_rig.sets import PLAIN, rig_of
+from tests.equipment.independent_rig.sizes import NEEDS
 from tests.measured_data import measured_data
 
 FLAT = {

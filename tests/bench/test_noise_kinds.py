@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from hiltestbed.bench.independent_rig import NOISE_KINDS, Log
-from hiltestbed.bench.independent_rig.noise_kinds import HARMONICS, LONGEST_HOLD, MAINS
+from tests.equipment.independent_rig import NOISE_KINDS, Log
+from tests.equipment.independent_rig.noise_kinds import HARMONICS, LONGEST_HOLD, MAINS
 
 ROWS, RATE = 20_000, 1000.0
 SPEED = 0.0312345  # m/s

@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiltestbed.bench.independent_rig import (
+from tests.bench.test_docking_physics import SCENARIO as DOCKING
+from tests.bench.test_independent_rig import FLAT
+from tests.equipment.independent_rig import (
     Nuisances,
     Records,
     docking_rig,
@@ -21,9 +23,7 @@ from hiltestbed.bench.independent_rig import (
     with_effect,
     with_nuisances,
 )
-from hiltestbed.bench.independent_rig.nuisances import CHANNELS, shifted
-from tests.bench.test_docking_physics import SCENARIO as DOCKING
-from tests.bench.test_independent_rig import FLAT
+from tests.equipment.independent_rig.nuisances import CHANNELS, shifted
 
 AT_A_KILOHERTZ = {
     "rate": 1000,

@@ -101,9 +101,8 @@ def test_values_that_do_not_go_together_are_told_in_the_row(file: Path) -> None:
     not.
     """
     file.write_text(
-        "scenario: scenario.yaml\nset: {physics_rate: 2000}\n"
-        "vary: {rate: {values: [1000, 2000]}, physics_rate: {values: [1000, 2000]}}\ndesign: "
-        "{kind: grid}\n"
+        "scenario: scenario.yaml\nset: {physics_rate: 2000}\nvary: {rate: {values: [1000, 2000]}, "
+        "physics_rate: {values: [1000, 2000]}}\ndesign: {kind: grid}\n"
     )
     rows = {row["case"]: row for row in run_chunk(load_campaign(file), range(4)).rows}
     assert [rows[case]["status"] for case in range(4)] == [

@@ -95,11 +95,11 @@ def test_the_worst_of_a_cell_is_the_largest_magnitude_with_its_sign() -> None:
 
 
 def test_choices_that_do_not_complete_come_last() -> None:
-    from hiltestbed.campaign.choices import Choice
+    from hiltestbed.campaign.choices import CaseGroup
 
     first, second = (
-        Choice("a", np.array([True, True, False, False])),
-        Choice("b", np.array([False, False, True, True])),
+        CaseGroup("a", np.array([True, True, False, False])),
+        CaseGroup("b", np.array([False, False, True, True])),
     )
     statuses = np.array(["completed", "diverged", "completed", "completed"])
     ranked = results(

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.bench.independent_rig import draw_set, write_set
 from hiltestbed.diagnosis.find import judge
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.measured import load_dataset
+from tests.equipment.independent_rig import draw_set, write_set
 from tests.slow import SLOW, slow
 
 

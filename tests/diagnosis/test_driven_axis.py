@@ -19,7 +19,7 @@ from hiltestbed.diagnosis.diagnose import diagnose
 from hiltestbed.diagnosis.driven import axis_link
 from hiltestbed.diagnosis.intervals import MIN_RELATIVE_WIDTH
 from hiltestbed.diagnosis.layout import lay_out
-from hiltestbed.diagnosis.result import Diagnosis
+from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import load_dataset
 

@@ -15,10 +15,9 @@ from hiltestbed.diagnosis.learned.curves import Block, Choice, choices, shape_of
 from hiltestbed.diagnosis.learned.finding import stretches
 from hiltestbed.diagnosis.learned.learn import Law, carries_over, learn
 from hiltestbed.diagnosis.learned.words import equation, equation_of
-from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.links import LinkRun, WrenchLink
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.result import Heldout
+from hiltestbed.diagnosis.result import Heldout, Learned
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.bench.independent_rig import draw_set, write_set
 from hiltestbed.diagnosis.fit import null_fit
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.learned import learn
@@ -24,6 +23,7 @@ from hiltestbed.diagnosis.result import Finding
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.scenario import load_scenario
+from tests.equipment.independent_rig import draw_set, write_set
 from tests.slow import slow
 
 from .recorded import recorded

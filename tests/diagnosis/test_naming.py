@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import yaml
 
-from hiltestbed.bench.diagnosis import judged_right, one_set
-from hiltestbed.bench.diagnosis_sets import Task
-from hiltestbed.bench.independent_rig import SIZES
 from hiltestbed.diagnosis.find import cause_of
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.verdict import decide
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import load_dataset
+from tests.equipment.diagnosis.run import judged_right, one_set
+from tests.equipment.diagnosis.tasks import Task
+from tests.equipment.independent_rig import SIZES
 from tests.measured_data import measured_data
 from tests.slow import ALL, SLOW, slow
 

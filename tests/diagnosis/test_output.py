@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.closed_loop import Motion, identified, restitution
+from hiltestbed.diagnosis.closed_loop import RunSignals, identified, restitution
 from hiltestbed.diagnosis.layout import lay_out, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.report.conclude import conclude
+from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.diagnosis.report.evidence import channel_residuals, link_series
 from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.result import (
     Cause,
-    Diagnosis,
     Finding,
     Heldout,
     Isolable,
@@ -224,7 +224,7 @@ def test_restitution_of_two_straight_lines_in_noise(e: float):
         1
     ).normal(0.0, 2e-6, 600)
     assert restitution(
-        Motion(t, z, None, None, (200, 300, 600)), scenario_from(NOMINAL)
+        RunSignals(t, z, None, None, (200, 300, 600)), scenario_from(NOMINAL)
     ) == pytest.approx(e, abs=3e-3)
 
 
@@ -232,7 +232,7 @@ def test_no_restitution_without_a_rebound():
     t = np.arange(400) / 1000.0
     assert (
         restitution(
-            Motion(t, 0.05 * (t - 0.2), None, None, (200, 400, 400)), scenario_from(NOMINAL)
+            RunSignals(t, 0.05 * (t - 0.2), None, None, (200, 400, 400)), scenario_from(NOMINAL)
         )
         is None
     )
@@ -250,7 +250,7 @@ def test_stiffness_and_damping_of_a_spring_and_damper_read_late():
         np.maximum(0.0, 1e-3 * (1e5 * np.sin(w * s) + 400.0 * w * np.cos(w * s))),
         0.0,
     )
-    k, c = identified(Motion(t, None, x, force, (100, 300, 400)), scenario_from(NOMINAL))
+    k, c = identified(RunSignals(t, None, x, force, (100, 300, 400)), scenario_from(NOMINAL))
     assert k == pytest.approx(1e5, rel=5e-3)
     assert c == pytest.approx(400.0, rel=0.03)
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.bench.own_sets import HIDDEN, OwnSet, hidden_effect, nominal_of, record_set
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.verdict import Verdict, decide
 from hiltestbed.measured import load_dataset
+from tests.equipment.own_sets import HIDDEN, OwnSet, hidden_effect, nominal_of, record_set
 from tests.slow import ALL, SLOW, slow
 
 SCENARIOS = sorted(f.stem for f in (Path(__file__).parents[2] / "scenarios").glob("*.yaml"))

@@ -13,9 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiltestbed.bench.diagnosis import one_set
-from hiltestbed.bench.diagnosis_sets import COMPUTING_FULL, Task, computing_tasks
-from hiltestbed.bench.independent_rig import Nuisances, draw_set, write_set
 from hiltestbed.config.yaml_source import dump_yaml, read_source
 from hiltestbed.diagnosis import stamps, timing
 from hiltestbed.diagnosis.certainty import certainty
@@ -33,6 +30,9 @@ from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.measured import load_dataset
 from hiltestbed.scenario import scenario_from
+from tests.equipment.diagnosis.run import one_set
+from tests.equipment.diagnosis.tasks import COMPUTING_FULL, Task, computing_tasks
+from tests.equipment.independent_rig import Nuisances, draw_set, write_set
 from tests.slow import SLOW, slow
 
 from .made import H, contact_link, effect, platform_link, scenario

@@ -13,10 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from hiltestbed.bench.independent_rig import draw_set, write_set
 from hiltestbed.errors import InputError
 from hiltestbed.measured import MeasuredDataset, examine, load_dataset
 from hiltestbed.measured.noise import step_of
+from tests.equipment.independent_rig import draw_set, write_set
 
 from . import bounce
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.bench.independent_rig import docking_rig, silence, with_effect
-from hiltestbed.bench.independent_rig import simulate as simulated_there
 from hiltestbed.scenario import resolved
 from hiltestbed.simulation import simulate as simulated_here
+from tests.equipment.independent_rig import docking_rig, silence, with_effect
+from tests.equipment.independent_rig import simulate as simulated_there
 
 DOCKING = Path(__file__).parents[2] / "scenarios" / "09-docking.yaml"
 QUIET = {

@@ -11,7 +11,8 @@ import pytest
 from ruamel.yaml import YAML
 
 from hiltestbed import load_scenario
-from hiltestbed.bench.independent_rig import (
+from hiltestbed.simulation import simulate as simulated
+from tests.equipment.independent_rig import (
     draw_effects,
     draw_facility,
     nominal_rig,
@@ -20,7 +21,6 @@ from hiltestbed.bench.independent_rig import (
     simulate,
     with_effect,
 )
-from hiltestbed.simulation import simulate as simulated
 
 EFFECTS = (
     "sensor.delay",

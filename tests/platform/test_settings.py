@@ -78,9 +78,8 @@ def test_what_is_not_a_key_is_refused() -> None:
 def test_settings_are_read_without_the_physics() -> None:
     """A scenario is checked before MuJoCo or compiled code is loaded."""
     code = (
-        "import sys; from hiltestbed.platform.kinds import PLATFORMS; "
-        "assert len(PLATFORMS) > 5; print([m for m in ('mujoco', 'numba', 'scipy') if m in "
-        "sys.modules])"
+        "import sys; from hiltestbed.platform.kinds import PLATFORMS; assert len(PLATFORMS) > 5; "
+        "print([m for m in ('mujoco', 'numba', 'scipy') if m in sys.modules])"
     )
     assert (
         subprocess.run(

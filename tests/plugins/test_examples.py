@@ -192,9 +192,8 @@ def test_a_platform_follows_as_late_as_it_says(tmp_path: Path) -> None:
 
 def test_a_campaign_runs_them_in_worker_processes(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(
-        "scenario: s.yaml\nset: {duration: 0.3}\ndesign: {kind: grid}\n"
-        "vary: {compensation.force: {values: [{kind: none}, {kind: slope_lead}]}, sensor.delay: "
-        "{values: [0.002, 0.004]}}\n"
+        "scenario: s.yaml\nset: {duration: 0.3}\ndesign: {kind: grid}\nvary: {compensation.force: "
+        "{values: [{kind: none}, {kind: slope_lead}]}, sensor.delay: {values: [0.002, 0.004]}}\n"
     )
     (tmp_path / "s.yaml").write_text(
         (hiltestbed.shipped("scenarios") / "02-bumper.yaml").read_text()

@@ -10,7 +10,7 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.replay import follows_exactly, replay_platform
-from hiltestbed.replay.stiction import all_paths
+from hiltestbed.replay.stiction import Followed, Obeying, all_paths
 from hiltestbed.scenario import Scenario
 from tests.effects.examples import example
 from tests.replay.recorded import record, scenario
@@ -124,20 +124,10 @@ def test_each_path_of_a_stick_is_that_of_every_stick_up_to_the_next(late: float)
         np.array([s.approach.velocity]),
     )
     out, rows = np.empty((5000, 3)), np.array([commands.shape[1]])
-    fixed = (
-        commands,
-        goal,
-        np.full_like(goal, 2e-5),
-        rows,
-        start,
-        velocity,
-        moves,
-        s.tick,
-        late,
-        9,
-        0.4,
-    )
-    found = out[: all_paths(*fixed, low, high, np.inf, np.inf, np.inf, 1e-5, np.inf, out)[0]]
+    followed = Followed(commands, goal, np.full_like(goal, 2e-5), rows, start, velocity, moves)
+    obeying = Obeying(s.tick, late, 9, 0.4)
+    count, _ = all_paths(followed, obeying, (low, high), np.inf, np.inf, np.inf, 1e-5, np.inf, out)
+    found = out[:count]
     assert len(found) > 100
     assert found[0, 0] == low
     assert found[-1, 1] == high

@@ -11,10 +11,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from hiltestbed.bench.independent_rig.sets import draw_set
-from hiltestbed.bench.independent_rig.writing import write_set
-from hiltestbed.bench.robustness.distortions import DISTORTIONS
 from hiltestbed.measured import examine
+from tests.equipment.independent_rig.sets import draw_set
+from tests.equipment.independent_rig.writing import write_set
+from tests.equipment.robustness.distortions import DISTORTIONS
 from tests.slow import slow
 
 DESIGNS = ("bumper", "docking")

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.bench.robustness import kills
-from hiltestbed.bench.robustness.kills import COMMANDS, Command, KillError, kill
 from hiltestbed.config.check import look_at
 from hiltestbed.measured import load_dataset
+from tests.equipment.robustness import kills
+from tests.equipment.robustness.kills import COMMANDS, Command, KillError, kill
 from tests.slow import slow
 
 KILLED, INTERRUPTED = 2, 0  # seeds of a trial that ends a command so, and gives it again

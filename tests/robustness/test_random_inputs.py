@@ -18,10 +18,6 @@ from hypothesis import strategies as st
 
 from hiltestbed.analysis.stability import stability
 from hiltestbed.analysis.trial import first_contact
-from hiltestbed.bench.kept import Kept
-from hiltestbed.bench.robustness.run import STRETCH, robustness
-from hiltestbed.bench.robustness.trials import TRIALS, mutated
-from hiltestbed.bench.robustness.values import value_of
 from hiltestbed.campaign.schema import campaign_from
 from hiltestbed.config.check import check_file, json_schema
 from hiltestbed.config.dataset import Dataset
@@ -33,6 +29,10 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import rotation_vector
 from hiltestbed.scenario import load_scenario, scenario_from
 from hiltestbed.simulation import run
+from tests.equipment.kept import Kept
+from tests.equipment.robustness.run import STRETCH, robustness
+from tests.equipment.robustness.trials import TRIALS, mutated
+from tests.equipment.robustness.values import value_of
 from tests.slow import ALL
 
 QUICK = settings(
@@ -154,7 +154,7 @@ def test_trials_go_on_where_they_were_stopped(
     )
     before.add({"kind": STRETCH, "number": 0, "wall": 120.0})
     monkeypatch.setattr(
-        "hiltestbed.bench.robustness.run.TARGETS", dict.fromkeys(TRIALS, 0) | {"packet": 9}
+        "tests.equipment.robustness.run.TARGETS", dict.fromkeys(TRIALS, 0) | {"packet": 9}
     )
     monkeypatch.setattr(Kept, "add", lambda self, record: added.append(record))
     result = robustness(minutes=5.0, workers=1, keep=keep)

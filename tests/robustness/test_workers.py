@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import pytest
 
-from hiltestbed.bench.robustness.run import hangs, worked
+from tests.equipment.robustness.run import hangs, worked
 
 WORK = """
 import time

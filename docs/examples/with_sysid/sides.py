@@ -19,8 +19,8 @@ from mujoco import sysid
 from hiltestbed.diagnosis.diagnose import diagnose
 from hiltestbed.diagnosis.fit import fit
 from hiltestbed.diagnosis.intervals import intervals
+from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.result import Diagnosis
 from hiltestbed.effects.search import Candidate
 
 logging.getLogger("absl").setLevel(logging.ERROR)

@@ -49,8 +49,6 @@ from hiltestbed.compensation.resynchronised.delayed_model import (
     set_delay,
 )
 from hiltestbed.compensation.resynchronised.predictor import predict
-from hiltestbed.compensation.resynchronised.settings import Resynchronised
-from hiltestbed.compensation.settings import force_of
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_conj_mul, rotate, rotation_vector
 from hiltestbed.numerical_model.kernels import SCRATCH, mobility, solve, wrench_at_A, wrench_at_P
@@ -109,6 +107,19 @@ class State(NamedTuple):
     creep: Array  # (n, 1) [N s/m] viscous friction at low slip
 
 
+class PredictionParameters(NamedTuple):
+    """What the prediction of one run is given.
+
+    Attributes:
+        blending: [s] time constant of corrections. estimate: whether the delay is corrected.
+        known: stiffness [N/m], damping [N s/m] and touch [m] of a contact identified beforehand.
+    """
+
+    blending: float
+    estimate: bool
+    known: tuple[float, float, float] | None
+
+
 class ResynchronisedDrive:
     """The drive for ``n`` runs: ``pose``, ``twist`` and ``wrench`` of the commanded numerical
     model.
@@ -120,14 +131,19 @@ class ResynchronisedDrive:
             scenario asks for it.
     """
 
-    def __init__(self, model: NumericalModel, scenarios: Sequence[Scenario]) -> None:
+    def __init__(
+        self,
+        model: NumericalModel,
+        scenarios: Sequence[Scenario],
+        given: Sequence[PredictionParameters],
+    ) -> None:
         n, h = model.n, model.tick
         self.model = model
         self.pose, self.twist = model.pose, model.twist
         self.wrench = np.zeros((n, 6))
         self.predicted_pose, self.predicted_twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._predicted = np.zeros((n, 6))
-        self._setup = _setup(scenarios, h)
+        self._setup = _setup(scenarios, given, h)
         self._fixed = int(scenarios[0].mechanism.flat)
         # a bumper has no latches
         self._captured = None if self._fixed else CapturedContact(scenarios)
@@ -136,7 +152,7 @@ class ResynchronisedDrive:
         self._bodies = Bodies(
             model.port, model.mass, model.inertia, np.linalg.inv(model.inertia).astype(np.float64)
         )
-        self.state = _state(scenarios, model, int(self._setup.late.max()))
+        self.state = _state(scenarios, given, model, int(self._setup.late.max()))
         law = self.state.law
         self.stiffness, self.damping, self.touch = (
             law[:, ce.STIFFNESS],
@@ -170,7 +186,7 @@ class ResynchronisedDrive:
         model.advance(self.wrench)
 
 
-def _setup(scenarios: Sequence[Scenario], h: float) -> Setup:
+def _setup(scenarios: Sequence[Scenario], given: Sequence[PredictionParameters], h: float) -> Setup:
     n = len(scenarios)
     lowpass = np.array(
         [
@@ -181,7 +197,6 @@ def _setup(scenarios: Sequence[Scenario], h: float) -> Setup:
     leak = np.array(
         [math.inf if s.sensor.time_constant is None else s.sensor.time_constant for s in scenarios]
     )
-    force = force_of(scenarios, Resynchronised)
     setup = Setup(
         late=np.zeros(n, dtype=np.int64),
         part=np.zeros(n),
@@ -190,8 +205,8 @@ def _setup(scenarios: Sequence[Scenario], h: float) -> Setup:
         leak=np.exp(-h / leak),
         skip=np.ceil(ce.FILTER_MEMORY * lowpass / h).astype(np.int64),
         sigma=np.array([[s.sensor.noise, s.sensor.torque_noise] for s in scenarios]),
-        blend=np.array([min(1.0 / f.blending, SYNC_LIMIT / h) for f in force]),
-        estimate=np.array([int(f.delay == "estimate") for f in force]),
+        blend=np.array([min(1.0 / f.blending, SYNC_LIMIT / h) for f in given]),
+        estimate=np.array([int(f.estimate) for f in given]),
     )
     ideal = scenarios[0].rig.platform.prescribed
     for i, s in enumerate(scenarios):
@@ -199,10 +214,14 @@ def _setup(scenarios: Sequence[Scenario], h: float) -> Setup:
     return setup
 
 
-def _state(scenarios: Sequence[Scenario], model: NumericalModel, late: int) -> State:
+def _state(
+    scenarios: Sequence[Scenario],
+    given: Sequence[PredictionParameters],
+    model: NumericalModel,
+    late: int,
+) -> State:
     n = model.n
-    known = [force.contact for force in force_of(scenarios, Resynchronised)]
-    rows = [ce.unknown() if c is None else ce.prior(c.stiffness, c.damping, c.touch) for c in known]
+    rows = [ce.unknown() if f.known is None else ce.prior(*f.known) for f in given]
     spare = late + 64  # an estimated delay may be longer than the nominal one
     length = HISTORY + 2 * spare
     line = np.zeros((n, 3, 6))

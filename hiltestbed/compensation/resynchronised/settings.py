@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from hiltestbed.compensation.settings import ForceMethod, Input
+from hiltestbed.compensation.settings import ForceMethod, Input, force_of
 from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly
 from hiltestbed.plugins import register
 
@@ -61,9 +61,17 @@ class Resynchronised(ForceMethod):
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ResynchronisedDrive:
-        from hiltestbed.compensation.resynchronised.drive import ResynchronisedDrive
+        from hiltestbed.compensation.resynchronised.drive import (
+            PredictionParameters,
+            ResynchronisedDrive,
+        )
 
-        return ResynchronisedDrive(model, scenarios)
+        given = []
+        for force in force_of(scenarios, cls):
+            c = force.contact
+            known = None if c is None else (c.stiffness, c.damping, c.touch)
+            given.append(PredictionParameters(force.blending, force.delay == "estimate", known))
+        return ResynchronisedDrive(model, scenarios, given)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         sensor = scenario.sensor

@@ -106,10 +106,9 @@ class FrameMode(Effect):
         steps = fastest * scenario.tick / scenario.substeps / MODE_STEP
         if steps > MOST_STEPS:
             return (
-                f"rings so fast that each step of the physics takes {steps:.3g} steps of the "
-                f"frame (allowed: {MOST_STEPS}); "
-                "give a lower frequency, a larger mass or a higher physics_rate, or use "
-                "frame.compliance, its quasi-static limit"
+                f"rings so fast that each step of the physics takes {steps:.3g} steps of the frame "
+                f"(allowed: {MOST_STEPS}); give a lower frequency, a larger mass or a higher "
+                "physics_rate, or use frame.compliance, its quasi-static limit"
             )
         return None
 

@@ -11,10 +11,9 @@ import numpy as np
 from hiltestbed.diagnosis.learned.families import SensorCurve
 from hiltestbed.diagnosis.learned.learn import Law, carries_over, learn
 from hiltestbed.diagnosis.learned.words import equation, resembling
-from hiltestbed.diagnosis.learned_law import Learned, LearnedCurve
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.result import Heldout
+from hiltestbed.diagnosis.result import Heldout, Learned, LearnedCurve
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import MIN_EXPLAINED
 from hiltestbed.effects.base import Effect

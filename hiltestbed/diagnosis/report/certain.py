@@ -35,10 +35,9 @@ def certainty_section(report: Report, certainties: Sequence[Certainty]) -> None:
     report.figure(
         profile_figure(profiles),
         "Cost of holding a parameter at another value while the other parameters of its link "
-        "follow: chi-square above its minimum, in "
-        "units of the misfit per sample. Dashed: 3.84, the 95 % of an exact model. Shaded: the 95 "
-        "% interval, which is wider where the "
-        "runs contradict each other or the noise is correlated. Hatched: beyond the bounds of the "
+        "follow: chi-square above its minimum, in units of the misfit per sample. Dashed: 3.84, "
+        "the 95 % of an exact model. Shaded: the 95 % interval, which is wider where the runs "
+        "contradict each other or the noise is correlated. Hatched: beyond the bounds of the "
         "search.",
     )
     for c in certainties:
@@ -46,8 +45,7 @@ def certainty_section(report: Report, certainties: Sequence[Certainty]) -> None:
             report.figure(
                 correlation_figure(c),
                 f"Correlation of the estimates on the link {LINK_NAMES.get(c.link, c.link)}: near "
-                f"1 or -1 the data determine a combination "
-                "of the two, not each by itself.",
+                "1 or -1 the data determine a combination of the two, not each by itself.",
             )
 
 
@@ -62,9 +60,8 @@ def bounds_met(profiles: Sequence[Profile]) -> list[str]:
             )
             out.append(
                 f"{p.label} is at the {p.met} value that was searched, {at:.4g}{unit}: the data "
-                f"favour a value beyond it, which means "
-                "another effect, or a size that was not thought possible. Its estimate is not "
-                "reliable."
+                "favour a value beyond it, which means another effect, or a size that was not "
+                "thought possible. Its estimate is not reliable."
             )
     return out or ["No estimate is at a bound of its search."]
 

@@ -5,10 +5,11 @@ loop, the next experiment.
 from __future__ import annotations
 
 from hiltestbed.diagnosis.closed_loop import closed_loop, simulate_runs
+from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.diagnosis.report.evidence import channel_residuals
 from hiltestbed.diagnosis.report.experiments import mass_of_either_body, next_experiment
 from hiltestbed.diagnosis.report.extend import extended_scenario
-from hiltestbed.diagnosis.result import Diagnosis, Finding
+from hiltestbed.diagnosis.result import Finding
 from hiltestbed.measured import MeasuredDataset
 
 

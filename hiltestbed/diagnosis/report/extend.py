@@ -8,8 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from hiltestbed.diagnosis.learned_law import Learned
-from hiltestbed.diagnosis.result import Cause, Parameter
+from hiltestbed.diagnosis.result import Cause, Learned, Parameter
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.scenario import Scenario, dump_scenario, resolved, scenario_from
 

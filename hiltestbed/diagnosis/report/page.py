@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hiltestbed.diagnosis.conclusion import Conclusion
 from hiltestbed.diagnosis.plain import LINK_NAMES, listed
 from hiltestbed.diagnosis.report import pictures
 from hiltestbed.diagnosis.report.certain import certainty_section
@@ -22,7 +23,7 @@ from hiltestbed.diagnosis.report.sentence import (
     rivals_of,
     verdict_sentence,
 )
-from hiltestbed.diagnosis.result import Cause, Diagnosis, Figures, Finding, Isolable
+from hiltestbed.diagnosis.result import Cause, Figures, Finding, Isolable
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.report.page import Report
 
@@ -32,7 +33,7 @@ FITTED = (
 )
 
 
-def report_of(diagnosis: Diagnosis) -> Report:
+def report_of(diagnosis: Conclusion) -> Report:
     """The page."""
     report = Report(f"Diagnosis of {diagnosis.name}: {TITLES[diagnosis.verdict]}")
     report.lead(verdict_sentence(diagnosis))
@@ -51,7 +52,7 @@ def report_of(diagnosis: Diagnosis) -> Report:
     return report
 
 
-def _summary(d: Diagnosis) -> str:
+def _summary(d: Conclusion) -> str:
     parts = [learned_sentence(d.finding.learned)] if d.finding.learned else []
     if d.causes or not parts:
         parts = [gain_sentence(d.heldout, d.finding.names), *parts]
@@ -81,7 +82,7 @@ def _summary(d: Diagnosis) -> str:
     return " ".join(parts)
 
 
-def _causes(report: Report, d: Diagnosis) -> None:
+def _causes(report: Report, d: Conclusion) -> None:
     if d.causes:
         _cause_table(report, d.causes, "Cause" if len(d.causes) == 1 else "Causes")
     if d.finding.partial:
@@ -99,7 +100,7 @@ def _causes(report: Report, d: Diagnosis) -> None:
         )
 
 
-def _learned(report: Report, d: Diagnosis) -> None:
+def _learned(report: Report, d: Conclusion) -> None:
     learned = d.finding.learned
     if learned is None:
         return
@@ -153,16 +154,15 @@ def _in_words(explanation: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _evidence(report: Report, d: Diagnosis) -> None:
+def _evidence(report: Report, d: Conclusion) -> None:
     series, compared = d.finding.series, d.compared
     if not series:
         return
     report.heading("Evidence")
     report.text(
         "Each link of the loop was replayed alone on its measured input, so that the error of one "
-        "cannot leak into another. "
-        "Residuals are in units of the channel's own noise: within the grey band they are noise. "
-        "Contact is shaded."
+        "cannot leak into another. Residuals are in units of the channel's own noise: within the "
+        "grey band they are noise. Contact is shaded."
     )
     report.figure(
         pictures.residuals_over_time(series, compared, d.dataset.names),
@@ -183,7 +183,7 @@ def _evidence(report: Report, d: Diagnosis) -> None:
         report.text(f"Residual: {d.finding.left}.")
 
 
-def _ranking(report: Report, d: Diagnosis) -> None:
+def _ranking(report: Report, d: Conclusion) -> None:
     ranking = [r for r in d.finding.ranking if math.isfinite(r.score)]
     if not ranking:
         return
@@ -211,7 +211,7 @@ def _ranking(report: Report, d: Diagnosis) -> None:
         )
 
 
-def _gain(report: Report, d: Diagnosis) -> None:
+def _gain(report: Report, d: Conclusion) -> None:
     report.heading("Gain")
     report.text(gain_sentence(d.heldout, d.finding.names))
     if d.finding.learned is not None:
@@ -257,7 +257,7 @@ def _gain(report: Report, d: Diagnosis) -> None:
         )
 
 
-def _next(report: Report, d: Diagnosis) -> None:
+def _next(report: Report, d: Conclusion) -> None:
     report.heading("Next experiment")
     if d.experiment is None:
         report.text("Nothing remains open that another run would settle.")
@@ -294,7 +294,7 @@ def _isolability(report: Report, finding: Finding) -> None:
     )
 
 
-def _channels(report: Report, d: Diagnosis) -> None:
+def _channels(report: Report, d: Conclusion) -> None:
     if not d.residuals:
         return
     report.heading("Every channel")
@@ -336,7 +336,7 @@ def _channels(report: Report, d: Diagnosis) -> None:
     )
 
 
-def _data(report: Report, d: Diagnosis) -> None:
+def _data(report: Report, d: Conclusion) -> None:
     report.heading("Data")
     rows = []
     for run in d.dataset.runs:

@@ -10,9 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.diagnosis.learned_law import Learned
 from hiltestbed.diagnosis.report.evidence import counted, in_sigma, misfit
-from hiltestbed.diagnosis.result import ChannelResidual, ClosedLoop, Heldout, Ranked, Series
+from hiltestbed.diagnosis.result import (
+    ChannelResidual,
+    ClosedLoop,
+    Heldout,
+    Learned,
+    Ranked,
+    Series,
+)
 from hiltestbed.errors import InputError
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.report.page import new_figure

@@ -12,12 +12,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from hiltestbed.diagnosis.closed_loop import SimulatedRun
+from hiltestbed.diagnosis.conclusion import Conclusion, SimulatedRun
 from hiltestbed.diagnosis.report.evidence import in_sigma
 from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.diagnosis.report.pictures import worst_channels, worst_run
 from hiltestbed.diagnosis.report.sentence import TITLES, gain_sentence, verdict_sentence
-from hiltestbed.diagnosis.result import Diagnosis
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.viewer import colors
@@ -41,7 +40,7 @@ FRAME_RATE = 120.0  # chosen: [Hz] of the rig's poses
 MEASURED_ENTITY = "data"
 
 
-def write_diagnosis_recording(path: Path, diagnosis: Diagnosis) -> None:
+def write_diagnosis_recording(path: Path, diagnosis: Conclusion) -> None:
     """Write the recording with its layout.
 
     Raises:
@@ -71,7 +70,7 @@ def write_diagnosis_recording(path: Path, diagnosis: Diagnosis) -> None:
         ) from error
 
 
-def _words(diagnosis: Diagnosis) -> str:
+def _words(diagnosis: Conclusion) -> str:
     """Verdict, causes, gain, next experiment: Markdown."""
     lines = [f"# {TITLES[diagnosis.verdict].capitalize()}", "", verdict_sentence(diagnosis), ""]
     rows = [
@@ -99,7 +98,7 @@ def _words(diagnosis: Diagnosis) -> str:
     )
 
 
-def _first(diagnosis: Diagnosis, channels: list[str]) -> int:
+def _first(diagnosis: Conclusion, channels: list[str]) -> int:
     """The run that the nominal simulation predicts worst."""
     return worst_run(diagnosis.finding.series, channels[0]) if channels else 0
 
@@ -170,7 +169,7 @@ def _signals(
                 )
 
 
-def _residuals(rec: rr.RecordingStream, diagnosis: Diagnosis, channels: list[str]) -> None:
+def _residuals(rec: rr.RecordingStream, diagnosis: Conclusion, channels: list[str]) -> None:
     for s in diagnosis.finding.series:
         if s.channel not in channels:
             continue
@@ -208,7 +207,7 @@ def _entity(channel: str) -> str:
     return channel.replace(".", "_")
 
 
-def _layout(diagnosis: Diagnosis, channels: list[str]) -> rrb.Blueprint:
+def _layout(diagnosis: Conclusion, channels: list[str]) -> rrb.Blueprint:
     """A tab for each run, open on the run that the nominal simulation predicts worst; beside it the
     rig in that run, and the verdict.
     """

@@ -9,8 +9,8 @@ from hiltestbed.diagnosis.report.extend import in_words
 from hiltestbed.effects.table import EFFECTS
 
 if TYPE_CHECKING:
-    from hiltestbed.diagnosis.learned_law import Learned
-    from hiltestbed.diagnosis.result import Cause, Diagnosis, Heldout
+    from hiltestbed.diagnosis.conclusion import Conclusion
+    from hiltestbed.diagnosis.result import Cause, Heldout, Learned
 
 TITLES = {
     "no_discrepancy": "the simulation agrees with the data",
@@ -30,7 +30,7 @@ WHERE = {
 }
 
 
-def verdict_sentence(diagnosis: Diagnosis) -> str:
+def verdict_sentence(diagnosis: Conclusion) -> str:
     """The verdict in one or two self-contained sentences."""
     finding = diagnosis.finding
     where = WHERE.get(finding.link or "", "the loop")

@@ -35,7 +35,7 @@ ACCEPTED = 0.3  # relative standard deviation below which k is reported
 
 
 @register
-class Kalman(Identifier):
+class KalmanIdentifier(Identifier):
     """Adaptive Kalman filter of k, c and an intercept, all modelled as a random walk."""
 
     kind: Literal["kalman"] = "kalman"
@@ -55,7 +55,7 @@ class AdaptiveKalman:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self.source = ContactSamples(scenarios)
-        self._wander = np.array([o.wander for o in identifier_of(scenarios, Kalman)])
+        self._wander = np.array([o.wander for o in identifier_of(scenarios, KalmanIdentifier)])
         self._state = np.zeros((n, 6, 3))
         self._covariance = np.tile(P0 * np.eye(3), (n, 6, 1, 1))
         self._noise = np.zeros((n, 6))

@@ -151,8 +151,7 @@ class DynamicsAppendage(Effect):
     link = "dynamics"
     equation = (
         "m_a q'' = -k_a q - d_a q' - m_a a_place, m_a = mass_ratio m, k_a = m_a (2 pi f)^2, d_a = "
-        "2 m_a damping_ratio (2 pi f); "
-        "undeflected, the body has its nominal mass and inertia"
+        "2 m_a damping_ratio (2 pi f); undeflected, the body has its nominal mass and inertia"
     )
     reference = "slosh or flexible panel, pendulum model"
     resembles = ("dynamics.mass",)

@@ -81,9 +81,8 @@ class DynamicsForce(Effect):
     link = "dynamics"
     equation = (
         "R = offset + viscous (1 - viscous_asymmetry sgn v) v + (coulomb + (static - coulomb) "
-        "exp(-(v/stribeck_speed)^2)) sgn(v), "
-        "sgn(0) what holds it, from -1 to 1; the mean over a tick of a motion that the other "
-        "forces, held, drive"
+        "exp(-(v/stribeck_speed)^2)) sgn(v), sgn(0) what holds it, from -1 to 1; the mean over a "
+        "tick of a motion that the other forces, held, drive"
     )
     reference = (
         "C. Canudas de Wit et al., IEEE Trans. Autom. Control 40, 1995; with an "

@@ -78,10 +78,9 @@ class PlatformDrive(Effect):
     link = "platform"
     equation = (
         "x'' = sat(w^2 (x_cmd - x + q), acceleration_limit) - 2 damping_ratio w x' - w^2 friction "
-        "sgn(x') + w^2 offset, "
-        "q' = (x_cmd - x)/integral_time, w = 2 pi bandwidth; "
-        "at rest it holds while |sat(w^2 (x_cmd - x + q), acceleration_limit) + w^2 offset| <= "
-        "w^2 static friction"
+        "sgn(x') + w^2 offset, q' = (x_cmd - x)/integral_time, w = 2 pi bandwidth; at rest it "
+        "holds while |sat(w^2 (x_cmd - x + q), acceleration_limit) + w^2 offset| <= w^2 static "
+        "friction"
     )
     reference = "position controller against Coulomb friction"
     resembles = ("platform.lag", "platform.backlash", "platform.friction", "platform.mode")
@@ -120,9 +119,8 @@ class PlatformDrive(Effect):
             return None
         return (
             f"is unstable by itself with an integral_time of {self.integral_time:g} s; allowed is "
-            f"more than "
-            f"1/(4 pi damping_ratio bandwidth) = {least:g} s: give a longer one, or more "
-            f"bandwidth or damping"
+            f"more than 1/(4 pi damping_ratio bandwidth) = {least:g} s: give a longer one, or more "
+            "bandwidth or damping"
         )
 
     def worth(self, scenario: Scenario, frequency: float) -> float:

@@ -9,12 +9,12 @@ from hiltestbed.config.validation import Problem
 from hiltestbed.errors import InputError
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 PLATFORM = ("rig", "platform")
 
 
-def facility_problems(scenario: Scenario) -> Iterator[Problem]:
+def facility_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     """Requirements of a scenario that its facility cannot meet."""
     from hiltestbed.contact.sides import sides_of
     from hiltestbed.numerical_model.bodies import approach_state
@@ -35,18 +35,16 @@ def facility_problems(scenario: Scenario) -> Iterator[Problem]:
     if facility.moves_passive and scenario.mechanism.mount is not None:
         yield (
             ("mechanism", "mount"),
-            f"cannot be combined with a passive side that moves (got a mount on platform kind "
-            f"{scenario.rig.platform.kind!r}, whose "
-            "sensor could not separate the mount's load from the mechanism's weight); allowed is "
-            "null",
+            "cannot be combined with a passive side that moves (got a mount on platform kind "
+            f"{scenario.rig.platform.kind!r}, whose sensor could not separate the mount's load "
+            "from the mechanism's weight); allowed is null",
         )
     if facility.moves_passive and sides_of(scenario.mechanism).moving:
         yield (
             ("mechanism", "kind"),
             f"has moving parts (got {scenario.mechanism.kind!r} on platform kind "
-            f"{scenario.rig.platform.kind!r}, whose passive side "
-            "moves: the load of its sensor must be rigid); allowed is a mechanism without moving "
-            "parts",
+            f"{scenario.rig.platform.kind!r}, whose passive side moves: the load of its sensor "
+            "must be rigid); allowed is a mechanism without moving parts",
         )
     for complaint in facility.complaints(approach_state(scenario)[:7]):
         yield (

@@ -18,7 +18,7 @@ from hiltestbed.platform.facilities.hall import facility_of
 
 if TYPE_CHECKING:
     from hiltestbed.platform.prs3.drawing import DrawnNineAxes
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 STEP = 1e-3  # [s] nothing is stepped
 

@@ -8,11 +8,11 @@ from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
 from hiltestbed.platform.facilities.facility import Facility
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
     from hiltestbed.scenario.spacecraft import Body
 
 
-def facility_of(scenario: Scenario) -> Facility:
+def facility_of(scenario: ScenarioLike) -> Facility:
     """The facility that a scenario names, including its spacecraft if the bodies move freely.
     Raises InputError.
     """

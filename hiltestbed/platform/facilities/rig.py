@@ -21,7 +21,7 @@ from hiltestbed.platform.facilities.limits import Watch
 
 if TYPE_CHECKING:
     from hiltestbed.contact.contacts import Contacts
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 class Mover(Protocol):

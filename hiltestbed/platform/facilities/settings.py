@@ -18,7 +18,7 @@ from hiltestbed.plugins import placeholder
 
 if TYPE_CHECKING:
     from hiltestbed.platform.facilities.facility import Facility
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 Ratio = Annotated[float, Field(gt=0, le=10)]
 SixPositive = Annotated[tuple[Positive, ...], Strict(False), Field(min_length=6, max_length=6)]
@@ -88,7 +88,7 @@ class ResponseSettings(Strictly):
     )
     delay: NotNegative = Field(default=0.0, description="Pure delay [s], any length")
 
-    def idle(self, scenario: Scenario) -> Iterator[Problem]:
+    def idle(self, scenario: ScenarioLike) -> Iterator[Problem]:
         if self.order == 2:
             yield ("gain",), "the response's order is 2, which has no gain; take order 3"
 
@@ -146,7 +146,7 @@ class Physical(Platform):
     def facility(self) -> Facility:
         return self.build()
 
-    def alike(self, scenario: Scenario) -> Hashable:
+    def alike(self, scenario: ScenarioLike) -> Hashable:
         return (super().alike(scenario), scenario.spacecraft.model_dump_json())
 
     def reference(self) -> dict[str, Any]:

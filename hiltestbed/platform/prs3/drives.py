@@ -32,7 +32,7 @@ from hiltestbed.platform.pss33.dynamics import add_force, invert, load_constants
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 MOVED_PER_DRIVE = 240.0  # [kg] a third of platform, payload and links, carriage and armature
 # [Hz] of the position loop, critically damped: longer limbs than the lower platform's

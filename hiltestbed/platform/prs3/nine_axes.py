@@ -28,7 +28,7 @@ from hiltestbed.platform.prs3.geometry import Upper, place
 from hiltestbed.platform.prs3.upper import MovingUpper
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 @njit(cache=True)

@@ -23,7 +23,7 @@ from hiltestbed.platform.prs3.drives import UpperDrives
 from hiltestbed.platform.prs3.geometry import Upper, inverse, place, slider
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 SETTLE = 0.1  # [s] after which an error of a critically damped 25 Hz loop has decayed to 3e-6
 

@@ -9,19 +9,19 @@ from hiltestbed.config.validation import Problem
 from hiltestbed.platform.pss33.settings import pss33_of
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike
 
 # [m/s] highest approach speed at which the upper platform is clamped before the first touch
 UPPER_SPEED = 0.3
 
 
-def _workspace(scenario: Scenario) -> tuple[float, float]:
+def _workspace(scenario: ScenarioLike) -> tuple[float, float]:
     """Reach from home along [m] and about [deg] each axis."""
     workspace = pss33_of(scenario).workspace
     return workspace.translation, workspace.rotation_deg
 
 
-def start_problems(scenario: Scenario) -> Iterator[Problem]:
+def start_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     """The start must be in the workspace around the nominal first touch, and the controller's cycle
     a whole number of ticks.
     """
@@ -50,7 +50,7 @@ def start_problems(scenario: Scenario) -> Iterator[Problem]:
             )
 
 
-def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
+def _nine_axis_problems(scenario: ScenarioLike) -> Iterator[Problem]:
     """With the upper platform the gap may be as large as its heave; the lower platform's share of
     the start must be in its workspace.
     """
@@ -72,9 +72,8 @@ def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
     if not abs(approach.velocity[2]) <= UPPER_SPEED:
         yield (
             ("approach", "velocity", 2),
-            f"is too fast for the upper platform to come to rest before the touch (got "
-            f"{approach.velocity[2]:g} m/s); "
-            f"allowed is -{UPPER_SPEED:g} to {UPPER_SPEED:g} m/s",
+            "is too fast for the upper platform to come to rest before the touch (got "
+            f"{approach.velocity[2]:g} m/s); allowed is -{UPPER_SPEED:g} to {UPPER_SPEED:g} m/s",
         )
     pose = np.array(
         [[*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]]
@@ -86,7 +85,6 @@ def _nine_axis_problems(scenario: Scenario) -> Iterator[Problem]:
         yield (
             ("approach",),
             f"starts outside the workspace (the lower platform would be at {where} m, rotated by "
-            f"up to {turn.max():.3g} deg); allowed "
-            f"are {reach:g} m and {widest:g} deg on each axis: take a smaller offset or "
-            f"attitude_deg",
+            f"up to {turn.max():.3g} deg); allowed are {reach:g} m and {widest:g} deg on each "
+            "axis: take a smaller offset or attitude_deg",
         )

@@ -14,7 +14,7 @@ from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.platform.facilities.facility import Facility
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 class Actuator(Strictly):

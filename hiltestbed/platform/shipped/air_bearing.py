@@ -20,9 +20,8 @@ class AirBearingSettings(Physical):
 
     distorts: ClassVar[str] = (
         "No loop and no delay, but only three of six degrees of freedom, a floor that is not "
-        "level, hoses that pull, and the mass of the "
-        "air-bearing carriage under each article: the reduced mass of the contact is not that in "
-        "orbit."
+        "level, hoses that pull, and the mass of the air-bearing carriage under each article: the "
+        "reduced mass of the contact is not that in orbit."
     )
 
     still: ClassVar[tuple[str, ...]] = ("py",)  # of the floor's plane, in which A turns about y

@@ -20,9 +20,8 @@ class OverheadGantrySettings(MjcfSettings):
 
     distorts: ClassVar[str] = (
         "Tonnes of bridge with position loops of 4 to 8 Hz: without feed-forward the lag of the "
-        "slides is the main reason why a contact "
-        "becomes active, and the ram yields to the force. Its reach is metres; most other rigs "
-        "have less than one."
+        "slides is the main reason why a contact becomes active, and the ram yields to the force. "
+        "Its reach is metres; most other rigs have less than one."
     )
 
     kind: Literal["overhead_gantry"]

@@ -46,10 +46,9 @@ class SerialArmSettings(Driven):
 
     distorts: ClassVar[str] = (
         "The controller takes a command every 4 ms and acts on it whole cycles later: a dead time "
-        "that feed-forward cannot remove, and the "
-        "main reason why a stiff contact becomes active. Elastic gears ring at 5 to 8 Hz and "
-        "yield to the force. A soft contact with a "
-        "virtual damper in parallel restores the damping, as at EPOS."
+        "that feed-forward cannot remove, and the main reason why a stiff contact becomes active. "
+        "Elastic gears ring at 5 to 8 Hz and yield to the force. A soft contact with a virtual "
+        "damper in parallel restores the damping, as at EPOS."
     )
 
     drives: ClassVar[tuple[str, ...]] = ("controller", "command")

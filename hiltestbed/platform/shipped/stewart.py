@@ -123,9 +123,8 @@ class StewartSettings(Driven):
 
     distorts: ClassVar[str] = (
         "A hydraulic leg is a third-order system: its position loop lags by 1/K, and the oil's "
-        "stiffness rings with the platform's mass. "
-        "Without feed-forward that lag reduces the damping by k/K; with it, as in the model-based "
-        "control at Harbin, the valves and the "
+        "stiffness rings with the platform's mass. Without feed-forward that lag reduces the "
+        "damping by k/K; with it, as in the model-based control at Harbin, the valves and the "
         "oil's modes remain. Seals stick at reversal."
     )
 

@@ -20,9 +20,8 @@ class SuspensionSettings(Physical):
 
     distorts: ClassVar[str] = (
         "No loop and no delay, but a pendulum: the weight pulls back with m g/L per metre of "
-        "travel, cables and winches add mass and "
-        "friction, and a gimbal off the centre of mass tilts the article. Short contacts are "
-        "reproduced correctly, long ones are not."
+        "travel, cables and winches add mass and friction, and a gimbal off the centre of mass "
+        "tilts the article. Short contacts are reproduced correctly, long ones are not."
     )
 
     kind: Literal["suspension"]

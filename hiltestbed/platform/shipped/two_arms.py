@@ -20,9 +20,8 @@ class TwoArmsSettings(Driven):
 
     distorts: ClassVar[str] = (
         "As one arm, but twice: the gears of both sides yield, and the dead times of both "
-        "controllers are in the loop. The passive side "
-        "moves, so that weight and inertia of its mechanism act on the sensor and are subtracted "
-        "from the reading."
+        "controllers are in the loop. The passive side moves, so that weight and inertia of its "
+        "mechanism act on the sensor and are subtracted from the reading."
     )
 
     drives: ClassVar[tuple[str, ...]] = ("controller", "command")

@@ -1,0 +1,68 @@
+"""Interfaces of a compensation in the loop, between the measured wrench and the commanded motion of
+the rig.
+
+A *drive* turns the measurements at t_k into the motion that the rig is to reach at t_(k+1). Most
+methods correct the wrench and drive the numerical model with it: they are a :class:`ForceBlock`,
+called by :class:`hiltestbed.compensation.blocks.ForceDrive`. A method that drives the model in
+another way (by a delayed model and a predictor) is a drive itself.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from hiltestbed.compensation.measurement import Measurement
+from hiltestbed.frames import Array
+
+
+class ForceBlock(Protocol):
+    """A method that corrects the wrench."""
+
+    def compensate(self, measurement: Measurement) -> Array:
+        """``(n, 6)`` the wrench that drives the numerical model."""
+        ...
+
+
+@runtime_checkable
+class Drive(Protocol):
+    """From the measurements at t_k to the motion commanded for t_(k+1).
+
+    Attributes:
+        pose: ``(n, 7)`` pose of A in P, commanded.
+        twist: ``(n, 6)`` its velocity.
+        wrench: ``(n, 6)`` the wrench that explains the numerical model's motion over the tick.
+    """
+
+    pose: Array
+    twist: Array
+    wrench: Array
+
+    def advance(self, measurement: Measurement) -> None:
+        """Advance by one tick."""
+        ...
+
+
+class PoseBlock(Protocol):
+    """A method that changes the commanded pose.
+
+    Attributes:
+        rate: ``(n, 6)`` velocity that it adds to the command, or None.
+    """
+
+    rate: Array | None
+
+    def command(
+        self,
+        pose: Array,
+        derivatives: tuple[Array, Array, Array],
+        measurement: Measurement,
+        out: Array,
+    ) -> None:
+        """Write to ``out`` (n, 7) the pose commanded to the platform.
+
+        Args:
+            pose: ``(n, 7)`` pose of A in P that is to be reached at t_(k+1).
+            derivatives: ``(n, 6)`` each: velocity at t_(k+1), acceleration and jerk over the tick.
+            measurement: the measurements at t_k.
+        """
+        ...

@@ -1,0 +1,166 @@
+"""The page of the benchmark of diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.report.page import Report, new_figure
+from tests.equipment.diagnosis.reliability import reliability_plot
+
+RATES = {
+    "named_rate": "one hidden effect, named (alone or in a set of three)",
+    "pair_rate": "two hidden effects, both named",
+    "triple_rate": "three hidden effects, all named",
+    "alike_rate": "one of two effects that look alike, named (alone or in a set of three)",
+    "alike_wrong_rate": "one of two effects that look alike, and another effect named instead",
+    "false_alarm_rate": "healthy rigs with a false alarm",
+    "foreign_unknown_rate": "effects outside the vocabulary, judged unknown with the right link",
+    "foreign_named_rate": "effects outside the vocabulary, for which one of the vocabulary was "
+    "named",
+    "named_in_part_wrong_rate": "causes named in part that were not hidden, of all sets",
+    "abstention_rate": "one or two hidden effects, judged unknown",
+    "docking_named_rate": "one hidden effect in a docking, named",
+    "docking_pair_rate": "two hidden effects in a docking, both named",
+    "docking_false_alarm_rate": "healthy dockings with a false alarm",
+    "docking_foreign_unknown_rate": "effects outside the vocabulary in a docking, judged unknown "
+    "or inconclusive",
+    "interval_coverage": "true parameters within their 95 % intervals",
+    "gain_ratio": "gain on held-out runs over the true model's gain (median)",
+    "noise_alarm_rate": "healthy rigs with non-white noise, with a false alarm",
+    "cpu_median": "CPU time of a set [s], median",
+    "cpu_longest": "CPU time of a set [s], longest",
+}
+
+
+def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any]) -> Report:
+    """Rates, the confusion matrix, the smallest detectable effects."""
+    report = Report("Diagnosis of hidden effects")
+    report.lead(
+        f"{summary['done']} sets of measured data from an independent rig, with hidden effects or "
+        f"without: {sum(g['right'] for g in summary['groups'])} were judged correctly."
+    )
+    rows = [
+        [text, "-" if summary[name] is None else f"{summary[name]:.3f}"]
+        for name, text in RATES.items()
+    ]
+    report.table(["figure", "value"], rows, _counted(summary))
+    if summary["done"] < summary["planned"]:
+        report.text(
+            f"{summary['done']} of {summary['planned']} sets, in random order, were done in the "
+            f"given time."
+        )
+    rows = [
+        [
+            g["rig"],
+            g["kind"],
+            g["sets"],
+            g["right"],
+            f"{g['low']:.2f} to {g['high']:.2f}",
+            f"{g['cpu_median']:.0f}",
+            f"{g['cpu_longest']:.0f}",
+        ]
+        for g in summary["groups"]
+    ]
+    columns = [
+        "rig",
+        "hidden",
+        "sets",
+        "correct",
+        "95 % interval of the share",
+        "CPU s, median",
+        "longest",
+    ]
+    report.table(columns, rows, "Each kind of set on each kind of rig.")
+    report.figure(
+        _strengths(records),
+        "Single effects: strength of each relative to the noise of its link, and whether it was "
+        "named.",
+    )
+    if summary["reliability"]:
+        report.figure(
+            reliability_plot(summary["reliability"]),
+            "Calibration of the stated probabilities, with 95 % intervals.",
+        )
+    called = [
+        [hidden, name, count]
+        for hidden, names in summary["confusion"].items()
+        for name, count in names.items()
+    ]
+    report.table(
+        ["hidden", "named", "sets"], called, "The names that each hidden effect was given."
+    )
+    if summary["noise_alarms"]:
+        rows = [[name, alarms] for name, alarms in summary["noise_alarms"].items()]
+        report.table(
+            ["noise", "alarms"],
+            rows,
+            "Healthy rigs with non-white noise, and how many of them raised a false alarm.",
+        )
+    small = [
+        [name, f"{found['strength']:.2g}", _sizes(found)]
+        for name, found in summary["smallest_found"].items()
+    ]
+    report.table(
+        ["effect", "rms over noise", "parameters"],
+        small,
+        "The smallest size at which each effect was named.",
+    )
+    wrong = [
+        [
+            r["seed"],
+            f"{r['kind']}, {_rig(r)}",
+            _names(r["hidden"]),
+            r["verdict"],
+            _names(r["causes"], "effect"),
+        ]
+        for r in records
+        if not r["right"]
+    ]
+    report.table(
+        ["seed", "kind", "hidden", "verdict", "named"],
+        wrong,
+        "All sets that were judged wrongly, or whose effect was not found.",
+    )
+    return report
+
+
+def _counted(summary: dict[str, Any]) -> str:
+    def words(counts: dict[str, int]) -> str:
+        return ", ".join(f"{n} {kind}" for kind, n in counts.items())
+
+    return (
+        f"Sets of a bumper: {words(summary['sets'])}; of dockings: "
+        f"{words(summary['docking_sets'])}."
+    )
+
+
+def _rig(record: dict[str, Any]) -> str:
+    noise = f"{record['noise'][0]} {record['noise'][1]:g}" if record["noise"] else ""
+    return noise or (record["design"] if record["computing"] == "plain" else record["computing"])
+
+
+def _sizes(found: dict[str, Any]) -> str:
+    return ", ".join(
+        f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}"
+        for k, v in found.items()
+        if k != "strength"
+    )
+
+
+def _names(entries: Sequence[dict[str, Any]], key: str = "kind") -> str:
+    return " + ".join(e[key] for e in entries) or "-"
+
+
+def _strengths(records: Sequence[dict[str, Any]]):
+    figure, axes = new_figure(8.0, 3.2)
+    singles = [r for r in records if r["kind"] == "single"]
+    for right, colour, row in ((True, "tab:green", 1.0), (False, "tab:red", 0.0)):
+        x = [max(r["strengths"][0], 1e-3) for r in singles if r["right"] is right]
+        axes.semilogx(x, row + 0.25 * np.sin(np.arange(len(x)) * 2.4), "o", color=colour, alpha=0.6)
+    axes.set_yticks([0.0, 1.0], ["missed", "named"])
+    axes.set_ylim(-0.5, 1.5)
+    axes.set_xlabel("rms of the change in the records over the noise")
+    return figure

@@ -1,0 +1,177 @@
+"""Generates the records and logs of a facility's runs, with hidden effects and the facility's way
+of computing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+from tests.equipment.independent_rig.closed_loop import simulate
+from tests.equipment.independent_rig.docking_facility import SIX, DockingFacility
+from tests.equipment.independent_rig.facility import Facility
+from tests.equipment.independent_rig.foreign import FOREIGN
+from tests.equipment.independent_rig.further_foreign import IN_DOCKING
+from tests.equipment.independent_rig.hidden import EFFECTS
+from tests.equipment.independent_rig.links import Noise, Records, Rig
+from tests.equipment.independent_rig.log import Log, log_of
+from tests.equipment.independent_rig.noise_kinds import NOISE_KINDS
+from tests.equipment.independent_rig.nuisances import PLAIN as AS_TODAY
+from tests.equipment.independent_rig.nuisances import Nuisances, restamped, with_nuisances
+from tests.equipment.independent_rig.rig import docking_rig, nominal_rig, overridden, with_held
+
+# links of effects whose family has another name
+LINKS = {"frame": "contact", "loop": "compensation"}
+PLAIN = {"coarse": False, "quiet_zone": False, "lever": 1.0, "frame_rate": 0.0, "mode_read": False}
+# largest force over the expected peak: above it the set is unstable and cannot be diagnosed
+MOST_OVERLOAD = 2.5
+LEAST_LOAD = 0.2  # smallest likewise
+ALL_FOREIGN = FOREIGN | IN_DOCKING
+
+
+def link_of(kind: str) -> str:
+    """The link of the loop that an effect, of the vocabulary or foreign, belongs to."""
+    if kind in ALL_FOREIGN:
+        return ALL_FOREIGN[kind].link
+    family = kind.split(".")[0]
+    return LINKS.get(family, family)
+
+
+def with_effect(rig: Rig, effect: dict[str, Any], run: int = 0) -> Rig:
+    """The rig of a run with an effect of the vocabulary or a foreign one in it."""
+    given = {name: value for name, value in effect.items() if name != "kind"}
+    if effect["kind"] in ALL_FOREIGN:
+        return with_held(ALL_FOREIGN[effect["kind"]].apply(rig, given | {"run": run}))
+    return with_held(EFFECTS[effect["kind"]](rig, given))
+
+
+def rig_of(
+    facility: Facility,
+    run: int,
+    effects: list[dict[str, Any]],
+    variants: dict[str, Any],
+    nuisances: Nuisances = AS_TODAY,
+) -> Rig:
+    """The rig of a run of the facility."""
+    scenario = overridden(facility.scenario, facility.runs[run])
+    rig = docking_rig(scenario) if SIX in facility.design else nominal_rig(scenario)
+    rig = rig._replace(
+        platform=rig.platform._replace(coarse=variants["coarse"]),
+        sensor=rig.sensor._replace(quiet_zone=variants["quiet_zone"]),
+        contact=rig.contact._replace(
+            lever=variants["lever"],
+            frame_rate=variants["frame_rate"],
+            mode_read=variants["mode_read"],
+        ),
+    )
+    for effect in effects:
+        rig = with_effect(rig, effect, run)
+    return with_held(with_nuisances(rig, nuisances))
+
+
+def draw_variants(rng: Generator) -> dict[str, Any]:
+    """Random interpretations of the definitions.
+
+    coarse: the platform's filters advance by semi-implicit Euler in each sub-step, not exactly.
+        quiet_zone: noise is added after
+    the dead zone and the saturation of the sensor. lever: the force acts at the tip (1) or at the
+    undeformed surface (0).
+    frame_rate: a compliant frame reduces the forces of spring and damper equally (0), that of the
+        damper twice (1) or not at all (-1).
+    mode_read: the sensor is below the vibrating mass.
+    """
+    return {
+        "coarse": bool(rng.random() < 0.5),
+        "quiet_zone": bool(rng.random() < 0.3),
+        "lever": float(rng.choice([0.0, 0.5, 1.0])),
+        "frame_rate": float(rng.choice([0.0, 0.0, 1.0, -1.0])),
+        "mode_read": bool(rng.random() < 0.5),
+    }
+
+
+def sigma_of(facility: Facility) -> np.ndarray:
+    """(6,) standard deviation of the facility's white noise [N, N m]."""
+    return np.array([facility.noise] * 3 + [facility.torque_noise] * 3)
+
+
+def draw_noise(rng: Generator, facility: Facility, ticks: int) -> Noise:
+    """White noise for a run of the facility."""
+    scale = sigma_of(facility)
+    pose = np.array([facility.pose_noise] * 3 + [facility.turn_noise] * 3)
+    reading, still = rng.standard_normal((ticks, 6)) * scale, rng.standard_normal((ticks, 6)) * pose
+    return Noise(reading, still, rng.standard_normal(ticks), rng.random(ticks))
+
+
+def generate(
+    rng: Generator, facility: Facility, effects: list[dict[str, Any]], variants: dict[str, Any]
+) -> list[Records]:
+    """The records of all runs, in closed loop, with white noise."""
+    rigs = [rig_of(facility, i, effects, variants) for i in range(len(facility.runs))]
+    return [simulate(rig, draw_noise(rng, facility, rig.ticks)) for rig in rigs]
+
+
+def record(
+    rng: Generator,
+    facility: Facility,
+    rigs: list[Rig],
+    nuisances: Nuisances,
+    noise: tuple[str, float] | None,
+    twists: bool,
+) -> tuple[list[Records], list[Log]]:
+    """Records of all runs in closed loop, and the facility's logs of them, with `noise` (kind,
+    strength).
+    """
+    runs = [_simulated(rng, facility, i, rig, noise) for i, rig in enumerate(rigs)]
+    runs = [restamped(records, nuisances.stamps) for records in runs]
+    rate = facility.scenario["rate"]
+    logs = [log_of(records, rate, sigma_of(facility), i, twists) for i, records in enumerate(runs)]
+    if noise is not None and NOISE_KINDS[noise[0]].place == "log":
+        logs = [NOISE_KINDS[noise[0]](log, noise[1], rng) for log in logs]
+    return runs, logs
+
+
+def _simulated(
+    rng: Generator, facility: Facility, run: int, rig: Rig, noise: tuple[str, float] | None
+) -> Records:
+    """A run with noise in the loop. Noise that depends on the reading is drawn from the reading of
+    the same run without noise.
+    """
+    drawn = draw_noise(rng, facility, rig.ticks)
+    if noise is None or NOISE_KINDS[noise[0]].place == "log":
+        return simulate(rig, drawn)
+    kind, strength = noise
+    # quantisation in the sensor itself, so that every reading is quantised
+    if kind == "converter_steps":
+        return simulate(rig._replace(sensor=rig.sensor._replace(quantum=strength)), drawn)
+    quiet = drawn._replace(reading=np.zeros_like(drawn.reading))
+    clean = simulate(rig, quiet)
+    log = log_of(clean._replace(wrench_meas=clean.used), rig.rate, sigma_of(facility), run, False)
+    noisy = NOISE_KINDS[kind](log, strength, rng)
+    return simulate(rig, drawn._replace(reading=noisy.wrench_meas - log.wrench_meas))
+
+
+def stable(facility: Facility, runs: list[Records]) -> bool:
+    """Whether a facility would have accepted the set: finite, and with forces of about the expected
+    size.
+    """
+    for run, records in enumerate(runs):
+        six = isinstance(facility, DockingFacility)
+        expected = facility.expected_peak(run) if six else _axial_peak(facility, run)
+        force = np.abs(records.physical[:, :3] if six else records.physical[:, 2])
+        if (
+            not np.all(np.isfinite(records.pose_cmd))
+            or force.max() > MOST_OVERLOAD * expected
+            or force.max() < LEAST_LOAD * expected
+        ):
+            return False
+    return True
+
+
+def _axial_peak(facility: Facility, run: int) -> float:
+    factor = np.sqrt(
+        facility.runs[run].get("mechanism.contact.stiffness", facility.stiffness)
+        / facility.stiffness
+    )
+    return factor * facility.peak * facility.speeds[run] / facility.middle_speed

@@ -1,0 +1,164 @@
+"""Builds the five links of this rig from a scenario."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import numpy as np
+
+from tests.equipment.independent_rig import bodies
+from tests.equipment.independent_rig.compensation import METHODS, Compensator
+from tests.equipment.independent_rig.cone import Surfaces
+from tests.equipment.independent_rig.contact import Contact
+from tests.equipment.independent_rig.docking import Docking
+from tests.equipment.independent_rig.links import Rig
+from tests.equipment.independent_rig.mount import (
+    CONE_CENTRE,
+    CONE_INERTIA,
+    CONE_MASS,
+    Mount,
+    mount_of,
+    no_mount,
+)
+from tests.equipment.independent_rig.platform import Platform
+from tests.equipment.independent_rig.sensor import Sensor
+
+LEAD_T2 = 0.0005  # s, unless the scenario sets it
+PLAIN = ("none", "phase_lead")  # methods for which the loop on a plane has its own code
+MIDDLE = 0.5  # lever of a healthy docking: the force acts in the middle of the overlap
+BUMPER_TIP = 0.02  # m, radius
+# mass, inertia about its centre, centre from P
+Body = tuple[float, tuple[float, float, float], tuple[float, float, float]]
+CONE_BODY: Body = (CONE_MASS, CONE_INERTIA, CONE_CENTRE)
+BUMPER_BODY: Body = (120.0, (8.0, 8.0, 10.0), (0.0, 0.0, 0.30))  # as in models/bumper/passive.xml
+SIGMAS = 5.0  # force over its noise above which an identification detects a contact
+
+
+def overridden(scenario: dict, changes: dict) -> dict:
+    """A copy of the scenario with dotted keys set."""
+    out = deepcopy(scenario)
+    for key, value in changes.items():
+        *path, last = key.split(".")
+        place = out
+        for part in path:
+            place = place[int(part)] if isinstance(place, list) else place[part]
+        if isinstance(place, list):
+            place[int(last)] = value
+        else:
+            place[last] = value
+    return out
+
+
+def nominal_rig(scenario: dict) -> Rig:
+    """The nominal rig of a scenario (a mapping with every key that is read here): bumper or
+    latched, ideal tracking.
+    """
+    contact = scenario["mechanism"]["contact"]
+    delay = float(scenario["sensor"]["delay"])
+    force = scenario["compensation"]["force"]
+    rate = float(scenario["rate"])
+    t2 = float(force.get("t2", LEAD_T2))
+    return Rig(
+        bodies.from_scenario(scenario["spacecraft"]),
+        Platform(np.ones(3)),
+        Contact(
+            np.array([0.0, 0.0, 1.0]),
+            float(contact["stiffness"]),
+            float(contact["damping"]),
+            float(contact["friction"]),
+            scenario["mechanism"]["kind"] == "latched",
+        ),
+        Sensor(np.ones(6), np.zeros((6, 6)), np.zeros(3), np.zeros(6), np.zeros(3), delay),
+        Compensator(delay + t2, t2, force["kind"] == "phase_lead")
+        if force["kind"] in PLAIN
+        else compensator_of(scenario),
+        scenario["approach"],
+        rate,
+        round(float(scenario["duration"]) * rate),
+    )
+
+
+def compensator_of(scenario: dict) -> Compensator:
+    """The compensator of a scenario's `compensation.force`, any of `METHODS`."""
+    force = scenario["compensation"]["force"]
+    delay = float(scenario["sensor"]["delay"])
+    t2 = float(force.get("lag", LEAD_T2))
+    lead = force.get("lead")
+    masses = [scenario["spacecraft"][body]["mass"] for body in ("chaser", "target")]
+    return Compensator(
+        delay + t2 if lead is None else float(lead),
+        t2,
+        method=METHODS[force["kind"]],
+        delay=delay,
+        order=int(force.get("order", 3)),
+        stiffness=float(force.get("stiffness", 0.0)),
+        damping=float(force.get("damping", 0.0)),
+        width=float(force.get("width", 0.0)),
+        lead_rest=bool(force.get("lead_rest", False)),
+        inverse_mass=sum(1.0 / float(m) for m in masses),
+        threshold=SIGMAS * float(scenario["sensor"].get("noise", 0.0)),
+    )
+
+
+def docking_rig(scenario: dict) -> Rig:
+    """The rig of a scenario with all six axes: probe and cone, bumper or latched; rigid or on a
+    mount; ideal tracking or servo.
+
+    A `rig.platform` with tracking `servo` responds to second order with its `bandwidth` [Hz] and
+    `damping_ratio` on every axis.
+    """
+    flat = nominal_rig(scenario)
+    mechanism, platform = scenario["mechanism"], scenario["rig"]["platform"]
+    response = {}
+    if platform["tracking"] == "servo":
+        response = {
+            "response_w": 2.0 * np.pi * float(platform["bandwidth"]),
+            "response_zeta": float(platform["damping_ratio"]),
+        }
+    contact = flat.contact._replace(latched=False, lever=MIDDLE)
+    rig = flat._replace(
+        contact=contact,
+        platform=flat.platform._replace(**response),
+        compensator=compensator_of(scenario),
+        docking=_docking(mechanism, contact),
+    )
+    return with_held(rig)
+
+
+def _docking(mechanism: dict, contact: Contact) -> Docking:
+    kind, latch, mount = mechanism["kind"], mechanism.get("latch"), mechanism.get("mount")
+    docking = Docking(
+        Surfaces() if kind == "probe_cone" else Surfaces(tip=BUMPER_TIP, flat=True), contact,
+        _mount(mount, kind), from_start=kind == "latched",
+    )  # fmt: skip
+    if not latch:
+        return docking
+    cosine = float(np.cos(np.radians(latch["angle_deg"])))
+    return docking._replace(
+        captures=True,
+        latch_depth=float(latch["depth"]),
+        latch_cosine=cosine,
+        latch_speed=float(latch["speed"]),
+    )
+
+
+def _mount(mount: dict | None, kind: str) -> Mount:
+    if mount is None:
+        return no_mount()
+    return mount_of(
+        mount["stiffness"],
+        mount.get("damping", np.zeros(6)),
+        *(CONE_BODY if kind == "probe_cone" else BUMPER_BODY),
+    )
+
+
+def with_held(rig: Rig) -> Rig:
+    """The rig with its contact law also in its latch; a latch that closes holds the pose at
+    capture, without offset, preload or stop.
+    """
+    if rig.docking is None:
+        return rig
+    law = rig.contact._replace(latched=True)
+    if not rig.docking.from_start:
+        law = law._replace(touch=0.0, preload=0.0, stop_stiffness=0.0)
+    return rig._replace(docking=rig.docking._replace(held=law))

@@ -1,0 +1,314 @@
+"""Sets of measured data with hidden effects: drawing, generation, and check of their strength."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from numpy.random import Generator
+
+from tests.equipment.independent_rig import docking_sizes
+from tests.equipment.independent_rig.docking_facility import SIX, draw_docking_facility
+from tests.equipment.independent_rig.facility import Facility, draw_facility
+from tests.equipment.independent_rig.foreign import FOREIGN, Foreign
+from tests.equipment.independent_rig.further_foreign import IN_DOCKING, LEAD_ALONE, foreign_in
+from tests.equipment.independent_rig.generation import (
+    PLAIN,
+    draw_noise,
+    draw_variants,
+    generate,
+    link_of,
+    record,
+    rig_of,
+    stable,
+    with_effect,
+)
+from tests.equipment.independent_rig.hidden import EFFECTS
+from tests.equipment.independent_rig.links import Records
+from tests.equipment.independent_rig.log import Log
+from tests.equipment.independent_rig.look_alikes import LOOK_ALIKES, Pair, draw_look_alike
+from tests.equipment.independent_rig.noise_kinds import NOISE_KINDS
+from tests.equipment.independent_rig.nuisances import PLAIN as AS_TODAY
+from tests.equipment.independent_rig.nuisances import Nuisances
+from tests.equipment.independent_rig.sizes import NEEDS, SIZES, alike
+from tests.equipment.independent_rig.strengths import strength
+
+Kind = Literal["healthy", "single", "pair", "triple", "foreign", "alike"]
+Design = Literal["bumper", "docking", "mounted", "held"]
+FACILITIES = 200  # largest number of draws for a set
+STRONG_ENOUGH = 150  # draws after which a weak effect is accepted too
+WEAKEST = 0.3  # smallest strength of an observable effect
+
+__all__ = [
+    "PLAIN",
+    "Design",
+    "HiddenSet",
+    "Kind",
+    "draw_effects",
+    "draw_noise",
+    "draw_set",
+    "draw_variants",
+    "generate",
+    "link_of",
+    "rig_of",
+    "strength",
+    "with_effect",
+]
+
+
+@dataclass(frozen=True)
+class HiddenSet:
+    """A set and the truth about it.
+
+    Attributes:
+        kind: healthy, single, pair, triple, foreign or alike.
+        effects: the hidden effects, as in a scenario's `effects`; foreign ones have a kind
+            `unknown.*`.
+        links: of the effects, in their order.
+        strengths: of the effects, in their order: rms change of the link's records by the effect
+            during contact, in units of their noise, with the loop opened before the link.
+            Unobservable below about 0.3.
+        variants: interpretations of the definitions where they leave a choice: see `draw_variants`.
+        runs: the records of each run, with noise, in the order of the facility's runs; logs: their
+            logs, as written to files.
+        design, compensation, noise, nuisances: as requested. rival: for kind alike, the effect that
+            looks like the hidden one.
+    """
+
+    kind: Kind
+    facility: Facility
+    effects: list[dict[str, Any]]
+    links: list[str]
+    strengths: list[float]
+    variants: dict[str, Any]
+    runs: list[Records] = field(repr=False)
+    logs: list[Log] = field(repr=False, default_factory=list)
+    design: Design = "bumper"
+    compensation: str = "phase_lead"
+    noise: tuple[str, float] | None = None
+    nuisances: Nuisances = AS_TODAY
+    rival: dict[str, Any] | None = None
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """Contents of `truth.yaml`; entries equal to those of a plain bumper set are omitted."""
+        weak = [e["kind"] for e, s in zip(self.effects, self.strengths, strict=True) if s < WEAKEST]
+        found = {
+            "kind": self.kind,
+            "effects": self.effects,
+            "links": self.links,
+            "strengths": self.strengths,
+            "unobservable": weak,
+            "variants": self.variants,
+            "design": sorted(self.facility.design),
+        }
+        if self.rival is not None:
+            found["rival"] = self.rival
+        if self.compensation != "phase_lead":
+            found["compensation"] = self.compensation
+        if self.noise is not None:
+            found["noise"] = {"kind": self.noise[0], "strength": self.noise[1]}
+        if self.nuisances != AS_TODAY:
+            found["nuisances"] = asdict(self.nuisances)
+        return found
+
+
+def draw_set(
+    rng: Generator,
+    kind: Kind,
+    names: tuple[str, ...] = (),
+    scale: float = 1.0,
+    least_strength: float = 3.0,
+    literal: bool = False,
+    *,
+    design: Design = "bumper",
+    compensation: str = "phase_lead",
+    noise: tuple[str, float] | None = None,
+    nuisances: Nuisances | None = None,
+    response: tuple[float, float] | None = None,
+    twists: bool = False,
+    pair: Pair | None = None,
+) -> HiddenSet:
+    """Draw a set with hidden effects.
+
+    Args:
+        names: the effects to hide, of the vocabulary or foreign; empty: random ones, according to
+            `kind`.
+        scale: of the deviations. With a scale other than 1 the strength is not checked.
+        least_strength: below it the set is drawn again, with another facility.
+        literal: the plain interpretation of every definition, no variants.
+        design: bumper (three axes, a plane) | docking (probe and cone) | mounted (the cone on a
+            compliant mount) | held (latched).
+        compensation: the facility's method, a key of `docking_facility.METHODS`.
+        noise: kind and strength of `NOISE_KINDS` instead of the white noise. nuisances: of the
+            facility's computation.
+        response: bandwidth [Hz] and damping ratio of the platform, not for the bumper; None: ideal
+            tracking.
+        twists: whether the logs contain velocities too.
+        pair: for kind alike, the pair of `LOOK_ALIKES`, the first of which is hidden; None: a
+            random pair in random order.
+
+    Raises:
+        ValueError: an unknown noise, compensation, design or pair, or names that do not act in the
+            design.
+    """
+    _known(names, design, noise, pair)
+    how = nuisances or AS_TODAY
+    rival = None
+    for attempt in range(FACILITIES):
+        chosen = names or _names(rng, kind, design, compensation, pair)
+        facility = _facility(rng, chosen, design, compensation, response)
+        if kind == "alike":
+            both = draw_look_alike(rng, _ordered(chosen), facility, scale)
+            effects, rival = (
+                ([both[0]], both[1]) if both[0]["kind"] == chosen[0] else ([both[1]], both[0])
+            )
+        else:
+            effects = draw_effects(rng, chosen, facility, scale)
+        variants = dict(PLAIN) if literal else draw_variants(rng)
+        strengths = [strength(facility, effects, i, variants) for i in range(len(effects))]
+        if scale == 1.0 and attempt < STRONG_ENOUGH and any(s < least_strength for s in strengths):
+            continue
+        rigs = [rig_of(facility, i, effects, variants, how) for i in range(len(facility.runs))]
+        runs, logs = record(rng, facility, rigs, how, noise, twists)
+        if stable(facility, runs):
+            links = [link_of(e["kind"]) for e in effects]
+            found = [round(s, 3) for s in strengths]
+            return HiddenSet(
+                kind,
+                facility,
+                effects,
+                links,
+                found,
+                variants,
+                runs,
+                logs,
+                design,
+                compensation,
+                noise,
+                how,
+                rival,
+            )
+    raise RuntimeError(f"no stable set with {names or kind} at scale {scale} in {FACILITIES} draws")
+
+
+def draw_effects(
+    rng: Generator, names: tuple[str, ...], facility: Facility, scale: float = 1.0
+) -> list[dict[str, Any]]:
+    """The effects `names`, of the vocabulary or foreign, at moderate sizes for the facility, times
+    `scale`.
+    """
+    sizes, foreign = _tables(facility)
+    draws = [foreign[name].draw if name in foreign else sizes[name] for name in names]
+    found = [draw(rng, facility, scale) for draw in draws]
+    short = [
+        {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in given.items()}
+        for given in found
+    ]
+    return [{"kind": name, **given} for name, given in zip(names, short, strict=True)]
+
+
+def _tables(facility: Facility) -> tuple[Mapping[str, Any], Mapping[str, Foreign]]:
+    if SIX in facility.design:
+        return docking_sizes.SIZES, IN_DOCKING
+    return SIZES, IN_DOCKING | FOREIGN
+
+
+def acting_in(design: Design) -> tuple[str, ...]:
+    """The effects of the vocabulary that can be hidden in a design."""
+    return tuple(EFFECTS) if design == "bumper" else docking_sizes.ACTING[design]
+
+
+def _known(
+    names: tuple[str, ...], design: Design, noise: tuple[str, float] | None, pair: Pair | None
+) -> None:
+    if design not in ("bumper", *docking_sizes.ACTING):
+        raise ValueError(
+            f"unknown design {design!r}; allowed: bumper, {', '.join(docking_sizes.ACTING)}"
+        )
+    idle = [n for n in names if n not in acting_in(design) and n not in foreign_in(design)]
+    if idle:
+        raise ValueError(f"{', '.join(idle)} cannot be hidden in design {design}")
+    if noise is not None and noise[0] not in NOISE_KINDS:
+        raise ValueError(f"unknown noise {noise[0]!r}; allowed: {', '.join(NOISE_KINDS)}")
+    if pair is not None and pair not in LOOK_ALIKES:
+        raise ValueError(
+            f"unknown pair {pair!r}; allowed: {', '.join(' / '.join(p) for p in LOOK_ALIKES)}"
+        )
+
+
+def _facility(
+    rng: Generator,
+    chosen: tuple[str, ...],
+    design: Design,
+    method: str,
+    response: tuple[float, float] | None,
+) -> Facility:
+    if design == "bumper":
+        return draw_facility(rng, _design(rng, chosen), method)
+    return draw_docking_facility(rng, design, method, frozenset(), response)
+
+
+def _names(
+    rng: Generator, kind: Kind, design: Design, compensation: str, pair: Pair | None
+) -> tuple[str, ...]:
+    if kind == "healthy":
+        return ()
+    if kind == "foreign":
+        table = FOREIGN if design == "bumper" else foreign_in(design)
+        return (
+            str(
+                rng.choice(
+                    [n for n in table if compensation == "phase_lead" or n not in LEAD_ALONE]
+                )
+            ),
+        )
+    if kind == "alike":
+        return _alike_names(rng, design, pair)
+    vocabulary = acting_in(design)
+    first = str(rng.choice(list(vocabulary)))
+    if kind == "single":
+        return (first,)
+    second = str(rng.choice([name for name in vocabulary if not alike(first, name)]))
+    if kind == "pair":
+        return (first, second)
+    return (
+        first,
+        second,
+        str(
+            rng.choice(
+                [name for name in vocabulary if not (alike(first, name) or alike(second, name))]
+            )
+        ),
+    )
+
+
+def _alike_names(rng: Generator, design: Design, pair: Pair | None) -> tuple[str, ...]:
+    """The effect to hide and its rival."""
+    if pair is not None:
+        return pair
+    acting = acting_in(design)
+    pairs = [p for p in LOOK_ALIKES if set(p) <= set(acting)]
+    first, second = pairs[int(rng.integers(len(pairs)))]
+    return (first, second) if rng.random() < 0.5 else (second, first)
+
+
+def _ordered(chosen: tuple[str, ...]) -> Pair:
+    first, second = chosen
+    return (first, second) if (first, second) in LOOK_ALIKES else (second, first)
+
+
+def _design(rng: Generator, names: tuple[str, ...]) -> frozenset[str]:
+    """The excitation of the runs: everything that the effects need, and more at random, so that the
+    design does not reveal the effects.
+
+    A latch also holds the attitude, which this rig of three axes leaves free: latched runs are
+    therefore on the axis.
+    """
+    design = {"slide"} | ({"offset"} if rng.random() < 0.25 else set())
+    if not names and rng.random() < 0.05:
+        design |= {"latched"}
+    for name in names:
+        design |= NEEDS.get(name, frozenset())
+    return frozenset(design - {"offset", "slide"} if "latched" in design else design)

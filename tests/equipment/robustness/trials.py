@@ -1,0 +1,379 @@
+"""The trials: ``TRIALS[kind](rng, folder)`` runs a random one and returns how it ended; an
+exception counts as a fault.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.random import Generator
+
+from hiltestbed.errors import HiltestbedError, InputError
+from tests.equipment.robustness.distortions import DISTORTIONS
+from tests.equipment.robustness.kills import good_set, kill
+from tests.equipment.robustness.values import value_of
+
+if TYPE_CHECKING:
+    from hiltestbed.config.check import Kind
+
+SURVIVED, REFUSED, REMARKED = "survived", "refused", "remarked"
+Trial = Callable[[Generator, Path], str]
+MOST_TICKS, MOST_INSTANTS = 600, 12_000  # limits of a scenario that is run, to save time
+ROWS = 200
+SUFFIXES = ("csv", "parquet", "h5", "mat", "mf4", "tdms", "mcap")
+_seeds: dict[str, bytes] = {}
+_good: dict[str, Any] = {}
+
+
+@cache
+def _schema(kind: Kind) -> dict[str, Any]:
+    from hiltestbed.config.check import json_schema
+
+    return json_schema(kind)
+
+
+def _shipped(rng: Generator) -> dict[str, Any]:
+    """The data of a random shipped scenario."""
+    from hiltestbed.config.gallery import shipped
+    from hiltestbed.config.yaml_source import read_source
+
+    files = sorted(shipped("scenarios").glob("*.yaml"))
+    return read_source(files[int(rng.integers(len(files)))]).data
+
+
+def scenario(rng: Generator, folder: Path) -> str:
+    """A shipped scenario with some sections replaced by random ones, run if it is valid."""
+    from hiltestbed.scenario import scenario_from
+    from hiltestbed.simulation import run
+
+    try:
+        given = scenario_from(_changed(rng))
+        instants = given.ticks * given.substeps
+        if given.ticks > MOST_TICKS or instants > MOST_INSTANTS:
+            shorter = min(MOST_TICKS, MOST_INSTANTS // given.substeps) / given.rate
+            given = scenario_from(given.model_dump(mode="json"), set={"duration": shorter})
+        status = run(given).summary["status"]
+    except InputError:
+        return REFUSED
+    return SURVIVED if status == "completed" else status
+
+
+def _changed(rng: Generator) -> dict[str, Any]:
+    schema, data = _schema("scenario"), _shipped(rng)
+    names = list(schema["properties"])
+    for name in rng.choice(names, size=int(rng.integers(1, 5)), replace=False):
+        data[str(name)] = value_of(schema["properties"][str(name)], rng, schema)
+    data.setdefault("name", "random")
+    return data
+
+
+def extremes(rng: Generator, folder: Path) -> str:
+    """A shipped scenario with a few numbers changed by orders of magnitude, run if it is valid."""
+    from hiltestbed.scenario import scenario_from
+    from hiltestbed.simulation import run
+
+    data = _shipped(rng)
+    for _ in range(int(rng.integers(1, 4))):
+        _stretch(data, rng)
+    data["duration"] = min(float(data.get("duration", 3.0)), 0.2)
+    try:
+        given = scenario_from(data)
+        if given.ticks > MOST_TICKS or given.ticks * given.substeps > MOST_INSTANTS:
+            given = scenario_from(
+                data,
+                set={"duration": min(MOST_TICKS, MOST_INSTANTS // given.substeps) / given.rate},
+            )
+        status = run(given).summary["status"]
+    except InputError:
+        return REFUSED
+    return SURVIVED if status == "completed" else status
+
+
+def _stretch(node: Any, rng: Generator) -> None:
+    """Multiply one number below ``node`` by a power of ten, or make it 0."""
+    while isinstance(node, (dict, list)) and node:
+        keys = list(node) if isinstance(node, dict) else list(range(len(node)))
+        key = keys[int(rng.integers(len(keys)))]
+        inner = node[key]
+        if isinstance(inner, (int, float)) and not isinstance(inner, bool):
+            node[key] = (
+                0.0 if rng.random() < 0.1 else float(inner) * 10.0 ** int(rng.integers(-9, 10))
+            )
+            return
+        node = inner
+
+
+def text(rng: Generator, folder: Path) -> str:
+    """A scenario file with some bytes changed."""
+    from hiltestbed.config.check import check_file
+    from hiltestbed.config.gallery import shipped
+
+    files = sorted(shipped("scenarios").glob("*.yaml"))
+    path = folder / "text.yaml"
+    data = files[int(rng.integers(len(files)))].read_bytes()
+    path.write_bytes(mutated(data, rng) if rng.random() < 0.4 else _mistyped(data, rng))
+    return REFUSED if check_file(path)[1] else SURVIVED
+
+
+def _mistyped(data: bytes, rng: Generator) -> bytes:
+    """``data`` with a few digits and punctuation characters replaced by others."""
+    out, typed = bytearray(data), b"0123456789.-+eE,:[]{} #"
+    places = [i for i, c in enumerate(out) if c in typed]
+    for at in rng.choice(places, size=int(rng.integers(1, 4))):
+        out[at] = typed[int(rng.integers(len(typed)))]
+    return bytes(out)
+
+
+def dataset(rng: Generator, folder: Path) -> str:
+    """A random dataset file from its schema, mostly with an existing scenario and files."""
+    from hiltestbed.config.check import look_at
+    from hiltestbed.config.yaml_source import dump_yaml
+
+    _good_set(folder)
+    data = value_of(_schema("dataset"), rng)
+    if isinstance(data, dict) and rng.random() < 0.8:
+        data["scenario"] = "nominal.yaml"
+        data["runs"] = [{"file": "run_0.parquet"}] * int(rng.integers(1, 3))
+    path = folder / "random.yaml"
+    try:
+        path.write_text(dump_yaml(data) if data else "", encoding="utf-8")
+    except (ValueError, OverflowError):  # not every value can be written as YAML
+        return REFUSED
+    found = look_at(path)
+    return REFUSED if found.faults else REMARKED if found.remarks else SURVIVED
+
+
+def distortion(rng: Generator, folder: Path) -> str:
+    """A valid record, distorted once or twice."""
+    from hiltestbed.measured import examine
+
+    tables = _good_set(folder)
+    names = [
+        str(n)
+        for n in rng.choice(list(DISTORTIONS), size=1 if rng.random() < 0.7 else 2, replace=False)
+    ]
+    for name, good in tables.items():
+        table = {column: values.copy() for column, values in good.items()}
+        for distorted in names:
+            # the first may have removed what the second would change
+            with suppress(KeyError, IndexError):
+                DISTORTIONS[distorted].apply(table)
+        _write(folder / f"distorted_{name}", table)
+    (folder / "distorted.yaml").write_text(
+        "scenario: nominal.yaml\nruns:\n" + "".join(f"  - file: distorted_{n}\n" for n in tables)
+    )
+    try:
+        remarks = examine(folder / "distorted.yaml").remarks
+    except InputError:
+        return REFUSED
+    errors = [r for r in remarks if r.severity == "error"]
+    return REFUSED if errors else REMARKED if remarks else f"taken as it is: {', '.join(names)}"
+
+
+def _good_set(folder: Path) -> dict[str, dict[str, np.ndarray]]:
+    """Tables of a valid set, made once beside ``folder`` for all workers, with its scenario in
+    ``folder``.
+    """
+    import pyarrow.parquet as pq
+
+    if "tables" not in _good:
+        made = good_set(folder.parent)
+        files = sorted(made.glob("run_*.parquet"))[:1]
+        _good["scenario"] = (made / "nominal.yaml").read_text()
+        _good["tables"] = {
+            f.name: {n: c.to_numpy().copy() for n, c in _columns(pq.read_table(f))} for f in files
+        }
+    if not (folder / "nominal.yaml").exists():
+        (folder / "nominal.yaml").write_text(_good["scenario"])
+        for name, table in _good["tables"].items():
+            _write(folder / name, table)
+    return _good["tables"]
+
+
+def _columns(table: Any):
+    return zip(table.column_names, table.columns, strict=True)
+
+
+def _write(path: Path, table: dict[str, np.ndarray]) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table(table), path)
+
+
+def data_file(rng: Generator, folder: Path) -> str:
+    """A data file of one of the seven formats with some bytes changed; read in this process, so
+    that a crash is detected.
+    """
+    from hiltestbed.measured.formats import format_of
+
+    suffix = SUFFIXES[int(rng.integers(len(SUFFIXES)))]
+    if suffix not in _seeds:
+        _seeds[suffix] = _seed_file(folder / f"seed.{suffix}")
+    path = folder / f"file.{suffix}"
+    path.write_bytes(mutated(_seeds[suffix], rng))
+    try:
+        format_of(path).read(path, frozenset({"t", "pose_act.pz", "wrench_meas.fz"}))
+    except HiltestbedError:
+        return REFUSED
+    except MemoryError:  # refused by the process in which the format is read
+        if format_of(path).apart:
+            return "contained"
+        raise
+    return SURVIVED
+
+
+def _seed_file(path: Path) -> bytes:
+    """A valid file of the format given by its suffix."""
+    from tests.equipment.robustness.seed_files import WRITERS
+
+    rng = np.random.default_rng(1)
+    table = {
+        "t": np.arange(ROWS) / 1000.0,
+        "pose_act.pz": rng.standard_normal(ROWS),
+        "wrench_meas.fz": rng.standard_normal(ROWS),
+    }
+    WRITERS[path.suffix[1:]](path, table)
+    return path.read_bytes()
+
+
+def campaign(rng: Generator, folder: Path) -> str:
+    """A random campaign file with a shipped scenario; its first case is made if it is valid."""
+    from hiltestbed.campaign.schema import load_campaign
+    from hiltestbed.campaign.sweep import case_scenario
+    from hiltestbed.config.yaml_source import dump_yaml
+
+    data = value_of(_schema("campaign"), rng)
+    if not isinstance(data, dict):
+        data = {}
+    (folder / "base.yaml").write_text(dump_yaml(_shipped(rng)), encoding="utf-8")
+    keys = (
+        "sensor.delay",
+        "approach.velocity.2",
+        "mechanism.contact.stiffness",
+        "rate",
+        "seed",
+        "effects",
+        "no.such.key",
+    )
+    if rng.random() < 0.9:
+        data["scenario"] = "base.yaml"
+    if rng.random() < 0.8:
+        schema = _schema("campaign")
+        varied = rng.choice(keys, size=int(rng.integers(1, 3)), replace=False)
+        data["vary"] = {
+            str(key): value_of(schema["$defs"]["Variation"], rng, schema) for key in varied
+        }
+    if rng.random() < 0.5:  # a meaningful one, at any scale
+        low = 10.0 ** rng.uniform(-6, 6)
+        way = (
+            {"values": [low, 2 * low]},
+            {"uniform": [low, 3 * low]},
+            {"log_uniform": [low, 9 * low]},
+            {"normal": [low, low]},
+        )
+        data |= {"vary": {keys[int(rng.integers(3))]: way[int(rng.integers(4))]}, "set": {}}
+        data["design"] = (
+            {"kind": "sobol", "cases": int(rng.integers(1, 2**20))}
+            if rng.random() < 0.5
+            else {"kind": "grid"}
+        )
+    path = folder / "campaign.yaml"
+    try:
+        path.write_text(dump_yaml(data), encoding="utf-8")
+    except (ValueError, OverflowError):
+        return REFUSED
+    try:
+        case_scenario(load_campaign(path), 0)
+    except InputError:
+        return REFUSED
+    return SURVIVED
+
+
+def packet(rng: Generator, folder: Path) -> str:
+    """Valid messages with some bytes changed, for the parsers of the device protocols."""
+    from hiltestbed.devices import rdt_page, rtde_wire
+    from hiltestbed.devices.layout import Record, default_layout
+    from hiltestbed.devices.rsi_telegram import answer, read_telegram
+
+    which = int(rng.integers(4))
+    if which == 0:
+        record = Record(default_layout(), "sensor")
+        return (
+            SURVIVED
+            if record.unpack(mutated(record.pack(np.arange(6.0), 1, 0.5), rng))
+            else REFUSED
+        )
+    if which == 1:
+        data = mutated(answer("ImFree", np.zeros(6), 123, 4), rng)
+        return REFUSED if read_telegram(data, "Sen", "RKorr") is None else SURVIVED
+    if which == 2:
+        page = (
+            b"<netft><cfgcpf>1000000</cfgcpf><cfgcpt>1000</cfgcpt>"
+            b"<scfgfu>N</scfgfu><scfgtu>Nm</scfgtu></netft>"
+        )
+        try:
+            rdt_page._understand(mutated(page, rng), "page", "hint")
+        except HiltestbedError:
+            return REFUSED
+        return SURVIVED
+    here, there = socket.socketpair()
+    try:
+        stream = rtde_wire.Stream(here)
+        there.sendall(mutated(rtde_wire.package(ord("U"), b"\x01" + bytes(48)) * 3, rng))
+        rtde_wire.text_of(b"".join(payload for _, payload in stream.receive()))
+    except (rtde_wire.Broken, ConnectionError):
+        return REFUSED
+    finally:
+        here.close()
+        there.close()
+    return SURVIVED
+
+
+def mutated(data: bytes, rng: Generator) -> bytes:
+    """``data`` with bytes flipped, cut, repeated or inserted, or overwritten by extreme numbers."""
+    out = bytearray(data)
+    for _ in range(int(rng.integers(1, 6))):
+        if not out:
+            break
+        at, how = int(rng.integers(len(out))), int(rng.integers(7))
+        if how == 0:
+            out[at] = int(rng.integers(256))
+        elif how == 1:
+            out[at] ^= 1 << int(rng.integers(8))
+        elif how == 2:
+            del out[at:]
+        elif how == 3:
+            del out[at : at + int(rng.integers(1, 64))]
+        elif how == 4:
+            out[at:at] = rng.bytes(int(rng.integers(1, 64)))
+        elif how == 5:
+            part = out[at : at + int(rng.integers(1, 64))]
+            out[at:at] = part * int(rng.integers(1, 4))
+        else:
+            width = int(rng.choice([1, 2, 4, 8]))
+            out[at : at + width] = [
+                b"\xff" * width,
+                b"\x00" * width,
+                b"\x7f" + b"\xff" * (width - 1),
+            ][int(rng.integers(3))]
+    return bytes(out)
+
+
+TRIALS: dict[str, Trial] = {
+    "scenario": scenario,
+    "extremes": extremes,
+    "text": text,
+    "dataset": dataset,
+    "distortion": distortion,
+    "file": data_file,
+    "campaign": campaign,
+    "packet": packet,
+    "kill": kill,
+}
