@@ -27,7 +27,7 @@ from hiltestbed.bench.kept import Kept
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.compiled.warm import cores
 from hiltestbed.errors import HiltestbedError
-from hiltestbed.process.workers import end_pool, new_pool
+from hiltestbed.process.workers import Workers
 
 # largest set of indistinguishable causes, the true one included, that counts as right
 MOST_TOGETHER = 3
@@ -88,7 +88,7 @@ def _diagnosed(
     """Number of sets left, and the record of each that ends, or None at a poll without one. Sets in
     progress at ``until`` are abandoned.
     """
-    pool, running = new_pool(workers), set[Future[dict[str, Any]]]()
+    pool, running = Workers(workers), set[Future[dict[str, Any]]]()
     try:
         while (waiting or running) and time.monotonic() < until:
             while waiting and len(running) < workers:
@@ -105,7 +105,7 @@ def _diagnosed(
             "--workers 1 needs less memory"
         ) from None
     finally:
-        end_pool(pool)
+        pool.shutdown(cancel_futures=True)
 
 
 def _key(task: Task) -> tuple[int, float]:

@@ -16,7 +16,7 @@ from itertools import islice
 from hiltestbed.campaign.chunk import ChunkResult, run_chunk
 from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.errors import HiltestbedError, InputError, MissingExtra
-from hiltestbed.process.workers import end_pool, new_pool
+from hiltestbed.process.workers import Workers
 
 Chunk = Sequence[int]
 Results = Generator[ChunkResult, None, None]
@@ -63,7 +63,7 @@ def _until_broken(
     """Yields results until all chunks are done or a worker dies; returns the chunks that were in
     progress then.
     """
-    pool = new_pool(workers)
+    pool = Workers(workers)
     running: dict[Future[ChunkResult], Chunk] = {}
     next_up = list(again)
     try:
@@ -81,7 +81,7 @@ def _until_broken(
     except BrokenProcessPool:
         return (*running.values(), *next_up)
     finally:
-        end_pool(pool)
+        pool.shutdown(cancel_futures=True)
 
 
 def dask(address: str) -> Engine:

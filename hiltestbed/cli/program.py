@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import json
-import os
 import sys
 from typing import Annotated
 
 import typer
 
 from hiltestbed.cli import devices, scenarios, studies
-from hiltestbed.errors import HiltestbedError, InputError, printable
+from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.process import interrupt
 from hiltestbed.run_folder.folders import FIGURES_APART
 
@@ -77,23 +75,20 @@ def _fail(error: BaseException, text: str, status: int) -> int:
         print(
             json.dumps({"status": "error", "exit_status": status, "error": text, "faults": faults})
         )
-    print(printable(text), file=sys.stderr)
+    print(text, file=sys.stderr)
     return status
 
 
 def main() -> None:
-    """Entry point: runs a command and turns errors into a message and an exit status."""
-    for stream in (sys.stdout, sys.stderr):
-        # a terminal without UTF-8 gets a replacement mark for other characters
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
+    """Runs a command and turns errors into a message and an exit status."""
     try:
         status = _run()
         sys.stdout.flush()
     except BrokenPipeError:
-        # the interpreter flushes once more at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
+    except HiltestbedError as error:  # standard output cannot be written
+        print(error, file=sys.stderr)
+        status = error.exit_status
     sys.exit(status)
 
 

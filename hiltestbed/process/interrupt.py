@@ -1,4 +1,4 @@
-"""Reliable handling of Ctrl-C.
+"""Reliable handling of Ctrl-C, and of every other signal that asks a program to end.
 
 A KeyboardInterrupt inside a compiled import appears as an ImportError; inside a compiler's callback
 it is printed and lost, or crashes the process. Ctrl-C is therefore recorded here: long tasks call
@@ -14,18 +14,38 @@ import sys
 from types import FrameType
 from typing import Any
 
+# from the terminal (Ctrl-C, Ctrl-\\, its window closed), a scheduler or a service manager
+ENDING = ("SIGINT", "SIGQUIT", "SIGHUP", "SIGTERM")
 COMPILERS = ("llvmlite", "numba.core.codegen")  # modules that call LLVM and are called back by it
 
 _asked = False
 
 
 def install() -> None:
-    """Records Ctrl-C from now on; it still raises KeyboardInterrupt where that is safe."""
-    signal.signal(signal.SIGINT, _on_signal)
+    """Records Ctrl-C from now on; it still raises KeyboardInterrupt where that is safe.
+
+    The other signals that ask a program to end do the same, unless the caller (nohup) has them
+    ignored.
+    """
+    for number in _ending():
+        if number == signal.SIGINT or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _on_signal)
     atexit.unregister(_over)
     atexit.register(_over)
     before = sys.unraisablehook
     sys.unraisablehook = lambda raised: None if _asked else before(raised)
+
+
+def leave_to_parent() -> None:
+    """Ignore, in a worker process, what the terminal sends to all processes of a group; SIGTERM is
+    how the parent ends its workers.
+    """
+    for number in _ending():
+        signal.signal(number, signal.SIG_DFL if number == signal.SIGTERM else signal.SIG_IGN)
+
+
+def _ending() -> list[signal.Signals]:
+    return [getattr(signal, name) for name in ENDING if hasattr(signal, name)]
 
 
 def _on_signal(number: int, frame: FrameType | None) -> None:
@@ -53,21 +73,22 @@ def _compiling(frame: FrameType | None) -> bool:
 
 def _over() -> None:
     """Let the program end with its own exit status: otherwise Python may end it by the signal
-    SIGINT.
+    SIGINT, or another one may.
 
     Python does so after a Ctrl-C at exit (ignored from here on), and if a KeyboardInterrupt has
     left an ``exec``, even if it was caught afterwards; another ``exec`` clears that flag.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in _ending():
+        signal.signal(number, signal.SIG_IGN)
     exec("")
 
 
 def asked() -> bool:
-    """Whether Ctrl-C was pressed."""
+    """Whether the program was asked to end."""
     return _asked
 
 
 def check() -> None:
-    """Raises KeyboardInterrupt if Ctrl-C was pressed."""
+    """Raises KeyboardInterrupt if the program was asked to end."""
     if _asked:
         raise KeyboardInterrupt
