@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 LATE = """
 import os, signal, sys
 from hiltestbed.process import interrupt
@@ -79,3 +81,29 @@ main()
 def test_ctrl_c_while_the_program_is_being_loaded_ends_it_in_a_word() -> None:
     ended = subprocess.run([sys.executable, "-c", EARLY], capture_output=True, timeout=60)
     assert (ended.returncode, ended.stderr) == (1, b"interrupted\n")
+
+
+ASKED = """
+import os, signal, sys, time
+from hiltestbed.process import interrupt
+number = getattr(signal, sys.argv[1])
+signal.signal(number, signal.SIG_IGN if "ignored" in sys.argv else signal.SIG_DFL)
+interrupt.install()
+try:
+    os.kill(os.getpid(), number)
+    time.sleep(0.01)
+    print("went on")
+except KeyboardInterrupt:
+    print("interrupted", interrupt.asked())
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
+def test_whatever_asks_the_program_to_end_does_as_ctrl_c(name: str) -> None:
+    for more, expected in (((), "interrupted True\n"), (("ignored",), "went on\n")):
+        if more and name == "SIGINT":  # a background job of a shell without job control
+            continue
+        ended = subprocess.run(
+            [sys.executable, "-c", ASKED, name, *more], capture_output=True, timeout=60, text=True
+        )
+        assert (ended.returncode, ended.stdout, ended.stderr) == (0, expected, "")

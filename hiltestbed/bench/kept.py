@@ -10,20 +10,15 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import hiltestbed
 from hiltestbed.errors import InputError
-from hiltestbed.run_folder.versions import versions
+from hiltestbed.run_folder.versions import provenance
 
 
 def made_by() -> str:
-    """SHA-256 of the program that makes a record: every module of the package, and the versions of
-    its dependencies.
+    """SHA-256 of the program that makes a record: its code, and the versions of its
+    dependencies.
     """
-    package = Path(hiltestbed.__file__).parent
-    seen = sha256(json.dumps(versions(), sort_keys=True).encode())
-    for file in sorted(package.rglob("*.py")):
-        seen.update(str(file.relative_to(package)).encode() + b"\0" + file.read_bytes())
-    return seen.hexdigest()
+    return sha256(json.dumps(provenance(), sort_keys=True).encode()).hexdigest()
 
 
 class Kept:

@@ -29,7 +29,7 @@ from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.config.yaml_source import dump_yaml
 from hiltestbed.errors import InputError, printable
 from hiltestbed.run_folder.folders import parquet_table
-from hiltestbed.run_folder.versions import versions
+from hiltestbed.run_folder.versions import provenance
 from hiltestbed.scenario import resolved
 
 ABOUT, CHUNKS, CASES, KEPT, LOCK = "campaign.json", "chunks", "cases.parquet", "cases", ".lock"
@@ -107,7 +107,7 @@ class Store:
             "name": self.name,
             "campaign": str(self.campaign.path.resolve()),
             "campaign_sha256": campaign_sha256(self.campaign),
-            "versions": versions(),
+            "versions": provenance(),
             "cases": self.campaign.spec.cases,
         }
         write_whole(self.folder / ABOUT, json.dumps(about | more, indent=2).encode() + b"\n")
@@ -221,10 +221,10 @@ def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
             f"{about.get('campaign')}, with another scenario, vary, "
             "design or keep); allowed is a new folder or this campaign's own; choose another --out"
         )
-    if about.get("versions") != versions():
+    if about.get("versions") != provenance():
         before = about.get("versions") or {}
         changed = (
-            ", ".join(name for name, version in versions().items() if before.get(name) != version)
+            ", ".join(name for name, version in provenance().items() if before.get(name) != version)
             or "its packages"
         )
         raise InputError(

@@ -10,7 +10,7 @@ import typer
 
 from hiltestbed.cli import devices, scenarios, studies
 from hiltestbed.errors import HiltestbedError, InputError
-from hiltestbed.process import interrupt
+from hiltestbed.process import interrupt, memory
 from hiltestbed.run_folder.folders import FIGURES_APART
 
 app = typer.Typer(
@@ -52,6 +52,7 @@ def _root(
     ] = False,
 ) -> None:
     FIGURES_APART.set(figures)
+    memory.refuse_too_small()
     if plugin and not {"--help", "-h"} & set(sys.argv):
         from hiltestbed import plugins
 
@@ -128,9 +129,22 @@ def _run() -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(error, f"{where}{error.strerror or error}", 1)
     except (ImportError, RuntimeError, SystemError) as error:
-        if not interrupt.asked():
+        if interrupt.asked():
+            return _fail(error, "interrupted", 1)
+        if memory.limit() is not None:
+            return _fail(error, memory.sentence(error), 1)
+        if not isinstance(error, ImportError):
             raise
-        return _fail(error, "interrupted", 1)
+        return _fail(
+            error,
+            f"a package cannot be loaded: {error}; install it again; hiltestbed doctor lists the "
+            f"packages",
+            1,
+        )
     except MemoryError as error:
         return _fail(error, "out of memory; a shorter duration or a lower rate needs less", 1)
+    except Exception as error:  # whatever a library makes of an allocation that failed
+        if memory.limit() is None:
+            raise
+        return _fail(error, memory.sentence(error), 1)
     return 0
