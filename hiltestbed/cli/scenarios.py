@@ -44,10 +44,8 @@ def run(
     hiltestbed run my-rig.yaml --set sensor.delay=0.010 --out runs/late
     """
     start = time.monotonic()
-    from hiltestbed.cli import ahead
     from hiltestbed.process.progress import progress_bar
 
-    ahead.begin(scenario, sets, case)
     spec = read_scenario(scenario, sets, case)
     label = spec.name if case is None else f"{scenario.stem}-case-{case}"
     folder = out if out is not None else free_folder(Path("runs") / safe_name(label))
