@@ -13,6 +13,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from multiprocessing.reduction import ForkingPickler
+from queue import SimpleQueue
 from typing import Any
 
 from hiltestbed import plugins
@@ -23,7 +24,7 @@ _SPAWN = get_context("spawn")
 
 
 class Workers(ThreadPoolExecutor):
-    """Fresh processes, each with a thread here that talks to it over a pipe.
+    """Fresh processes, to each of which a thread here talks over a pipe.
 
     The queues of :class:`concurrent.futures.ProcessPoolExecutor` need named semaphores, which
     remain in the system when the program is killed; pipes end with their processes. A task whose
@@ -32,10 +33,19 @@ class Workers(ThreadPoolExecutor):
 
     def __init__(self, workers: int) -> None:
         super().__init__(workers)
-        self._own = threading.local()  # the pipe of a thread's process
-        self._starting = threading.Lock()
+        self._idle: SimpleQueue[Connection] = SimpleQueue()
         self._children: list[SpawnProcess] = []
-        self._ended = False
+        try:
+            for _ in range(workers):
+                ours, theirs = _SPAWN.Pipe()
+                child = _SPAWN.Process(target=_work, args=(theirs, os.getpid()))
+                child.start()
+                theirs.close()  # so that the pipe ends with the process
+                self._idle.put(ours)
+                self._children.append(child)
+        except BaseException:
+            self.shutdown()
+            raise
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """As a ProcessPoolExecutor: function, arguments and result are pickled."""
@@ -43,8 +53,6 @@ class Workers(ThreadPoolExecutor):
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the processes at once: a prompt return is worth more than the tasks in progress."""
-        with self._starting:
-            self._ended = True
         for child in self._children:
             child.terminate()
         for child in self._children:
@@ -52,27 +60,17 @@ class Workers(ThreadPoolExecutor):
         super().shutdown(wait=wait, cancel_futures=cancel_futures)
 
     def _ask(self, fn: Callable[..., Any], args: Any, kwargs: Any) -> Any:
+        link = self._idle.get()
         try:
-            link = self._link()
             link.send((fn, args, kwargs))
             result, error = link.recv()
         except (EOFError, OSError):
             raise BrokenProcessPool("a worker process died") from None
+        finally:
+            self._idle.put(link)
         if error is not None:
             raise error
         return result
-
-    def _link(self) -> Connection:
-        if not hasattr(self._own, "link"):
-            with self._starting:
-                if self._ended:
-                    raise EOFError
-                self._own.link, theirs = _SPAWN.Pipe()
-                child = _SPAWN.Process(target=_work, args=(theirs, os.getpid()))
-                child.start()
-                theirs.close()  # so that the pipe ends with the process
-                self._children.append(child)
-        return self._own.link
 
 
 def _work(link: Connection, parent: int) -> None:
