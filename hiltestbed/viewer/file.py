@@ -28,4 +28,12 @@ def recording_file(
         memory = stream.memory_recording()
         stream.send_blueprint(blueprint, make_active=False, make_default=True)
         yield stream
-        path.write_bytes(memory.drain_as_bytes())
+        content = memory.drain_as_bytes()
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise OSError(
+            error.errno,
+            f"the recording could not be written ({error.strerror}); is the disk full?",
+            str(path),
+        ) from None
