@@ -46,7 +46,8 @@ def test_workers_answer_and_leave_nothing() -> None:
     finally:
         begin = time.monotonic()
         pool.shutdown(cancel_futures=True)
-    assert isinstance(busy.exception(), BrokenProcessPool)
+    # it was given to a worker, or not yet
+    assert busy.cancelled() or isinstance(busy.exception(), BrokenProcessPool)
     assert time.monotonic() - begin < 60.0
     assert not any(child.is_alive() for child in pool._children)
 
