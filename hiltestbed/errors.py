@@ -7,15 +7,20 @@ diverged, was stopped or has no reference ends with 3.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 
 def printable(text: str) -> str:
-    """``text`` with control characters escaped: names in a file may contain terminal escape
-    sequences.
+    """``text`` with control characters and lone surrogates escaped: names in a file may contain
+    terminal escape sequences, and those of files bytes that are no UTF-8.
+
+    The escapes are JSON's, so that JSON remains JSON.
     """
-    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text)
 
 
 class HiltestbedError(Exception):

@@ -308,21 +308,29 @@ def _write(
     rows.
     """
     k = k % b0.shape[0]
-    b0[k][:] = a0
-    b1[k][:] = a1
-    b2[k][:] = a2
-    b3[k][:] = a3
-    b4[k][:] = a4
-    b5[k][:] = a5
-    b6[k][:] = a6
-    b7[k][:] = a7
-    b8[k][:] = a8
-    b9[k][:] = a9
-    b10[k][:] = a10
-    b11[k][:] = a11
-    b12[k][:] = a12
+    _copy(k, a0, b0)
+    _copy(k, a1, b1)
+    _copy(k, a2, b2)
+    _copy(k, a3, b3)
+    _copy(k, a4, b4)
+    _copy(k, a5, b5)
+    _copy(k, a6, b6)
+    _copy(k, a7, b7)
+    _copy(k, a8, b8)
+    _copy(k, a9, b9)
+    _copy(k, a10, b10)
+    _copy(k, a11, b11)
+    _copy(k, a12, b12)
     for i in range(touching.shape[0]):
         touched[k, i] = touching[i]
+
+
+@njit(cache=True)
+def _copy(k, a, b):
+    """``b[k] = a``, without the general assignment of slices, which takes seconds to compile."""
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            b[k, i, j] = a[i, j]
 
 
 @njit(cache=True)

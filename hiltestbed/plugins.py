@@ -50,7 +50,7 @@ class Registry(Mapping[str, type[T]], Generic[T]):
         self.what, self.base = what, base
         self._homes = homes
         self._found: dict[str, type[T]] = {}
-        self._whole = False
+        self._loading = self._whole = False
         _REGISTRIES.append(self)
 
     def add(self, cls: type[T]) -> type[T]:
@@ -91,14 +91,21 @@ class Registry(Mapping[str, type[T]], Generic[T]):
         return cls
 
     def _load(self) -> None:
-        if self._whole:
+        """Import the built-in classes. Raises the ImportError of a module that cannot be imported,
+        at each access until it can.
+        """
+        # the modules imported here read the table while it is being filled
+        if self._whole or self._loading:
             return
-        # set first: the modules imported below register while the table is being filled
-        self._whole = True
-        for home in self._homes:
-            module = import_module(home)
-            for info in iter_modules(getattr(module, "__path__", ())):
-                import_module(f"{home}.{info.name}")
+        self._loading = True
+        try:
+            for home in self._homes:
+                module = import_module(home)
+                for info in iter_modules(getattr(module, "__path__", ())):
+                    import_module(f"{home}.{info.name}")
+            self._whole = True
+        finally:
+            self._loading = False
 
     def __getitem__(self, kind: str) -> type[T]:
         self._load()
@@ -193,11 +200,11 @@ def load(modules: Sequence[str] = ()) -> None:
     points = [] if _POINTS_READ else sorted(entry_points(group=GROUP), key=lambda p: p.name)
     if points or wanted:
         import_module("hiltestbed.scenario")  # defines the registries to which a module may add
-    _POINTS_READ.append(True)
     for point in points:
         _LOADED[point.name] = _import(
             point.value.partition(":")[0], f"entry point {point.name!r} of the group {GROUP}"
         )
+    _POINTS_READ.append(True)
     for name in wanted:
         _LOADED[name] = _import(name, f"--plugin {name}")
         os.environ[ENVIRONMENT] = os.pathsep.join(
@@ -250,17 +257,7 @@ def _import(name: str, where: str) -> str:
         raise InputError(
             f"{where}: {error}; give a module that can be imported, or the path of a .py file"
         ) from error
-    except (
-        ImportError,
-        SyntaxError,
-        NameError,
-        AttributeError,
-        TypeError,
-        ValueError,
-        ArithmeticError,
-        LookupError,
-        OSError,
-    ) as error:
+    except (Exception, SystemExit) as error:  # whatever the code of a user does
         sys.modules.pop(module_name, None)
         raise InputError(f"{where}: failed to load: {type(error).__name__}: {error}") from error
     return module_name

@@ -89,18 +89,15 @@ HOLDING = """
 import os, signal, sys, time
 from hiltestbed.devices.ring import Ring
 from hiltestbed.process import interrupt
-from hiltestbed.process.workers import end_pool, new_pool
 if __name__ == "__main__":
     interrupt.install()
-    interrupt.like_ctrl_c()
-    ring, pool = Ring(3, 8), new_pool(1)
+    interrupt.track_shared_memory()
+    ring = Ring(3, 8)
     try:
         try:
-            pool.submit(int, 3).result()
             print(ring.name, flush=True)
             time.sleep(60.0)
         finally:
-            end_pool(pool)
             ring.close()
     except KeyboardInterrupt:
         sys.exit(3)
@@ -110,13 +107,12 @@ if __name__ == "__main__":
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="shared memory is elsewhere")
 @pytest.mark.parametrize("group", [False, True])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
-def test_no_ending_leaves_shared_memory_or_semaphores(
+def test_no_ending_leaves_shared_memory(
     number: signal.Signals, group: bool, tmp_path: Path
 ) -> None:
     """Whether it reaches the program alone, or, from a terminal, all of its processes at once."""
     program = tmp_path / "holding.py"
     program.write_text(HOLDING)
-    before = set(os.listdir("/dev/shm"))
     with subprocess.Popen(
         [sys.executable, str(program)],
         stdout=subprocess.PIPE,
@@ -126,26 +122,34 @@ def test_no_ending_leaves_shared_memory_or_semaphores(
     ) as running:
         assert running.stdout is not None
         name = running.stdout.readline().strip()
-        mine = {name} | {n for n in set(os.listdir("/dev/shm")) - before if n.startswith("sem.mp")}
         assert name in os.listdir("/dev/shm")
         (os.killpg if group else os.kill)(running.pid, number)
         told = running.communicate(timeout=60)[1]
     assert (running.returncode, told) == (3, "")
-    assert not mine & set(os.listdir("/dev/shm"))
+    assert name not in os.listdir("/dev/shm")
 
 
-IGNORED = """
-import signal
-signal.signal(signal.SIGHUP, signal.SIG_IGN)
+ASKED = """
+import os, signal, sys, time
 from hiltestbed.process import interrupt
+number = getattr(signal, sys.argv[1])
+signal.signal(number, signal.SIG_IGN if "ignored" in sys.argv else signal.SIG_DFL)
 interrupt.install()
-interrupt.like_ctrl_c()
-import os
-os.kill(os.getpid(), signal.SIGHUP)
-print("goes on")
+try:
+    os.kill(os.getpid(), number)
+    time.sleep(0.01)
+    print("went on")
+except KeyboardInterrupt:
+    print("interrupted", interrupt.asked())
 """
 
 
-def test_a_hang_up_that_is_ignored_stays_ignored() -> None:
-    ended = subprocess.run([sys.executable, "-c", IGNORED], capture_output=True, timeout=60)
-    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"goes on\n", b"")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
+def test_whatever_asks_the_program_to_end_does_as_ctrl_c(name: str) -> None:
+    for more, expected in (((), "interrupted True\n"), (("ignored",), "went on\n")):
+        if more and name == "SIGINT":  # a background job of a shell without job control
+            continue
+        ended = subprocess.run(
+            [sys.executable, "-c", ASKED, name, *more], capture_output=True, timeout=60, text=True
+        )
+        assert (ended.returncode, ended.stdout, ended.stderr) == (0, expected, "")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hiltestbed.errors import InputError, MissingExtra
+from hiltestbed.errors import InputError, MissingExtra, printable
 from hiltestbed.report.curves import PALETTE
 from hiltestbed.run_folder.notebook import html_table, number
 from hiltestbed.run_folder.result import Run
@@ -115,7 +115,7 @@ def compare(runs: Sequence[Run | str | Path]) -> Comparison:
     }
     figures = {name: [_figure(run.summary, name) for run in read] for name in (*TEXTS, *FIGURES)}
     labels = [
-        run.summary["name"] if isinstance(given, Run) else Path(given).name
+        run.summary["name"] if isinstance(given, Run) else printable(Path(given).name)
         for given, run in zip(runs, read, strict=True)
     ]
     return Comparison(tuple(_unique(labels)), read, differences, figures)

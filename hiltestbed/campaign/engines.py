@@ -16,7 +16,7 @@ from itertools import islice
 from hiltestbed.campaign.chunk import ChunkResult, run_chunk
 from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.errors import HiltestbedError, InputError, MissingExtra
-from hiltestbed.process.workers import end_pool, new_pool
+from hiltestbed.process.workers import Workers
 
 Chunk = Sequence[int]
 Results = Generator[ChunkResult, None, None]
@@ -63,7 +63,7 @@ def _until_broken(
     """Yields results until all chunks are done or a worker dies; returns the chunks that were in
     progress then.
     """
-    pool = new_pool(workers)
+    pool = Workers(workers)
     running: dict[Future[ChunkResult], Chunk] = {}
     next_up = list(again)
     try:
@@ -81,7 +81,7 @@ def _until_broken(
     except BrokenProcessPool:
         return (*running.values(), *next_up)
     finally:
-        end_pool(pool)
+        pool.shutdown(cancel_futures=True)
 
 
 def dask(address: str) -> Engine:
@@ -140,7 +140,7 @@ def _on_cluster(
 
     from distributed import KilledWorker, as_completed
 
-    from hiltestbed.run_folder.versions import versions
+    from hiltestbed.run_folder.versions import provenance
 
     warned = False
     running = as_completed(loop=client.loop)
@@ -153,7 +153,9 @@ def _on_cluster(
             )
             warned = True
         for chunk in islice(waiting, max(0, 2 * max(threads, 1) - running.count())):
-            running.add(client.submit(run_chunk_of, campaign, tuple(chunk), versions(), pure=False))
+            running.add(
+                client.submit(run_chunk_of, campaign, tuple(chunk), provenance(), pure=False)
+            )
         if running.is_empty():
             return
         try:
@@ -170,19 +172,14 @@ def _on_cluster(
 
 
 def run_chunk_of(campaign: LoadedCampaign, chunk: Chunk, expected: dict[str, str]) -> ChunkResult:
-    """`run_chunk` on a remote worker, which must have the package versions with which the campaign
-    was started.
+    """`run_chunk` on a remote worker, which must have the package versions and the code with which
+    the campaign was started.
     """
-    from hiltestbed.run_folder.versions import versions
+    from hiltestbed.run_folder.versions import differences
 
-    if versions() != expected:
-        differ = {
-            name: version for name, version in versions().items() if expected.get(name) != version
-        }
-        other = [
-            f"{name} {version} (expected {expected.get(name)})" for name, version in differ.items()
-        ]
+    if differ := differences(expected):
         raise HiltestbedError(
-            f"a worker has other versions, whose numbers may differ: {', '.join(other)}"
+            f"a worker has other versions or other code, whose numbers may differ: {differ}; "
+            f"install the same on every worker, and restart it"
         )
     return run_chunk(campaign, chunk)

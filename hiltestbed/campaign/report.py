@@ -17,6 +17,7 @@ from hiltestbed.campaign.schema import FIGURES, LoadedCampaign, Variation
 from hiltestbed.campaign.sensitivity import Sensitivity, explained_share, sensitivity
 from hiltestbed.frames import Array
 from hiltestbed.report.page import Report
+from hiltestbed.run_folder.folders import parquet_table
 
 REPORT = "report.html"
 WORST = 10
@@ -30,9 +31,8 @@ def write_report(folder: Path, campaign: LoadedCampaign) -> None:
     """Writes report.html from the folder's cases.parquet; only the numeric columns that it shows
     are held in memory.
     """
-    import pyarrow.parquet as pq
 
-    cases = pq.read_table(folder / "cases.parquet", columns=[*_HELD, *campaign.spec.vary])
+    cases = parquet_table(folder / "cases.parquet", [*_HELD, *campaign.spec.vary])
     figures = {name: cases[name].to_numpy(zero_copy_only=False).astype(float) for name in FIGURES}
     inputs = {key: _numbers(variation, cases[key]) for key, variation in campaign.spec.vary.items()}
     response = campaign.spec.criterion or (

@@ -29,13 +29,15 @@ from hiltestbed.campaign.columns import schema, table
 from hiltestbed.campaign.schema import LoadedCampaign
 from hiltestbed.config.validation import UserFile, user_files
 from hiltestbed.config.yaml_source import dotted, dump_yaml, key_path
-from hiltestbed.errors import InputError
+from hiltestbed.errors import InputError, printable
+from hiltestbed.run_folder.folders import parquet_table
 from hiltestbed.run_folder.store import MODELS, keep_file
-from hiltestbed.run_folder.versions import versions
+from hiltestbed.run_folder.versions import provenance
 from hiltestbed.scenario import file_sha256, identity, put, scenario_from
 
 ABOUT, CHUNKS, CASES, KEPT, LOCK = "campaign.json", "chunks", "cases.parquet", "cases", ".lock"
 CAMPAIGN, SCENARIO = "campaign.yaml", "scenario.yaml"
+PARTIAL_ABOUT = f"{ABOUT}.partial"  # what a first write that failed leaves
 ROW_GROUP = 16384  # rows of cases.parquet written, and held, at a time
 _WALL = b"wall"
 
@@ -80,6 +82,7 @@ class Store:
     def __init__(self, folder: Path, campaign: LoadedCampaign) -> None:
         self.folder, self.campaign = folder, campaign
         self.chunks = folder / CHUNKS
+        self.name = campaign.spec.name or printable(campaign.path.stem)
 
     @classmethod
     @contextmanager
@@ -90,8 +93,8 @@ class Store:
         refuse_another(folder, campaign)
         store = cls(folder, campaign)
         try:
-            store.chunks.mkdir(parents=True, exist_ok=True)
-            lock = (folder / LOCK).open("w")
+            folder.mkdir(parents=True, exist_ok=True)
+            lock = (folder / LOCK).open("a")
         except OSError as error:
             raise InputError(
                 f"{folder}: cannot be written ({error.strerror}); choose another --out"
@@ -106,9 +109,11 @@ class Store:
                 ) from None
             for leftover in folder.rglob("*.partial"):
                 shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
-            if not (folder / ABOUT).exists():
-                store.write_files()
+            if not (folder / ABOUT).exists():  # first, since it tells whose folder this is
                 store.write_about({"status": "running"})
+            if not (folder / CAMPAIGN).exists():
+                store.write_files()
+            store.chunks.mkdir(exist_ok=True)
             yield store
 
     def write_files(self) -> None:
@@ -116,7 +121,7 @@ class Store:
         wherever the folder is copied.
         """
         spec = self.campaign.spec.model_dump(mode="json", exclude_none=True)
-        spec |= {"name": spec["name"] or self.campaign.path.stem, "scenario": SCENARIO, "set": {}}
+        spec |= {"name": self.name, "scenario": SCENARIO, "set": {}}
         shutil.rmtree(self.folder / MODELS, ignore_errors=True)
         data = copy.deepcopy(self.campaign.source.data)
         for path, (file, kind) in user_files(self.campaign.nominal).items():
@@ -130,11 +135,11 @@ class Store:
     def write_about(self, more: dict[str, Any]) -> None:
         """campaign.json: the identity of the campaign, and `more`."""
         about = {
-            "name": self.campaign.spec.name or self.campaign.path.stem,
+            "name": self.name,
             "campaign": str(self.campaign.path.resolve()),
             "campaign_sha256": campaign_sha256(self.campaign),
             "files": files_sha256(self.campaign),
-            "versions": versions(),
+            "versions": provenance(),
             "cases": self.campaign.spec.cases,
         }
         write_whole(self.folder / ABOUT, json.dumps(about | more, indent=2).encode() + b"\n")
@@ -176,12 +181,13 @@ class Store:
         """First case, number of cases and wall time [s] of every chunk on disk."""
         found = []
         for file in sorted(self.chunks.glob("*.parquet")):
-            metadata = pq.read_schema(file).metadata or {}
+            with file.open("rb") as opened:
+                metadata = pq.read_metadata(opened)
             found.append(
                 {
                     "first": int(file.stem),
-                    "cases": pq.read_metadata(file).num_rows,
-                    "wall": float(metadata.get(_WALL, b"0")),
+                    "cases": metadata.num_rows,
+                    "wall": float((metadata.metadata or {}).get(_WALL, b"0")),
                 }
             )
         return found
@@ -190,7 +196,10 @@ class Store:
         """Writes cases.parquet from the chunks, a row group at a time."""
         files = [(file, _cases_in(file)) for file in sorted(self.chunks.glob("*.parquet"))]
         partial = self.folder / f"{CASES}.partial"
-        with pq.ParquetWriter(partial, schema(self.campaign.spec), compression="zstd") as writer:
+        with (
+            partial.open("wb") as file,
+            pq.ParquetWriter(file, schema(self.campaign.spec), compression="zstd") as writer,
+        ):
             for start in range(0, self.campaign.spec.cases, ROW_GROUP):
                 writer.write_table(
                     _window(files, start, start + ROW_GROUP), row_group_size=ROW_GROUP
@@ -206,7 +215,7 @@ class Store:
 
 
 def _cases_in(file: Path) -> np.ndarray:
-    return pq.read_table(file, columns=["case"])["case"].to_numpy()
+    return parquet_table(file, ["case"])["case"].to_numpy()
 
 
 def _window(files: list[tuple[Path, np.ndarray]], start: int, end: int) -> pa.Table:
@@ -215,7 +224,7 @@ def _window(files: list[tuple[Path, np.ndarray]], start: int, end: int) -> pa.Ta
     for file, cases in files:
         inside = (cases >= start) & (cases < end)
         if inside.any():
-            parts.append(pq.read_table(file).filter(pa.array(inside)).replace_schema_metadata(None))
+            parts.append(parquet_table(file).filter(pa.array(inside)).replace_schema_metadata(None))
     return pa.concat_tables(parts).sort_by("case").combine_chunks()
 
 
@@ -231,7 +240,7 @@ def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
             f"another --out"
         )
     if not (folder / ABOUT).is_file():
-        if any(folder.iterdir()):
+        if any(item.name not in (LOCK, PARTIAL_ABOUT) for item in folder.iterdir()):
             raise InputError(
                 f"{folder}: is a folder with other things in it; allowed is a new folder or this "
                 f"campaign's own"
@@ -255,10 +264,10 @@ def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
             f"{about.get('campaign')}, with another scenario, vary, "
             "design or keep); allowed is a new folder or this campaign's own; choose another --out"
         )
-    if about.get("versions") != versions():
+    if about.get("versions") != provenance():
         before = about.get("versions") or {}
         changed = (
-            ", ".join(name for name, version in versions().items() if before.get(name) != version)
+            ", ".join(name for name, version in provenance().items() if before.get(name) != version)
             or "its packages"
         )
         raise InputError(
@@ -279,11 +288,15 @@ def read_about(folder: Path) -> dict[str, Any]:
 def write_whole(path: Path, content: bytes) -> None:
     """Writes a temporary file, syncs it to disk and renames it: the file is complete or absent."""
     partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as handle:
-        handle.write(content)
-        handle.flush()
-        os.fsync(handle.fileno())
-    partial.replace(path)
+    try:
+        with partial.open("wb") as handle:
+            handle.write(content)
+            handle.flush()
+            os.fsync(handle.fileno())
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror, str(path)) from None
     _sync(path.parent)
 
 

@@ -21,7 +21,7 @@ from hiltestbed.config.validation import nearest
 from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.report.curves import PALETTE
-from hiltestbed.run_folder.folders import safe_name
+from hiltestbed.run_folder.folders import parquet_table, safe_name
 from hiltestbed.run_folder.notebook import html_table
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.scenario.idle import idle_keys
@@ -60,10 +60,10 @@ class Sweep:
     def to_pandas(self) -> Any:
         """cases.parquet as a pandas DataFrame, one row per case. Raises MissingExtra."""
         try:
-            import pandas as pd
+            import pandas  # noqa: F401
         except ImportError:
             raise MissingExtra("to_pandas()", "pandas") from None
-        return pd.read_parquet(self.folder / CASES)
+        return self.cases().to_pandas()
 
     def plot(self, x: str, y: str, color: str | None = None, axes: Axes | None = None) -> Axes:
         """One point per case over two columns of cases.parquet, coloured by a third; returns the
@@ -110,9 +110,7 @@ class Sweep:
 
     def cases(self):
         """cases.parquet as a pyarrow table, one row a case in case order."""
-        import pyarrow.parquet as pq
-
-        return pq.read_table(self.folder / CASES)
+        return parquet_table(self.folder / CASES)
 
 
 def sweep(
@@ -203,16 +201,12 @@ def planned_chunks(
 
 def _finish(store: Store, engine: str, chunk: int, ran: int, wall: float) -> None:
     """Writes cases.parquet, then the report, then campaign.json; deletes the chunks last."""
-    import pyarrow.parquet as pq
-
     from hiltestbed.campaign.report import write_report
 
     walls = store.walls()
     store.merge()
     write_report(store.folder, store.campaign)
-    statuses = (
-        pq.read_table(store.folder / CASES, columns=["status"])["status"].value_counts().to_pylist()
-    )
+    statuses = parquet_table(store.folder / CASES, ["status"])["status"].value_counts().to_pylist()
     store.write_about(
         {
             "status": "complete",

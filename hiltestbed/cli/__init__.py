@@ -13,6 +13,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from hiltestbed.process import interrupt
+from hiltestbed.process.output import escaped
 
 if TYPE_CHECKING:
     from hiltestbed.cli.program import app
@@ -28,14 +29,15 @@ def main() -> None:
     """Entry point. Ctrl-C while the program is still loading also ends it with a short message."""
     interrupt.install()
     gc.set_threshold(NEW_OBJECTS)
-    try:
-        from hiltestbed.cli.program import main as program
-    except BaseException:
-        if not interrupt.asked():
-            raise
-        print("interrupted", file=sys.stderr)
-        sys.exit(1)
-    program()
+    with escaped():
+        try:
+            from hiltestbed.cli.program import main as program
+        except BaseException:
+            if not interrupt.asked():
+                raise
+            print("interrupted", file=sys.stderr)
+            sys.exit(1)
+        program()
 
 
 def __getattr__(name: str) -> Any:

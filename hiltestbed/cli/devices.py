@@ -82,7 +82,7 @@ def live(
     spec = _for_seconds(scenario, sets, seconds)
     folder = out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-live"))
     refuse_foreign(folder)
-    interrupt.like_ctrl_c()
+    interrupt.track_shared_memory()
     # remains if the process dies; deleted once the run is written
     rows = folder.with_name(folder.name + ".rows.f64")
     result = run_live(spec, Options(sensor, platform, armed=arm, cpu=cpu, record=rows, say=_say))
@@ -118,7 +118,7 @@ def emulate(
     """Emulate the physical side of a scenario in real time, with the protocols of real devices."""
     from hiltestbed.devices.emulate import emulate as run_emulation
 
-    interrupt.like_ctrl_c()
+    interrupt.track_shared_memory()
     spec = read_scenario(scenario, sets)
 
     def ready() -> None:
@@ -169,7 +169,7 @@ def commission(
         out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-commission"))
     )
     refuse_foreign(folder, RESULT)
-    interrupt.like_ctrl_c()
+    interrupt.track_shared_memory()
     with step_line(spec.name) as progress:
         result = run_commission(
             spec, Options(sensor, platform, armed=arm, cpu=cpu, say=_say), force, progress

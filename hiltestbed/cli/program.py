@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import json
-import os
 import sys
 from typing import Annotated
 
 import typer
 
 from hiltestbed.cli import contact, devices, scenarios, studies
-from hiltestbed.errors import HiltestbedError, InputError, printable
-from hiltestbed.process import interrupt
+from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.process import interrupt, memory
 from hiltestbed.run_folder.folders import FIGURES_APART
 
 app = typer.Typer(
@@ -54,6 +52,7 @@ def _root(
     ] = False,
 ) -> None:
     FIGURES_APART.set(figures)
+    memory.refuse_too_small()
     if plugin and not {"--help", "-h"} & set(sys.argv):
         from hiltestbed import plugins
 
@@ -77,23 +76,20 @@ def _fail(error: BaseException, text: str, status: int) -> int:
         print(
             json.dumps({"status": "error", "exit_status": status, "error": text, "faults": faults})
         )
-    print(printable(text), file=sys.stderr)
+    print(text, file=sys.stderr)
     return status
 
 
 def main() -> None:
-    """Entry point: runs a command and turns errors into a message and an exit status."""
-    for stream in (sys.stdout, sys.stderr):
-        # a terminal without UTF-8 gets a replacement mark for other characters
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
+    """Runs a command and turns errors into a message and an exit status."""
     try:
         status = _run()
         sys.stdout.flush()
     except BrokenPipeError:
-        # the interpreter flushes once more at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
+    except HiltestbedError as error:  # standard output cannot be written
+        print(error, file=sys.stderr)
+        status = error.exit_status
     sys.exit(status)
 
 
@@ -133,9 +129,22 @@ def _run() -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(error, f"{where}{error.strerror or error}", 1)
     except (ImportError, RuntimeError, SystemError) as error:
-        if not interrupt.asked():
+        if interrupt.asked():
+            return _fail(error, "interrupted", 1)
+        if memory.limit() is not None:
+            return _fail(error, memory.sentence(error), 1)
+        if not isinstance(error, ImportError):
             raise
-        return _fail(error, "interrupted", 1)
+        return _fail(
+            error,
+            f"a package cannot be loaded: {error}; install it again; hiltestbed doctor lists the "
+            f"packages",
+            1,
+        )
     except MemoryError as error:
         return _fail(error, "out of memory; a shorter duration or a lower rate needs less", 1)
+    except Exception as error:  # whatever a library makes of an allocation that failed
+        if memory.limit() is None:
+            raise
+        return _fail(error, memory.sentence(error), 1)
     return 0

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from hiltestbed.cli.options import Json, Out, Sets, complete, overrides, read_scenario
-from hiltestbed.errors import InputError, printable
+from hiltestbed.errors import InputError
 from hiltestbed.run_folder.folders import free_folder, safe_name
 
 app = typer.Typer()
@@ -44,10 +44,8 @@ def run(
     hiltestbed run my-rig.yaml --set sensor.delay=0.010 --out runs/late
     """
     start = time.monotonic()
-    from hiltestbed.cli import ahead
     from hiltestbed.process.progress import progress_bar
 
-    ahead.begin(scenario, sets, case)
     spec = read_scenario(scenario, sets, case)
     label = spec.name if case is None else f"{scenario.stem}-case-{case}"
     folder = out if out is not None else free_folder(Path("runs") / safe_name(label))
@@ -66,7 +64,7 @@ def run(
         folder,
     )
     for warning in warnings(spec):
-        print(printable(f"{spec.name}: warning: {warning}"), file=sys.stderr)
+        print(f"{spec.name}: warning: {warning}", file=sys.stderr)
 
     with progress_bar(spec.name, spec.duration) as progress:
         result = simulate(spec, progress=progress)
@@ -79,10 +77,8 @@ def run(
         print_run(result.summary, folder, not no_rerun, time.monotonic() - start)
     if result.summary["status"] != "completed":
         print(
-            printable(
-                f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its "
-                f"state is in {folder}"
-            ),
+            f"{spec.name}: {result.summary['status']}: {result.summary['stop_reason']}; its "
+            f"state is in {folder}",
             file=sys.stderr,
         )
         raise typer.Exit(3)
@@ -137,7 +133,7 @@ def check(
                 if one.faults
                 else f"{file}: {one.kind}: no faults"
             )
-            print(printable("".join(f"{file}: {remark}\n" for remark in one.remarks)), end="")
+            print("".join(f"{file}: {remark}\n" for remark in one.remarks), end="")
             print(f"{file}: needs {one.budget}\n" if one.budget and not one.faults else "", end="")
             print(f"{file}: {judged['verdict']}\n" if judged else "", end="")
     if any(one.faults for _, one in found):
@@ -302,4 +298,4 @@ def schema(
             f"schema: no key of a {kind} mentions {search!r}; fewer words, or a part of one, find "
             f"more"
         )
-    print(printable("\n".join(map(str, dict.fromkeys(found)))))
+    print("\n".join(map(str, dict.fromkeys(found))))

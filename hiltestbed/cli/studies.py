@@ -11,7 +11,6 @@ import typer
 from hiltestbed.bench import BENCHES, benchmark
 from hiltestbed.cli.options import Json, Out, Sets, overrides
 from hiltestbed.errors import HiltestbedError, InputError
-from hiltestbed.process import interrupt
 from hiltestbed.run_folder.folders import free_folder, safe_name
 
 app = typer.Typer()
@@ -162,7 +161,6 @@ def sweep(
             "--workers is for this machine and --scheduler for a cluster; allowed is one of the two"
         )
     refuse_unknown(campaign, campaign_names())
-    interrupt.like_ctrl_c()
     tell_of_compiling()
     spec = load_campaign(find_scenario(campaign), overrides(sets))
     folder = out if out is not None else default_folder(spec)

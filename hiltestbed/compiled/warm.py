@@ -8,10 +8,11 @@ from __future__ import annotations
 import functools
 import multiprocessing
 import os
-import sys
 import time
 from pathlib import Path
 from typing import Any
+
+from hiltestbed.process.output import overwrite
 
 PATIENCE = 1.0  # [s] of compiling, after which a message to the user is printed
 
@@ -65,12 +66,9 @@ def tell_of_compiling() -> Any:
         def _notify(self) -> None:
             if not self.notified and self.spent + time.monotonic() - self.begun > PATIENCE:
                 self.notified = True
-                clear = "\r\x1b[K" if sys.stderr.isatty() else ""
-                sys.stderr.write(
-                    f"{clear}compiling inner loops: takes about a minute, and is kept for later "
-                    f"runs\n"
+                overwrite(
+                    "compiling inner loops: takes about a minute, and is kept for later runs", "\n"
                 )
-                sys.stderr.flush()
 
     listener = CompileListener()
     event.register("numba:compile", listener)

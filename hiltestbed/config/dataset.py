@@ -113,7 +113,7 @@ class Dataset(Strictly):
 @depends
 def _rebuild() -> None:
     """Include the formats of a plugin in the schema."""
-    for model in (MeasuredRun, Dataset):
+    for model in (RunEntry, Dataset):
         model.model_rebuild(force=True)
 
 

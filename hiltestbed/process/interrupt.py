@@ -1,4 +1,4 @@
-"""Reliable handling of Ctrl-C.
+"""Reliable handling of Ctrl-C, and of every other signal that asks a program to end.
 
 A KeyboardInterrupt inside a compiled import appears as an ImportError; inside a compiler's callback
 it is printed and lost, or crashes the process. Ctrl-C is therefore recorded here: long tasks call
@@ -14,48 +14,59 @@ import sys
 from types import FrameType
 from typing import Any
 
+# from the terminal (Ctrl-C, Ctrl-\\, its window closed), a scheduler or a service manager
+ENDING = ("SIGINT", "SIGQUIT", "SIGHUP", "SIGTERM")
 COMPILERS = ("llvmlite", "numba.core.codegen")  # modules that call LLVM and are called back by it
-
-# the signals that end a program besides Ctrl-C: a request, a terminal that closes, its Ctrl-\
-ENDINGS = [n for n in signal.Signals if n.name in ("SIGTERM", "SIGHUP", "SIGQUIT")]
 
 _asked = False
 
 
 def install() -> None:
-    """Records Ctrl-C from now on; it still raises KeyboardInterrupt where that is safe."""
-    signal.signal(signal.SIGINT, _on_signal)
+    """Records Ctrl-C from now on; it still raises KeyboardInterrupt where that is safe.
+
+    The other signals that ask a program to end do the same, unless the caller (nohup) has them
+    ignored.
+    """
+    for number in _ending():
+        if number == signal.SIGINT or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _on_signal)
     atexit.unregister(_over)
     atexit.register(_over)
     before = sys.unraisablehook
     sys.unraisablehook = lambda raised: None if _asked else before(raised)
 
 
-def like_ctrl_c() -> None:
-    """Handle the other signals that end a program like Ctrl-C from now on, so that it gives back
-    the shared memory and the semaphores that it holds; a hang-up that is ignored (nohup) stays so.
+def track_shared_memory() -> None:
+    """Start Python's process that removes the shared memory which others leave, so that what ends
+    a group of processes does not end it.
     """
-    taken = [n for n in ENDINGS if n.name != "SIGHUP" or signal.getsignal(n) is not signal.SIG_IGN]
-    # Python's process that removes what others leave must not be ended by what ends its group
-    for number in taken:
-        signal.signal(number, signal.SIG_IGN)
-    if sys.platform != "win32":
-        from multiprocessing import resource_tracker  # 8 ms
+    if sys.platform == "win32":
+        return
+    from multiprocessing import resource_tracker  # 8 ms
 
-        resource_tracker.ensure_running()
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in _ending()}
+    resource_tracker.ensure_running()
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
-    def end(number: int, frame: FrameType | None) -> None:
-        for other in taken:  # a second one must not interrupt what the first has begun
-            signal.signal(other, signal.SIG_IGN)
-        _on_signal(number, frame)
 
-    for number in taken:
-        signal.signal(number, end)
+def leave_to_parent() -> None:
+    """Ignore, in a worker process, what the terminal sends to all processes of a group; SIGTERM is
+    how the parent ends its workers.
+    """
+    for number in _ending():
+        signal.signal(number, signal.SIG_DFL if number == signal.SIGTERM else signal.SIG_IGN)
+
+
+def _ending() -> list[signal.Signals]:
+    return [getattr(signal, name) for name in ENDING if hasattr(signal, name)]
 
 
 def _on_signal(number: int, frame: FrameType | None) -> None:
     global _asked
     _asked = True
+    if number != signal.SIGINT:  # a second one must not interrupt what the first has begun
+        signal.signal(number, signal.SIG_IGN)
     if not _compiling(frame):
         raise KeyboardInterrupt
     sys.setprofile(_on_return)
@@ -78,21 +89,22 @@ def _compiling(frame: FrameType | None) -> bool:
 
 def _over() -> None:
     """Let the program end with its own exit status: otherwise Python may end it by the signal
-    SIGINT.
+    SIGINT, or another one may.
 
     Python does so after a Ctrl-C at exit (ignored from here on), and if a KeyboardInterrupt has
     left an ``exec``, even if it was caught afterwards; another ``exec`` clears that flag.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in _ending():
+        signal.signal(number, signal.SIG_IGN)
     exec("")
 
 
 def asked() -> bool:
-    """Whether Ctrl-C was pressed."""
+    """Whether the program was asked to end."""
     return _asked
 
 
 def check() -> None:
-    """Raises KeyboardInterrupt if Ctrl-C was pressed."""
+    """Raises KeyboardInterrupt if the program was asked to end."""
     if _asked:
         raise KeyboardInterrupt

@@ -16,7 +16,9 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
+from hiltestbed.errors import printable
 from hiltestbed.process import interrupt
+from hiltestbed.process.output import console, overwrite, terminal
 
 QUIET = 1.0  # [s] a shorter run shows nothing
 LOG_INTERVAL = 10.0  # [s]
@@ -101,7 +103,7 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
     """
     shown = time.monotonic()
     first: int | None = None
-    terminal = sys.stderr.isatty()
+    on_terminal = terminal()
     pace = Pace()
 
     def update(done: int, total: int, statuses: Mapping[str, int]) -> None:
@@ -111,7 +113,7 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
         ran = sum(statuses.values())
         first = done - ran if first is None else first
         pace.update(done)
-        if not terminal and now - shown < LOG_INTERVAL and done < total:
+        if not on_terminal and now - shown < LOG_INTERVAL and done < total:
             return
         shown = now
         one = pace.left(1.0)
@@ -125,13 +127,12 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
             f"cases{before}{rate}"
             f"{time_left_text(pace.left(total - done)) if done < total else ''}{odd}"
         )
-        sys.stderr.write(f"\r\x1b[K{line}" if terminal else f"{line}\n")
-        sys.stderr.flush()
+        overwrite(line)
 
     try:
         yield update
     finally:
-        if terminal and first is not None:
+        if on_terminal and first is not None:
             sys.stderr.write("\n")
 
 
@@ -141,24 +142,23 @@ def step_line(name: str) -> Iterator[Callable[[str], None]]:
     lines in a log.
     """
     start = shown = time.monotonic()
-    terminal = sys.stderr.isatty()
+    on_terminal = terminal()
 
     def update(step: str) -> None:
         nonlocal shown
         interrupt.check()
         now = time.monotonic()
-        if not terminal and now - shown < LOG_INTERVAL:
+        if not on_terminal and now - shown < LOG_INTERVAL:
             return
         shown = now
         line = f"{name}: {now - start:.0f} s: {step}"
-        sys.stderr.write(f"\r\x1b[K{line[:110]}" if terminal else f"{line}\n")
-        sys.stderr.flush()
+        overwrite(line[:110] if on_terminal else line)
 
     try:
         yield update
     finally:
-        if terminal:
-            sys.stderr.write("\r\x1b[K")
+        if on_terminal:
+            overwrite("")
 
 
 @contextmanager
@@ -174,7 +174,7 @@ def _bar_or_lines(
         interrupt.check()
         now = time.monotonic()
         pace.update(done)
-        if bar is None and now - start > QUIET and done < total and sys.stderr.isatty():
+        if bar is None and now - start > QUIET and done < total and terminal():
             bar = _bar(name, total)
         if bar is not None:
             bar.update(
@@ -196,7 +196,7 @@ def _bar_or_lines(
 
 
 def _bar(name: str, total: float):
-    from rich.console import Console
+    from rich.markup import escape
     from rich.progress import BarColumn, Progress, TextColumn
 
     columns = (
@@ -205,7 +205,7 @@ def _bar(name: str, total: float):
         TextColumn("{task.percentage:>3.0f} %"),
         TextColumn("{task.fields[left]}"),
     )
-    bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    bar.add_task(name, total=total, left="")
+    bar = Progress(*columns, console=console(sys.stderr), transient=True)
+    bar.add_task(escape(printable(name)), total=total, left="")
     bar.start()
     return bar

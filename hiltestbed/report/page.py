@@ -130,7 +130,8 @@ class Report:
         """Write the page, and the folder ``figures`` beside it if requested by
         :data:`hiltestbed.run_folder.folders.FIGURES_APART`.
         """
-        path.write_text(self.html(), encoding="utf-8")
+        # the name of a file may contain bytes that are no UTF-8
+        path.write_text(self.html(), encoding="utf-8", errors="backslashreplace")
         for name, png, svg in self._apart:
             folder = path.parent / "figures"
             folder.mkdir(exist_ok=True)

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich import box
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from hiltestbed.analysis.assessment import assess, identified, monitored
-from hiltestbed.errors import printable
+from hiltestbed.process.output import console
 
 if TYPE_CHECKING:
     from hiltestbed.process.doctor import Examined
@@ -25,21 +24,21 @@ def print_run(
     """Prints the summary of a run and its folder to standard output; ``elapsed`` [s]: duration of
     the whole command.
     """
-    console = Console(highlight=False, soft_wrap=False)
-    console.print(_figures(summary, elapsed))
+    screen = console()
+    screen.print(_figures(summary, elapsed))
     for warning in assess(summary).warnings:
-        console.print(f"[bold red]warning:[/bold red] {escape(warning)}")
+        screen.print(f"[bold red]warning:[/bold red] {escape(warning)}")
     if summary["delay_ledger"]:
-        console.print(_ledger(summary["delay_ledger"]))
+        screen.print(_ledger(summary["delay_ledger"]))
     found = _identified(identified(summary))
     if found.row_count:
-        console.print(found)
+        screen.print(found)
     look = (
         f"hiltestbed view {folder}"
         if recording
         else "run again without --no-rerun, then hiltestbed view"
     )
-    console.print(
+    screen.print(
         f"run folder: {folder}\nreport:     {folder / 'report.html'}\nlook at it: {look}",
         soft_wrap=True,
         markup=False,
@@ -53,10 +52,10 @@ def print_lines(title: str, lines: list[tuple[str, str]], folder: Path | None) -
     table.add_column("value", justify="right")
     for label, value in lines:
         table.add_row(label, value)
-    console = Console(highlight=False)
-    console.print(table)
+    screen = console()
+    screen.print(table)
     if folder is not None:
-        console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+        screen.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
 
 
 def print_comparison(
@@ -65,19 +64,19 @@ def print_comparison(
     """Prints runs side by side to standard output; one below the other where the terminal is too
     narrow for whole words.
     """
-    console = Console(highlight=False)
-    widths = _whole_words(list(zip(("", *names), *rows, strict=True)), console.width)
+    screen = console()
+    widths = _whole_words(list(zip(("", *names), *rows, strict=True)), screen.width)
     if widths:
         table = _table("runs side by side")
         for name, width in zip(("", *names), widths, strict=True):
             table.add_column(escape(name), justify="right" if name else "left", width=width)
         for row in rows:
             table.add_row(*map(escape, row))
-        console.print(table)
+        screen.print(table)
     else:
-        console.print("[bold]runs side by side[/bold]")
+        screen.print("[bold]runs side by side[/bold]")
         for key, *values in rows:
-            console.print(
+            screen.print(
                 key,
                 *(f"  {name}: {value}" for name, value in zip(names, values, strict=True)),
                 sep="\n",
@@ -85,7 +84,7 @@ def print_comparison(
                 markup=False,
             )
     if page is not None:
-        console.print(f"page: {page}", soft_wrap=True, markup=False)
+        screen.print(f"page: {page}", soft_wrap=True, markup=False)
 
 
 def print_doctor(findings: Sequence[Examined]) -> None:
@@ -99,7 +98,7 @@ def print_doctor(findings: Sequence[Examined]) -> None:
             escape(found.what),
             escape(found.state),
         )
-    Console(highlight=False).print(table)
+    console().print(table)
 
 
 def print_sweep(about: dict[str, Any], folder: Path) -> None:
@@ -119,13 +118,13 @@ def print_sweep(about: dict[str, Any], folder: Path) -> None:
 
 def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
     """Prints the main results of diagnosis.json and the path of the report to standard output."""
-    console = Console(highlight=False)
-    console.print(
+    screen = console()
+    screen.print(
         f"[bold]{escape(result['name'])}: {result['verdict']}[/bold]\n{escape(result['sentence'])}",
         soft_wrap=False,
     )
     for text in result["overridden"]:
-        console.print(text, markup=False)
+        screen.print(text, markup=False)
     heldout, loop = result["heldout"], result["closed_loop"]
     if heldout:
         low, high = (100.0 * v for v in heldout["ci95"])
@@ -134,17 +133,17 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
             f"{100.0 * heldout['reduction']:.4g} % ({low:.4g} to {high:.4g} %); with a "
             f"wrong effect by {placebo:.3g} %"
         )
-        console.print(f"residual on runs that were not fitted: lower by {gain}", markup=False)
+        screen.print(f"residual on runs that were not fitted: lower by {gain}", markup=False)
     if result["partial"]["sentence"]:
-        console.print(result["partial"]["sentence"], markup=False)
+        screen.print(result["partial"]["sentence"], markup=False)
     if result["learned"]:
-        console.print(result["learned"]["sentence"], markup=False)
+        screen.print(result["learned"]["sentence"], markup=False)
     cor = [
         ", ".join(_number(v, 4) for v in loop[f"cor_{source}"])
         for source in ("measured", "nominal", "extended")
     ]
     if any(v is not None for v in loop["cor_measured"]):
-        console.print(
+        screen.print(
             "coefficient of restitution, run by run:\n  measured  "
             + cor[0]
             + "\n  nominal   "
@@ -152,10 +151,10 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
             markup=False,
         )
         if result["extended_scenario"]:
-            console.print(f"  extended  {cor[2]}", markup=False)
+            screen.print(f"  extended  {cor[2]}", markup=False)
     if result["next_experiment"]:
-        console.print(f"next experiment: {result['next_experiment']}", markup=False)
-    console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+        screen.print(f"next experiment: {result['next_experiment']}", markup=False)
+    screen.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
 
 
 def _whole_words(columns: Sequence[Sequence[str]], room: int) -> list[int] | None:
@@ -281,7 +280,7 @@ def _identified(axes: dict[str, dict[str, Any]]) -> Table:
 
 def _table(title: str, header: bool = True) -> Table:
     return Table(
-        title=escape(printable(title)),
+        title=escape(title),
         title_justify="left",
         title_style="bold",
         box=box.SIMPLE_HEAD,

@@ -1,12 +1,27 @@
-"""Names of results folders, and the option to write figures as separate files."""
+"""Names and files of results folders, and the option to write figures as separate files."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextvars import ContextVar
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 # also write the figures of a report beside it, as PNG and SVG
 FIGURES_APART: ContextVar[bool] = ContextVar("figures_apart", default=False)
+
+
+def parquet_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """The table in a Parquet file, or some of its ``columns``. Arrow itself opens only files whose
+    names are UTF-8.
+    """
+    import pyarrow.parquet as pq
+
+    with path.open("rb") as file:
+        return pq.read_table(file, columns=columns)
 
 
 def is_file(path: Path) -> bool:

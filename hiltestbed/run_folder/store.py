@@ -19,8 +19,9 @@ from hiltestbed import plugins
 from hiltestbed.config.mjcf import packed
 from hiltestbed.config.validation import UserFile, user_files
 from hiltestbed.config.yaml_source import dotted, dump_yaml
-from hiltestbed.errors import Fault, InputError
+from hiltestbed.errors import Fault, HiltestbedError, InputError
 from hiltestbed.frames import Array
+from hiltestbed.run_folder.folders import parquet_table
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario, load_scenario, put, resolved
 from hiltestbed.signals import RunTrace, about_column, groups
@@ -53,11 +54,9 @@ def whole_folder(path: Path, mark: str = SUMMARY) -> Iterator[Path]:
     refuse_foreign(path, mark)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
+        beside = Path(tempfile.mkdtemp(prefix=".hiltestbed.", suffix=".partial", dir=path.parent))
     except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); choose another --out"
-        ) from None
+        raise _not_writable(path, error.strerror) from None
     try:
         yield beside
         for file in beside.rglob("*"):
@@ -65,28 +64,58 @@ def whole_folder(path: Path, mark: str = SUMMARY) -> Iterator[Path]:
                 _sync(file)
         beside.chmod(0o755)
         _swap(beside, path)
+    except OSError as error:
+        shutil.rmtree(beside, ignore_errors=True)
+        raise HiltestbedError(
+            f"{path}: cannot be written ({error.strerror or error}); nothing is left of it; with "
+            f"more space, or another --out, the same command works"
+        ) from error
     except BaseException:
         shutil.rmtree(beside, ignore_errors=True)
         raise
 
 
 def refuse_foreign(path: Path, mark: str = SUMMARY) -> None:
-    """Refuse to replace anything that is not a result of hiltestbed.
+    """Refuse to replace anything that is not a result of hiltestbed, and what cannot be replaced as
+    a whole.
 
     Raises:
-        InputError: ``path`` is a file, or a folder with other things in it.
+        InputError: ``path`` is a file, a folder with other things in it, one that is in use as a
+            whole, or in a folder that cannot be written.
     """
+    try:
+        here = Path.cwd()
+    except FileNotFoundError:
+        if not path.is_absolute():
+            raise _not_writable(path, "the working folder has been removed") from None
+        here = Path(path.anchor)
     if path.is_dir():
         if any(path.iterdir()) and not (path / mark).exists():
             raise InputError(
                 f"{path}: is a folder with other things in it; allowed is a new folder or an "
                 f"earlier result; choose another --out"
             )
+        whole = path.resolve()
+        if os.path.ismount(whole) or here.is_relative_to(whole):
+            use = "a mount point" if os.path.ismount(whole) else "the working folder, or holds it"
+            raise InputError(
+                f"{path}: is {use}, and cannot be replaced as a whole; allowed is a new folder or "
+                f"an earlier result; choose a folder in it, --out {path / 'result'}"
+            )
     elif path.exists() or path.is_symlink():
         raise InputError(
             f"{path}: is not a folder; allowed is a new folder or an earlier result; choose "
             f"another --out"
         )
+    above = next(folder for folder in (here / path).parents if folder.exists())
+    if not above.is_dir():
+        raise _not_writable(path, f"{above} is not a folder")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise _not_writable(path, f"{above} is read-only")
+
+
+def _not_writable(path: Path, why: str | None) -> InputError:
+    return InputError(f"{path}: cannot be written ({why}); choose another --out")
 
 
 def _swap(beside: Path, path: Path) -> None:
@@ -94,7 +123,7 @@ def _swap(beside: Path, path: Path) -> None:
     never contains a mixture.
     """
     if path.exists():
-        old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
+        old = Path(tempfile.mkdtemp(prefix=".hiltestbed.", suffix=".old", dir=path.parent))
         os.rename(path, old / path.name)
         os.rename(beside, path)
         shutil.rmtree(old, ignore_errors=True)
@@ -218,13 +247,14 @@ def write_trace(trace: RunTrace, path: Path) -> None:
         pa.Array.from_buffers(field.type, len(v), [None, _buffer(v)])
         for field, v in zip(fields, columns.values(), strict=True)
     ]
-    pq.write_table(
-        pa.table(arrays, schema=pa.schema(fields)),
-        path,
-        compression="zstd",
-        compression_level=1,
-        use_dictionary=False,
-    )
+    with path.open("wb") as file:  # Arrow itself opens only files whose names are UTF-8
+        pq.write_table(
+            pa.table(arrays, schema=pa.schema(fields)),
+            file,
+            compression="zstd",
+            compression_level=1,
+            use_dictionary=False,
+        )
 
 
 def _buffer(values: np.ndarray) -> pa.Buffer:
@@ -242,9 +272,7 @@ def _buffer(values: np.ndarray) -> pa.Buffer:
 
 def read_trace(path: Path) -> RunTrace:
     """The trace in a Parquet file."""
-    import pyarrow.parquet as pq
-
-    table = pq.read_table(path)
+    table = parquet_table(path)
     columns: dict[str, Array] = {name: table[name].to_numpy() for name in table.column_names}
     joints = tuple(
         _unit(table, name) for name in table.column_names if name.startswith("slider_cmd.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +12,14 @@ from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import RunTrace
 from hiltestbed.viewer import spacecraft
 from hiltestbed.viewer.blueprint import ShownRun, layout
+from hiltestbed.viewer.file import recording_file
 from hiltestbed.viewer.forces import force_scale, send_force
 from hiltestbed.viewer.frames import frame_rows
 from hiltestbed.viewer.plots import send_signals
 from hiltestbed.viewer.rig import CONTACT_FORCE, RigScene
 from hiltestbed.viewer.text import figures
 
-APPLICATION = "hiltestbed"
 FORCE_PART = 0.6  # of a spacecraft's height, at most: the largest force drawn on it
-FOOTER, FOOTER_SIZE = b"RRF2FOOT", 12
 
 
 def write_recording(path: Path, run: Run) -> None:
@@ -32,27 +30,14 @@ def write_recording(path: Path, run: Run) -> None:
 
     Raises:
         ValueError: the run has no trace.
-        OSError: the file could not be written completely.
+        OSError: the file could not be written.
     """
     if run.trace is None:
         raise ValueError("a run without its trace cannot be recorded")
-    try:
-        _write(path, run, run.trace)
-    except RuntimeError as error:  # raised by rerun if its writer has failed
-        raise OSError(
-            errno.EIO, f"the recording could not be written ({error}); is the disk full?", str(path)
-        ) from error
-    if not _whole(path):
-        raise OSError(
-            errno.EIO, "the recording could not be written whole; is the disk full?", str(path)
-        )
-
-
-def _write(path: Path, run: Run, trace: RunTrace) -> None:
+    trace = run.trace
     rows = frame_rows(trace, run.scenario.rate)
     facts = ShownRun(run, trace, force_scale(_peak(trace)))
-    with rr.RecordingStream(APPLICATION, recording_id=_identity(run), send_properties=False) as rec:
-        rec.save(path, default_blueprint=layout(facts))
+    with recording_file(path, _identity(run), layout(facts)) as rec:
         rec.send_recording_name(run.scenario.name)
         rec.log(
             "figures", rr.TextDocument(figures(run), media_type=rr.MediaType.MARKDOWN), static=True
@@ -60,15 +45,6 @@ def _write(path: Path, run: Run, trace: RunTrace) -> None:
         _rig(rec, run, trace, rows, facts.force_scale)
         _spacecraft(rec, run, trace, rows)
         send_signals(rec, run, trace)
-
-
-def _whole(path: Path) -> bool:
-    """Whether the recording is complete: rerun writes its footer last, and reports no error if it
-    fails to.
-    """
-    with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - FOOTER_SIZE, 0))
-        return FOOTER in file.read()
 
 
 def _rig(

@@ -218,12 +218,6 @@ def test_a_group_is_a_rig_and_a_kind_of_set() -> None:
     ]
 
 
-class Threads(ThreadPoolExecutor):
-    """In place of a pool of processes."""
-
-    _processes = None
-
-
 def played(monkeypatch: pytest.MonkeyPatch, last: int) -> list[int]:
     """Has no set diagnosed: the seeds of those that are asked for, the last of which is
     interrupted.
@@ -237,7 +231,7 @@ def played(monkeypatch: pytest.MonkeyPatch, last: int) -> list[int]:
         return record(task, "no_discrepancy", task.kind == "healthy")
 
     monkeypatch.setattr(bench, "one_set", one_set)
-    monkeypatch.setattr(bench, "new_pool", Threads)
+    monkeypatch.setattr(bench, "Workers", ThreadPoolExecutor)
     return asked
 
 

@@ -16,10 +16,12 @@ from pathlib import Path
 import pytest
 
 from hiltestbed.campaign import store
+from hiltestbed.campaign.engines import run_chunk_of
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
 from hiltestbed.campaign.store import Store
 from hiltestbed.campaign.sweep import case_scenario, read_sweep, sweep
 from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.run_folder.versions import provenance
 from hiltestbed.scenario import scenario_sha256
 from tests.slow import SLOW, slow
 
@@ -260,9 +262,44 @@ def test_a_folder_begun_with_other_versions_is_refused(
     small: LoadedCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sweep(small, tmp_path / "out")
-    monkeypatch.setattr(store, "versions", lambda: {"mujoco": "9.9"})
+    monkeypatch.setattr(store, "provenance", lambda: {"mujoco": "9.9"})
     with pytest.raises(InputError, match="other versions of mujoco"):
         sweep(small, tmp_path / "out")
+
+
+def test_a_folder_whose_first_write_met_a_full_disk_goes_on(
+    small: LoadedCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever write it was: the first, or one of the files that belong to it."""
+    whole = store.write_whole
+    for name in (store.ABOUT, store.SCENARIO, store.CAMPAIGN):
+
+        def full(path: Path, content: bytes, name: str = name) -> None:
+            if path.name == name:
+                path.with_name(path.name + ".partial").touch()  # killed
+                raise OSError(28, "No space left on device", str(path))
+            whole(path, content)
+
+        monkeypatch.setattr(store, "write_whole", full)
+        with pytest.raises(OSError, match="No space left"):
+            sweep(small, tmp_path / "out")
+    monkeypatch.setattr(store, "write_whole", whole)
+    assert sweep(small, tmp_path / "out").about["status"] == "complete"
+    assert not list((tmp_path / "out").rglob("*.partial"))
+    assert (tmp_path / "out" / store.SCENARIO).is_file()
+
+
+def test_a_folder_with_a_name_that_is_no_utf8(small: LoadedCampaign, tmp_path: Path) -> None:
+    done = sweep(small, tmp_path / os.fsdecode(b"\xff"))
+    assert done.cases().num_rows == small.spec.cases
+
+
+def test_a_worker_with_other_code_under_the_same_version_is_refused(small: LoadedCampaign) -> None:
+    expected = provenance()
+    assert len(run_chunk_of(small, (0,), expected).rows) == 1
+    for other in ({"hiltestbed's code": "0" * 64}, {"plugin mine.py": "0" * 64}):
+        with pytest.raises(HiltestbedError, match=f"other code.*{next(iter(other))}"):
+            run_chunk_of(small, (0,), expected | other)
 
 
 def test_two_sweeps_do_not_work_in_one_folder(small: LoadedCampaign, tmp_path: Path) -> None:

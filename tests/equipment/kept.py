@@ -10,19 +10,17 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import hiltestbed
 from hiltestbed.errors import InputError
-from hiltestbed.run_folder.versions import versions
+from hiltestbed.run_folder.versions import provenance
 
 
 def made_by() -> str:
-    """SHA-256 of the program that makes a record: every module of the package and of the test
-    equipment, and the versions of the package's dependencies.
+    """SHA-256 of the program that makes a record: its code, that of the test equipment, and the
+    versions of its dependencies.
     """
-    seen = sha256(json.dumps(versions(), sort_keys=True).encode())
-    for folder in (Path(hiltestbed.__file__).parent, Path(__file__).parent):
-        for file in sorted(folder.rglob("*.py")):
-            seen.update(str(file.relative_to(folder)).encode() + b"\0" + file.read_bytes())
+    seen = sha256(json.dumps(provenance(), sort_keys=True).encode())
+    for file in sorted(Path(__file__).parent.rglob("*.py")):
+        seen.update(file.read_bytes())
     return seen.hexdigest()
 
 

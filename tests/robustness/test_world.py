@@ -57,9 +57,12 @@ def short(folder: Path, *more: str) -> list[str]:
     return ["run", str(BUMPER), "--set", "duration=0.2", "--no-rerun", "--out", str(folder), *more]
 
 
-def _small_files() -> None:
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+def _small_files(size: int) -> Callable[[], None]:
+    def before() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    return before
 
 
 @pytest.fixture(scope="session")
@@ -68,13 +71,18 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> None:
     assert ended(start(*short(tmp_path_factory.mktemp("warm") / "r")))[0] == 0
 
 
-def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path) -> None:
-    status, _, err = ended(start(*short(tmp_path / "r"), before=_small_files))
+@pytest.mark.parametrize("size", [20_000, 300_000, 1_000_000])
+def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, size: int) -> None:
+    """The trace does not fit; and, of a run with a recording, the recording alone."""
+    order = [*short(tmp_path / "r", "--set", "duration=0.4")]
+    order.remove("--no-rerun")
+    status, _, err = ended(start(*order, before=_small_files(size)), 120)
     assert status == 1
     assert "Traceback" not in err
     assert "File too large" in err
     assert list(tmp_path.iterdir()) == []
-    assert ended(start(*short(tmp_path / "r")))[0] == 0
+    if size == 20_000:
+        assert ended(start(*short(tmp_path / "r")))[0] == 0
 
 
 def test_nobody_reads_standard_output(tmp_path: Path) -> None:

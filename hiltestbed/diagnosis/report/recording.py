@@ -5,7 +5,6 @@ model predicts worst.
 
 from __future__ import annotations
 
-import errno
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.viewer import colors
 from hiltestbed.viewer.blueprint import rig_view
+from hiltestbed.viewer.file import recording_file
 from hiltestbed.viewer.forces import force_scale, send_force
 from hiltestbed.viewer.rig import CONTACT_FORCE, RigScene
 
@@ -47,27 +47,19 @@ def write_diagnosis_recording(path: Path, diagnosis: Conclusion) -> None:
         OSError: the file could not be written.
     """
     channels = worst_channels(diagnosis.finding.series)
-    try:
-        with rr.RecordingStream(
-            "hiltestbed", recording_id=f"diagnosis-{diagnosis.name}", send_properties=False
-        ) as rec:
-            rec.save(path, default_blueprint=_layout(diagnosis, channels))
-            rec.send_recording_name(f"diagnosis of {diagnosis.name}")
-            rec.log(
-                "verdict",
-                rr.TextDocument(_words(diagnosis), media_type=rr.MediaType.MARKDOWN),
-                static=True,
-            )
-            for i, (run, simulated) in enumerate(
-                zip(diagnosis.dataset.runs, diagnosis.simulated, strict=True)
-            ):
-                _signals(rec, i, run, simulated, diagnosis.finding.extends)
-            _residuals(rec, diagnosis, channels)
-            _rig(rec, diagnosis.dataset.runs[_first(diagnosis, channels)])
-    except RuntimeError as error:  # how rerun reports that its writer has failed
-        raise OSError(
-            errno.EIO, f"the recording could not be written ({error}); is the disk full?", str(path)
-        ) from error
+    with recording_file(path, f"diagnosis-{diagnosis.name}", _layout(diagnosis, channels)) as rec:
+        rec.send_recording_name(f"diagnosis of {diagnosis.name}")
+        rec.log(
+            "verdict",
+            rr.TextDocument(_words(diagnosis), media_type=rr.MediaType.MARKDOWN),
+            static=True,
+        )
+        for i, (run, simulated) in enumerate(
+            zip(diagnosis.dataset.runs, diagnosis.simulated, strict=True)
+        ):
+            _signals(rec, i, run, simulated, diagnosis.finding.extends)
+        _residuals(rec, diagnosis, channels)
+        _rig(rec, diagnosis.dataset.runs[_first(diagnosis, channels)])
 
 
 def _words(diagnosis: Conclusion) -> str:

@@ -23,7 +23,7 @@ import numpy as np
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.compiled.warm import cores
 from hiltestbed.errors import HiltestbedError
-from hiltestbed.process.workers import end_pool, new_pool
+from hiltestbed.process.workers import Workers
 from tests.equipment.diagnosis.report import diagnosis_report
 from tests.equipment.diagnosis.summary import summarise, summary_lines
 from tests.equipment.diagnosis.tasks import Task, plan
@@ -89,7 +89,7 @@ def _diagnosed(
     """Number of sets left, and the record of each that ends, or None at a poll without one. Sets in
     progress at ``until`` are abandoned.
     """
-    pool, running = new_pool(workers), set[Future[dict[str, Any]]]()
+    pool, running = Workers(workers), set[Future[dict[str, Any]]]()
     try:
         while (waiting or running) and time.monotonic() < until:
             while waiting and len(running) < workers:
@@ -106,7 +106,7 @@ def _diagnosed(
             "--workers 1 needs less memory"
         ) from None
     finally:
-        end_pool(pool)
+        pool.shutdown(cancel_futures=True)
 
 
 def _key(task: Task) -> tuple[int, float]:
