@@ -64,27 +64,27 @@ __all__ = [
 ]
 
 _HOME = {
-    "Comparison": "comparison",
+    "Comparison": "analysis.comparison",
     "Diagnosis": "diagnosis.result",
-    "Run": "result",
+    "Run": "run_folder.result",
     "RunTrace": "signals",
     "Scenario": "scenario",
     "Sweep": "campaign.sweep",
-    "compare": "comparison",
+    "compare": "analysis.comparison",
     "diagnose": "diagnosis.diagnose",
     "dump_scenario": "scenario",
     "load_campaign": "campaign.schema",
-    "load_dataset": "dataset",
+    "load_dataset": "config.dataset",
     "load_plugins": "plugins",
     "load_scenario": "scenario",
-    "read_run": "recording",
+    "read_run": "run_folder.store",
     "read_sweep": "campaign.sweep",
-    "replay_failure": "failure",
+    "replay_failure": "supervision.failure",
     "run": "simulation",
     "run_batch": "simulation",
-    "shipped": "gallery",
+    "shipped": "config.gallery",
     "sweep": "campaign.sweep",
-    "write_run": "recording",
+    "write_run": "run_folder.store",
 }
 
 
