@@ -248,16 +248,16 @@ def test_a_rotated_sensor_reads_under_three_weights_what_the_text_says(dataset: 
     angle = 3.0
     cause = Cause(
         "sensor.rotation",
-        {"angles_deg": Parameter([angle, 0.0, 0.0], None)},
+        {"angles_deg": Parameter((angle, 0.0, 0.0), None)},
         0.5,
         ("frame.compliance",),
-    )  # type: ignore[arg-type]
+    )
     experiment = next_experiment(Finding("ambiguous", "log", (cause,)), dataset)
     assert experiment is not None
     load, side = (
-        float(re.search(p, experiment.text)[1])
+        float(re.findall(p, experiment.text)[0])
         for p in (r"weight of ([\d.e+]+) N along z", r"reads ([\d.e+]+) N")
-    )  # type: ignore[index]
+    )
     sensor = SensorParameters.believed(dataset.nominal.sensor, dataset.nominal.tick)
     EFFECTS["sensor.rotation"].hypothesis({}, angles_deg=[angle, 0.0, 0.0]).apply(sensor)
     under_z, under_y = (sensor.calibration[:3, :3] @ (load * np.eye(3)[axis]) for axis in (2, 1))
