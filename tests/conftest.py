@@ -90,14 +90,22 @@ FIRST = (
 )
 
 
+def _is_quick(path: Path) -> bool:
+    return any(path == HERE / quick or (HERE / quick) in path.parents for quick in QUICK)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """What the quick subset leaves out is not imported for it, either."""
+    left_out = config.option.markexpr == "not slow" and collection_path.suffix == ".py"
+    return True if left_out and not _is_quick(collection_path) else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     first = {HERE / file: rank for rank, file in enumerate(FIRST)}
     items.sort(key=lambda item: first.get(item.path, len(FIRST)))
     for item in items:
-        if item.path.is_relative_to(HERE):
-            place = item.path.relative_to(HERE).as_posix()
-            if not any(place == quick or place.startswith(f"{quick}/") for quick in QUICK):
-                item.add_marker(pytest.mark.slow)
+        if not _is_quick(item.path):
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

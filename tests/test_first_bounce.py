@@ -15,7 +15,7 @@ from hiltestbed.analysis.bounce import bounce
 from hiltestbed.analysis.stability import EXACT, RigResponse, stability
 from hiltestbed.analysis.trial import Case, first_contact
 from hiltestbed.contact.directions import directions
-from tests.slow import slow
+from tests.slow import SLOW, slow
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
@@ -203,6 +203,7 @@ SMOOTH = {
 }
 
 
+@SLOW
 @pytest.mark.parametrize("motion", ["feedforward", slow("none")])
 @pytest.mark.parametrize("name", ["seals", slow("gears"), slow("sliders")])
 def test_dry_friction_of_the_drives_is_in_the_bounce_that_is_foretold(name, motion) -> None:
@@ -233,6 +234,7 @@ def test_friction_makes_more_of_a_slow_bounce_and_nothing_without_it_hangs_on_th
     assert rebound[0.05, True] == pytest.approx(rebound[0.05, False], rel=0.03)
 
 
+@SLOW
 def test_the_first_contact_is_the_same_however_long_the_run_is() -> None:
     """Also where it ends before the touch at 0.3 s."""
     kind, drive = RUBBING["sliders"]

@@ -25,6 +25,7 @@ from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.signals import Trace
+from tests.slow import SLOW, slow
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 # of the platform: natural frequency [Hz], damping ratio, delay [s]
@@ -131,7 +132,7 @@ def test_the_measured_response_is_the_drives_second_order() -> None:
     assert np.abs(np.degrees(np.angle(ratio))).max() < 5.0
 
 
-@pytest.mark.parametrize("kind", ["pss33", "stewart", "serial_arm"])
+@pytest.mark.parametrize("kind", ["pss33", slow("stewart"), slow("serial_arm")])
 def test_what_is_said_before_the_run_is_what_the_run_does(kind) -> None:
     """ln e = -pi c_net/(2 m w): the net damping that was foretold is the one that the bounce shows,
     and the verdict its sign.
@@ -280,6 +281,7 @@ def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
     assert way.mass == pytest.approx(1.0 / total, rel=1e-6)
 
 
+@SLOW
 def test_a_command_through_the_inverse_of_the_platform_is_judged_as_it_runs() -> None:
     """The platform's response times its inverse is 1 to second order: the lag of 2 zeta/w = 15 ms,
     by far too much, is gone.
@@ -323,6 +325,7 @@ def test_what_changes_the_command_by_measurements_is_not_judged() -> None:
     )
 
 
+@SLOW
 def test_what_adds_a_force_of_its_own_is_not_judged() -> None:
     said = stability(load_scenario(SCENARIOS / "20-facing-arms.yaml"))
     assert said is not None

@@ -5,13 +5,9 @@ their link.
 from __future__ import annotations
 
 import math
-from itertools import product
-from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
-from ruamel.yaml import YAML
 
 from tests.equipment.independent_rig import (
     EFFECTS,
@@ -20,19 +16,16 @@ from tests.equipment.independent_rig import (
     Records,
     draw_effects,
     draw_facility,
-    draw_set,
     link_of,
     nominal_rig,
     overridden,
     silence,
     simulate,
-    strength,
     with_effect,
-    write_set,
 )
 from tests.equipment.independent_rig.sets import PLAIN, rig_of
 from tests.equipment.independent_rig.sizes import NEEDS
-from tests.measured_data import measured_data
+from tests.slow import ALL
 
 FLAT = {
     "rate": 8000,
@@ -120,14 +113,6 @@ def test_the_reading_is_the_physical_wrench_late() -> None:
     records = _quiet(DELAYED, ({"kind": "sensor.delay", "delay": 0.001},))
     np.testing.assert_allclose(records.wrench_meas[24:], records.physical[:-24], atol=1e-7)
     assert not records.wrench_meas[:24].any()
-
-
-def test_between_ticks_the_reading_has_the_rate_of_its_tick() -> None:
-    records = _quiet({"sensor.delay": 0.3 / 8000})
-    z, v = records.pose_act[:, 2], np.diff(records.pose_act[:, 2]) * 8000
-    inside = np.flatnonzero((z[:-1] > 0.0) & (records.physical[1:, 2] > 50.0)) + 1
-    expected = 1e5 * (z[inside] - 0.3 / 8000 * v[inside - 1]) + 400.0 * v[inside - 1]
-    np.testing.assert_allclose(records.wrench_meas[inside, 2], expected, rtol=1e-9)
 
 
 CLOSED = [
@@ -220,22 +205,6 @@ def test_damping_that_grows_with_the_force_dissipates_while_a_latch_pushes_and_w
     np.testing.assert_allclose(y[:-1] - np.log1p(y[:-1]), -y[1:] - np.log1p(-y[1:]), rtol=1e-2)
 
 
-def test_a_lag_trails_a_ramp_by_its_time_constant_and_play_by_its_half() -> None:
-    lag = _quiet({"approach.gap": 0.012}, ({"kind": "platform.lag", "bandwidth": 25.0},))
-    trail = lag.pose_cmd[2000, 2] - lag.pose_act[2001, 2]
-    assert trail == pytest.approx(1.4 / (2.0 * math.pi * 25.0) * SPEED, rel=1e-6)
-    play = _quiet(None, ({"kind": "platform.backlash", "width": 2e-4},))
-    assert play.pose_cmd[300, 2] - play.pose_act[301, 2] == pytest.approx(1e-4, rel=1e-9)
-
-
-def test_the_models_mass_sets_the_acceleration() -> None:
-    records = _quiet(None, ({"kind": "dynamics.mass", "factor": 1.2, "body": "chaser"},))
-    acceleration = np.diff(records.pose_cmd[:, 2], 2) * 8000.0**2
-    np.testing.assert_allclose(
-        acceleration, -records.wrench_comp[2:, 2] * (1.0 / 600.0 + 1.0 / 2000.0), atol=1e-6
-    )
-
-
 def test_an_appendage_keeps_the_momentum_of_the_whole_body() -> None:
     slosh = {
         "kind": "dynamics.appendage",
@@ -262,7 +231,9 @@ CHANGED = {
 }
 
 
-@pytest.mark.parametrize("name", [*EFFECTS, *FOREIGN])
+@pytest.mark.parametrize(
+    "name", [*EFFECTS, *FOREIGN] if ALL else {link_of(n): n for n in (*FOREIGN, *EFFECTS)}.values()
+)
 def test_an_effect_changes_what_its_link_gives_and_nothing_else(name: str) -> None:
     """The nominal links, each on what the hidden rig's records say that it was given, give those
     records but for the link's own.
@@ -285,94 +256,6 @@ def test_an_effect_changes_what_its_link_gives_and_nothing_else(name: str) -> No
         if np.abs(getattr(records, c) - getattr(replayed, c)).max() > floor
     }
     assert differs == CHANGED[link_of(name)]
-
-
-PRACTICE = [f"set_{i}" for i in range(1, 9)]
-
-
-@pytest.mark.parametrize(("name", "number"), list(product(PRACTICE, (3, 4))))
-def test_it_agrees_with_the_records_of_a_third_rig(name: str, number: int) -> None:
-    folder = measured_data("rig_practice")
-    yaml = YAML(typ="safe")
-    hidden = yaml.load(folder / "answers.yaml")[name]
-    entry = yaml.load(folder / name / "dataset.yaml")["runs"][number]
-    scenario = overridden(yaml.load(folder / name / "nominal.yaml"), entry["set"])
-    rig = nominal_rig(scenario)
-    rig = rig._replace(platform=rig.platform._replace(coarse=True))
-    for kind, given in hidden.items():
-        rig = with_effect(rig, {"kind": kind, **given})
-    table = pq.read_table(folder / name / entry["file"])
-    channels = ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp")
-    measured = {
-        c: np.stack([table[n].to_numpy() for n in table.column_names if n.startswith(c)], axis=1)
-        for c in channels
-    }
-    quiet = silence(rig.ticks)
-    cut = simulate(rig, quiet, pose_cmd=measured["pose_cmd"], wrench_comp=measured["wrench_comp"])
-    noise = scenario["sensor"]["noise"]
-    # The numerical model is computed, not measured: round-off. The others differ by their noise:
-    # 2e-6 m, that of the scenario, 0.02 N m.
-    np.testing.assert_allclose(measured["pose_cmd"], cut.pose_cmd, atol=1e-12)
-    np.testing.assert_allclose(
-        np.std(measured["pose_act"][:, :3] - cut.pose_act[:, :3], axis=0), 2e-6, rtol=0.1
-    )
-    contact = cut.wrench_meas[:, 2] != 0.0
-    difference = (measured["wrench_meas"] - cut.wrench_meas)[contact]
-    samples = math.sqrt(contact.sum())
-    np.testing.assert_allclose(np.std(difference[:, :3], axis=0), noise, rtol=4.0 / samples)
-    np.testing.assert_allclose(np.std(difference[:, 3:], axis=0), 0.02, rtol=4.0 / samples)
-    # In closed loop, the force noise through the lead is integrated twice: a random walk of the
-    # velocity.
-    lead = (scenario["sensor"]["delay"] + 5e-4) * scenario["rate"]
-    tick, ticks = 1.0 / scenario["rate"], rig.ticks
-    spread = (
-        noise
-        * tick**2
-        * (ticks**1.5 / math.sqrt(3.0) + lead * math.sqrt(ticks))
-        * (1.0 / rig.bodies.mass).sum()
-    )
-    loop = simulate(rig, quiet)
-    assert np.abs(loop.pose_cmd[:, 2] - measured["pose_cmd"][:, 2]).max() < 4.0 * spread
-
-
-def test_sets_come_from_their_seed_and_are_written_as_datasets(tmp_path: Path) -> None:
-    first, second = (draw_set(np.random.default_rng(4), "pair") for _ in range(2))
-    assert first.truth == second.truth
-    np.testing.assert_array_equal(first.runs[2].wrench_meas, second.runs[2].wrench_meas)
-    folder = write_set(tmp_path / "set", first)
-    assert sorted(p.name for p in folder.iterdir()) == [
-        "dataset.yaml",
-        "nominal.yaml",
-        *(f"run_{i}.parquet" for i in range(6)),
-    ]
-    nominal = YAML(typ="safe").load(folder / "nominal.yaml")
-    assert nominal == first.facility.scenario
-    assert nominal["effects"] == []
-    table = pq.read_table(folder / "run_0.parquet")
-    assert table.num_rows == round(nominal["duration"] * nominal["rate"])
-    np.testing.assert_array_equal(table["pose_act.pz"], first.runs[0].pose_act[:, 2])
-
-
-def test_noise_is_what_the_facility_says() -> None:
-    hidden = draw_set(np.random.default_rng(8), "healthy")
-    records = hidden.runs[0]
-    free = records.physical[:, 2] == 0.0
-    assert np.std(records.wrench_meas[free, 2]) == pytest.approx(hidden.facility.noise, rel=0.1)
-    off = records.pose_act[1:, :3] - records.pose_cmd[:-1, :3]
-    assert np.std(off) == pytest.approx(hidden.facility.pose_noise, rel=0.05)
-
-
-@pytest.mark.parametrize(
-    "name", ["sensor.delay", "contact.dry_friction", "dynamics.mass", "platform.lag"]
-)
-def test_the_strength_of_an_effect_grows_with_its_size(name: str) -> None:
-    facility = draw_facility(np.random.default_rng(5), frozenset({"slide"}))
-    sized = [
-        draw_effects(np.random.default_rng(6), (name,), facility, scale)
-        for scale in (0.25, 0.5, 2.0)
-    ]
-    strengths = [strength(facility, effects, 0, PLAIN) for effects in sized]
-    assert strengths[0] < strengths[1] < strengths[2]
 
 
 def test_every_effect_has_a_size_and_the_touch_falls_between_ticks() -> None:

@@ -10,8 +10,10 @@ from hiltestbed.contact.geometry import FACES, KIND, ROW
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.surfaces.surface import MESH
 from hiltestbed.scenario import load_scenario
+from tests.slow import SLOW
 
 
+@SLOW
 def test_the_oval_cone_is_searched_by_its_triangles(tmp_path: Path) -> None:
     keys = {"mechanism.kind": "mjcf", "mechanism.latch": None, **_oval_cone(tmp_path)}
     sides = sides_of(load_scenario(shipped("scenarios") / "09-docking.yaml", set=keys).mechanism)
@@ -21,6 +23,7 @@ def test_the_oval_cone_is_searched_by_its_triangles(tmp_path: Path) -> None:
     assert not sides.native
 
 
+@SLOW
 def test_every_case_of_a_docking_is_timed() -> None:
     ratios = docking_ratios(1, 2)
     assert set(ratios) == {

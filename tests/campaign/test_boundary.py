@@ -17,6 +17,7 @@ from hiltestbed.campaign.boundary import (
 )
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run_batch
+from tests.slow import slow
 
 
 @pytest.mark.parametrize("zeta", [0.05, 0.1, 0.2, 0.4])
@@ -93,7 +94,7 @@ def test_the_loop_returns_the_speed_it_came_with_on_the_boundary() -> None:
         assert abs(math.log(run.summary["cor"])) < 0.004 * 0.5 * math.pi * 10.0 * delay
 
 
-@pytest.mark.parametrize("zeta", [0.03, 0.1, 0.25])
+@pytest.mark.parametrize("zeta", [slow(0.03), slow(0.1), 0.25])
 def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it(
     zeta: float,
 ) -> None:

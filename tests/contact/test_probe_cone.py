@@ -5,6 +5,7 @@ symmetry that is one.
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -84,21 +85,20 @@ def pressed(where: str, t: float, azimuth: float, depth: float) -> tuple[Array, 
     return np.concatenate([tip, turn.as_quat()])[None], push
 
 
-@pytest.mark.parametrize(("where", "t"), PLACES)
-@pytest.mark.parametrize("azimuth", [0.0, 1.0, 2.2, -0.7, -2.9])
-def test_force_of_a_penetration_anywhere_on_the_passive_surface(
-    where: str, t: float, azimuth: float
-) -> None:
+def test_force_of_a_penetration_anywhere_on_the_passive_surface(subtests: pytest.Subtests) -> None:
     """Magnitude k x within 0.1 %, direction within 0.01 deg, one contact."""
     plant = Plant([rig()])
-    start, push = pressed(where, t, azimuth, 1e-3)
-    plant.reset(start, np.zeros((1, 6)))
-    force = plant.wrench_sub[0, -1, :3]
-    assert np.linalg.norm(force) == pytest.approx(K * 1e-3, abs=K * SINGLE)
-    assert math.degrees(math.acos(min(1.0, force @ push / np.linalg.norm(force)))) < 1e-4
-    centre = start[0, :3] - BALL * Rotation.from_quat(start[0, 3:]).apply([0.0, 0.0, 1.0])
-    point = centre + (BALL - 0.5e-3) * push
-    np.testing.assert_allclose(plant.wrench_sub[0, -1, 3:], np.cross(point, force), atol=1e-5)
+    for (where, t), azimuth in product(PLACES, [0.0, 1.0, 2.2, -0.7, -2.9]):
+        with subtests.test(where=where, t=t, azimuth=azimuth):
+            start, push = pressed(where, t, azimuth, 1e-3)
+            plant.reset(start, np.zeros((1, 6)))
+            force = plant.wrench_sub[0, -1, :3]
+            size = np.linalg.norm(force)
+            assert size == pytest.approx(K * 1e-3, abs=K * SINGLE)
+            assert math.degrees(math.acos(min(1.0, force @ push / size))) < 1e-4
+            centre = start[0, :3] - BALL * Rotation.from_quat(start[0, 3:]).apply([0.0, 0.0, 1.0])
+            arm = centre + (BALL - 0.5e-3) * push
+            np.testing.assert_allclose(plant.wrench_sub[0, -1, 3:], np.cross(arm, force), atol=1e-5)
 
 
 @pytest.mark.parametrize(("where", "t"), [("cone", 0.6), ("rim", 0.5)])

@@ -21,6 +21,7 @@ from hiltestbed.devices.recorder import Recorder
 from hiltestbed.devices.ring import Ring
 from hiltestbed.errors import HiltestbedError, InputError
 from tests.devices.running import until
+from tests.slow import slow
 
 
 def test_cycles_are_due_at_whole_periods_from_the_start_and_none_begins_early() -> None:
@@ -181,7 +182,7 @@ def test_a_recording_that_cannot_be_written(tmp_path: Path) -> None:
         Recorder(2, 100, tmp_path / "no folder" / "rows.f64")
 
 
-@pytest.mark.parametrize("device", [False, True])
+@pytest.mark.parametrize("device", [slow(False), True])
 def test_the_measurement_accounts_for_every_cycle(device: bool) -> None:
     result = measure(400.0, 0.25, device=device, priority=None)
     assert result.cycles == 100

@@ -98,13 +98,12 @@ def partial(
     ("rig", "kept", "noise"),
     [
         pytest.param(DAMPED, MEASURED, 0.0, id="damped, no rates"),
-        pytest.param(DAMPED, (*MEASURED, "pose_cmd"), 0.0, id="damped, commanded", marks=SLOW),
-        pytest.param(DAMPED, AXIAL, 0.0, id="damped, one axis"),
         pytest.param(SLIDE, MEASURED, POSE_NOISE, id="slide, noisy pose"),
-        pytest.param(SLIDE, (*MEASURED, "pose_cmd"), 0.0, id="slide, commanded"),
-        pytest.param(SLIDE, (*MEASURED, "pose_cmd"), POSE_NOISE, id="slide, commanded, noisy pose"),
+        pytest.param(
+            SLIDE, (*MEASURED, "pose_cmd"), POSE_NOISE, id="slide, commanded, noisy", marks=SLOW
+        ),
         pytest.param(SLIDE, NOT_REACHED, 0.0, id="slide, not reached"),
-        pytest.param(SLIDE, AXIAL, 0.0, id="slide, one axis"),
+        pytest.param(SLIDE, AXIAL, 0.0, id="slide, one axis", marks=SLOW),
         pytest.param(SLIDE, (*POSITIONS, *FORCES), 0.0, id="slide, no attitude"),
         pytest.param(DOCKING, MEASURED, POSE_NOISE, id="docking, noisy pose", marks=SLOW),
         pytest.param(RINGING, NOT_REACHED, 0.0, id="ring-down, not reached", marks=SLOW),

@@ -107,6 +107,7 @@ def test_of_a_driven_platform_nothing_is_named_where_nothing_is_hidden(
     assert finding.causes == ()
 
 
+@SLOW
 def test_of_a_driven_platform_only_what_is_hidden_is_named(tmp_path: Path) -> None:
     hidden = {"kind": "platform.backlash", "width": 1e-4}
     finding = find(investigate(driven(tmp_path, (hidden,), SPEEDS[1:])))
@@ -152,6 +153,7 @@ def test_what_a_platform_makes_of_its_command_is_known_whatever_the_force_reads(
     assert found.doubt[known, 2].max() < 1e-7
 
 
+@SLOW
 def test_beside_a_platform_that_lags_as_believed_a_late_sensor_is_found(tmp_path: Path) -> None:
     hidden = {"kind": "sensor.delay", "delay": 0.002}
     finding = find(investigate(driven(tmp_path, (hidden,), SPEEDS[1:], RESPONDING)))

@@ -22,6 +22,7 @@ from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import load_dataset
+from tests.slow import SLOW, slow
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "driven_axis"
 SECONDS = 10.0
@@ -102,7 +103,7 @@ def left_on(path: Path, found: Diagnosis, run: int) -> float:
     )
 
 
-@pytest.mark.parametrize("believed", [1.0, 100.0])
+@pytest.mark.parametrize("believed", [slow(1.0), 100.0])
 def test_mass_friction_and_offset_are_found_whatever_mass_is_believed(
     tmp_path: Path, records: dict[str, dict[str, np.ndarray]], believed: float
 ) -> None:
@@ -123,6 +124,7 @@ def test_mass_friction_and_offset_are_found_whatever_mass_is_believed(
         assert estimate == pytest.approx(value, rel=1e-4), name
 
 
+@SLOW
 def test_one_record_predicts_the_other(
     tmp_path: Path, records: dict[str, dict[str, np.ndarray]]
 ) -> None:
@@ -180,6 +182,7 @@ def test_a_log_at_another_rate_than_the_loop(tmp_path: Path) -> None:
         assert got[f"dynamics.force {name}"][0] == pytest.approx(value, rel=0.03)
 
 
+@SLOW
 def test_a_record_starts_where_it_stood_and_in_motion(
     tmp_path: Path, records: dict[str, dict[str, np.ndarray]]
 ) -> None:

@@ -21,10 +21,10 @@ from tests.equipment.diagnosis.run import judged_right, one_set
 from tests.equipment.diagnosis.tasks import Task
 from tests.equipment.independent_rig import SIZES
 from tests.measured_data import measured_data
-from tests.slow import ALL, SLOW, slow
+from tests.slow import ALL, slow
 
 HIDDEN = [name for name in EFFECTS if name in SIZES]  # learned laws are not drawn
-QUICK = ("sensor.drift",)
+QUICK = ("platform.scale", "contact.stiffness", "sensor.gain")  # one of each link that is measured
 SETS = {
     1: (),
     2: ("sensor.delay",),
@@ -43,83 +43,24 @@ def test_a_hidden_effect_is_named(effect):
     assert record["right"], record
 
 
-@SLOW
-@pytest.mark.parametrize(
-    ("seed", "effect"),
-    [
-        (400_027, "contact.misalignment"),
-        (400_040, "dynamics.inertia"),
-        (400_021, "contact.backlash"),
-    ],
-)
-def test_that_a_facility_takes_the_tip_for_a_point_is_no_cause(seed, effect):
-    """On bodies that turn, and on a port that is tilted, a ball touches beside its foremost point:
-    11 um of lever are not a crosstalk.
-    """
-    record = one_set(Task(seed, "single", (effect,)))
-    assert record["right"], record
-    assert [c["effect"] for c in record["causes"]] == [effect]
-
-
-@SLOW
-def test_in_a_docking_a_record_that_is_stamped_late_is_no_friction():
-    """A lever that was chosen under a late record is wrong, and a friction that is the believed one
-    pays for the right one.
-    """
-    record = one_set(Task(500_017, "single", ("log.skew",), design="docking"))
-    assert record["right"], record
-    assert [c["effect"] for c in record["causes"]] == ["log.skew"]
-    assert record["intervals_held"] == record["intervals"] == 1
-
-
-@pytest.mark.parametrize(
-    "seed",
-    [
-        100,
-        slow(104),
-        # a late record beside a damping: which of its two readings is right shows beside the
-        # damping alone
-        slow(400_105),
-        slow(400_112),  # a hum in free flight, which ends where the bodies meet, and that is early
-    ],
-)
+@pytest.mark.parametrize("seed", [100, slow(104)])
 def test_two_hidden_effects_are_both_named(seed):
     assert one_set(Task(seed, "pair"))["right"]
 
 
-@SLOW
-@pytest.mark.parametrize(
-    ("seed", "kind", "effect"),
-    [
-        (500_030, "single", "sensor.jitter"),
-        (500_046, "single", "sensor.highpass"),
-        (500_098, "healthy", None),
-        (500_126, "healthy", None),
-    ],
-)
-def test_on_a_mount_in_steps_of_its_own_jitter_is_named_and_a_healthy_rig_left_alone(
-    seed, kind, effect
-):
-    """In 500098 two touches fall between the facility's steps, in 500126 friction reverses just
-    before a latch closes.
-    """
-    record = one_set(Task(seed, kind, (effect,) if effect else None, design="mounted"))
-    assert record["right"], record["verdict"]
-
-
-@pytest.mark.parametrize("seed", range(100, 112 if ALL else 101))
+@pytest.mark.parametrize("seed", range(100, 104 if ALL else 101))
 def test_a_healthy_rig_is_left_alone(seed):
     record = one_set(Task(seed, "healthy"))
     assert record["verdict"] == "no_discrepancy"
     assert record["causes"] == []
 
 
-@pytest.mark.parametrize("seed", [slow(102), 104, slow(107)])
+@pytest.mark.parametrize("seed", [slow(102), 104])
 def test_what_has_no_name_is_called_unknown_with_its_link(seed):
     assert one_set(Task(seed, "foreign"))["right"]
 
 
-@pytest.mark.parametrize("number", SETS if ALL else (1, 2))
+@pytest.mark.parametrize("number", SETS if ALL else (2,))
 def test_practice_sets(number):
     folder = measured_data("rig_practice")
     answers = yaml.safe_load((Path(folder) / "answers.yaml").read_text())[f"set_{number}"]

@@ -15,7 +15,7 @@ from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.verdict import Verdict, decide
 from hiltestbed.measured import load_dataset
 from tests.equipment.own_sets import HIDDEN, OwnSet, hidden_effect, nominal_of, record_set
-from tests.slow import ALL, SLOW, slow
+from tests.slow import ALL, slow
 
 SCENARIOS = sorted(f.stem for f in (Path(__file__).parents[2] / "scenarios").glob("*.yaml"))
 # to be judged
@@ -55,35 +55,4 @@ def test_what_is_hidden_is_named(scenario: str, kind: str, tmp_path: Path) -> No
     assert verdict.verdict in ("named", "ambiguous"), verdict
     assert [kind in (c.effect, *c.indistinguishable_from) for c in verdict.causes] == [True], (
         verdict
-    )
-
-
-@SLOW
-def test_a_turned_sensor_is_found_although_the_lever_went_along_with_it(tmp_path: Path) -> None:
-    """A turn about x puts tz on ty, as a contact on another lever does, and the lever is chosen
-    while nothing is known.
-    """
-    own = OwnSet(
-        "05-off-centre", ({"kind": "sensor.rotation", "angles_deg": [1.0, 0.0, 0.0]},), single=True
-    )
-    with np.errstate(all="ignore"):
-        explanation = investigate(load_dataset(record_set(own, tmp_path))).explanations["wrench"]
-    assert explanation.adequate
-    assert explanation.chosen.kinds == ("sensor.rotation",)
-    assert explanation.chosen.theta == pytest.approx([1.0, 0.0], abs=0.01)
-
-
-@SLOW
-def test_a_platform_that_bears_another_force_than_the_sensor_shows_is_not_blamed(
-    tmp_path: Path,
-) -> None:
-    """A part of fz that shows on fy is no load of the drives: under the record's wrench the
-    platform seems to depart by 1e-6 of its way.
-    """
-    crosstalk = {"kind": "sensor.crosstalk", "source": "z", "axis": "y", "ratio": 0.15}
-    verdict = verdict_of(OwnSet("05-off-centre", (crosstalk,), single=True), tmp_path)
-    assert (verdict.verdict, verdict.link, [c.effect for c in verdict.causes]) == (
-        "named",
-        "sensor",
-        ["sensor.crosstalk"],
     )

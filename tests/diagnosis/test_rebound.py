@@ -30,10 +30,6 @@ FORCES = {
     ("kind", "delay", "force"),
     [
         ("sensor.delay", 0.0021, "phase_lead"),
-        ("log.skew", 0.0034, "phase_lead"),
-        slow("sensor.delay", 0.0058, "resynchronised"),
-        slow("sensor.delay", 0.0012, "none"),
-        slow("log.skew", 0.0012, "none"),
         slow("log.skew", 0.0047, "resynchronised"),
     ],
 )

@@ -22,10 +22,11 @@ from hiltestbed.diagnosis.links.base import Effects, Lane
 from hiltestbed.diagnosis.rating import rate
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
-from hiltestbed.diagnosis.settings import DETECTION, MIN_EXCESS_TO_GROW
+from hiltestbed.diagnosis.settings import MIN_EXCESS_TO_GROW
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Scales, candidate
 from hiltestbed.frames import Array
+from tests.slow import SLOW
 
 from .made import NOISE, H, bounce, contact_link, effect, reread, scenario
 
@@ -247,95 +248,6 @@ def test_where_a_reading_lies_on_the_steps_of_the_facility_the_data_bear_it_out(
         assert right.chi2 < 1e-3 * wrong.chi2
 
 
-def test_what_cannot_come_near_the_best_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    residual = Residual(contact_link([effect("contact.stiffness", factor=1.3)]))
-    candidates = tuple(
-        c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES)
-    )
-    fitted: list[list[str]] = []
-    best = []
-    for margin in (math.inf, search.LINEAR_GAIN_MARGIN):
-        monkeypatch.setattr(search, "LINEAR_GAIN_MARGIN", margin)
-        fitted.append([])
-        told = fitted[-1]
-        found = Search(candidates, progress=lambda text, told=told: told.append(text)).extend(
-            residual, null_fit(residual)
-        )
-        assert [f"fit {i} of at most" in text for i, text in enumerate(told, 1)] == [True] * len(
-            told
-        )
-        assert len(told) <= int(told[0].split(" at most ")[1].split(":")[0].split(",")[0])
-        told[:] = [text.rpartition(": ")[2] for text in told]
-        best.append(found[0])
-        assert found[0].kinds == ("contact.stiffness",)
-    assert best[1].theta == pytest.approx([1.3], rel=1e-3)
-    np.testing.assert_array_equal(best[0].theta, best[1].theta)
-    assert 5 <= len(fitted[1]) < len(fitted[0])
-    assert fitted[1] == fitted[0][: len(fitted[1])]
-
-
-def test_where_a_replay_is_costly_some_runs_lead_to_the_causes_that_all_lead_to(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Beside a stiffness that was found, dry friction: the fits and their order are the same, from
-    fewer replays of a run.
-    """
-    hidden = [effect("contact.stiffness", factor=1.3), effect("contact.dry_friction", force=8.0)]
-    residual = Residual(contact_link(hidden, speeds=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06)))
-    candidates = tuple(
-        c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES)
-    )
-    base = fit(residual, [c for c in candidates if c.kind == "contact.stiffness"][:1], [[1.3]])
-    replayed, found, replay = [0, 0], [], WrenchLink._replay
-    for i, costly in enumerate((False, True)):
-        monkeypatch.setattr(WrenchLink, "costly", costly)
-        monkeypatch.setattr(
-            WrenchLink,
-            "_replay",
-            lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes),
-        )
-        found.append(
-            rate(residual, base, [c for c in candidates if c.kind != "contact.stiffness"], 6)
-        )
-    monkeypatch.undo()
-    assert replayed[1] < 0.7 * replayed[0]
-    assert [c.kind for _, c, _ in found[0][:6]] == [c.kind for _, c, _ in found[1][:6]]
-    assert found[1][0][1].kind == "contact.dry_friction"
-
-
-def test_what_a_cause_explains_of_a_large_departure_in_a_few_costly_runs_it_explains_in_all(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A stiffness alone, in runs at six speeds: its gain is known to a tenth, and it comes first,
-    from less than half of the replays.
-    """
-    residual = Residual(
-        contact_link(
-            [effect("contact.stiffness", factor=1.3)], speeds=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
-        )
-    )
-    candidates = tuple(
-        c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES)
-    )
-    replayed, found, replay = [0, 0], [], WrenchLink._replay
-    for i, costly in enumerate((False, True)):
-        monkeypatch.setattr(WrenchLink, "costly", costly)
-        monkeypatch.setattr(
-            WrenchLink,
-            "_replay",
-            lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes),
-        )
-        found.append(rate(residual, null_fit(residual), candidates, 40))
-    monkeypatch.undo()
-    assert replayed[1] < 0.5 * replayed[0]
-    assert (
-        [c.kind for _, c, _ in found[1][:1]]
-        == [c.kind for _, c, _ in found[0][:1]]
-        == ["contact.stiffness"]
-    )
-    assert found[1][0][0] == pytest.approx(found[0][0][0], rel=0.1)
-
-
 def count(replayed: list[int], i: int, lanes: Sequence[Lane]) -> None:
     replayed[i] += len(lanes)
 
@@ -366,35 +278,6 @@ def test_with_another_timing_a_costly_search_is_made_again_unless_it_is_as_far_o
     assert near.chosen.kinds == ("contact.stiffness",)
 
 
-@pytest.mark.parametrize(("factor", "counts"), [(1.00015, False), (1.1, True)])
-def test_a_descent_that_will_not_count_is_not_finished(
-    factor: float, counts: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Fewer replays, and what counts is found where it was. Of 1.5e-4 of the stiffness, a
-    chi-square of some 20 shows.
-    """
-    residual = Residual(contact_link([effect("contact.stiffness", factor=factor)]))
-    candidates = tuple(
-        c for e in EFFECTS.values() if e.link in ("contact", "sensor") for c in e.candidates(SCALES)
-    )
-    null, replays, found = null_fit(residual), [0, 0], []
-    many = Residual.many
-    for i, worth in enumerate((0.0, DETECTION)):
-        monkeypatch.setattr(
-            Residual,
-            "many",
-            lambda self, tried, i=i: (
-                replays.__setitem__(i, replays[i] + len(tried)) or many(self, tried)
-            ),
-        )
-        found.append(Search(candidates).extend(residual, null, worth=worth)[0])
-    assert all((null.chi2 - f.chi2 > DETECTION) == counts for f in found)
-    if counts:
-        np.testing.assert_array_equal(found[0].theta, found[1].theta)
-    else:
-        assert 0 < replays[1] < replays[0]
-
-
 @pytest.mark.parametrize("speed", [0.002, 0.05, 0.3])
 def test_a_damping_that_grows_with_depth_is_sought_to_where_little_is_left_of_a_rebound(
     speed: float,
@@ -411,6 +294,7 @@ def test_a_damping_that_grows_with_depth_is_sought_to_where_little_is_left_of_a_
     assert [1.0 - 2.0 / 3.0 * s[0] * speed > 0.9 for s in c.grid] == [True, True, False, False]
 
 
+@SLOW
 def test_a_costly_link_is_explained_as_any_other_from_fewer_replays(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -442,30 +326,6 @@ def test_a_costly_link_is_explained_as_any_other_from_fewer_replays(
         found[1].chosen.of(found[0].chosen.causes), found[0].chosen.theta, rtol=1e-4
     )
     assert found[1].chosen.chi2 == pytest.approx(found[0].chosen.chi2, abs=0.1)
-
-
-def test_on_a_costly_link_a_descent_that_is_far_off_stops_where_little_is_gained(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Three causes of which none is hidden: to 0.2 % of the misfit, from fewer replays."""
-    residual = Residual(contact_link([effect("contact.stiffness", factor=1.3)]))
-    causes = [
-        next(c for c in EFFECTS[kind].candidates(SCALES) if not c.variant)
-        for kind in ("sensor.delay", "sensor.lag", "frame.mode")
-    ]
-    starts = [np.concatenate([c.grid[0] for c in causes])]
-    replayed, found, replay = [0, 0], [], WrenchLink._replay
-    for i, costly in enumerate((False, True)):
-        monkeypatch.setattr(WrenchLink, "costly", costly)
-        monkeypatch.setattr(
-            WrenchLink,
-            "_replay",
-            lambda self, lanes, i=i: count(replayed, i, lanes) or replay(self, lanes),
-        )
-        found.append(fit(residual, causes, starts, tries=1))
-    assert found[0].chi2 > 10.0 * residual.link.runs[0].measured.size * len(residual.runs)
-    assert replayed[1] < 0.7 * replayed[0]
-    assert found[1].chi2 == pytest.approx(found[0].chi2, rel=2e-3)
 
 
 def test_a_cause_is_continued_with_the_variant_that_leaves_more_alone(

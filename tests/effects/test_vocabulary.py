@@ -160,16 +160,6 @@ NEUTRAL: dict[str, dict[str, Any] | None] = {
     "sensor.map": None,
 }
 
-HEAD_ON = load_scenario(SCENARIOS / "02-bumper.yaml")
-HELD = load_scenario(SCENARIOS / "13-ring-down.yaml")
-PARAMETERS: dict[str, Callable[[], Any]] = {
-    "platform": lambda: PlatformParameters.believed(HEAD_ON),
-    "contact": lambda: ContactParameters.believed(HEAD_ON.mechanism.contact),
-    "sensor": lambda: SensorParameters.believed(HEAD_ON.sensor, HEAD_ON.tick),
-    "compensation": InputParameters,
-    "dynamics": DynamicsParameters,
-    "log": LogParameters,
-}
 SCALES = Scales(
     force=200.0,
     depth=2e-3,
@@ -213,13 +203,34 @@ DRIVEN_SCALES = Scales(
         stamps=3e-3,
     ),
 )
-Kind = type[Effect]
-EVERY = list(EFFECTS.items())
+Candidates = Callable[[type[Effect]], list[Candidate]]
 
 
-def candidates(effect: Kind) -> list[Candidate]:
-    return [*effect.candidates(SCALES), *effect.candidates(HELD_SCALES)] or list(
-        effect.candidates(DRIVEN_SCALES)
+@pytest.fixture(scope="module")
+def head_on() -> Scenario:
+    return load_scenario(SCENARIOS / "02-bumper.yaml")
+
+
+@pytest.fixture
+def believed(head_on: Scenario) -> Callable[[str], Any]:
+    """Numbers of a link as believed, by the link's name."""
+    links: dict[str, Callable[[], Any]] = {
+        "platform": lambda: PlatformParameters.believed(head_on),
+        "contact": lambda: ContactParameters.believed(head_on.mechanism.contact),
+        "sensor": lambda: SensorParameters.believed(head_on.sensor, head_on.tick),
+        "compensation": InputParameters,
+        "dynamics": DynamicsParameters,
+        "log": LogParameters,
+    }
+    return lambda link: links[link]()
+
+
+@pytest.fixture(scope="module")
+def found() -> Candidates:
+    """Candidates of an effect: on a contact, on a held mechanism, or on a driven axis."""
+    return lambda effect: (
+        [*effect.candidates(SCALES), *effect.candidates(HELD_SCALES)]
+        or list(effect.candidates(DRIVEN_SCALES))
     )
 
 
@@ -244,95 +255,106 @@ def test_every_effect_has_an_example_and_its_neutral_size_is_known() -> None:
     assert set(NEUTRAL) == set(EFFECTS)
 
 
-@pytest.mark.parametrize(("kind", "effect"), EVERY, ids=EFFECTS)
-class TestEveryEffect:
-    def test_says_what_it_is(self, kind: str, effect: Kind) -> None:
-        assert get_args(effect.model_fields["kind"].annotation) == (kind,)
-        assert effect.__module__ != "hiltestbed.effects.base"
-        assert effect.meaning().endswith(".")
-        assert len(effect.meaning().split()) >= 3
-        assert effect.link in LINKS
-        assert effect.equation
-        assert effect.reference
-        assert effect.leading in effect.model_fields
-        assert not effect.jumps or effect.jumps in effect.model_fields
+def test_each_says_what_it_is_and_what_it_is_taken_for(subtests: pytest.Subtests) -> None:
+    for kind, effect in EFFECTS.items():
+        with subtests.test(kind):
+            assert get_args(effect.model_fields["kind"].annotation) == (kind,)
+            assert effect.__module__ != "hiltestbed.effects.base"
+            assert effect.meaning().endswith(".")
+            assert len(effect.meaning().split()) >= 3
+            assert effect.link in LINKS
+            assert effect.equation
+            assert effect.reference
+            assert effect.leading in effect.model_fields
+            assert not effect.jumps or effect.jumps in effect.model_fields
+            assert effect.resembles
+            assert set(effect.resembles) <= set(EFFECTS)
+            assert kind not in effect.resembles
 
-    def test_names_what_it_is_taken_for(self, kind: str, effect: Kind) -> None:
-        assert effect.resembles
-        assert set(effect.resembles) <= set(EFFECTS)
-        assert kind not in effect.resembles
 
-    def test_each_quantity_has_a_unit_a_meaning_and_each_that_is_searched_a_range(
-        self, kind: str, effect: Kind
-    ) -> None:
-        searched = {name.partition(".")[0] for c in candidates(effect) for name in c.names}
+def test_each_quantity_has_a_unit_a_meaning_and_each_that_is_searched_a_range(
+    subtests: pytest.Subtests, found: Candidates
+) -> None:
+    for kind, effect in EFFECTS.items():
+        searched = {name.partition(".")[0] for c in found(effect) for name in c.names}
         for name, field in effect.model_fields.items():
             if name == "kind":
                 continue
-            assert field.description
-            assert VOCABULARY[kind][name] is None or effect.unit(name)
-            if name in searched:
-                low, high, ratio = effect.searched(name)
-                assert low < high
-                assert low > 0.0 or not ratio
+            with subtests.test(kind, parameter=name):
+                assert field.description
+                assert VOCABULARY[kind][name] is None or effect.unit(name)
+                if name in searched:
+                    low, high, ratio = effect.searched(name)
+                    assert low < high
+                    assert low > 0.0 or not ratio
 
-    def test_a_search_for_it_starts_within_its_bounds_at_effects_that_act(
-        self, kind: str, effect: Kind
-    ) -> None:
-        found = candidates(effect)
-        if not found:
-            assert (effect.candidates.__doc__ or "").startswith("None: "), (
-                "an effect that no search finds says how it is found"
-            )
-            return
-        assert len({c.key for c in found}) >= len(found) // 2, "candidates can be told apart"
-        for c in found:
-            assert c.kind == kind
-            assert c.choices >= 1
-            assert len(c.low) == len(c.high) == len(c.log) == len(c.names)
-            assert (c.low < c.high).all()
-            assert c.grid
-            for start in c.grid:
-                inside = (np.array(start) >= c.low - 1e-12) & (np.array(start) <= c.high + 1e-12)
-                assert len(start) == len(c.names)
-                assert inside.all() or not c.names, (c.names, start, c.low, c.high)
-                c.at(np.array(start)).apply(PARAMETERS[effect.link]())
 
-    def test_it_changes_the_parameters_of_its_link_and_no_others(
-        self, kind: str, effect: Kind
-    ) -> None:
-        believed, departing = PARAMETERS[effect.link](), PARAMETERS[effect.link]()
-        effect(**example(kind)).apply(departing)
-        assert flat(believed) != flat(departing)
+def test_a_search_starts_within_its_bounds_at_effects_that_act(
+    subtests: pytest.Subtests, found: Candidates, believed: Callable[[str], Any]
+) -> None:
+    for kind, effect in EFFECTS.items():
+        with subtests.test(kind):
+            sought = found(effect)
+            if not sought:
+                assert (effect.candidates.__doc__ or "").startswith("None: "), (
+                    "an effect that no search finds says how it is found"
+                )
+                continue
+            assert len({c.key for c in sought}) >= len(sought) // 2, "candidates can be told apart"
+            for c in sought:
+                assert c.kind == kind
+                assert c.choices >= 1
+                assert len(c.low) == len(c.high) == len(c.log) == len(c.names)
+                assert (c.low < c.high).all()
+                assert c.grid
+                for start in map(np.array, c.grid):
+                    inside = (start >= c.low - 1e-12) & (start <= c.high + 1e-12)
+                    assert len(start) == len(c.names)
+                    assert inside.all() or not c.names, (c.names, start, c.low, c.high)
+                    c.at(start).apply(believed(effect.link))
 
-    def test_at_its_neutral_size_it_changes_nothing(self, kind: str, effect: Kind) -> None:
+
+def test_it_changes_its_link_and_at_its_neutral_size_nothing(
+    subtests: pytest.Subtests, believed: Callable[[str], Any]
+) -> None:
+    for kind, effect in EFFECTS.items():
+        with subtests.test(kind):
+            departing = believed(effect.link)
+            effect(**example(kind)).apply(departing)
+            assert flat(departing) != flat(believed(effect.link))
         size = NEUTRAL[kind]
-        if size is None:
-            return
-        believed, departing = PARAMETERS[effect.link](), PARAMETERS[effect.link]()
-        effect(**example(kind) | size).apply(departing)
-        if kind == "sensor.hum":  # a tone of no amplitude stands in the list
-            assert departing.tone.pop()[:3] == (0.0, 0.0, 0.0)
-        assert flat(believed) == flat(departing)
-
-    def test_it_stands_in_a_scenario_and_comes_back_the_same(self, kind: str, effect: Kind) -> None:
-        base = HELD if kind == "contact.backlash" else HEAD_ON
-        s = base.model_copy(update={"effects": (effect(**example(kind)),)})
-        again = Scenario.model_validate(s.model_dump(mode="json"))
-        assert again.effects == s.effects
-        assert again.effects[0].parameters() == {
-            name: getattr(s.effects[0], name) for name in VOCABULARY[kind]
-        }
-        assert s.effects[0].unfit(base) is None
-
-    def test_the_delay_that_it_is_worth_is_a_time_or_none(self, kind: str, effect: Kind) -> None:
-        worth = effect(**example(kind)).worth(HEAD_ON, 15.0)
-        assert worth is None or abs(worth) < 1.0
+        if size is not None:
+            with subtests.test(kind, size="neutral"):
+                departing = believed(effect.link)
+                effect(**example(kind) | size).apply(departing)
+                if kind == "sensor.hum":  # a tone of no amplitude stands in the list
+                    assert departing.tone.pop()[:3] == (0.0, 0.0, 0.0)
+                assert flat(departing) == flat(believed(effect.link))
 
 
-def test_a_hypothesis_may_leave_what_a_scenario_allows() -> None:
+def test_it_stands_in_a_scenario_and_comes_back_the_same(
+    subtests: pytest.Subtests, head_on: Scenario
+) -> None:
+    held = load_scenario(SCENARIOS / "13-ring-down.yaml")
+    for kind, effect in EFFECTS.items():
+        with subtests.test(kind):
+            base = held if kind == "contact.backlash" else head_on
+            s = base.model_copy(update={"effects": (effect(**example(kind)),)})
+            again = Scenario.model_validate(s.model_dump(mode="json"))
+            assert again.effects == s.effects
+            assert again.effects[0].parameters() == {
+                name: getattr(s.effects[0], name) for name in VOCABULARY[kind]
+            }
+            assert s.effects[0].unfit(base) is None
+            worth = s.effects[0].worth(head_on, 15.0)
+            assert worth is None or abs(worth) < 1.0, "the delay that it is worth is a time or none"
+
+
+def test_a_hypothesis_may_leave_what_a_scenario_allows(
+    head_on: Scenario, believed: Callable[[str], Any]
+) -> None:
     """A search passes through sizes that no scenario has."""
     late = EFFECTS["sensor.delay"].hypothesis({}, delay=-1e-4)
-    p = PARAMETERS["sensor"]()
+    p = believed("sensor")
     late.apply(p)
-    assert p.delay == HEAD_ON.sensor.delay - 1e-4
+    assert p.delay == head_on.sensor.delay - 1e-4

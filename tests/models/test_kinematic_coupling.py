@@ -56,7 +56,6 @@ def test_a_seat_bears_its_preload_on_six_faces_at_45_degrees() -> None:
     ("offset", "attitude"),
     [
         ((0.02, -0.01), (0.0, 0.0, 2.0)),
-        slow((0.0, 0.0), (0, 0, 0)),
         slow((0.03, 0.02), (1.0, -1.0, 2.0)),
     ],
 )

@@ -11,7 +11,6 @@ import pytest
 
 from hiltestbed.contact.surfaces.surface import TURNED
 from tests.models.rig import Rig
-from tests.slow import slow
 
 
 def test_the_drogue_is_the_funnel_of_its_dimensions() -> None:
@@ -24,7 +23,7 @@ def test_the_drogue_is_the_funnel_of_its_dimensions() -> None:
 
 @pytest.mark.parametrize(
     ("offset", "speed", "attitude", "gap"),
-    [slow((0.0, 0.0), 0.1, (0, 0, 0), 0.02), ((0.1, 0.05), 0.1, (2, -2, 0), 0.15)],
+    [((0.1, 0.05), 0.1, (2, -2, 0), 0.15)],
 )
 def test_soft_capture_ring_down_hard_capture(offset, speed, attitude, gap) -> None:
     rig = Rig("probe_drogue", timestep=5e-4)

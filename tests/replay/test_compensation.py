@@ -17,6 +17,7 @@ from hiltestbed.replay.compensation import needs
 from hiltestbed.scenario import Scenario
 from tests.effects.examples import example
 from tests.replay.recorded import record, scenario
+from tests.slow import slow
 
 # of the peak. The resynchronised one looks at poses, whose last bit decides its own
 ROUND_OFF = 1e-12
@@ -55,7 +56,8 @@ def error(s: Scenario) -> float:
 
 
 @pytest.mark.parametrize(
-    "rig", ["bumper with friction", "probe and cone with latch", "latched on a mount"]
+    "rig",
+    [slow("bumper with friction"), "probe and cone with latch", slow("latched on a mount")],
 )
 @pytest.mark.parametrize(
     "force", FORCE, ids=lambda f: "-".join([f["kind"], *(k for k in f if k != "kind")])
@@ -64,7 +66,7 @@ def test_a_method_gives_what_it_gave_in_the_loop(force: dict[str, Any], rig: str
     assert error(scenario(rig, "ideal", NOISE | {"compensation.force": force})) < ROUND_OFF
 
 
-@pytest.mark.parametrize("force", ["phase_lead", "resynchronised", "reconstruction"])
+@pytest.mark.parametrize("force", [slow("phase_lead"), "resynchronised", slow("reconstruction")])
 @pytest.mark.parametrize("motion", MOTION, ids=lambda m: m["kind"])
 def test_so_it_does_beside_every_way_to_tell_the_platform_where_to_go(
     motion: dict[str, Any], force: str
@@ -82,7 +84,6 @@ def test_so_it_does_with_every_estimator(identification: str) -> None:
     assert error(scenario("bumper", "servo", NOISE | changes)) < ROUND_OFF
 
 
-@pytest.mark.parametrize("force", ["phase_lead", "resynchronised", "reconstruction"])
-def test_a_dead_zone_before_the_method_acts_in_the_replay_as_in_the_loop(force: str) -> None:
-    changes = {"compensation.force": {"kind": force}, "effects": [example("loop.deadzone")]}
+def test_a_dead_zone_before_the_method_acts_in_the_replay_as_in_the_loop() -> None:
+    changes = {"compensation.force": {"kind": "phase_lead"}, "effects": [example("loop.deadzone")]}
     assert error(scenario("bumper with friction", "ideal", NOISE | changes)) < ROUND_OFF

@@ -14,6 +14,7 @@ from hiltestbed.replay.stiction import Followed, Obeying, all_paths
 from hiltestbed.scenario import Scenario
 from tests.effects.examples import example
 from tests.replay.recorded import record, scenario
+from tests.slow import slow
 
 BESIDE_STICTION = {
     "stiction alone": (),
@@ -32,7 +33,7 @@ ROUND_OFF = 1e-14
 PLATFORM = [kind for kind, cls in EFFECTS.items() if cls.link == "platform"]
 
 
-@pytest.mark.parametrize("rig", ["bumper with friction", "latched"])
+@pytest.mark.parametrize("rig", ["bumper with friction", slow("latched")])
 def test_every_effect_of_the_platform_acts_in_the_replay_as_in_the_loop(rig: str) -> None:
     scenarios = [scenario(rig, changes={"effects": [example(k)]}) for k in PLATFORM]
     recorded = record(scenarios)
@@ -57,7 +58,7 @@ def test_without_an_effect_the_pose_is_the_command_a_tick_later() -> None:
 
 
 @pytest.mark.parametrize("beside", BESIDE_STICTION)
-@pytest.mark.parametrize("ticks_late", [0.0, 2.0, 0.03, 1.37, 0.98])
+@pytest.mark.parametrize("ticks_late", [0.0, slow(2.0), slow(0.03), 1.37, slow(0.98)])
 def test_a_platform_with_stiction_stands_still_exactly_as_long_as_in_the_loop(
     beside: str, ticks_late: float
 ) -> None:

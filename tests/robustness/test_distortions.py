@@ -18,8 +18,6 @@ from tests.equipment.robustness.distortions import DISTORTIONS
 from tests.slow import slow
 
 DESIGNS = ("bumper", "docking")
-CHECKED = [(name, d.check) for name, d in DISTORTIONS.items() if d.check]
-OF_EACH = {check: name for name, check in CHECKED}  # a distortion of each check
 RUNS = {"bumper": 2, "docking": 1}  # that are distorted: what a second says, two bumpers say
 
 
@@ -55,35 +53,33 @@ def _columns(file: Path):
     return table.column_names, table.columns
 
 
-@pytest.mark.parametrize("design", DESIGNS)
-def test_the_good_set_is_left_alone(good: dict[str, Path], design: str) -> None:
+@pytest.mark.parametrize("design", ["bumper", slow("docking")])
+def test_a_distortion_is_met_before_the_fit_and_the_good_set_left_alone(
+    good: dict[str, Path], tmp_path: Path, design: str, subtests: pytest.Subtests
+) -> None:
     assert examine(good[design] / "dataset.yaml").remarks == ()
+    for name, expected in DISTORTIONS.items():
+        with subtests.test(name):
+            remarks = examine(distorted(good[design], tmp_path, name, runs=RUNS[design])).remarks
+            errors = [r for r in remarks if r.severity == "error"]
+            if expected.verdict == "refused":
+                assert errors, remarks
+                assert not expected.check or expected.check in {r.check for r in errors}, errors
+                assert all(r.fix for r in errors)
+            else:
+                assert not errors, errors
+                assert remarks
 
 
-@pytest.mark.parametrize("design", DESIGNS)
-@pytest.mark.parametrize("name", DISTORTIONS)
-def test_a_distortion_is_met_before_the_fit(
-    good: dict[str, Path], tmp_path: Path, name: str, design: str
-) -> None:
-    expected = DISTORTIONS[name]
-    remarks = examine(distorted(good[design], tmp_path, name, runs=RUNS[design])).remarks
-    errors = [r for r in remarks if r.severity == "error"]
-    if expected.verdict == "refused":
-        assert errors, remarks
-        assert not expected.check or expected.check in {r.check for r in errors}, errors
-        assert all(r.fix for r in errors)
-    else:
-        assert not errors, errors
-        assert remarks
-
-
-@pytest.mark.parametrize("name", [n if OF_EACH[check] == n else slow(n) for n, check in CHECKED])
 def test_a_refusal_is_overridden_by_what_it_names(
-    good: dict[str, Path], tmp_path: Path, name: str
+    good: dict[str, Path], tmp_path: Path, subtests: pytest.Subtests
 ) -> None:
-    path = distorted(good["bumper"], tmp_path, name)
-    checks = sorted({r.check for r in examine(path).remarks if r.severity == "error"})
-    accepted = distorted(good["bumper"], tmp_path, name, lines=f"accept: [{', '.join(checks)}]\n")
-    remarks = examine(accepted).remarks
-    assert not [r for r in remarks if r.severity == "error"]
-    assert any("accepted by the dataset" in r.text for r in remarks)
+    of_each = {d.check: name for name, d in DISTORTIONS.items() if d.check}
+    for name in of_each.values():
+        with subtests.test(name):
+            path = distorted(good["bumper"], tmp_path, name)
+            checks = sorted({r.check for r in examine(path).remarks if r.severity == "error"})
+            accept = f"accept: [{', '.join(checks)}]\n"
+            remarks = examine(distorted(good["bumper"], tmp_path, name, lines=accept)).remarks
+            assert not [r for r in remarks if r.severity == "error"]
+            assert any("accepted by the dataset" in r.text for r in remarks)

@@ -120,16 +120,6 @@ def test_trials_of_each_kind(kind: str, tmp_path: Path) -> None:
             assert TRIALS[kind](np.random.default_rng([crc32(kind.encode()), number]), tmp_path)
 
 
-@pytest.mark.parametrize("number", [9498, 14489, 17260, 18136, 18671])
-def test_damaged_files_that_once_ended_in_errors_of_their_parsers(
-    number: int, tmp_path: Path
-) -> None:
-    assert TRIALS["file"](np.random.default_rng([crc32(b"file"), number]), tmp_path) in (
-        "refused",
-        "contained",
-    )
-
-
 def test_the_long_part_tells_what_it_did() -> None:
     result = robustness(minutes=0.02)
     assert result.summary["tried"] == sum(r["tried"] for r in result.records)

@@ -21,7 +21,7 @@ import pytest
 from hiltestbed.compiled.kernel_cache import VARIABLE, settle
 from hiltestbed.config.gallery import shipped
 from hiltestbed.run_folder.store import read_run
-from tests.slow import SLOW, slow
+from tests.slow import SLOW
 
 BUMPER = shipped("scenarios") / "02-bumper.yaml"
 CAMPAIGN = f"""scenario: {BUMPER}
@@ -33,6 +33,7 @@ LANGUAGES = {
     "ascii": {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
     "unknown": {"LANG": "xx_XX"},
 }
+
 FILES = {"scenario.yaml", "summary.json", "trace.parquet", "report.html"}
 
 
@@ -85,6 +86,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, size: int) -> N
         assert ended(start(*short(tmp_path / "r")))[0] == 0
 
 
+@SLOW
 def test_nobody_reads_standard_output(tmp_path: Path) -> None:
     process = start(*short(tmp_path / "r"))
     assert process.stdout is not None
@@ -97,7 +99,8 @@ def test_nobody_reads_standard_output(tmp_path: Path) -> None:
 
 
 # each compiles the kernels: nowhere to keep them
-@pytest.mark.parametrize("language", ["ascii", slow("unknown")])
+@SLOW
+@pytest.mark.parametrize("language", LANGUAGES)
 def test_no_home_no_locale_and_forty_columns(tmp_path: Path, language: str) -> None:
     kept = {
         name: os.environ[name] for name in ("PATH", "PYTHONPATH", VARIABLE) if name in os.environ

@@ -24,6 +24,7 @@ from hiltestbed.viewer.forces import force_scale
 from hiltestbed.viewer.frames import CONTACT, FREE, frame_rows
 from hiltestbed.viewer.plots import contact_phases
 from tests.running import run
+from tests.slow import SLOW
 
 CENTRE = np.array([0.0, 0.0, -0.64])  # [m] the platform's origin from A's, models/pss33
 SINGLE = 1e-6  # poses and arrows are in single precision: 6e-8 of a metre or two
@@ -328,6 +329,7 @@ def tiled(done: Run, ticks: int) -> Run:
     return dataclasses.replace(done, trace=RunTrace(t, data, np.tile(trace.contact, times)[:ticks]))
 
 
+@SLOW
 def test_four_times_as_many_ticks_take_at_most_eight_times_as_long(
     done: Run, tmp_path: Path
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -11,16 +12,16 @@ from hiltestbed.viewer.scales import UPWARD, readable, ticks
 from hiltestbed.viewer.sureness import unsure
 
 
-@pytest.mark.parametrize("span", np.geomspace(1e-7, 1e7, 57).tolist())
-@pytest.mark.parametrize("place", [0.0, -0.4, -1.0, 7.3])
-def test_a_range_holds_what_is_drawn_and_two_labelled_ticks(span: float, place: float) -> None:
-    low, high = readable(place * span, (place + 1.0) * span)
-    assert low < place * span
-    assert high > (place + 1.0) * span
-    step = 10.0 ** math.floor(math.log10(high - low))
-    labelled = step if high - low <= UPWARD * step else 10.0 * step
-    assert ticks(low, high, labelled) >= 2
-    assert high - low < 25.0 * span  # the curve is not a line in the middle
+def test_a_range_holds_what_is_drawn_and_two_labelled_ticks(subtests: pytest.Subtests) -> None:
+    for span, place in product(np.geomspace(1e-7, 1e7, 57).tolist(), [0.0, -0.4, -1.0, 7.3]):
+        with subtests.test(span=span, place=place):
+            low, high = readable(place * span, (place + 1.0) * span)
+            assert low < place * span
+            assert high > (place + 1.0) * span
+            step = 10.0 ** math.floor(math.log10(high - low))
+            labelled = step if high - low <= UPWARD * step else 10.0 * step
+            assert ticks(low, high, labelled) >= 2
+            assert high - low < 25.0 * span  # the curve is not a line in the middle
 
 
 def test_a_constant_has_a_range() -> None:
