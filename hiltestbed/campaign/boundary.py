@@ -138,10 +138,6 @@ def margin(scenario: Scenario) -> tuple[float, float]:
     the rig adds energy.
     """
     contact = ContactParameters.believed(scenario.mechanism.contact).with_effects(scenario.effects)
-    delay = (
-        SensorParameters.believed(scenario.sensor, scenario.tick)
-        .with_effects(scenario.effects)
-        .delay
-    )
+    delay = SensorParameters.believed(scenario.sensor).with_effects(scenario.effects).delay
     law = (contact.stiffness, contact.damping, effective_mass(scenario))
     return delay - closed_contact_delay(*law), delay - bounce_delay(*law)

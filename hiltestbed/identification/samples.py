@@ -38,6 +38,7 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array
 from hiltestbed.identification.held import HeldPlace, add_moment, referred
+from hiltestbed.sensor.filters import FILTERED, filtered, high_pass, low_pass
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -115,8 +116,7 @@ class ContactSamples:
                 for s in scenarios
             ]
         )
-        self._smooth = np.array([1.0 if T == 0.0 else 1.0 - math.exp(-h / T) for T in lowpass])
-        self._leak = np.exp(-h / highpass)
+        self._smooth, self._leak = low_pass(lowpass, h), high_pass(highpass, h)
         self._held_rate = first.rig.platform.prescribed
         self._estimate = estimate
         spent = FILTER_MEMORY * lowpass
@@ -135,8 +135,7 @@ class ContactSamples:
         self._geometry = sides.geometry
         self._flat = np.array([s.mechanism.flat or s.mechanism.captured for s in scenarios])
         self._clock = np.zeros(1, dtype=np.int64)  # ticks seen
-        # low-passed value; its predecessor's high-passed value
-        self._filter = np.zeros((n, 7, 3, 2))
+        self._filter = np.zeros((n, 7, 3, FILTERED))
         self._pending = np.zeros((n, int(self._margin.max()) + 1, 7, 4))
         self._gated = np.zeros(n, dtype=np.int64)
         self._peak = np.zeros(n)
@@ -399,15 +398,7 @@ def _sample(
                 position -= origin[i, j]
             for c in range(3):
                 u = 0.0 if gated[i] == 0 else position if c == 0 else rate if c == 1 else 1.0
-                before = memory[i, j, c, 0]
-                memory[i, j, c, 0] += (u - before) * smooth[i]
-                if leak[i] < 1.0:
-                    memory[i, j, c, 1] = leak[i] * (
-                        memory[i, j, c, 1] + memory[i, j, c, 0] - before
-                    )
-                    pending[i, slot, j, c] = memory[i, j, c, 1]
-                else:
-                    pending[i, slot, j, c] = memory[i, j, c, 0]
+                pending[i, slot, j, c] = filtered(u, smooth[i], leak[i], memory[i, j, c])
         pending[i, slot, NORMAL, 3] = 0.0
         f[:] = wrench[i]
         if captured[i]:

@@ -165,7 +165,7 @@ HELD = load_scenario(SCENARIOS / "13-ring-down.yaml")
 PARAMETERS: dict[str, Callable[[], Any]] = {
     "platform": lambda: PlatformParameters.believed(HEAD_ON),
     "contact": lambda: ContactParameters.believed(HEAD_ON.mechanism.contact),
-    "sensor": lambda: SensorParameters.believed(HEAD_ON.sensor, HEAD_ON.tick),
+    "sensor": lambda: SensorParameters.believed(HEAD_ON.sensor),
     "compensation": InputParameters,
     "dynamics": DynamicsParameters,
     "log": LogParameters,
