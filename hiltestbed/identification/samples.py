@@ -71,6 +71,8 @@ class ContactSamples:
         delay: ``(n,)`` [s] of the force, known or estimated.
         captured: ``(n,)`` bool, from the rig's switches: after capture every sample is used,
             whether it pulls or pushes.
+        at_once: ``(n,)`` largest number of surfaces penetrated at the same tick; 0 if the pose does
+            not show it.
         steps: ``(n,)`` number of phases of capture begun. held: the latch's reference point, and
             the changes of the mechanism.
     """
@@ -153,7 +155,18 @@ class ContactSamples:
         self._remembered = Call(
             _remember, ..., GIVEN, GIVEN, self.held.lever, self.held.reference, self._x, self._v
         )
-        self._met = Call(_meet, ..., *self._geometry, GIVEN, GIVEN, self._x, self._v, self._normal)
+        self.at_once = np.zeros(n, dtype=np.int64)
+        self._met = Call(
+            _meet,
+            ...,
+            *self._geometry,
+            GIVEN,
+            GIVEN,
+            self._x,
+            self._v,
+            self._normal,
+            self.at_once,
+        )
         self._gate = Call(
             _gate, GIVEN, self.threshold, GIVEN, self.delay, h, self._felt, self._peak, self._gated
         )
@@ -260,9 +273,9 @@ def _remember(k, pose, twist, lever, reference, x, v):
 
 
 @njit(cache=True)
-def _meet(k, index, values, pose, twist, x, v, normal):
+def _meet(k, index, values, pose, twist, x, v, normal, at_once):
     """Penetration, its rate and the normal of the deepest contact at t_k, in the column after the
-    six axes.
+    six axes; and how many contacts there are at once.
     """
     slot, length, count = k % x.shape[1], x.shape[1], index[-1]
     frames, motions, work, p = (
@@ -278,7 +291,10 @@ def _meet(k, index, values, pose, twist, x, v, normal):
     for i in range(pose.shape[0]):
         frames[0], motions[0] = pose[i], twist[i]
         meet_all(index, values, p, frames, motions, work, depth, rate, point, across, slip)
-        c = int(np.argmax(depth))
+        c, together = int(np.argmax(depth)), 0
+        for other in range(count):
+            together += depth[other] > 0.0
+        at_once[i] = max(at_once[i], together)
         x[i, slot, NORMAL], v[i, slot, NORMAL] = depth[c], rate[c]
         side = index[c * ROW + SIDE]
         for j in range(3):

@@ -19,6 +19,7 @@ from hiltestbed.analysis.assessment import (
     monitored,
 )
 from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.report.page import Report, new_figure, provenance
 from hiltestbed.run_folder.labelled import PALETTE, shade_contacts
 from hiltestbed.run_folder.notebook import number
@@ -135,20 +136,20 @@ def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:
         )
         words.append(f"The rig {verdict}: {100.0 * share:+z.2f} % of the approach energy.")
     total = summary["delay_ledger"][-1]["delay"] if summary["delay_ledger"] else 0.0
-    contact, stability = scenario.mechanism.contact, summary.get("stability")
+    (stiffness, damping), stability = acting_along_z(scenario), summary.get("stability")
     words.append(
         f"The remaining delays add up to {1e3 * total:+.3f} ms, equivalent to a damping of "
-        f"{-contact.stiffness * total:+.4g} N s/m."
+        f"{-stiffness * total:+.4g} N s/m."
     )
     if stability:
         without = stability.get("uncompensated") or {}
         words.append(f"The loop in this contact is {stability['verdict']}.")
         if without.get("verdict") and without["verdict"] != stability["verdict"]:
             words.append(f"Without the compensation it would be {without['verdict']}.")
-    elif contact.damping > 0.0:
-        bears = contact.damping / contact.stiffness
+    elif damping > 0.0:
+        bears = damping / stiffness
         words.append(
-            f"The damping of the surfaces, {contact.damping:.4g} N s/m, compensates a delay of "
+            f"The damping of the surfaces, {damping:.4g} N s/m, compensates a delay of "
             f"c/k = {1e3 * bears:.3g} ms: "
             + (
                 f"{1e3 * (bears - total):.3g} ms more until the loop gains energy."
