@@ -310,7 +310,10 @@ def _caveat(scenario: Scenario, contact: Direction) -> str | None:
         return f"without {', '.join(left_out)}" if left_out else None
     if sides_of(scenario.mechanism).rigid:
         return "of a head-on touch without friction, through the response at one amplitude"
-    return "of its springs and dampers alone, without the mass and the friction of its moving parts"
+    return (
+        "of its springs and dampers alone: mass and friction of its moving parts change it, to "
+        "either side"
+    )
 
 
 def _bears(rebounds: Rebounds, fine: RigResponse, contact: Direction) -> float | None:

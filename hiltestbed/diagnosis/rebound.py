@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.analysis.ledger import contact_frequency
+from hiltestbed.diagnosis.adequacy import Leftover, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.closed_loop import (
     bounce_of,
     measured_motion,
@@ -28,8 +30,8 @@ from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.layout import Layout
 from hiltestbed.diagnosis.plain import entry
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import AMBIGUITY, MODEL_ERROR
-from hiltestbed.diagnosis.timing import delays_not_causes
+from hiltestbed.diagnosis.settings import AMBIGUITY, DETECTION, MODEL_ERROR
+from hiltestbed.diagnosis.timing import delays_not_causes, instants_off
 from hiltestbed.effects.base import Effect
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
@@ -40,6 +42,8 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 # chosen: of the approach speed, beyond which the motion on record is not that of the scenario's
 # loop
 MAX_APPROACH_ERROR = 0.05
+# chosen: fits that are simulated in place of one that the rebound contradicts
+MAX_TRIED = 8
 LONGER = 0.25  # chosen: of a bounce, by which it may last longer in a simulation than on record
 
 
@@ -58,6 +62,7 @@ def with_rebounds(findings: Findings) -> Findings:
     """The findings with rivals weighed by the rebound: those that it refutes are dropped, and one
     that it prefers is chosen.
     """
+    findings, refuted = _with_the_rebound(findings)
     layout, explanations = findings.layout, dict(findings.explanations)
     # what is attributed to the timing of the facility needs no decision
     shifts = delays_not_causes(explanations)
@@ -71,12 +76,70 @@ def with_rebounds(findings: Findings) -> Findings:
     ]
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))] if open_ else []
     if not any(rebounds):
-        return findings
-    words = []
+        return replace(findings, weighed=refuted)
+    words = list(refuted)
     for name in open_:
         weighed, told = _weighed(explanations[name], _others(explanations, name), layout, rebounds)
         explanations[name], words = weighed, [*words, *told]
     return replace(findings, explanations=explanations, weighed=tuple(words))
+
+
+def _with_the_rebound(findings: Findings) -> tuple[Findings, tuple[str, ...]]:
+    """The findings with an explanation of contact and sensor that the rebound does not contradict,
+    and in a sentence what it contradicts.
+
+    It contradicts causes if it departs from the loop without them by more than :data:`DETECTION` in
+    chi-square, and is not nearer to the loop with them by as much. The instants of a facility,
+    which are known to a tick, count as an error of ``ln e = (pi/2) w tau``. The best of the fits
+    that leave only noise and that it does not contradict is chosen in their place; where there is
+    none, the link is not explained.
+    """
+    layout, explanations = findings.layout, dict(findings.explanations)
+    found = explanations.get("wrench")
+    if found is None or not (found.departs and found.adequate and found.chosen.causes):
+        return findings, ()
+    if any(e.departs and not e.adequate for e in explanations.values()):
+        return findings, ()  # what is not explained spoils the comparison
+    rebounds = [_rebound(layout, i) for i in range(len(layout.runs))]
+    if not any(rebounds):
+        return findings, ()
+    beside, errors = _others(explanations, "wrench"), {}
+    for i, r in enumerate(rebounds):
+        if r is not None:
+            scenario = layout.runs[i].scenario
+            off = math.hypot(scenario.tick / math.sqrt(12.0), instants_off(explanations))
+            worth = 0.5 * math.pi * contact_frequency(scenario) * off
+            errors[i] = math.hypot(r.error, worth * r.cor)
+
+    def distance(fits: Sequence[Fit]) -> Array:
+        """(F,) chi-square of the rebounds on record against the loop with each fit."""
+        shown = _simulated(fits, beside, layout.runs, rebounds)
+        off = [(shown[:, i] - r.cor) / errors[i] for i, r in enumerate(rebounds) if r is not None]
+        return np.nansum(np.square(off), axis=0)
+
+    without, chosen = distance((found.null, found.chosen))
+    if without <= DETECTION or chosen < without - DETECTION:
+        return findings, ()
+    known = {id(found.chosen), *(id(f) for rivals in found.rivals for f in rivals)}
+    others = sorted((*found.more, *found.singles), key=lambda f: f.score)
+    others = [f for f in others if id(f) not in known and noise_alone(_left(found, f))]
+    better = next((f for f in others[:MAX_TRIED] if distance((f,))[0] < without - DETECTION), None)
+    words = (
+        f"the rebound contradicts {' + '.join(found.chosen.kinds)}: with it the loop parts no "
+        "nearer to the coefficient of restitution on record than without it"
+    )
+    if better is None:
+        explanations["wrench"] = replace(found, adequate=False)
+    else:
+        explanations["wrench"] = replace(
+            found, chosen=better, leftovers=_left(found, better), rivals=()
+        )
+    return replace(findings, explanations=explanations), (words,)
+
+
+def _left(found: Explanation, other: Fit) -> dict[str, Leftover]:
+    """What another fit leaves of the link."""
+    return contact_leftovers(found.residual, other.effects())
 
 
 def _rebound(layout: Layout, i: int) -> Rebound | None:

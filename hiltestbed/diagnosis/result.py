@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from hiltestbed.diagnosis.certainty import Certainty
     from hiltestbed.diagnosis.closed_loop import SimulatedRun
+    from hiltestbed.diagnosis.timing import ClockOffset
     from hiltestbed.measured import MeasuredDataset
     from hiltestbed.scenario import Scenario
 
@@ -237,6 +238,7 @@ class Finding:
             partial_gain: their gain on left-out runs.
         certainty: the uncertainty of the estimates of each fit that gave a cause.
         learned: the law learned on a link where the vocabulary leaves more than noise.
+        timing: what was attributed to the timing of the facility.
         assumed: assumptions on the noise, in sentences. explained: verdict `named_in_part`: share
             of the departure on left-out runs.
     """
@@ -258,6 +260,7 @@ class Finding:
     explained: float | None = None
     learned: Learned | None = None
     certainty: tuple[Certainty, ...] = ()
+    timing: tuple[ClockOffset, ...] = ()
 
     @property
     def names(self) -> bool:
@@ -439,6 +442,7 @@ class Diagnosis:
                 "extended_scenario": "extended.yaml" if self.finding.extends else None,
                 "ranking": [vars(r) for r in self.finding.ranking],
                 "certainty": [c.to_json() for c in self.finding.certainty],
+                "timing": [vars(offset) for offset in self.finding.timing],
                 "overridden": list(self.overridden),
                 "unsized": dict(self.finding.unsized),
                 "isolability": [vars(i) for i in self.finding.isolability],

@@ -20,6 +20,8 @@ from hiltestbed.analysis.assessment import (
 )
 from hiltestbed.analysis.energy import energy_generated
 from hiltestbed.contact.directions import acting_along_z
+from hiltestbed.contact.sides import sides_of
+from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.report.page import Report, new_figure, provenance
 from hiltestbed.run_folder.labelled import PALETTE, shade_contacts
 from hiltestbed.run_folder.notebook import number
@@ -55,7 +57,7 @@ def run_report(run: Run) -> Report:
         caption = "Energy that the rig has made so far. For a passive rig it is never above zero."
         report.figure(_energy(run.trace, run.scenario, summary), caption)
     _ledger(report, summary)
-    _identified(report, summary)
+    _identified(report, run.scenario, summary)
     report.heading("What to do next")
     report.items(judged.advice or ("Nothing: no further action is needed.",))
     report.heading("How it was made")
@@ -181,7 +183,7 @@ def _ledger(report: Report, summary: dict[str, Any]) -> None:
     report.table(("source", "delay [ms]", "as damping [N s/m]"), rows, caption)
 
 
-def _identified(report: Report, summary: dict[str, Any]) -> None:
+def _identified(report: Report, scenario: Scenario, summary: dict[str, Any]) -> None:
     rows = []
     for axis, values in identified(summary).items():
         cells = [axis]
@@ -200,9 +202,33 @@ def _identified(report: Report, summary: dict[str, Any]) -> None:
             + NORMAL * ("normal" in identified(summary)),
         )
     else:
-        report.text(
-            "No axis and no normal was in contact long enough to identify stiffness and damping."
+        report.text(f"Neither stiffness nor damping was identified: {_why_not(scenario, summary)}.")
+
+
+def _why_not(scenario: Scenario, summary: dict[str, Any]) -> str:
+    """Why nothing was identified on any axis or normal."""
+    mechanism, lasted = scenario.mechanism, summary["contact_duration"]
+    if scenario.identification.kind == "none":
+        return "identification is none"
+    if not lasted:
+        return "nothing touched"
+    if not (mechanism.flat or mechanism.captured or sides_of(mechanism).rigid):
+        return (
+            "the pose does not show how far the mechanism's moving parts give way, or where its "
+            "surfaces touch, before it captures"
         )
+    if not (mechanism.flat or mechanism.captured or "identification_normal" in summary):
+        return f"{scenario.identification.kind} identifies a plane or a latch, not a curved surface"
+    noise = GATE_SIGMA * scenario.sensor.noise
+    if summary["peak_force"] <= noise:
+        return (
+            f"the peak force, {summary['peak_force']:.3g} N, is below {GATE_SIGMA:g} standard "
+            f"deviations of the sensor's noise, {noise:.3g} N"
+        )
+    return (
+        f"no contact lasted long enough, in {lasted:.3g} s of contact altogether, beside the delay "
+        "and the filters of the sensor"
+    )
 
 
 def _signals(trace: RunTrace):
