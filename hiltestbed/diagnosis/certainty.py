@@ -166,17 +166,17 @@ def certainty(
 
 def spans_its_range(found: Fit, index: int, ends: Array) -> bool:
     """Whether the 95 % interval of the leading parameter of a cause of a fit is as wide as that of
-    its prior, which is uniform over the range of the search: then the data do not determine it.
+    its prior, which is uniform over the range of the search: then the data do not determine it. Of
+    a vector: of every item.
     """
-    cause, low_high = found.causes[index], bounds_of(found.causes)
-    for j, name in zip(range(*found.place(index).indices(len(ends))), cause.names, strict=True):
-        if name.partition(".")[0] != cause.effect.leading:
-            continue
-        low, high, log = (part[j] for part in low_high)
-        a, b, c, d = (np.log(v) if log else v for v in (*ends[j], low, high))
-        if not b - a < PRIOR_SHARE * (d - c):
-            return True
-    return False
+    cause, here, (low, high, log) = found.causes[index], found.place(index), bounds_of(found.causes)
+    leads = np.array([n.partition(".")[0] == cause.effect.leading for n in cause.names], dtype=bool)
+    if not leads.any():
+        return False
+    rows = np.column_stack([ends, low, high])[here][leads]
+    rows[log[here][leads]] = np.log(rows[log[here][leads]])
+    widths, ranges = rows[:, 1] - rows[:, 0], rows[:, 3] - rows[:, 2]
+    return not np.any(widths < PRIOR_SHARE * ranges)
 
 
 def _with_variants(

@@ -39,19 +39,19 @@ def fit_of(kind: str, names: tuple[str, ...], low: list, high: list, log: list) 
         ("sensor.delay", ("delay",), [[0.0, 0.03]], True),
         ("sensor.delay", ("delay",), [[0.0, 0.02]], False),
         ("sensor.delay", ("delay",), [[math.nan, math.nan]], True),
+        ("sensor.bias", ("force.0", "force.2"), [[-50.0, 50.0], [1.0, 1.2]], False),
+        ("sensor.bias", ("force.0", "force.2"), [[-50.0, 50.0], [-49.0, 50.0]], True),
     ],
 )
 def test_an_interval_as_wide_as_that_of_the_range_determines_nothing(
     kind: str, names: tuple[str, ...], ends: list, spans: bool
 ) -> None:
-    mode = kind == "platform.mode"
-    found = fit_of(
-        kind,
-        names,
-        [2.0, 0.001] if mode else [0.0],
-        [400.0, 0.5] if mode else [0.03],
-        [True, True] if mode else [False],
-    )
+    bounds = {
+        "platform.mode": ([2.0, 0.001], [400.0, 0.5], [True, True]),
+        "sensor.delay": ([0.0], [0.03], [False]),
+        "sensor.bias": ([-50.0] * 2, [50.0] * 2, [False] * 2),
+    }
+    found = fit_of(kind, names, *bounds[kind])
     assert spans_its_range(found, 0, np.array(ends)) is spans
     named = Named(kind, "platform", found, 0, 1.0)
     certain: Any = Fake(of=lambda link, fit: Fake(ends=np.array(ends)))
