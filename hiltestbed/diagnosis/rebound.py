@@ -27,11 +27,16 @@ from hiltestbed.diagnosis.closed_loop import (
 )
 from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
+from hiltestbed.diagnosis.jitter import jitter_beside
 from hiltestbed.diagnosis.layout import Layout
+from hiltestbed.diagnosis.lines import hum_beside
+from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.plain import entry
-from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import AMBIGUITY, DETECTION, MODEL_ERROR
-from hiltestbed.diagnosis.timing import delays_not_causes, instants_off
+from hiltestbed.diagnosis.readings import reinterpreted
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Explanation, Search
+from hiltestbed.diagnosis.settings import AMBIGUITY, MODEL_ERROR
+from hiltestbed.diagnosis.timing import delays_not_causes
 from hiltestbed.effects.base import Effect
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
@@ -88,11 +93,11 @@ def _with_the_rebound(findings: Findings) -> tuple[Findings, tuple[str, ...]]:
     """The findings with an explanation of contact and sensor that the rebound does not contradict,
     and in a sentence what it contradicts.
 
-    It contradicts causes if it departs from the loop without them by more than :data:`DETECTION` in
-    chi-square, and is not nearer to the loop with them by as much. The instants of a facility,
-    which are known to a tick, count as an error of ``ln e = (pi/2) w tau``. The best of the fits
-    that leave only noise and that it does not contradict is chosen in their place; where there is
-    none, the link is not explained.
+    It contradicts causes if it departs from the loop without them by more than
+    :data:`AMBIGUITY` in chi-square, and is not nearer to the loop with them by as much. Stamps that
+    are off do not act in the loop: where the link has such, it is explained again as stamped. Else
+    the best of the fits that leave only noise and that the rebound does not contradict is chosen;
+    where there is none, the link is not explained.
     """
     layout, explanations = findings.layout, dict(findings.explanations)
     found = explanations.get("wrench")
@@ -103,38 +108,60 @@ def _with_the_rebound(findings: Findings) -> tuple[Findings, tuple[str, ...]]:
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))]
     if not any(rebounds):
         return findings, ()
-    beside, errors = _others(explanations, "wrench"), {}
-    for i, r in enumerate(rebounds):
-        if r is not None:
-            scenario = layout.runs[i].scenario
-            off = math.hypot(scenario.tick / math.sqrt(12.0), instants_off(explanations))
-            worth = 0.5 * math.pi * contact_frequency(scenario) * off
-            errors[i] = math.hypot(r.error, worth * r.cor)
+    beside = _others(explanations, "wrench")
 
-    def distance(fits: Sequence[Fit]) -> Array:
-        """(F,) chi-square of the rebounds on record against the loop with each fit."""
+    def distance(fits: Sequence[Fit]) -> list[float]:
+        """Chi-square of the rebounds on record against the loop with each fit."""
         shown = _simulated(fits, beside, layout.runs, rebounds)
-        off = [(shown[:, i] - r.cor) / errors[i] for i, r in enumerate(rebounds) if r is not None]
-        return np.nansum(np.square(off), axis=0)
+        return [_apart(row, layout, rebounds) for row in shown]
 
     without, chosen = distance((found.null, found.chosen))
-    if without <= DETECTION or chosen < without - DETECTION:
+    limit = without - AMBIGUITY
+    if limit <= 0.0 or chosen <= limit:
         return findings, ()
-    known = {id(found.chosen), *(id(f) for rivals in found.rivals for f in rivals)}
-    others = sorted((*found.more, *found.singles), key=lambda f: f.score)
-    others = [f for f in others if id(f) not in known and noise_alone(_left(found, f))]
-    better = next((f for f in others[:MAX_TRIED] if distance((f,))[0] < without - DETECTION), None)
     words = (
         f"the rebound contradicts {' + '.join(found.chosen.kinds)}: with it the loop parts no "
         "nearer to the coefficient of restitution on record than without it"
     )
-    if better is None:
-        explanations["wrench"] = replace(found, adequate=False)
-    else:
-        explanations["wrench"] = replace(
-            found, chosen=better, leftovers=_left(found, better), rivals=()
-        )
+    again = _as_stamped(found)
+    if again is not None and again.adequate and distance((again.chosen,))[0] <= limit:
+        explanations["wrench"] = again
+        return replace(findings, explanations=explanations), (words,)
+    known = {id(found.chosen), *(id(f) for rivals in found.rivals for f in rivals)}
+    others = sorted((*found.more, *found.singles), key=lambda f: f.score)
+    others = [f for f in others if id(f) not in known and noise_alone(_left(found, f))]
+    better = next((f for f in others[:MAX_TRIED] if distance((f,))[0] <= limit), None)
+    explanations["wrench"] = (
+        replace(found, adequate=False)
+        if better is None
+        else replace(found, chosen=better, leftovers=_left(found, better), rivals=())
+    )
     return replace(findings, explanations=explanations), (words,)
+
+
+def _apart(shown: Array, layout: Layout, rebounds: Sequence[Rebound | None]) -> float:
+    """Chi-square of the rebounds on record against the ``shown`` (runs,) ones; infinite without.
+
+    When in a tick h a facility reads and obeys is not known: a delay of the loop of standard
+    deviation h/sqrt(12), which all runs have in common, with ``ln e = (pi/2) w tau``.
+    """
+    known = [(i, r) for i, r in enumerate(rebounds) if r is not None and np.isfinite(shown[i])]
+    if not known:
+        return math.inf
+    errors = np.array([r.error / r.cor for _, r in known])
+    off = np.array([math.log(shown[i] / r.cor) for i, r in known]) / errors
+    scenario = layout.runs[known[0][0]].scenario
+    common = 0.5 * math.pi * contact_frequency(scenario) * scenario.tick / math.sqrt(12.0) / errors
+    return float(off @ off - (off @ common) ** 2 / (1.0 + common @ common))
+
+
+def _as_stamped(found: Explanation) -> Explanation | None:
+    """The link explained again with the stamps as believed; None where it has no others."""
+    link = found.residual.link
+    if link.timing == NO_SHIFT:
+        return None
+    search = Search(found.candidates, special=(jitter_beside, hum_beside), reread=reinterpreted)
+    return search.explain(Residual(link.with_timing(NO_SHIFT)))
 
 
 def _left(found: Explanation, other: Fit) -> dict[str, Leftover]:

@@ -86,7 +86,7 @@ def test_an_explanation_that_leaves_the_rebound_where_it_was_is_not_one(
         lambda fits, *rest: np.array([[cor[f.name]] * 4 for f in fits]),
     )
     monkeypatch.setattr(rebound, "_rebound", lambda layout, i: Rebound(1.03, 1e-3, 100))
-    monkeypatch.setattr(rebound, "instants_off", lambda explanations: 0.0)
+    monkeypatch.setattr(rebound, "_as_stamped", lambda found: None)
     monkeypatch.setattr(rebound, "_others", lambda explanations, name: [])
     monkeypatch.setattr(rebound, "_left", lambda found, other: {})
     monkeypatch.setattr(rebound, "replace", lambda old, **new: Fake(**(vars(old) | new)))
