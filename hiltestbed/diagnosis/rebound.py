@@ -64,10 +64,12 @@ class Rebound:
 
 
 def with_rebounds(findings: Findings) -> Findings:
-    """The findings with rivals weighed by the rebound: those that it refutes are dropped, and one
-    that it prefers is chosen.
-    """
-    findings, refuted = _with_the_rebound(findings)
+    """The findings with rivals weighed by the rebound, and without what it contradicts."""
+    return _uncontradicted(_with_rivals_weighed(findings))
+
+
+def _with_rivals_weighed(findings: Findings) -> Findings:
+    """The findings without rivals that the rebound refutes, and with one that it prefers chosen."""
     layout, explanations = findings.layout, dict(findings.explanations)
     # what is attributed to the timing of the facility needs no decision
     shifts = delays_not_causes(explanations)
@@ -81,15 +83,15 @@ def with_rebounds(findings: Findings) -> Findings:
     ]
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))] if open_ else []
     if not any(rebounds):
-        return replace(findings, weighed=refuted)
-    words = list(refuted)
+        return findings
+    words = []
     for name in open_:
         weighed, told = _weighed(explanations[name], _others(explanations, name), layout, rebounds)
         explanations[name], words = weighed, [*words, *told]
     return replace(findings, explanations=explanations, weighed=tuple(words))
 
 
-def _with_the_rebound(findings: Findings) -> tuple[Findings, tuple[str, ...]]:
+def _uncontradicted(findings: Findings) -> Findings:
     """The findings with an explanation of contact and sensor that the rebound does not contradict,
     and in a sentence what it contradicts.
 
@@ -102,12 +104,12 @@ def _with_the_rebound(findings: Findings) -> tuple[Findings, tuple[str, ...]]:
     layout, explanations = findings.layout, dict(findings.explanations)
     found = explanations.get("wrench")
     if found is None or not (found.departs and found.adequate and found.chosen.causes):
-        return findings, ()
+        return findings
     if any(e.departs and not e.adequate for e in explanations.values()):
-        return findings, ()  # what is not explained spoils the comparison
+        return findings  # what is not explained spoils the comparison
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))]
     if not any(rebounds):
-        return findings, ()
+        return findings
     beside = _others(explanations, "wrench")
 
     def distance(fits: Sequence[Fit]) -> list[float]:
@@ -118,7 +120,7 @@ def _with_the_rebound(findings: Findings) -> tuple[Findings, tuple[str, ...]]:
     without, chosen = distance((found.null, found.chosen))
     limit = without - AMBIGUITY
     if limit <= 0.0 or chosen <= limit:
-        return findings, ()
+        return findings
     words = (
         f"the rebound contradicts {' + '.join(found.chosen.kinds)}: with it the loop parts no "
         "nearer to the coefficient of restitution on record than without it"
@@ -126,7 +128,7 @@ def _with_the_rebound(findings: Findings) -> tuple[Findings, tuple[str, ...]]:
     again = _as_stamped(found)
     if again is not None and again.adequate and distance((again.chosen,))[0] <= limit:
         explanations["wrench"] = again
-        return replace(findings, explanations=explanations), (words,)
+        return replace(findings, explanations=explanations, weighed=(*findings.weighed, words))
     known = {id(found.chosen), *(id(f) for rivals in found.rivals for f in rivals)}
     others = sorted((*found.more, *found.singles), key=lambda f: f.score)
     others = [f for f in others if id(f) not in known and noise_alone(_left(found, f))]
@@ -136,7 +138,7 @@ def _with_the_rebound(findings: Findings) -> tuple[Findings, tuple[str, ...]]:
         if better is None
         else replace(found, chosen=better, leftovers=_left(found, better), rivals=())
     )
-    return replace(findings, explanations=explanations), (words,)
+    return replace(findings, explanations=explanations, weighed=(*findings.weighed, words))
 
 
 def _apart(shown: Array, layout: Layout, rebounds: Sequence[Rebound | None]) -> float:

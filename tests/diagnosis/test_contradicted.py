@@ -100,12 +100,12 @@ def test_an_explanation_that_leaves_the_rebound_where_it_was_is_not_one(
         rivals=(),
     )
     findings: Any = Fake(
-        layout=Fake(runs=[Fake(scenario=scenario)] * 4), explanations={"wrench": found}
+        layout=Fake(runs=[Fake(scenario=scenario)] * 4), explanations={"wrench": found}, weighed=()
     )
-    result, words = rebound._with_the_rebound(findings)
+    result = rebound._uncontradicted(findings)
     e = result.explanations["wrench"]
     assert (e.chosen.name if e.adequate else "none") == expected
-    assert len(words) == (expected != "chosen")
+    assert len(result.weighed) == (expected != "chosen")
 
 
 def test_a_clock_that_is_off_has_a_price() -> None:
