@@ -103,7 +103,7 @@ def test_an_explanation_that_leaves_the_rebound_where_it_was_is_not_one(
         layout=Fake(runs=[Fake(scenario=scenario)] * 4), explanations={"wrench": found}, weighed=()
     )
     result = rebound._uncontradicted(findings)
-    e = result.explanations["wrench"]
+    e: Any = result.explanations["wrench"]
     assert (e.chosen.name if e.adequate else "none") == expected
     assert len(result.weighed) == (expected != "chosen")
 
