@@ -95,8 +95,8 @@ def _uncontradicted(findings: Findings) -> Findings:
     """The findings with an explanation of contact and sensor that the rebound does not contradict,
     and in a sentence what it contradicts.
 
-    It contradicts causes if it departs from the loop without them by more than
-    :data:`AMBIGUITY` in chi-square, and is not nearer to the loop with them by as much. Stamps that
+    It contradicts causes if it departs by more than :data:`AMBIGUITY` in chi-square from the loop
+    without them and with them, and is not nearer to the latter by as much. Stamps that
     are off do not act in the loop: where the link has such, it is explained again as stamped. Else
     the best of the fits that leave only noise and that the rebound does not contradict is chosen;
     where there is none, the link is not explained.
@@ -118,8 +118,8 @@ def _uncontradicted(findings: Findings) -> Findings:
         return [_apart(row, layout, rebounds) for row in shown]
 
     without, chosen = distance((found.null, found.chosen))
-    limit = without - AMBIGUITY
-    if limit <= 0.0 or chosen <= limit:
+    limit = max(AMBIGUITY, without - AMBIGUITY)
+    if without <= AMBIGUITY or chosen <= limit:
         return findings
     words = (
         f"the rebound contradicts {' + '.join(found.chosen.kinds)}: with it the loop parts no "
