@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,6 +16,8 @@ from hiltestbed.analysis.metrics import ContactFigures
 from hiltestbed.analysis.stability import stability
 from hiltestbed.config.budget import refuse_beyond, run_budget
 from hiltestbed.config.sense import warnings
+from hiltestbed.contact.directions import acting_along_z
+from hiltestbed.contact.resolution import unconverged, with_half_the_step
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.truth import axis_truth, normal_truth
 from hiltestbed.effects.log import stamp_late
@@ -83,7 +85,25 @@ def run_batch(
         name: (figures, reference_fault(reference, k))
         for k, (name, figures) in enumerate(zip(different, reference.figures, strict=True))
     }
-    return [concluded(batch, *found[name], i) for i, name in enumerate(names)]
+    remarks = _compared(different, {n: figures for n, (figures, _) in found.items()}, nthread)
+    return [
+        concluded(batch, *found[name], i, remarks.get(name, ())) for i, name in enumerate(names)
+    ]
+
+
+def _compared(
+    references: Mapping[str, Scenario], found: Mapping[str, ContactFigures], nthread: int
+) -> dict[str, tuple[str, ...]]:
+    """Warnings on references, by name, whose rebound changes with half the physics step."""
+    finer = {name: half for name, s in references.items() if (half := with_half_the_step(s))}
+    if not finer:
+        return {}
+    halved = simulate(list(finer.values()), until_parted=True, nthread=nthread).figures
+    said = {
+        name: unconverged(references[name], found[name].cor, figures.cor)
+        for name, figures in zip(finer, halved, strict=True)
+    }
+    return {name: (text,) for name, text in said.items() if text}
 
 
 def simulate(
@@ -269,7 +289,7 @@ def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
     if not isinstance(estimate, RecursiveLeastSquares) or mechanism.flat or mechanism.captured:
         return {}
     k, c, k_sd, c_sd, samples = (_number(v) for v in estimate.along_normal[i])
-    truth = normal_truth(loop.scenarios[i]) or (None, None)
+    truth = normal_truth(loop.scenarios[i], int(estimate.source.at_once[i])) or (None, None)
     found = {
         "stiffness": k,
         "damping": c,
@@ -323,10 +343,14 @@ def _number(value: float) -> float | None:
 
 
 def concluded(
-    batch: Batch, reference: ContactFigures | None, reference_fault: str | None, i: int
+    batch: Batch,
+    reference: ContactFigures | None,
+    reference_fault: str | None,
+    i: int,
+    remarks: Sequence[str] = (),
 ) -> Run:
     """Run ``i`` of a batch with its summary; ``reference``: figures of the same contact with an
-    ideal rig, and why it is no reference, see :func:`reference_fault`.
+    ideal rig, and why it is no reference, see :func:`reference_fault`; ``remarks``: warnings on it.
     """
     scenario, figures = batch.scenarios[i], batch.figures[i]
     cor, along = figures.cor, figures.cor_normal
@@ -365,7 +389,7 @@ def concluded(
         "energy_reference": _energy_reference(scenario, figures),
         "energy_resolution": 0.5
         * scenario.tick
-        * scenario.mechanism.contact.damping
+        * acting_along_z(scenario)[1]
         * _speed(scenario) ** 2
         * max(figures.contacts, 1),
         "peak_force": figures.peak_force,
@@ -377,7 +401,7 @@ def concluded(
         "tracking_compliance": figures.tracking_compliance,
         "payload_left": batch.payload[i],
         **batch.outcomes[i],
-        "warnings": list(warnings(scenario)),
+        "warnings": [*warnings(scenario), *remarks],
         "delay_ledger": [vars(entry) for entry in ledger],
         "identification": batch.identification[i],
         "timing": {
@@ -405,7 +429,7 @@ def _energy_reference(scenario: Scenario, figures: ContactFigures) -> float | No
     if not figures.contact_duration:
         return None
     if scenario.mechanism.captured:
-        stored = figures.peak_force**2 / (2.0 * scenario.mechanism.contact.stiffness)
+        stored = figures.peak_force**2 / (2.0 * acting_along_z(scenario)[0])
         return max(stored, 0.5 * effective_mass(scenario) * _speed(scenario) ** 2)
     return (
         0.5 * effective_mass(scenario) * max(_speed(scenario), figures.approach_speed or 0.0) ** 2

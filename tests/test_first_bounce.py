@@ -344,5 +344,5 @@ def test_a_stiffness_that_an_effect_of_the_contact_does_not_bear_is_not_simulate
     ringing = {"kind": "frame.mode", "frequency": 1.0e4, "damping_ratio": 0.1, "mass": 1e-3}
     simulated = first_contact(load_scenario(SCENARIOS / "02-bumper.yaml", {"effects": [ringing]}))
     assert simulated is not None
-    assert simulated.bounce(Case(0.0, 1.0e5), 0.0) is not None
-    assert simulated.bounce(Case(0.0, 1.0e9), 0.0) is None
+    assert simulated.bounce(Case(0.0, 1.0), 0.0) is not None
+    assert simulated.bounce(Case(0.0, 1.0e4), 0.0) is None

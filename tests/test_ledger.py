@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 
-from hiltestbed import load_scenario
+from hiltestbed import load_scenario, run
 from hiltestbed.analysis.ledger import delay_ledger, predicted_log_error
+from hiltestbed.analysis.stability import stability
+from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.simulation import simulate
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "02-bumper.yaml"
@@ -79,3 +81,81 @@ def test_every_delay_is_in_the_ledger(changes: dict[str, Any]) -> None:
     assert predicted_log_error(scenario, ledger) == pytest.approx(
         math.log(figures.cor / reference), abs=0.015
     )
+
+
+K, C = 1.0e5, 400.0  # of the scenario
+FRAME = 4.0e5
+
+
+@pytest.mark.parametrize(
+    ("effects", "stiffness", "damping"),
+    [
+        ([{"kind": "contact.stiffness", "factor": 0.5}], 0.5 * K, C),
+        ([{"kind": "contact.damping", "factor": 3.0}], K, 3.0 * C),
+        (
+            [
+                {"kind": "contact.stiffness", "factor": 1.7},
+                {"kind": "contact.damping", "factor": 0.4},
+            ],
+            1.7 * K,
+            0.4 * C,
+        ),
+        # F = k (x - F/k_frame) + c v
+        (
+            [{"kind": "frame.compliance", "stiffness": FRAME}],
+            K * FRAME / (K + FRAME),
+            C * FRAME / (K + FRAME),
+        ),
+        ([{"kind": "contact.power_law", "exponent": 1.0, "stiffness": 6.0e4}], 6.0e4, C),
+        ([{"kind": "contact.touch_offset", "offset": 1e-3}], K, C),
+    ],
+    ids=lambda v: str(v) if isinstance(v, list) else "",
+)
+def test_effects_of_the_contact_count_as_the_same_numbers_of_the_mechanism(
+    effects: list[dict[str, Any]], stiffness: float, damping: float
+) -> None:
+    late = {"sensor.delay": 0.004, "compensation.force": {"kind": "none"}}
+    same = {"mechanism.contact": {"stiffness": stiffness, "damping": damping}}
+    one = load_scenario(SCENARIO, set=late | {"effects": effects})
+    other = load_scenario(SCENARIO, set=late | same)
+    assert acting_along_z(one) == pytest.approx((stiffness, damping), rel=1e-6)
+    figures = simulate([other]).figures[0]
+    ledgers = [delay_ledger(s, figures) for s in (one, other)]
+    for entry, equal in zip(*ledgers, strict=True):
+        assert entry.equivalent_damping == pytest.approx(equal.equivalent_damping, rel=1e-6)
+    verdicts = [stability(s) for s in (one, other)]
+    for name in ("net_damping", "frequency", "largest_delay", "largest_stiffness", "rebound"):
+        values = [v[name] for v in verdicts if v is not None]
+        assert values[0] == pytest.approx(values[1], rel=2e-3), name
+
+
+def test_a_damper_that_grows_with_penetration_acts_as_that_of_its_describing_function() -> None:
+    """F = k x (1 + alpha v) over a half sine: the part in phase with v is 4 alpha k X/(3 pi)."""
+    alpha, speed = 4.0, 0.03
+    effects = [{"kind": "contact.hunt_crossley", "alpha": alpha}]
+    found = acting_along_z(load_scenario(SCENARIO, set={"effects": effects}))
+    assert found[0] == pytest.approx(K, rel=1e-4)
+    assert found[1] == pytest.approx(4.0 * alpha * K * speed / W / (3.0 * math.pi), rel=1e-4)
+
+
+@pytest.mark.parametrize(("damping", "rate"), [(350.0, 1000.0), (0.0, 500.0)])
+def test_a_force_that_is_corrected_by_what_is_identified_is_predicted_as_it_runs(
+    damping: float, rate: float
+) -> None:
+    """Until the contact is identified, the platform's lag acts: it cannot be taken as removed."""
+    scenario = load_scenario(
+        SCENARIO,
+        set={
+            "rate": rate,
+            "physics_rate": 4000.0,
+            "mechanism.contact.damping": damping,
+            "rig.platform.tracking": "response",
+            "rig.platform.response": {"bandwidth": 60.0, "damping_ratio": 0.7},
+            "compensation.motion": {"kind": "contact_correction"},
+            "compensation.force": {"kind": "none"},
+        },
+    )
+    summary = run(scenario).summary
+    assert summary["cor_log_error"] > 0.004
+    assert summary["cor_log_error_predicted"] == pytest.approx(summary["cor_log_error"], abs=1.5e-3)
+    assert summary["stability"]["rebound"] == pytest.approx(summary["cor"], rel=2e-3)

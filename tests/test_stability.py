@@ -19,7 +19,8 @@ from hiltestbed.analysis.stability import (
     net_damping,
     stability,
 )
-from hiltestbed.contact.directions import directions, first_touch
+from hiltestbed.contact.directions import directions
+from hiltestbed.contact.touch import first_touch
 from hiltestbed.errors import InputError
 from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass

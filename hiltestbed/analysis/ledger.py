@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from hiltestbed.analysis.metrics import ContactFigures
+from hiltestbed.analysis.trial import corrected_log_error
+from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.effects.table import by_link
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.scenario import Scenario
@@ -55,16 +57,35 @@ def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
         delays.append(("platform.response", figures.tracking_delay or 0.0))
     elif by_link(scenario.effects, "platform"):
         delays.append(("platform.effects", figures.tracking_delay or 0.0))
-    if compensation.force.corrects_platform or compensation.motion.corrects_force:
-        delays.append(
-            (
-                "compensation.platform",
-                -sum(delay for source, delay in delays if source.startswith("platform.")),
-            )
-        )
+    platform = sum(delay for source, delay in delays if source.startswith("platform."))
+    if compensation.force.corrects_platform:
+        delays.append(("compensation.platform", -platform))
+    elif corrects_platform(scenario):
+        force = sum(delay for _, delay in delays) - platform
+        delays.append(("compensation.platform", -_corrected(scenario, force, platform)))
     delays.append(("total", sum(delay for _, delay in delays)))
-    k = scenario.mechanism.contact.stiffness
+    k, _ = acting_along_z(scenario)
     return [Delay(source, delay, 0.0 - k * delay) for source, delay in delays]
+
+
+def corrects_platform(scenario: Scenario) -> bool:
+    """Whether a method compensates the platform in the first contact: one that corrects the force
+    by what is identified along z needs a contact that is identified there before a capture.
+    """
+    mechanism, compensation = scenario.mechanism, scenario.compensation
+    identified = compensation.motion.corrects_force and (mechanism.flat or mechanism.captured)
+    return compensation.force.corrects_platform or identified
+
+
+def _corrected(scenario: Scenario, force: float, platform: float) -> float:
+    """Delay [s] of the ``platform`` that a method which corrects the force removes from the first
+    contact, beside a delay of the ``force`` [s]: by simulation, because the contact is not known
+    when it begins; all of it if that cannot be simulated.
+    """
+    error = corrected_log_error(scenario, force)
+    if error is None:
+        return platform
+    return platform + max(force, 0.0) - error / (0.5 * math.pi * contact_frequency(scenario))
 
 
 def force_path_delay(scenario: Scenario, compensated: bool) -> float:
@@ -109,7 +130,7 @@ def _compensation(scenario: Scenario) -> Iterator[tuple[str, float]]:
 
 def contact_frequency(scenario: Scenario) -> float:
     """``w = sqrt(k/mu)`` [rad/s] of the contact with both bodies free."""
-    return math.sqrt(scenario.mechanism.contact.stiffness / effective_mass(scenario))
+    return math.sqrt(acting_along_z(scenario)[0] / effective_mass(scenario))
 
 
 def predicted_log_error(scenario: Scenario, ledger: list[Delay]) -> float:

@@ -50,7 +50,7 @@ class Rebounds:
         """
         through = self._computed(delay, stiffness)
         found = (
-            self._simulated.bounce(Case(max(delay, 0.0), stiffness), self.lag)
+            self._simulated.bounce(Case(max(delay, 0.0), stiffness / self._way.stiffness), self.lag)
             if self._simulated
             else None
         )

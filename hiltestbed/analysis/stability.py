@@ -38,7 +38,11 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.analysis.ledger import contact_frequency, force_path_delay
+from hiltestbed.analysis.ledger import (
+    contact_frequency,
+    corrects_platform,
+    force_path_delay,
+)
 from hiltestbed.analysis.rebounds import Rebounds
 from hiltestbed.analysis.rig_response import (
     EXACT,
@@ -149,9 +153,7 @@ def stability(scenario: Scenario) -> dict[str, Any] | None:
             f"{bare[0].sentence()}"
         )
         return _unjudged(verdict) | {"uncompensated": without}
-    corrects = (
-        scenario.compensation.force.corrects_platform or scenario.compensation.motion.corrects_force
-    )
+    corrects = corrects_platform(scenario)
     left = force_path_delay(scenario, compensated=True)
     if not corrects and left == bare[0].delay:
         found = [replace(judged, compensated=True) for judged in bare]
@@ -195,8 +197,9 @@ def worst_of(
     ``exact``: the method also compensates the platform.
     """
     ways = directions(scenario)
+    corrected = exact and scenario.compensation.motion.corrects_force
     simulated = (
-        first_contact(scenario, exact)
+        first_contact(scenario, ideal=exact and not corrected, corrected=corrected)
         if any(way.first for way in ways) and not _computes(scenario, ways, exact)
         else None
     )
@@ -226,6 +229,7 @@ def _computes(scenario: Scenario, ways: Sequence[Direction], exact: bool) -> boo
     """
     straight = len(ways) == 1 and not ways[0].slant and scenario.mechanism.contact.friction == 0.0
     straight &= not any(e.link == "contact" for e in scenario.effects)
+    straight &= not (exact and scenario.compensation.motion.corrects_force)
     return straight and (exact or measured_response(scenario) is EXACT)
 
 
@@ -307,8 +311,8 @@ def _caveat(scenario: Scenario, contact: Direction) -> str | None:
     if sides_of(scenario.mechanism).rigid:
         return "of a head-on touch without friction, through the response at one amplitude"
     return (
-        "of its surfaces alone: parts that give way behind them take less force and damp "
-        "less, to either side"
+        "of its springs and dampers alone: mass and friction of its moving parts change it, to "
+        "either side"
     )
 
 

@@ -7,7 +7,8 @@ by f_c/k_p at each reversal, whatever the speed of the contact, and holds a leg 
 Nor does it include that the normal of a socket turns while a tip slides in it, which changes the
 mass along the normal and adds friction. The blocks of the loop model both, so the first contact is
 simulated with them: the scenario's platform, surfaces and vehicles, and an ideal sensor except for
-a delay, that of the force in the loop; no other compensation is active. Vehicles in an FMU, which
+a delay, that of the force in the loop; no other compensation is active, unless
+asked for. Vehicles in an FMU, which
 has its own start, are replaced by those of `spacecraft`. The simulation begins :data:`APPROACH`
 before the touch, within the times
 :data:`LEAD`: drives with friction yield at the start, and this transient needs some travel to decay
@@ -25,7 +26,7 @@ import numpy as np
 
 from hiltestbed.analysis.bounce import HALF_PERIODS, LAGS, Bounce
 from hiltestbed.analysis.metrics import along_impulse
-from hiltestbed.contact.directions import time_of_touch
+from hiltestbed.contact.directions import acting_along_z, time_of_touch
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.errors import InputError
 from hiltestbed.frames import attitude_deg_from_quat, pose_step
@@ -45,10 +46,10 @@ CHECK_INTERVAL = 10  # ticks between two checks of whether the bodies have separ
 
 @dataclass(frozen=True)
 class Case:
-    """A force with a ``delay`` [s], in a contact of ``stiffness`` [N/m]."""
+    """A force with a ``delay`` [s], in a contact ``factor`` times as stiff as the scenario's."""
 
     delay: float
-    stiffness: float
+    factor: float = 1.0
 
 
 class FirstContact:
@@ -58,8 +59,12 @@ class FirstContact:
         simulable: whether it is short enough to be simulated, see :data:`LONGEST`.
     """
 
-    def __init__(self, scenario: Scenario, touch: float, ideal: bool = False) -> None:
-        """``touch``: its earliest time [s]; ``ideal``: on a rig with ideal tracking."""
+    def __init__(
+        self, scenario: Scenario, touch: float, ideal: bool = False, corrected: bool = False
+    ) -> None:
+        """``touch``: its earliest time [s]; ``ideal``: on a rig with ideal tracking; ``corrected``:
+        with the motion method that corrects the force, and the identification that it needs.
+        """
         self._data, self._ideal = (
             resolved(scenario),
             scenario.rig.platform.reference() if ideal else None,
@@ -67,13 +72,16 @@ class FirstContact:
         links = ("contact",) if ideal else ("contact", "platform")
         pairs = zip(scenario.effects, self._data["effects"], strict=True)
         self._effects = [keys for effect, keys in pairs if effect.link in links]
-        self._inverse, self._motion = mobility(scenario), scenario.compensation.motion.of_the_rig()
+        self._inverse, motion = mobility(scenario), scenario.compensation.motion
+        self._motion = motion.model_dump(mode="json") if corrected else motion.of_the_rig()
+        self._identification = self._data["identification"] if corrected else {"kind": "none"}
         speed = max(float(np.linalg.norm(scenario.approach.velocity)), APPROACH / LEAD[1])
         self._mass, self._lead = (
             effective_mass(scenario),
             min(touch, max(APPROACH / speed, LEAD[0])),
         )
-        self._own = self._lasts(scenario.mechanism.contact.stiffness, scenario.sensor.delay)
+        self._stiffness, _ = acting_along_z(scenario)
+        self._own = self._lasts(self._stiffness, scenario.sensor.delay)
         self.simulable = self._own <= LONGEST
         if touch > self._lead:
             start, pose = approach_state(scenario), np.empty(7)
@@ -115,9 +123,10 @@ class FirstContact:
 
     def _scenario(self, case: Case, lag: float) -> Scenario:
         data = self._data
-        lasts = self._lasts(case.stiffness, max(case.delay + lag, 0.0))
+        lasts = self._lasts(case.factor * self._stiffness, max(case.delay + lag, 0.0))
+        contact = data["mechanism"]["contact"]
         mechanism: dict[str, Any] = data["mechanism"] | {
-            "contact": data["mechanism"]["contact"] | {"stiffness": case.stiffness}
+            "contact": contact | {"stiffness": case.factor * contact["stiffness"]}
         }
         if mechanism.get("latch"):
             mechanism["latch"] = mechanism["latch"] | {"speed": BELOW_ANY_BOUNCE}
@@ -129,7 +138,7 @@ class FirstContact:
             "sensor": {"delay": case.delay},
             "numerical_model": {"kind": "free_flyers"},
             "duration": self._lead + SLIDING_FACTOR * min(lasts, max(self._own, data["duration"])),
-            "identification": {"kind": "none"},
+            "identification": self._identification,
             "monitoring": None,
             "compensation": {"force": {"kind": "none"}, "motion": self._motion},
             "safety": dict.fromkeys(data["safety"]),
@@ -144,15 +153,36 @@ class FirstContact:
         return scenario_from(data | changed)
 
 
-def first_contact(scenario: Scenario, ideal: bool = False) -> FirstContact | None:
-    """The first contact of a scenario, for simulation. None if it is latched from the start,
-    nothing touches, or the contact lasts for minutes; also if parts move or MuJoCo detects the
-    contacts: the first contact is then part of the capture.
+def first_contact(
+    scenario: Scenario, ideal: bool = False, corrected: bool = False
+) -> FirstContact | None:
+    """The first contact of a scenario, for simulation, with the arguments of FirstContact. None if
+    it is latched from the start, nothing touches, or the contact lasts for minutes; also if parts
+    move or MuJoCo detects the contacts: the first contact is then part of the capture.
     """
     if scenario.mechanism.captured or not sides_of(scenario.mechanism).rigid:
         return None
     touch = time_of_touch(scenario)
     if touch is None:
         return None
-    contact = FirstContact(scenario, touch, ideal)
+    contact = FirstContact(scenario, touch, ideal, corrected)
     return contact if contact.simulable else None
+
+
+def corrected_log_error(scenario: Scenario, delay: float) -> float | None:
+    """``ln(e/e_ref)`` of the first contact with a motion method that corrects the force and a
+    ``delay`` [s] of the force: what the platform did before the method knew the contact is not
+    corrected. None if it cannot be simulated.
+    """
+    found = [
+        contact.bounce(Case(late), 0.0)
+        for contact, late in (
+            (first_contact(scenario, corrected=True), max(delay, 0.0)),
+            (first_contact(scenario, ideal=True), 0.0),
+        )
+        if contact is not None
+    ]
+    if len(found) < 2 or not all(b is not None and b.rebound > 0.0 for b in found):
+        return None
+    corrected, reference = (b.rebound for b in found if b is not None)
+    return math.log(corrected / reference)

@@ -20,7 +20,7 @@ from functools import cache
 import numpy as np
 
 from hiltestbed.analysis.ledger import effective_mass
-from hiltestbed.contact.parameters import ContactParameters
+from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
@@ -137,11 +137,6 @@ def margin(scenario: Scenario) -> tuple[float, float]:
     """The scenario's delay minus the limits of the closed contact and of the bounce [s]; positive:
     the rig adds energy.
     """
-    contact = ContactParameters.believed(scenario.mechanism.contact).with_effects(scenario.effects)
-    delay = (
-        SensorParameters.believed(scenario.sensor, scenario.tick)
-        .with_effects(scenario.effects)
-        .delay
-    )
-    law = (contact.stiffness, contact.damping, effective_mass(scenario))
+    delay = SensorParameters.believed(scenario.sensor).with_effects(scenario.effects).delay
+    law = (*acting_along_z(scenario), effective_mass(scenario))
     return delay - closed_contact_delay(*law), delay - bounce_delay(*law)

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.scenario.idle import given_in_vain
 
@@ -35,8 +36,8 @@ def warnings(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _warnings(scenario: Scenario) -> Iterator[str]:
-    contact, mass = scenario.mechanism.contact, effective_mass(scenario)
-    frequency = math.sqrt(contact.stiffness / mass)  # [rad/s]
+    (stiffness, damping), mass = acting_along_z(scenario), effective_mass(scenario)
+    frequency = math.sqrt(stiffness / mass)  # [rad/s]
     lasts = math.pi / frequency
     ticks, instants = lasts * scenario.rate, lasts * scenario.physics_rate
     if not scenario.mechanism.captured:
@@ -71,11 +72,11 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
             f"of the heavy one is below the "
             "numerical resolution, so that momentum and energy of the pair are meaningless"
         )
-    if contact.damping / (mass * scenario.physics_rate) > STIFF_DAMPER:
+    if damping / (mass * scenario.physics_rate) > STIFF_DAMPER:
         yield (
-            f"the damper removes {contact.damping / (mass * scenario.physics_rate):.3g} times the "
+            f"the damper removes {damping / (mass * scenario.physics_rate):.3g} times the "
             f"relative speed in one physics step: "
-            f"the contact chatters; use a physics_rate above {4 * contact.damping / mass:.3g} Hz "
+            f"the contact chatters; use a physics_rate above {4 * damping / mass:.3g} Hz "
             f"or less damping"
         )
     yield from _too_deep(scenario, frequency)
@@ -110,7 +111,7 @@ def _too_far(scenario: Scenario) -> Iterator[str]:
 
 def _drowned(scenario: Scenario, frequency: float) -> Iterator[str]:
     """A force that never exceeds the sensor's noise."""
-    peak = scenario.mechanism.contact.stiffness * abs(scenario.approach.velocity[2]) / frequency
+    peak = acting_along_z(scenario)[0] * abs(scenario.approach.velocity[2]) / frequency
     if 0.0 < peak < scenario.sensor.noise:
         yield (
             f"the sensor's noise, {scenario.sensor.noise:.3g} N, is more than the contact's peak "

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.contact.parameters import LEVER, OFFSET, PARAMETERS, believed_contacts
-from hiltestbed.contact.sides import Sides, sides_of
-from hiltestbed.contact.wrench import LATCH_RADIUS, meet_all
+from hiltestbed.contact.acting import Pair, acting_contacts, acting_law, in_series
+from hiltestbed.contact.sides import sides_of
+from hiltestbed.contact.touch import BEYOND, INSERTION, STOPS, Meeting, first_touch
+from hiltestbed.contact.wrench import LATCH_RADIUS
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
 
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-INSERTION = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-# poses checked on the way to the first touch, and distance searched beyond the nominal touch [m]
-STOPS, BEYOND = 400, 0.05
 ALIKE = 1e-6  # largest difference between the components of two equal directions
 
 
@@ -54,15 +52,26 @@ class Direction:
 
 def insertion(scenario: Scenario) -> Direction:
     """Along z at P's origin."""
-    contact = scenario.mechanism.contact
+    mass, (stiffness, damping) = effective_mass(scenario), acting_along_z(scenario)
     return Direction(
-        "along z",
-        INSERTION,
-        effective_mass(scenario),
-        contact.stiffness,
-        contact.damping,
-        pulls=scenario.mechanism.captured,
+        "along z", INSERTION, mass, stiffness, damping, pulls=scenario.mechanism.captured
     )
+
+
+def acting_along_z(scenario: Scenario) -> Pair:
+    """Stiffness [N/m] and damping [N s/m] with which a contact along the insertion acts, effects
+    included, with the mount in series: of all contacts and parts of a centred touch that pushes
+    along z, of the first rule's contact on any other surface, of the latch once captured.
+    """
+    mechanism, laws = scenario.mechanism, acting_contacts(scenario)
+    touch = None if mechanism.flat else first_touch(scenario, centred=True)
+    if touch is not None and np.abs(touch.row - INSERTION).max() <= ALIKE:
+        found = touch.stiffness, touch.damping
+    else:
+        law, speed = laws[-1 if mechanism.captured else 0], abs(scenario.approach.velocity[2])
+        found = acting_law(law, effective_mass(scenario), speed)
+    mount = mechanism.mount
+    return found if mount is None else in_series(found, (mount.stiffness[2], mount.damping[2]))
 
 
 def directions(scenario: Scenario) -> list[Direction]:
@@ -76,11 +85,11 @@ def directions(scenario: Scenario) -> list[Direction]:
     if mechanism.captured:
         return _modes(scenario, inverse, "")
     found = [insertion(scenario)]
-    touch = first_touch(scenario)
-    if touch is not None and np.abs(touch[0] - INSERTION).max() <= ALIKE:
+    touch = first_touch(scenario) if sides_of(mechanism).rigid else None
+    if touch is not None and np.abs(touch.row - INSERTION).max() <= ALIKE:
         found = [replace(found[0], first=True)]
     elif touch is not None:
-        row, stiffness, damping = touch
+        row, stiffness, damping = touch[:3]
         mass, slant = 1.0 / float(row @ inverse @ row), bool(np.abs(row[:2]).max() > ALIKE)
         found.append(
             Direction(
@@ -102,7 +111,7 @@ def _modes(scenario: Scenario, inverse: Array, when: str) -> list[Direction]:
     refer. The ratio c/k is equal for all six springs, so that a mode is one direction, J = phi^T
     K/(phi^T K phi).
     """
-    latch = believed_contacts(scenario.mechanism)[-1]
+    latch = acting_contacts(scenario)[-1]
     springs = latch.stiffness * np.array([1.0] * 3 + [LATCH_RADIUS**2] * 3)
     root = np.sqrt(springs)
     squares, shapes = np.linalg.eigh(root[:, None] * inverse * root)
@@ -127,48 +136,6 @@ def _modes(scenario: Scenario, inverse: Array, when: str) -> list[Direction]:
     return found
 
 
-class _Meeting:
-    """Penetration of the surfaces of a rigid mechanism at rest, from the pose of A in P."""
-
-    def __init__(self, sides: Sides) -> None:
-        self._index, self._values = sides.geometry
-        count = sides.geometry.count
-        self._p = np.ones((count, PARAMETERS))
-        self._p[:, LEVER], self._p[:, OFFSET] = 0.5, 0.0
-        self.frames, self._motions, self._work = (
-            np.zeros((2, 7)),
-            np.zeros((2, 6)),
-            np.empty((9, 7)),
-        )
-        self.frames[1, 6] = 1.0
-        self.depth, self._rate = np.empty(count), np.empty(count)
-        self.point, self.normal, self._slip = (
-            np.zeros((count, 3)),
-            np.zeros((count, 3)),
-            np.zeros((count, 3)),
-        )
-
-    def deepest(self, pose: Array) -> float:
-        """Largest penetration [m] with A at ``pose`` (7,), negative while apart; details in
-        ``depth``, ``point`` and ``normal``.
-        """
-        self.frames[0] = pose
-        meet_all(
-            self._index,
-            self._values,
-            self._p,
-            self.frames,
-            self._motions,
-            self._work,
-            self.depth,
-            self._rate,
-            self.point,
-            self.normal,
-            self._slip,
-        )
-        return float(self.depth.max())
-
-
 def time_of_touch(scenario: Scenario) -> float | None:
     """Time [s] of the last of :data:`STOPS` instants before the first touch of the uniform
     approach, whether or not the run ends before it; None if it does not follow from the pose alone,
@@ -178,7 +145,7 @@ def time_of_touch(scenario: Scenario) -> float | None:
     sides = sides_of(scenario.mechanism)
     if not sides.rigid or not sides.geometry.count:
         return None
-    meeting, start = _Meeting(sides), approach_state(scenario)
+    meeting, start = Meeting(sides), approach_state(scenario)
     pose, end = start[:7].copy(), scenario.duration
     ahead = scenario.approach.velocity[2]
     if ahead > 0.0:  # beyond BEYOND after the nominal touch no first touch is possible
@@ -189,34 +156,3 @@ def time_of_touch(scenario: Scenario) -> float | None:
         if meeting.deepest(pose) > 0.0:
             return float(times[k - 1]) if k else 0.0
     return None
-
-
-def first_touch(scenario: Scenario) -> tuple[Array, float, float] | None:
-    """J of the first contact of an approach straight along the insertion, and its stiffness and
-    damping; None if it does not follow from the pose alone, or if nothing touches up to the
-    approach's gap plus :data:`BEYOND` after the nominal touch.
-    """
-    sides = sides_of(scenario.mechanism)
-    if not sides.rigid or not sides.geometry.count:
-        return None
-    meeting, pose = _Meeting(sides), approach_state(scenario)[:7]
-
-    def deepest(z: float) -> float:
-        pose[2] = z
-        return meeting.deepest(pose)
-
-    start, end = -abs(scenario.approach.gap), abs(scenario.approach.gap) + BEYOND
-    stops = np.linspace(start, end, STOPS)
-    met = next((k for k, z in enumerate(stops) if deepest(float(z)) > 0.0), 0)
-    if met == 0:
-        return None
-    low, high = float(stops[met - 1]), float(stops[met])
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if deepest(middle) > 0.0 else (middle, high)
-    c = int(np.argmax(meeting.depth)) if deepest(high) > 0.0 else 0
-    push, arm = meeting.normal[c], meeting.point[c] - meeting.frames[0, :3]
-    row = np.concatenate([push, np.cross(arm, push)])
-    row = -row if row[2] < 0.0 else row
-    law = scenario.mechanism.contacts()[sides.rules[c]]
-    return row, law.stiffness, law.damping

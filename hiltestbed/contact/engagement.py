@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import Joined, bound
 from hiltestbed.compiled.jit import njit
+from hiltestbed.contact.acting import acting_contacts
 from hiltestbed.contact.composition import (
     ACTIVE,
     AWAY,
@@ -64,7 +65,6 @@ from hiltestbed.contact.parameters import (
     MODE,
     OFFSET,
     ContactParameters,
-    believed_contacts,
     contact_rows,
 )  # fmt: skip
 from hiltestbed.contact.solref import NO_DAMPING
@@ -258,8 +258,7 @@ class Engagement:
 
 def _rows(scenario: Scenario, rules: Sequence[int]) -> Array:
     """``(T + 1, PARAMETERS)`` rows of each pair and of the latch, effects included."""
-    contacts = [c.with_effects(scenario.effects) for c in believed_contacts(scenario.mechanism)]
-    return contact_rows(contacts, rules, scenario.mechanism.captured)
+    return contact_rows(acting_contacts(scenario), rules, scenario.mechanism.captured)
 
 
 def _linear(rows: Array) -> NDArray[np.bool_]:

@@ -58,16 +58,25 @@ def held_pair(
     closed = np.flatnonzero(engagement.latches.closed[i])
     if not closed.size or structure.mounted:
         return None
-    springs = _springs(engagement, structure, batch.model, i)
-    if springs is None:
-        return None
     frames, last = engagement.frames[i], engagement.latches.closures[closed[-1]]
     still = [
         _in_world(frames[f], at)[:3]
         for f, at in zip(last.frames, last.places, strict=True)
         if f in (ACTIVE, PASSIVE)
     ]
-    place = still[0] if still else frames[ACTIVE, :3]
+    return pair_at(engagement, batch, structure, i, still[0] if still else frames[ACTIVE, :3])
+
+
+def pair_at(
+    engagement: Engagement, batch: Batch, structure: Structure, i: int, place: Array
+) -> tuple[Array, Array] | None:
+    """Stiffness and damping (6, 6), as for :func:`held_pair`, about a point ``place`` (3,) in W of
+    the active side; None if a contact with a non-linear law pushes.
+    """
+    springs = _springs(engagement, structure, batch.model, i)
+    if springs is None:
+        return None
+    frames = engagement.frames[i]
     axes = rotation_matrix(frames[PASSIVE, 3:7])
     joints = _Joints(batch, structure, i, frames[[ACTIVE, PASSIVE]])
     stiffness, damping = (
@@ -84,6 +93,28 @@ def held_pair(
         [np.eye(6), -np.linalg.lstsq(stiffness[6:, 6:], stiffness[6:, :6], rcond=None)[0]]
     )
     return follow.T @ stiffness @ follow, follow.T @ damping @ follow
+
+
+def fastest(engagement: Engagement, batch: Batch, structure: Structure, i: int) -> float:
+    """Highest frequency [rad/s] of run ``i``'s moving parts in the present state, between the two
+    sides at rest: of a mode on contacts and own springs, or the rate at which their dampers stop a
+    part; 0 without moving parts. The inertia is the diagonal of the joints' at the start.
+    """
+    frames = engagement.frames[i]
+    joints = _Joints(batch, structure, i, frames[[ACTIVE, PASSIVE]])
+    if not joints.count:
+        return 0.0
+    stiffness, damping = np.diag(joints.stiffness), np.diag(joints.damping)
+    axes = rotation_matrix(frames[PASSIVE, 3:7])
+    for spring in _springs(engagement, structure, batch.model, i) or ():
+        stretch = _stretch(spring, frames[ACTIVE, :3], axes, joints)[:, 6:]
+        stiffness += spring.stiffness * stretch.T @ stretch
+        damping += spring.damping * stretch.T @ stretch
+    root = 1.0 / np.sqrt(joints.inertia)
+    modes, rates = (
+        np.linalg.eigvalsh(root[:, None] * matrix * root)[-1] for matrix in (stiffness, damping)
+    )
+    return max(float(np.sqrt(max(modes, 0.0))), float(rates))
 
 
 def _springs(
@@ -193,6 +224,7 @@ class _Joints:
 
     Attributes:
         count: their number. stiffness, damping: (count,) of each, including its actuators'.
+        inertia: (count,) [kg], [kg m^2] of each at the start, all others fixed.
     """
 
     def __init__(self, batch: Batch, structure: Structure, i: int, places: Array) -> None:
@@ -207,6 +239,7 @@ class _Joints:
         self.count = len(self._free)
         self.stiffness = np.array([m.jnt_stiffness[j] for j in self._free], dtype=float)
         self.damping = np.array([m.dof_damping[m.jnt_dofadr[j]] for j in self._free], dtype=float)
+        self.inertia = np.array([m.dof_M0[m.jnt_dofadr[j]] for j in self._free], dtype=float)
         for k, j in enumerate(self._free):
             spring, damper = _driven(batch, i, j)
             self.stiffness[k] += spring

@@ -7,32 +7,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from hiltestbed.contact.parameters import ContactParameters, believed_contacts
+from hiltestbed.contact.acting import Pair, acting_contacts, in_series, linear_law
+from hiltestbed.contact.sides import sides_of
+from hiltestbed.contact.touch import first_touch
 from hiltestbed.contact.wrench import LATCH_RADIUS
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
-
-Pair = tuple[float, float]
-# terms that make a law non-linear
-NON_LINEAR = (
-    "power_stiffness",
-    "alpha",
-    "dry",
-    "stop_stiffness",
-    "branch_stiffness",
-    "play",
-    "mode",
-)
-
-
-def in_series(first: Pair, second: Pair) -> Pair:
-    """Stiffness and damping, at frequencies well below k/c, of two springs with dampers in
-    series.
-    """
-    (k1, c1), (k2, c2) = first, second
-    total = k1 + k2
-    return k1 * k2 / total, (c1 * k2 * k2 + c2 * k1 * k1) / (total * total)
 
 
 def axis_truth(scenario: Scenario, captured: bool = False) -> list[Pair | None]:
@@ -47,39 +28,42 @@ def axis_truth(scenario: Scenario, captured: bool = False) -> list[Pair | None]:
         captured: whether latches have closed during the run.
     """
     mechanism = scenario.mechanism
-    contact, *_, latch = [c.with_effects(scenario.effects) for c in believed_contacts(mechanism)]
+    contact, *_, latch = acting_contacts(scenario)
     turning = LATCH_RADIUS**2
     if mechanism.captured or (captured and not mechanism.phases()):
         # the lateral axes stay linear: no effect changes their law
         k, c = latch.stiffness, latch.damping
         held = latch if mechanism.captured else replace(latch).after_capture()
-        front: list[Pair | None] = [*[(k, c)] * 2, _linear(held), *[(k * turning, c * turning)] * 3]
+        front: list[Pair | None] = [
+            *[(k, c)] * 2,
+            linear_law(held),
+            *[(k * turning, c * turning)] * 3,
+        ]
     else:
-        front = [None, None, _linear(contact) if mechanism.flat else None, None, None, None]
+        front = [None, None, linear_law(contact) if mechanism.flat else None, None, None, None]
     if mechanism.mount is None:
         return front
     behind = list(zip(mechanism.mount.stiffness, mechanism.mount.damping, strict=True))
     return [None if f is None else in_series(f, b) for f, b in zip(front, behind, strict=True)]
 
 
-def normal_truth(scenario: Scenario) -> Pair | None:
-    """Stiffness [N/m] and damping [N s/m] along the normal of a contact, effects included.
+def normal_truth(scenario: Scenario, at_once: int) -> Pair | None:
+    """Stiffness [N/m] and damping [N s/m] along the normal of a contact, effects included: the
+    contact's own while one at a time touches, otherwise those of the first touch, of all its
+    contacts and of the springs of moving parts in series.
 
-    None if several different laws or a non-linear law act, or if the mount is compliant.
+    None if several different laws or a non-linear law act, if the mount is compliant, or if more
+    contacts than in the first touch acted at once.
+
+    Args:
+        at_once: largest number of contacts that touched at the same time; 0 if it is not known.
     """
-    laws = {
-        _linear(c.with_effects(scenario.effects))
-        for c in believed_contacts(scenario.mechanism)[:-1]
-    }
-    return laws.pop() if len(laws) == 1 and scenario.mechanism.mount is None else None
-
-
-def _linear(law: ContactParameters) -> Pair | None:
-    """Stiffness and damping of a linear law, wherever its touch is, in series with the frame's
-    compliance; None if it is non-linear.
-    """
-    neutral = ContactParameters(1.0)
-    if any(getattr(law, name) != getattr(neutral, name) for name in NON_LINEAR):
+    laws = {linear_law(c) for c in acting_contacts(scenario)[:-1]}
+    if len(laws) != 1 or None in laws or scenario.mechanism.mount is not None:
         return None
-    own = (float(law.stiffness), float(law.damping))
-    return in_series(own, (float(law.frame), 0.0)) if law.frame > 0.0 else own
+    if at_once <= 1 and sides_of(scenario.mechanism).rigid:
+        return laws.pop()
+    touch = first_touch(scenario)
+    if touch is None or touch.contacts < at_once:
+        return None
+    return touch.stiffness, touch.damping

@@ -20,6 +20,7 @@ from hiltestbed.frames import Array
 
 PROFILE_REACH = 2.0  # chosen: of a profile to each side, in half-widths of the 95 % interval
 PROFILE_POINTS = 9  # chosen: values of a profile
+PRIOR_SHARE = 0.95  # derived: of a range, that its uniform prior's 95 % interval has
 BOUND_TOLERANCE = 1e-3  # chosen: of a parameter's scale
 
 
@@ -161,6 +162,21 @@ def certainty(
         )
         profiles.append(Profile(c.kind, name, unit, of, at, ends, bounds, met, values, rise))
     return Certainty(link, tuple(profiles), spread.correlation, spread.ends)
+
+
+def spans_its_range(found: Fit, index: int, ends: Array) -> bool:
+    """Whether the 95 % interval of the leading parameter of a cause of a fit is as wide as that of
+    its prior, which is uniform over the range of the search: then the data do not determine it. Of
+    a vector: of every item.
+    """
+    cause, here, (low, high, log) = found.causes[index], found.place(index), bounds_of(found.causes)
+    leads = np.array([n.partition(".")[0] == cause.effect.leading for n in cause.names], dtype=bool)
+    if not leads.any():
+        return False
+    rows = np.column_stack([ends, low, high])[here][leads]
+    rows[log[here][leads]] = np.log(rows[log[here][leads]])
+    widths, ranges = rows[:, 1] - rows[:, 0], rows[:, 3] - rows[:, 2]
+    return not np.any(widths < PRIOR_SHARE * ranges)
 
 
 def _with_variants(

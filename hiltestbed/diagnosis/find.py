@@ -14,7 +14,7 @@ from scipy.stats import gmean
 
 from hiltestbed.diagnosis import judges, timing
 from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
-from hiltestbed.diagnosis.certainty import Certainties
+from hiltestbed.diagnosis.certainty import Certainties, spans_its_range
 from hiltestbed.diagnosis.describe import describe
 from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.grow import far_off, grow
@@ -92,7 +92,9 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
     findings, verdict, nearest, law = judged.findings, judged.verdict, judged.nearest, judged.law
     if progress:
         progress(f"closing step 1 of {CLOSING_STEPS}: intervals and left-out runs")
+    offsets = timing.clock_offsets(findings.explanations)
     certain = Certainties(findings.explanations)
+    verdict = _determined(verdict, certain)
     causes = tuple(cause_of(findings, c, certain, verdict.causes) for c in verdict.causes)
     once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a stamp delay shows on two links
     once = {c.effect: c for c in verdict.causes} if law else once
@@ -121,12 +123,27 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         learned=judged.learned,
         assumed=(
             *findings.layout.assumed(),
-            *timing.words(findings.explanations),
+            *(offset.sentence() for offset in offsets),
             *findings.weighed,
             *_left_out(findings),
         ),
         certainty=tuple(certain),
+        timing=offsets,
     )
+
+
+def _determined(verdict: Verdict, certain: Certainties) -> Verdict:
+    """The verdict without causes whose size the data do not determine; what they explained is
+    unknown then.
+    """
+    kept = tuple(
+        c
+        for c in verdict.causes
+        if not spans_its_range(c.fit, c.index, certain.of(c.link, c.fit).ends)
+    )
+    if len(kept) == len(verdict.causes):
+        return verdict
+    return replace(verdict, verdict="unknown", causes=kept)
 
 
 def _left_out(findings: Findings) -> tuple[str, ...]:

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.analysis.ledger import contact_frequency
+from hiltestbed.diagnosis.adequacy import Leftover, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.closed_loop import (
     bounce_of,
     measured_motion,
@@ -25,9 +27,14 @@ from hiltestbed.diagnosis.closed_loop import (
 )
 from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
+from hiltestbed.diagnosis.jitter import jitter_beside
 from hiltestbed.diagnosis.layout import Layout
+from hiltestbed.diagnosis.lines import hum_beside
+from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.plain import entry
-from hiltestbed.diagnosis.search import Explanation
+from hiltestbed.diagnosis.readings import reinterpreted
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.diagnosis.settings import AMBIGUITY, MODEL_ERROR
 from hiltestbed.diagnosis.timing import delays_not_causes
 from hiltestbed.effects.base import Effect
@@ -40,6 +47,8 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 # chosen: of the approach speed, beyond which the motion on record is not that of the scenario's
 # loop
 MAX_APPROACH_ERROR = 0.05
+# chosen: fits that are simulated in place of one that the rebound contradicts
+MAX_TRIED = 8
 LONGER = 0.25  # chosen: of a bounce, by which it may last longer in a simulation than on record
 
 
@@ -55,9 +64,12 @@ class Rebound:
 
 
 def with_rebounds(findings: Findings) -> Findings:
-    """The findings with rivals weighed by the rebound: those that it refutes are dropped, and one
-    that it prefers is chosen.
-    """
+    """The findings with rivals weighed by the rebound, and without what it contradicts."""
+    return _uncontradicted(_with_rivals_weighed(findings))
+
+
+def _with_rivals_weighed(findings: Findings) -> Findings:
+    """The findings without rivals that the rebound refutes, and with one that it prefers chosen."""
     layout, explanations = findings.layout, dict(findings.explanations)
     # what is attributed to the timing of the facility needs no decision
     shifts = delays_not_causes(explanations)
@@ -77,6 +89,86 @@ def with_rebounds(findings: Findings) -> Findings:
         weighed, told = _weighed(explanations[name], _others(explanations, name), layout, rebounds)
         explanations[name], words = weighed, [*words, *told]
     return replace(findings, explanations=explanations, weighed=tuple(words))
+
+
+def _uncontradicted(findings: Findings) -> Findings:
+    """The findings with an explanation of contact and sensor that the rebound does not contradict,
+    and in a sentence what it contradicts.
+
+    It contradicts causes if it departs by more than :data:`AMBIGUITY` in chi-square from the loop
+    without them and with them, and is not nearer to the latter by as much. Stamps that
+    are off do not act in the loop: where the link has such, it is explained again as stamped. Else
+    the best of the fits that leave only noise and that the rebound does not contradict is chosen;
+    where there is none, the link is not explained.
+    """
+    layout, explanations = findings.layout, dict(findings.explanations)
+    found = explanations.get("wrench")
+    if found is None or not (found.departs and found.adequate and found.chosen.causes):
+        return findings
+    if any(e.departs and not e.adequate for e in explanations.values()):
+        return findings  # what is not explained spoils the comparison
+    rebounds = [_rebound(layout, i) for i in range(len(layout.runs))]
+    if not any(rebounds):
+        return findings
+    beside = _others(explanations, "wrench")
+
+    def distance(fits: Sequence[Fit]) -> list[float]:
+        """Chi-square of the rebounds on record against the loop with each fit."""
+        shown = _simulated(fits, beside, layout.runs, rebounds)
+        return [_apart(row, layout, rebounds) for row in shown]
+
+    without, chosen = distance((found.null, found.chosen))
+    limit = max(AMBIGUITY, without - AMBIGUITY)
+    if without <= AMBIGUITY or chosen <= limit:
+        return findings
+    words = (
+        f"the rebound contradicts {' + '.join(found.chosen.kinds)}: with it the loop parts no "
+        "nearer to the coefficient of restitution on record than without it"
+    )
+    again = _as_stamped(found)
+    if again is not None and again.adequate and distance((again.chosen,))[0] <= limit:
+        explanations["wrench"] = again
+        return replace(findings, explanations=explanations, weighed=(*findings.weighed, words))
+    known = {id(found.chosen), *(id(f) for rivals in found.rivals for f in rivals)}
+    others = sorted((*found.more, *found.singles), key=lambda f: f.score)
+    others = [f for f in others if id(f) not in known and noise_alone(_left(found, f))]
+    better = next((f for f in others[:MAX_TRIED] if distance((f,))[0] <= limit), None)
+    explanations["wrench"] = (
+        replace(found, adequate=False)
+        if better is None
+        else replace(found, chosen=better, leftovers=_left(found, better), rivals=())
+    )
+    return replace(findings, explanations=explanations, weighed=(*findings.weighed, words))
+
+
+def _apart(shown: Array, layout: Layout, rebounds: Sequence[Rebound | None]) -> float:
+    """Chi-square of the rebounds on record against the ``shown`` (runs,) ones; infinite without.
+
+    When in a tick h a facility reads and obeys is not known: a delay of the loop of standard
+    deviation h/sqrt(12), which all runs have in common, with ``ln e = (pi/2) w tau``.
+    """
+    known = [(i, r) for i, r in enumerate(rebounds) if r is not None and np.isfinite(shown[i])]
+    if not known:
+        return math.inf
+    errors = np.array([r.error / r.cor for _, r in known])
+    off = np.array([math.log(shown[i] / r.cor) for i, r in known]) / errors
+    scenario = layout.runs[known[0][0]].scenario
+    common = 0.5 * math.pi * contact_frequency(scenario) * scenario.tick / math.sqrt(12.0) / errors
+    return float(off @ off - (off @ common) ** 2 / (1.0 + common @ common))
+
+
+def _as_stamped(found: Explanation) -> Explanation | None:
+    """The link explained again with the stamps as believed; None where it has no others."""
+    link = found.residual.link
+    if link.timing == NO_SHIFT:
+        return None
+    search = Search(found.candidates, special=(jitter_beside, hum_beside), reread=reinterpreted)
+    return search.explain(Residual(link.with_timing(NO_SHIFT)))
+
+
+def _left(found: Explanation, other: Fit) -> dict[str, Leftover]:
+    """What another fit leaves of the link."""
+    return contact_leftovers(found.residual, other.effects())
 
 
 def _rebound(layout: Layout, i: int) -> Rebound | None:

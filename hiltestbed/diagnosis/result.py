@@ -16,6 +16,7 @@ from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
     from hiltestbed.diagnosis.certainty import Certainty
+    from hiltestbed.diagnosis.timing import ClockOffset
 
 VERDICTS = ("no_discrepancy", "named", "ambiguous", "named_in_part", "unknown", "inconclusive")
 LINKS = ("platform", "contact", "sensor", "compensation", "dynamics", "log")
@@ -312,6 +313,7 @@ class Finding:
             partial_gain: their gain on left-out runs.
         certainty: the uncertainty of the estimates of each fit that gave a cause.
         learned: the law learned on a link where the vocabulary leaves more than noise.
+        timing: what was attributed to the timing of the facility.
         assumed: assumptions on the noise, in sentences. explained: verdict `named_in_part`: share
             of the departure on left-out runs.
     """
@@ -333,6 +335,7 @@ class Finding:
     explained: float | None = None
     learned: Learned | None = None
     certainty: tuple[Certainty, ...] = ()
+    timing: tuple[ClockOffset, ...] = ()
 
     @property
     def names(self) -> bool:

@@ -13,9 +13,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from hiltestbed.analysis.ledger import contact_frequency
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, at_bound, fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.links import Link, Timing
@@ -473,32 +475,66 @@ def _delay_rows(effect: Effect, tick: float) -> float | None:
     )
 
 
-def words(explanations: Mapping[str, Explanation]) -> tuple[str, ...]:
-    """The assumptions on the timing of the facility, in sentences."""
+@dataclass(frozen=True)
+class ClockOffset:
+    """What was attributed to the timing of the facility, and its price if it lies in the loop and
+    not in the record alone.
+
+    Attributes:
+        output, given: channels of a link; the output is later than the input allows by ``rows``, in
+            seconds ``delay``; negative: earlier. effect: the delay that this would be as a cause,
+            or None where a shift of the stamps was fitted.
+        cor_log_error: change of ln of the coefficient of restitution by the same delay of the loop,
+            (pi/2) w delay.
+    """
+
+    output: str
+    given: str
+    rows: float
+    delay: float
+    effect: str | None
+    cor_log_error: float
+
+    def sentence(self) -> str:
+        """In words, with its price."""
+        when = f"{abs(self.rows):.2g} rows ({abs(self.delay):.3g} s)"
+        way = "late" if self.rows > 0.0 else "early"
+        if self.effect is None:
+            text = f"{self.output} is {when} {way} relative to {self.given}: "
+            why = "attributed to the timing of the facility, not to a cause"
+        else:
+            text = f"{self.output} is {when} later than {self.given} predicts ({self.effect}): "
+            why = (
+                "attributed to the timing of the facility, not to a cause, since something else "
+                "departs as well"
+            )
+        price = 100.0 * math.expm1(self.cor_log_error)
+        return (
+            f"{text}{why}; if the loop itself is as {way}, and not the record alone, it changes "
+            f"the coefficient of restitution by {price:+.2g} %"
+        )
+
+
+def clock_offsets(explanations: Mapping[str, Explanation]) -> tuple[ClockOffset, ...]:
+    """What is attributed to the timing of the facility."""
+    found = [(n, output_shift_rows(e), None) for n, e in explanations.items() if _off(e)]
+    found += [
+        (name, rows, kind)
+        for name, clocks in delays_not_causes(explanations).items()
+        for kind, rows in clocks.items()
+        if rows > 0.0
+    ]
     out = []
-    for name, e in explanations.items():
-        rows, link = output_shift_rows(e), e.residual.link
-        output, given = LINK_CHANNELS[name]
-        if link.timing != NO_SHIFT:
-            seconds = rows * link.runs[0].scenario.tick
-            when = (
-                f"{abs(rows):.2g} rows ({abs(seconds):.3g} s) {'late' if rows > 0.0 else 'early'}"
-            )
-            out.append(
-                f"{output} is {when} relative to {given}: attributed to the timing of the "
-                f"facility, not to a cause"
-            )
-    for name, clocks in delays_not_causes(explanations).items():
-        for kind, rows in clocks.items():
-            output, given = LINK_CHANNELS[name]
-            seconds = rows * explanations[name].residual.link.runs[0].scenario.tick
-            if rows > 0.0:
-                out.append(
-                    f"{output} is {rows:.2g} rows ({seconds:.3g} s) later than {given} predicts "
-                    f"({kind}): attributed to the timing of "
-                    "the facility, not to a cause, since something else departs as well"
-                )
+    for name, rows, kind in found:
+        scenario = explanations[name].residual.link.runs[0].scenario
+        delay = rows * scenario.tick
+        price = 0.5 * math.pi * contact_frequency(scenario) * delay
+        out.append(ClockOffset(*LINK_CHANNELS[name], rows, delay, kind, price))
     return tuple(out)
+
+
+def _off(e: Explanation) -> bool:
+    return e.residual.link.timing != NO_SHIFT
 
 
 def timing_departs(explanations: Mapping[str, Explanation]) -> bool:
@@ -506,8 +542,8 @@ def timing_departs(explanations: Mapping[str, Explanation]) -> bool:
     where they are believed to be.
     """
     return any(
-        e.residual.link.timing != NO_SHIFT
+        _off(e)
         or any(part_of_a_tick(c, e.residual.link.runs[0].scenario.tick) for c in e.chosen.effects())
         for e in explanations.values()
-        if e.departs or e.residual.link.timing != NO_SHIFT
+        if e.departs or _off(e)
     )

@@ -38,6 +38,7 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array
 from hiltestbed.identification.held import HeldPlace, add_moment, referred
+from hiltestbed.sensor.filters import FILTERED, filtered, high_pass, low_pass
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -70,6 +71,8 @@ class ContactSamples:
         delay: ``(n,)`` [s] of the force, known or estimated.
         captured: ``(n,)`` bool, from the rig's switches: after capture every sample is used,
             whether it pulls or pushes.
+        at_once: ``(n,)`` largest number of surfaces penetrated at the same tick; 0 if the pose does
+            not show it.
         steps: ``(n,)`` number of phases of capture begun. held: the latch's reference point, and
             the changes of the mechanism.
     """
@@ -115,8 +118,7 @@ class ContactSamples:
                 for s in scenarios
             ]
         )
-        self._smooth = np.array([1.0 if T == 0.0 else 1.0 - math.exp(-h / T) for T in lowpass])
-        self._leak = np.exp(-h / highpass)
+        self._smooth, self._leak = low_pass(lowpass, h), high_pass(highpass, h)
         self._held_rate = first.rig.platform.prescribed
         self._estimate = estimate
         spent = FILTER_MEMORY * lowpass
@@ -135,8 +137,7 @@ class ContactSamples:
         self._geometry = sides.geometry
         self._flat = np.array([s.mechanism.flat or s.mechanism.captured for s in scenarios])
         self._clock = np.zeros(1, dtype=np.int64)  # ticks seen
-        # low-passed value; its predecessor's high-passed value
-        self._filter = np.zeros((n, 7, 3, 2))
+        self._filter = np.zeros((n, 7, 3, FILTERED))
         self._pending = np.zeros((n, int(self._margin.max()) + 1, 7, 4))
         self._gated = np.zeros(n, dtype=np.int64)
         self._peak = np.zeros(n)
@@ -154,7 +155,18 @@ class ContactSamples:
         self._remembered = Call(
             _remember, ..., GIVEN, GIVEN, self.held.lever, self.held.reference, self._x, self._v
         )
-        self._met = Call(_meet, ..., *self._geometry, GIVEN, GIVEN, self._x, self._v, self._normal)
+        self.at_once = np.zeros(n, dtype=np.int64)
+        self._met = Call(
+            _meet,
+            ...,
+            *self._geometry,
+            GIVEN,
+            GIVEN,
+            self._x,
+            self._v,
+            self._normal,
+            self.at_once,
+        )
         self._gate = Call(
             _gate, GIVEN, self.threshold, GIVEN, self.delay, h, self._felt, self._peak, self._gated
         )
@@ -261,9 +273,9 @@ def _remember(k, pose, twist, lever, reference, x, v):
 
 
 @njit(cache=True)
-def _meet(k, index, values, pose, twist, x, v, normal):
+def _meet(k, index, values, pose, twist, x, v, normal, at_once):
     """Penetration, its rate and the normal of the deepest contact at t_k, in the column after the
-    six axes.
+    six axes; and how many contacts there are at once.
     """
     slot, length, count = k % x.shape[1], x.shape[1], index[-1]
     frames, motions, work, p = (
@@ -279,7 +291,10 @@ def _meet(k, index, values, pose, twist, x, v, normal):
     for i in range(pose.shape[0]):
         frames[0], motions[0] = pose[i], twist[i]
         meet_all(index, values, p, frames, motions, work, depth, rate, point, across, slip)
-        c = int(np.argmax(depth))
+        c, together = int(np.argmax(depth)), 0
+        for other in range(count):
+            together += depth[other] > 0.0
+        at_once[i] = max(at_once[i], together)
         x[i, slot, NORMAL], v[i, slot, NORMAL] = depth[c], rate[c]
         side = index[c * ROW + SIDE]
         for j in range(3):
@@ -399,15 +414,7 @@ def _sample(
                 position -= origin[i, j]
             for c in range(3):
                 u = 0.0 if gated[i] == 0 else position if c == 0 else rate if c == 1 else 1.0
-                before = memory[i, j, c, 0]
-                memory[i, j, c, 0] += (u - before) * smooth[i]
-                if leak[i] < 1.0:
-                    memory[i, j, c, 1] = leak[i] * (
-                        memory[i, j, c, 1] + memory[i, j, c, 0] - before
-                    )
-                    pending[i, slot, j, c] = memory[i, j, c, 1]
-                else:
-                    pending[i, slot, j, c] = memory[i, j, c, 0]
+                pending[i, slot, j, c] = filtered(u, smooth[i], leak[i], memory[i, j, c])
         pending[i, slot, NORMAL, 3] = 0.0
         f[:] = wrench[i]
         if captured[i]:

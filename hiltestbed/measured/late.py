@@ -101,7 +101,7 @@ def _felt(record: Record, scenario: Scenario) -> tuple[Array, Array]:
             Lane(
                 0,
                 rows,
-                SensorParameters.believed(scenario.sensor, scenario.tick),
+                SensorParameters.believed(scenario.sensor),
                 log_parameters(()),
             )
         )

@@ -58,7 +58,7 @@ from hiltestbed.replay.nearness import (
     reach_of_swing,
 )
 from hiltestbed.replay.simulated import Simulated
-from hiltestbed.sensor.chain import condition, passes
+from hiltestbed.sensor.chain import MEMORY, condition, filters, passes
 from hiltestbed.sensor.parameters import SensorParameters, stack
 
 WHOLE = 1e-6  # ticks within which a delay counts as a whole number
@@ -86,7 +86,8 @@ def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | Non
     Args:
         grid: number of instants per tick between which a delayed reading is interpolated linearly,
             as in a facility that computes its contact in steps; None: a delayed reading is the
-            wrench at exactly the delayed time. A compliant mount and a
+            wrench at exactly the delayed time, and linear between these for the sensor's filters. A
+            compliant mount and a
             :class:`Simulated` contact are always integrated at the physics instants.
     """
     h = felt.tick
@@ -106,7 +107,7 @@ def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | Non
         parts = np.ones((len(lanes), 2))
         parts[:, 0] = np.where(whole, 1.0, 1.0 - (ticks - np.floor(ticks)))
     rows = np.array([lane.contact for lane in lanes])
-    chain = stack([lane.sensor for lane in lanes])
+    chain = stack([lane.sensor for lane in lanes], h / max(instants, 1))
     if chain.tone.shape[1]:
         again = np.array([lane.log.skew * lane.log.reread for lane in lanes])
         # a tone continues until it is read again
@@ -232,10 +233,12 @@ def _sense(lanes, sub, between, ticks, h, elements, out):
     """
     calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step = elements
     stages = max(lag.shape[1], leak.shape[1])
-    low, high, last_in = np.zeros((stages, 6)), np.zeros((stages, 6)), np.zeros((stages, 6))
-    quiet, late, rows = np.zeros(6), np.zeros(6), out.shape[1]
+    memory = np.zeros((stages, MEMORY, 6))
+    m = sub.shape[1] if between else 1
+    quiet, late, rows = np.zeros(6), np.zeros((m, 6)), out.shape[1]
     for i in lanes:
-        low[:], high[:], last_in[:] = 0.0, 0.0, 0.0
+        memory[:] = 0.0
+        first = 0 if filters(lag[i], leak[i]) else m - 1
         back = int(math.floor(ticks[i]))
         if not between and passes(
             calibration[i],
@@ -253,10 +256,11 @@ def _sense(lanes, sub, between, ticks, h, elements, out):
             continue
         for k in range(rows):
             if between:
-                _interpolated(sub, k * sub.shape[1] - ticks[i] * sub.shape[1], late)
+                for s in range(first, m):
+                    _interpolated(sub, k * m - (m - 1 - s) - ticks[i] * m, late[s])
             else:
                 for j in range(6):
-                    late[j] = sub[k - back, 0, j] if k >= back else 0.0
+                    late[0, j] = sub[k - back, 0, j] if k >= back else 0.0
             condition(
                 late,
                 k * h,
@@ -271,9 +275,7 @@ def _sense(lanes, sub, between, ticks, h, elements, out):
                 deadzone[i],
                 limit[i],
                 step[i] * 0.0,
-                low,
-                high,
-                last_in,
+                memory,
                 out[i, k],
             )
 

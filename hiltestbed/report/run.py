@@ -19,6 +19,9 @@ from hiltestbed.analysis.assessment import (
     monitored,
 )
 from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.contact.directions import acting_along_z
+from hiltestbed.contact.sides import sides_of
+from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.report.curves import PALETTE, shade_contacts
 from hiltestbed.report.page import Report, new_figure, provenance
 from hiltestbed.run_folder.notebook import number
@@ -54,7 +57,7 @@ def run_report(run: Run) -> Report:
         caption = "Energy that the rig has made so far. For a passive rig it is never above zero."
         report.figure(_energy(run.trace, run.scenario, summary), caption)
     _ledger(report, summary)
-    _identified(report, summary)
+    _identified(report, run.scenario, summary)
     report.heading("What to do next")
     report.items(judged.advice or ("Nothing: no further action is needed.",))
     report.heading("How it was made")
@@ -135,20 +138,20 @@ def _margin(scenario: Scenario, summary: dict[str, Any]) -> str:
         )
         words.append(f"The rig {verdict}: {100.0 * share:+z.2f} % of the approach energy.")
     total = summary["delay_ledger"][-1]["delay"] if summary["delay_ledger"] else 0.0
-    contact, stability = scenario.mechanism.contact, summary.get("stability")
+    (stiffness, damping), stability = acting_along_z(scenario), summary.get("stability")
     words.append(
         f"The remaining delays add up to {1e3 * total:+.3f} ms, equivalent to a damping of "
-        f"{-contact.stiffness * total:+.4g} N s/m."
+        f"{-stiffness * total:+.4g} N s/m."
     )
     if stability:
         without = stability.get("uncompensated") or {}
         words.append(f"The loop in this contact is {stability['verdict']}.")
         if without.get("verdict") and without["verdict"] != stability["verdict"]:
             words.append(f"Without the compensation it would be {without['verdict']}.")
-    elif contact.damping > 0.0:
-        bears = contact.damping / contact.stiffness
+    elif damping > 0.0:
+        bears = damping / stiffness
         words.append(
-            f"The damping of the surfaces, {contact.damping:.4g} N s/m, compensates a delay of "
+            f"The damping of the surfaces, {damping:.4g} N s/m, compensates a delay of "
             f"c/k = {1e3 * bears:.3g} ms: "
             + (
                 f"{1e3 * (bears - total):.3g} ms more until the loop gains energy."
@@ -180,7 +183,7 @@ def _ledger(report: Report, summary: dict[str, Any]) -> None:
     report.table(("source", "delay [ms]", "as damping [N s/m]"), rows, caption)
 
 
-def _identified(report: Report, summary: dict[str, Any]) -> None:
+def _identified(report: Report, scenario: Scenario, summary: dict[str, Any]) -> None:
     rows = []
     for axis, values in identified(summary).items():
         cells = [axis]
@@ -199,9 +202,33 @@ def _identified(report: Report, summary: dict[str, Any]) -> None:
             + NORMAL * ("normal" in identified(summary)),
         )
     else:
-        report.text(
-            "No axis and no normal was in contact long enough to identify stiffness and damping."
+        report.text(f"Neither stiffness nor damping was identified: {_why_not(scenario, summary)}.")
+
+
+def _why_not(scenario: Scenario, summary: dict[str, Any]) -> str:
+    """Why nothing was identified on any axis or normal."""
+    mechanism, lasted = scenario.mechanism, summary["contact_duration"]
+    if scenario.identification.kind == "none":
+        return "identification is none"
+    if not lasted:
+        return "nothing touched"
+    if not (mechanism.flat or mechanism.captured or sides_of(mechanism).rigid):
+        return (
+            "the pose does not show how far the mechanism's moving parts give way, or where its "
+            "surfaces touch, before it captures"
         )
+    if not (mechanism.flat or mechanism.captured or "identification_normal" in summary):
+        return f"{scenario.identification.kind} identifies a plane or a latch, not a curved surface"
+    noise = GATE_SIGMA * scenario.sensor.noise
+    if summary["peak_force"] <= noise:
+        return (
+            f"the peak force, {summary['peak_force']:.3g} N, is below {GATE_SIGMA:g} standard "
+            f"deviations of the sensor's noise, {noise:.3g} N"
+        )
+    return (
+        f"no contact lasted long enough, in {lasted:.3g} s of contact altogether, beside the delay "
+        "and the filters of the sensor"
+    )
 
 
 def _signals(trace: RunTrace):

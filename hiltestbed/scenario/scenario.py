@@ -28,6 +28,7 @@ from hiltestbed.config.validation import (
     validate,
 )
 from hiltestbed.config.yaml_source import KeyPath, Source, dump_yaml, read_source
+from hiltestbed.contact.resolution import HIGHEST, LEAST, sufficient_rate
 from hiltestbed.contact.settings import AnyMechanism
 from hiltestbed.devices.section import Devices
 from hiltestbed.effects.table import AnyEffect
@@ -61,9 +62,11 @@ class Scenario(Strictly):
         description="Rate of the loop [Hz]: one reading, one step of the numerical model and one "
         "command per tick",
     )
-    physics_rate: Annotated[float, Field(gt=0, le=4e6)] = Field(
-        default_factory=lambda given: 2.0 * given["rate"],  # type: ignore[arg-type]
-        description="Rate of the physics steps [Hz], a whole multiple of rate; omitted: twice rate",
+    physics_rate: Annotated[float, Field(gt=0, le=HIGHEST)] = Field(
+        default_factory=lambda given: LEAST * given["rate"],  # type: ignore[arg-type]
+        description="Rate of the physics steps [Hz], a whole multiple of rate; omitted: twice "
+        "rate, or as many times as give the first contact, and the parts that it moves, 100 steps "
+        "in half a period",
     )
     spacecraft: Spacecraft = Field(description="Both vehicles, as nominal in the numerical model")
     numerical_model: AnyModel = Field(
@@ -126,6 +129,8 @@ class Scenario(Strictly):
     @model_validator(mode="after")
     def _is_possible(self) -> Scenario:
         refuse(problems(self))
+        if "physics_rate" not in self.model_fields_set:
+            object.__setattr__(self, "physics_rate", sufficient_rate(self))
         return self
 
 

@@ -17,6 +17,10 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.piecewise import along
+from hiltestbed.sensor.filters import lagged, leaked
+
+# Rows of a filter stage's memory: output and last input of its low-pass and of its high-pass.
+LOW, LOW_INPUT, HIGH, HIGH_INPUT, MEMORY = range(5)
 
 
 @njit(cache=True)
@@ -34,36 +38,39 @@ def condition(
     deadzone,
     limit,
     step,
-    low,
-    high,
-    before,
+    memory,
     out,
 ):
     """Pass one sample through the sensor, after the delay.
 
     Args:
-        w: (6,) the delayed wrench. t: [s]. noise: (6,) added before the conversion.
+        w: (m, 6) the delayed wrench at the instants of the tick that ends with the sample; without
+            a filter only the last is used.
+        t: [s]. noise: (6,) added before the conversion.
         calibration ... step: see :class:`hiltestbed.sensor.parameters.Chain`, of one run.
-        low: (S, 6), high: (S, 6), before: (S, 6): states of the filters, changed in place; zero at
-            the start.
+        memory: (S, MEMORY, 6) of the filters, changed in place; zero at the start.
         out: (6,) the reading.
     """
+    last = w.shape[0] - 1
     for j in range(6):
         y = 0.0
-        for i in range(6):
-            if calibration[j, i] != 0.0:
-                y += calibration[j, i] * w[i]
-        if curve[j, 0] > 0.0:
-            y = along(curve[j], y)
-        for s in range(lag.shape[0]):
-            if lag[s] < 1.0:
-                low[s, j] += (y - low[s, j]) * lag[s]
-                y = low[s, j]
-        for s in range(leak.shape[0]):
-            if leak[s] >= 0.0:
-                high[s, j] = leak[s] * (high[s, j] + y - before[s, j])
-                before[s, j] = y
-                y = high[s, j]
+        for at in range(0 if filters(lag, leak) else last, last + 1):
+            y = 0.0
+            for i in range(6):
+                if calibration[j, i] != 0.0:
+                    y += calibration[j, i] * w[at, i]
+            if curve[j, 0] > 0.0:
+                y = along(curve[j], y)
+            for s in range(lag.shape[0]):
+                if lag[s, 0] < 1.0:
+                    state = memory[s]
+                    u, y = y, lagged(state[LOW, j], y, state[LOW_INPUT, j], lag[s])
+                    state[LOW, j], state[LOW_INPUT, j] = y, u
+            for s in range(leak.shape[0]):
+                if leak[s, 0] < 1.0:
+                    state = memory[s]
+                    u, y = y, leaked(state[HIGH, j], y, state[HIGH_INPUT, j], leak[s])
+                    state[HIGH, j], state[HIGH_INPUT, j] = y, u
         y += offset[j] + drift[j] * t
         if j < 3:
             for s in range(tone.shape[0]):
@@ -93,13 +100,11 @@ def condition_all(
     deadzone,
     limit,
     step,
-    low,
-    high,
-    before,
+    memory,
     out,
 ):
-    """:func:`condition` for n runs: late, noise and out are (n, 6), t (n,) [s], the states (n, S,
-    6).
+    """:func:`condition` for n runs: late (n, m, 6), noise and out (n, 6), t (n,) [s], memory (n, S,
+    MEMORY, 6).
     """
     for i in range(late.shape[0]):
         condition(
@@ -116,11 +121,15 @@ def condition_all(
             deadzone[i],
             limit[i],
             step[i],
-            low[i],
-            high[i],
-            before[i],
+            memory[i],
             out[i],
         )
+
+
+@njit(cache=True)
+def filters(lag, leak):
+    """Whether a low-pass or a high-pass acts: the reading then depends on the whole tick."""
+    return np.any(lag[:, 0] < 1.0) or np.any(leak[:, 0] < 1.0)
 
 
 @njit(cache=True)
@@ -144,4 +153,4 @@ def passes(calibration, curve, lag, leak, offset, drift, tone, deadzone, limit):
         for j in range(3):
             if tone[s, j] != 0.0:
                 return False
-    return np.all(lag == 1.0) and np.all(leak < 0.0)
+    return not filters(lag, leak)

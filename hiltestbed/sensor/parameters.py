@@ -12,6 +12,7 @@ import numpy as np
 from hiltestbed.config.piecewise import Pairs, packed
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
+from hiltestbed.sensor.filters import high_pass, low_pass
 
 if TYPE_CHECKING:
     from hiltestbed.sensor.settings import Sensor as SensorSettings
@@ -22,20 +23,18 @@ WRENCH_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass
 class SensorParameters:
-    """One sensor at a tick of ``tick`` [s]; an inactive element has a neutral value.
+    """One sensor; an inactive element has a neutral value.
 
     Attributes:
         delay: nominal plus additional [s]. jitter: standard deviation of the delay [s].
         calibration: (6, 6) matrix from the wrench to the reading. curve: of each axis pairs of true
             value and reading; empty: identity.
-        lag: gain per tick of each low-pass, 1 - exp(-h/T); 1: inactive. leak: factor of each
-            high-pass, exp(-h/T); negative: inactive.
+        lag, leak: time constant [s] of each low-pass and of each high-pass.
         offset: (6,) [N, N m]. drift: (6,) [N/s, N m/s]. tone: amplitude on x, y, z [N], frequency
             [Hz], phase [rad] of each.
         deadzone, limit: (6,) [N, N m]. step: (6,) quantisation step, 0 for none.
     """
 
-    tick: float
     delay: float = 0.0
     jitter: float = 0.0
     calibration: Array = field(default_factory=lambda: np.eye(6))
@@ -50,17 +49,13 @@ class SensorParameters:
     step: Array = field(default_factory=lambda: np.zeros(6))
 
     @classmethod
-    def believed(cls, settings: SensorSettings, tick: float) -> SensorParameters:
+    def believed(cls, settings: SensorSettings) -> SensorParameters:
         """The nominal sensor: a scenario's settings, without effects."""
-        p = cls(tick, settings.delay)
-        p.lag.append(
-            1.0
-            if settings.lowpass is None
-            else -math.expm1(-tick * 2.0 * math.pi * settings.lowpass)
-        )
-        p.leak.append(
-            -1.0 if settings.time_constant is None else math.exp(-tick / settings.time_constant)
-        )
+        p = cls(settings.delay)
+        if settings.lowpass is not None:
+            p.lag.append(1.0 / (2.0 * math.pi * settings.lowpass))
+        if settings.time_constant is not None:
+            p.leak.append(settings.time_constant)
         p.drift[:3] = settings.drift
         p.limit[:3] = np.inf if settings.range is None else settings.range
         p.limit[3:] = np.inf if settings.torque_range is None else settings.torque_range
@@ -98,7 +93,7 @@ class Chain:
 
     Attributes:
         delay, jitter: (n,). calibration: (n, 6, 6). curve: (n, 6, 1 + 2K) packed. lag, leak: (n,
-            S).
+            S, 2) weights of the filters per step, see :mod:`hiltestbed.sensor.filters`.
         offset, drift: (n, 6). tone: (n, H, 5).
         deadzone, limit, step: (n, 6).
     """
@@ -136,9 +131,9 @@ class Chain:
         )
 
 
-def stack(sensors: Sequence[SensorParameters]) -> Chain:
-    """Stack several sensors; shorter lists of filters and tones are padded with inactive
-    elements.
+def stack(sensors: Sequence[SensorParameters], step: float) -> Chain:
+    """Stack several sensors, whose filters see the wrench at instants ``step`` [s] apart; shorter
+    lists of filters and tones are padded with inactive elements.
     """
 
     def filled(rows: list[list], neutral: object) -> Array:
@@ -154,8 +149,8 @@ def stack(sensors: Sequence[SensorParameters]) -> Chain:
         jitter=rows("jitter"),
         calibration=rows("calibration"),
         curve=np.array([[packed(curve, knots) for curve in p.curve] for p in sensors]),
-        lag=filled([p.lag for p in sensors], 1.0),
-        leak=filled([p.leak for p in sensors], -1.0),
+        lag=low_pass(filled([p.lag for p in sensors], 0.0), step),
+        leak=high_pass(filled([p.leak for p in sensors], math.inf), step),
         offset=rows("offset"),
         drift=rows("drift"),
         tone=filled([p.tone for p in sensors], (0.0, 0.0, 0.0, 1.0, 0.0)),

@@ -3,8 +3,8 @@ per tick.
 
 The reading at t_k is the wrench at t_k - delay, interpolated linearly in a ring buffer of the last
 physics instants, so that the delay need not be a whole number of ticks or of physics steps; before
-the start it is zero. The rest of the chain is in
-:mod:`hiltestbed.sensor.chain`.
+the start it is zero. Filters see the delayed wrench at every physics instant of the tick. The rest
+of the chain is in :mod:`hiltestbed.sensor.chain`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.sensor.chain import condition_all
+from hiltestbed.sensor.chain import MEMORY, condition_all, filters
 from hiltestbed.sensor.parameters import SensorParameters, stack
 
 if TYPE_CHECKING:
@@ -39,24 +39,14 @@ class Chain:
         reading: (n, 6) the last reading [N, N m]. stages: arguments for :func:`condition_all`.
     """
 
-    def __init__(self, sensors: Sequence[SensorParameters]) -> None:
+    def __init__(self, sensors: Sequence[SensorParameters], step: float) -> None:
+        """``step``: [s] between the instants at which the filters see the wrench."""
         n = len(sensors)
-        self.numbers = stack(sensors)
+        self.numbers = stack(sensors, step)
         stages = max(self.numbers.lag.shape[1], self.numbers.leak.shape[1])
-        self._low, self._high, self._before = (
-            np.zeros((n, stages, 6)),
-            np.zeros((n, stages, 6)),
-            np.zeros((n, stages, 6)),
-        )
+        self._memory = np.zeros((n, stages, MEMORY, 6))
         self.reading = np.zeros((n, 6))
-        self.stages = (*self.numbers.elements(), self._low, self._high, self._before, self.reading)
-
-    def read(self, t: Array, late: Array, noise: Array) -> Array:
-        """The reading (n, 6) at ``t`` (n,) [s] of the delayed wrench ``late`` (n, 6), with
-        ``noise`` (n, 6) added before the conversion; called once per tick.
-        """
-        condition_all(t, late, noise, *self.stages)
-        return self.reading
+        self.stages = (*self.numbers.elements(), self._memory, self.reading)
 
 
 class Sensor:
@@ -76,24 +66,22 @@ class Sensor:
         n = len(scenarios)
         self.tick = 1.0 / scenarios[0].rate
         self.substeps = round(scenarios[0].physics_rate / scenarios[0].rate)
+        physics_step = self.tick / self.substeps
         self.chain = Chain(
-            [
-                SensorParameters.believed(s.sensor, self.tick).with_effects(s.effects)
-                for s in scenarios
-            ]
+            [SensorParameters.believed(s.sensor).with_effects(s.effects) for s in scenarios],
+            physics_step,
         )
         self.reading = self.chain.reading
         self.noise_level = np.array(
             [[s.sensor.noise] * 3 + [s.sensor.torque_noise] * 3 for s in scenarios]
         )
-        physics_step = self.tick / self.substeps
         delay, jitter = self.chain.numbers.delay, self.chain.numbers.jitter
         longest = float(np.max(delay + JITTER_CLIP * jitter))
         self._delay_steps = delay / physics_step
         self._jitter_steps = jitter / physics_step
         self.late = self._delay_steps - JITTER_CLIP * self._jitter_steps > 1.0 - WHOLE
         self.ring = np.zeros((n, math.ceil(longest / physics_step) + self.substeps + 2, 6))
-        self._arrived, self._time = np.zeros((n, 6)), np.zeros(n)
+        self._arrived, self._time = np.zeros((n, self.substeps, 6)), np.zeros(n)
         # separate streams: noise does not shift jitter, nor jitter noise
         self._streams = [rng.spawn(2) for rng in rngs]
         self._noise = np.zeros((n, BLOCK, 6))
@@ -153,7 +141,8 @@ def _read(k, h, ring, sub, delay, jitter, shake, noise, arrived, t, *stages):
     random numbers of a block of ticks.
     """
     row = k % BLOCK
-    _arrive(k, ring, sub, delay, jitter, shake[:, row], arrived)
+    lag, leak = stages[2], stages[3]
+    _arrive(k, ring, sub, delay, jitter, shake[:, row], lag, leak, arrived)
     t[:] = k * h
     condition_all(t, arrived, noise[:, row], *stages)
 
@@ -167,9 +156,10 @@ def _feel(k, substeps, ring, wrench):
 
 
 @njit(cache=True)
-def _arrive(k, ring, sub, delay, jitter, shake, out):
-    """``out`` (n, 6): the wrench at t_k - delay, interpolated linearly between physics instants;
-    ``sub`` is stored in the ring buffer.
+def _arrive(k, ring, sub, delay, jitter, shake, lag, leak, out):
+    """``out`` (n, m, 6): the wrench at t - delay, interpolated linearly between physics instants,
+    for every physics instant t of the tick if a filter needs them, else for the last; ``sub`` is
+    stored in the ring buffer.
     """
     n, m = sub.shape[0], sub.shape[1]
     length = ring.shape[1]
@@ -179,16 +169,17 @@ def _arrive(k, ring, sub, delay, jitter, shake, out):
         lateness = delay[i]
         if jitter[i] > 0.0:
             lateness += jitter[i] * min(max(shake[i], -JITTER_CLIP), JITTER_CLIP)
-        at = k * m - max(lateness, 0.0)
-        whole = round(at)
-        if abs(at - whole) < WHOLE:
-            at = whole
-        first = math.floor(at)
-        part = at - first
-        for j in range(6):
-            out[i, j] = 0.0
-            if first >= 0:
-                out[i, j] = ring[i, first % length, j]
-            if part > 0.0:
-                after = ring[i, (first + 1) % length, j] if first + 1 >= 0 else 0.0
-                out[i, j] += part * (after - out[i, j])
+        for s in range(0 if filters(lag[i], leak[i]) else m - 1, m):
+            at = k * m - max(lateness, 0.0) - (m - 1 - s)
+            whole = round(at)
+            if abs(at - whole) < WHOLE:
+                at = whole
+            first = math.floor(at)
+            part = at - first
+            for j in range(6):
+                out[i, s, j] = 0.0
+                if first >= 0:
+                    out[i, s, j] = ring[i, first % length, j]
+                if part > 0.0:
+                    after = ring[i, (first + 1) % length, j] if first + 1 >= 0 else 0.0
+                    out[i, s, j] += part * (after - out[i, s, j])

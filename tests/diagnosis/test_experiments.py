@@ -258,7 +258,7 @@ def test_a_rotated_sensor_reads_under_three_weights_what_the_text_says(dataset: 
         float(re.findall(p, experiment.text)[0])
         for p in (r"weight of ([\d.e+]+) N along z", r"reads ([\d.e+]+) N")
     )
-    sensor = SensorParameters.believed(dataset.nominal.sensor, dataset.nominal.tick)
+    sensor = SensorParameters.believed(dataset.nominal.sensor)
     EFFECTS["sensor.rotation"].hypothesis({}, angles_deg=[angle, 0.0, 0.0]).apply(sensor)
     under_z, under_y = (sensor.calibration[:3, :3] @ (load * np.eye(3)[axis]) for axis in (2, 1))
     assert abs(under_z[1]) == pytest.approx(side, rel=5e-3)

@@ -74,7 +74,7 @@ def test_a_channel_that_is_stamped_rows_off_is_no_departure(
         assert timing.output_shift_rows(found.findings.explanations[link]) == pytest.approx(
             expected, abs=0.03
         )
-    assert timing.words(found.findings.explanations)
+    assert timing.clock_offsets(found.findings.explanations)
 
 
 @SLOW

@@ -217,7 +217,7 @@ def believed(head_on: Scenario) -> Callable[[str], Any]:
     links: dict[str, Callable[[], Any]] = {
         "platform": lambda: PlatformParameters.believed(head_on),
         "contact": lambda: ContactParameters.believed(head_on.mechanism.contact),
-        "sensor": lambda: SensorParameters.believed(head_on.sensor, head_on.tick),
+        "sensor": lambda: SensorParameters.believed(head_on.sensor),
         "compensation": InputParameters,
         "dynamics": DynamicsParameters,
         "log": LogParameters,

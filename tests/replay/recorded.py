@@ -141,7 +141,7 @@ def lane(s: Scenario, run: int, effects: Sequence[Effect] | None = None) -> Lane
     return Lane(
         run,
         contact,
-        SensorParameters.believed(s.sensor, s.tick).with_effects(effects),
+        SensorParameters.believed(s.sensor).with_effects(effects),
         log_parameters(effects),
     )
 

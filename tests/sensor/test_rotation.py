@@ -38,7 +38,7 @@ SCALES = Scales(
 def shown(*effects: dict) -> np.ndarray:
     """(6,) what a sensor without delay makes of WRENCH."""
     made = [EFFECTS[e["kind"]](**e) for e in effects]
-    return SensorParameters(1e-3).with_effects(made).calibration @ WRENCH
+    return SensorParameters().with_effects(made).calibration @ WRENCH
 
 
 def felt(*turns: tuple[float, float, float]) -> np.ndarray:

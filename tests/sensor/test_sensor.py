@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 from hiltestbed.scenario import scenario_from
 from hiltestbed.sensor.sensor import Sensor
@@ -15,14 +16,19 @@ from hiltestbed.sensor.sensor import Sensor
 RATE, SUBSTEPS = 1000.0, 4
 
 
-def scenario(sensor: dict | None = None, effects: list | None = None):
+def scenario(
+    sensor: dict | None = None,
+    effects: list | None = None,
+    rate: float = RATE,
+    substeps: int = SUBSTEPS,
+):
     body = {"mass": 500.0, "inertia": [200.0, 180.0, 150.0]}
     return scenario_from(
         {
             "name": "sensor",
             "duration": 1.0,
-            "rate": RATE,
-            "physics_rate": RATE * SUBSTEPS,
+            "rate": rate,
+            "physics_rate": rate * substeps,
             "spacecraft": {"chaser": body, "target": body},
             "approach": {"velocity": [0, 0, 0.03]},
             "mechanism": {"contact": {"stiffness": 1e5}},
@@ -37,8 +43,9 @@ def readings(signal, ticks=200, scenarios=None, seed=5):
     scenarios = scenarios or [scenario()]
     sensor = Sensor(scenarios, [np.random.default_rng(seed + i) for i in range(len(scenarios))])
     out = np.empty((ticks, len(scenarios), 6))
+    rate, substeps = scenarios[0].rate, scenarios[0].substeps
     for k in range(ticks):
-        t = k / RATE + np.arange(1 - SUBSTEPS, 1) / (RATE * SUBSTEPS)
+        t = k / rate + np.arange(1 - substeps, 1) / (rate * substeps)
         out[k] = sensor.read(k, np.repeat(signal(np.maximum(t, 0.0))[None], len(scenarios), axis=0))
     return out
 
@@ -70,22 +77,50 @@ def test_effect_and_nominal_delay_add():
     assert np.allclose(two, one, atol=1e-9)
 
 
-def test_low_pass_and_lag_step_responses():
-    step = lambda t: np.ones((*np.shape(t), 6))  # noqa: E731
-    tau = 0.01
-    by_cutoff = readings(step, scenarios=[scenario({"lowpass": 1 / (2 * math.pi * tau)})])[:, 0, 2]
-    by_lag = readings(
-        step, scenarios=[scenario(effects=[{"kind": "sensor.lag", "time_constant": tau}])]
-    )[:, 0, 2]
-    expected = 1 - np.exp(-(np.arange(200) + 1) / RATE / tau)
-    assert np.allclose(by_cutoff, expected, atol=1e-12)
-    assert np.allclose(by_lag, expected, atol=1e-12)
+def low_pass(T):
+    return ([1.0], [T, 1.0])
 
 
-def test_charge_leak_forgets_a_step_and_passes_no_steady_force():
-    step = lambda t: np.ones((*np.shape(t), 6))  # noqa: E731
-    got = readings(step, scenarios=[scenario({"time_constant": 0.05})])[:, 0, 0]
-    assert np.allclose(got, np.exp(-(np.arange(200) + 1) / RATE / 0.05), atol=1e-12)
+def high_pass(T):
+    return ([T, 0.0], [T, 1.0])
+
+
+@pytest.mark.parametrize(("rate", "substeps", "delay"), [(250.0, 2, 0.0), (1000.0, 4, 0.0033)])
+@pytest.mark.parametrize(
+    ("sensor", "effects", "law", "T"),
+    [
+        ({"lowpass": 1.0 / (2.0 * math.pi * 0.004)}, [], low_pass, 0.004),
+        ({}, [{"kind": "sensor.lag", "time_constant": 0.0015}], low_pass, 0.0015),
+        ({"time_constant": 0.05}, [], high_pass, 0.05),
+        ({}, [{"kind": "sensor.highpass", "time_constant": 0.02}], high_pass, 0.02),
+    ],
+)
+def test_a_filter_is_analogue_whatever_the_rate(rate, substeps, delay, sensor, effects, law, T):
+    """Against scipy's integration of the same transfer function, of a force that is linear between
+    the physics instants: a step to 40 N, then a half sine.
+    """
+    one = scenario(sensor | {"delay": delay}, effects, rate, substeps)
+    instants = np.arange(120 * substeps) / (rate * substeps)
+    force = 40.0 * (instants > 0.1) + 300.0 * np.sin(20.0 * instants).clip(0.0)
+
+    def signal(t):
+        return np.interp(t, instants, force)[..., None] * np.ones(6)
+
+    got = readings(signal, 120, [one])[:, 0, 2]
+    fine = np.linspace(0.0, instants[-1], 20 * (len(instants) - 1) + 1)
+    late = np.interp(fine - delay, instants, force, left=0.0)
+    at = np.arange(119) / rate
+    expected = np.interp(at, fine, lsim(law(T), late, fine)[1])
+    # the corners of the delayed force lie between two instants; the reading interpolates them
+    assert np.allclose(got[:119], expected, atol=1e-6 if delay == 0.0 else 1.0)
+
+
+@pytest.mark.parametrize("rate", [250.0, 1000.0, 4000.0])
+def test_a_low_pass_delays_a_ramp_by_its_time_constant(rate):
+    one = scenario(effects=[{"kind": "sensor.lag", "time_constant": 0.004}], rate=rate, substeps=1)
+    got = readings(ramp, 200, [one])[:, 0, 2]
+    t = np.arange(200) / rate
+    assert np.allclose(t[t > 0.1] - got[t > 0.1] / 300.0, 0.004, rtol=0, atol=1e-9)
 
 
 def test_static_effects_follow_their_equations():

@@ -27,6 +27,7 @@ from hiltestbed.compensation.resynchronised.captured import CapturedContact, obs
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
+from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
 
@@ -92,9 +93,7 @@ class SmithPredictor(ForceMethod):
         return SmithPredictorBlock(scenarios)
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        return {
-            self.kind: scenario.sensor.delay * self.stiffness / scenario.mechanism.contact.stiffness
-        }
+        return {self.kind: scenario.sensor.delay * self.stiffness / acting_along_z(scenario)[0]}
 
     def memory(self) -> float:
         return self.lag

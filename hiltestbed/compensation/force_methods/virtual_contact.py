@@ -21,6 +21,7 @@ from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import ForceMethod, Input, force_of
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative
+from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.frames import Array
 from hiltestbed.plugins import register
 
@@ -48,7 +49,7 @@ class VirtualContact(ForceMethod):
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         # a damper b is equivalent to a lead of b/k
-        return {self.kind: self.damping / scenario.mechanism.contact.stiffness}
+        return {self.kind: self.damping / acting_along_z(scenario)[0]}
 
 
 class VirtualContactBlock:

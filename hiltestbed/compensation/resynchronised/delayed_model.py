@@ -21,6 +21,7 @@ from hiltestbed.numerical_model.kernels import (
     wrench_at_A,
     wrench_at_P,
 )
+from hiltestbed.sensor.filters import filtered
 
 HISTORY = 512  # ticks of a contact that can be re-run
 # Columns of ``tick``: ticks done, tick of the delayed model, tick of the touch, number of samples
@@ -74,10 +75,10 @@ def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
     wrench_at_A(state.wrench[i, k % length], position, at_A)
     y = at_A[2] if fixed else math.sqrt(at_A[0] ** 2 + at_A[1] ** 2 + at_A[2] ** 2)
     fit[ce.PEAK] = max(fit[ce.PEAK], y)
-    filtered = setup.smooth[i] < 1.0
+    slow = setup.smooth[i, 0] < 1.0
     gate = (
         ce.GATE_PEAK_FILTERED
-        if filtered and count[ce.ABOVE] > 0 and count[ce.SAMPLES] > 0
+        if slow and count[ce.ABOVE] > 0 and count[ce.SAMPLES] > 0
         else ce.GATE_PEAK
     )
     if y <= ce.GATE_SIGMA * setup.sigma[i, 0] or y <= gate * fit[ce.PEAK]:
@@ -180,15 +181,9 @@ def _rewind(i, h, fixed, s, u, bodies, state, work):
 @njit(cache=True, inline="always")
 def _felt(x, v, smooth, leak, memory, out):
     """Pass x, v and 1 through the model of the sensor's filters, from the touch on."""
-    for c in range(3):
-        u = x if c == 0 else v if c == 1 else 1.0
-        before = memory[c, 0]
-        memory[c, 0] += (u - before) * smooth
-        if leak < 1.0:
-            memory[c, 1] = leak * (memory[c, 1] + memory[c, 0] - before)
-            out[c] = memory[c, 1]
-        else:
-            out[c] = memory[c, 0]
+    out[0] = filtered(x, smooth, leak, memory[0])
+    out[1] = filtered(v, smooth, leak, memory[1])
+    out[2] = filtered(1.0, smooth, leak, memory[2])
 
 
 @njit(cache=True, inline="always")
@@ -230,11 +225,7 @@ def _step_delayed(i, j, h, fixed, bodies, setup, state, work, rows):
     wrench_at_A(used, x, used)
     rig = ce.size(law, along(fixed, line, x), along(fixed, line, v))
     if law[ce.KNOWN] == 1.0:
-        felt = state.filtered[i, 0]
-        before = felt[0]
-        felt[0] += (rig - before) * setup.smooth[i]
-        felt[1] = setup.leak[i] * (felt[1] + felt[0] - before)
-        rig = felt[0] if setup.leak[i] == 1.0 else felt[1]
+        rig = filtered(rig, setup.smooth[i], setup.leak[i], state.filtered[i, 0])
     if rig == 0.0 and _silent(used, setup.sigma[i]):
         for c in range(6):
             used[c] = 0.0

@@ -53,6 +53,7 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_conj_mul, rotate, rotation_vector
 from hiltestbed.numerical_model.kernels import SCRATCH, mobility, solve, wrench_at_A, wrench_at_P
 from hiltestbed.numerical_model.model import NumericalModel
+from hiltestbed.sensor.filters import FILTERED, high_pass, low_pass
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -78,8 +79,8 @@ class Setup(NamedTuple):
     late: Integers  # delay of the force in whole ticks, rounded up
     part: Array  # fraction of a tick by which the delay is shorter than that
     weight: Array  # of the later of the two velocities between which the force acted
-    smooth: Array  # gain per tick of the sensor's low-pass; 1: none
-    leak: Array  # factor per tick of its high-pass; 1: none
+    smooth: Array  # (n, 2) weights per tick of the sensor's low-pass
+    leak: Array  # (n, 2) factors per tick of its high-pass
     skip: Integers  # samples skipped after the touch because of the low-pass's memory
     sigma: Array  # (n, 2) noise of forces and torques
     blend: Array  # [rad/s]
@@ -99,9 +100,13 @@ class State(NamedTuple):
     law: Array
     count: Integers
     line: Array  # (n, 3, 6)
-    regressor: Array  # (n, 3, 2) filter states of x, v, 1 in the model of the sensor's filters
+    regressor: (
+        Array  # (n, 3, FILTERED) filter states of x, v, 1 in the model of the sensor's filters
+    )
     pending: Array  # (n, 4) the last sample, not yet in the fit
-    filtered: Array  # (n, 2, 2) filter states of the law's force at the rig, now and at the touch
+    filtered: (
+        Array  # (n, 2, FILTERED) filter states of the law's force at the rig, now and at the touch
+    )
     delay: Array  # (n,) [s] nominal or estimated
     used: Array  # (n, 6) wrench in the delayed model's last step
     creep: Array  # (n, 1) [N s/m] viscous friction at low slip
@@ -201,8 +206,8 @@ def _setup(scenarios: Sequence[Scenario], given: Sequence[PredictionParameters],
         late=np.zeros(n, dtype=np.int64),
         part=np.zeros(n),
         weight=np.zeros(n),
-        smooth=np.array([1.0 if T == 0.0 else 1.0 - math.exp(-h / T) for T in lowpass]),
-        leak=np.exp(-h / leak),
+        smooth=low_pass(lowpass, h),
+        leak=high_pass(leak, h),
         skip=np.ceil(ce.FILTER_MEMORY * lowpass / h).astype(np.int64),
         sigma=np.array([[s.sensor.noise, s.sensor.torque_noise] for s in scenarios]),
         blend=np.array([min(1.0 / f.blending, SYNC_LIMIT / h) for f in given]),
@@ -240,9 +245,9 @@ def _state(
         law=np.array([law for _, law in rows]),
         count=np.zeros((n, ce.COUNT), dtype=np.int64),
         line=line,
-        regressor=np.zeros((n, 3, 2)),
+        regressor=np.zeros((n, 3, FILTERED)),
         pending=np.zeros((n, 4)),
-        filtered=np.zeros((n, 2, 2)),
+        filtered=np.zeros((n, 2, FILTERED)),
         delay=np.array([s.sensor.delay for s in scenarios]),
         used=np.zeros((n, 6)),
         creep=np.zeros((n, 1)),

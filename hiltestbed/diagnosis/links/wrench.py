@@ -72,9 +72,7 @@ def _numbers(scenario: Scenario, lever: float, blunt: float, ring: float) -> _Nu
     ]
     rules = sides_of(mechanism).rules
     rows = contact_rows(contacts, rules, mechanism.captured)
-    return _Numbers(
-        contacts, rules, rows, SensorParameters.believed(scenario.sensor, scenario.tick)
-    )
+    return _Numbers(contacts, rules, rows, SensorParameters.believed(scenario.sensor))
 
 
 def _lateness(lane: FeltLane) -> float:

@@ -35,10 +35,11 @@ def verdict_sentence(diagnosis: Conclusion) -> str:
     finding = diagnosis.finding
     where = WHERE.get(finding.link or "", "the loop")
     if finding.verdict == "no_discrepancy":
-        return (
+        text = (
             "The simulation explains these data: every link was judged, and the residual "
             "is noise on every channel."
         )
+        return " ".join([text, *(f"But {offset.sentence()}." for offset in finding.timing)])
     if finding.verdict == "inconclusive":
         if not diagnosis.residuals:
             text = "No link of the loop could be judged with these channels."

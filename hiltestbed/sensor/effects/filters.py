@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal
 
@@ -26,14 +25,14 @@ class SensorLag(Effect):
         "s", "Time constant of the low-pass", gt=0.0, search=(1e-4, 0.05), ratio=True
     )
     link = "sensor"
-    equation = "y_k = y_(k-1) + (u_k - y_(k-1)) (1 - exp(-h/T))"
-    reference = "first-order low-pass, exact for an input held over the tick"
+    equation = "T y' = u - y, the wrench linear between the physics instants"
+    reference = "first-order low-pass, 1/(1 + s T)"
     resembles = ("sensor.delay",)
     repeats = True
     leading = "time_constant"
 
     def apply(self, p: SensorParameters) -> None:
-        p.lag.append(-math.expm1(-p.tick / self.time_constant))
+        p.lag.append(self.time_constant)
 
     def worth(self, scenario: Scenario, frequency: float) -> float:
         return self.time_constant
@@ -58,7 +57,7 @@ class SensorHighpass(Effect):
         "s", "Time constant of the charge leakage", gt=0.0, search=(0.02, 100.0), ratio=True
     )
     link = "sensor"
-    equation = "y_k = exp(-h/T) (y_(k-1) + u_k - u_(k-1))"
+    equation = "T (y' - u') = -y, the wrench linear between the physics instants"
     reference = "charge amplifier, s T/(1 + s T)"
     resembles = ("contact.relaxation", "sensor.drift")
     repeats = True
@@ -66,7 +65,7 @@ class SensorHighpass(Effect):
     vanishes = True
 
     def apply(self, p: SensorParameters) -> None:
-        p.leak.append(math.exp(-p.tick / self.time_constant))
+        p.leak.append(self.time_constant)
 
     def worth(self, scenario: Scenario, frequency: float) -> float:
         # a high-pass leads: phase 1/(w T)

@@ -124,7 +124,7 @@ def _loop(
     )
     place[0] = start[:3]
     axes = drive.initial(start[:3], velocity)
-    chain, record, last = np.zeros((4, 6)), np.zeros((4, 6)), np.zeros((2, 6))
+    chain, record, last = np.zeros((gauge.STATES, 6)), np.zeros((gauge.STATES, 6)), np.zeros((2, 6))
     model_pose = np.empty((ticks + 1, 7))
     model_pose[0] = start
     attitude, attitude_before = start[3:].copy(), start[3:].copy()

@@ -13,7 +13,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 
-LAG, HIGH, BEFORE, HELD = range(4)  # states, (4, 6)
+LAG, HIGH, BEFORE, HELD, INPUT, STATES = range(6)  # states, (STATES, 6)
 EXPONENTIAL, BACKWARD, TRAPEZOIDAL = range(3)  # schemes of the lag
 
 
@@ -57,15 +57,16 @@ def _clip(sensor, out):
 
 
 @njit(cache=True)
-def lag_share(sensor, h):
-    """Coefficient of the low-pass: fraction of the difference to its input covered in a tick h [s];
-    the input is constant over the tick.
+def lagged(sensor, y, before, u, h):
+    """The low-pass of y at the end of a tick h [s] in which its input goes from `before` to `u`:
+    exactly, for an input that is linear in between, or by a scheme of second or first order.
     """
     if sensor.lag_scheme == BACKWARD:
-        return h / (sensor.lag + h)
+        return y + (u - y) * h / (sensor.lag + h)
     if sensor.lag_scheme == TRAPEZOIDAL:
-        return h / (sensor.lag + 0.5 * h)
-    return 1.0 - math.exp(-h / sensor.lag)
+        return y + (0.5 * (before + u) - y) * h / (sensor.lag + 0.5 * h)
+    behind = sensor.lag * (u - before) / h  # of a ramp, once the start is forgotten
+    return u - behind + (y - before + behind) * math.exp(-h / sensor.lag)
 
 
 @njit(cache=True)
@@ -80,10 +81,12 @@ def read(sensor, raw, place, noise, t, h, state, out):
         for source in range(6):
             out[a] += sensor.cross[a, source] * raw[source]
     if sensor.lag > 0.0:
-        state[LAG] += (out - state[LAG]) * lag_share(sensor, h)
+        state[LAG] = lagged(sensor, state[LAG], state[INPUT], out, h)
+        state[INPUT] = out
         out[:] = state[LAG]
     if sensor.highpass > 0.0:
-        state[HIGH] = math.exp(-h / sensor.highpass) * (state[HIGH] + out - state[BEFORE])
+        settled = sensor.highpass * (out - state[BEFORE]) / h  # after a long ramp
+        state[HIGH] = settled + (state[HIGH] - settled) * math.exp(-h / sensor.highpass)
         state[BEFORE] = out
         out[:] = state[HIGH]
     if sensor.hysteresis > 0.0:

@@ -290,7 +290,7 @@ def _loop(
     node[0] = start[:3]
     axes, wheel = drive.initial(start[:3], velocity[:3]), np.zeros((3, 2))
     wheel[:, 1] = velocity[3:]
-    chain, record = np.zeros((4, 6)), np.zeros((4, 6))
+    chain, record = np.zeros((gauge.STATES, 6)), np.zeros((gauge.STATES, 6))
     model_pose = np.empty((ticks + 1, 7))
     model_pose[0] = start
     origin = state[model.CHASER, model.R].copy()

@@ -1,0 +1,238 @@
+"""The springs and dampers with which a mechanism meets in its first touch: those of every contact
+that begins there, in series with the springs of moving parts.
+
+A contact c of stiffness k_c adds k_c J_c^T J_c (J_c: row of its normal and lever arm); parts that
+give way are condensed (:mod:`hiltestbed.contact.jacobian`). A motion along the insertion z then
+meets the force K z, which acts along J = K z/|K z|, with the stiffness k of K = k J^T J along z: k
+= z^T K z/(J z)^2. Of one contact J is its own row and k its own stiffness; of four walls at an
+angle, J is z and k is 4 k_c sin^2.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiltestbed.contact.acting import acting_contacts, acting_law
+from hiltestbed.contact.parameters import LEVER, OFFSET, PARAMETERS
+from hiltestbed.contact.sides import Sides, sides_of
+from hiltestbed.contact.wrench import meet_all
+from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import approach_state, mobility
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hiltestbed.scenario import Scenario
+
+# poses checked on the way to the first touch, and distance searched beyond the nominal touch [m]
+STOPS, BEYOND = 400, 0.05
+BISECTIONS = 40
+# [m] contacts that begin within this distance after the first belong to the same touch: above the
+# bisection's resolution, below any penetration
+TOGETHER = 1e-6
+INSERTION = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+class Touch(NamedTuple):
+    """The first touch.
+
+    Attributes:
+        row: (6,) J, from the twist of A's origin to the rate along the force. stiffness [N/m],
+            damping [N s/m] along it. contacts: number of contacts that begin in it. fastest:
+            [rad/s] of the moving parts on them, see :func:`hiltestbed.contact.jacobian.fastest`; 0
+            without any.
+    """
+
+    row: Array
+    stiffness: float
+    damping: float
+    contacts: int
+    fastest: float
+
+
+def first_touch(scenario: Scenario, centred: bool = False) -> Touch | None:
+    """The first touch of an approach straight along the insertion, from the offset and attitude of
+    the scenario or ``centred``; moving parts are at rest.
+
+    None if nothing touches up to the approach's gap plus :data:`BEYOND` after the nominal touch, if
+    the mechanism is captured, or if a part gives way behind a contact that is not linear.
+    """
+    if scenario.mechanism.captured:
+        return None
+    start = approach_state(scenario)[:7]
+    if centred:
+        start[:2], start[3:] = 0.0, (0.0, 0.0, 0.0, 1.0)
+    data = scenario.model_dump_json(
+        include={"mechanism", "effects", "spacecraft", "approach"}, round_trip=True
+    )
+    return _found(_Asked(scenario, start, json.dumps([data, start.tolist()])))
+
+
+class _Asked:
+    """A scenario and a start, equal to another if all that a touch depends on is equal."""
+
+    def __init__(self, scenario: Scenario, start: Array, key: str) -> None:
+        self.scenario, self.start, self.key = scenario, start, key
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Asked) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
+@lru_cache(maxsize=256)
+def _found(asked: _Asked) -> Touch | None:
+    scenario, pose = asked.scenario, asked.start.copy()
+    rigid = sides_of(scenario.mechanism).rigid
+    if rigid and not sides_of(scenario.mechanism).geometry.count:
+        return None
+    meeting = Meeting(sides_of(scenario.mechanism)) if rigid else _Parts(scenario)
+
+    def deepest(z: float) -> float:
+        pose[2] = z
+        return meeting.deepest(pose)
+
+    reach = _reached(scenario, deepest)
+    if reach is None:
+        return None
+    deepest(reach + TOGETHER)
+    pair = _of_facets(scenario, meeting) if isinstance(meeting, Meeting) else meeting.pair(pose[:3])
+    if pair is None or not pair[0][2, 2] > 0.0:
+        return None
+    stiffness, damping = pair
+    row = stiffness[:, 2] / np.linalg.norm(stiffness[:3, 2])
+    share = float(row[2]) ** 2
+    return Touch(
+        row,
+        float(stiffness[2, 2]) / share,
+        float(damping[2, 2]) / share,
+        int(np.count_nonzero(meeting.depth > 0.0)),
+        0.0 if isinstance(meeting, Meeting) else meeting.fastest(),
+    )
+
+
+def _reached(scenario: Scenario, deepest: Callable[[float], float]) -> float | None:
+    """The z [m] of the first touch on the way along the insertion."""
+    start, end = -abs(scenario.approach.gap), abs(scenario.approach.gap) + BEYOND
+    stops = np.linspace(start, end, STOPS)
+    met = next((k for k, z in enumerate(stops) if deepest(float(z)) > 0.0), 0)
+    if met == 0:
+        return None
+    low, high = float(stops[met - 1]), float(stops[met])
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if deepest(middle) > 0.0 else (middle, high)
+    return high
+
+
+def _of_facets(scenario: Scenario, meeting: Meeting) -> tuple[Array, Array]:
+    """(6, 6) stiffness and damping of the facets that touch."""
+    stiffness, damping, inverse = np.zeros((6, 6)), np.zeros((6, 6)), mobility(scenario)
+    rules, laws = sides_of(scenario.mechanism).rules, acting_contacts(scenario)
+    for c in np.flatnonzero(meeting.depth > 0.0):
+        push, arm = meeting.normal[c], meeting.point[c] - meeting.frames[0, :3]
+        row = np.concatenate([push, np.cross(arm, push)])
+        speed = abs(float(push @ np.asarray(scenario.approach.velocity)))
+        k, d = acting_law(laws[rules[c]], 1.0 / float(row @ inverse @ row), speed)
+        stiffness += k * np.outer(row, row)
+        damping += d * np.outer(row, row)
+    return stiffness, damping
+
+
+class Meeting:
+    """Penetration of the surfaces of a rigid mechanism at rest, from the pose of A in P."""
+
+    def __init__(self, sides: Sides) -> None:
+        self._index, self._values = sides.geometry
+        count = sides.geometry.count
+        self._p = np.ones((count, PARAMETERS))
+        self._p[:, LEVER], self._p[:, OFFSET] = 0.5, 0.0
+        self.frames, self._motions, self._work = (
+            np.zeros((2, 7)),
+            np.zeros((2, 6)),
+            np.empty((9, 7)),
+        )
+        self.frames[1, 6] = 1.0
+        self.depth, self._rate = np.empty(count), np.empty(count)
+        self.point, self.normal, self._slip = (
+            np.zeros((count, 3)),
+            np.zeros((count, 3)),
+            np.zeros((count, 3)),
+        )
+
+    def deepest(self, pose: Array) -> float:
+        """Largest penetration [m] with A at ``pose`` (7,), negative while apart; details in
+        ``depth``, ``point`` and ``normal``.
+        """
+        self.frames[0] = pose
+        meet_all(
+            self._index,
+            self._values,
+            self._p,
+            self.frames,
+            self._motions,
+            self._work,
+            self.depth,
+            self._rate,
+            self.point,
+            self.normal,
+            self._slip,
+        )
+        return float(self.depth.max())
+
+
+class _Parts:
+    """The same of a mechanism with moving parts or native pairs, in MuJoCo, with its parts at
+    rest.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        # the platform's models are made of the mechanism, so that they import its package
+        from dataclasses import replace
+
+        from mujoco.batch import Batch
+
+        from hiltestbed.contact.engagement import Engagement
+        from hiltestbed.platform.model import ideal_model
+        from hiltestbed.platform.plant import structure
+
+        self._made_of = replace(structure(scenario), mounted=False, constant=False)
+        model = ideal_model(self._made_of, scenario.tick)
+        self._batch = Batch(model, 1, 1)
+        self._batch.reset(stage=0)
+        self._engagement = Engagement(self._batch, [scenario], self._made_of, scenario.tick, 0.0)
+        at = int(model.joint("A_joint").qposadr[0])
+        self._place = self._batch.bind("qpos")[:, at : at + 7]
+        self._still, self._port = np.zeros((1, 6)), np.zeros((1, 7))
+        self._port[0, 6] = 1.0
+        self._pose = np.zeros((1, 7))
+
+    @property
+    def depth(self) -> Array:
+        """Penetration [m] of each pair."""
+        return self._engagement.met[0, :, 0]
+
+    def deepest(self, pose: Array) -> float:
+        """As for :class:`Meeting`."""
+        self._pose[0] = pose
+        self._place[0, :3], self._place[0, 3:] = pose[:3], pose[[6, 3, 4, 5]]
+        self._batch.forward(stage=self._engagement.stage)
+        self._engagement.update(self._pose, self._still, self._port, self._still)
+        return float(self.depth.max())
+
+    def pair(self, place: Array) -> tuple[Array, Array] | None:
+        """(6, 6) stiffness and damping about A's origin ``place`` (3,) in the present state."""
+        from hiltestbed.contact.jacobian import pair_at
+
+        return pair_at(self._engagement, self._batch, self._made_of, 0, place)
+
+    def fastest(self) -> float:
+        """[rad/s] of the moving parts in the present state."""
+        from hiltestbed.contact.jacobian import fastest
+
+        return fastest(self._engagement, self._batch, self._made_of, 0)
