@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -68,11 +69,10 @@ def neutral(zeta: float) -> float:
 
     if zeta == 0.0:
         return 0.0
-    return float(
-        brentq(
-            lambda w_tau: bounce_cor(zeta, w_tau) - 1.0, 0.5 * zeta, 2.0 * zeta + 0.01, xtol=1e-10
-        )
-    )  # type: ignore[arg-type]
+    found: Any = brentq(
+        lambda w_tau: bounce_cor(zeta, w_tau) - 1.0, 0.5 * zeta, 2.0 * zeta + 0.01, xtol=1e-10
+    )
+    return float(found)
 
 
 def bounce_cor(zeta: float, w_tau: float, pulls: bool = False) -> float:

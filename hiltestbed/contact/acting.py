@@ -19,7 +19,7 @@ from hiltestbed.contact.law import STATES, contact_force
 from hiltestbed.contact.parameters import CURVES, ContactParameters, believed_contacts
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 Pair = tuple[float, float]
 # terms that make a law non-linear, beside learned curves

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
@@ -431,9 +432,10 @@ def _level(x: Array, heavy: bool) -> float:
     rms = float(np.std(x))
     if not heavy or rms == 0.0:
         return rms
-    return float(
-        brentq(lambda s: float(np.mean(softened(x / s, True) ** 2)) - 1.0, 1e-2 * rms, 1e2 * rms)
-    )  # type: ignore[arg-type]
+    found: Any = brentq(
+        lambda s: float(np.mean(softened(x / s, True) ** 2)) - 1.0, 1e-2 * rms, 1e2 * rms
+    )
+    return float(found)
 
 
 def _offsets(counts: Sequence[int], start: Array, spread: Array) -> tuple[Array, bool]:

@@ -53,7 +53,7 @@ def replay_model(
         model.whole,
         model.rigid,
         model.inertia,
-        np.linalg.inv(model.inertia),
+        np.asarray(np.linalg.inv(model.inertia), dtype=np.float64),
         d.appendage,
         model.placed,
         model.rest,

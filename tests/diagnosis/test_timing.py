@@ -276,7 +276,7 @@ def test_a_part_of_a_tick_is_a_cause_alone_and_none_beside_others() -> None:
     assert timing.delays_not_causes(alone) == {}
     beside = alone | {"wrench": explained(contact, ("contact.stiffness", {"factor": 0.8}))}
     assert timing.delays_not_causes(beside) == {"platform": {"platform.delay": pytest.approx(0.6)}}
-    assert "platform.delay" in timing.words(beside)[0]
+    assert "platform.delay" in timing.clock_offsets(beside)[0].sentence()
 
 
 def test_whole_ticks_are_causes_unless_another_link_takes_them_back() -> None:

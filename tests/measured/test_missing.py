@@ -119,7 +119,7 @@ def test_stamps_in_another_unit_are_told_by_its_name_and_exact_factor(
 @pytest.mark.parametrize("period", [60.0, 3600.0, 86400.0, 2.0**32 * 1e-6])
 def test_a_clock_that_starts_again_goes_on(period: float) -> None:
     t = period - 0.3 + np.arange(600) * 1e-3
-    found, remarks = unrolled(0, t % period)
+    found, remarks = unrolled(0, np.asarray(t % period, dtype=np.float64))
     np.testing.assert_allclose(found, t, atol=1e-9 * period)
     assert remarks[0].evidence["period"] == period
 

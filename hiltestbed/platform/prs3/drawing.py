@@ -15,7 +15,7 @@ from hiltestbed.platform.prs3.geometry import Upper, place, revolute, slider
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 class DrawnNineAxes:

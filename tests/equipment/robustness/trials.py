@@ -319,7 +319,7 @@ def packet(rng: Generator, folder: Path) -> str:
             b"<scfgfu>N</scfgfu><scfgtu>Nm</scfgtu></netft>"
         )
         try:
-            rdt_page._understand(mutated(page, rng), "page", "hint")
+            rdt_page._understand(mutated(page, rng), "page", "hint", ())
         except HiltestbedError:
             return REFUSED
         return SURVIVED
