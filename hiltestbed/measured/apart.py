@@ -110,7 +110,8 @@ def _serve() -> None:
         arrays |= {f"clock.{i}": a for i, a in enumerate(columns.clock.values())}
         np.savez(folder / COLUMNS, **arrays)  # type: ignore[arg-type]
     except InputError as error:
-        answer = {"faults": [vars(fault) | {"file": given} for fault in error.faults]}
+        faults = error.faults or (Fault(given, None, None, "", str(error)),)
+        answer = {"faults": [vars(fault) | {"file": given} for fault in faults]}
     except MissingExtra as error:
         answer = {"error": str(error).replace(order["path"], given)}
     except MemoryError:

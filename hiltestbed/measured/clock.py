@@ -192,10 +192,10 @@ def _other_unit(size: float) -> str:
             f"a scale there, channels: {{t: {{scale: {factor:g}}}}}"
         )
     if twice is not None:
-        name, factor = twice
+        name, _ = twice
         return (
-            f"if it was converted from {name} twice, channels: {{t: {{scale: {factor:g}}}}} on top "
-            f"of any scale there"
+            f"if it is in s, and was converted from {name} on top, channels: {{t: {{unit: s}}}} "
+            f"without a scale there"
         )
     return ""
 

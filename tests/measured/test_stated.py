@@ -266,3 +266,20 @@ def test_a_plugin_adds_a_format_with_options_of_its_own(tmp_path: Path) -> None:
 def test_factors_of_time_are_exact() -> None:
     assert [UNITS["s"][u] for u in ("min", "h", "d")] == [60.0, 3600.0, 86400.0]
     assert factor("wrench_meas.tx", "N·mm") == 1e-3
+
+
+def test_raw_counts_of_an_unknown_scaling_are_refused(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    path = tmp_path / "run.tdms"
+    scaled = {"NI_Number_Of_Scales": 1, "NI_Scale[0]_Scale_Type": "Linear",
+              "NI_Scale[0]_Linear_Slope": 2.0, "NI_Scale[0]_Linear_Y_Intercept": 1.0}  # fmt: skip
+    for kind, status in (("Linear", "unscaled"), ("Odd", "scaled"), ("Odd", "unscaled")):
+        about = scaled | {"NI_Scale[0]_Scale_Type": kind, "NI_Scaling_Status": status}
+        with nptdms.TdmsWriter(path) as writer:
+            writer.write_segment([nptdms.ChannelObject("log", "fz", np.arange(3.0), about)])
+        if (kind, status) == ("Odd", "unscaled"):
+            with pytest.raises(InputError, match="fz is scaled by Odd, which cannot"):
+                read_columns(path, frozenset(["fz"]))
+        else:
+            values = [1.0, 3.0, 5.0] if kind == "Linear" else [0.0, 1.0, 2.0]
+            assert list(read_columns(path, frozenset(["fz"])).data["fz"]) == values

@@ -52,6 +52,7 @@ class Tdms(DataFormat):
                     if single[channel.name] == 1
                 }
                 here = {name: c for name, c in channels.items() if name in wanted}
+                _refuse_unscaled(path, here, file.properties)
                 refuse_large(path, max(map(len, here.values()), default=0), len(here))
                 data = {name: as_numbers(path, name, c[:]) for name, c in here.items()}
                 clock, notes = _clocks(path, here)
@@ -62,6 +63,21 @@ class Tdms(DataFormat):
                 path, f"is not a whole TDMS file ({error})", "copy or export it again"
             ) from error
         return Columns(tuple(channels), data, clock, units, notes=notes)
+
+
+def _refuse_unscaled(path: Path, channels: Mapping[str, Any], of_file: Mapping[str, Any]) -> None:
+    """Refuse channels whose scaling the library does not know: it would give their raw counts."""
+    from nptdms.scaling import get_scaling
+
+    for name, channel in channels.items():
+        kinds = [str(v) for k, v in channel.properties.items() if k.endswith("_Scale_Type")]
+        done = channel.properties.get("NI_Scaling_Status") == "scaled"
+        if kinds and not done and get_scaling(channel.properties, {}, of_file) is None:
+            raise unreadable(
+                path,
+                f"{name} is scaled by {', '.join(kinds)}, which cannot be computed here",
+                "export it with scaled values, or as CSV",
+            )
 
 
 def _clocks(path: Path, channels: Mapping[str, Any]) -> tuple[dict[str, Array], tuple[str, ...]]:
