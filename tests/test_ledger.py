@@ -13,6 +13,7 @@ from hiltestbed import load_scenario, run
 from hiltestbed.analysis.ledger import delay_ledger, predicted_log_error
 from hiltestbed.analysis.stability import stability
 from hiltestbed.contact.directions import acting_along_z
+from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.simulation import simulate
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "02-bumper.yaml"
@@ -157,5 +158,8 @@ def test_a_force_that_is_corrected_by_what_is_identified_is_predicted_as_it_runs
     )
     summary = run(scenario).summary
     assert summary["cor_log_error"] > 0.004
-    assert summary["cor_log_error_predicted"] == pytest.approx(summary["cor_log_error"], abs=1.5e-3)
-    assert summary["stability"]["rebound"] == pytest.approx(summary["cor"], rel=2e-3)
+    # the force steps by c v at touch and parting, anywhere within a tick: c h/mu of the speed each
+    instants = 2.0 * damping / (rate * effective_mass(scenario))
+    predicted, found = summary["cor_log_error_predicted"], summary["cor_log_error"]
+    assert predicted == pytest.approx(found, abs=1.5e-3 + instants)
+    assert summary["stability"]["rebound"] == pytest.approx(summary["cor"], rel=2e-3 + instants)

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed import load_scenario, read_run, replay_failure, run, write_run
-from hiltestbed.errors import InputError
+from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.run_folder import store as recording_module
 from hiltestbed.signals import GROUPS
 
@@ -58,7 +58,7 @@ def test_what_fails_half_way_leaves_nothing(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(recording_module, "write_trace", full_disk)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(HiltestbedError, match="No space"):
         write_run(short_run, tmp_path / "run", rerun=False)
     assert list(tmp_path.iterdir()) == []
 
@@ -73,7 +73,7 @@ def test_an_earlier_run_is_kept_when_the_new_one_fails(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(recording_module, "write_trace", full_disk)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(HiltestbedError, match="No space"):
         write_run(short_run, folder, rerun=False)
     assert (folder / "trace.parquet").read_bytes() == before
 

@@ -122,10 +122,13 @@ def _drowned(scenario: Scenario, frequency: float) -> Iterator[str]:
 
 
 def _too_deep(scenario: Scenario, frequency: float) -> Iterator[str]:
-    """A penetration v/omega larger than the tip, beyond the validity of the contact surfaces."""
+    """A penetration larger than the tip, beyond the validity of the contact surfaces: v/omega, of
+    which a contact in series with softer springs takes its share.
+    """
     if scenario.mechanism.captured:
         return
-    deepest, tip = abs(scenario.approach.velocity[2]) / frequency, _tip(scenario)
+    share = min(1.0, acting_along_z(scenario)[0] / scenario.mechanism.contact.stiffness)
+    deepest, tip = share * abs(scenario.approach.velocity[2]) / frequency, _tip(scenario)
     if tip is not None and deepest > 2 * tip:
         yield (
             f"the contact goes {1e3 * deepest:.3g} mm deep, the tip is {2e3 * tip:.3g} mm across: "

@@ -21,7 +21,7 @@ from hiltestbed.frames import Array, pose_step
 from hiltestbed.numerical_model.bodies import approach_state, effective_mass, mobility
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 ALIKE = 1e-6  # largest difference between the components of two equal directions

@@ -20,7 +20,7 @@ from hiltestbed.contact.mount import MOUNTED
 from hiltestbed.frames import Array, sin_cos
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ between a wall and its spring.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.sides import sides_of
@@ -17,7 +17,9 @@ from hiltestbed.contact.touch import first_touch
 from hiltestbed.numerical_model.bodies import effective_mass
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
+
+SomeScenario = TypeVar("SomeScenario", bound="Scenario")
 
 # steps in half a period of the fastest motion: an error of 0.25 %
 STEPS = 100.0
@@ -36,7 +38,7 @@ def error_bound(scenario: Scenario) -> float:
     return _fastest(scenario) / (4.0 * math.pi * scenario.physics_rate)
 
 
-def with_half_the_step(scenario: Scenario) -> Scenario | None:
+def with_half_the_step(scenario: SomeScenario) -> SomeScenario | None:
     """The scenario with half the physics step, for comparison; None if the step is short enough by
     :func:`error_bound`, or cannot be halved.
     """

@@ -26,7 +26,7 @@ from hiltestbed.numerical_model.bodies import approach_state, mobility
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 # poses checked on the way to the first touch, and distance searched beyond the nominal touch [m]
 STOPS, BEYOND = 400, 0.05

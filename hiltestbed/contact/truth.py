@@ -13,7 +13,7 @@ from hiltestbed.contact.touch import first_touch
 from hiltestbed.contact.wrench import LATCH_RADIUS
 
 if TYPE_CHECKING:
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 def axis_truth(scenario: Scenario, captured: bool = False) -> list[Pair | None]:

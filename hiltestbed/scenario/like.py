@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 if TYPE_CHECKING:
     from hiltestbed.scenario.monitoring import Monitoring
@@ -17,6 +17,7 @@ class ScenarioLike(Protocol):
     Sections whose classes start blocks are not typed: their modules would import each other.
     """
 
+    def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self: ...
     @property
     def seed(self) -> int: ...
     @property

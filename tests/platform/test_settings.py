@@ -11,6 +11,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel, ValidationError
 
+from hiltestbed.config.gallery import shipped
 from hiltestbed.platform.facilities.settings import ResponseSettings
 from hiltestbed.platform.kinds import PLATFORMS, Platform
 
@@ -23,8 +24,9 @@ KINDS = [
 
 def bare(kind: str, **more: object) -> Platform:
     """A platform of which nothing is said but its kind."""
+    model = {"model": str(shipped("models") / "xyz_table" / "xyz_table.xml")}
     return PLATFORMS[kind].model_validate(
-        {"kind": kind, **({"model": "rig.xml"} if kind == "mjcf" else {}), **more}
+        {"kind": kind, **(model if kind == "mjcf" else {}), **more}
     )
 
 

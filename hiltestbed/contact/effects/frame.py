@@ -13,7 +13,7 @@ from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 # [s^2] mass over the contact's stiffness of a frame ten times as stiff whose natural frequency is 3
 # Hz

@@ -14,7 +14,7 @@ from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
     from hiltestbed.contact.parameters import ContactParameters
-    from hiltestbed.scenario import Scenario
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 Tilt = Annotated[
     tuple[Annotated[float, Field(ge=-45.0, le=45.0)], ...],
