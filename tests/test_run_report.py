@@ -229,9 +229,9 @@ def test_what_holds_from_the_start_is_measured_by_what_its_spring_stores() -> No
     the peak, or against the approach.
     """
     run = shipped("13-ring-down", duration=0.3)
-    contact = run.scenario.mechanism.contact
-    # the mount bears what the latch does
-    compliance = 1.0 / contact.stiffness + 1.0 / run.scenario.mechanism.mount.stiffness[2]
+    contact, mount = run.scenario.mechanism.contact, run.scenario.mechanism.mount
+    assert mount is not None  # it bears what the latch does
+    compliance = 1.0 / contact.stiffness + 1.0 / mount.stiffness[2]
     stored = 0.5 * compliance * run.summary["peak_force"] ** 2
     speed = math.dist(run.scenario.approach.velocity, (0.0, 0.0, 0.0))
     assert run.summary["energy_reference"] == pytest.approx(
