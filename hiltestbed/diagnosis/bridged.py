@@ -27,6 +27,8 @@ from hiltestbed.measured.record import Record
 # six that matter of an error that is integrated twice
 MODELLED_DRAWS = 40
 LEFT_DRAWS = 12  # further ones, which give what whitening leaves to a fifth
+# chosen: standard deviations; the losses of a run make one departure, which does not average out
+GAP_SIGMA = 3.0
 # on errors of a computed channel, whose rows are correlated
 CORRELATION_FACTOR = math.sqrt(CORRELATED_ROWS)
 KINK_ROWS = 5  # chosen: ticks over which the error of a kink spreads
@@ -68,11 +70,11 @@ def bridged(
             found.append(a - b)
     out = []
     for run, found in zip(runs, errors, strict=True):
-        terms = np.stack(found[:MODELLED_DRAWS], axis=2) / math.sqrt(MODELLED_DRAWS)
+        terms = GAP_SIGMA * np.stack(found[:MODELLED_DRAWS], axis=2) / math.sqrt(MODELLED_DRAWS)
         known = np.isfinite(run.sigma)
         weight = np.where(known, 1.0 / np.where(known, run.sigma, 1.0), 0.0)
         aside = Aside(weight, None, terms)
-        left = [e - aside.of(e) for e in found[MODELLED_DRAWS:]]
+        left = [GAP_SIGMA * (e - aside.of(e)) for e in found[MODELLED_DRAWS:]]
         noise = np.sqrt(np.mean(np.square(left), axis=0))
         sigma = np.hypot(run.sigma, CORRELATION_FACTOR * noise)
         out.append(replace(run, sigma=sigma, shared=terms))

@@ -173,7 +173,8 @@ def investigate(
             layout = _settle_platform(layout, found, whole, progress)
     if stamps and only_late_record(found):  # where nothing else departs, a part of a row counts
         return investigate(dataset, progress, stamps=False)
-    for name in {"platform", "wrench"} & found.keys():  # whose noise is that of the record
+    # errors of bridged rows are in the residual of the dynamics
+    for name in {"platform", "wrench", "compensation"} & found.keys():
         why = None if found[name].departs else too_little(found[name].residual.link)
         missing |= {name: why} if why else {}
     return Findings(

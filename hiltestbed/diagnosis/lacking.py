@@ -16,8 +16,8 @@ from hiltestbed.replay import can_carry, follows_exactly
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
-# derived: of the information of a whole record. The smallest size that shows goes with the inverse
-# root of it: below a quarter an effect must be more than twice as large
+# derived: of the rows in which effects show. The smallest size that shows goes with the inverse
+# root of their number: below a quarter an effect must be more than twice as large
 LEAST_INFORMATION = 0.25
 MAX_UNKNOWN_SHARE = 0.9  # chosen: of the rows of every run, that depend on missing samples
 
@@ -76,19 +76,18 @@ def too_little(link: Link) -> str | None:
     """Why a link on which nothing departs is not judged: losses left too little of the rows in
     which its effects show, those in contact or, of a platform, all; None where they did not.
     """
-    share = 0.0
-    for channel in range(len(link.channels)):
-        sigma = np.concatenate(
-            [run.sigma[run.touching | (link.name == "platform"), channel] for run in link.runs]
-        )
-        known = np.isfinite(sigma)
-        if known.any():
-            share = max(share, float(np.sum((sigma[known].min() / sigma[known]) ** 2)) / len(sigma))
+    counted = np.concatenate(
+        [
+            np.isfinite(run.sigma[run.touching | (link.name == "platform")]).any(axis=1)
+            for run in link.runs
+        ]
+    )
+    share = float(np.mean(counted)) if len(counted) else 1.0
     if share >= LEAST_INFORMATION:
         return None
     return (
-        f"{share:.0%} of the information of a whole record is left: only effects "
-        f"{share**-0.5:.2g} times as large as there would show"
+        f"{share:.0%} of the rows in which its effects show could be compared: only effects "
+        f"{share**-0.5:.2g} times as large as in a whole record would show"
         if share > 0.0
         else "no row in which its effects show could be compared"
     )

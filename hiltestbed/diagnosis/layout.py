@@ -285,22 +285,10 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     wrenches = [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs]
     link = CompensationLink(runs, wrenches, records)
     memory, gain = link.memory() or GAP_MEMORY, link.noise_gain()
-    short = [r.record.only_short_gaps("wrench_meas") for r, _ in pairs]
     runs = [
-        _computed_run(
-            r, r.record.data["wrench_comp"], level, n, "wrench_meas", 0.0 if s else memory
-        )
-        for (r, n), s in zip(pairs, short, strict=True)
+        _computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory)
+        for r, n in pairs
     ]
-    missing = [r.record.lost("wrench_meas")[:n] & s for (r, n), s in zip(pairs, short, strict=True)]
-    runs = bridged(
-        runs,
-        lambda given: CompensationLink(runs, given, records),
-        wrenches,
-        missing,
-        [np.zeros_like(w) for w in wrenches],
-        _levels(layout, "wrench_meas"),
-    )
     written = [
         np.hypot(r.record.rounding("wrench_comp"), gain * r.record.rounding("wrench_meas"))[:n]
         for r, n in pairs

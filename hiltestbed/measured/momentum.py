@@ -85,7 +85,8 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
         return None
     if not (set(_wrench(force)) <= set(record.columns()) or scenario.mechanism.flat or symmetric):
         return None
-    known = np.all([record.measured(name) for name in names], axis=0)
+    used = {*names, *(set(_wrench(force)) & set(record.columns()))}
+    known = np.all([record.measured(name) for name in used], axis=0)
     rows = np.flatnonzero(known)
     if len(rows) < 50 or not _whole(rows, record, scenario):
         return None

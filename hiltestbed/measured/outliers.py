@@ -23,6 +23,8 @@ AROUND = 5  # rows
 ABOVE_NOISE = 10.0
 CHANCE = 0.01  # that a reading looks like a mark: by its repetitions and digits
 SAMPLED = 500  # values of a column whose digits are counted
+# chosen: share of the steps of a column above which a value within its range stands out
+STEPPED = 0.995
 SPIKE_ROWS = 2  # rows of a spike, at most
 
 
@@ -83,7 +85,13 @@ def _judged(
     low, high = float(rest.min()), float(rest.max())
     away = max(low - value, value - high)
     if away <= 0.0:  # within the range of the others
-        runs = [(start, end) for start, end in runs if end - start <= AROUND]
+        # jumps as large are part of a column that a converter or a controller moves in steps
+        usual = float(np.quantile(np.abs(np.diff(rest)), STEPPED)) if len(rest) > 1 else 0.0
+        runs = [
+            (start, end)
+            for start, end in runs
+            if end - start <= AROUND and _least_jump(x, start, end) > usual
+        ]
     elif len(rest) < 0.5 * len(x):
         return
     if not runs:
@@ -96,6 +104,12 @@ def _judged(
     for start, end in runs:
         rows[at[start:end]] = True
     yield Outliers(value, rows, code, low, high)
+
+
+def _least_jump(x: Array, start: int, end: int) -> float:
+    """The smaller of the jumps to and from rows ``start`` to ``end``; at the ends there is one."""
+    jumps = [abs(x[k] - x[k - 1]) for k in (start, end) if 0 < k < len(x)]
+    return float(min(jumps, default=math.inf))
 
 
 def _chance(value: float, lengths: list[int], count: int, rest: Array) -> float:

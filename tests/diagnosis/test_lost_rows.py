@@ -1,0 +1,145 @@
+"""Rows that a log has lost: what their neighbours show is compared, with the errors of what bridges
+them, and a link of which too little is left is not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiltestbed import load_scenario
+from hiltestbed.diagnosis.bridged import GAP_SIGMA, bridged
+from hiltestbed.diagnosis.find import judge
+from hiltestbed.diagnosis.investigate import investigate
+from hiltestbed.diagnosis.lacking import too_little
+from hiltestbed.diagnosis.links.base import Lane, Link, LinkRun
+from hiltestbed.frames import Array
+from hiltestbed.measured import load_dataset
+from hiltestbed.measured.record import MAX_BRIDGED, Record
+from tests.equipment.independent_rig import draw_set, write_set
+from tests.slow import slow
+
+H, ROWS = 1e-3, 1200
+NOMINAL = LinkRun(
+    load_scenario("02-bumper"),
+    np.zeros((ROWS, 6)),
+    np.full((ROWS, 6), 1e-6),
+    np.ones(ROWS, dtype=bool),
+)
+
+
+def record(pose: Array, lost: np.ndarray) -> Record:
+    """A record of pose_act with lost rows."""
+    data = np.where(lost[:, None], np.nan, pose)
+    valid = np.repeat(~lost[:, None], 7, axis=1)
+    t = np.asarray(H * np.arange(len(pose)), dtype=np.float64)
+    return Record(0, Path("run.csv"), t, {"pose_act": data}, {"pose_act": valid})
+
+
+def test_a_short_gap_of_a_pose_lies_on_its_motion_and_a_long_one_is_unknown() -> None:
+    """The acceleration of bodies of 400 kg steps by c v/mu at the touch, in the middle of a gap."""
+    t, touch = H * np.arange(ROWS), 0.5
+    step = 300.0 * 0.03 / 400.0
+    pose = np.zeros((ROWS, 7))
+    pose[:, 6] = 1.0
+    pose[:, 2] = 0.03 * t - 0.5 * step * np.maximum(t - touch, 0.0) ** 2
+    lost = np.zeros(ROWS, dtype=bool)
+    lost[498 : 498 + MAX_BRIDGED] = True
+    short = record(pose, lost)
+    bound = step * ((MAX_BRIDGED + 1) * H) ** 2 / 16.0
+    assert np.abs(short.filled("pose_act") - pose).max() < bound
+    assert not short.unknown("pose_act", 0.05).any()
+    assert short.lost("pose_act").sum() == MAX_BRIDGED
+    lost[498 : 498 + MAX_BRIDGED + 1] = True
+    long = record(pose, lost)
+    assert long.unknown("pose_act", 0.05).sum() == MAX_BRIDGED + 1 + 50
+    assert not long.only_short_gaps("pose_act")
+
+
+class Integral(Link):
+    """A link whose output is its wrench, integrated twice."""
+
+    name, channels = "integral", ("fx", "fy", "fz", "tx", "ty", "tz")
+
+    def __init__(self, wrenches: Sequence[Array]) -> None:
+        self.wrenches, self.runs = wrenches, [NOMINAL]
+
+    def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
+        return [H * H * np.cumsum(np.cumsum(self.wrenches[i], axis=0), axis=0) for i, _ in lanes]
+
+
+def test_errors_of_bridged_samples_are_as_large_as_they_are_said_to_be() -> None:
+    """White noise of 2 N on a half sine, one row in ten lost, integrated twice: the error at the
+    end over its standard deviation is 1 in the rms.
+    """
+    rng, noise = np.random.default_rng(5), 2.0
+    t = H * np.arange(ROWS)
+    force = np.outer(200.0 * np.sin(np.pi * t / t[-1]), np.ones(6))
+    ratios = []
+    for _ in range(40):
+        read = force + noise * rng.standard_normal(force.shape)
+        lost = rng.random(ROWS) < 0.1
+        lost[:8] = lost[-8:] = False
+        rows = np.flatnonzero(~lost)
+        filled = np.column_stack([np.interp(np.arange(ROWS), rows, c[rows]) for c in read.T])
+        (run,) = bridged(
+            [NOMINAL], Integral, [filled], [lost], [np.zeros_like(force)], np.full(6, noise)
+        )
+        assert run.shared is not None
+        error = Integral([filled]).predict([(0, ())])[0] - Integral([read]).predict([(0, ())])[0]
+        deviation = np.sqrt((run.shared[-1] ** 2).sum(axis=1)) / GAP_SIGMA
+        ratios.append(error[-1] / deviation)
+    # 240 ratios: an rms of 1 is found to 5 %, and that of 40 draws to 11 %
+    assert float(np.sqrt(np.mean(np.square(ratios)))) == pytest.approx(1.0, abs=0.2)
+
+
+class Seen:
+    """A link of which a share of the rows is on record."""
+
+    name, channels = "wrench", ("wrench_meas.fz",)
+
+    def __init__(self, share: float) -> None:
+        sigma = np.where(np.arange(100)[:, None] < 100 * share, 0.1, np.inf)
+        here = np.ones(100, dtype=bool)
+        self.runs = [LinkRun(load_scenario("02-bumper"), np.zeros((100, 1)), sigma, here)]
+
+
+@pytest.mark.parametrize(
+    ("share", "judged"), [(0.9, True), (0.3, True), (0.2, False), (0.0, False)]
+)
+def test_a_quarter_of_the_information_shows_effects_twice_as_large(
+    share: float, judged: bool
+) -> None:
+    why = too_little(Seen(share))  # type: ignore[arg-type]
+    assert (why is None) == judged
+    if share == 0.2:
+        assert why is not None
+        assert "2.2 times as large" in why  # 1/sqrt(0.2)
+
+
+@pytest.mark.parametrize(
+    ("share", "effect", "scale", "verdicts"),
+    [
+        (0.1, "contact.dry_friction", 0.5, {"named"}),
+        slow(0.1, "sensor.delay", 0.5, {"named"}),
+        slow(0.1, None, 1.0, {"no_discrepancy", "inconclusive"}),
+        (0.4, "contact.dry_friction", 0.5, {"named", "inconclusive"}),
+    ],
+)
+def test_what_departs_is_named_or_said_to_be_unseen(
+    tmp_path: Path, share: float, effect: str | None, scale: float, verdicts: set[str]
+) -> None:
+    hidden = draw_set(
+        np.random.default_rng(910_012),
+        "single" if effect else "healthy",
+        names=(effect,) if effect else (),
+        scale=scale,
+        noise=("lost_rows", share),
+    )
+    write_set(tmp_path, hidden)
+    found = judge(investigate(load_dataset(tmp_path / "dataset.yaml"))).verdict
+    assert found.verdict in verdicts
+    assert [c.effect for c in found.causes] == ([effect] if found.verdict == "named" else [])
