@@ -174,9 +174,10 @@ def investigate(
     if stamps and only_late_record(found):  # where nothing else departs, a part of a row counts
         return investigate(dataset, progress, stamps=False)
     # errors of bridged rows are in the residual of the dynamics
-    for name in {"platform", "wrench", "compensation"} & found.keys():
-        why = None if found[name].departs else too_little(found[name].residual.link)
-        missing |= {name: why} if why else {}
+    for name in ("compensation", "platform", "wrench"):
+        if name in found and not found[name].departs:
+            why = too_little(found[name].residual.link)
+            missing |= {name: why} if why else {}
     return Findings(
         layout, {name: found[name] for name in LINK_NAMES if name in found}, missing, whole
     )

@@ -18,7 +18,7 @@ from hiltestbed.signals import GROUPS
 
 # derived: of the rows in which effects show. The smallest size that shows goes with the inverse
 # root of their number: below a quarter an effect must be more than twice as large
-LEAST_INFORMATION = 0.25
+LEAST_SHARE = 0.25
 MAX_UNKNOWN_SHARE = 0.9  # chosen: of the rows of every run, that depend on missing samples
 
 
@@ -83,7 +83,7 @@ def too_little(link: Link) -> str | None:
         ]
     )
     share = float(np.mean(counted)) if len(counted) else 1.0
-    if share >= LEAST_INFORMATION:
+    if share >= LEAST_SHARE:
         return None
     return (
         f"{share:.0%} of the rows in which its effects show could be compared: only effects "
