@@ -89,7 +89,9 @@ def check(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE ...", help="Scenarios, campaigns and datasets.", autocompletion=complete
+            metavar="FILE ...",
+            help="Scenarios, campaigns, datasets and axes.",
+            autocompletion=complete,
         ),
     ],
     sets: Sets = None,
@@ -264,7 +266,7 @@ def schema(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="[scenario|campaign|dataset|KEY]",
+            metavar="[scenario|campaign|dataset|axis|KEY]",
             help="A kind of file, or a key such as rig.platform.",
         ),
     ] = "scenario",

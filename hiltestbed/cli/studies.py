@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +12,13 @@ from hiltestbed.bench import BENCHES, benchmark
 from hiltestbed.cli.options import Json, Out, Sets, overrides
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.run_folder.folders import free_folder, safe_name
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hiltestbed.axis.diagnose import AxisDiagnosis
+    from hiltestbed.config.yaml_source import Source
+    from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 
 app = typer.Typer()
 
@@ -195,7 +202,10 @@ def sweep(
 def diagnose(
     dataset: Annotated[
         Path,
-        typer.Argument(metavar="DATASET", help="Dataset file: a scenario and the measured runs."),
+        typer.Argument(
+            metavar="DATASET",
+            help="Dataset file: a scenario or an axis, and the measured runs.",
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -210,9 +220,9 @@ def diagnose(
 
     hiltestbed check dataset.yaml && hiltestbed diagnose dataset.yaml --out results/mine
     """
+    from hiltestbed.axis.dataset import is_axis
     from hiltestbed.compiled.warm import tell_of_compiling
-    from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
-    from hiltestbed.diagnosis.find import CLOSING_STEPS
+    from hiltestbed.config.yaml_source import read_source
     from hiltestbed.diagnosis.report.folder import DIAGNOSIS
     from hiltestbed.process.progress import step_line
     from hiltestbed.run_folder.store import refuse_foreign
@@ -221,18 +231,34 @@ def diagnose(
     label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
     folder = out if out is not None else free_folder(Path("runs") / f"diagnosis-{safe_name(label)}")
     refuse_foreign(folder, DIAGNOSIS)
-    from hiltestbed.config.budget import dataset_budget, refuse_beyond
-    from hiltestbed.config.dataset import load_dataset as load_specification
-
-    loaded = load_specification(dataset)
-    refuse_beyond(dataset_budget(loaded), str(dataset), "fewer or shorter runs need less", folder)
+    source = read_source(dataset)
     with step_line(label) as progress:
-        result = run_diagnosis(loaded, progress)
-        progress(f"closing step {CLOSING_STEPS} of {CLOSING_STEPS}: report and recording")
-        result.write(folder)
+        found = _of_axis(source, progress) if is_axis(source) else _of_rig(source, folder, progress)
+        progress("report and recording")
+        found.write(folder)
+        result = found.to_json()
     if as_json:
-        print(json.dumps(result.to_json() | {"folder": str(folder)}, allow_nan=False))
+        print(json.dumps(result | {"folder": str(folder)}, allow_nan=False))
     else:
         from hiltestbed.report.table import print_diagnosis
 
-        print_diagnosis(result.to_json(), folder)
+        print_diagnosis(result, folder)
+
+
+def _of_axis(source: Source, progress: Callable[[str], None]) -> AxisDiagnosis:
+    from hiltestbed.axis.dataset import load_axis
+    from hiltestbed.axis.diagnose import diagnose_axis
+
+    return diagnose_axis(load_axis(source), progress)
+
+
+def _of_rig(
+    source: Source, folder: Path, progress: Callable[[str], None]
+) -> Diagnosis | AxisDiagnosis:
+    from hiltestbed.config.budget import dataset_budget, refuse_beyond
+    from hiltestbed.config.dataset import dataset_from
+    from hiltestbed.diagnosis.diagnose import diagnose as run_diagnosis
+
+    loaded = dataset_from(source)
+    refuse_beyond(dataset_budget(loaded), source.file, "fewer or shorter runs need less", folder)
+    return run_diagnosis(loaded, progress)

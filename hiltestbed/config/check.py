@@ -13,12 +13,16 @@ from hiltestbed.config.budget import Budget
 from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.errors import Fault, InputError
 
-Kind = Literal["scenario", "campaign", "dataset"]
-KINDS: tuple[Kind, ...] = ("scenario", "campaign", "dataset")
+Kind = Literal["scenario", "campaign", "dataset", "axis"]
+KINDS: tuple[Kind, ...] = ("scenario", "campaign", "dataset", "axis")
 
 
 def file_kind(source: Source) -> Kind:
-    """A campaign varies keys, a dataset lists runs, anything else is a scenario."""
+    """A campaign varies keys, an axis says what it is, a dataset lists runs, anything else is a
+    scenario.
+    """
+    if "axis" in source.data:
+        return "axis"
     if "vary" in source.data or "design" in source.data:
         return "campaign"
     return "dataset" if "runs" in source.data else "scenario"
@@ -61,9 +65,13 @@ def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None)
     try:
         source = read_source(path).with_set(set)
         kind = file_kind(source)
-        return {"scenario": _scenario, "campaign": _campaign, "dataset": _dataset}[kind](
-            source, data
-        )
+        checks = {
+            "scenario": _scenario,
+            "campaign": _campaign,
+            "dataset": _dataset,
+            "axis": _axis,
+        }
+        return checks[kind](source, data)
     except InputError as error:
         return FileReport(kind, error.faults or (Fault(str(path), None, None, "", str(error)),))
 
@@ -120,6 +128,12 @@ def _dataset(source: Source, data: bool) -> FileReport:
     return _within(FileReport("dataset", faults, remarks, dataset_budget(loaded)), source)
 
 
+def _axis(source: Source, data: bool) -> FileReport:
+    from hiltestbed.axis.dataset import load_axis
+
+    return FileReport("axis", (), load_axis(source, data).remarks)
+
+
 def _as_warnings(found: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"warning: {text}" for text in found)
 
@@ -137,10 +151,17 @@ def _within(found: FileReport, source: Source) -> FileReport:
 def json_schema(kind: Kind) -> dict[str, Any]:
     """The JSON Schema of one kind of file."""
     from hiltestbed import plugins
+    from hiltestbed.axis.dataset import AxisDataset
     from hiltestbed.campaign.schema import Campaign
     from hiltestbed.config.dataset import Dataset
     from hiltestbed.scenario import Scenario
 
     plugins.load()
-    model = {"scenario": Scenario, "campaign": Campaign, "dataset": Dataset}[kind]
+    models = {
+        "scenario": Scenario,
+        "campaign": Campaign,
+        "dataset": Dataset,
+        "axis": AxisDataset,
+    }
+    model = models[kind]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | model.model_json_schema()

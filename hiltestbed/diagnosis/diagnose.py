@@ -19,10 +19,13 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.config.dataset import LoadedDataset
+from hiltestbed.axis.dataset import is_axis, load_axis
+from hiltestbed.config.dataset import LoadedDataset, dataset_from
+from hiltestbed.config.yaml_source import read_source
 from hiltestbed.diagnosis.find import CLOSING_STEPS, find
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.report.conclude import conclude
@@ -30,12 +33,15 @@ from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.diagnosis.search import Progress
 from hiltestbed.measured import MeasuredDataset, load_dataset
 
+if TYPE_CHECKING:
+    from hiltestbed.axis.diagnose import AxisDiagnosis
+
 
 def diagnose(
     dataset: str | Path | LoadedDataset | MeasuredDataset, progress: Progress | None = None
-) -> Diagnosis:
-    """The diagnosis of a dataset, or of the dataset in a file; `progress` is called with a line on
-    what is being done.
+) -> Diagnosis | AxisDiagnosis:
+    """The diagnosis of a dataset, or of the dataset in a file, which may be one of a single axis;
+    `progress` is called with a line on what is being done.
 
     `investigate` runs the stages 1 to 4 of the list above, `find` the fifth and `conclude` the
     last. No stage changes its input.
@@ -45,6 +51,13 @@ def diagnose(
         MissingExtra: the reader of a format is not installed.
     """
     start = time.monotonic()
+    if isinstance(dataset, (str, Path)):
+        source = read_source(dataset)
+        if is_axis(source):
+            from hiltestbed.axis.diagnose import diagnose_axis
+
+            return diagnose_axis(load_axis(source), progress)
+        dataset = dataset_from(source)
     if not isinstance(dataset, MeasuredDataset):
         if progress:
             progress("reading and checking the data")

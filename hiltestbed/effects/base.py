@@ -46,34 +46,26 @@ def quantity(
     """
     what, sign, note = meaning.partition(";")
     text = f"{what} [{unit}]{sign}{note}"
-    extra = {"unit": unit} | ({"search": list(search), "search_by_ratio": ratio} if search else {})
+    extra: dict[str, Any] = {"unit": unit} | ({"search": list(search)} if search else {})
+    if search or ratio:
+        extra["search_by_ratio"] = ratio
     return Field(default, description=text, gt=gt, ge=ge, lt=lt, le=le, json_schema_extra=extra)
 
 
-class Effect(Strictly):
-    """Base of every effect. A class needs a docstring and the parts named in :data:`PARTS`.
+class Departure(Strictly):
+    """Base of whatever may depart from a model: what a search and a report need to know of it.
 
     Attributes:
         kind: its id in the vocabulary, a literal. link: the link of the loop that it acts on.
-        equation: what it does, in discrete form where that matters. reference: source of the
-            equation.
+        equation, reference: what it does, and the source of that.
         resembles: effects that it is easily mistaken for. repeats: whether two of its kind may act
-            together; else a second one is refused.
+            together.
         leading: the parameter that sets its size. vanishes: whether the effect becomes smaller as
-            that parameter grows (a limit).
-        jumps: the parameter on which the prediction depends discontinuously, or "".
+            that parameter grows (a limit). jumps: the parameter on which the prediction depends
+            discontinuously, or "".
         rich: whether it has so many parameters that it is tried only where effects with fewer leave
             more than noise.
     """
-
-    PARTS: ClassVar[tuple[str, ...]] = (
-        "docstring",
-        "link",
-        "equation",
-        "reference",
-        "apply",
-        "candidates",
-    )
 
     kind: str
     link: ClassVar[Link] = None  # type: ignore[assignment]
@@ -85,6 +77,7 @@ class Effect(Strictly):
     vanishes: ClassVar[bool] = False
     jumps: ClassVar[str] = ""
     rich: ClassVar[bool] = False
+    excludes: ClassVar[tuple[str, ...]] = ()  # kinds in place of which it acts
 
     _variant: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 
@@ -106,28 +99,8 @@ class Effect(Strictly):
 
     @placeholder
     def apply(self, p: Any) -> None:
-        """Change the parameters ``p`` of the link in one run, an object of the link's
-        ``Parameters`` class, in place.
-        """
+        """Change the parameters ``p`` of the model in place."""
         raise NotImplementedError
-
-    @classmethod
-    @placeholder
-    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """The hypotheses with which a diagnosis searches for it: free parameters, bounds and
-        starting points, scaled to the data.
-        """
-        raise NotImplementedError
-
-    def worth(self, scenario: ScenarioLike, frequency: float) -> float | None:
-        """Its equivalent delay [s] in a contact of ``frequency`` [rad/s]; None: it does not act as
-        a delay.
-        """
-        return None
-
-    def unfit(self, scenario: ScenarioLike) -> str | None:
-        """Why it cannot act in ``scenario``, and what it would need; None if it can act."""
-        return None
 
     def parameters(self) -> dict[str, Any]:
         """Its parameters, without ``kind``."""
@@ -153,7 +126,46 @@ class Effect(Strictly):
         if not isinstance(extra, dict) or "search" not in extra:
             raise KeyError(f"{cls.__name__}.{parameter} is not searched")
         low, high = extra["search"]  # type: ignore[misc]
-        return float(low), float(high), bool(extra["search_by_ratio"])  # type: ignore[arg-type]
+        return float(low), float(high), cls.by_ratio(parameter)  # type: ignore[arg-type]
+
+    @classmethod
+    def by_ratio(cls, parameter: str) -> bool:
+        """Whether a parameter is searched logarithmically."""
+        extra = cls.model_fields[parameter].json_schema_extra
+        return isinstance(extra, dict) and bool(extra.get("search_by_ratio"))
+
+
+class Effect(Departure):
+    """Base of every effect of the loop. A class needs a docstring and the parts named in
+    :data:`PARTS`; of an effect that does not repeat, a second one in a scenario is refused.
+    """
+
+    PARTS: ClassVar[tuple[str, ...]] = (
+        "docstring",
+        "link",
+        "equation",
+        "reference",
+        "apply",
+        "candidates",
+    )
+
+    @classmethod
+    @placeholder
+    def candidates(cls, scales: Scales) -> Iterator[Candidate]:
+        """The hypotheses with which a diagnosis searches for it: free parameters, bounds and
+        starting points, scaled to the data.
+        """
+        raise NotImplementedError
+
+    def worth(self, scenario: ScenarioLike, frequency: float) -> float | None:
+        """Its equivalent delay [s] in a contact of ``frequency`` [rad/s]; None: it does not act as
+        a delay.
+        """
+        return None
+
+    def unfit(self, scenario: ScenarioLike) -> str | None:
+        """Why it cannot act in ``scenario``, and what it would need; None if it can act."""
+        return None
 
 
 def repeated(effects: Sequence[Effect]) -> Iterator[tuple[int, Effect]]:

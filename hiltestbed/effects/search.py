@@ -18,7 +18,7 @@ import numpy as np
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
-    from hiltestbed.effects.base import Effect
+    from hiltestbed.effects.base import Departure
 
 
 @dataclass(frozen=True)
@@ -118,9 +118,11 @@ class Candidate:
             :meth:`Effect.apply` from ``effect.variant``.
         choices: number of candidates that differ only in ``fixed``: choosing among them costs 2
             ln(choices) in chi-square.
+        needs: parameters, as "kind:name", without which this one means nothing: it is a part of an
+            effect to which they belong.
     """
 
-    effect: type[Effect]
+    effect: type[Departure]
     names: tuple[str, ...]
     low: Array
     high: Array
@@ -129,6 +131,7 @@ class Candidate:
     fixed: Mapping[str, Any] = field(default_factory=dict)
     variant: Mapping[str, Any] = field(default_factory=dict)
     choices: int = 1
+    needs: tuple[str, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -177,7 +180,7 @@ class Candidate:
             **extended,
         )
 
-    def at(self, theta: Array) -> Effect:
+    def at(self, theta: Array) -> Any:
         """The effect with the free parameters at theta, unchecked: a search may leave the range
         that a scenario allows.
         """
@@ -198,13 +201,14 @@ class Candidate:
 
 
 def candidate(
-    effect: type[Effect],
+    effect: type[Departure],
     grids: Mapping[str, Sequence[float]],
     *,
     starts: Sequence[Sequence[float]] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     variant: Mapping[str, Any] | None = None,
     choices: int = 1,
+    needs: tuple[str, ...] = (),
     **fixed: Any,
 ) -> Candidate:
     """A candidate that starts from all combinations of ``grids`` (or from ``starts``), within
@@ -217,7 +221,7 @@ def candidate(
     for name in grids:
         key = name.partition(".")[0]
         if bounds and name in bounds:
-            ratio = effect.searched(key)[2] if key in effect.model_fields else False
+            ratio = effect.by_ratio(key) if key in effect.model_fields else False
             ends = bounds[name]
         else:
             *ends, ratio = effect.searched(key)
@@ -235,4 +239,5 @@ def candidate(
         fixed,
         variant or {},
         choices,
+        needs,
     )

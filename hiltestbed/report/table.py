@@ -128,11 +128,9 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
     heldout, loop = result["heldout"], result["closed_loop"]
     if heldout:
         low, high = (100.0 * v for v in heldout["ci95"])
-        placebo = 100.0 * heldout["placebo_reduction"]
-        gain = (
-            f"{100.0 * heldout['reduction']:.4g} % ({low:.4g} to {high:.4g} %); with a "
-            f"wrong effect by {placebo:.3g} %"
-        )
+        gain = f"{100.0 * heldout['reduction']:.4g} % ({low:.4g} to {high:.4g} %)"
+        if heldout["placebo_reduction"] is not None:
+            gain += f"; with a wrong effect by {100.0 * heldout['placebo_reduction']:.3g} %"
         screen.print(f"residual on runs that were not fitted: lower by {gain}", markup=False)
     if result["partial"]["sentence"]:
         screen.print(result["partial"]["sentence"], markup=False)

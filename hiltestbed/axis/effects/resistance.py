@@ -1,0 +1,181 @@
+"""What resists the motion of a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar, Literal
+
+from hiltestbed.axis.effects.base import AxisEffect, AxisKind, Reach
+from hiltestbed.axis.law import (
+    COULOMB,
+    COULOMB_BACK,
+    FADE,
+    LOAD,
+    OFFSET,
+    RISE,
+    STRIBECK,
+    VISCOUS,
+    VISCOUS_BACK,
+    WAVE,
+    WAVE_PHASE,
+    WAVE_PITCH,
+    Law,
+)
+from hiltestbed.effects.base import quantity
+from hiltestbed.effects.search import Candidate, candidate
+from hiltestbed.plugins import register
+
+# of the travel: pitches of a force or friction that repeats along the axis, from which it is sought
+PITCHES = (0.05, 0.1, 0.2, 0.35, 0.6, 0.9)
+PHASES = (0.0, 1.57, 3.14, 4.71)  # [rad] quarters of a turn
+FADES = 0.5  # largest share of a force that may fade over a run, in the search
+
+
+@register
+class AxisForce(AxisEffect):
+    """A force that resists the motion: viscous and dry friction, and a constant offset."""
+
+    kind: Literal["dynamics.force"] = "dynamics.force"
+    viscous: float = quantity("N s/m", "Coefficient of viscous friction", default=0.0, ge=0.0)
+    coulomb: float = quantity("N", "Dry friction in motion", default=0.0, ge=0.0)
+    offset: float = quantity("N", "Constant force against the positive direction", default=0.0)
+    viscous_asymmetry: float = quantity(
+        "-",
+        "Fraction by which viscous friction is lower in the positive and higher in the negative "
+        "direction",
+        default=0.0,
+        ge=-1.0,
+        le=1.0,
+        search=(-1.0, 1.0),
+    )
+    coulomb_back: float | None = quantity(
+        "N",
+        "Dry friction in motion in the negative direction; omitted: equal to coulomb",
+        default=None,
+        ge=0.0,
+    )
+    static: float | None = quantity(
+        "N", "Static friction; omitted: no excess over coulomb", default=None, ge=0.0
+    )
+    stribeck_speed: float | None = quantity(
+        "m/s",
+        "Speed over which dry friction falls from static to coulomb",
+        default=None,
+        gt=0.0,
+        ratio=True,
+    )
+    link = "dynamics"
+    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
+    equation = (
+        "R = offset + viscous (1 - viscous_asymmetry sgn v) v + (coulomb + (static - coulomb) "
+        "exp(-(v/stribeck_speed)^2)) sgn(v)"
+    )
+    reference = (
+        "C. Canudas de Wit et al., IEEE Trans. Autom. Control 40, 1995; with an offset A. Janot, "
+        "M. Gautier, M. Brunot, 2019"
+    )
+    leading = "coulomb"
+
+    def apply(self, p: Law) -> None:
+        n = p.numbers
+        n[VISCOUS] += self.viscous * (1.0 - self.viscous_asymmetry)
+        n[VISCOUS_BACK] += self.viscous * (1.0 + self.viscous_asymmetry)
+        n[COULOMB] += self.coulomb
+        n[COULOMB_BACK] += self.coulomb if self.coulomb_back is None else self.coulomb_back
+        n[OFFSET] += self.offset
+        if self.static is not None and self.stribeck_speed is not None:
+            n[RISE], n[STRIBECK] = max(self.static - self.coulomb, 0.0), self.stribeck_speed
+
+    @classmethod
+    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+        f, v = reach.force, max(reach.speed, 1e-12)
+        yield candidate(cls, {"viscous": [0.05 * f / v]}, bounds={"viscous": (0.0, 10.0 * f / v)})
+        yield candidate(cls, {"coulomb": [0.05 * f]}, bounds={"coulomb": (0.0, f)})
+        yield candidate(cls, {"offset": [0.0]}, bounds={"offset": (-f, f)})
+        yield candidate(cls, {"viscous_asymmetry": [0.0]}, needs=("dynamics.force:viscous",))
+        yield candidate(
+            cls,
+            {"coulomb_back": [0.05 * f]},
+            bounds={"coulomb_back": (0.0, f)},
+            # with an offset instead, both directions are as well described
+            choices=2,
+            needs=("dynamics.force:coulomb",),
+        )
+        slow = [q * v for q in (0.02, 0.1, 0.3)]
+        yield candidate(
+            cls,
+            {"static": [0.2 * f], "stribeck_speed": slow},
+            bounds={"static": (0.0, f), "stribeck_speed": (1e-3 * v, v)},
+            needs=("dynamics.force:coulomb",),
+        )
+
+
+@register
+class AxisLoadFriction(AxisEffect):
+    """Dry friction grows with the force that the axis transmits, as in a gear."""
+
+    kind: Literal["dynamics.load_friction"] = "dynamics.load_friction"
+    coefficient: float = quantity(
+        "-", "Friction per newton of transmitted force", ge=0.0, search=(0.0, 1.0)
+    )
+    link = "dynamics"
+    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
+    equation = "R += coefficient |transmitted force| sgn(v)"
+    reference = "M. Duclusaud and others, Extended Friction Models for Servo Actuators, 2024"
+    resembles = ("dynamics.gain", "dynamics.mass")
+    leading = "coefficient"
+
+    def apply(self, p: Law) -> None:
+        p.numbers[LOAD] += self.coefficient
+
+    @classmethod
+    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+        yield candidate(cls, {"coefficient": [0.05]})
+
+
+@register
+class AxisFrictionWave(AxisEffect):
+    """Dry friction varies with the position, as in a screw or a gear that is out of true."""
+
+    kind: Literal["dynamics.friction_wave"] = "dynamics.friction_wave"
+    share: float = quantity("-", "Share of the dry friction that varies", ge=0.0, search=(0.0, 1.0))
+    pitch: float = quantity("m", "Distance after which it repeats", gt=0.0, ratio=True)
+    phase: float = quantity("rad", "Phase at the origin", search=(-7.0, 7.0))
+    link = "dynamics"
+    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
+    equation = "coulomb -> coulomb (1 + share sin(2 pi x/pitch + phase))"
+    reference = "first harmonic of a friction that depends on the position"
+    leading = "share"
+
+    def apply(self, p: Law) -> None:
+        p.numbers[[WAVE, WAVE_PITCH, WAVE_PHASE]] = self.share, self.pitch, self.phase
+
+    @classmethod
+    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+        yield candidate(
+            cls,
+            {"share": [0.2], "pitch": [q * reach.travel for q in PITCHES], "phase": PHASES},
+            bounds={"pitch": (0.02 * reach.travel, reach.travel)},
+            needs=("dynamics.force:coulomb",),
+        )
+
+
+@register
+class AxisFade(AxisEffect):
+    """Friction and damping change slowly over a run, as a machine warms up."""
+
+    kind: Literal["dynamics.fade"] = "dynamics.fade"
+    rate: float = quantity("1/s", "Relative change per second")
+    link = "dynamics"
+    axes: ClassVar[tuple[AxisKind, ...]] = ("drive", "damper")
+    equation = "dissipative forces -> (1 + rate t) times themselves"
+    reference = "first order in time"
+    leading = "rate"
+
+    def apply(self, p: Law) -> None:
+        p.numbers[FADE] += self.rate
+
+    @classmethod
+    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+        most = FADES / reach.duration
+        yield candidate(cls, {"rate": [0.0]}, bounds={"rate": (-most, most)})

@@ -1,0 +1,223 @@
+"""The force of one axis along its motion, and the motion of one axis under a force.
+
+The law, for position x, speed v, acceleration a and time t, with s the sign of v::
+
+    F = mass a + spring (x - rest) + viscous(v) + friction(x, v) s + offset + ramp t
+        + gravity_sin sin x + gravity_cos cos x + cog sin(2 pi x/pitch + phase)
+        + sum of sliders + sum of Maxwell branches
+
+One law serves both ways: a damper or the inverse model of a drive *reads* F along a recorded motion
+(:func:`force_along`), a drive *moves* under a recorded force until F balances it
+(:func:`motion_under`). A slider is elastic until its force reaches a level (G. M. Jenkins, J. Br.
+Nucl. Energy Soc. 1, 1962), with play in series if ``PLAY`` is given, or rounds its corner (R. Bouc,
+1967; Y.-K. Wen, J. Eng. Mech. 102, 1976).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hiltestbed.compiled.jit import njit
+from hiltestbed.frames import Array
+
+# numbers of the law, by their place in its array
+(
+    MASS,
+    GAIN,
+    SPRING,
+    REST,
+    VISCOUS,  # [N s/m] for v > 0, up to KNEE [m/s], beyond it BEYOND [N s/m]
+    KNEE,
+    BEYOND,
+    VISCOUS_BACK,  # the same for v < 0
+    KNEE_BACK,
+    BEYOND_BACK,
+    POWER,  # exponent of the speed in viscous friction, 1 for a linear one
+    COULOMB,
+    COULOMB_BACK,
+    RISE,  # [N] static friction above COULOMB
+    STRIBECK,  # [m/s]
+    LOAD,  # friction per newton of the force that the axis transmits
+    WAVE,  # share of COULOMB that varies with the position
+    WAVE_PITCH,
+    WAVE_PHASE,
+    OFFSET,
+    RAMP,  # [N/s]
+    FADE,  # [1/s] relative change of all dissipative forces
+    GRAVITY_SIN,
+    GRAVITY_COS,
+    COG,
+    COG_PITCH,
+    COG_PHASE,
+    LAG,  # [s] time constant of the dissipative force: of an oil column
+    PLAY,  # [m] in series with the sliders
+    RESOLVED,  # [m/s] speed below which the sign of the motion is not resolved
+    NUMBERS,
+) = range(31)
+MOST = 4  # sliders, and branches
+STILL = 1e-30  # [m/s] stands for no speed, with a direction
+FORCE, STIFFNESS, SHAPE = range(3)  # of a slider; SHAPE 0: elastic until it slips
+BRANCH, TIME = range(2)  # of a Maxwell branch: [N/m], [s]
+
+
+class Law:
+    """The numbers of a law; effects change them in place.
+
+    Attributes:
+        numbers: (NUMBERS,) as listed above. sliders: (MOST, 3) force [N], stiffness [N/m], shape.
+            branches: (MOST, 2) stiffness [N/m], time constant [s].
+    """
+
+    def __init__(self, mass: float = 0.0, gain: float = 1.0, spring: float = 0.0) -> None:
+        self.numbers = np.zeros(NUMBERS)
+        self.numbers[[MASS, GAIN, SPRING, POWER, COG_PITCH, WAVE_PITCH]] = (
+            mass, gain, spring, 1.0, 1.0, 1.0,
+        )  # fmt: skip
+        self.numbers[[KNEE, KNEE_BACK]] = np.inf
+        self.numbers[STRIBECK] = 1.0
+        self.sliders, self.branches = np.zeros((MOST, 3)), np.zeros((MOST, 2))
+
+    def copy(self) -> Law:
+        """An independent copy."""
+        out = Law()
+        out.numbers, out.sliders = self.numbers.copy(), self.sliders.copy()
+        out.branches = self.branches.copy()
+        return out
+
+    def add(self, rows: Array, values: tuple[float, ...]) -> None:
+        """Put ``values`` into the first free row of the sliders or branches ``rows``."""
+        free = np.flatnonzero(rows[:, 0] == 0.0)
+        if len(free):
+            rows[free[0]] = values
+
+
+@njit(cache=True)
+def viscous(p, v):
+    """Viscous force [N] at the speed ``v``."""
+    forward = v > 0.0
+    c, knee, beyond = (
+        (p[VISCOUS], p[KNEE], p[BEYOND])
+        if forward
+        else (p[VISCOUS_BACK], p[KNEE_BACK], p[BEYOND_BACK])
+    )
+    speed = abs(v)
+    if p[POWER] != 1.0:
+        out = c * speed ** p[POWER]
+    elif speed <= knee:
+        out = c * speed
+    else:
+        out = c * knee + beyond * (speed - knee)
+    return out if forward else -out
+
+
+@njit(cache=True)
+def friction(p, x, v, load):
+    """Level of the dry friction [N] at the position ``x`` in the direction of ``v`` while the axis
+    transmits ``load`` [N]."""
+    level = p[COULOMB] if v >= 0.0 else p[COULOMB_BACK]
+    if p[WAVE] != 0.0:
+        level *= 1.0 + p[WAVE] * math.sin(2.0 * math.pi * x / p[WAVE_PITCH] + p[WAVE_PHASE])
+    if p[RISE] != 0.0:
+        level += p[RISE] * math.exp(-((v / p[STRIBECK]) ** 2))
+    return max(level + p[LOAD] * abs(load), 0.0)
+
+
+@njit(cache=True)
+def held(p, x, t):
+    """Force [N] that depends on neither speed nor history."""
+    out = p[SPRING] * (x - p[REST]) + p[OFFSET] + p[RAMP] * t
+    if p[GRAVITY_SIN] != 0.0 or p[GRAVITY_COS] != 0.0:
+        out += p[GRAVITY_SIN] * math.sin(x) + p[GRAVITY_COS] * math.cos(x)
+    if p[COG] != 0.0:
+        out += p[COG] * math.sin(2.0 * math.pi * x / p[COG_PITCH] + p[COG_PHASE])
+    return out
+
+
+@njit(cache=True)
+def force_along(t, x, v, a, p, sliders, branches):
+    """``(N,)`` force [N] along a motion: time [s], position, speed, acceleration (N,)."""
+    n = len(t)
+    out = np.empty(n)
+    at = np.full(sliders.shape[0], x[0])  # where each slider stands
+    bent = np.zeros(sliders.shape[0])
+    stress = np.zeros(branches.shape[0])
+    lagged = 0.0
+    for k in range(n):
+        dt = t[k] - t[k - 1] if k > 0 else 0.0
+        step = x[k] - x[k - 1] if k > 0 else 0.0
+        loss = viscous(p, v[k])
+        rest = p[MASS] * a[k] + held(p, x[k], t[k])
+        level = friction(p, x[k], v[k], rest)
+        if level > 0.0:
+            loss += level * (math.tanh(v[k] / p[RESOLVED]) if p[RESOLVED] > 0.0 else np.sign(v[k]))
+        for i in range(sliders.shape[0]):
+            most, stiff, shape = sliders[i, FORCE], sliders[i, STIFFNESS], sliders[i, SHAPE]
+            if most == 0.0:
+                continue
+            if shape > 0.0:
+                z = bent[i]
+                ahead = 1.0 if z * step > 0.0 else 0.0
+                bent[i] = min(
+                    max(z + stiff * step * (1.0 - ahead * abs(z / most) ** shape), -most), most
+                )
+                loss += bent[i]
+                continue
+            away, half = x[k] - at[i], 0.5 * p[PLAY]
+            pull = stiff * (max(away - half, 0.0) + min(away + half, 0.0))
+            if pull > most:
+                at[i], pull = x[k] - half - most / stiff, most
+            elif pull < -most:
+                at[i], pull = x[k] + half + most / stiff, -most
+            loss += pull
+        for i in range(branches.shape[0]):
+            if branches[i, BRANCH] > 0.0:
+                decay = math.exp(-dt / branches[i, TIME])
+                # exact for a constant speed over the step
+                fed = branches[i, TIME] * (1.0 - decay) / dt if dt > 0.0 else 1.0
+                stress[i] = stress[i] * decay + branches[i, BRANCH] * step * fed
+                loss += stress[i]
+        loss *= 1.0 + p[FADE] * t[k]
+        if p[LAG] > 0.0 and k > 0:
+            lagged += (loss - lagged) * (1.0 - math.exp(-dt / p[LAG]))
+            loss = lagged
+        else:
+            lagged = loss
+        out[k] = rest + loss
+    return out
+
+
+@njit(cache=True)
+def motion_under(t, u, x0, v0, p, h):
+    """``(N,)`` positions of an axis that a recorded force ``u`` (N,), linear between the rows,
+    drives from ``x0`` at ``v0``: implicit Euler in steps of at most ``h`` [s], in which dry
+    friction holds the axis exactly. Sliders and branches are not part of it.
+    """
+    n = len(t)
+    out = np.empty(n)
+    out[0] = x0
+    x, v, mass = x0, v0, p[MASS]
+    for k in range(1, n):
+        dt = t[k] - t[k - 1]
+        pieces = max(1, int(math.ceil(dt / h - 1e-9)))
+        step = dt / pieces
+        for i in range(pieces):
+            part = (i + 0.5) / pieces
+            force = p[GAIN] * (u[k - 1] + part * (u[k] - u[k - 1]))
+            net = force - held(p, x, t[k - 1] + part * dt)
+            fade = 1.0 + p[FADE] * t[k]
+            drag = viscous(p, v) / v * fade if v != 0.0 else 0.0
+            level = friction(p, x, v if v != 0.0 else math.copysign(STILL, net), net) * fade
+            loss = 1.0 + step * drag / mass
+            ahead = (v + step / mass * (net - level)) / loss
+            behind = (v + step / mass * (net + level)) / loss
+            if ahead > 0.0:
+                v = ahead
+            elif behind < 0.0:
+                v = behind
+            else:
+                v = 0.0
+            x += step * v
+        out[k] = x
+    return out

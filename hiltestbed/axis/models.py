@@ -1,0 +1,406 @@
+"""The models of the kinds of axis: what each predicts, from which recorded signal."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hiltestbed.axis import servo
+from hiltestbed.axis.effects.base import AXIS_EFFECTS, AxisKind, Reach, applied
+from hiltestbed.axis.law import (
+    BEYOND,
+    BEYOND_BACK,
+    GAIN,
+    OFFSET,
+    RESOLVED,
+    VISCOUS,
+    VISCOUS_BACK,
+    Law,
+    force_along,
+    motion_under,
+)
+from hiltestbed.axis.motion import Motion, even, motion_of, noise_of, smoothed
+from hiltestbed.effects.base import Departure
+from hiltestbed.effects.search import Candidate
+from hiltestbed.frames import Array
+from hiltestbed.inference.model import Hypothesis, Model, Nuisance
+
+# [rows] standard deviation of the offset between the time stamps of input and output: loggers stamp
+# either up to a row late, uniformly
+STAMP_SIGMA = 1.0 / math.sqrt(3.0)
+# of the range of an output, standard deviation of its zero from run to run: what a tare or a homing
+# leaves
+ZERO_ERROR = 0.01
+# of the rows over which a motion was smoothed, every which is used: those between tell nothing new
+ROWS_A_WINDOW = 4
+LONGEST_RESPONSE = 1e-2  # [s] of a step of a servo, which is exact but for limits and turns
+LONGEST_STEP = 1e-3  # [s] of an integration; friction and controllers of machines are slower
+STEPS_A_RADIAN = 4.0  # steps of an integration per radian of the fastest response
+START_ROWS = 24  # rows from which a speed at the start is estimated
+# standard deviations of the speed below which the sign of a motion is not known
+RESOLVED_SIGMA = 3.0
+
+
+class AxisRun(NamedTuple):
+    """One record of an axis: times [s], recorded input and output, (N,) each, in SI units."""
+
+    name: str
+    t: Array
+    u: Array
+    y: Array
+
+
+class AxisModel(Model):
+    """A model of one axis.
+
+    Attributes:
+        kind: of the axis. records: of the runs. nominal: the owner's numbers. reach: orders of
+            magnitude of the records. rotates: whether positions are angles.
+    """
+
+    kind: AxisKind
+
+    def __init__(
+        self,
+        records: Sequence[AxisRun],
+        nominal: Mapping[str, float],
+        rotates: bool = False,
+        believed: Sequence[Departure] = (),
+    ) -> None:
+        """``believed``: effects that are part of the nominal model."""
+        self.records, self.nominal, self.rotates = tuple(records), dict(nominal), rotates
+        self.believed = tuple(believed)
+        self.runs = tuple(r.name for r in records)
+        self.ticks = np.array([float(np.median(np.diff(r.t))) for r in records])
+        tick = float(np.median(self.ticks))
+        self.nuisances = (Nuisance("time-stamp offset", "s", STAMP_SIGMA * tick, tick),)
+        self._prepare()
+
+    def on(self, runs: Sequence[int]) -> AxisModel:
+        return self.of([self.records[i] for i in runs])
+
+    def of(self, records: Sequence[AxisRun]) -> AxisModel:
+        """The same model of other records."""
+        return type(self)(records, self.nominal, self.rotates, self.believed)
+
+    def folds(self) -> list[tuple[AxisModel, AxisModel]]:
+        """The runs without each one, and that one; of a single run its halves."""
+        count = len(self.records)
+        if count == 1:
+            r = self.records[0]
+            half = len(r.t) // 2
+            parts = [
+                AxisRun(f"{r.name}, {word} half", r.t[s], r.u[s], r.y[s])
+                for word, s in (("first", slice(0, half)), ("second", slice(half, None)))
+            ]
+            return [
+                (self.of([parts[1]]), self.of([parts[0]])),
+                (self.of([parts[0]]), self.of([parts[1]])),
+            ]
+        everything = range(count)
+        return [(self.on([j for j in everything if j != i]), self.on([i])) for i in everything]
+
+    def folds_of(self) -> list[str]:
+        """The names of what is left out."""
+        return [test.runs[0] for _, test in self.folds()]
+
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Every part of every effect that acts on this kind of axis."""
+        return tuple(
+            c
+            for effect in AXIS_EFFECTS.values()
+            if self.kind in effect.axes
+            for c in effect.parts(self.reach)
+        )
+
+    @property
+    @abstractmethod
+    def reach(self) -> Reach:
+        """Orders of magnitude of the records."""
+
+    @abstractmethod
+    def _prepare(self) -> None:
+        """What the predictions need, computed once."""
+
+    @abstractmethod
+    def predicted(self, of: Hypothesis) -> list[Array]:
+        """(N,) output of each record at its own times, in the unit of the record."""
+
+    def measured(self) -> list[Array]:
+        """(N,) what :meth:`predicted` is compared with."""
+        return [r.y for r in self.records]
+
+    def departure(self, of: Hypothesis) -> list[Array]:
+        return [y - p for y, p in zip(self.measured(), self.predicted(of), strict=True)]
+
+    def _compared(self, of: Hypothesis) -> list[Array]:
+        """(N,) measured less predicted of each record, with its zero."""
+        return self.departure(of)
+
+    def _less_zeros(self, of: Hypothesis, left: Sequence[Array]) -> list[Array]:
+        """Residuals less their means, and the priors of what was taken off."""
+        means = np.array([float(np.mean(x)) for x in left])
+        priors = np.concatenate([of.nuisances / self.prior_sigma(), means / self._zeros()])
+        return [*(x - m for x, m in zip(left, means, strict=True)), priors]
+
+    def _zeros(self) -> Array:
+        """(R,) standard deviation of the zero of each output."""
+        return np.array([ZERO_ERROR * float(np.ptp(y)) for y in self.measured()])
+
+    def scored(self, of: Hypothesis) -> list[Array]:
+        pairs = zip(self._compared(of), self._zeros(), strict=True)
+        return [_tared(x, 2.0 * zero) for x, zero in pairs]
+
+
+def _tared(left: Array, most: float) -> Array:
+    """A residual less the offset of its run, as far as its zero may be off by ``most``."""
+    return left - min(max(float(np.mean(left)), -most), most)
+
+
+def _span(values: Sequence[Array]) -> float:
+    return max(float(np.ptp(v)) for v in values) or 1.0
+
+
+def _largest(values: Sequence[Array]) -> float:
+    return max(float(np.quantile(np.abs(v), 0.999)) for v in values) or 1e-12
+
+
+class DamperModel(AxisModel):
+    """Force over displacement; nominal: ``stiffness``, ``damping``, ``preload``."""
+
+    kind = "damper"
+
+    def _prepare(self) -> None:
+        self._even, self._motions = [], []
+        for r in self.records:
+            t, x, y = even(r.t, r.u, r.y)
+            motion = motion_of(t, x)
+            few = slice(None, None, max(1, motion.window // ROWS_A_WINDOW))
+            self._even.append((t[few], x[few], y[few]))
+            self._motions.append(motion.thinned(few))
+        self.floors = np.array([noise_of(r.y) for r in self.records])
+
+    @property
+    def reach(self) -> Reach:
+        m = self._motions
+        speed = _largest([x.v for x in m])
+        return Reach(
+            travel=_span([x.x for x in m]),
+            speed=speed,
+            slow=0.1 * speed,
+            acceleration=_largest([x.a for x in m]),
+            force=_largest([y for _, _, y in self._even]),
+            tick=float(np.median(self.ticks)),
+            duration=max(float(x.t[-1] - x.t[0]) for x in m),
+            rotates=self.rotates,
+            stiffness=self.nominal.get("stiffness", 0.0),
+            damping=self.nominal.get("damping", 0.0),
+        )
+
+    def law(self, effects: Sequence[Departure]) -> Law:
+        """The law with ``effects``."""
+        law = Law(0.0, 1.0, self.nominal.get("stiffness", 0.0))
+        law.numbers[[VISCOUS, VISCOUS_BACK, BEYOND, BEYOND_BACK]] = self.nominal.get("damping", 0.0)
+        law.numbers[OFFSET] += self.nominal.get("preload", 0.0)
+        return applied((*self.believed, *effects), law)
+
+    def _force(self, of: Hypothesis) -> list[Array]:
+        """(N,) at the even times."""
+        law, late = self.law(of.effects()), float(of.nuisances[0])
+        out = []
+        for m in self._motions:
+            n = law.numbers.copy()
+            n[RESOLVED] = max(m.resolved, 1e-12)
+            force = force_along(m.t, m.x, m.v, m.a, n, law.sliders, law.branches)
+            out.append(_shifted(m.t, force, late))
+        return out
+
+    def residuals(self, of: Hypothesis) -> list[Array]:
+        return self._less_zeros(of, self._compared(of))
+
+    def departure(self, of: Hypothesis) -> list[Array]:
+        return self.scored(of)
+
+    def _compared(self, of: Hypothesis) -> list[Array]:
+        return [y - f for (_, _, y), f in zip(self._even, self._force(of), strict=True)]
+
+    def predicted(self, of: Hypothesis) -> list[Array]:
+        return [
+            np.interp(r.t, e[0], f)
+            for r, e, f in zip(self.records, self._even, self._force(of), strict=True)
+        ]
+
+
+class DriveModel(AxisModel):
+    """Position under a recorded force or current; nominal: ``mass``, ``gain``, and what of friction
+    the owner believes: ``viscous``, ``coulomb``, ``offset``.
+
+    Causes are sought on the inverse model: the input that the recorded motion would take, filtered
+    as the motion is (M. Gautier, P. Poignet, Control Eng. Pract. 9, 2001). A mass that is driven
+    integrates each error twice, so that its position tells less of what caused it than its force.
+    """
+
+    kind = "drive"
+
+    def _prepare(self) -> None:
+        self._motions, self._inputs, noise = [], [], []
+        for r in self.records:
+            t, u, y = even(r.t, r.u, r.y)
+            motion = motion_of(t, y)
+            few = slice(None, None, max(1, motion.window // ROWS_A_WINDOW))
+            self._inputs.append(smoothed(u, motion.window)[few])
+            self._motions.append(motion.thinned(few))
+            noise.append(noise_of(u) / math.sqrt(motion.window))
+        # where dry friction holds the axis, its force is not that of a motion
+        self._moves = [np.abs(m.v) > RESOLVED_SIGMA * m.resolved for m in self._motions]
+        self.floors = np.array(noise)
+
+    @property
+    def reach(self) -> Reach:
+        m = self._motions
+        speed = _largest([x.v for x in m])
+        return Reach(
+            travel=_span([x.x for x in m]),
+            speed=speed,
+            slow=0.1 * speed,
+            acceleration=_largest([x.a for x in m]),
+            force=_largest([u * self.nominal.get("gain", 1.0) for u in self._inputs]),
+            tick=float(np.median(self.ticks)),
+            duration=max(float(x.t[-1] - x.t[0]) for x in m),
+            rotates=self.rotates,
+        )
+
+    def law(self, effects: Sequence[Departure]) -> Law:
+        """The law with ``effects``."""
+        law = Law(self.nominal.get("mass", 1.0), self.nominal.get("gain", 1.0))
+        believed = {k: v for k, v in self.nominal.items() if k in ("viscous", "coulomb", "offset")}
+        if believed:
+            AXIS_EFFECTS["dynamics.force"].hypothesis({}, **believed).apply(law)
+        return applied((*self.believed, *effects), law)
+
+    def residuals(self, of: Hypothesis) -> list[Array]:
+        law, late = self.law(of.effects()), float(of.nuisances[0])
+        out = []
+        for m, u, moves in zip(self._motions, self._inputs, self._moves, strict=True):
+            n = law.numbers.copy()
+            n[RESOLVED] = 0.0
+            force = force_along(m.t, m.x, m.v, m.a, n, law.sliders, law.branches)
+            shown = _shifted(m.t, force / n[GAIN], -late)
+            out.append((u - shown)[moves])
+        return [*out, of.nuisances / self.prior_sigma()]
+
+    def scored(self, of: Hypothesis) -> list[Array]:
+        return self.residuals(of)[:-1]
+
+    def in_time(self) -> MovedModel | None:
+        return MovedModel(self.records, self.nominal, self.rotates, self.believed)
+
+    def predicted(self, of: Hypothesis) -> list[Array]:
+        law, late = self.law(of.effects()), float(of.nuisances[0])
+        out = []
+        for r in self.records:
+            x0, v0 = started(r.t, r.y)
+            drive = _shifted(r.t, r.u, late)
+            out.append(motion_under(r.t, drive, x0, v0, law.numbers, LONGEST_STEP))
+        return out
+
+
+class MovedModel(DriveModel):
+    """A drive by its motion alone: the residual is that of the simulated position, over all of a
+    run. What it leaves is a random walk, of which few samples are independent; what it fits is what
+    the owner of a simulation wants.
+    """
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        self.floors = np.array([noise_of(r.y) for r in self.records])
+
+    def residuals(self, of: Hypothesis) -> list[Array]:
+        return [*self.departure(of), of.nuisances / self.prior_sigma()]
+
+    def in_time(self) -> None:
+        return None
+
+
+class ServoModel(AxisModel):
+    """Position under a command; the nominal axis follows it."""
+
+    kind = "servo"
+
+    def _prepare(self) -> None:
+        self.floors = np.array([noise_of(r.y) for r in self.records])
+
+    @property
+    def reach(self) -> Reach:
+        motions: list[Motion] = [motion_of(*even(r.t, r.y)) for r in self.records]
+        speed = _largest([m.v for m in motions])
+        return Reach(
+            travel=_span([r.y for r in self.records]),
+            speed=speed,
+            slow=0.1 * speed,
+            acceleration=_largest([m.a for m in motions]),
+            force=0.0,
+            tick=float(np.median(self.ticks)),
+            duration=max(float(r.t[-1] - r.t[0]) for r in self.records),
+            rotates=self.rotates,
+        )
+
+    def numbers(self, effects: Sequence[Departure]) -> Array:
+        """The numbers of the response with ``effects``."""
+        p = servo.following()
+        p[servo.DELAY] = self.nominal.get("delay", 0.0)
+        if "bandwidth" in self.nominal:
+            p[servo.BANDWIDTH] = 2.0 * math.pi * self.nominal["bandwidth"]
+            p[servo.ZETA] = self.nominal.get("damping_ratio", 0.7)
+        return applied((*self.believed, *effects), p)
+
+    def predicted(self, of: Hypothesis) -> list[Array]:
+        p, late = self.numbers(of.effects()), float(of.nuisances[0])
+        p[servo.DELAY] += late
+        fastest = max(p[servo.BANDWIDTH] * max(1.0, p[servo.ZETA]), 1e-9)
+        step = min(LONGEST_RESPONSE, 1.0 / (STEPS_A_RADIAN * fastest))
+        return [servo.response(r.t, r.u, float(r.y[0]), p, step) for r in self.records]
+
+    def residuals(self, of: Hypothesis) -> list[Array]:
+        return self._less_zeros(of, self._compared(of))
+
+    def departure(self, of: Hypothesis) -> list[Array]:
+        return self.scored(of)
+
+    def _compared(self, of: Hypothesis) -> list[Array]:
+        return [r.y - p for r, p in zip(self.records, self.predicted(of), strict=True)]
+
+
+def started(t: Array, y: Array) -> tuple[float, float]:
+    """Position and speed at the first row: of a parabola through the first rows."""
+    n = min(START_ROWS, len(t))
+    at = t[:n] - t[0]
+    _, speed, place = np.polyfit(at, y[:n], 2)
+    return float(place), float(speed)
+
+
+def _shifted(t: Array, values: Array, late: float) -> Array:
+    """``values`` (N,) as they were ``late`` [s] before."""
+    return np.interp(t - late, t, values) if late else values
+
+
+MODELS: dict[AxisKind, type[AxisModel]] = {
+    "damper": DamperModel,
+    "drive": DriveModel,
+    "servo": ServoModel,
+}
+
+
+def model_of(
+    kind: AxisKind,
+    records: Sequence[AxisRun],
+    nominal: Mapping[str, float] | None = None,
+    rotates: bool = False,
+    believed: Sequence[Departure] = (),
+) -> AxisModel:
+    """The model of an axis of this kind."""
+    return MODELS[kind](records, nominal or {}, rotates, believed)

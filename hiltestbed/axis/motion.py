@@ -1,0 +1,87 @@
+"""Speed and acceleration of a recorded position, and the noise of a record."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from hiltestbed.frames import Array
+from hiltestbed.measured.noise import step_of, white_noise
+
+ORDER = 3  # of the local polynomials
+WINDOWS = (5, 7, 9, 13, 17, 25, 35, 49, 69, 97, 137)  # rows of a window, each 1.4 times the last
+# of the noise: what a window may leave of a position. White noise leaves 1 - 9/(4 w) of itself, so
+# that a tenth above it is motion that the window cut off
+CUT_OFF = 1.1
+UNEVEN = 0.02  # of the median interval: largest departure of an even clock
+
+
+class Motion(NamedTuple):
+    """A smooth motion through a recorded position: (N,) each, at even times.
+
+    Attributes:
+        window: rows over which it was smoothed; other signals are compared with it after the same
+            smoothing. resolved: [m/s] standard deviation of the speed.
+    """
+
+    t: Array
+    x: Array
+    v: Array
+    a: Array
+    window: int
+    resolved: float
+
+    def thinned(self, rows: slice) -> Motion:
+        """Some of its rows."""
+        t, x, v, a = (np.ascontiguousarray(part[rows]) for part in self[:4])
+        return Motion(t, x, v, a, self.window, self.resolved)
+
+
+def even(t: Array, *signals: Array) -> tuple[Array, ...]:
+    """The times and signals at even intervals: as they are where the clock is even."""
+    steps = np.diff(t)
+    tick = float(np.median(steps))
+    if np.abs(steps - tick).max() <= UNEVEN * tick:
+        return (t, *signals)
+    at = np.arange(t[0], t[-1] + 0.5 * tick, tick)
+    return (at, *(np.interp(at, t, s) for s in signals))
+
+
+def noise_of(y: Array) -> float:
+    """1 sigma of the noise of a signal: what differs from row to row, and not less than that of its
+    quantisation.
+    """
+    step = step_of(y) or 0.0
+    return max(white_noise(y, step), step / math.sqrt(12.0))
+
+
+def motion_of(t: Array, x: Array) -> Motion:
+    """The motion through positions (N,) at even times, by local cubics (A. Savitzky, M. J. E.
+    Golay, Anal. Chem. 36, 1964) over the longest window that leaves no more than their noise.
+    """
+    tick, noise = float(np.median(np.diff(t))), noise_of(x)
+    window = WINDOWS[0]
+    for longer in WINDOWS[1:]:
+        if longer > len(x) // 4:
+            break
+        left = x - smoothed(x, longer)
+        if float(np.sqrt(np.mean(left * left))) > CUT_OFF * noise:
+            break
+        window = longer
+    smooth, v, a = (
+        np.asarray(savgol_filter(x, window, ORDER, deriv=d, delta=tick)) for d in range(3)
+    )
+    # variance of the slope of a local cubic at its middle, by the sum of its squared coefficients
+    impulse = np.zeros(2 * window + 1)
+    impulse[window] = 1.0
+    slope = np.asarray(savgol_filter(impulse, window, ORDER, deriv=1, delta=tick))
+    gain = float(np.linalg.norm(slope))
+    return Motion(t, smooth, v, a, window, gain * noise)
+
+
+def smoothed(y: Array, window: int) -> Array:
+    """A signal after the smoothing of a motion."""
+    return np.asarray(savgol_filter(y, window, ORDER))

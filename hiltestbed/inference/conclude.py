@@ -1,0 +1,261 @@
+"""From a search to what can be said: causes that carry over to runs that were not fitted, with
+intervals and rivals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import t as student
+
+from hiltestbed.effects.search import Candidate
+from hiltestbed.frames import Array
+from hiltestbed.inference.likelihood import Fit, Likelihood, independent
+from hiltestbed.inference.model import Model
+from hiltestbed.inference.search import Searched, extended, named, without
+
+# of the rms on left-out runs, in the mean of its logarithm, by which a cause has to lower it: what
+# is worth less than a twentieth no test engineer asks for
+LEAST_GAIN = 0.05
+PRIOR_SHARE = 0.95  # of a range, that the 95 % interval of its uniform prior has
+RIVALS = 3  # effects that are fitted in the place of a cause
+POOL = 8  # sets of effects that are compared on left-out runs
+TIED = 0.01  # of the rms on left-out runs, within which two hypotheses predict as well
+# log of the odds of 19 to 1, at which two explanations count as told apart
+TOLD_APART = math.log(19.0)
+# quantile of Student's t with two runs less one is 12.7; with so few the scatter is bounded by the
+# curvature instead, and that of three runs is taken
+MOST_QUANTILE = float(student.ppf(0.975, 2))
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A parameter of a cause: its name, value and 95 % interval."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Confirmed:
+    """A cause that holds on runs that were not fitted.
+
+    Attributes:
+        cause: the part of an effect. estimates: of its parameters. gain: share of the rms on
+            left-out runs that it removes beside the others. probability: that it is this and none
+            of the ``rivals``, other effects that explain the data as well.
+    """
+
+    cause: Candidate
+    estimates: tuple[Estimate, ...]
+    gain: float
+    probability: float
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Conclusion:
+    """What a search and the left-out runs say together.
+
+    Attributes:
+        fit: the hypothesis that is offered, fitted to all runs; null: nothing departs.
+        causes: of the fit, those that remove most first. before, after: (R,) rms of each run when
+            it is left out, in the unit of the record, of the null and of the fit. folds: the fit to
+            all runs but one, for each. visited: what was compared.
+    """
+
+    fit: Fit
+    null: Fit
+    causes: tuple[Confirmed, ...]
+    before: Array
+    after: Array
+    visited: tuple[Fit, ...]
+
+
+class LeftOut:
+    """Hypotheses fitted to all runs but one, and scored on that one."""
+
+    def __init__(self, likelihood: Likelihood, folds: Sequence[tuple[Model, Model]]) -> None:
+        """folds: the runs to fit, and those that are left out."""
+        self._all, self._known = likelihood, {}
+        self._folds = [
+            (Likelihood(a, likelihood.counts[0] * np.ones(len(a.runs)), likelihood.choices), b)
+            for a, b in folds
+        ]
+
+    def fits(self, found: Fit) -> list[Fit]:
+        """The hypothesis fitted to each set of runs."""
+        if found.keys not in self._known:
+            self._known[found.keys] = [
+                likelihood.fit(found.causes, [found.of.theta], found.of.nuisances)
+                for likelihood, _ in self._folds
+            ]
+        return self._known[found.keys]
+
+    def rms(self, found: Fit) -> Array:
+        """(F,) of each left-out part, as its owner would compare it, in the unit of the record."""
+        pairs = zip(self.fits(found), self._folds, strict=True)
+        return np.array([_rms(left.departure(fit.of)) for fit, (_, left) in pairs])
+
+    def score(self, found: Fit) -> float:
+        """Mean logarithm of the rms of the residuals of the left-out parts."""
+        pairs = zip(self.fits(found), self._folds, strict=True)
+        each = np.array([_rms(left.scored(fit.of)) for fit, (_, left) in pairs])
+        return float(np.mean(np.log(np.maximum(each, 1e-300))))
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    value = math.sqrt(float(np.mean(np.concatenate(parts) ** 2)))
+    return value if math.isfinite(value) else math.inf
+
+
+def conclude(
+    found: Searched,
+    folds: Sequence[tuple[Model, Model]],
+    candidates: Sequence[Candidate],
+    progress: Progress | None = None,
+) -> Conclusion:
+    """What holds of the best hypothesis: causes are left out, the least useful first, while the
+    runs that were not fitted are predicted as well without them.
+    """
+    held, likelihood = LeftOut(found.likelihood, folds), found.likelihood
+    if progress:
+        progress("left-out runs: the hypotheses with the most evidence")
+    # of those that predict as well, the one with the most evidence
+    fit = min(_pool(found), key=lambda f: (round(held.score(f) / TIED), -f.evidence))
+    score = held.score(fit)
+    while fit.causes:
+        if progress:
+            progress(f"left-out runs: {named(fit)}")
+        fewer = [without(likelihood, fit, i) for i in range(len(fit.causes))]
+        scores = [held.score(f) for f in fewer]
+        least = int(np.argmin(scores))
+        if scores[least] > score + LEAST_GAIN:
+            break
+        fit, score = fewer[least], scores[least]
+    ends = intervals(likelihood, fit, held)
+    while (open_ := undetermined(fit, ends)) is not None:
+        fit = without(likelihood, fit, open_)
+        ends, score = intervals(likelihood, fit, held), held.score(fit)
+    null = found.null
+    before, after = held.rms(null), held.rms(fit)
+    settled = _settled(found.likelihood.model, fit, folds) if fit.causes else None
+    if settled is not None and np.mean(np.log(settled[1])) < np.mean(np.log(after)):
+        # where the two estimates differ, the model is wrong by that much
+        whole, after, own = settled
+        ends = np.column_stack(
+            [np.minimum(ends[:, 0], own[:, 0]), np.maximum(ends[:, 1], own[:, 1])]
+        )
+        fit = replace(fit, of=whole.of)
+    if fit.causes and float(np.mean(np.log(after))) > float(np.mean(np.log(before))):
+        fit, after, ends = null, before, np.zeros((0, 2))
+    causes, start = [], 0
+    for i, cause in enumerate(fit.causes):
+        own = slice(start, start + len(cause.names))
+        start = own.stop
+        estimates = tuple(
+            Estimate(name, float(v), float(low), float(high))
+            for name, v, (low, high) in zip(cause.names, fit.of.theta[own], ends[own], strict=True)
+        )
+        worse = held.score(without(likelihood, fit, i)) - score
+        rivals, probability = _rivals(likelihood, fit, i, candidates)
+        causes.append(Confirmed(cause, estimates, 1.0 - math.exp(-worse), probability, rivals))
+    causes.sort(key=lambda c: -c.gain)
+    return Conclusion(fit, null, tuple(causes), before, after, found.visited)
+
+
+def undetermined(fit: Fit, ends: Array) -> int | None:
+    """The last cause of a fit whose size may be none, or of which an interval is as wide as that of
+    a uniform prior: the data do not determine it. None where all are determined.
+    """
+    stop = len(ends)
+    for index in range(len(fit.causes) - 1, -1, -1):
+        cause = fit.causes[index]
+        own = ends[stop - len(cause.names) : stop]
+        stop -= len(cause.names)
+        neutral = 1.0 if cause.names[0] == "factor" else 0.0
+        none = not cause.effect.vanishes and own[0, 0] <= neutral <= own[0, 1]
+        rows = np.column_stack([own, cause.low, cause.high])
+        rows[cause.log] = np.log(rows[cause.log])
+        width = rows[:, 3] - rows[:, 2]
+        spans = (rows[:, 1] - rows[:, 0]) >= PRIOR_SHARE * width
+        if none or spans.any():
+            return index
+    return None
+
+
+def _pool(found: Searched) -> list[Fit]:
+    """The hypotheses that are compared on left-out runs: of each set of effects the one with the
+    most evidence.
+    """
+    first: dict[frozenset[str], Fit] = {}
+    for f in found.visited:
+        first.setdefault(frozenset(c.kind for c in f.causes), f)
+    return list(first.values())[:POOL]
+
+
+def _settled(
+    model: Model, fit: Fit, folds: Sequence[tuple[Model, Model]]
+) -> tuple[Fit, Array, Array] | None:
+    """A hypothesis fitted to what its owner compares: the fit, its rms on left-out runs, and the
+    ends of its intervals; None where the likelihood compares just that.
+    """
+    there = model.in_time()
+    moved = [(a.in_time(), b) for a, b in folds]
+    if there is None:
+        return None
+    likelihood = Likelihood(there, independent(there.residuals(fit.of)))
+    whole = likelihood.fit(fit.causes, [fit.of.theta], fit.of.nuisances)
+    held = LeftOut(likelihood, [(a, b) for a, b in moved if a is not None])
+    return whole, held.rms(whole), intervals(likelihood, whole, held)
+
+
+def intervals(likelihood: Likelihood, fit: Fit, held: LeftOut) -> Array:
+    """(P, 2) ends of the 95 % intervals: of the curvature, or of the scatter of the fits that leave
+    one run out (the jackknife: B. Efron, C. Stein, Ann. Stat. 9, 1981), whichever is wider. The
+    latter holds where the model is wrong as well.
+    """
+    count = len(fit.of.theta)
+    if not count:
+        return np.zeros((0, 2))
+    x = np.concatenate([fit.of.theta, fit.of.nuisances])
+    slopes = likelihood.slopes(fit.causes, x, fit.left)
+    low = np.concatenate([c.low for c in fit.causes])
+    high = np.concatenate([c.high for c in fit.causes])
+    scale = likelihood.scale_of(fit.causes, x)
+    normal, _ = likelihood.normal(fit.left, slopes)
+    inverse = np.linalg.pinv(normal, hermitian=True)
+    curved = 1.96 * np.sqrt(np.maximum(np.diag(inverse)[:count], 0.0)) * scale[:count]
+    thetas = np.array([f.of.theta for f in held.fits(fit)])
+    runs = len(thetas)
+    jack = math.sqrt((runs - 1) / runs) * np.linalg.norm(thetas - thetas.mean(axis=0), axis=0)
+    quantile = min(float(student.ppf(0.975, max(runs - 1, 1))), MOST_QUANTILE)
+    half = np.maximum(curved, quantile * jack)
+    return np.column_stack(
+        [np.maximum(fit.of.theta - half, low), np.minimum(fit.of.theta + half, high)]
+    )
+
+
+def _rivals(
+    likelihood: Likelihood, fit: Fit, index: int, candidates: Sequence[Candidate]
+) -> tuple[tuple[str, ...], float]:
+    """Effects that do as well in the place of a cause, and the probability of the cause beside
+    them.
+    """
+    cause, here = fit.causes[index], likelihood.again(fit)
+    others = [c for c in candidates if c.kind != cause.kind]
+    close: dict[str, float] = {}
+    for other in extended(likelihood, without(likelihood, fit, index), others, RIVALS):
+        gap = other.evidence - here.evidence
+        for kind in {c.kind for c in other.causes} - {c.kind for c in fit.causes}:
+            if gap > -TOLD_APART:
+                close[kind] = max(close.get(kind, -math.inf), gap)
+    total = sum(math.exp(min(gap, 0.0)) for gap in close.values())
+    return tuple(sorted(close, key=lambda k: -close[k])), 1.0 / (1.0 + total)

@@ -1,0 +1,97 @@
+"""What a model has to offer so that its departures can be sought: predictions under a list of
+effects, and numbers that nobody asked for.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hiltestbed.effects.base import Departure
+from hiltestbed.effects.search import Candidate
+from hiltestbed.frames import Array
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """A number that is not known and not asked for, such as a time-stamp offset: 0 as believed,
+    with a Gaussian prior of standard deviation ``sigma`` in ``unit``, that ends at ``most``.
+    """
+
+    name: str
+    unit: str
+    sigma: float
+    most: float
+
+
+class Hypothesis(NamedTuple):
+    """Causes with their parameters, concatenated, and the values of the nuisances."""
+
+    causes: tuple[Candidate, ...]
+    theta: Array
+    nuisances: Array
+
+    def effects(self) -> list[Departure]:
+        """The causes as effects: parts of one effect, such as the viscous and the dry friction of
+        one force, are one.
+        """
+        made: dict[tuple, dict[str, float]] = {}
+        kinds: dict[tuple, Candidate] = {}
+        start = 0
+        for number, cause in enumerate(self.causes):
+            own = cause.effect.repeats and not cause.needs
+            key = (cause.kind, *sorted(cause.fixed.items()), number if own else -1)
+            kinds.setdefault(key, cause)
+            values = zip(cause.names, self.theta[start : start + len(cause.names)], strict=True)
+            made.setdefault(key, {**cause.fixed}).update({n: float(v) for n, v in values})
+            start += len(cause.names)
+        return [kinds[key].effect.hypothesis({}, **values) for key, values in made.items()]
+
+
+class Model(ABC):
+    """A model of some runs.
+
+    Attributes:
+        runs: their names. floors: (R,) noise of each run's output, below which a residual means
+            nothing. nuisances: their priors.
+    """
+
+    runs: tuple[str, ...]
+    floors: Array
+    nuisances: tuple[Nuisance, ...]
+
+    @abstractmethod
+    def residuals(self, of: Hypothesis) -> list[Array]:
+        """(N,) measured less predicted of each run, in the unit of the output; and last, in
+        standard deviations of their priors, the nuisances and the zero that was taken off each run.
+        """
+
+    def scored(self, of: Hypothesis) -> list[Array]:
+        """(N,) residual of each run by which hypotheses are compared on runs that were not fitted:
+        less no more of its zero than the prior allows.
+        """
+        return self.residuals(of)[:-1]
+
+    @abstractmethod
+    def departure(self, of: Hypothesis) -> list[Array]:
+        """(N,) measured less predicted of each run as its owner would compare them, where the
+        likelihood compares something else.
+        """
+
+    def in_time(self) -> Model | None:
+        """The same model whose residuals are its :meth:`departure`, on which the estimates of a
+        hypothesis are settled; None where they are that already.
+        """
+        return None
+
+    @abstractmethod
+    def on(self, runs: Sequence[int]) -> Model:
+        """The same model of some of its runs."""
+
+    def prior_sigma(self) -> Array:
+        """(E,) of the nuisances."""
+        return np.array([n.sigma for n in self.nuisances])

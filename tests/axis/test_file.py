@@ -1,0 +1,101 @@
+"""The file of an axis: what it takes, what it refuses, and that what was found can be read back."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from hiltestbed.axis.dataset import load_axis
+from hiltestbed.axis.diagnose import diagnose_axis
+from hiltestbed.config.check import check_file, look_at
+from hiltestbed.errors import InputError
+from tests.axis import machines
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two runs of a damper in millimetres, and their file."""
+    out = tmp_path_factory.mktemp("axis")
+    for s in (0, 1):
+        r = machines.damper(s)
+        table = pd.DataFrame({"t": r.t, "x [mm]": 1e3 * r.u, "F": r.y})
+        table.to_csv(out / f"run_{s}.csv", index=False)
+    return out
+
+
+def spec(**more):
+    data = {
+        "axis": "damper",
+        "nominal": {"damping": 500.0},
+        "runs": [{"file": "run_0.csv"}, {"file": "run_1.csv"}],
+        "channels": {"input": {"column": "x [mm]"}, "output": {"column": "F", "unit": "N"}},
+    }
+    return data | more
+
+
+def written(folder, data):
+    path = folder / "axis.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def test_units_are_those_of_the_file_and_of_the_map(folder):
+    loaded = load_axis(written(folder, spec()))
+    assert np.ptp(loaded.records[0].u) == pytest.approx(0.02, rel=0.01)
+    found = look_at(folder / "axis.yaml")
+    assert found.kind == "axis"
+    assert not found.faults
+
+
+def test_what_was_found_is_read_back_and_leaves_nothing_to_find(folder):
+    diagnosis = diagnose_axis(written(folder, spec()))
+    out = diagnosis.write(folder / "out")
+    result = json.loads((out / "diagnosis.json").read_text())
+    assert result["verdict"] == diagnosis.verdict
+    assert result["heldout"]["reduction"] > 0.9
+    again = load_axis(out / "extended.yaml")
+    left = again.model().residuals(diagnosis.conclusion.null.of)
+    shown = diagnosis.conclusion.fit.left
+    # up to the time-stamp offset, which is of the log and not of the axis
+    for a, b in zip(left[:-1], shown[:-1], strict=True):
+        assert np.sqrt(np.mean(a**2)) < 2.0 * np.sqrt(np.mean(b**2))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"nominal": {"mass": 3.0}}, "is no number of a damper"),
+        ({"axis": "drive", "nominal": {}}, "lacks mass"),
+        ({"axis": "lever"}, "axis"),
+        ({"effects": [{"kind": "dynamics.mass", "factor": 2.0}]}, "does not act on a damper"),
+        ({"effects": [{"kind": "contact.nothing"}]}, "contact.nothing"),
+        ({"runs": [{"file": "absent.csv"}]}, "names no file"),
+        ({"channels": {"input": {"column": "y"}}}, "names no column"),
+        (
+            {"channels": {"input": {"column": "x [mm]", "unit": "kN"}, "output": {"column": "F"}}},
+            "is no unit of it",
+        ),
+        ({"nominal": {"damping": -1.0}}, "damping"),
+    ],
+)
+def test_bad_input_is_said(folder, changes, words):
+    path = written(folder, spec(**changes))
+    with pytest.raises(InputError, match=words):
+        load_axis(path)
+    assert look_at(path).faults
+
+
+def test_a_log_without_a_clock_asks_for_its_rate(tmp_path):
+    r = machines.damper(0)
+    pd.DataFrame({"x": r.u, "F": r.y}).to_csv(tmp_path / "run_0.csv", index=False)
+    data = spec(runs=[{"file": "run_0.csv"}])
+    data["channels"] = {"input": {"column": "x"}, "output": {"column": "F"}}
+    with pytest.raises(InputError, match="sample rate"):
+        load_axis(written(tmp_path, data))
+    loaded = load_axis(written(tmp_path, data | {"rate": 500.0}))
+    assert loaded.records[0].t[1] == pytest.approx(0.002)
+    assert check_file(tmp_path / "axis.yaml")[0] == "axis"

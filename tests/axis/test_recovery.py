@@ -1,0 +1,110 @@
+"""Planted numbers come back within their intervals, from machines integrated elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hiltestbed.axis.diagnose import decide, merged, searched, tells_nothing
+from hiltestbed.axis.models import AxisRun, model_of
+from hiltestbed.inference.conclude import conclude
+from tests.axis import machines
+
+
+def found(kind, runs, nominal, rotates=False):
+    """Verdict, causes by effect, and the conclusion."""
+    model = model_of(kind, runs, nominal, rotates)
+    search = searched(model)
+    c = conclude(search, model.folds(), model.candidates())
+    constant = np.array([float(np.std(test.measured()[0])) for _, test in model.folds()])
+    verdict, causes, _, _ = decide(model, search, c, constant)
+    return verdict, {cause.effect: cause for cause in causes}, c
+
+
+def test_a_carriage_gives_back_its_mass_and_what_resists_it():
+    runs = [machines.carriage(s) for s in (0, 1, 2)]
+    _, causes, c = found("drive", runs, {"mass": 30.0})
+    assert set(causes) == {"dynamics.mass", "dynamics.force"}
+    force = causes["dynamics.force"].parameters
+    assert 30.0 * causes["dynamics.mass"].parameters["factor"][0] == pytest.approx(42.0, rel=0.01)
+    assert force["viscous"][0] == pytest.approx(130.0, rel=0.02)
+    assert force["coulomb"][0] == pytest.approx(18.0, rel=0.02)
+    assert force["offset"][0] == pytest.approx(4.0, rel=0.05)
+    for name, true in (("viscous", 130.0), ("coulomb", 18.0), ("offset", 4.0)):
+        low, high = force[name][1]
+        assert low <= true <= high
+    assert np.all(c.after < 0.02 * c.before)
+
+
+def test_gravity_on_a_joint_is_no_spring_and_no_friction():
+    runs = [machines.carriage(s, gravity=300.0, offset=0.0, swing=6.0) for s in (0, 1)]
+    _, causes, _ = found("drive", runs, {"mass": 42.0}, rotates=True)
+    assert "dynamics.gravity" in causes
+    assert "dynamics.mass" not in causes
+
+
+def test_a_delay_and_a_bandwidth_are_told_apart():
+    runs = [machines.servo(s) for s in (0, 1, 2)]
+    _, causes, _ = found("servo", runs, {}, rotates=True)
+    assert set(causes) == {"platform.drive", "platform.delay"}
+    drive = causes["platform.drive"].parameters
+    assert drive["bandwidth"][0] == pytest.approx(6.0, rel=0.03)
+    assert causes["platform.delay"].parameters["delay"][0] == pytest.approx(0.03, abs=0.004)
+
+
+@pytest.mark.parametrize(
+    ("planted", "named", "other"),
+    [
+        ({"friction": 0.02}, "platform.drive", "platform.backlash"),
+        ({"play": 0.04}, "platform.backlash", None),
+    ],
+)
+def test_play_and_dry_friction_are_told_apart(planted, named, other):
+    runs = [machines.servo(s, **planted) for s in (0, 1, 2)]
+    _, causes, _ = found("servo", runs, {}, rotates=True)
+    assert named in causes
+    assert other not in causes
+    name, true = next(iter(planted.items()))
+    name = "width" if name == "play" else name
+    assert causes[named].parameters[name][0] == pytest.approx(true, rel=0.1)
+
+
+def test_a_damper_gives_back_its_friction_and_its_preload():
+    runs = [machines.damper(s) for s in (0, 1)]
+    verdict, causes, _ = found("damper", runs, {"stiffness": 0.0, "damping": 500.0})
+    assert causes["contact.damping"].parameters["factor"][0] == pytest.approx(1.6, rel=0.02)
+    assert causes["contact.dry_friction"].parameters["force"][0] == pytest.approx(120.0, rel=0.03)
+    assert causes["contact.preload"].parameters["force"][0] == pytest.approx(35.0, rel=0.1)
+    assert verdict in ("named", "named_in_part", "ambiguous")
+
+
+def test_a_servo_that_follows_and_a_damper_that_is_as_believed_depart_from_nothing():
+    rng = np.random.default_rng(5)
+    t, u = machines.chirp(20.0, 100.0, 0.1, 2.0, 0.4)
+    runs = [AxisRun(f"{i}", t, u, u + 1e-3 * rng.standard_normal(len(t))) for i in range(3)]
+    assert found("servo", runs, {})[0] == "no_discrepancy"
+    true = machines.damper(0, slip=0.0, preload=0.0)
+    assert found("damper", [true, machines.damper(1, slip=0.0, preload=0.0)],
+                 {"damping": 800.0})[0] == "no_discrepancy"  # fmt: skip
+
+
+def test_random_walks_are_no_response():
+    rng = np.random.default_rng(3)
+    t = np.arange(3000) / 100.0
+    runs = [
+        AxisRun(f"{i}", t, *np.cumsum(rng.standard_normal((2, 3000)), axis=1)) for i in range(3)
+    ]
+    verdict, causes, _ = found("servo", runs, {})
+    assert verdict == "unknown"
+    assert not causes
+
+
+def test_constants_and_copies_tell_nothing():
+    t, u = machines.chirp(10.0, 100.0, 0.1, 2.0, 0.4)
+    for y in (np.full(len(t), 0.2), 3.0 * u + 0.1):
+        assert tells_nothing(model_of("servo", [AxisRun("a", t, u, y)], {}))
+    assert tells_nothing(model_of("servo", [AxisRun("a", t, 0.0 * u, u)], {}))
+
+
+def test_parts_of_one_effect_are_one_cause():
+    assert merged(()) == ()
