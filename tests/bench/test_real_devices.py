@@ -55,7 +55,7 @@ def test_a_file_that_is_not_the_described_one_is_absent(tmp_path: Path) -> None:
 
 
 def test_parts_of_a_record_are_the_record() -> None:
-    t = np.arange(7) * 0.1
+    t = np.asarray([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6], dtype=np.float64)
     parts = split(Record("whole", t, np.sin(t), np.cos(t)), "a", "b")
     assert [p.name for p in parts] == ["a", "b"]
     assert all(p.t[0] == 0 for p in parts)
@@ -64,7 +64,7 @@ def test_parts_of_a_record_are_the_record() -> None:
 
 def _moved(mass: float, viscous: float, forwards: float, backwards: float) -> Record:
     """A carriage pushed by a force of two frequencies: integrated by SciPy, with a steep sign."""
-    t = np.arange(8000) * 1e-3
+    t = np.asarray(np.arange(8000) * 1e-3, dtype=np.float64)
 
     def force(time: float) -> float:
         return 60 * np.sin(2 * np.pi * 0.5 * time) + 40 * np.sin(2 * np.pi * 1.7 * time)
