@@ -1,0 +1,96 @@
+"""What a public record of a real machine is: its source, its frozen split and the model that an
+expert fits to it.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files as package_files
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Predictor = Callable[["Record"], Array]
+
+
+class Record(NamedTuple):
+    """One run of one axis: times [s], recorded input and recorded output in SI units, all of
+    shape (N,).
+    """
+
+    name: str
+    t: Array
+    u: Array
+    y: Array
+
+
+@dataclass(frozen=True)
+class Device:
+    """One axis of a machine that others have measured.
+
+    `source` is a public repository (`github:owner/name`) with the paths of the files in it.
+    `files` maps the path of each original file below the data folder to its SHA-256. `fit` and
+    `left_out` are names of records and never change: what `expert` learns comes from the
+    records of `fit` alone. `nominal` is what the owner believed before any record (`mass` and
+    `gain` of a drive, `stiffness` and `damping` of a damper, empty for a servo that follows its
+    command and a sensor that reads true), `published` the parameters that the source states, in
+    SI units.
+    """
+
+    name: str
+    title: str
+    source: str
+    licence: str
+    files: Mapping[str, str]
+    kind: Literal["drive", "servo", "damper", "sensor"]
+    units: tuple[str, str]
+    nominal: Mapping[str, float]
+    fit: tuple[str, ...]
+    left_out: tuple[str, ...]
+    published: Mapping[str, float]
+    records: Callable[[Path], list[Record]]
+    expert: Callable[[Sequence[Record]], Predictor]
+
+    def absent(self, data: Path) -> list[str]:
+        """Files that are not below `data`, or whose content is not the one that was described."""
+        return [path for path, sha256 in self.files.items() if not _is(data / path, sha256)]
+
+
+def files(pattern: str) -> dict[str, str]:
+    """SHA-256 by path below the data folder of the original files that match.
+
+    `SHA256SUMS` beside this module is in the format of `sha256sum -c`.
+    """
+    lines = (package_files("hiltestbed.bench.real") / "SHA256SUMS").read_text().splitlines()
+    sums = {path: sha256 for sha256, path in (line.split("  ", 1) for line in lines)}
+    return {path: sha256 for path, sha256 in sums.items() if fnmatch.fnmatch(path, pattern)}
+
+
+def _is(path: Path, sha256: str) -> bool:
+    return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == sha256
+
+
+def split(record: Record, *names: str) -> list[Record]:
+    """The record cut by time into parts of equal numbers of rows, one a name; each part starts
+    at t = 0.
+    """
+    rows = np.array_split(np.arange(record.t.size), len(names))
+    parts = zip(names, rows, strict=True)
+    return [Record(n, record.t[i] - record.t[i[0]], record.u[i], record.y[i]) for n, i in parts]
+
+
+def evenly(record: Record, period: float) -> Record:
+    """The record on an even grid [s], linear between its rows."""
+    t = np.arange(record.t[0], record.t[-1], period)
+    return Record(
+        record.name,
+        t - t[0],
+        np.interp(t, record.t, record.u),
+        np.interp(t, record.t, record.y),
+    )
