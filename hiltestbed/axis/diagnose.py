@@ -196,7 +196,7 @@ class AxisDiagnosis:
         if c is None:
             return finite(out)
         before, after = c.before, c.after
-        out["heldout"] = heldout(self.model.folds_of(), before, after)
+        out["heldout"] = heldout([name for name, _, _ in self.model.folds()], before, after)
         out["explained"] = 1.0 - float(np.sum(after**2) / np.sum(before**2))
         left = [np.asarray(x) for x in c.fit.left[:-1]]
         out["residuals"] = [
@@ -213,7 +213,13 @@ class AxisDiagnosis:
                 "white": bool(float(np.sqrt(np.mean(x * x))) <= CLOSE * f),
             }
             for run, b, a, k, f, x in zip(
-                self.model.folds_of(), before, after, self.constant, self.floors, left, strict=False
+                [name for name, _, _ in self.model.folds()],
+                before,
+                after,
+                self.constant,
+                self.floors,
+                left,
+                strict=False,
             )
         ]
         out["ranking"] = [
@@ -258,7 +264,7 @@ def diagnose_axis(path: str | Path | LoadedAxis, progress: Progress | None = Non
     start = time.monotonic()
     loaded = path if isinstance(path, LoadedAxis) else load_axis(path)
     model = loaded.model()
-    constant = np.array([float(np.std(test.measured()[0])) for _, test in model.folds()])
+    constant = np.array([spread(test.measured()) for _, _, test in model.folds()])
     why = tells_nothing(model)
     if why:
         return AxisDiagnosis(
@@ -286,6 +292,11 @@ def searched(model: AxisModel, progress: Progress | None = None) -> Searched:
     of = Hypothesis((), np.zeros(0), np.zeros(len(model.nuisances)))
     counts = independent(model.residuals(of))
     return search(Likelihood(model, counts), model.candidates(), progress)
+
+
+def spread(parts: Sequence[Array]) -> float:
+    """rms of measurements about the mean of each run: what a constant leaves."""
+    return float(np.sqrt(np.mean(np.concatenate([x - np.mean(x) for x in parts]) ** 2)))
 
 
 def tells_nothing(model: AxisModel) -> str | None:

@@ -87,27 +87,6 @@ class AxisModel(Model):
         """The same model of other records."""
         return type(self)(records, self.nominal, self.rotates, self.believed)
 
-    def folds(self) -> list[tuple[AxisModel, AxisModel]]:
-        """The runs without each one, and that one; of a single run its halves."""
-        count = len(self.records)
-        if count == 1:
-            r = self.records[0]
-            half = len(r.t) // 2
-            parts = [
-                AxisRun(f"{r.name}, {word} half", r.t[s], r.u[s], r.y[s])
-                for word, s in (("first", slice(0, half)), ("second", slice(half, None)))
-            ]
-            return [
-                (self.of([parts[1]]), self.of([parts[0]])),
-                (self.of([parts[0]]), self.of([parts[1]])),
-            ]
-        everything = range(count)
-        return [(self.on([j for j in everything if j != i]), self.on([i])) for i in everything]
-
-    def folds_of(self) -> list[str]:
-        """The names of what is left out."""
-        return [test.runs[0] for _, test in self.folds()]
-
     def candidates(self) -> tuple[Candidate, ...]:
         """Every part of every effect that acts on this kind of axis."""
         return tuple(

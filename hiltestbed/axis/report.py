@@ -102,7 +102,7 @@ def page_of(d: AxisDiagnosis) -> Report:
         "by the recorded input alone.",
     )
     report.heading("Runs that were left out of the fit")
-    names = d.model.folds_of()
+    names = [name for name, _, _ in d.model.folds()]
     report.figure(
         left_out(d), "rms of each run, predicted by a model that was fitted to the others."
     )
@@ -160,7 +160,7 @@ def over_time(d: AxisDiagnosis) -> Figure:
 def left_out(d: AxisDiagnosis) -> Figure:
     """rms of each left-out run: constant, nominal, extended."""
     assert d.conclusion is not None
-    c, names = d.conclusion, d.model.folds_of()
+    c, names = d.conclusion, [name for name, _, _ in d.model.folds()]
     figure, axes = new_figure(9.0, 3.0)
     place = np.arange(len(names))
     for shift, values, color, label in (

@@ -18,8 +18,8 @@ from hiltestbed.inference.model import Model
 from hiltestbed.inference.search import Searched, extended, named, without
 
 # of the rms on left-out runs, in the mean of its logarithm, by which a cause has to lower it: what
-# is worth less than a twentieth no test engineer asks for
-LEAST_GAIN = 0.05
+# is worth less no test engineer asks for
+LEAST_GAIN = 0.03
 PRIOR_SHARE = 0.95  # of a range, that the 95 % interval of its uniform prior has
 RIVALS = 3  # effects that are fitted in the place of a cause
 POOL = 8  # sets of effects that are compared on left-out runs
@@ -31,6 +31,7 @@ TOLD_APART = math.log(19.0)
 MOST_QUANTILE = float(student.ppf(0.975, 2))
 
 Progress = Callable[[str], None]
+Fold = tuple[str, Model, Model]  # what is left out; the model of the rest; and of that
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +83,12 @@ class Conclusion:
 class LeftOut:
     """Hypotheses fitted to all runs but one, and scored on that one."""
 
-    def __init__(self, likelihood: Likelihood, folds: Sequence[tuple[Model, Model]]) -> None:
-        """folds: the runs to fit, and those that are left out."""
+    def __init__(self, likelihood: Likelihood, folds: Sequence[Fold]) -> None:
+        """folds: names, the runs to fit, and those that are left out."""
         self._all, self._known = likelihood, {}
         self._folds = [
             (Likelihood(a, likelihood.counts[0] * np.ones(len(a.runs)), likelihood.choices), b)
-            for a, b in folds
+            for _, a, b in folds
         ]
 
     def fits(self, found: Fit) -> list[Fit]:
@@ -118,7 +119,7 @@ def _rms(parts: Sequence[Array]) -> float:
 
 def conclude(
     found: Searched,
-    folds: Sequence[tuple[Model, Model]],
+    folds: Sequence[Fold],
     candidates: Sequence[Candidate],
     progress: Progress | None = None,
 ) -> Conclusion:
@@ -201,19 +202,17 @@ def _pool(found: Searched) -> list[Fit]:
     return list(first.values())[:POOL]
 
 
-def _settled(
-    model: Model, fit: Fit, folds: Sequence[tuple[Model, Model]]
-) -> tuple[Fit, Array, Array] | None:
+def _settled(model: Model, fit: Fit, folds: Sequence[Fold]) -> tuple[Fit, Array, Array] | None:
     """A hypothesis fitted to what its owner compares: the fit, its rms on left-out runs, and the
     ends of its intervals; None where the likelihood compares just that.
     """
     there = model.in_time()
-    moved = [(a.in_time(), b) for a, b in folds]
+    moved = [(name, a.in_time(), b) for name, a, b in folds]
     if there is None:
         return None
     likelihood = Likelihood(there, independent(there.residuals(fit.of)))
     whole = likelihood.fit(fit.causes, [fit.of.theta], fit.of.nuisances)
-    held = LeftOut(likelihood, [(a, b) for a, b in moved if a is not None])
+    held = LeftOut(likelihood, [(name, a, b) for name, a, b in moved if a is not None])
     return whole, held.rms(whole), intervals(likelihood, whole, held)
 
 

@@ -16,6 +16,9 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
 
+FEWEST = 3  # runs of which each can be left out: two others still tell what differs between runs
+
+
 @dataclass(frozen=True)
 class Nuisance:
     """A number that is not known and not asked for, such as a time-stamp offset: 0 as believed,
@@ -89,9 +92,67 @@ class Model(ABC):
         return None
 
     @abstractmethod
+    def measured(self) -> list[Array]:
+        """(N,) what the owner measured in each run."""
+
+    def folds(self) -> list[tuple[str, Model, Model]]:
+        """What is left out, by name: the model of the rest, and of that. One run after the other;
+        of fewer than three, stretches of all runs.
+        """
+        count = len(self.runs)
+        if count >= FEWEST:
+            rest = [[j for j in range(count) if j != i] for i in range(count)]
+            return [(self.runs[i], self.on(rest[i]), self.on([i])) for i in range(count)]
+        return [
+            (f"stretches {f + 1} of {FOLDS}", Part(self, f, False), Part(self, f, True))
+            for f in range(FOLDS)
+        ]
+
+    @abstractmethod
     def on(self, runs: Sequence[int]) -> Model:
         """The same model of some of its runs."""
 
     def prior_sigma(self) -> Array:
         """(E,) of the nuisances."""
         return np.array([n.sigma for n in self.nuisances])
+
+
+FOLDS, BLOCKS = (
+    4,
+    16,
+)  # parts of a run that are left out in turn, and stretches that they consist of
+
+
+class Part(Model):
+    """The rows of a model that one of :data:`FOLDS` folds leaves out, or all others: stretches of
+    every run in turn, so that each fold holds all that the runs do. The model still predicts whole
+    runs.
+    """
+
+    def __init__(self, whole: Model, fold: int, inside: bool) -> None:
+        self.whole, self.fold, self.inside = whole, fold, inside
+        self.runs, self.floors, self.nuisances = whole.runs, whole.floors, whole.nuisances
+
+    def _rows(self, x: Array) -> Array:
+        block = np.arange(len(x)) * BLOCKS // len(x)
+        return x[(block % FOLDS == self.fold) == self.inside]
+
+    def residuals(self, of: Hypothesis) -> list[Array]:
+        *left, priors = self.whole.residuals(of)
+        return [*map(self._rows, left), priors]
+
+    def scored(self, of: Hypothesis) -> list[Array]:
+        return [self._rows(x) for x in self.whole.scored(of)]
+
+    def departure(self, of: Hypothesis) -> list[Array]:
+        return [self._rows(x) for x in self.whole.departure(of)]
+
+    def measured(self) -> list[Array]:
+        return [self._rows(x) for x in self.whole.measured()]
+
+    def in_time(self) -> Model | None:
+        moved = self.whole.in_time()
+        return None if moved is None else Part(moved, self.fold, self.inside)
+
+    def on(self, runs: Sequence[int]) -> Model:
+        return Part(self.whole.on(runs), self.fold, self.inside)

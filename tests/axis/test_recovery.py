@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiltestbed.axis.diagnose import decide, merged, searched, tells_nothing
+from hiltestbed.axis.diagnose import decide, merged, searched, spread, tells_nothing
 from hiltestbed.axis.models import AxisRun, model_of
 from hiltestbed.inference.conclude import conclude
 from tests.axis import machines
@@ -16,7 +16,7 @@ def found(kind, runs, nominal, rotates=False):
     model = model_of(kind, runs, nominal, rotates)
     search = searched(model)
     c = conclude(search, model.folds(), model.candidates())
-    constant = np.array([float(np.std(test.measured()[0])) for _, test in model.folds()])
+    constant = np.array([spread(test.measured()) for _, _, test in model.folds()])
     verdict, causes, _, _ = decide(model, search, c, constant)
     return verdict, {cause.effect: cause for cause in causes}, c
 
