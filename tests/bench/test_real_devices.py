@@ -91,7 +91,7 @@ def test_a_slider_behind_a_play_loses_its_loop_in_each_cycle() -> None:
     """Work of a cycle of amplitude A: 4 limit (A - limit / k - play / 2), without rest."""
     k, limit, play, amplitude = 5e3, 20.0, 2e-3, 0.02
     x = amplitude * np.sin(np.linspace(0, 4 * np.pi, 20001))
-    force = experts.slider(k, limit, play, x)
+    force = experts.slider(np.array([k, limit, limit, play]), x)
     second = slice(10000, None)
     work = float(np.sum(0.5 * (force[second][1:] + force[second][:-1]) * np.diff(x[second])))
     assert work == pytest.approx(4 * limit * (amplitude - limit / k - play / 2), rel=1e-3)

@@ -47,13 +47,15 @@ def _expert(records: Sequence[Record]) -> Predictor:
     size = float(np.std(np.concatenate([r.y for r in records])))
 
     def model(p: Array, record: Record) -> Array:
-        return experts.servo(p, record, steps=5)
+        return experts.servo(p, record, steps=20)
 
     bounds = (
         [5.0, 0.1, 0.0, 0.0, 0.1 * fastest, -0.2 * size, 0.8],
-        [400.0, 5.0, 0.1, 0.2 * size, 5 * fastest, 0.2 * size, 1.2],
+        [800.0, 5.0, 0.1, 0.2 * size, 5 * fastest, 0.2 * size, 1.2],
     )
-    starts = [[w, 0.8, 0.02, 0.01 * size, fastest, 0.0, 1.0] for w in (20.0, 60.0, 150.0)]
+    starts = [
+        [w, 0.8, d, 0.01 * size, fastest, 0.0, 1.0] for w in (20, 60, 150) for d in (0.003, 0.02)
+    ]
     fits = [experts.fitted(model, records, start, bounds) for start in starts]
     p = experts.best(model, records, fits)
     return lambda record: model(p, record)

@@ -26,7 +26,7 @@ def fitted(
     """Parameters with the least squared error of `model` over all records, each record's error in
     multiples of its own spread.
 
-    `start` and `bounds` are in the parameters' units; steps are scaled by the start.
+    `start` and `bounds` are in the parameters' units.
     """
     scales = [np.std(r.y) * np.sqrt(r.y.size) for r in records]
 
@@ -34,8 +34,7 @@ def fitted(
         errors = [(model(p, r) - r.y) / s for r, s in zip(records, scales, strict=True)]
         return np.nan_to_num(np.concatenate(errors), nan=1e3, posinf=1e3, neginf=-1e3)
 
-    scale = np.where(np.asarray(start) == 0, 1e-3, np.abs(start))
-    options = {"bounds": bounds, "x_scale": scale, "diff_step": 1e-4, "max_nfev": 60}
+    options = {"bounds": bounds, "x_scale": "jac", "diff_step": 1e-4, "max_nfev": 60}
     return least_squares(residual, np.asarray(start, float), **options).x
 
 
@@ -157,27 +156,27 @@ def servo(p: Array, record: Record, steps: int = 10) -> Array:
 
 
 @numba.njit(cache=True)
-def _slider(stiffness: float, limit: float, play: float, start: float, u: Array) -> Array:
+def _slider(p: Array, start: float, u: Array) -> Array:
+    stiffness, pull, push, play = p
     force = np.empty(u.size)
-    reach = limit / stiffness + play / 2
     s = start
     for i in range(u.size):
         if i:
-            s = min(reach, max(-reach, s + u[i] - u[i - 1]))
+            s += u[i] - u[i - 1]
+            s = min(pull / stiffness + play / 2, max(-push / stiffness - play / 2, s))
         force[i] = stiffness * (min(s + play / 2, 0.0) + max(s - play / 2, 0.0))
     return force
 
 
-def slider(stiffness: float, limit: float, play: float, u: Array, first: float = 0.0) -> Array:
-    """Force of a spring that slips at `limit` and turns through `play` without force when it
-    reverses.
+def slider(p: Array, u: Array, first: float = 0.0) -> Array:
+    """Force of a spring that slips at a limit and turns through a play without force.
 
-    The deflection at the first row follows from the `first` force; where that is nought it is
-    taken from the middle of the play.
+    `p` = (stiffness, limit of the pull, limit of the push, width of the play). The deflection at
+    the first row follows from the `first` force; without force it is the middle of the play.
     """
-    first = float(np.clip(first, -limit, limit))
-    start = first / stiffness + np.sign(first) * play / 2
-    return _slider(abs(stiffness), abs(limit), abs(play), start, u)
+    p = np.abs(np.asarray(p, dtype=float))
+    held = float(np.clip(first, -p[2], p[1])) / p[0] + np.sign(first) * p[3] / 2
+    return _slider(p, held, u)
 
 
 @numba.njit(cache=True)

@@ -39,7 +39,8 @@ def _expert(records: Sequence[Record]) -> Predictor:
 def _current(name: str, current: str, nominal: dict[str, float]) -> Device:
     return Device(
         name=name,
-        title=f"magnetorheological damper at {current[:-1]} A: displacement to force",
+        title=f"magnetorheological damper at {current[:-1].replace('x', '.')} A: "
+        "displacement to force",
         source="github:DanielMaurelE/vRTHS_AMBC_MRdamper, Cap7_ModeloMR/BoucWen Ajuste 1/"
         f"Preprocesamiento-sinusoidales/Preprocesados/*{current}.txt",
         licence="MIT",
@@ -58,5 +59,6 @@ def _current(name: str, current: str, nominal: dict[str, float]) -> Device:
 # k x + c v by least squares over the sine of 10 mm and 1 Hz
 DEVICES = (
     _current("mr_damper_0A", "0A", {"stiffness": 143.0, "damping": 341.5}),
+    _current("mr_damper_0.5A", "0x5A", {"stiffness": 819.6, "damping": 1700.0}),
     _current("mr_damper_1A", "1A", {"stiffness": 1839.0, "damping": 2758.0}),
 )
