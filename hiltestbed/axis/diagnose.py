@@ -318,7 +318,7 @@ def decide(
     """Verdict, causes, noise floors and remarks."""
     floors = np.maximum(model.floors, repeatability(model))
     null_noise = bool(np.all(c.null.rms() <= CLOSE * floors))
-    causes = merged(c.causes)
+    causes = merged(c.causes, {x.kind for x in model.candidates()})
     if not causes:
         return ("no_discrepancy" if null_noise else "unknown"), (), floors, ()
     if model.kind != "drive" and float(np.mean(np.log(c.after / constant))) > math.log(
@@ -351,8 +351,10 @@ def repeatability(model: AxisModel) -> Array:
     return out
 
 
-def merged(causes: Sequence[Confirmed]) -> tuple[AxisCause, ...]:
-    """The confirmed parts as effects: parts of one effect are one cause."""
+def merged(causes: Sequence[Confirmed], searched: set[str]) -> tuple[AxisCause, ...]:
+    """The confirmed parts as effects: parts of one effect are one cause. searched: kinds among
+    which it was sought; those that would be the same are its equals.
+    """
     groups: dict[tuple, list[Confirmed]] = {}
     for number, c in enumerate(causes):
         own = number if c.cause.effect.repeats and not c.cause.needs else -1
@@ -366,12 +368,13 @@ def merged(causes: Sequence[Confirmed]) -> tuple[AxisCause, ...]:
         first = parts[0]
         parameters |= {n: (v, None, "") for n, v in first.cause.fixed.items()}
         base = [p for p in parts if not p.cause.needs] or parts
-        rivals = tuple(dict.fromkeys(r for p in base for r in p.rivals))
+        same = [x for x in first.cause.effect.same if x not in searched]
+        rivals = tuple(dict.fromkeys([*same, *(r for p in base for r in p.rivals)]))
         out.append(
             AxisCause(
                 kind,
                 parameters,
-                min(p.probability for p in base),
+                min(p.probability for p in base) / (1.0 + len(same)),
                 rivals,
                 max(p.gain for p in parts),
             )

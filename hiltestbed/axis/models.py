@@ -38,6 +38,7 @@ ZERO_ERROR = 0.01
 # of the rows over which a motion was smoothed, every which is used: those between tell nothing new
 ROWS_A_WINDOW = 4
 LONGEST_RESPONSE = 1e-2  # [s] of a step of a servo, which is exact but for limits and turns
+RESISTANCES = ("viscous", "coulomb", "offset")  # numbers of a nominal drive
 LONGEST_STEP = 1e-3  # [s] of an integration; friction and controllers of machines are slower
 STEPS_A_RADIAN = 4.0  # steps of an integration per radian of the fastest response
 START_ROWS = 24  # rows from which a speed at the start is estimated
@@ -141,7 +142,8 @@ def _tared(left: Array, most: float) -> Array:
 
 
 def _span(values: Sequence[Array]) -> float:
-    return max(float(np.ptp(v)) for v in values) or 1.0
+    """The largest range of signals, but for their most extreme thousandths."""
+    return max(float(np.ptp(np.quantile(v, (0.001, 0.999)))) for v in values) or 1.0
 
 
 def _largest(values: Sequence[Array]) -> float:
@@ -224,6 +226,7 @@ class DriveModel(AxisModel):
     """
 
     kind = "drive"
+    stretches = 4  # it integrates: what is left out has to last, or its neighbours tell it
 
     def _prepare(self) -> None:
         self._motions, self._inputs, noise = [], [], []
@@ -251,12 +254,13 @@ class DriveModel(AxisModel):
             tick=float(np.median(self.ticks)),
             duration=max(float(x.t[-1] - x.t[0]) for x in m),
             rotates=self.rotates,
+            resists=any(self.nominal.get(k, 0.0) for k in RESISTANCES) or bool(self.believed),
         )
 
     def law(self, effects: Sequence[Departure]) -> Law:
         """The law with ``effects``."""
         law = Law(self.nominal.get("mass", 1.0), self.nominal.get("gain", 1.0))
-        believed = {k: v for k, v in self.nominal.items() if k in ("viscous", "coulomb", "offset")}
+        believed = {k: v for k, v in self.nominal.items() if k in RESISTANCES}
         if believed:
             AXIS_EFFECTS["dynamics.force"].hypothesis({}, **believed).apply(law)
         return applied((*self.believed, *effects), law)

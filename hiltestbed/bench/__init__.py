@@ -20,6 +20,7 @@ BENCHES = {  # name of a benchmark, and the module with its function of the same
     "diagnosis": EQUIPMENT + "diagnosis.run",
     "facilities": "hiltestbed.bench.facilities",
     "identification": "hiltestbed.bench.identification",
+    "real": "hiltestbed.bench.real.run",
     "realtime": "hiltestbed.bench.realtime",
     "robustness": EQUIPMENT + "robustness.run",
     "throughput": "hiltestbed.bench.throughput",

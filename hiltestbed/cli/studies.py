@@ -53,6 +53,10 @@ def bench(
         int | None,
         typer.Option("--workers", min=1, help=f"{LONG}: processes; left out: one per core."),
     ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option("--data", metavar="DIR", help="real: folder of the public records."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html.
@@ -79,6 +83,12 @@ def bench(
             f"bench {name}: --for and --workers are options of bench {' and '.join(LASTING)} "
             f"only; leave them out"
         )
+    if (data is not None) != (name == "real"):
+        raise InputError(
+            "bench real: needs --data DIR, the folder of the public records"
+            if name == "real"
+            else f"bench {name}: --data is an option of bench real only; leave it out"
+        )
     measure = benchmark(name)
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.compiled.warm import tell_of_compiling
@@ -89,7 +99,9 @@ def bench(
     refuse_foreign(folder, BENCH)
     tell_of_compiling()
     more: dict[str, Any] = {
-        k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None
+        k: v
+        for k, v in (("minutes", minutes), ("workers", workers), ("data", data))
+        if v is not None
     }
     keep = {"keep": folder.with_name(folder.name + LASTING[name])} if name in LASTING else {}
     try:

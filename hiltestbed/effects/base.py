@@ -78,6 +78,7 @@ class Departure(Strictly):
     jumps: ClassVar[str] = ""
     rich: ClassVar[bool] = False
     excludes: ClassVar[tuple[str, ...]] = ()  # kinds in place of which it acts
+    same: ClassVar[tuple[str, ...]] = ()  # kinds from which no record tells it, unless searched too
 
     _variant: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 

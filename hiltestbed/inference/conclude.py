@@ -22,6 +22,9 @@ from hiltestbed.inference.search import Searched, extended, named, without
 LEAST_GAIN = 0.03
 PRIOR_SHARE = 0.95  # of a range, that the 95 % interval of its uniform prior has
 RIVALS = 3  # effects that are fitted in the place of a cause
+# the same of a cause whose interval alone does not exclude that there is none: with few runs it is
+# wide
+DETERMINED_GAIN = 0.1
 POOL = 8  # sets of effects that are compared on left-out runs
 TIED = 0.01  # of the rms on left-out runs, within which two hypotheses predict as well
 # log of the odds of 19 to 1, at which two explanations count as told apart
@@ -68,8 +71,8 @@ class Conclusion:
     Attributes:
         fit: the hypothesis that is offered, fitted to all runs; null: nothing departs.
         causes: of the fit, those that remove most first. before, after: (R,) rms of each run when
-            it is left out, in the unit of the record, of the null and of the fit. folds: the fit to
-            all runs but one, for each. visited: what was compared.
+            it is left out, in the unit of the record, of the null and of the fit. visited: what was
+            compared.
     """
 
     fit: Fit
@@ -85,7 +88,7 @@ class LeftOut:
 
     def __init__(self, likelihood: Likelihood, folds: Sequence[Fold]) -> None:
         """folds: names, the runs to fit, and those that are left out."""
-        self._all, self._known = likelihood, {}
+        self._known: dict[tuple[str, ...], list[Fit]] = {}
         self._folds = [
             (Likelihood(a, likelihood.counts[0] * np.ones(len(a.runs)), likelihood.choices), b)
             for _, a, b in folds
@@ -127,30 +130,34 @@ def conclude(
     runs that were not fitted are predicted as well without them.
     """
     held, likelihood = LeftOut(found.likelihood, folds), found.likelihood
+    settled, judge = _in_time(found, folds) or (None, held)
     if progress:
         progress("left-out runs: the hypotheses with the most evidence")
     # of those that predict as well, the one with the most evidence
-    fit = min(_pool(found), key=lambda f: (round(held.score(f) / TIED), -f.evidence))
-    score = held.score(fit)
+    fit = min(_pool(found), key=lambda f: (round(judge.score(f) / TIED), -f.evidence))
+    score = judge.score(fit)
     while fit.causes:
         if progress:
             progress(f"left-out runs: {named(fit)}")
         fewer = [without(likelihood, fit, i) for i in range(len(fit.causes))]
-        scores = [held.score(f) for f in fewer]
+        scores = [judge.score(f) for f in fewer]
         least = int(np.argmin(scores))
         if scores[least] > score + LEAST_GAIN:
             break
         fit, score = fewer[least], scores[least]
     ends = intervals(likelihood, fit, held)
     while (open_ := undetermined(fit, ends)) is not None:
-        fit = without(likelihood, fit, open_)
-        ends, score = intervals(likelihood, fit, held), held.score(fit)
+        fewer_ = without(likelihood, fit, open_)
+        if judge.score(fewer_) > score + DETERMINED_GAIN:
+            break
+        fit, score = fewer_, judge.score(fewer_)
+        ends = intervals(likelihood, fit, held)
     null = found.null
-    before, after = held.rms(null), held.rms(fit)
-    settled = _settled(found.likelihood.model, fit, folds) if fit.causes else None
-    if settled is not None and np.mean(np.log(settled[1])) < np.mean(np.log(after)):
+    before, after = judge.rms(null), judge.rms(fit)
+    if settled is not None and fit.causes:
         # where the two estimates differ, the model is wrong by that much
-        whole, after, own = settled
+        whole = settled.fit(fit.causes, [fit.of.theta], fit.of.nuisances)
+        own = intervals(settled, whole, judge)
         ends = np.column_stack(
             [np.minimum(ends[:, 0], own[:, 0]), np.maximum(ends[:, 1], own[:, 1])]
         )
@@ -165,7 +172,7 @@ def conclude(
             Estimate(name, float(v), float(low), float(high))
             for name, v, (low, high) in zip(cause.names, fit.of.theta[own], ends[own], strict=True)
         )
-        worse = held.score(without(likelihood, fit, i)) - score
+        worse = judge.score(without(likelihood, fit, i)) - score
         rivals, probability = _rivals(likelihood, fit, i, candidates)
         causes.append(Confirmed(cause, estimates, 1.0 - math.exp(-worse), probability, rivals))
     causes.sort(key=lambda c: -c.gain)
@@ -202,18 +209,16 @@ def _pool(found: Searched) -> list[Fit]:
     return list(first.values())[:POOL]
 
 
-def _settled(model: Model, fit: Fit, folds: Sequence[Fold]) -> tuple[Fit, Array, Array] | None:
-    """A hypothesis fitted to what its owner compares: the fit, its rms on left-out runs, and the
-    ends of its intervals; None where the likelihood compares just that.
+def _in_time(found: Searched, folds: Sequence[Fold]) -> tuple[Likelihood, LeftOut] | None:
+    """Likelihood and left-out runs of what the owner compares; None where the search compared just
+    that.
     """
-    there = model.in_time()
-    moved = [(name, a.in_time(), b) for name, a, b in folds]
+    there = found.likelihood.model.in_time()
     if there is None:
         return None
-    likelihood = Likelihood(there, independent(there.residuals(fit.of)))
-    whole = likelihood.fit(fit.causes, [fit.of.theta], fit.of.nuisances)
-    held = LeftOut(likelihood, [(name, a, b) for name, a, b in moved if a is not None])
-    return whole, held.rms(whole), intervals(likelihood, whole, held)
+    moved = [(name, a.in_time(), b) for name, a, b in folds]
+    likelihood = Likelihood(there, independent(there.residuals(found.best.of)))
+    return likelihood, LeftOut(likelihood, [(n, a, b) for n, a, b in moved if a is not None])
 
 
 def intervals(likelihood: Likelihood, fit: Fit, held: LeftOut) -> Array:

@@ -15,7 +15,6 @@ from hiltestbed.effects.base import Departure
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
-
 FEWEST = 3  # runs of which each can be left out: two others still tell what differs between runs
 
 
@@ -66,6 +65,7 @@ class Model(ABC):
     runs: tuple[str, ...]
     floors: Array
     nuisances: tuple[Nuisance, ...]
+    stretches: int = 16  # of a run, of which every fourth is left out together
 
     @abstractmethod
     def residuals(self, of: Hypothesis) -> list[Array]:
@@ -132,9 +132,10 @@ class Part(Model):
     def __init__(self, whole: Model, fold: int, inside: bool) -> None:
         self.whole, self.fold, self.inside = whole, fold, inside
         self.runs, self.floors, self.nuisances = whole.runs, whole.floors, whole.nuisances
+        self.stretches = whole.stretches
 
     def _rows(self, x: Array) -> Array:
-        block = np.arange(len(x)) * BLOCKS // len(x)
+        block = np.arange(len(x)) * self.whole.stretches // len(x)
         return x[(block % FOLDS == self.fold) == self.inside]
 
     def residuals(self, of: Hypothesis) -> list[Array]:

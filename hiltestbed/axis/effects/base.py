@@ -35,6 +35,7 @@ class Reach:
     rotates: bool = False
     stiffness: float = 0.0
     damping: float = 0.0
+    resists: bool = False  # whether something resists the motion of the nominal drive
 
 
 class AxisEffect(Departure):

@@ -30,6 +30,7 @@ class AxisMass(AxisEffect):
     equation = "m -> factor m"
     reference = "Newton"
     resembles = ("dynamics.gain",)
+    same = ("dynamics.gain",)
     leading = "factor"
 
     def apply(self, p: Law) -> None:
@@ -60,8 +61,9 @@ class AxisGain(AxisEffect):
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
-        # makers state the constant of a drive, and nobody the mass that it moves
-        yield candidate(cls, {"factor": FACTORS}, choices=2)
+        # where nothing resists nominally, it is a factor on mass and resistance together
+        if reach.resists:
+            yield candidate(cls, {"factor": FACTORS})
 
 
 @register
