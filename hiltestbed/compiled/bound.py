@@ -184,7 +184,7 @@ def _type_of(array: Any) -> Any:
     """Numba's type, the same for one run as for several: NumPy takes a strided array for contiguous
     if its leading axis has a single entry.
     """
-    kind = typeof(array)
+    kind: Any = typeof(array)
     if kind.layout == "C" and array.size:
         expected = array.itemsize
         for length, stride in zip(reversed(array.shape), reversed(array.strides), strict=True):
