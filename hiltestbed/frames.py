@@ -50,7 +50,7 @@ def sin_cos(angle):
     return sine, cosine
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def quat_mul(a, b, out):
     """``out = a * b`` (Hamilton product, x y z w); ``out`` may be neither ``a`` nor ``b``."""
     out[0] = a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1]
@@ -59,7 +59,7 @@ def quat_mul(a, b, out):
     out[3] = a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def quat_conj_mul(a, b, out):
     """``out = conj(a) * b``: the attitude of ``b`` seen from ``a``."""
     out[0] = a[3] * b[0] - a[0] * b[3] - a[1] * b[2] + a[2] * b[1]
@@ -68,7 +68,7 @@ def quat_conj_mul(a, b, out):
     out[3] = a[3] * b[3] + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def quat_mul_conj(a, b, out):
     """``out = a * conj(b)``: the rotation that takes ``b`` to ``a``; ``out`` may be neither."""
     out[0] = -a[3] * b[0] + a[0] * b[3] - a[1] * b[2] + a[2] * b[1]
@@ -77,7 +77,7 @@ def quat_mul_conj(a, b, out):
     out[3] = a[3] * b[3] + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def rotate(q, v, out):
     """``out = R(q) v``; ``out`` may be ``v``."""
     x, y, z = v[0], v[1], v[2]
@@ -89,7 +89,7 @@ def rotate(q, v, out):
     out[2] = z + q[3] * tz + q[0] * ty - q[1] * tx
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def rotate_back(q, v, out):
     """``out = R(q)^T v``; ``out`` may be ``v``."""
     x, y, z = v[0], v[1], v[2]
@@ -101,7 +101,7 @@ def rotate_back(q, v, out):
     out[2] = z + q[3] * tz - q[0] * ty + q[1] * tx
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def cross(a, b, out):
     """``out = a x b``; ``out`` may be neither ``a`` nor ``b``."""
     out[0] = a[1] * b[2] - a[2] * b[1]
@@ -109,7 +109,7 @@ def cross(a, b, out):
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def rotation_vector(q, out):
     """``out``: the rotation vector [rad] of ``q``, by at most pi."""
     s = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
@@ -124,7 +124,7 @@ def rotation_vector(q, out):
     out[2] = scale * q[2]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def quat_exp(r, out):
     """``out``: the quaternion of the rotation vector ``r`` [rad]."""
     a2 = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
@@ -136,7 +136,7 @@ def quat_exp(r, out):
     out[3] = math.cos(0.5 * a)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def quat_normalise(q):
     """Scale ``q`` to unit length, in place."""
     s = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
@@ -144,7 +144,7 @@ def quat_normalise(q):
         q[i] *= s
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def pose_between(pose_WP, pose_WA, out):
     """``out``: pose of A in P, from the poses of both in W."""
     out[0] = pose_WA[0] - pose_WP[0]

@@ -115,3 +115,55 @@ def test_every_kernel_of_the_package_is_marked() -> None:
     assert [
         file.name for file in package.rglob("*.py") if bare.search(file.read_text(encoding="utf-8"))
     ] == []
+
+
+INSIDE = """
+import sys
+
+import numpy as np
+from hiltestbed.compiled.jit import njit
+
+if sys.argv[1] == "changed":
+
+    @njit(cache=True)
+    def other(x):
+        return outer(x) + 1.0
+
+
+@njit(cache=True)
+def inner(x):
+    if x[0] < 0.0:
+        raise ValueError("below zero")
+    return np.sqrt(x).sum()
+
+
+@njit(cache=True)
+def outer(x):
+    return 2.0 * inner(x)
+
+
+x = np.array([4.0, 9.0])
+values = [outer(x), *([other(x)] if sys.argv[1] == "changed" else []), inner(x)]
+try:
+    outer(-x)
+except ValueError as error:
+    values.append(error)
+print(*values)
+"""
+
+
+def test_a_kernel_inside_another_is_the_kernel_that_python_calls(tmp_path: Path) -> None:
+    """Value and error, compiled or from the disk, and taken from there by a kernel that is new."""
+    (tmp_path / "inside.py").write_text(INSIDE)
+    said = [
+        subprocess.run(
+            [sys.executable, "-B", "inside.py", what],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.strip()
+        for what in ("", "", "changed")
+    ]
+    assert said == ["10.0 5.0 below zero"] * 2 + ["10.0 11.0 5.0 below zero"]
+    assert list(tmp_path.rglob("inner-inside.inner*.nbc"))

@@ -272,7 +272,7 @@ def tracking_fit(sums: Array) -> tuple[float | None, float | None]:
     return float((ff * ev - vf * ef) / det), float((vv * ef - vf * ev) / det)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def about_A(wrench, pose, out):
     """``out``: the wrench (6,) at P's origin with its moment about A's: with a twist of A its power
     is F . v_A + M_A . omega.
@@ -324,7 +324,8 @@ def _update(
         error = 0.0
         if k > 0:
             twist_between(rig_pose_before[i], pose[i], h, slope)
-        rig_pose_before[i] = pose[i]
+        for j in range(7):
+            rig_pose_before[i, j] = pose[i, j]
         for j in range(6):
             energy[i] += 0.5 * h * (felt[j] + wrench_before[i, j]) * slope[j]
             energy[i] -= 0.5 * h * paid[j] * (twist_cmd[i, j] + twist_before[i, j])
@@ -361,9 +362,10 @@ def _update(
             )
             quiet[i] = 0 if acts else quiet[i] + 1
             if over == 0 or (over > 0 and acts):
-                speeds[i, 1] = twist_cmd[i]
-                first_impulse[i] += later_impulse[i]
-                later_impulse[i] = 0.0
+                for j in range(6):
+                    speeds[i, 1, j] = twist_cmd[i, j]
+                    first_impulse[i, j] += later_impulse[i, j]
+                    later_impulse[i, j] = 0.0
             for j in range(6):
                 later_impulse[i, j] += h * paid[j]
             settled[i] = over >= 0 and (quiet[i] > settle[i] or over >= wait[i] * contact_ticks[i])

@@ -64,7 +64,7 @@ def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
         if value is ...:
             kinds.append(None)
         elif isinstance(value, np.ndarray):
-            kinds.append((len(words), typeof(value)))
+            kinds.append((len(words), _type_of(value)))
             words += [value.ctypes.data, *value.shape, *value.strides]
         else:
             number = (
@@ -178,6 +178,20 @@ class Joined:
         if len(arrays) != len(self._last) or not all(map(is_, arrays, self._last)):
             self._call, self._last = together(*self._parts(*arrays)), arrays
         return self._call
+
+
+def _type_of(array: Any) -> Any:
+    """Numba's type, the same for one run as for several: NumPy takes a strided array for contiguous
+    if its leading axis has a single entry.
+    """
+    kind: Any = typeof(array)
+    if kind.layout == "C" and array.size:
+        expected = array.itemsize
+        for length, stride in zip(reversed(array.shape), reversed(array.strides), strict=True):
+            if stride != expected:
+                return kind.copy(layout="A")
+            expected *= length
+    return kind
 
 
 def _integer(value: Any) -> Any:

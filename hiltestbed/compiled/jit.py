@@ -20,6 +20,8 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numba.core.types import Type
 
+from hiltestbed.compiled.inner import inlined
+
 _njit: Any = numba.njit
 _marks: dict[FunctionType, str] = {}
 
@@ -31,16 +33,21 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Any) -> Any:
         kernel = _njit(**options)(function)
+        inner = inlined(kernel)
         if not options.get("cache"):
             return kernel
+        inner.enable_caching()
         try:
-            kept = kernel._cache._cache_file
-            kept._source_stamp  # noqa: B018
+            kept = [dispatcher._cache._cache_file for dispatcher in (kernel, inner)]
+            [file._source_stamp for file in kept]
         # a Numba with another cache: compiling at each start is slow, but never out of date
         except AttributeError:
-            return _njit(**options | {"cache": False})(function)
-        kept._source_stamp = Mark(function)
-        kept._load_index = _readable(kept._load_index)
+            kernel = _njit(**options | {"cache": False})(function)
+            inlined(kernel)
+            return kernel
+        for file in kept:
+            file._source_stamp = Mark(function)
+            file._load_index = _readable(file._load_index)
         return kernel
 
     return compiled

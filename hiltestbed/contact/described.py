@@ -12,9 +12,8 @@ from pydantic import Field, model_validator
 
 from hiltestbed.config.models import models_folder
 from hiltestbed.contact import description
-from hiltestbed.contact.description import Phase, Touching
+from hiltestbed.contact.description import Phase, Rule, Touching
 from hiltestbed.contact.settings import Contact, Mechanism
-from hiltestbed.contact.sides import Rule
 
 
 class Described(Mechanism):

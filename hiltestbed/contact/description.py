@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from ruamel.yaml import YAML
@@ -20,6 +20,20 @@ from hiltestbed.errors import Fault, InputError
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class Rule(NamedTuple):
+    """Geoms of both sides that may touch, by name (``*``: any characters); both None: those that
+    MuJoCo would let collide.
+
+    Attributes:
+        reach: [m] pairs with a larger lateral distance, ports aligned, are excluded; None: no
+            limit.
+    """
+
+    active: str | None = None
+    passive: str | None = None
+    reach: float | None = None
 
 
 class _Strict(BaseModel):

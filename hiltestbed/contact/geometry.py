@@ -186,7 +186,8 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
     attitude = row[PLACE + 3 : PLACE + 7]
     rotate_back(attitude, start, start)
     if ball:
-        end[:] = start
+        for j in range(3):
+            end[j] = start[j]
     else:
         rotate(pose[3:7], row[END_1 : END_1 + 3], end)
         for j in range(3):
@@ -231,7 +232,7 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
     return x, into
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _apart(bound, point, normal, slip):
     """Return only a bound of the penetration; clear point, normal and slip, which may be left from
     another run.

@@ -49,7 +49,7 @@ SLIP_SPEED = 2e-4  # [m/s] sgn(v) is tanh(v/SLIP_SPEED)
 MODE_STEP = 0.05  # [rad] largest phase advance of the frame's mode in one inner step
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _law(x, v, branch, p, held):
     """Force [N] at penetration x [m] and rate v [m/s]; `branch` [N]: of Maxwell branch and sliders;
     `held`: it may pull.
@@ -143,7 +143,7 @@ def contact_force(x, v, dt, p, state, held):
     return force
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _at_rest(x, v, dt, p, memory, held):
     """The force without the frame's mode, and the new memory: force of the Maxwell branch, whether
     it touches, both sliders.
@@ -184,7 +184,7 @@ def _at_rest(x, v, dt, p, memory, held):
     return force, (branch, 1.0 if touching else 0.0, slider, learned_slider)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _dragged(x, p, slider, held):
     """Friction [N] of a slider behind a spring and the play of a captured mechanism: within the
     play, sticking, or slipping; and the slider's new place [m].

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from pydantic import Field, model_validator
 
 from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly, refuse
+from hiltestbed.contact.description import Rule
 from hiltestbed.plugins import OneOf, Registry, placeholder
 
 if TYPE_CHECKING:
     from mujoco import MjSpec
 
     from hiltestbed.contact.description import Phase
-    from hiltestbed.contact.sides import Rule
     from hiltestbed.scenario.like import ScenarioLike
 
 
@@ -114,8 +114,6 @@ class Mechanism(Strictly):
         """Which geoms may touch; by default one rule without names: all geoms that MuJoCo would let
         collide.
         """
-        from hiltestbed.contact.sides import Rule
-
         return (Rule(),)
 
     def contacts(self) -> tuple[Contact, ...]:

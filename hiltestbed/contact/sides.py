@@ -19,13 +19,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from hiltestbed.config.models import stamp
-from hiltestbed.contact.description import matching
+from hiltestbed.contact.description import Rule, matching
 from hiltestbed.contact.geometry import (
     RADIUS,
     ROUND_FRAME,
@@ -62,20 +62,6 @@ ROD_FACETS = (CYLINDER, ELLIPSOID, MESH)
 # closed form against a ball
 EXACT = tuple(int(g) for g in (_G.mjGEOM_PLANE, _G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_BOX))
 MOST_PAIRS = 4000
-
-
-class Rule(NamedTuple):
-    """Geoms of both sides that may touch, by name (``*``: any characters); both None: those that
-    MuJoCo would let collide.
-
-    Attributes:
-        reach: [m] pairs with a larger lateral distance, ports aligned, are excluded; None: no
-            limit.
-    """
-
-    active: str | None = None
-    passive: str | None = None
-    reach: float | None = None
 
 
 @dataclass(frozen=True)

@@ -167,7 +167,8 @@ def contact_wrench(
         state: (C + 1, STATES) of the laws, updated. depth ... slip: see :func:`meet_all`. work: (9,
             7) scratch.
     """
-    wrench[:] = 0.0
+    for j in range(6):
+        wrench[j] = 0.0
     count = depth.shape[0]
     if latched:
         pose, twist = work[5], work[6][:6]
@@ -259,7 +260,8 @@ def held_at(pose, wrench, place, p, hold):
     """
     f = np.empty(3)
     rotate_back(place[3:7], wrench[0:3], f)
-    hold[:] = pose
+    for j in range(7):
+        hold[j] = pose[j]
     for j in range(3):
         hold[j] -= f[j] / (p[STIFFNESS] if j == 2 else p[STIFFNESS] * p[SIDE_STIFFNESS])
 

@@ -138,16 +138,22 @@ def _update(
         since[i] = 0
         changes[i] += 1
         if not captured[i]:
-            lever[i], origin[i], reference[i] = 0.0, 0.0, UNTURNED
+            for j in range(3):
+                lever[i, j] = origin[i, j] = 0.0
+            for j in range(4):
+                reference[i, j] = UNTURNED[j]
             continue
-        reference[i] = pose[i, 3:7]
-        lever[i] = 0.0
-        origin[i] = pose[i, :3]
+        for j in range(4):
+            reference[i, j] = pose[i, 3 + j]
+        for j in range(3):
+            lever[i, j] = 0.0
+            origin[i, j] = pose[i, j]
         c = acts[min(steps[i], acts.shape[0] - 1)]
         if c == NONE:
             continue
         if kinds[c] == ON_ACTIVE:
-            lever[i] = places[c, 0, :3]
+            for j in range(3):
+                lever[i, j] = places[c, 0, j]
         elif kinds[c] == ON_PASSIVE:
             for j in range(3):
                 v[j] = places[c, 1, j] - pose[i, j]
@@ -157,7 +163,8 @@ def _update(
             origin[i, j] += v[j]
         if together[c]:
             quat_mul_conj(places[c, 1, 3:7], places[c, 0, 3:7], q)
-            reference[i] = q
+            for j in range(4):
+                reference[i, j] = q[j]
 
 
 @njit(cache=True)

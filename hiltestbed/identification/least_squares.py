@@ -148,8 +148,15 @@ def _begin_anew(changes, seen, sums, products, found, used):
         if changes[i] == seen[i]:
             continue
         seen[i] = changes[i]
-        sums[i, :NORMAL], products[i], used[i, :NORMAL] = 0.0, 0.0, 0.0
-        found[:, i, :NORMAL] = np.nan
+        for j in range(NORMAL):
+            used[i, j] = 0.0
+            for c in range(sums.shape[2]):
+                sums[i, j, c] = 0.0
+            for c in range(found.shape[0]):
+                found[c, i, j] = np.nan
+        for j in range(products.shape[1]):
+            for c in range(products.shape[2]):
+                products[i, j, c] = 0.0
 
 
 @njit(cache=True)

@@ -268,8 +268,9 @@ def _remember(k, pose, twist, lever, reference, x, v):
         referred(pose[i], twist[i], lever[i], reference[i], x[i, slot], v[i, slot])
         if k == 0:  # the values before the start do not matter: no force acted then
             for s in range(x.shape[1]):
-                x[i, s] = x[i, slot]
-                v[i, s] = v[i, slot]
+                for j in range(x.shape[2]):
+                    x[i, s, j] = x[i, slot, j]
+                    v[i, s, j] = v[i, slot, j]
 
 
 @njit(cache=True)
@@ -284,16 +285,22 @@ def _meet(k, index, values, pose, twist, x, v, normal, at_once):
         np.empty((9, 7)),
         np.ones((count, PARAMETERS)),
     )
-    p[:, LEVER] = 0.5
+    for c in range(count):
+        p[c, LEVER] = 0.5
     frames[1, 6] = 1.0
     depth, rate = np.empty(count), np.empty(count)
     point, across, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
     for i in range(pose.shape[0]):
-        frames[0], motions[0] = pose[i], twist[i]
+        for j in range(7):
+            frames[0, j] = pose[i, j]
+        for j in range(6):
+            motions[0, j] = twist[i, j]
         meet_all(index, values, p, frames, motions, work, depth, rate, point, across, slip)
-        c, together = int(np.argmax(depth)), 0
+        c, together = 0, 0
         for other in range(count):
             together += depth[other] > 0.0
+            if depth[other] > depth[c]:
+                c = other
         at_once[i] = max(at_once[i], together)
         x[i, slot, NORMAL], v[i, slot, NORMAL] = depth[c], rate[c]
         side = index[c * ROW + SIDE]
@@ -301,11 +308,9 @@ def _meet(k, index, values, pose, twist, x, v, normal, at_once):
             normal[i, slot, j] = side * across[c, j]
         if k == 0:
             for s in range(length):
-                x[i, s, NORMAL], v[i, s, NORMAL], normal[i, s] = (
-                    x[i, slot, NORMAL],
-                    v[i, slot, NORMAL],
-                    normal[i, slot],
-                )
+                x[i, s, NORMAL], v[i, s, NORMAL] = x[i, slot, NORMAL], v[i, slot, NORMAL]
+                for j in range(3):
+                    normal[i, s, j] = normal[i, slot, j]
 
 
 @njit(cache=True)
@@ -416,7 +421,8 @@ def _sample(
                 u = 0.0 if gated[i] == 0 else position if c == 0 else rate if c == 1 else 1.0
                 pending[i, slot, j, c] = filtered(u, smooth[i], leak[i], memory[i, j, c])
         pending[i, slot, NORMAL, 3] = 0.0
-        f[:] = wrench[i]
+        for j in range(6):
+            f[j] = wrench[i, j]
         if captured[i]:
             add_moment(-1.0, place[i], f)
         for j in range(6):
@@ -455,7 +461,10 @@ def _choose(
         same = changes[i] == 0 or since[i] >= 2 * margin[i] + 1 + math.ceil(delay[i] / h)
         ready[i] = lasted and same and (flat[i] or held[i] > 0)
         ready_normal[i] = lasted and known and held[i] == 0
-        sample[i] = pending[i, (k - margin[i]) % pending.shape[1]]
+        slot = (k - margin[i]) % pending.shape[1]
+        for j in range(7):
+            for c in range(4):
+                sample[i, j, c] = pending[i, slot, j, c]
 
 
 @njit(cache=True)

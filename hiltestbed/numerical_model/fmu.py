@@ -8,7 +8,7 @@ import math
 import weakref
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from hiltestbed.frames import Array, twist_between
 from hiltestbed.numerical_model.model import NumericalModel
 
 if TYPE_CHECKING:
-    from hiltestbed.numerical_model.kinds import Fmu
     from hiltestbed.scenario import Scenario
 
 # [m], [rad], [m/s], [rad/s] largest difference between the FMU's start and that of the approach
@@ -32,16 +31,16 @@ class FmuModel(NumericalModel):
     nominal ones.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario]) -> None:
-        """Raises MissingExtra, DeviceError; InputError if the FMU lacks a variable or does not
-        start at ``approach``.
+    def __init__(self, scenarios: Sequence[Scenario], files: Sequence[Path]) -> None:
+        """``files``: the FMU of each run. Raises MissingExtra, DeviceError; InputError if the FMU
+        lacks a variable or does not start at ``approach``.
         """
         super().__init__(scenarios)
         inputs = [f"wrench.{name}" for name in WRENCH]
         outputs = [*(f"pose.{name}" for name in POSE), *(f"twist.{name}" for name in TWIST)]
         self._parts: list[CoSimulation] = []
-        for scenario in scenarios:
-            part = CoSimulation(Path(cast("Fmu", scenario.numerical_model).file), inputs, outputs)
+        for file in files:
+            part = CoSimulation(file, inputs, outputs)
             part.open()
             weakref.finalize(self, part.close)
             self._parts.append(part)

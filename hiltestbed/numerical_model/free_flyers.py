@@ -82,10 +82,12 @@ def as_seen(q, v, tau, q_seen, v_seen, tau_seen):
     """
     for i in range(q.shape[0]):
         for b in range(2):
-            q_seen[i, b, 3:7] = q[i, b, 3:7]
-            v_seen[i, b, 3:6] = v[i, b, 3:6]
+            for j in range(3, 7):
+                q_seen[i, b, j] = q[i, b, j]
             rotate_back(q[i, b, 3:7], tau[i, b, 0:3], tau_seen[i, b, 0:3])
-            tau_seen[i, b, 3:6] = tau[i, b, 3:6]
+            for j in range(3, 6):
+                v_seen[i, b, j] = v[i, b, j]
+                tau_seen[i, b, j] = tau[i, b, j]
 
 
 @njit(cache=True)

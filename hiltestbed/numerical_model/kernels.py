@@ -42,14 +42,17 @@ def place_bodies(approach, port, q, v):
         if b == CHASER:
             quat_mul(approach[3:7], inverse, q[b, 3:7])
         else:
-            q[b, 3:7] = inverse
+            for j in range(4):
+                q[b, 3 + j] = inverse[j]
         rotate(q[b, 3:7], port[b, 0:3], r)
         for j in range(3):
             q[b, j] = -r[j] + (approach[j] if b == CHASER else 0.0)
-        v[b] = 0.0
+        for j in range(6):
+            v[b, j] = 0.0
     # velocity of the centre of mass: that of the port less w x r
     rotate(q[CHASER, 3:7], port[CHASER, 0:3], r)
-    w[:] = approach[10:13]
+    for j in range(3):
+        w[j] = approach[10 + j]
     cross(w, r, u)
     for j in range(3):
         v[CHASER, j] = approach[7 + j] - u[j]
@@ -152,7 +155,8 @@ def move(q, v, tick):
                 q[i, b, j] += tick * v[i, b, j]
                 turn[j] = tick * v[i, b, 3 + j]
             quat_exp(turn, dq)
-            before[:] = q[i, b, 3:7]
+            for j in range(4):
+                before[j] = q[i, b, 3 + j]
             quat_mul(before, dq, q[i, b, 3:7])
             quat_normalise(q[i, b, 3:7])
 
@@ -245,7 +249,7 @@ def carry(q, v, port, mass, inverse, time, impulse, shift, work):
         _turn(q[b, 3:7], turn, work[2], work[3])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _turn(attitude, turn, by, out):
     quat_exp(turn, by)
     quat_mul(attitude, by, out)
@@ -322,7 +326,7 @@ def solve(matrix, x, factor):
         x[i] = s / factor[i, i]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def wrench_at_A(wrench, position, out):
     """``out``: a wrench given at P's origin, referred to A's origin; ``position`` (3,) of A in P.
     ``out`` may be ``wrench``.
@@ -335,7 +339,7 @@ def wrench_at_A(wrench, position, out):
     out[0], out[1], out[2] = fx, fy, fz
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def wrench_at_P(wrench, position, out):
     """The inverse of :func:`wrench_at_A`."""
     fx, fy, fz = wrench[0], wrench[1], wrench[2]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, cast
 
 from pydantic import Field
 
@@ -46,4 +47,5 @@ class Fmu(ModelKind):
     def start(cls, scenarios: Sequence[Scenario]) -> NumericalModel:
         from hiltestbed.numerical_model.fmu import FmuModel
 
-        return FmuModel(scenarios)
+        files = [Path(cast("Fmu", s.numerical_model).file) for s in scenarios]
+        return FmuModel(scenarios, files)

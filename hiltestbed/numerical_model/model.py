@@ -221,7 +221,8 @@ def run_back(pose, twist, h, handed):
     for i in range(pose.shape[0]):
         for j in range(length):
             pose_step(pose[i], twist[i], -j * h, handed[i, -j % length, 0:7])
-            handed[i, -j % length, 7:13] = twist[i]
+            for m in range(6):
+                handed[i, -j % length, 7 + m] = twist[i, m]
 
 
 @njit(cache=True)
@@ -231,10 +232,13 @@ def hand_on(k, late, handed, pose, twist):
     """
     length = handed.shape[1]
     for i in range(pose.shape[0]):
-        handed[i, k % length, 0:7] = pose[i]
-        handed[i, k % length, 7:13] = twist[i]
-        pose[i] = handed[i, (k - late[i]) % length, 0:7]
-        twist[i] = handed[i, (k - late[i]) % length, 7:13]
+        now, past = handed[i, k % length], handed[i, (k - late[i]) % length]
+        for j in range(7):
+            now[j] = pose[i, j]
+            pose[i, j] = past[j]
+        for j in range(6):
+            now[7 + j] = twist[i, j]
+            twist[i, j] = past[7 + j]
 
 
 def hung_at_a_place(appendage: Array) -> NDArray[np.bool_]:

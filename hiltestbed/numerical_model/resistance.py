@@ -69,7 +69,7 @@ def resisting(laws, f, v, free, gain):
     return (free - (end if forward else -end)) / gain
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _gained(v, net, slope, gain):
     """[m/s] change of the speed ``v`` under a force ``net`` [N] against ``slope`` [N s/m] that acts
     for ``gain`` [m/s per N].

@@ -32,7 +32,7 @@ MAX_PIECES = 100_000  # per call: it ends with unphysical parameters as well
 SPEED, ACCELERATION, ERROR, ERROR_RATE = 0, 1, 2, 3
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _slide(law, x, v, q, u, rate, t):
     """Position, speed and integral after t of an axis that does not reverse; ``law``: see
     :func:`_law`; the command is u + rate t.
@@ -53,7 +53,7 @@ def _slide(law, x, v, q, u, rate, t):
     return x, v, q
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _law(numbers, side, bound):
     """The linear law of an axis that moves in direction ``side``, its drive force unlimited
     (``bound`` 0) or at its upper or lower limit.
@@ -74,7 +74,7 @@ def _law(numbers, side, bound):
     )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _of(what, law, level, x, v, q, u, rate):
     """A quantity and its slope: speed, acceleration, the controller's error minus ``level``, or the
     rate of that error.
@@ -150,7 +150,7 @@ def _falls(what, law, level, sign, starts, x, v, q, u, rate, t, x1, v1, q1):
     return math.inf
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _passes(c0, c1, c2):
     """The first time t >= 0 at which c0 + c1 t + c2 t^2 becomes positive; infinite if it never
     does.
@@ -243,7 +243,7 @@ def drive_over(before, after, dt, numbers, state):
     return x
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _bound(error, most):
     """Whether the drive force is at its upper (1) or lower (-1) limit, or within both (0)."""
     return 1.0 if error > most else (-1.0 if error < -most else 0.0)

@@ -39,7 +39,7 @@ AT_REST = 1e-9
 COULOMB, STICTION, STRIBECK, VISCOUS, BIAS, BRISTLE, DAMPER = range(7)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def stribeck(v, p):
     """Largest friction [N] without the viscous part, at the speed ``v`` [m/s]; ``p`` (7,) the
     parameters of a drive.

@@ -51,15 +51,17 @@ def _between(pose_before, pose_now, twist, time, last, bent, path, pose, qpos, q
     q, d = joint[0], joint[1]
     for i in range(pose_now.shape[0]):
         if last:
-            pose[i] = pose_now[i]
+            for j in range(7):
+                pose[i, j] = pose_now[i, j]
         else:
             pose_step(pose_before[i], twist[i], time, pose[i])
-        if bent:
-            pose[i, 0:3] = path[i]
-        qpos[i, q : q + 3] = pose[i, 0:3]
+        for j in range(3):
+            if bent:
+                pose[i, j] = path[i, j]
+            qpos[i, q + j] = pose[i, j]
+            qpos[i, q + 4 + j] = pose[i, 3 + j]
+            qvel[i, d + j] = twist[i, j]
         qpos[i, q + 3] = pose[i, 6]
-        qpos[i, q + 4 : q + 7] = pose[i, 3:6]
-        qvel[i, d : d + 3] = twist[i, 0:3]
         rotate_back(pose[i, 3:7], twist[i, 3:6], qvel[i, d + 3 : d + 6])
 
 

@@ -53,7 +53,7 @@ def second_order(w, zeta, dt, base, out):
     out[4] = 2.0 * zeta / w * (1.0 - base)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _advance_second_order(e, before, after, dt, state):
     """One response over dt to an input that runs from ``before`` to ``after``; ``state`` (2,)
     position and rate, updated in place.
@@ -66,7 +66,7 @@ def _advance_second_order(e, before, after, dt, state):
     return state[0]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _limited(held, before, after, dt, speed):
     """Position after dt of an axis limited to ``speed``, starting at ``held``, while its command
     runs from ``before`` to ``after``.
@@ -83,7 +83,7 @@ def _limited(held, before, after, dt, speed):
     return held + min(max(after - held, -step), step)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory):
     """One axis over dt, while its (already delayed) command runs from `before` to `after` [m].
 
@@ -239,7 +239,7 @@ class PlatformResponse:
         return self.path
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _ring_at(ring, axis, at):
     """The command at the (fractional) tick ``at``, linear between ticks."""
     first = math.floor(at)
@@ -250,7 +250,7 @@ def _ring_at(ring, axis, at):
     return low + part * (ring[int(first + 1) % ring.shape[0], axis] - low)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _sum_at(ring, sums, axis, at, h):
     """The integral of the command over time up to the (fractional) tick ``at`` [m s]."""
     first = math.floor(at)

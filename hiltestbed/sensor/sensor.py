@@ -143,7 +143,8 @@ def _read(k, h, ring, sub, delay, jitter, shake, noise, arrived, t, *stages):
     row = k % BLOCK
     lag, leak = stages[2], stages[3]
     _arrive(k, ring, sub, delay, jitter, shake[:, row], lag, leak, arrived)
-    t[:] = k * h
+    for i in range(t.shape[0]):
+        t[i] = k * h
     condition_all(t, arrived, noise[:, row], *stages)
 
 
@@ -165,7 +166,8 @@ def _arrive(k, ring, sub, delay, jitter, shake, lag, leak, out):
     length = ring.shape[1]
     for i in range(n):
         for s in range(m):
-            ring[i, (k * m - m + 1 + s) % length] = sub[i, s]
+            for j in range(6):
+                ring[i, (k * m - m + 1 + s) % length, j] = sub[i, s, j]
         lateness = delay[i]
         if jitter[i] > 0.0:
             lateness += jitter[i] * min(max(shake[i], -JITTER_CLIP), JITTER_CLIP)

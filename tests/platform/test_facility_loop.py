@@ -265,7 +265,7 @@ def test_a_fault_in_a_rig_of_the_users_own_is_named(gantry, tmp_path) -> None:
     """
     keys = {
         "rig.platform": {"kind": "mjcf", "model": gantry},
-        "duration": 0.8,
+        "duration": 0.5,
         "approach.gap": 0.005,
     }
     nominal = load_scenario(SCENARIOS / "18-stewart.yaml", set=keys)

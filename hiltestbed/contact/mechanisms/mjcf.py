@@ -9,9 +9,8 @@ from pydantic import Field, model_validator
 
 from hiltestbed.config.validation import ModelFile
 from hiltestbed.contact.described import Described
-from hiltestbed.contact.description import Phase, Touching
+from hiltestbed.contact.description import Phase, Rule, Touching
 from hiltestbed.contact.settings import Contact
-from hiltestbed.contact.sides import Rule
 from hiltestbed.plugins import register
 
 

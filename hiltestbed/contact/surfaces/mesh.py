@@ -201,7 +201,7 @@ def mesh_distance(tree, point, reach, normal):
         stack[top + 1], away2[top + 1] = second, b
         top += 2
     if face < 0:
-        normal[:] = 0.0
+        normal[0] = normal[1] = normal[2] = 0.0
         return max(reach, math.sqrt(passed2))
     n = tree.normals[face, feature]
     dx, dy, dz = point[0] - fx, point[1] - fy, point[2] - fz

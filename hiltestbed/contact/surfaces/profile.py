@@ -156,7 +156,7 @@ def profile_distance(profile, point, normal):
     return distance
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def between(first, second, length):
     """Lower bound of the distance on an interval of ``length`` [m] at whose ends it is ``first``
     and ``second`` [m].

@@ -27,7 +27,7 @@ from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.friction import DriveFriction
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def quantised(value, step):
     """Reading of an encoder of the given resolution."""
     return value if step == 0.0 else step * math.floor(value / step + 0.5)

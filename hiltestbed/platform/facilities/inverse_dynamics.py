@@ -17,7 +17,7 @@ from hiltestbed.frames import rotate, rotate_back
 from hiltestbed.platform.facilities.tree import FREE, HINGE, SLIDE
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _component(a, i0, b, j0, i):
     """Component ``i`` of a x b, with both vectors at the given offsets of their arrays."""
     k, l = (i + 1) % 3, (i + 2) % 3

@@ -116,7 +116,7 @@ def packed(tree: Tree) -> tuple[Integers, Array, Array]:
     return flat, np.concatenate([part.ravel() for part in numbers]), room
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _next(flat, at, rows, columns):
     return flat[at : at + rows * columns].reshape((rows, columns))
 
@@ -276,7 +276,7 @@ def move(tree, v, w):
                 motion[i] += local[k] * (pose[l] - axis[l]) - local[l] * (pose[k] - axis[k])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _carry(at, motion, point, out):
     """``out``: velocity of a ``point`` fixed to a body whose origin ``at`` has ``motion``."""
     for i in range(3):
@@ -284,7 +284,7 @@ def _carry(at, motion, point, out):
         out[i] = motion[i] + motion[3 + k] * (point[l] - at[l]) - motion[3 + l] * (point[k] - at[k])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def tool_pose(tree, w, t, out):
     """``out`` (7,): pose of tool ``t`` in W."""
     pose, frame = w.poses[tree.tools[t]], tree.tool_frames[t]

@@ -25,7 +25,7 @@ CLOSE = 1e-10  # [m], [rad] the largest residual that counts as solved
 ITERATIONS = 40
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def add_point(tree, w, b, point, sign, rows, r):
     """Add ``sign`` times the Jacobian of a point (3,) of body ``b`` to three rows of ``rows``, from
     row ``r`` on.
@@ -52,7 +52,7 @@ def add_point(tree, w, b, point, sign, rows, r):
         b = tree.bodies[b, 0]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _add_lever(axis, point, sign, rows, r, column):
     x, y, z = point[0] - axis[0], point[1] - axis[1], point[2] - axis[2]
     rows[r, column] += sign * (axis[4] * z - axis[5] * y)
@@ -60,7 +60,7 @@ def _add_lever(axis, point, sign, rows, r, column):
     rows[r + 2, column] += sign * (axis[3] * y - axis[4] * x)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _column(pose, c, out):
     """``out[3:6]``: column ``c`` of the rotation matrix of a pose."""
     x, y, z, s = pose[3], pose[4], pose[5], pose[6]
@@ -84,7 +84,7 @@ def _column(pose, c, out):
         )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def add_turn(tree, w, b, sign, rows, r):
     """Add ``sign`` times the Jacobian of the rotation of body ``b`` to three rows of ``rows``, from
     row ``r`` on.
@@ -157,7 +157,7 @@ def equations(tree, q, poses, values, w):
         r += 1
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _close_loops(tree, w):
     """Residual and rows of the loops; returns the number of rows."""
     ends, turns = w.spare[6:12].reshape((2, 3)), w.spare[12:20].reshape((2, 4))

@@ -58,7 +58,7 @@ class TickPlan(NamedTuple):
     steps: Array
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def cubic(t, s0, v0, s1, v1, h):
     """The cubic between two positions and velocities, at the fraction ``t`` of their interval ``h``
     [s].

@@ -33,7 +33,7 @@ TILT = math.radians(2.5)  # [rad] in any direction; reason: models/prs3/README.m
 RADIUS, ABOVE, COS3, SIN3 = range(4)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _series(t):
     """(1 - cos)/theta^2, its derivative with respect to theta^2, and (theta - sin)/theta^3, for t =
     theta^2.

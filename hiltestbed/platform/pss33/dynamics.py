@@ -39,9 +39,9 @@ def invert(a, out):
     matrix gives huge numbers.
     """
     n = a.shape[0]
-    out[:] = 0.0
     for i in range(n):
-        out[i, i] = 1.0
+        for k in range(n):
+            out[i, k] = 1.0 if i == k else 0.0
     for c in range(n):
         p = c
         for r in range(c + 1, n):
@@ -109,7 +109,7 @@ def drive_forces(limbs, load, pose, inverse, accel, force):
             force[j] += inverse[i, j] * wrench[i]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def add_force(f, r, wrench):
     """Add the force ``f`` at the arm ``r`` to ``wrench`` (6,)."""
     wrench[0] += f[0]
