@@ -1,5 +1,5 @@
-"""The commands on one scenario, its files and its run: `hiltestbed run | check | rig | view |
-compare | new | doctor | schema`.
+"""The commands on one scenario, its files and its run: `hiltestbed run | check | rig | rank | view
+| compare | new | doctor | schema`.
 """
 
 from __future__ import annotations
@@ -149,10 +149,25 @@ def rig(
     out: Out = None,
     sets: Sets = None,
     as_json: Json = False,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            "--model",
+            metavar="FILE",
+            help="Only write the compiled model: .mjb for MuJoCo's viewer, .txt to read.",
+        ),
+    ] = None,
 ) -> None:
     """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic
     stiffness; as figures and a JSON file.
+
+    hiltestbed rig my-rig.yaml --model rig.mjb && python -m mujoco.viewer --mjcf rig.mjb
     """
+    if model is not None:
+        from hiltestbed.platform.model_file import write_model
+
+        print(write_model(read_scenario(scenario, sets), model))
+        return
     from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
     from hiltestbed.process.progress import count_bar
     from hiltestbed.run_folder.store import refuse_foreign
@@ -172,10 +187,65 @@ def rig(
 
 
 @app.command()
+def rank(
+    scenario: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="Scenario file, or the name of a shipped one.",
+            autocompletion=complete,
+        ),
+    ],
+    out: Out = None,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Try every compensation on a scenario, with the delay known and 20 % longer, and rank them.
+
+    hiltestbed rank my-rig.yaml --plugin my_method.py
+    """
+    from hiltestbed.bench.ranking import HEADER, table
+    from hiltestbed.bench.ranking import rank as try_all
+    from hiltestbed.bench.result import BENCH, write_bench
+    from hiltestbed.process.progress import count_bar
+    from hiltestbed.run_folder.store import refuse_foreign
+
+    spec = read_scenario(scenario, sets)
+    folder = out if out is not None else free_folder(Path("runs") / f"rank-{safe_name(spec.name)}")
+    refuse_foreign(folder, BENCH)
+    with count_bar(f"rank {spec.name}") as progress:
+        result = try_all(spec, progress)
+    write_bench(result, folder)
+    if as_json:
+        print(
+            json.dumps(
+                result.summary | {"methods": result.records, "folder": str(folder)},
+                allow_nan=False,
+            )
+        )
+    else:
+        from hiltestbed.report.table import print_table
+
+        print_table(f"compensations on {spec.name}", HEADER, table(result.records), folder)
+
+
+@app.command()
 def view(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or a recording.")],
+    png: Annotated[
+        Path | None,
+        typer.Option("--png", metavar="FILE", help="Write a picture; it needs no display."),
+    ] = None,
 ) -> None:
-    """Open a run in the rerun viewer."""
+    """Open a run in the rerun viewer, or write a picture of it.
+
+    hiltestbed view runs/late --png late.png
+    """
+    if png is not None:
+        from hiltestbed.viewer.picture import write_picture
+
+        print(write_picture(run, png))
+        return
     from hiltestbed.viewer import view as show
 
     show(run)
