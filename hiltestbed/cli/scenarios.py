@@ -8,13 +8,16 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hiltestbed.cli.options import Json, Out, Sets, complete, overrides, read_scenario
 from hiltestbed.errors import InputError
 from hiltestbed.run_folder.folders import free_folder, safe_name
+
+if TYPE_CHECKING:
+    from hiltestbed.analysis.record_comparison import RecordComparison
 
 app = typer.Typer()
 
@@ -253,17 +256,40 @@ def view(
 
 @app.command()
 def compare(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN ...", help="Run folders.")],
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN RUN ...", help="Run folders; or two records, files of data."),
+    ],
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="FILE", help="Also write the comparison as an HTML page."),
     ] = None,
+    channels: Annotated[
+        Path | None,
+        typer.Option("--channels", metavar="DATASET", help="Its channel map names the columns."),
+    ] = None,
+    align: Annotated[
+        str | None,
+        typer.Option("--align", metavar="COLUMN", help="Align the clocks by it: pose_cmd.pz."),
+    ] = None,
+    stiffness: Annotated[
+        float | None,
+        typer.Option("--k", metavar="K", help="Stiffness [N/m]; left out: as record A shows it."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Compare runs: the differences between their scenarios, and their effect on the results.
+    """Compare runs: the differences between their scenarios, and their effect on the results. Or
+    two records of any rig: aligned in time, the delay of each signal, and its worth as damping.
 
     hiltestbed compare runs/late runs/right --out both.html
+
+    hiltestbed compare log.csv runs/right --channels dataset.yaml
     """
+    from hiltestbed.analysis.record_comparison import compare_records, is_run
+
+    if channels or align or stiffness is not None or not all(is_run(run) for run in runs):
+        _print_delays(compare_records(runs, channels, align, stiffness), out, as_json)
+        return
     from hiltestbed.analysis.comparison import compare as side_by_side
     from hiltestbed.analysis.comparison import write_comparison
 
@@ -285,6 +311,24 @@ def compare(
         from hiltestbed.report.table import print_comparison
 
         print_comparison(result.names, result.rows(), out)
+
+
+def _print_delays(found: RecordComparison, out: Path | None, as_json: bool) -> None:
+    from hiltestbed.analysis.record_comparison import HEADER
+    from hiltestbed.report.table import print_table
+
+    if out is not None:
+        from hiltestbed.report.page import Report
+
+        page = Report("Delays of two records")
+        page.lead(found.sentence)
+        page.table(HEADER, found.rows())
+        page.write(out)
+    if as_json:
+        print(json.dumps(found.to_json(), allow_nan=False))
+        return
+    print_table("delays of A " + " and B ".join(found.names), HEADER, found.rows(), None)
+    print(found.sentence)
 
 
 @app.command()
