@@ -13,6 +13,8 @@ from hiltestbed.analysis.alignment import shift_between
 
 STIFFNESS, SPEED, W = 1.0e5, 0.03, 2.0 * np.pi * 2.5  # [N/m], [m/s], [rad/s] of a half sine
 
+TICK = 1.0 / 2000.0  # [s] of the scenario
+
 
 def pose(t: np.ndarray) -> np.ndarray:
     """[m] approach, half a sine of penetration, and the way back."""
@@ -50,7 +52,7 @@ def test_delays_of_two_logs_are_a_ledger(
         sensor, platform = late[name]
         columns = {
             "stamp": 1e3 * (t + clock),
-            "command": 1e3 * pose(t),
+            "command": 1e3 * pose(t + TICK),  # for the end of the tick
             "position": 1e3 * pose(t - platform),
             "load": force(t - platform - sensor) + rng.normal(0.0, 0.3, len(t)),
         }

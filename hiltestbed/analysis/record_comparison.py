@@ -30,6 +30,7 @@ PAIRS = (  # links of the loop within one record: where the signal comes from, a
 )
 AXES = ("x", "y", "z")
 SAME_SIGNAL = 0.5  # share of the variance that must be explained: half
+UNSHARP = 1e-3  # [s] of the clocks' offset: the least delay of a force sensor on such a rig
 TOUCHES = 0.1  # of the peak force, above which a row counts as in contact
 
 
@@ -80,9 +81,15 @@ class RecordComparison:
     def sentence(self) -> str:
         """How the records were aligned, and the stiffness with which a delay is damping."""
         k = "unknown: give --k" if self.stiffness is None else f"{self.stiffness:.4g} N/m"
+        differ = (
+            " The motions differ, so that only the delays within each record are sharp."
+            if self.clock.sd > UNSHARP
+            else ""
+        )
         return (
             f"Aligned by {self.aligned_by}: B's clock shows {1e3 * self.clock.delay:+.4f} ms "
-            f"(± {1e3 * self.clock.sd:.4f}) more than A's. Along {self.axis}; stiffness {k}."
+            f"(± {1e3 * self.clock.sd:.4f}) more than A's. Along {self.axis}; stiffness "
+            f"{k}.{differ}"
         )
 
     def rows(self) -> list[tuple[str, ...]]:
@@ -120,8 +127,10 @@ def compare_records(
     """
     if len(records) != 2:
         raise InputError(f"compare: foreign records are compared by two (got {len(records)})")
-    mapped = {} if channels is None else load_dataset(channels).spec.channels or {}
-    a, b = (_read(path, mapped) for path in records)
+    dataset = None if channels is None else load_dataset(channels)
+    mapped = {} if dataset is None else dataset.spec.channels or {}
+    tick = None if dataset is None else dataset.nominal.tick
+    a, b = (_read(path, mapped, tick) for path in records)
     axis = _axis(a)
     common = [f"{g}.{axis}" for g in GROUPS_READ if f"{g}.{axis}" in a and f"{g}.{axis}" in b]
     shifts = {n: found for n in common if (found := _shift(a, n, b, n)) is not None}
@@ -171,20 +180,18 @@ def _column(name: str) -> str:
     return f"{group}.{'p' if group.startswith('pose') else 'f'}{axis}"
 
 
-def _read(path: Path, channels: Mapping[str, Channel]) -> Record:
+def _read(path: Path, channels: Mapping[str, Channel], tick: float | None) -> Record:
     if is_run(path):
         trace = read_run(path).trace
         if trace is None:
             raise InputError(f"{path}: has no trace; run the scenario again")
-        # the command of a row is for the end of its tick
-        ends = {"pose_cmd": trace.t + (trace.t[1] - trace.t[0] if len(trace.t) > 1 else 0.0)}
         found = {
-            name: (ends.get(group, trace.t), trace[_column(name)])
+            name: (trace.t, trace[_column(name)])
             for group in GROUPS_READ
             for axis in AXES
             if not np.isnan(trace[_column(name := f"{group}.{axis}")]).all()
         }
-        return found
+        return _ends(found)
     names = [f"{group}.{axis}" for group in GROUPS_READ for axis in AXES]
     source = {n: channels.get(_column(n), SAME).column or _column(n) for n in names}
     time = channels.get("t", SAME).column or "t"
@@ -224,7 +231,17 @@ def _read(path: Path, channels: Mapping[str, Channel]) -> Record:
                 f"({near(['pose_act'], columns.names)}); map them with --channels DATASET",
             )
         )
-    return found
+    return _ends(found, tick)
+
+
+def _ends(record: Record, tick: float | None = None) -> Record:
+    """The record with each command at the end of the tick in whose row it stands, as in a trace;
+    ``tick`` [s]: left out, that of the rows.
+    """
+    for name, (t, values) in record.items():
+        if name.startswith("pose_cmd"):
+            record[name] = (t + (float(np.median(np.diff(t))) if tick is None else tick), values)
+    return record
 
 
 def _seconds(unit: str | None) -> float:
