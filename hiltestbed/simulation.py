@@ -136,7 +136,7 @@ def simulate(
     start = 0.0
     while loop.k < ticks and loop.alive.any():
         snapshots.keep()
-        if parts is not None and parts.joints:
+        if rows is not None and parts is not None and parts.joints:
             rows[JOINT.name][loop.k] = parts.positions()
         try:
             loop.step(rows)

@@ -61,7 +61,7 @@ def shift_between(t_a: Array, a: Array, t_b: Array, b: Array) -> Shift | None:
         columns = np.column_stack([spline(times[seen] - delay), np.ones(int(seen.sum()))])
         if len(columns) < FEWEST:
             return np.inf, np.zeros(2), columns, np.zeros(0)
-        found, *_ = np.linalg.lstsq(columns, second[seen], rcond=None)
+        found: Array = np.linalg.lstsq(columns, second[seen], rcond=None)[0].astype(np.float64)
         rest = second[seen] - columns @ found
         return float(np.mean(rest**2)), found, columns, rest
 
@@ -102,4 +102,5 @@ def _even(t: Array, values: Array, step: float) -> Array:
     # samples that are closer than the step are averaged, so as not to fold their noise
     own = float(np.median(np.diff(t)))
     finer = gaussian_filter1d(values[known], SMOOTH * step / own)
-    return CubicSpline(t[known], finer)(np.clip(times, t[known][0], t[known][-1]))
+    within = np.clip(times, t[known][0], t[known][-1])
+    return np.asarray(CubicSpline(t[known], finer)(within), dtype=np.float64)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from hiltestbed.bench.contenders import contenders
@@ -160,18 +160,16 @@ def _measured(
         # each alone: what an effect adds to the structure need not be that of the other
         runs = [simulate([one]) for one in scenarios]
     except HiltestbedError as error:
-        return Ranked(**vars(row) | {"status": str(error)})
+        return replace(row, status=str(error))
     trouble, figures = runs[0].trouble.get(0), runs[0].figures[0]
     errors = [_error(run, reference) for run in runs]
-    return Ranked(
-        **vars(row)
-        | {
-            "status": "completed" if trouble is None else trouble[1],
-            "cor_log_error": errors[0],
-            "late": errors[-1],
-            "energy": figures.energy_generated,
-            "peak_force": figures.peak_force,
-        }
+    return replace(
+        row,
+        status="completed" if trouble is None else trouble[1],
+        cor_log_error=errors[0],
+        late=errors[-1],
+        energy=figures.energy_generated,
+        peak_force=figures.peak_force,
     )
 
 
