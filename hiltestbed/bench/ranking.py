@@ -25,16 +25,9 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.simulation import Batch, log_error, reference_scenario, simulate
 
 UNKNOWN = 0.2  # of sensor.delay: that by which `bench cor` lets the known delay be wrong
-HEADER = (
-    "link",
-    "method",
-    "is told",
-    "ln(e/e_ref)",
-    "20 % late",
-    "energy [J]",
-    "peak [N]",
-    "status",
-)
+HEADER = ("method", "is told", "ln(e/e_ref)", "20 % late", "energy [J]")
+ERRORS = ("cor_log_error", "late")
+RAN = ("completed", "diverged", "stopped")
 Progress = Callable[[float, float], None]
 
 
@@ -104,7 +97,7 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
     motions = [kind for kind in MOTION_METHODS if kind != own["motion"]["kind"]] if servo else []
     whole, rows = float(len(methods) + len(motions)), []
     for done, method in enumerate(methods):
-        needs = "delay, k and c" if method.contact == "known" else "delay"
+        needs = "delay, k, c" if method.contact == "known" else "delay"
         if method.estimates_delay or method.name in ("none", "dead_zone"):
             needs = "nothing"
         section = {"force": method.force(known), "motion": own["motion"]}
@@ -185,17 +178,28 @@ def _error(batch: Batch, reference: Batch) -> float | None:
 
 
 def table(records: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """The records of :func:`rank` as cells, below :data:`HEADER`."""
+    """The records of :func:`rank` as cells, below :data:`HEADER`, without those that could not
+    run.
+    """
     return [
         (
-            record["link"],
-            record["method"],
+            ("motion: " if record["link"] == "motion" else "") + record["method"],
             record["needs"],
-            *(_cell(record[name]) for name in ("cor_log_error", "late", "energy", "peak_force")),
-            "" if record["status"] == "completed" else record["status"],
+            *(
+                [f"{v:+.4f}" if (v := record[n]) is not None else "-" for n in ERRORS]
+                if record["status"] == "completed"
+                else [record["status"], ""]
+            ),
+            _cell(record["energy"]),
         )
         for record in records
+        if record["status"] in RAN
     ]
+
+
+def left_out(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Why a method could not run on this scenario, one line each."""
+    return [f"{r['method']}: not here: {r['status']}" for r in records if r["status"] not in RAN]
 
 
 def _report(scenario: Scenario, rows: list[Ranked], summary: Mapping[str, Any]) -> Report:
@@ -211,6 +215,8 @@ def _report(scenario: Scenario, rows: list[Ranked], summary: Mapping[str, Any]) 
         table([asdict(row) for row in rows]),
         "Motion methods: beside the best force method. Reference: no delay, ideal tracking.",
     )
+    for line in left_out([asdict(row) for row in rows]):
+        report.text(line)
     shown = [row for row in rows if row.cor_log_error is not None]
     if shown:
         figure, axis = new_figure(8.0, 1.0 + 0.32 * len(shown))

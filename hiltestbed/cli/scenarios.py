@@ -207,7 +207,7 @@ def rank(
 
     hiltestbed rank my-rig.yaml --plugin my_method.py
     """
-    from hiltestbed.bench.ranking import HEADER, table
+    from hiltestbed.bench.ranking import HEADER, left_out, table
     from hiltestbed.bench.ranking import rank as try_all
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.process.progress import count_bar
@@ -230,6 +230,7 @@ def rank(
         from hiltestbed.report.table import print_table
 
         print_table(f"compensations on {spec.name}", HEADER, table(result.records), folder)
+        print("".join(f"{line}\n" for line in left_out(result.records)), end="")
 
 
 @app.command()
