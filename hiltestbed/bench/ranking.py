@@ -231,7 +231,7 @@ def _report(scenario: Scenario, rows: list[Ranked], summary: Mapping[str, Any]) 
         axis.set(xscale="log", xlabel="|ln(e/e_ref)|", yticks=range(len(names)))
         axis.set_yticklabels(names)
         axis.invert_yaxis()
-        axis.legend(loc="lower right", fontsize=8)
+        axis.legend(loc="lower left", fontsize=8)
         report.figure(figure, "Error of the rebound with each method.")
     return report
 
