@@ -211,7 +211,11 @@ def columns() -> str:
             f"| {names} | {', '.join(dict.fromkeys(group.units))} | {group.frame} | "
             f"{group.meaning} |"
         )
-    lines += ["| `contact` | | | the mechanisms touch |", ""]
+    lines += [
+        "| `joint.NAME` | m, rad | mechanism | each joint of its moving parts, as in its MJCF |",
+        "| `contact` | | | the mechanisms touch |",
+        "",
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -144,6 +144,13 @@ CYCLE = Group(
     "of a run against devices: from the start of the cycle before, from its start to the command, "
     "age of the reading, ticks missed",
 )
+JOINT = Group(
+    "joint",
+    (),
+    (),
+    "mechanism",
+    "joint of the mechanism's moving parts, as in its MJCF",
+)
 # all groups that a trace may have; the simulation has no cycles
 RECORDED = GROUPS | {CYCLE.name: CYCLE}
 
@@ -152,23 +159,30 @@ SIX_SLIDERS = ("m",) * 6
 _JOINTS = ("slider_cmd", "slider_act")
 
 
+MovingParts = tuple[tuple[str, str], ...]  # name and unit of each joint of a mechanism
+
+
 @lru_cache
-def groups(joints: tuple[str, ...] = SIX_SLIDERS) -> dict[str, Group]:
-    """The groups of a trace for a platform with driven joints of the units ``joints``; no joint
-    columns if nothing is driven.
+def groups(joints: tuple[str, ...] = SIX_SLIDERS, moving: MovingParts = ()) -> dict[str, Group]:
+    """The groups of a trace for a platform with driven joints of the units ``joints``, and a
+    mechanism with the joints ``moving``; no joint columns if nothing is driven, or moves.
     """
     parts = tuple(map(str, range(len(joints))))
-    return {
+    found = {
         name: replace(g, parts=parts, units=joints) if name in _JOINTS else g
         for name, g in RECORDED.items()
     }
+    if moving:
+        names, units = zip(*moving, strict=True)
+        found[JOINT.name] = replace(JOINT, parts=names, units=units)
+    return found
 
 
 class Trace:
     """The signals of a batch of runs, tick by tick.
 
     Attributes:
-        joints: units of the platform's driven joints.
+        joints: units of the platform's driven joints. moving: joints of the mechanism.
         t: ``(ticks,)`` time [s], ``tick/rate``.
         data: group name to ``(ticks, n, parts)``.
         contact: ``(ticks, n)`` bool, the mechanisms touch.
@@ -176,14 +190,19 @@ class Trace:
     """
 
     def __init__(
-        self, ticks: int, n: int, rate: float, joints: tuple[str, ...] = SIX_SLIDERS
+        self,
+        ticks: int,
+        n: int,
+        rate: float,
+        joints: tuple[str, ...] = SIX_SLIDERS,
+        moving: MovingParts = (),
     ) -> None:
-        self.joints = joints
+        self.joints, self.moving = joints, moving
         self.t = np.arange(ticks) / rate
         self.data = {
             g.name: np.full((ticks, n, len(g.parts)), np.nan)
-            for g in groups(joints).values()
-            if g.name in GROUPS
+            for g in groups(joints, moving).values()
+            if g.name != CYCLE.name
         }
         self.contact = np.zeros((ticks, n), dtype=bool)
         self.length = np.full(n, ticks)
@@ -198,7 +217,7 @@ class Trace:
         """The rows of run ``i``."""
         rows = int(self.length[i])
         data = {name: array[:rows, i] for name, array in self.data.items()}
-        return RunTrace(self.t[:rows], data, self.contact[:rows, i], self.joints)
+        return RunTrace(self.t[:rows], data, self.contact[:rows, i], self.joints, self.moving)
 
 
 class RunTrace(dict[str, NDArray[np.float64]]):
@@ -217,9 +236,13 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         data: dict[str, Array],
         contact: np.ndarray,
         joints: tuple[str, ...] = SIX_SLIDERS,
+        moving: MovingParts = (),
     ) -> None:
-        """``joints``: units of the platform's driven joints."""
+        """``joints``: units of the platform's driven joints; ``moving``: joints of the
+        mechanism.
+        """
         self.t, self.data, self.contact, self.joints = t, data, contact, joints
+        self.moving = moving
         super().__init__(t=t)
         for group in self.groups():
             self |= {column: data[group.name][:, j] for j, column in enumerate(group.columns)}
@@ -234,7 +257,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         return super().__contains__(name) or name in self.data
 
     def __reduce__(self) -> tuple:
-        return RunTrace, (self.t, self.data, self.contact, self.joints)
+        return RunTrace, (self.t, self.data, self.contact, self.joints, self.moving)
 
     def __repr__(self) -> str:
         span = f"{self.t[0]:g} to {self.t[-1]:g} s" if len(self.t) else "empty"
@@ -253,7 +276,8 @@ class RunTrace(dict[str, NDArray[np.float64]]):
 
     def groups(self) -> list[Group]:
         """The groups of this trace, with the columns of its platform."""
-        return [group for group in groups(self.joints).values() if group.name in self.data]
+        found = groups(self.joints, self.moving).values()
+        return [group for group in found if group.name in self.data]
 
     def columns(self) -> dict[str, Array]:
         """Column name to ``(rows,)``, in the order of the trace file."""
@@ -261,7 +285,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
 
     def about(self) -> dict[str, dict[str, str]]:
         """Column name to its unit, frame and meaning."""
-        return {name: about_column(name, self.joints) for name in self}
+        return {name: about_column(name, self.joints, self.moving) for name in self}
 
     def to_pandas(self):
         """A pandas DataFrame, time [s] as its index; ``attrs`` holds unit, frame and meaning of
@@ -356,14 +380,16 @@ class UnknownColumn(KeyError, InputError):
         return Exception.__str__(self)
 
 
-def about_column(name: str, joints: tuple[str, ...] = SIX_SLIDERS) -> dict[str, str]:
+def about_column(
+    name: str, joints: tuple[str, ...] = SIX_SLIDERS, moving: MovingParts = ()
+) -> dict[str, str]:
     """Unit, frame and meaning of a column of the trace."""
     if name == "t":
         return {"unit": "s", "frame": "", "meaning": "time from the start, tick/rate"}
     if name == "contact":
         return {"unit": "1", "frame": "", "meaning": "the mechanisms touch"}
     group, _, part = name.partition(".")
-    found = groups(joints)[group]
+    found = groups(joints, moving)[group]
     return {
         "unit": found.units[found.parts.index(part)],
         "frame": found.frame,

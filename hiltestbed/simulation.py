@@ -13,6 +13,7 @@ from typing import Any
 from hiltestbed import plugins
 from hiltestbed.analysis.ledger import delay_ledger, predicted_log_error
 from hiltestbed.analysis.metrics import ContactFigures
+from hiltestbed.analysis.moving_parts import MovingParts
 from hiltestbed.analysis.stability import stability
 from hiltestbed.config.budget import refuse_beyond, run_budget
 from hiltestbed.config.sense import warnings
@@ -29,7 +30,7 @@ from hiltestbed.run_folder.result import Run
 from hiltestbed.run_folder.versions import versions
 from hiltestbed.scenario import Scenario, scenario_from, scenario_sha256
 from hiltestbed.scenario.monitoring import ContactEstimate
-from hiltestbed.signals import AXES, Trace
+from hiltestbed.signals import AXES, JOINT, Trace
 from hiltestbed.supervision.snapshot import Snapshot, Snapshots
 
 Progress = Callable[[int, int], None]
@@ -123,17 +124,20 @@ def simulate(
         "a shorter duration, a lower rate or shorter delays need less",
     )
     loop = Loop(scenarios, nthread)
+    parts = MovingParts(loop.plant) if trace is True else None
     rows = (
         trace(loop)
         if callable(trace)
-        else Trace(ticks, len(scenarios), scenarios[0].rate, loop.plant.units)
-        if trace
+        else Trace(ticks, len(scenarios), scenarios[0].rate, loop.plant.units, parts.joints)
+        if parts
         else None
     )
     snapshots = Snapshots(loop)
     start = 0.0
     while loop.k < ticks and loop.alive.any():
         snapshots.keep()
+        if rows is not None and parts is not None and parts.joints:
+            rows[JOINT.name][loop.k] = parts.positions()
         try:
             loop.step(rows)
         # a denominator is zero or has overflowed, with numbers far from those of any rig
@@ -235,11 +239,13 @@ def reference_fault(batch: Batch, i: int) -> str | None:
 
 
 def _identified(loop: Loop, i: int) -> dict[str, Any]:
-    """Per axis: identified stiffness and damping (None without an estimate), and the true values if
-    they are defined.
+    """Per axis: identified stiffness and damping with their standard deviations (None without an
+    estimate, or of an estimator that gives none), and the true values if they are defined.
     """
     truth = _truth(loop, i)
     estimate = loop.identification
+    # not every method states how sure it is
+    sds = {name: getattr(estimate, name, None) for name in ("stiffness_sd", "damping_sd")}
     out = {}
     identifiable = _identifiable_axes(loop, i)
     for j, axis in enumerate(AXES):
@@ -249,6 +255,10 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
             if estimate and j < identifiable
             else None,
             "damping": _number(estimate.damping[i, j]) if estimate and j < identifiable else None,
+            **{
+                name: None if sd is None or j >= identifiable else _number(sd[i, j])
+                for name, sd in sds.items()
+            },
             "stiffness_true": pair[0],
             "damping_true": pair[1],
             "samples": int(estimate.samples[i, j]) if estimate else 0,

@@ -22,6 +22,7 @@ from hiltestbed.analysis.mujoco_contact import (
     positive_solref,
     spring_damper_of,
 )
+from hiltestbed.analysis.other_engines import cor_in_drake, cor_in_newton
 from hiltestbed.analysis.spring_damper import SpringDamper, reduced_mass, with_cor
 
 SPEED = 0.03
@@ -106,6 +107,17 @@ def test_the_largest_step_is_that_of_mujoco() -> None:
     # its touch falls somewhere within a step
     errors = contact.stepped_errors(step)
     assert errors.min() - 1e-3 <= abs(found.cor / contact.cor - 1.0) <= errors.max() + 1e-3
+
+
+def test_other_engines_bounce_by_their_own_law() -> None:
+    pytest.importorskip("pydrake")
+    pytest.importorskip("newton")
+    contact, masses = with_cor(1e5, 0.85, 400.0), (500.0, 2000.0)
+    step = contact.contact_time / 1000
+    assert cor_in_drake(contact, masses, SPEED, step) == pytest.approx(contact.cor, rel=5e-3)
+    # damped until the deepest point only: half of ln e, to first order in the damping
+    found = cor_in_newton(contact, masses, SPEED, step)
+    assert math.log(found) == pytest.approx(0.5 * math.log(contact.cor), rel=0.05)
 
 
 def test_a_pair_of_an_mjcf_is_measured_in_its_own_contact(tmp_path: Path) -> None:

@@ -4,13 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from hiltestbed import plugins
-from hiltestbed.bench.contacts import Contact
 from hiltestbed.compensation.settings import FORCE_METHODS, ForceMethod
 
 BEST = "resynchronised"
+
+
+class Contact(Protocol):
+    """What a method may be told: k [N/m], c [N s/m], the peak force [N] and the nominal delay
+    [s].
+    """
+
+    @property
+    def stiffness(self) -> float: ...
+    @property
+    def damping(self) -> float: ...
+    @property
+    def peak(self) -> float: ...
+    @property
+    def believed_delay(self) -> float: ...
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-ENGINES = ("mujoco", "shipped")
+ENGINES = ("mujoco", "shipped", "drake", "newton")
 
 
 @app.command()
@@ -55,8 +55,9 @@ def contact(
         typer.Option(
             "--engine",
             metavar="NAME",
-            help="Also run this bounce in mujoco (a ball on a plate, with the largest step for a "
-            "CoR to 0.1 %) or shipped (a bumper of this simulator, without delay); repeatable.",
+            help="Also run this bounce in mujoco, drake or newton (a ball on a plate, with the "
+            "largest step for a CoR to 0.1 % in MuJoCo) or shipped (a bumper of this simulator, "
+            "without delay); repeatable.",
         ),
     ] = None,
     out: Out = None,
@@ -160,9 +161,14 @@ def _masses(text: str) -> tuple[float, float]:
 def _cor_in(engine: str, contact: SpringDamper, masses: tuple[float, float], speed: float) -> float:
     """The CoR of the bounce in an engine."""
     from hiltestbed.analysis.mujoco_contact import bounce_in_mujoco, mujoco_parameters
+    from hiltestbed.analysis.other_engines import cor_in_drake, cor_in_newton
 
-    if engine == "mujoco":
+    if engine in ("mujoco", "drake", "newton"):
         step = contact.largest_step(1e-3)
+        if engine == "drake":
+            return cor_in_drake(contact, masses, speed, step)
+        if engine == "newton":
+            return cor_in_newton(contact, masses, speed, step)
         return bounce_in_mujoco(mujoco_parameters(contact), masses, speed, step).cor
     if engine != "shipped":
         raise InputError(f"--engine: no engine {engine!r}; allowed are {', '.join(ENGINES)}")

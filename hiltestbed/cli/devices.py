@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hiltestbed.cli.options import Json, Sets, read_scenario
+from hiltestbed.errors import InputError
 from hiltestbed.process import interrupt
 
 if TYPE_CHECKING:
@@ -186,30 +187,38 @@ def commission(
 def fmu(
     scenario: File,
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder to write Rig.fmu into.")
+        Path, typer.Option("--out", metavar="DIR", help="Folder to write the FMU into.")
     ] = Path(),
-    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the FMU.")] = "Rig",
+    name: Annotated[str | None, typer.Option("--name", metavar="NAME", help="Of the FMU.")] = None,
+    part: Annotated[
+        str, typer.Option("--part", metavar="rig|sensor", help="What is packed.")
+    ] = "rig",
     sets: Sets = None,
 ) -> None:
-    """Pack the physical side of a scenario (rig, mechanism and force sensor) as an FMU of FMI 3.0
-    for co-simulation.
+    """Pack the physical side of a scenario (rig, mechanism and force sensor), or its force sensor
+    alone, as an FMU of FMI 3.0 for co-simulation.
     """
     import tempfile
 
-    from hiltestbed.devices.fmu import pack
+    from hiltestbed.devices.fmu import PackedSensor, PackedSide, pack
     from hiltestbed.scenario import dump_scenario
 
+    parts = {
+        "rig": ("hiltestbed.devices.physical:from_file", PackedSide, "pose_cmd in, pose_act and"),
+        "sensor": ("hiltestbed.sensor:ForceSensor.from_scenario", PackedSensor, "wrench in,"),
+    }
+    if part not in parts:
+        raise InputError(f"--part: no such part (got {part!r}); allowed are {', '.join(parts)}")
+    factory, how, ports = parts[part]
     spec = read_scenario(scenario, sets)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.yaml"
         file.write_text(dump_scenario(spec), encoding="utf-8")
         out.mkdir(parents=True, exist_ok=True)
-        packed = pack(
-            "hiltestbed.devices.physical:from_file", file, out, name, spec.description or spec.name
-        )
+        about = spec.description or spec.name
+        packed = pack(factory, file, out, name or part.capitalize(), about, how)
     print(
-        f"{packed}: pose_cmd in, pose_act and wrench_meas out; communication step {spec.tick:g} s "
-        f"or a whole multiple"
+        f"{packed}: {ports} wrench_meas out; communication step {spec.tick:g} s or a whole multiple"
     )
 
 

@@ -1,5 +1,5 @@
-"""The commands on one scenario, its files and its run: `hiltestbed run | check | rig | view |
-compare | new | doctor | schema`.
+"""The commands on one scenario, its files and its run: `hiltestbed run | check | rig | rank | view
+| compare | new | doctor | schema`.
 """
 
 from __future__ import annotations
@@ -8,13 +8,16 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hiltestbed.cli.options import Json, Out, Sets, complete, overrides, read_scenario
 from hiltestbed.errors import InputError
 from hiltestbed.run_folder.folders import free_folder, safe_name
+
+if TYPE_CHECKING:
+    from hiltestbed.analysis.record_comparison import RecordComparison
 
 app = typer.Typer()
 
@@ -151,10 +154,25 @@ def rig(
     out: Out = None,
     sets: Sets = None,
     as_json: Json = False,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            "--model",
+            metavar="FILE",
+            help="Only write the compiled model: .mjb for MuJoCo's viewer, .txt to read.",
+        ),
+    ] = None,
 ) -> None:
     """Measure the rig of a scenario: workspace, bandwidth and delay in six axes, modes, dynamic
     stiffness; as figures and a JSON file.
+
+    hiltestbed rig my-rig.yaml --model rig.mjb && python -m mujoco.viewer --mjcf rig.mjb
     """
+    if model is not None:
+        from hiltestbed.platform.model_file import write_model
+
+        print(write_model(read_scenario(scenario, sets), model))
+        return
     from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
     from hiltestbed.process.progress import count_bar
     from hiltestbed.run_folder.store import refuse_foreign
@@ -174,10 +192,66 @@ def rig(
 
 
 @app.command()
+def rank(
+    scenario: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="Scenario file, or the name of a shipped one.",
+            autocompletion=complete,
+        ),
+    ],
+    out: Out = None,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Try every compensation on a scenario, with the delay known and 20 % longer, and rank them.
+
+    hiltestbed rank my-rig.yaml --plugin my_method.py
+    """
+    from hiltestbed.bench.ranking import HEADER, left_out, table
+    from hiltestbed.bench.ranking import rank as try_all
+    from hiltestbed.bench.result import BENCH, write_bench
+    from hiltestbed.process.progress import count_bar
+    from hiltestbed.run_folder.store import refuse_foreign
+
+    spec = read_scenario(scenario, sets)
+    folder = out if out is not None else free_folder(Path("runs") / f"rank-{safe_name(spec.name)}")
+    refuse_foreign(folder, BENCH)
+    with count_bar(f"rank {spec.name}") as progress:
+        result = try_all(spec, progress)
+    write_bench(result, folder)
+    if as_json:
+        print(
+            json.dumps(
+                result.summary | {"methods": result.records, "folder": str(folder)},
+                allow_nan=False,
+            )
+        )
+    else:
+        from hiltestbed.report.table import print_table
+
+        print_table(f"compensations on {spec.name}", HEADER, table(result.records), folder)
+        print("".join(f"{line}\n" for line in left_out(result.records)), end="")
+
+
+@app.command()
 def view(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder, or a recording.")],
+    png: Annotated[
+        Path | None,
+        typer.Option("--png", metavar="FILE", help="Write a picture; it needs no display."),
+    ] = None,
 ) -> None:
-    """Open a run in the rerun viewer."""
+    """Open a run in the rerun viewer, or write a picture of it.
+
+    hiltestbed view runs/late --png late.png
+    """
+    if png is not None:
+        from hiltestbed.viewer.picture import write_picture
+
+        print(write_picture(run, png))
+        return
     from hiltestbed.viewer import view as show
 
     show(run)
@@ -185,17 +259,40 @@ def view(
 
 @app.command()
 def compare(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN ...", help="Run folders.")],
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN RUN ...", help="Run folders; or two records, files of data."),
+    ],
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="FILE", help="Also write the comparison as an HTML page."),
     ] = None,
+    channels: Annotated[
+        Path | None,
+        typer.Option("--channels", metavar="DATASET", help="Its channel map names the columns."),
+    ] = None,
+    align: Annotated[
+        str | None,
+        typer.Option("--align", metavar="COLUMN", help="Align the clocks by it: pose_cmd.pz."),
+    ] = None,
+    stiffness: Annotated[
+        float | None,
+        typer.Option("--k", metavar="K", help="Stiffness [N/m]; left out: as record A shows it."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Compare runs: the differences between their scenarios, and their effect on the results.
+    """Compare runs: the differences between their scenarios, and their effect on the results. Or
+    two records of any rig: aligned in time, the delay of each signal, and its worth as damping.
 
     hiltestbed compare runs/late runs/right --out both.html
+
+    hiltestbed compare log.csv runs/right --channels dataset.yaml
     """
+    from hiltestbed.analysis.record_comparison import compare_records, is_run
+
+    if channels or align or stiffness is not None or not all(is_run(run) for run in runs):
+        _print_delays(compare_records(runs, channels, align, stiffness), out, as_json)
+        return
     from hiltestbed.analysis.comparison import compare as side_by_side
     from hiltestbed.analysis.comparison import write_comparison
 
@@ -217,6 +314,24 @@ def compare(
         from hiltestbed.report.table import print_comparison
 
         print_comparison(result.names, result.rows(), out)
+
+
+def _print_delays(found: RecordComparison, out: Path | None, as_json: bool) -> None:
+    from hiltestbed.analysis.record_comparison import HEADER
+    from hiltestbed.report.table import print_table
+
+    if out is not None:
+        from hiltestbed.report.page import Report
+
+        page = Report("Delays of two records")
+        page.lead(found.sentence)
+        page.table(HEADER, found.rows())
+        page.write(out)
+    if as_json:
+        print(json.dumps(found.to_json(), allow_nan=False))
+        return
+    print_table("delays of A " + " and B ".join(found.names), HEADER, found.rows(), None)
+    print(found.sentence)
 
 
 @app.command()
@@ -284,7 +399,7 @@ def schema(
     bandwidth
     """
     from hiltestbed.config.check import KINDS, json_schema
-    from hiltestbed.config.keys import at, keys_of
+    from hiltestbed.config.keys import at, keys_of, text_of
     from hiltestbed.config.keys import search as search_keys
 
     kind, _, key = what.partition(".")
@@ -300,4 +415,4 @@ def schema(
             f"schema: no key of a {kind} mentions {search!r}; fewer words, or a part of one, find "
             f"more"
         )
-    print("\n".join(map(str, dict.fromkeys(found))))
+    print(text_of(found))

@@ -177,10 +177,11 @@ def _channel_faults(spec: Dataset, source: Source) -> Iterator[Fault]:
 
 
 def _map_faults(channels: Mapping[str, Channel], source: Source, where: KeyPath) -> Iterator[Fault]:
-    from hiltestbed.measured.units import unit_fault
+    from hiltestbed.measured.units import ANGLES, unit_fault
     from hiltestbed.signals import GROUPS
 
     known = {"t", "contact"} | {column for group in GROUPS.values() for column in group.columns}
+    known |= {name for names in ANGLES.values() for name in names}
     unknown: dict[str, list[str]] = {}
     for name in channels:
         if name not in known:

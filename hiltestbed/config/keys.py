@@ -35,11 +35,16 @@ class Key:
     meaning: str
 
     def __str__(self) -> str:
-        where = (
-            f"{self.path} ({', '.join(f'kind: {kind}' for kind in self.kinds)})"
-            if self.kinds
-            else self.path
-        )
+        return self.written([self.kinds])
+
+    def written(self, kinds: Sequence[tuple[str, ...]]) -> str:
+        """The key with its meaning, for sections of these ``kinds`` that share it."""
+        said = [", ".join(f"kind: {kind}" for kind in one) for one in kinds if one]
+        where = f"{self.path} ({'; '.join(said)})" if said else self.path
+        if len(said) > 1:
+            *above, _ = kinds[0]
+            inner = ", ".join(one[-1] for one in kinds)
+            where = f"{self.path} ({', '.join(f'kind: {k}' for k in [*above, inner])})"
         default = (
             f"; {self.default}"
             if self.default == REQUIRED
@@ -48,6 +53,19 @@ class Key:
             else ""
         )
         return f"{where}: {self.takes}{default}\n    {self.meaning}"
+
+
+def text_of(keys: Sequence[Key]) -> str:
+    """The keys with their meanings, one that several kinds share in the same words once."""
+    shared: dict[tuple[object, ...], list[tuple[str, ...]]] = {}
+    first: dict[tuple[object, ...], Key] = {}
+    for key in keys:
+        same = (key.path, key.kinds[:-1], key.takes, key.default, key.meaning)
+        first.setdefault(same, key)
+        kinds = shared.setdefault(same, [])
+        if key.kinds not in kinds:
+            kinds.append(key.kinds)
+    return "\n".join(first[same].written(kinds) for same, kinds in shared.items())
 
 
 def keys_of(schema: Mapping[str, Any]) -> Iterator[Key]:

@@ -1,5 +1,5 @@
-"""FMI 3.0 for co-simulation: the physical side packed as an FMU, and a user's FMU stepped from
-Python.
+"""FMI 3.0 for co-simulation: the physical side, or the force sensor alone, packed as an FMU, and a
+user's FMU stepped from Python.
 
 Modelica Association, "Functional Mock-up Interface Specification", version 3.0, sections 2 and 4.
 Packing is done by PythonFMU3, reading and stepping by FMPy; both come with the extra ``fmi``. A
@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -66,7 +67,7 @@ from pathlib import Path
 
 from pythonfmu3 import DefaultExperiment, Fmi3Slave, Fmi3Status, Fmi3StepResult
 
-from hiltestbed.devices.fmu import PackedSide
+from hiltestbed.devices.fmu import {packed}
 
 
 class {name}(Fmi3Slave):
@@ -75,7 +76,7 @@ class {name}(Fmi3Slave):
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
-        self.side = PackedSide(self, "{factory}", Path(self.resources) / "{scenario}")
+        self.side = {packed}(self, "{factory}", Path(self.resources) / "{scenario}")
         self.default_experiment = DefaultExperiment(start_time=0.0, step_size=self.side.period)
 
     def to_xml(self, *options):
@@ -108,19 +109,48 @@ class PhysicalSide(Protocol):
         ...
 
 
-class PackedSide:
-    """The physical side inside an FMU: registers its variables with the slave and steps it.
+class MeasuringSensor(Protocol):
+    """A force sensor to be packed; :class:`hiltestbed.sensor.ForceSensor` is one. ``rate``: of its
+    readings [Hz].
+    """
+
+    rate: float
+
+    def __call__(self, wrench: Array) -> Array: ...
+
+
+Variables = Sequence[tuple[str, Sequence[str], Callable[[], Array], bool]]
+
+
+class Packed:
+    """Something stepped tick by tick inside an FMU.
 
     Attributes:
         time: [s] of the tool that steps the FMU; 0 until its first step, since PythonFMU3 does not
             pass the start time on. period: of a tick [s].
     """
 
-    def __init__(self, slave: Any, factory: str, scenario: Path) -> None:
-        self.side = _made(factory)(scenario)
-        self.time, self.period = 0.0, self.side.period
-        self._command: Array = np.array(self.side.pose, dtype=float)
-        self._register(slave)
+    def __init__(self, slave: Any, period: float, variables: Variables) -> None:
+        """``variables``: name, parts and present values of each group, and whether it is an
+        input.
+        """
+        from pythonfmu3 import Float64, Fmi3Causality
+
+        self.time, self.period = 0.0, period
+        slave.register_variable(
+            Float64("time", causality=Fmi3Causality.independent, getter=lambda: self.time)
+        )
+        for group, names, values, settable in variables:
+            for i, name in enumerate(names):
+                slave.register_variable(
+                    Float64(
+                        f"{group}.{name}",
+                        causality=Fmi3Causality.input if settable else Fmi3Causality.output,
+                        getter=_getter(values, i),
+                        setter=_setter(values, i) if settable else None,
+                    ),
+                    nested=False,
+                )
 
     def advance(self, current: float, step: float) -> str:
         """Advance from ``current`` by a communication step [s]; returns an error message or "",
@@ -133,6 +163,36 @@ class PackedSide:
                 f"the communication step is not a whole number of ticks (got {step:g} "
                 f"s); allowed: multiples of {self.period:g} s"
             )
+        try:
+            problem = self._run(ticks)
+        except HiltestbedError as error:
+            return str(error)
+        if not problem:
+            self.time = current + step
+        return problem
+
+    def _run(self, ticks: int) -> str:
+        """Advance by whole ticks; returns an error message or ""."""
+        raise NotImplementedError
+
+
+class PackedSide(Packed):
+    """The physical side inside an FMU: pose_cmd in, pose_act and wrench_meas out."""
+
+    def __init__(self, slave: Any, factory: str, scenario: Path) -> None:
+        self.side: PhysicalSide = _made(factory)(scenario)
+        self._command: Array = np.array(self.side.pose, dtype=float)
+        super().__init__(
+            slave,
+            self.side.period,
+            [
+                ("pose_cmd", POSE, lambda: self._command, True),
+                ("pose_act", POSE, lambda: self.side.pose, False),
+                ("wrench_meas", WRENCH, lambda: self.side.wrench, False),
+            ],
+        )
+
+    def _run(self, ticks: int) -> str:
         length = math.hypot(*self._command[3:])
         # false for NaN as well
         if not (abs(length - 1.0) <= UNIT_LENGTH and np.isfinite(self._command).all()):
@@ -141,38 +201,33 @@ class PackedSide:
                 f"pose_cmd is no pose (got {given}); allowed: finite numbers, and a quaternion of "
                 f"length 1 (qx, qy, qz, qw)"
             )
-        try:
-            for _ in range(ticks):
-                self.side.step(self._command)
-        except HiltestbedError as error:
-            return str(error)
-        self.time = current + step
+        for _ in range(ticks):
+            self.side.step(self._command)
         return ""
 
-    def _register(self, slave: Any) -> None:
-        from pythonfmu3 import Float64, Fmi3Causality
 
-        slave.register_variable(
-            Float64("time", causality=Fmi3Causality.independent, getter=lambda: self.time)
+class PackedSensor(Packed):
+    """A force sensor alone inside an FMU: wrench in, wrench_meas out."""
+
+    def __init__(self, slave: Any, factory: str, scenario: Path) -> None:
+        self.sensor: MeasuringSensor = _made(factory)(scenario)
+        self._wrench, self._reading = np.zeros(6), np.zeros(6)
+        super().__init__(
+            slave,
+            1.0 / self.sensor.rate,
+            [
+                ("wrench", WRENCH, lambda: self._wrench, True),
+                ("wrench_meas", WRENCH, lambda: self._reading, False),
+            ],
         )
-        groups: list[tuple[str, Sequence[str], Callable[[], Array], bool]] = [
-            ("pose_cmd", POSE, lambda: self._command, True),
-            ("pose_act", POSE, lambda: self.side.pose, False),
-            ("wrench_meas", WRENCH, lambda: self.side.wrench, False),
-        ]
-        for group, names, values, settable in groups:
-            for i, name in enumerate(names):
-                causality = Fmi3Causality.input if settable else Fmi3Causality.output
-                setter = _setter(values, i) if settable else None
-                slave.register_variable(
-                    Float64(
-                        f"{group}.{name}",
-                        causality=causality,
-                        getter=_getter(values, i),
-                        setter=setter,
-                    ),
-                    nested=False,
-                )
+
+    def _run(self, ticks: int) -> str:
+        if not np.isfinite(self._wrench).all():
+            given = ", ".join(f"{value:.6g}" for value in self._wrench)
+            return f"wrench is not finite (got {given}); allowed: finite numbers [N, N m]"
+        for _ in range(ticks):
+            self._reading = self.sensor(self._wrench)
+        return ""
 
 
 def _getter(values: Callable[[], Array], i: int) -> Callable[[], float]:
@@ -183,11 +238,11 @@ def _setter(values: Callable[[], Array], i: int) -> Callable[[float], None]:
     return lambda value: values().__setitem__(i, value)
 
 
-def _made(factory: str) -> Callable[[Path], PhysicalSide]:
+def _made(factory: str) -> Callable[[Path], Any]:
     """The function named ``module:function``. Raises InputError."""
     module, _, name = factory.partition(":")
     try:
-        return getattr(import_module(module), name)
+        return attrgetter(name)(import_module(module))
     except (ImportError, AttributeError, ValueError) as error:
         raise InputError(
             f"physical side: {factory!r} names no function ({error}); give it as module:function"
@@ -200,13 +255,14 @@ def pack(
     folder: Path,
     name: str = "Rig",
     description: str = "hardware-in-the-loop contact rig",
+    packed: type[Packed] = PackedSide,
 ) -> Path:
     """Write ``folder/name.fmu``; returns its path.
 
     Args:
         factory: ``module:function``, called inside the FMU with the path of its copy of the
-            scenario; returns a
-            :class:`PhysicalSide`.
+            scenario; returns what ``packed`` packs, a :class:`PhysicalSide` or a
+            :class:`MeasuringSensor`.
 
     Raises:
         MissingExtra, InputError.
@@ -224,7 +280,11 @@ def pack(
     with tempfile.TemporaryDirectory() as work:
         script = Path(work) / f"{name.lower()}_slave.py"
         text = _SCRIPT.format(
-            name=name, factory=factory, scenario=SCENARIO, description=description.replace('"', "'")
+            name=name,
+            factory=factory,
+            scenario=SCENARIO,
+            description=description.replace('"', "'"),
+            packed=packed.__name__,
         )
         script.write_text(text, encoding="utf-8")
         copied = Path(work) / SCENARIO

@@ -10,7 +10,7 @@ import numpy as np
 
 from hiltestbed.config.dataset import Channel
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.frames import Array
+from hiltestbed.frames import Array, quat_from_attitude_deg
 from hiltestbed.measured.clock import Clock, bend, check_clock, start_of_run, to_ticks
 from hiltestbed.measured.columns import Columns, is_under, near
 from hiltestbed.measured.data_format import DataFormat
@@ -21,6 +21,7 @@ from hiltestbed.measured.record import MEASURED_GROUPS, Record, place
 from hiltestbed.measured.remark import Remark
 from hiltestbed.measured.rollover import unrolled
 from hiltestbed.measured.ticks import as_ticks
+from hiltestbed.measured.units import ANGLES
 from hiltestbed.measured.values import SAME, in_si, signal, stated_unit, without_empty
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
@@ -31,7 +32,8 @@ BETWEEN = 1.5
 # 2/3
 RESAMPLED = 1.5
 MISSING_LIMIT = 0.5  # part of its samples that a channel may lack before it is left out
-CHANNELS = tuple(column for group in MEASURED_GROUPS for column in GROUPS[group].columns)
+TURNS = tuple(name for names in ANGLES.values() for name in names)
+CHANNELS = (*(c for group in MEASURED_GROUPS for c in GROUPS[group].columns), *TURNS)
 
 
 def read_record(
@@ -74,6 +76,7 @@ def read_record(
                 f"{what} ({near(['pose_act'], columns.names)}); name its columns there",
             )
         )
+    values, source = _attitudes(file, values, source)
     values, held = without_held(run, values)
     stamps, found = _stamps(run, file, columns, values, source, channels)
     clocks, remarks = _clocks(run, stamps, scenario)
@@ -133,6 +136,36 @@ def _refuse_missing(
         raise InputError(
             Fault(str(file), None, None, ", ".join(f"channels.{name}" for name in missing), what)
         )
+
+
+def _attitudes(
+    file: Path, values: Mapping[str, Array], source: Mapping[str, str]
+) -> tuple[dict[str, Array], dict[str, str]]:
+    """The channels and their columns with each attitude that was recorded as three angles as a
+    quaternion. Raises InputError for one or two angles, or both forms.
+    """
+    values, source = dict(values), dict(source)
+    for group, names in ANGLES.items():
+        given, parts = [n for n in names if n in values], GROUPS[group].columns[3:]
+        if not given:
+            continue
+        both = [n for n in parts if n in values]
+        if len(given) < 3 or both:
+            raise InputError(
+                Fault(
+                    str(file),
+                    None,
+                    None,
+                    group,
+                    f"states its attitude by {', '.join([*given, *both])}; allowed are all of "
+                    f"{', '.join(names)} or all of {', '.join(parts)}",
+                )
+            )
+        angles = np.degrees(np.stack([values.pop(n) for n in names], axis=-1))
+        attitude = quat_from_attitude_deg(angles)
+        values |= {name: attitude[:, j] for j, name in enumerate(parts)}
+        source |= dict.fromkeys(parts, source[names[0]])
+    return values, source
 
 
 def _stamps(

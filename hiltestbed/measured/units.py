@@ -15,6 +15,7 @@ KILOGRAM_FORCE = 9.80665  # [N]
 INCH, FOOT = 0.0254, 0.3048  # [m]
 
 UNITS = {
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
     "s": {
         "s": 1.0,
         "ms": 1e-3,
@@ -56,6 +57,12 @@ SI_UNIT = {"t": "s"} | {
     for group in GROUPS.values()
     for column, unit in zip(group.columns, group.units, strict=True)
 }
+# an attitude may be recorded as angles about the fixed x, then y, then z axis, as `attitude_deg`
+ANGLES = {
+    group: tuple(f"{group}.{part}" for part in ("rx", "ry", "rz"))
+    for group in ("pose_cmd", "pose_act")
+}
+SI_UNIT |= dict.fromkeys((name for names in ANGLES.values() for name in names), "rad")
 
 
 # Other ways to write a unit, without the signs between its factors; whole words in lower case.

@@ -24,6 +24,7 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.report.curves import PALETTE, shade_contacts
 from hiltestbed.report.page import Report, new_figure, provenance
+from hiltestbed.report.table import against
 from hiltestbed.run_folder.notebook import number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario
@@ -186,15 +187,11 @@ def _ledger(report: Report, summary: dict[str, Any]) -> None:
 def _identified(report: Report, scenario: Scenario, summary: dict[str, Any]) -> None:
     rows = []
     for axis, values in identified(summary).items():
-        cells = [axis]
-        for quantity in ("stiffness", "damping"):
-            found, true = values[quantity], values[f"{quantity}_true"]
-            error = "" if found is None or not true else f"{100.0 * (found / true - 1.0):+z.2f} %"
-            cells += [number(found, 6), number(true, 6), error]
+        cells = [axis, *against(values, "stiffness"), *against(values, "damping")]
         rows.append([*cells, values["samples"]])
     report.heading("What was identified")
     if rows:
-        header = ("axis", "k", "true", "error", "c", "true", "error", "samples")
+        header = ("axis", "k ± sd", "true", "error", "c ± sd", "true", "error", "samples")
         report.table(
             header,
             rows,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +52,24 @@ def print_lines(title: str, lines: list[tuple[str, str]], folder: Path | None) -
     table.add_column("value", justify="right")
     for label, value in lines:
         table.add_row(label, value)
+    screen = console()
+    screen.print(table)
+    if folder is not None:
+        screen.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+
+
+def print_table(
+    title: str, header: Sequence[str], rows: Sequence[Sequence[str]], folder: Path | None
+) -> None:
+    """Prints rows of cells below a header, and the path of their report if there is one, to
+    standard output.
+    """
+    table = _table(title)
+    for name, cells in zip(header, zip(*rows, strict=True), strict=True):
+        words = any(cell[:1].isalpha() for cell in cells)
+        table.add_column(escape(name), justify="left" if words else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*map(escape, row))
     screen = console()
     screen.print(table)
     if folder is not None:
@@ -264,15 +282,13 @@ def _identified(axes: dict[str, dict[str, Any]]) -> Table:
         "identified against true; k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)"
     )
     table.add_column("axis")
-    for heading in ("k", "true", "error", "c", "true", "error", "samples"):
+    for heading in ("k ± sd", "true", "error", "c ± sd", "true", "error"):
         table.add_column(heading, justify="right", no_wrap=True)
     for axis, values in axes.items():
         cells = [
-            cell
-            for quantity in ("stiffness", "damping")
-            for cell in _against(values[quantity], values[f"{quantity}_true"])
+            cell for quantity in ("stiffness", "damping") for cell in against(values, quantity)
         ]
-        table.add_row(axis, *cells, str(values["samples"]))
+        table.add_row(axis, *cells)
     return table
 
 
@@ -287,9 +303,14 @@ def _table(title: str, header: bool = True) -> Table:
     )
 
 
-def _against(value: float | None, true: float | None) -> tuple[str, str, str]:
+def against(values: Mapping[str, Any], quantity: str) -> tuple[str, str, str]:
+    """An identified quantity with its standard deviation, the true value, and the error in per
+    cent, as cells.
+    """
+    value, true, sd = (values.get(quantity + part) for part in ("", "_true", "_sd"))
     error = "" if value is None or not true else f"{100.0 * (value / true - 1.0):+z.2f} %"
-    return _number(value, 6), _number(true, 6), error
+    sure = "" if value is None or sd is None else f" ± {sd:.0f}" if sd >= 10.0 else f" ± {sd:.2g}"
+    return _number(value, 6) + sure, _number(true, 6), error
 
 
 def _number(value: float | None, digits: int, unit: str = "") -> str:

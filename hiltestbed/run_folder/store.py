@@ -242,7 +242,7 @@ def write_trace(trace: RunTrace, path: Path) -> None:
     fields = []
     for name, values in columns.items():
         kind = pa.bool_() if values.dtype == bool else pa.float64()
-        fields.append(pa.field(name, kind, metadata=about_column(name, trace.joints)))
+        fields.append(pa.field(name, kind, metadata=about_column(name, trace.joints, trace.moving)))
     arrays = [
         pa.Array.from_buffers(field.type, len(v), [None, _buffer(v)])
         for field, v in zip(fields, columns.values(), strict=True)
@@ -277,9 +277,15 @@ def read_trace(path: Path) -> RunTrace:
     joints = tuple(
         _unit(table, name) for name in table.column_names if name.startswith("slider_cmd.")
     )
-    present = [g for g in groups(joints).values() if g.columns and g.columns[0] in columns]
+    moving = tuple(
+        (name.removeprefix("joint."), _unit(table, name))
+        for name in table.column_names
+        if name.startswith("joint.")
+    )
+    found = groups(joints, moving).values()
+    present = [g for g in found if g.columns and g.columns[0] in columns]
     data = {g.name: np.stack([columns[c] for c in g.columns], axis=-1) for g in present}
-    return RunTrace(columns["t"], data, columns["contact"].astype(bool), joints)
+    return RunTrace(columns["t"], data, columns["contact"].astype(bool), joints, moving)
 
 
 def _unit(table: pa.Table, column: str) -> str:

@@ -31,7 +31,8 @@ def view(folder: str | Path) -> None:
         )
     if not has_display():
         raise HiltestbedError(
-            "no display on this machine (neither DISPLAY nor WAYLAND_DISPLAY is set). Copy "
+            "no display on this machine (neither DISPLAY nor WAYLAND_DISPLAY is set). Write a "
+            f"picture, hiltestbed view {folder} --png run.png; or copy "
             f"{recording} to a machine with one and run `rerun {recording.name}` there, or serve "
             f"it from here to a browser: rerun {recording} --serve-web"
         )

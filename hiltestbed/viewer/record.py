@@ -53,7 +53,8 @@ def _rig(
     scene = RigScene(run.scenario)
     time, pose = rr.TimeColumn("time", duration=trace.t[rows]), trace["pose_act"][rows]
     scene.draw(rec)
-    scene.move(rec, time, pose, scene.port_poses(rows, trace["pose_cmd"], pose))
+    placed = scene.port_poses(rows, trace["pose_cmd"], pose)
+    scene.move(rec, time, pose, placed, scene.strokes(trace, rows))
     send_force(rec, CONTACT_FORCE, time, _felt(trace)[rows], pose, trace.contact[rows], scale)
 
 

@@ -8,6 +8,8 @@ below an entity with the pose of P.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import mujoco
 import numpy as np
 import rerun as rr
@@ -17,6 +19,7 @@ from hiltestbed.contact.composition import ACTIVE, PASSIVE
 from hiltestbed.frames import Array, quat_from_mujoco
 from hiltestbed.platform.facilities.drawing import drawn_rig
 from hiltestbed.scenario import Scenario
+from hiltestbed.signals import JOINT, RunTrace
 from hiltestbed.viewer import colors
 from hiltestbed.viewer.drawing import log_solid, send_poses
 from hiltestbed.viewer.solids import Solid, arrow, geom_solid
@@ -54,11 +57,9 @@ class RigScene:
     def draw(self, rec: rr.RecordingStream) -> None:
         """Draws everything that is constant in its own frame."""
         rec.log(ROOT, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for body in range(self.model.nbody):
-            solids = self._body_solids(body)
-            if solids:
-                opacity = GLASS if self.model.body(body).name.startswith(PASSIVE) else 1.0
-                log_solid(rec, f"{self.path(body)}/shape", Solid.joined(solids), opacity)
+        for body, solid in self.solids():
+            opacity = GLASS if self.model.body(body).name.startswith(PASSIVE) else 1.0
+            log_solid(rec, f"{self.path(body)}/shape", solid, opacity)
         site = self.model.site(ACTIVE + "A").id
         carrier = int(self.model.body_weldid[self.model.site_bodyid[site]])
         position, rotation = self._relative(
@@ -66,6 +67,24 @@ class RigScene:
         )
         _log_triad(rec, f"{self.path(carrier)}/port_A", position, rotation, "A")
         _log_triad(rec, f"{AT_P}/port_P", np.zeros(3), np.eye(3), "P")
+
+    def solids(self) -> list[tuple[int, Solid]]:
+        """Every body that is drawn, with its shape in the frame of the moving body that carries
+        it.
+        """
+        found = ((body, self._body_solids(body)) for body in range(self.model.nbody))
+        return [(body, Solid.joined(solids)) for body, solids in found if solids]
+
+    def strokes(self, trace: RunTrace, rows: NDArray[np.intp]) -> dict[int, Array]:
+        """Index in qpos to the positions ``(frames,)`` of each of the mechanism's joints, at the
+        rows of a trace.
+        """
+        names = {self.model.joint(i).name: i for i in range(self.model.njnt)}
+        return {
+            int(self.model.jnt_qposadr[names[name]]): trace[f"{JOINT.name}.{name}"][rows]
+            for name, _ in trace.moving
+            if name in names
+        }
 
     def _body_solids(self, body: int) -> list[Solid]:
         m, root, out = self.model, int(self.model.body_weldid[body]), []
@@ -81,11 +100,13 @@ class RigScene:
         frame = self.data.xmat[root].reshape(3, 3)
         return frame.T @ (position - self.data.xpos[root]), frame.T @ matrix.reshape(3, 3)
 
-    def body_poses(self, pose: Array, pose_P: Array) -> Array:
+    def body_poses(self, pose: Array, pose_P: Array, strokes: Mapping[int, Array] = {}) -> Array:
         """``(moving, frames, 7)`` poses in W of the moving bodies, by inverse kinematics, at the
-        poses ``(frames, 7)`` of A in P and of P in W.
+        poses ``(frames, 7)`` of A in P and of P in W, with the mechanism's joints at ``strokes``.
         """
         qpos = self._rig.joints(pose, pose_P)
+        for place, values in strokes.items():
+            qpos[:, place] = values
         place, attitude = (
             np.empty((len(pose), len(self.moving), 3)),
             np.empty((len(pose), len(self.moving), 4)),
@@ -102,10 +123,15 @@ class RigScene:
         return self._rig.port_poses(rows, pose_cmd, pose)
 
     def move(
-        self, rec: rr.RecordingStream, time: rr.TimeColumn, pose: Array, pose_P: Array
+        self,
+        rec: rr.RecordingStream,
+        time: rr.TimeColumn,
+        pose: Array,
+        pose_P: Array,
+        strokes: Mapping[int, Array] = {},
     ) -> None:
         """Poses of the moving bodies and of P at the frames, and the path of A in P."""
-        for body, poses in zip(self.moving, self.body_poses(pose, pose_P), strict=True):
+        for body, poses in zip(self.moving, self.body_poses(pose, pose_P, strokes), strict=True):
             send_poses(rec, self.path(body), time, poses)
         send_poses(rec, AT_P, time, pose_P)
         rec.log(

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hiltestbed.errors import InputError
 from hiltestbed.measured import load_dataset
@@ -25,6 +26,27 @@ def test_value_is_scale_times_unit_times_file_plus_offset(tmp_path: Path) -> Non
     np.testing.assert_allclose(
         record.column("wrench_meas.fz"), bounce.columns()["wrench_meas.fz"], rtol=1e-12, atol=1e-12
     )
+
+
+def test_an_attitude_in_degrees_is_that_about_fixed_axes(tmp_path: Path) -> None:
+    table = bounce.columns()
+    wobble = np.sin(2.0 * np.pi * table["t"])
+    angles = np.stack([0.3 * wobble, -0.2 * wobble, 0.5 * wobble], axis=-1)
+    table = {name: values for name, values in table.items() if not name.startswith("pose_act.q")}
+    table |= {name: angles[:, j] for j, name in enumerate(("roll", "pitch", "yaw"))}
+    channels = """channels:
+  pose_act.rx: {column: roll, unit: deg}
+  pose_act.ry: {column: pitch, unit: deg}
+  pose_act.rz: {column: yaw, unit: deg}
+"""
+    file = bounce.write_dataset(tmp_path, table, channels=channels)
+    record = load_dataset(file).runs[0].record
+    found = np.stack([record.column(f"pose_act.{q}") for q in ("qx", "qy", "qz", "qw")], axis=-1)
+    expected = Rotation.from_euler("xyz", angles, degrees=True).as_quat(canonical=True)
+    np.testing.assert_allclose(found, expected[: len(found)], atol=1e-9)
+    file.write_text(file.read_text().replace("  pose_act.rz: {column: yaw, unit: deg}\n", ""))
+    with pytest.raises(InputError, match=r"pose_act\.rx, pose_act\.ry; allowed are all of"):
+        load_dataset(file)
 
 
 def test_clock_with_unit_and_offset(tmp_path: Path) -> None:

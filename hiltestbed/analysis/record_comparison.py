@@ -1,0 +1,283 @@
+"""Two records of a rig, from this simulator or any other: aligned in time, and the delay of each
+signal with the damping that it is worth, -k tau.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.analysis.alignment import Shift, shift_between
+from hiltestbed.config.dataset import Channel, load_dataset
+from hiltestbed.errors import Fault, InputError
+from hiltestbed.frames import Array
+from hiltestbed.measured.columns import near
+from hiltestbed.measured.formats import read_columns
+from hiltestbed.measured.values import SAME, signal
+from hiltestbed.run_folder.store import SUMMARY, read_run
+from hiltestbed.signals import GROUPS
+
+GROUPS_READ = ("pose_cmd", "pose_act", "wrench_true", "wrench_meas", "wrench_comp")
+PAIRS = (  # links of the loop within one record: where the signal comes from, and where it goes
+    ("pose_cmd", "pose_act", "platform"),
+    ("wrench_true", "wrench_meas", "sensor"),
+    ("wrench_meas", "wrench_comp", "compensation"),
+)
+AXES = ("x", "y", "z")
+SAME_SIGNAL = 0.5  # share of the variance that must be explained: half
+UNSHARP = 1e-3  # [s] of the clocks' offset: the least delay of a force sensor on such a rig
+TOUCHES = 0.1  # of the peak force, above which a row counts as in contact
+
+
+@dataclass(frozen=True)
+class Delay:
+    """A delay [s] with its standard deviation [s]; ``damping``: -k tau [N s/m], None without k."""
+
+    what: str
+    delay: float
+    sd: float
+    damping: float | None
+
+
+@dataclass(frozen=True)
+class RecordComparison:
+    """Two records, aligned.
+
+    Attributes:
+        names: of the records. axis: along which they are compared. stiffness: k [N/m], None if
+            neither given nor shown. clock: what B's clock shows more than A's at the same instant
+            of the signal ``aligned_by`` [s].
+        between: delay of each signal of B after that of A, once aligned. within: delays of the
+            links within each record.
+    """
+
+    names: tuple[str, str]
+    axis: str
+    stiffness: float | None
+    aligned_by: str
+    clock: Shift
+    between: tuple[Delay, ...]
+    within: tuple[Delay, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """SI units."""
+        return {
+            "records": list(self.names),
+            "axis": self.axis,
+            "stiffness": self.stiffness,
+            "aligned_by": self.aligned_by,
+            "clock_offset": self.clock.delay,
+            "clock_offset_sd": self.clock.sd,
+            "between": [vars(delay) for delay in self.between],
+            "within": [vars(delay) for delay in self.within],
+        }
+
+    @property
+    def sentence(self) -> str:
+        """How the records were aligned, and the stiffness with which a delay is damping."""
+        k = "unknown: give --k" if self.stiffness is None else f"{self.stiffness:.4g} N/m"
+        differ = (
+            " The motions differ, so that only the delays within each record are sharp."
+            if self.clock.sd > UNSHARP
+            else ""
+        )
+        return (
+            f"Aligned by {self.aligned_by}: B's clock shows {1e3 * self.clock.delay:+.4f} ms "
+            f"(± {1e3 * self.clock.sd:.4f}) more than A's. Along {self.axis}; stiffness "
+            f"{k}.{differ}"
+        )
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Cells: delay, its standard deviation, and its worth as damping."""
+        return [
+            (
+                delay.what,
+                f"{1e3 * delay.delay:+.4f}",
+                f"{1e3 * delay.sd:.4f}",
+                "-" if delay.damping is None else f"{delay.damping:+.2f}",
+            )
+            for delay in (*self.within, *self.between)
+        ]
+
+
+HEADER = ("what is late", "delay [ms]", "± sd [ms]", "as damping [N s/m]")
+
+
+def compare_records(
+    records: Sequence[Path],
+    channels: Path | None = None,
+    align: str | None = None,
+    stiffness: float | None = None,
+) -> RecordComparison:
+    """Align two records and list their delays.
+
+    Args:
+        records: two run folders or data files. channels: a dataset file, whose channel map tells
+            the columns of the data files. align: signal by which the clocks are aligned, such as
+            pose_cmd.pz; left out: the first that both have of pose_cmd, pose_act, wrench_meas.
+            stiffness: k [N/m]; left out: that which A shows in its contact.
+
+    Raises:
+        InputError: not two records, one without usable columns, or nothing in common that moves.
+    """
+    if len(records) != 2:
+        raise InputError(f"compare: foreign records are compared by two (got {len(records)})")
+    dataset = None if channels is None else load_dataset(channels)
+    mapped = {} if dataset is None else dataset.spec.channels or {}
+    tick = None if dataset is None else dataset.nominal.tick
+    a, b = (_read(path, mapped, tick) for path in records)
+    axis = _axis(a)
+    common = [f"{g}.{axis}" for g in GROUPS_READ if f"{g}.{axis}" in a and f"{g}.{axis}" in b]
+    shifts = {n: found for n in common if (found := _shift(a, n, b, n)) is not None}
+    by = f"{align.rpartition('.')[0]}.{align[-1]}" if align else next(iter(shifts), "")
+    if by not in shifts:
+        raise InputError(
+            f"compare: {align or 'no signal'} does not move alike in both records along {axis}; "
+            f"allowed: {', '.join(map(_column, shifts)) or 'none: map their columns (--channels)'}"
+        )
+    k = stiffness if stiffness is not None else _stiffness(a, axis)
+    clock = shifts[by]
+    between = tuple(
+        _delay(f"{_column(n)}: B after A", s.delay - clock.delay, math.hypot(s.sd, clock.sd), k)
+        for n, s in shifts.items()
+        if n != by
+    )
+    within = tuple(
+        _delay(
+            f"{label}: {link} ({_column(f'{source}.{axis}')} to {_column(f'{out}.{axis}')})",
+            s.delay,
+            s.sd,
+            k,
+        )
+        for label, record in (("A", a), ("B", b))
+        for source, out, link in PAIRS
+        if (s := _shift(record, f"{source}.{axis}", record, f"{out}.{axis}")) is not None
+    )
+    names = (str(records[0]), str(records[1]))
+    return RecordComparison(names, axis, k, _column(by), clock, between, within)
+
+
+def _delay(what: str, delay: float, sd: float, k: float | None) -> Delay:
+    return Delay(what, delay, sd, None if k is None else -k * delay)
+
+
+Record = dict[str, tuple[Array, Array]]  # group.axis to its times [s] and values
+
+
+def is_run(path: Path) -> bool:
+    """Whether ``path`` is a run folder."""
+    return (path / SUMMARY).is_file()
+
+
+def _column(name: str) -> str:
+    """The column of the trace: `pose_act.z` is pose_act.pz."""
+    group, _, axis = name.partition(".")
+    return f"{group}.{'p' if group.startswith('pose') else 'f'}{axis}"
+
+
+def _read(path: Path, channels: Mapping[str, Channel], tick: float | None) -> Record:
+    if is_run(path):
+        trace = read_run(path).trace
+        if trace is None:
+            raise InputError(f"{path}: has no trace; run the scenario again")
+        found = {
+            name: (trace.t, trace[_column(name)])
+            for group in GROUPS_READ
+            for axis in AXES
+            if not np.isnan(trace[_column(name := f"{group}.{axis}")]).all()
+        }
+        return _ends(found)
+    names = [f"{group}.{axis}" for group in GROUPS_READ for axis in AXES]
+    source = {n: channels.get(_column(n), SAME).column or _column(n) for n in names}
+    time = channels.get("t", SAME).column or "t"
+    columns = read_columns(path, frozenset({*source.values(), time}))
+    found = {}
+    for name, column in source.items():
+        if column not in columns.data:
+            continue
+        t = columns.clock.get(column)
+        if t is None:
+            if time not in columns.data:
+                raise InputError(
+                    Fault(
+                        str(path),
+                        None,
+                        None,
+                        "t",
+                        f"no column {time!r} of times; {near([time], columns.names)}; name it in "
+                        f"--channels DATASET, channels: {{t: {{column: ...}}}}",
+                    )
+                )
+            about = channels.get("t", SAME)
+            t = columns.data[time] * about.scale * _seconds(about.unit) + about.offset
+        values, _ = signal(0, _column(name), column, columns, channels.get(_column(name), SAME), ())
+        good = np.isfinite(values) & np.isfinite(t)
+        t, order = np.unique(t[good], return_index=True)
+        if len(t) > 1:
+            found[name] = (t, values[good][order])
+    if not found:
+        raise InputError(
+            Fault(
+                str(path),
+                None,
+                None,
+                "channels",
+                f"holds none of the columns {', '.join(f'{g}.*' for g in GROUPS_READ)} "
+                f"({near(['pose_act'], columns.names)}); map them with --channels DATASET",
+            )
+        )
+    return _ends(found, tick)
+
+
+def _ends(record: Record, tick: float | None = None) -> Record:
+    """The record with each command at the end of the tick in whose row it stands, as in a trace;
+    ``tick`` [s]: left out, that of the rows.
+    """
+    for name, (t, values) in record.items():
+        if name.startswith("pose_cmd"):
+            record[name] = (t + (float(np.median(np.diff(t))) if tick is None else tick), values)
+    return record
+
+
+def _seconds(unit: str | None) -> float:
+    from hiltestbed.measured.units import factor
+
+    return factor("t", unit)
+
+
+def _axis(record: Record) -> str:
+    """The axis of the largest force, or without one of the largest motion."""
+    for group in ("wrench_meas", "wrench_comp", "pose_act", "pose_cmd"):
+        spans = {
+            x: float(np.ptp(record[f"{group}.{x}"][1])) for x in AXES if f"{group}.{x}" in record
+        }
+        if spans and max(spans.values()) > 0.0:
+            return max(spans, key=lambda x: spans[x])
+    return "z"
+
+
+def _shift(a: Record, first: str, b: Record, second: str) -> Shift | None:
+    if first not in a or second not in b:
+        return None
+    found = shift_between(*a[first], *b[second])
+    return found if found is not None and found.explained >= SAME_SIGNAL else None
+
+
+def _stiffness(record: Record, axis: str) -> float | None:
+    """[N/m] k of F = k x + c v + b, by least squares over the rows in contact."""
+    force, pose = (record.get(f"{group}.{axis}") for group in ("wrench_meas", "pose_act"))
+    if force is None or pose is None:
+        return None
+    t, f = force
+    x = np.interp(t, *pose)
+    touching = np.abs(f) > TOUCHES * np.abs(f).max()
+    if touching.sum() < len(GROUPS):
+        return None
+    columns = np.column_stack([x, np.gradient(x, t), np.ones(len(t))])[touching]
+    found, *_ = np.linalg.lstsq(columns, f[touching], rcond=None)
+    return float(found[0]) if found[0] > 0.0 else None
