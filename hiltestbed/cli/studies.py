@@ -46,6 +46,12 @@ def bench(
         int | None,
         typer.Option("--workers", min=1, help=f"{LONG}: processes; left out: one per core."),
     ] = None,
+    enter: Annotated[
+        str | None,
+        typer.Option(
+            "--enter", metavar="URL", help="hildock: a method of your own behind udp://HOST:PORT."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html.
@@ -72,6 +78,8 @@ def bench(
             f"bench {name}: --for and --workers are options of bench {' and '.join(LASTING)} "
             f"only; leave them out"
         )
+    if enter is not None and name != "hildock":
+        raise InputError(f"bench {name}: --enter is an option of bench hildock only; leave it out")
     measure = benchmark(name)
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.compiled.warm import tell_of_compiling
@@ -82,7 +90,9 @@ def bench(
     refuse_foreign(folder, BENCH)
     tell_of_compiling()
     more: dict[str, Any] = {
-        k: v for k, v in (("minutes", minutes), ("workers", workers)) if v is not None
+        k: v
+        for k, v in (("minutes", minutes), ("workers", workers), ("enter", enter))
+        if v is not None
     }
     keep = {"keep": folder.with_name(folder.name + LASTING[name])} if name in LASTING else {}
     try:

@@ -1,0 +1,100 @@
+"""`hiltestbed bench hildock [--quick] [--enter URL]`: the built-in entrants, and a foreign one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from hiltestbed.bench.hildock.door import UdpEntrant
+from hiltestbed.bench.hildock.methods import METHODS
+from hiltestbed.bench.hildock.problem import TRACKS, Entrant, cases, play, reference
+from hiltestbed.bench.hildock.score import by_track, indices
+from hiltestbed.bench.result import BenchResult
+from hiltestbed.report.page import Report, new_figure
+
+Progress = Callable[[float, float], None]
+
+
+def hildock(
+    quick: bool = False, enter: str | None = None, progress: Progress | None = None
+) -> BenchResult:
+    """All entrants on all cases; quick: on the cases that the page names for it.
+
+    Raises:
+        HiltestbedError: the foreign entrant answered late, wrongly or not at all.
+    """
+    todo = cases(quick)
+    foreign = UdpEntrant(enter) if enter is not None else None
+    entrants: list[Entrant] = [*([foreign] if foreign else []), *(m() for m in METHODS)]
+    work, ideal = len(entrants) * len(todo), [reference(c) for c in todo]
+    records: list[dict[str, Any]] = []
+    effort = {}
+    try:
+        for number, entrant in enumerate(entrants):
+            begun, ticks = time.perf_counter(), 0
+            for i, (case, right) in enumerate(zip(todo, ideal, strict=True)):
+                course = play(case, entrant)
+                ticks += len(course.force)
+                records.append({"method": entrant.name, **indices(case, course, right)})
+                if progress:
+                    progress(number * len(todo) + i + 1, work)
+            effort[entrant.name] = 1e6 * (time.perf_counter() - begun) / ticks
+    finally:
+        if foreign is not None:
+            foreign.close()
+    names = [e.name for e in entrants]
+    board = {n: by_track([r for r in records if r["method"] == n]) for n in names}
+    summary = {"problem": "HILDOCK-1", "tracks": board, "tick_us": effort}
+    lines = [
+        (
+            name,
+            f"|ln e/e_ref| <= {_digits(board[name]['exact']['cor_log_error_worst'])}, "
+            f"<= {_digits(_over_all(board[name]))} on every track",
+        )
+        for name in names
+    ]
+    return BenchResult("hildock", records, summary, _report(names, summary, len(todo)), lines)
+
+
+def _over_all(tracks: dict[str, dict[str, Any]]) -> float | None:
+    found = [row["cor_log_error_worst"] for row in tracks.values()]
+    return None if None in found else max(found)
+
+
+def _digits(value: float | None) -> str:
+    return "no rebound" if value is None else f"{value:.4g}"
+
+
+def _report(names: Sequence[str], summary: dict[str, Any], todo: int) -> Report:
+    report = Report("HILDOCK-1")
+    report.lead(
+        f"{len(names)} entrants on {todo} cases of {len(TRACKS)} tracks; the problem is defined "
+        "on the documentation's page HILDOCK-1."
+    )
+    board = summary["tracks"]
+    for title, index in (
+        ("Worst |ln(e/e_ref)|", "cor_log_error_worst"),
+        ("Its 95th percentile", "cor_log_error_p95"),
+        ("Energy made, worst, as a share of the approach energy", "energy_generated_worst"),
+        ("Error of the peak force, worst", "peak_force_error_worst"),
+    ):
+        rows = [[t, *(_digits(board[n][t][index]) for n in names)] for t in TRACKS]
+        report.table(["track", *names], rows, title)
+    figure, axis = new_figure(10, 4)
+    for name in names:
+        axis.semilogy(
+            TRACKS,
+            [board[name][t]["cor_log_error_worst"] or float("nan") for t in TRACKS],
+            "o-",
+            label=name,
+        )
+    axis.set_ylabel("worst |ln(e/e_ref)|")
+    axis.tick_params(axis="x", rotation=30)
+    axis.legend()
+    report.figure(figure, "Worst error of the coefficient of restitution, by track.")
+    report.text(
+        "One tick of the loop with plant, entrant and, for a foreign one, its answer over the "
+        "network: " + ", ".join(f"{n} {summary['tick_us'][n]:.1f} us" for n in names) + "."
+    )
+    return report
