@@ -17,6 +17,8 @@ from hiltestbed.bench.hildock.door import UdpEntrant
 from hiltestbed.bench.hildock.methods import METHODS, PhaseLead, Resynchronised, Uncompensated
 from hiltestbed.bench.hildock.problem import TICK, Case, cases, draws, play, reference
 from hiltestbed.bench.hildock.score import indices, percentile_95, rebound
+from hiltestbed.bench.hildock.shipped import shipped
+from hiltestbed.bench.hildock.touch import TouchFitted
 from hiltestbed.errors import HiltestbedError, InputError
 
 QUICK = cases(quick=True)
@@ -70,6 +72,27 @@ def test_the_prediction_beats_the_lead_where_the_delay_is_known() -> None:
         found = [indices(c, play(c, method()), reference(c))["cor_log_error"] for c in exact]
         worst[method] = max(map(abs, found))
     assert worst[Resynchronised] < 0.1 * worst[PhaseLead] < 0.1 * worst[Uncompensated]
+
+
+def test_a_fitted_delay_need_not_be_told() -> None:
+    """Wrong by 30 % either way: the delay to a tenth of a tick, the rebound within 0.005."""
+    off = [c for c in QUICK if c.track in ("off-30", "off+30")]
+    for case in off[1::2]:  # the long delays
+        method = TouchFitted()
+        error = indices(case, play(case, method), reference(case))["cor_log_error"]
+        assert abs(method.delay - case.delay) < 0.1 * TICK
+        assert abs(error) < 0.005
+
+
+@pytest.mark.parametrize("method", [Uncompensated, PhaseLead])
+def test_a_block_of_the_package_does_what_its_axis_does_alone(method: type) -> None:
+    """Three bodies in six axes with their own inertias move as the reduced mass does, but for
+    round-off.
+    """
+    block = next(s for s in shipped() if s.name == f"shipped {method.name}")
+    case = QUICK[-1]
+    alone, whole = play(case, method()), play(case, block)
+    assert np.abs(np.subtract(alone.position, whole.position)).max() < 1e-9 * max(alone.position)
 
 
 def test_the_percentile_is_the_nearest_rank() -> None:

@@ -1,6 +1,6 @@
 """The door of HILDOCK-1 for entrants in any language: text lines over UDP, one a datagram.
 
-hildock 1 start CASE TICKS TICK MASS START SPEED DELAY   ->  ready CASE
+hildock 1 start CASE TICKS TICK MASS START SPEED DELAY NOISE   ->  ready CASE
 CASE K FORCE                                             ->  CASE K POSITION
 end CASE                                                 ->  done CASE [STIFFNESS DAMPING]
 bye
@@ -50,9 +50,9 @@ class UdpEntrant:
                 f"check host and port"
             ) from error
 
-    def start(self, case: int, ticks: int, delay: float) -> None:
+    def start(self, case: int, ticks: int, delay: float, noise: float) -> None:
         self._case = case
-        told = " ".join(f"{v:.17g}" for v in (TICK, MASS, START, SPEED, delay))
+        told = " ".join(f"{v:.17g}" for v in (TICK, MASS, START, SPEED, delay, noise))
         asked = f"hildock 1 start {case} {ticks} {told}"
         self._numbers(self._ask(asked, "the start"), ["ready", str(case)], (0,), "the start")
 

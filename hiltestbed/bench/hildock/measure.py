@@ -10,6 +10,8 @@ from hiltestbed.bench.hildock.door import UdpEntrant
 from hiltestbed.bench.hildock.methods import METHODS
 from hiltestbed.bench.hildock.problem import TRACKS, Entrant, cases, play, reference
 from hiltestbed.bench.hildock.score import by_track, indices
+from hiltestbed.bench.hildock.shipped import shipped
+from hiltestbed.bench.hildock.touch import TouchFitted
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.report.page import Report, new_figure
 
@@ -26,7 +28,12 @@ def hildock(
     """
     todo = cases(quick)
     foreign = UdpEntrant(enter) if enter is not None else None
-    entrants: list[Entrant] = [*([foreign] if foreign else []), *(m() for m in METHODS)]
+    entrants: list[Entrant] = [
+        *([foreign] if foreign else []),
+        *(m() for m in METHODS),
+        TouchFitted(),
+        *shipped(),
+    ]
     work, ideal = len(entrants) * len(todo), [reference(c) for c in todo]
     records: list[dict[str, Any]] = []
     effort = {}

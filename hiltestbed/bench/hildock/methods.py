@@ -14,7 +14,7 @@ class Uncompensated:
 
     name = "none"
 
-    def start(self, case: int, ticks: int, delay: float) -> None:
+    def start(self, case: int, ticks: int, delay: float, noise: float) -> None:
         self.x, self.v, self.delay = START, SPEED, delay
 
     def step(self, tick: int, force: float) -> float:
@@ -37,8 +37,8 @@ class PhaseLead(Uncompensated):
 
     name = "phase_lead"
 
-    def start(self, case: int, ticks: int, delay: float) -> None:
-        super().start(case, ticks, delay)
+    def start(self, case: int, ticks: int, delay: float, noise: float) -> None:
+        super().start(case, ticks, delay, noise)
         self.before = self.out = 0.0
 
     def used(self, force: float) -> float:
@@ -56,8 +56,8 @@ class Extrapolation(Uncompensated):
 
     name = "lagrange_2"
 
-    def start(self, case: int, ticks: int, delay: float) -> None:
-        super().start(case, ticks, delay)
+    def start(self, case: int, ticks: int, delay: float, noise: float) -> None:
+        super().start(case, ticks, delay, noise)
         self.lag, self.past = max(1, round(delay / TICK)), []
 
     def used(self, force: float) -> float:
@@ -75,7 +75,7 @@ class Resynchronised:
 
     name = "resynchronised"
 
-    def start(self, case: int, ticks: int, delay: float) -> None:
+    def start(self, case: int, ticks: int, delay: float, noise: float) -> None:
         self.delay, self.past = delay, [START]  # commanded positions at ticks 0, 1, ...
         self.x, self.v = START - delay * SPEED, SPEED  # of the delayed copy, at t - delay
         self.xx = self.xv = self.vv = self.xf = self.vf = self.force = 0.0
@@ -84,7 +84,7 @@ class Resynchronised:
     def step(self, tick: int, force: float) -> float:
         self._identify(tick, force)
         self.force = force
-        x, v = self.x, self.v = _advance(self.x, self.v, force, TICK)
+        x, v = self.x, self.v = advance(self.x, self.v, self._driving(tick, force), TICK)
         found = self.end()
         left = self.delay
         while left > 1e-12:  # [s] round-off of the subtractions
@@ -93,11 +93,15 @@ class Resynchronised:
                 predicted = self.force if self.count else 0.0
             else:
                 predicted = max(0.0, found[0] * x + found[1] * v) if x > 0.0 else 0.0
-            x, v = _advance(x, v, predicted, h)
+            x, v = advance(x, v, predicted, h)
             left -= h
         here = self.past[-1]
         self.past.append(here + TICK * v + (x - TICK * v - here) * TICK / BLEND)
         return self.past[-1]
+
+    def _driving(self, tick: int, force: float) -> float:
+        """[N] what drives the delayed copy."""
+        return force
 
     def _identify(self, tick: int, force: float) -> None:
         at = tick - self.delay / TICK
@@ -125,7 +129,7 @@ class Resynchronised:
         return k, (self.vf * self.xx - self.xf * self.xv) / whole
 
 
-def _advance(x: float, v: float, force: float, h: float) -> tuple[float, float]:
+def advance(x: float, v: float, force: float, h: float) -> tuple[float, float]:
     v -= h * force / MASS
     return x + h * v, v
 

@@ -87,8 +87,8 @@ class Entrant(Protocol):
 
     name: str
 
-    def start(self, case: int, ticks: int, delay: float) -> None:
-        """A case begins; delay: [s] as it is believed to be."""
+    def start(self, case: int, ticks: int, delay: float, noise: float) -> None:
+        """A case begins; delay: [s] as it is believed to be; noise: [N] 1 sigma of the force."""
         ...
 
     def step(self, tick: int, force: float) -> float:
@@ -162,7 +162,7 @@ def play(case: Case, entrant: Entrant) -> Course:
     share = TICK / (TICK + LOW_PASS) if case.track == "lowpass" else 1.0
     x, before = START, START - TICK * SPEED
     position, force, sensed, s = [x], [], [], 0.0
-    entrant.start(case.number, case.ticks, case.told)
+    entrant.start(case.number, case.ticks, case.told, sd)
     for k in range(case.ticks):
         force.append(case.force(x, (x - before) / TICK))
         s += share * (force[-1] - s)

@@ -19,7 +19,7 @@ int main(void)
     fflush(stdout);
     alarm(60); /* never outlives its test */
 
-    double h = 0, m = 0, x = 0, v = 0, delay = 0, used = 0, before = 0, lag = 0.0005;
+    double h = 0, m = 0, x = 0, v = 0, delay = 0, used = 0, before = 0, noise = 0, lag = 0.0005;
     for (;;) {
         char in[512], out[512];
         int number, k, ticks;
@@ -28,8 +28,8 @@ int main(void)
         ssize_t n = recvfrom(s, in, sizeof in - 1, 0, (struct sockaddr *)&peer, &size);
         if (n < 0) return 1;
         in[n] = 0;
-        if (sscanf(in, "hildock 1 start %d %d %lf %lf %lf %lf %lf", &number, &ticks, &h, &m, &x, &v,
-                   &delay) == 7) {
+        if (sscanf(in, "hildock 1 start %d %d %lf %lf %lf %lf %lf %lf", &number, &ticks, &h, &m, &x, &v,
+                   &delay, &noise) == 8) {
             used = before = 0;
             snprintf(out, sizeof out, "ready %d", number);
         } else if (sscanf(in, "end %d", &number) == 1) {
