@@ -115,6 +115,21 @@ def test_an_entrant_in_c_scores_the_digits_of_the_method_it_copies(tmp_path: Pat
         assert running.wait(10) == 0
 
 
+@pytest.mark.skipif(shutil.which("awk") is None, reason="no awk")
+def test_plant_and_indices_written_from_the_page_in_another_language_agree() -> None:
+    """In all tracks; to ten digits, since awk rounds squares and quotients in its own order."""
+    some = QUICK[::3]
+    numbers = "\n".join(str(c.number) for c in some)
+    program = ["awk", "-f", str(ENTRANT.with_name("score.awk"))]
+    out = subprocess.run(program, input=numbers, capture_output=True, text=True, check=True).stdout
+    assert {c.track for c in some} == {c.track for c in QUICK}
+    for case, line in zip(some, out.splitlines(), strict=True):
+        ours = indices(case, play(case, Uncompensated()), reference(case))
+        names = ("cor", "cor_reference", "peak_force_error", "contact_time_error", "tracking_error")
+        expected = [case.number, *(ours[n] for n in names)]
+        assert [float(w) for w in line.split()] == pytest.approx(expected, rel=1e-10)
+
+
 @pytest.mark.parametrize(
     ("answer", "said"),
     [

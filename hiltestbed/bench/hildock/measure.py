@@ -21,19 +21,16 @@ Progress = Callable[[float, float], None]
 def hildock(
     quick: bool = False, enter: str | None = None, progress: Progress | None = None
 ) -> BenchResult:
-    """All entrants on all cases; quick: on the cases that the page names for it.
+    """All entrants on all cases; quick: on the cases that the page names for it; enter: a foreign
+    one, and the short ones for comparison.
 
     Raises:
         HiltestbedError: the foreign entrant answered late, wrongly or not at all.
     """
     todo = cases(quick)
     foreign = UdpEntrant(enter) if enter is not None else None
-    entrants: list[Entrant] = [
-        *([foreign] if foreign else []),
-        *(m() for m in METHODS),
-        TouchFitted(),
-        *shipped(),
-    ]
+    entrants: list[Entrant] = [m() for m in METHODS]
+    entrants = [foreign, *entrants] if foreign else [*entrants, TouchFitted(), *shipped()]
     work, ideal = len(entrants) * len(todo), [reference(c) for c in todo]
     records: list[dict[str, Any]] = []
     effort = {}

@@ -7,7 +7,7 @@ returns the position that the rig reaches at the next tick; it contains the nume
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -143,6 +143,16 @@ def draws(case: int) -> Iterator[float]:
             yield state / MODULUS
 
 
+def in_order(values: Iterable[float]) -> float:
+    """The sum from the first to the last, each addition rounded, as other languages have it: `sum`
+    carries the remainders along since Python 3.12.
+    """
+    total = 0.0
+    for value in values:
+        total += value
+    return total
+
+
 def reference(case: Case) -> Course:
     """The same contact without delay, filter and noise: the force at t_k drives the model."""
     x, v = START, SPEED
@@ -167,7 +177,7 @@ def play(case: Case, entrant: Entrant) -> Course:
         force.append(case.force(x, (x - before) / TICK))
         s += share * (force[-1] - s)
         sensed.append(s)
-        noise = sum([next(random) for _ in range(12)]) - 6.0
+        noise = in_order(next(random) for _ in range(12)) - 6.0
         uniform = next(random)
         delay = case.delay
         if case.track == "drift":

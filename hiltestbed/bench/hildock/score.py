@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from hiltestbed.bench.hildock.problem import SPEED, TICK, TRACKS, Case, Course
+from hiltestbed.bench.hildock.problem import SPEED, TICK, TRACKS, Case, Course, in_order
 
 LAST = 40  # ticks over which the rebound speed is taken: 20 ms
 INDICES = (
@@ -54,7 +54,7 @@ def indices(case: Case, course: Course, ideal: Course) -> dict[str, Any]:
         "energy_generated": e * e - true * true,
         "peak_force_error": max(course.force) / max(ideal.force) - 1.0,
         "contact_time_error": sum(f > 0.0 for f in course.force) / touched - 1.0,
-        "tracking_error": math.sqrt(sum([d * d for d in off]) / n) / max(ideal.position),
+        "tracking_error": math.sqrt(in_order(d * d for d in off) / n) / max(ideal.position),
     }
     if course.identified is not None and case.track not in ("hunt_crossley", "hard_stop"):
         k, c = course.identified

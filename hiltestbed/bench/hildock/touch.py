@@ -8,6 +8,8 @@ in k and c, and the delay is searched. It needs the position of the touch, which
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.optimize import minimize_scalar
 
@@ -49,7 +51,7 @@ class TouchFitted(Resynchronised):
             delays = self.delay + TICK * np.arange(-NEAR, NEAR + 1)
         left = [self._solve(d)[0] for d in delays]
         i = int(np.argmin(left))
-        found = minimize_scalar(
+        found: Any = minimize_scalar(
             lambda d: self._solve(d)[0],
             bounds=(delays[max(i - 1, 0)], delays[min(i + 1, len(delays) - 1)]),
             method="bounded",
