@@ -16,7 +16,7 @@ import pytest
 from hiltestbed.bench.hildock.door import UdpEntrant
 from hiltestbed.bench.hildock.methods import METHODS, PhaseLead, Resynchronised, Uncompensated
 from hiltestbed.bench.hildock.problem import TICK, Case, cases, draws, play, reference
-from hiltestbed.bench.hildock.score import indices, percentile_95, rebound
+from hiltestbed.bench.hildock.score import causal_bound, indices, percentile_95, rebound
 from hiltestbed.bench.hildock.shipped import shipped
 from hiltestbed.bench.hildock.touch import TouchFitted
 from hiltestbed.errors import HiltestbedError, InputError
@@ -93,6 +93,18 @@ def test_a_block_of_the_package_does_what_its_axis_does_alone(method: type) -> N
     case = QUICK[-1]
     alone, whole = play(case, method()), play(case, block)
     assert np.abs(np.subtract(alone.position, whole.position)).max() < 1e-9 * max(alone.position)
+
+
+def test_the_least_peak_force_is_that_of_free_flight_over_the_delay() -> None:
+    """k v0 d + c v0 against the peak of the contact, to a tick of k v0; and no method beats it."""
+    case = next(c for c in QUICK if c.frequency == 8.0 and c.delay == 0.020)
+    ideal = reference(case)
+    bound = causal_bound(case, ideal)
+    free = (case.stiffness * case.delay + case.damping) * 0.03 / max(ideal.force) - 1.0
+    assert abs(bound - free) <= case.stiffness * TICK * 0.03 / max(ideal.force)
+    found = play(case, TouchFitted())
+    assert max(found.force) / max(ideal.force) - 1.0 >= bound - 1e-9
+    assert bound > 0.1
 
 
 def test_the_percentile_is_the_nearest_rank() -> None:

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from hiltestbed.bench.hildock.door import UdpEntrant
 from hiltestbed.bench.hildock.methods import METHODS
 from hiltestbed.bench.hildock.problem import TRACKS, Entrant, cases, play, reference
@@ -58,7 +60,9 @@ def hildock(
         )
         for name in names
     ]
-    return BenchResult("hildock", records, summary, _report(names, summary, len(todo)), lines)
+    return BenchResult(
+        "hildock", records, summary, _report(names, summary, records, len(todo)), lines
+    )
 
 
 def _over_all(tracks: dict[str, dict[str, Any]]) -> float | None:
@@ -70,7 +74,30 @@ def _digits(value: float | None) -> str:
     return "no rebound" if value is None else f"{value:.4g}"
 
 
-def _report(names: Sequence[str], summary: dict[str, Any], todo: int) -> Report:
+def _peaks(records: Sequence[dict[str, Any]], names: Sequence[str]):
+    figure, axis = new_figure(10, 4)
+    exact = [r for r in records if r["track"] == "exact"]
+    shown = [n for n in names if n in ("none", "phase_lead") or "resynchronised" in n]
+    for name in [*shown, "bound"]:
+        mine = [r for r in exact if r["method"] == (names[0] if name == "bound" else name)]
+        index = "peak_force_bound" if name == "bound" else "peak_force_error"
+        found = [
+            (2.0 * np.pi * r["frequency"] * r["delay"], r[index])
+            for r in mine
+            if r[index] is not None
+        ]
+        axis.plot(*np.array(found).reshape(-1, 2).T, "k_" if name == "bound" else ".", label=name)
+    axis.set_xscale("log")
+    axis.set_yscale("symlog", linthresh=0.01)
+    axis.set_xlabel("w tau")
+    axis.set_ylabel("error of the peak force")
+    axis.legend()
+    return figure
+
+
+def _report(
+    names: Sequence[str], summary: dict[str, Any], records: Sequence[dict[str, Any]], todo: int
+) -> Report:
     report = Report("HILDOCK-1")
     report.lead(
         f"{len(names)} entrants on {todo} cases of {len(TRACKS)} tracks; the problem is defined "
@@ -97,6 +124,11 @@ def _report(names: Sequence[str], summary: dict[str, Any], todo: int) -> Report:
     axis.tick_params(axis="x", rotation=30)
     axis.legend()
     report.figure(figure, "Worst error of the coefficient of restitution, by track.")
+    report.figure(
+        _peaks(records, names),
+        "Peak force of each case of the track `exact` as a function of w tau, and the least error "
+        "that is possible before the delay has passed.",
+    )
     report.text(
         "One tick of the loop with plant, entrant and, for a foreign one, its answer over the "
         "network: " + ", ".join(f"{n} {summary['tick_us'][n]:.1f} us" for n in names) + "."

@@ -6,7 +6,15 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from hiltestbed.bench.hildock.problem import SPEED, TICK, TRACKS, Case, Course, in_order
+from hiltestbed.bench.hildock.problem import (
+    SPEED,
+    START,
+    TICK,
+    TRACKS,
+    Case,
+    Course,
+    in_order,
+)
 
 LAST = 40  # ticks over which the rebound speed is taken: 20 ms
 INDICES = (
@@ -28,6 +36,20 @@ def rebound(course: Course) -> float | None:
     return e if e > 0.0 else None
 
 
+def causal_bound(case: Case, ideal: Course) -> float:
+    """Least error of the peak force of a first contact: until the first delayed force has arrived,
+    no method can know that there is a contact, and the mass flies on freely.
+    """
+    force, k, touch = 0.0, 0, None
+    while touch is None or k - case.delay / TICK <= touch - 1:
+        # the force at tick k + 1, which the answer to tick k commands before anything is known
+        k += 1
+        x = START + k * TICK * SPEED
+        touch = k if touch is None and x > 0.0 else touch
+        force = max(force, case.force(x, SPEED))
+    return max(0.0, force / max(ideal.force) - 1.0)
+
+
 def indices(case: Case, course: Course, ideal: Course) -> dict[str, Any]:
     """The record of one case; an index that does not exist is None."""
     e, true = rebound(course), rebound(ideal)
@@ -42,6 +64,7 @@ def indices(case: Case, course: Course, ideal: Course) -> dict[str, Any]:
         "damping_ratio": case.damping_ratio,
         "cor": e,
         "cor_reference": true,
+        "peak_force_bound": causal_bound(case, ideal),
         **dict.fromkeys(INDICES),
     }
     if e is None:

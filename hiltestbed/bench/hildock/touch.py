@@ -45,22 +45,26 @@ class TouchFitted(Resynchronised):
             self._fit()
 
     def _fit(self) -> None:
+        x = np.array(self.past)
+        touching = x > 0.0
+        v = np.diff(x, prepend=START - TICK * SPEED) / TICK
+        shown, forces = np.where(touching, (x, v), 0.0), np.array(self.forces)
         if self.law is None:
             delays = np.linspace(SEARCHED[0] * self.told, SEARCHED[1] * self.told, GRID)
         else:
             delays = self.delay + TICK * np.arange(-NEAR, NEAR + 1)
-        left = [self._solve(d)[0] for d in delays]
+        left = [_solve(d, shown, forces)[0] for d in delays]
         i = int(np.argmin(left))
         found: Any = minimize_scalar(
-            lambda d: self._solve(d)[0],
+            lambda d: _solve(d, shown, forces)[0],
             bounds=(delays[max(i - 1, 0)], delays[min(i + 1, len(delays) - 1)]),
             method="bounded",
             options={"xatol": 1e-3 * TICK},
         )
         self.delay = float(found.x)
-        self.law = self._solve(self.delay)[1]
+        self.law = _solve(self.delay, shown, forces)[1]
+        commanded = np.array(self.law) @ _late(self.delay, shown)
         self.x, self.v = START - self.delay * SPEED, SPEED
-        commanded = self._rows(self.delay) @ np.array(self.law)
         for force, law in zip(self.forces[:-1], commanded[:-1], strict=True):
             self._step(force - float(law))  # the last one is still to come
 
@@ -77,27 +81,36 @@ class TouchFitted(Resynchronised):
         """The command was not always where the copy now is: the law corrects the force for that."""
         if self.law is None:
             return force
-        commanded = float(self._rows(self.delay)[-1] @ np.array(self.law))
+        at = max(tick - self.delay / TICK, 1.0)
+        j = int(at)
+        before, a, b = self.past[j - 1], self.past[j], self.past[min(j + 1, tick)]
+        first = (self.law[0] * a + self.law[1] * (a - before) / TICK) if a > 0.0 else 0.0
+        second = (self.law[0] * b + self.law[1] * (b - a) / TICK) if b > 0.0 else 0.0
+        commanded = first + (at - j) * (second - first)
         return force - max(0.0, commanded) + self._of_the_law()
-
-    def _solve(self, delay: float) -> tuple[float, tuple[float, float]]:
-        """Sum of squares [N^2] that a delay leaves, with its k and c."""
-        rows, forces = self._rows(delay), np.array(self.forces)
-        scale = np.abs(rows).max(axis=0) + 1e-300  # columns of one size
-        found, *_ = np.linalg.lstsq(rows / scale, forces, rcond=None)
-        rest = forces - rows / scale @ found
-        k, c = found / scale
-        return float(rest @ rest), (float(k), float(c))
-
-    def _rows(self, delay: float) -> Array:
-        """``(ticks, 2)`` commanded depth and speed in contact, as the sensor shows them."""
-        x = np.array(self.past)
-        v = np.diff(x, prepend=START - TICK * SPEED) / TICK
-        touching = x > 0.0
-        at = np.arange(len(x)) - delay / TICK
-        ticks = np.arange(len(x))
-        shown = [np.interp(at, ticks, np.where(touching, u, 0.0)) for u in (x, v)]
-        return np.stack(shown, axis=1)
 
     def end(self) -> tuple[float, float] | None:
         return self.law
+
+
+def _late(delay: float, shown: Array) -> Array:
+    """``(2, ticks)`` commanded depth and speed in contact, as a sensor with a delay shows them."""
+    ticks = np.arange(shown.shape[1])
+    return np.array([np.interp(ticks - delay / TICK, ticks, u) for u in shown])
+
+
+def _solve(delay: float, shown: Array, forces: Array) -> tuple[float, tuple[float, float]]:
+    """Sum of squares [N^2] that a delay leaves, with its k and c: normal equations of two columns
+    that are scaled to length one.
+    """
+    rows = _late(delay, shown)
+    scale = np.sqrt((rows * rows).sum(axis=1)) + 1e-300
+    rows /= scale[:, None]
+    a, b = rows @ forces
+    r = float(rows[0] @ rows[1])
+    whole = 1.0 - r * r
+    if whole < 1e-9:  # nothing of the contact, or one of its samples
+        return float(forces @ forces), (0.0, 0.0)
+    k, c = (a - r * b) / whole, (b - r * a) / whole
+    rest = forces - k * rows[0] - c * rows[1]
+    return float(rest @ rest), (float(k / scale[0]), float(c / scale[1]))
