@@ -19,6 +19,7 @@ BENCHES = {  # name of a benchmark, and the module with its function of the same
     "cor": "hiltestbed.bench.cor",
     "diagnosis": EQUIPMENT + "diagnosis.run",
     "facilities": "hiltestbed.bench.facilities",
+    "hildock": "hiltestbed.bench.hildock.measure",
     "identification": "hiltestbed.bench.identification",
     "real": "hiltestbed.bench.real.run",
     "realtime": "hiltestbed.bench.realtime",

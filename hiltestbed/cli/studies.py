@@ -57,6 +57,12 @@ def bench(
         Path | None,
         typer.Option("--data", metavar="DIR", help="real: folder of the public records."),
     ] = None,
+    enter: Annotated[
+        str | None,
+        typer.Option(
+            "--enter", metavar="URL", help="hildock: a method of your own behind udp://HOST:PORT."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html.
@@ -89,6 +95,8 @@ def bench(
             if name == "real"
             else f"bench {name}: --data is an option of bench real only; leave it out"
         )
+    if enter is not None and name != "hildock":
+        raise InputError(f"bench {name}: --enter is an option of bench hildock only; leave it out")
     measure = benchmark(name)
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.compiled.warm import tell_of_compiling
@@ -100,7 +108,12 @@ def bench(
     tell_of_compiling()
     more: dict[str, Any] = {
         k: v
-        for k, v in (("minutes", minutes), ("workers", workers), ("data", data))
+        for k, v in (
+            ("minutes", minutes),
+            ("workers", workers),
+            ("data", data),
+            ("enter", enter),
+        )
         if v is not None
     }
     keep = {"keep": folder.with_name(folder.name + LASTING[name])} if name in LASTING else {}

@@ -1,0 +1,136 @@
+"""`hiltestbed bench hildock [--quick] [--enter URL]`: the built-in entrants, and a foreign one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.bench.hildock.door import UdpEntrant
+from hiltestbed.bench.hildock.methods import METHODS
+from hiltestbed.bench.hildock.problem import TRACKS, Entrant, cases, play, reference
+from hiltestbed.bench.hildock.score import by_track, indices
+from hiltestbed.bench.hildock.shipped import shipped
+from hiltestbed.bench.hildock.touch import TouchFitted
+from hiltestbed.bench.result import BenchResult
+from hiltestbed.report.page import Report, new_figure
+
+Progress = Callable[[float, float], None]
+
+
+def hildock(
+    quick: bool = False, enter: str | None = None, progress: Progress | None = None
+) -> BenchResult:
+    """All entrants on all cases; quick: on the cases that the page names for it; enter: a foreign
+    one, and the short ones for comparison.
+
+    Raises:
+        HiltestbedError: the foreign entrant answered late, wrongly or not at all.
+    """
+    todo = cases(quick)
+    foreign = UdpEntrant(enter) if enter is not None else None
+    entrants: list[Entrant] = [m() for m in METHODS]
+    entrants = [foreign, *entrants] if foreign else [*entrants, TouchFitted(), *shipped()]
+    work, ideal = len(entrants) * len(todo), [reference(c) for c in todo]
+    records: list[dict[str, Any]] = []
+    effort = {}
+    try:
+        for number, entrant in enumerate(entrants):
+            begun, ticks = time.perf_counter(), 0
+            for i, (case, right) in enumerate(zip(todo, ideal, strict=True)):
+                course = play(case, entrant)
+                ticks += len(course.force)
+                records.append({"method": entrant.name, **indices(case, course, right)})
+                if progress:
+                    progress(number * len(todo) + i + 1, work)
+            effort[entrant.name] = 1e6 * (time.perf_counter() - begun) / ticks
+    finally:
+        if foreign is not None:
+            foreign.close()
+    names = [e.name for e in entrants]
+    board = {n: by_track([r for r in records if r["method"] == n]) for n in names}
+    summary = {"problem": "HILDOCK-1", "tracks": board, "tick_us": effort}
+    lines = [
+        (
+            name,
+            f"|ln e/e_ref| <= {_digits(board[name]['exact']['cor_log_error_worst'])}, "
+            f"<= {_digits(_over_all(board[name]))} on every track",
+        )
+        for name in names
+    ]
+    return BenchResult(
+        "hildock", records, summary, _report(names, summary, records, len(todo)), lines
+    )
+
+
+def _over_all(tracks: dict[str, dict[str, Any]]) -> float | None:
+    found = [row["cor_log_error_worst"] for row in tracks.values()]
+    return None if None in found else max(found)
+
+
+def _digits(value: float | None) -> str:
+    return "no rebound" if value is None else f"{value:.4g}"
+
+
+def _peaks(records: Sequence[dict[str, Any]], names: Sequence[str]):
+    figure, axis = new_figure(10, 4)
+    exact = [r for r in records if r["track"] == "exact"]
+    shown = [n for n in names if n in ("none", "phase_lead") or "resynchronised" in n]
+    for name in [*shown, "bound"]:
+        mine = [r for r in exact if r["method"] == (names[0] if name == "bound" else name)]
+        index = "peak_force_bound" if name == "bound" else "peak_force_error"
+        found = [
+            (2.0 * np.pi * r["frequency"] * r["delay"], r[index])
+            for r in mine
+            if r[index] is not None
+        ]
+        axis.plot(*np.array(found).reshape(-1, 2).T, "k_" if name == "bound" else ".", label=name)
+    axis.set_xscale("log")
+    axis.set_yscale("symlog", linthresh=0.01)
+    axis.set_xlabel("w tau")
+    axis.set_ylabel("error of the peak force")
+    axis.legend()
+    return figure
+
+
+def _report(
+    names: Sequence[str], summary: dict[str, Any], records: Sequence[dict[str, Any]], todo: int
+) -> Report:
+    report = Report("HILDOCK-1")
+    report.lead(
+        f"{len(names)} entrants on {todo} cases of {len(TRACKS)} tracks; the problem is defined "
+        "on the documentation's page HILDOCK-1."
+    )
+    board = summary["tracks"]
+    for title, index in (
+        ("Worst |ln(e/e_ref)|", "cor_log_error_worst"),
+        ("Its 95th percentile", "cor_log_error_p95"),
+        ("Energy made, worst, as a share of the approach energy", "energy_generated_worst"),
+        ("Error of the peak force, worst", "peak_force_error_worst"),
+    ):
+        rows = [[t, *(_digits(board[n][t][index]) for n in names)] for t in TRACKS]
+        report.table(["track", *names], rows, title)
+    figure, axis = new_figure(10, 4)
+    for name in names:
+        axis.semilogy(
+            TRACKS,
+            [board[name][t]["cor_log_error_worst"] or float("nan") for t in TRACKS],
+            "o-",
+            label=name,
+        )
+    axis.set_ylabel("worst |ln(e/e_ref)|")
+    axis.tick_params(axis="x", rotation=30)
+    axis.legend()
+    report.figure(figure, "Worst error of the coefficient of restitution, by track.")
+    report.figure(
+        _peaks(records, names),
+        "Peak force of each case of the track `exact` as a function of w tau, and the least error "
+        "that is possible before the delay has passed.",
+    )
+    report.text(
+        "One tick of the loop with plant, entrant and, for a foreign one, its answer over the "
+        "network: " + ", ".join(f"{n} {summary['tick_us'][n]:.1f} us" for n in names) + "."
+    )
+    return report
