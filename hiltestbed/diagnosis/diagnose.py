@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -35,6 +35,16 @@ from hiltestbed.measured import MeasuredDataset, load_dataset
 
 if TYPE_CHECKING:
     from hiltestbed.axis.diagnose import AxisDiagnosis
+
+
+@overload
+def diagnose(
+    dataset: LoadedDataset | MeasuredDataset, progress: Progress | None = None
+) -> Diagnosis: ...
+
+
+@overload
+def diagnose(dataset: str | Path, progress: Progress | None = None) -> Any: ...
 
 
 def diagnose(

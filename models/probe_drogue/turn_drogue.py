@@ -14,4 +14,6 @@ ARC_STEP = math.radians(5.0)
 
 if __name__ == "__main__":
     vertices, faces = turn(polyline(PROFILE, ARC_STEP), SEGMENTS)
-    Path(__file__).with_name("drogue.obj").write_text(obj_text(vertices, faces, "Shell of README.md, turned about z by turn_drogue.py"))
+    Path(__file__).with_name("drogue.obj").write_text(
+        obj_text(vertices, faces, "Shell of README.md, turned about z by turn_drogue.py")
+    )

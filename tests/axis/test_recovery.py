@@ -33,7 +33,9 @@ def test_a_carriage_gives_back_its_mass_and_what_resists_it():
     offset = force.get("offset", (0.0,))[0]
     assert forth + offset == pytest.approx(22.0, rel=0.02)
     assert back - offset == pytest.approx(14.0, rel=0.02)
-    low, high = force["viscous"][1]
+    interval = force["viscous"][1]
+    assert interval is not None
+    low, high = interval
     assert low <= 130.0 <= high
     assert np.all(c.after < 0.02 * c.before)
 
