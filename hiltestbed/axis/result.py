@@ -1,0 +1,231 @@
+"""What a diagnosis of an axis says: the causes, the verdict in a sentence, and the contents of
+diagnosis.json.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hiltestbed.axis.dataset import LoadedAxis
+from hiltestbed.axis.models import AxisModel
+from hiltestbed.diagnosis.plain import finite
+from hiltestbed.frames import Array
+from hiltestbed.inference.conclude import Conclusion
+from hiltestbed.run_folder.versions import versions
+
+# times the noise: a residual that a test engineer calls noise
+CLOSE = 1.5
+LINKS = {"drive": "dynamics", "servo": "platform", "damper": "contact"}
+WORDS = {
+    "dynamics": "the drive (force to position)",
+    "platform": "the servo (command to position)",
+    "contact": "the damper (displacement to force)",
+}
+
+
+@dataclass(frozen=True)
+class AxisCause:
+    """A named effect.
+
+    Attributes:
+        effect: id. parameters: name to estimate, 95 % interval and unit. probability: that it is
+            this and none of ``indistinguishable_from``. gain: share of the rms on left-out runs
+            that it removes beside the others.
+    """
+
+    effect: str
+    parameters: Mapping[str, tuple[float, tuple[float, float] | None, str]]
+    probability: float
+    indistinguishable_from: tuple[str, ...]
+    gain: float
+
+    def entry(self) -> dict[str, Any]:
+        """As it stands under `effects:`."""
+        return {"kind": self.effect} | {n: v for n, (v, _, _) in self.parameters.items()}
+
+    def words(self) -> str:
+        """`dynamics.mass [factor 0.953 (0.931 to 0.978)]`."""
+        inner = ", ".join(
+            f"{name} {value:.4g}"
+            + (f" ({ends[0]:.4g} to {ends[1]:.4g})" if ends is not None else "")
+            + ("" if unit in ("-", "") else f" {unit}")
+            for name, (value, ends, unit) in self.parameters.items()
+        )
+        rivals = (
+            f", indistinguishable from {' or '.join(self.indistinguishable_from)}"
+            if self.indistinguishable_from
+            else ""
+        )
+        return f"{self.effect} [{inner}]{rivals}"
+
+    def to_json(self) -> dict[str, Any]:
+        """As it stands in diagnosis.json."""
+        return {
+            "effect": self.effect,
+            "parameters": {
+                n: {"estimate": v, "ci95": ends, "unit": unit}
+                for n, (v, ends, unit) in self.parameters.items()
+            },
+            "probability": self.probability,
+            "indistinguishable_from": list(self.indistinguishable_from),
+            "gain": self.gain,
+            "alternatives": [],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class AxisFinding:
+    """What was found on an axis.
+
+    Attributes:
+        loaded: the data. model: nominal. verdict: as of any diagnosis. causes: those that remove
+            most first. conclusion: the fit behind them, None where none was sought. constant: (R,)
+            rms of each left-out run about its own mean. floors: (R,) noise in the unit of the
+            residual. remarks: on the data and the verdict.
+    """
+
+    loaded: LoadedAxis
+    model: AxisModel
+    verdict: str
+    causes: tuple[AxisCause, ...]
+    conclusion: Conclusion | None
+    constant: Array
+    floors: Array
+    remarks: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def name(self) -> str:
+        return self.loaded.name
+
+    @property
+    def link(self) -> str | None:
+        """The link of the loop that departs."""
+        quiet = self.verdict in ("no_discrepancy", "inconclusive")
+        return None if quiet else LINKS[self.loaded.spec.axis]
+
+    @property
+    def extends(self) -> bool:
+        """Whether the model is extended."""
+        return bool(self.causes) and self.verdict in ("named", "ambiguous", "named_in_part")
+
+    def __repr__(self) -> str:
+        causes = ", ".join(c.effect for c in self.causes) or "no cause"
+        return f"AxisDiagnosis({self.name}: {self.verdict}, {causes})"
+
+    def sentence(self) -> str:
+        """The verdict in one or two self-contained sentences."""
+        where = WORDS[LINKS[self.loaded.spec.axis]]
+        if self.verdict == "inconclusive":
+            return f"These records do not tell how the axis behaves. {' '.join(self.remarks)}"
+        if self.verdict == "no_discrepancy":
+            return f"The nominal model explains {where}: what it leaves is noise in every run."
+        start = f"{where[0].upper()}{where[1:]} departs from its nominal model"
+        if self.verdict == "unknown":
+            return f"{start}, and no effect of the vocabulary explains it. {self._left()}"
+        causes = " and ".join(c.words() for c in self.causes)
+        if self.verdict == "named_in_part":
+            return f"{start}. This is {causes}. Something else is left: {self._left()}"
+        text = f"{start}: {causes}."
+        if self.verdict == "ambiguous":
+            return f"{text} These data cannot decide which of them it is."
+        return text
+
+    def _left(self) -> str:
+        c = self.conclusion
+        if c is None:
+            return ""
+        size = ", ".join(
+            f"{value:.3g} ({value / level:.2g} times the noise)"
+            for value, level in zip(c.fit.rms(), self.floors, strict=True)
+        )
+        unit = "" if not self.extends else f" {self.loaded.units()[self._compared()]}"
+        return f"it leaves {size}{unit} rms in the runs."
+
+    def _compared(self) -> int:
+        """Whether the likelihood compares inputs (0) or outputs (1)."""
+        return 0 if self.loaded.spec.axis == "drive" else 1
+
+    def to_json(self) -> dict[str, Any]:
+        """The contents of diagnosis.json: plain data without infinities."""
+        c, (_, unit) = self.conclusion, self.loaded.units()
+        out: dict[str, Any] = {
+            "name": self.name,
+            "axis": self.loaded.spec.axis,
+            "verdict": self.verdict,
+            "sentence": self.sentence(),
+            "link": self.link,
+            "causes": [x.to_json() for x in self.causes],
+            "not_judged": {},
+            "overridden": [],
+            "partial": {"sentence": "", "causes": [], "heldout": None},
+            "learned": None,
+            "explained": None,
+            "heldout": None,
+            "residuals": [],
+            "closed_loop": {f"cor_{s}": [] for s in ("measured", "nominal", "extended")},
+            "next_experiment": None,
+            "extended_scenario": "extended.yaml" if self.extends else None,
+            "ranking": [],
+            "remarks": list(self.remarks),
+            "seconds": self.seconds,
+            "versions": versions(),
+        }
+        if c is None:
+            return finite(out)
+        before, after = c.before, c.after
+        out["heldout"] = heldout([name for name, _, _ in self.model.folds()], before, after)
+        out["explained"] = 1.0 - float(np.sum(after**2) / np.sum(before**2))
+        left = [np.asarray(x) for x in c.fit.left[:-1]]
+        out["residuals"] = [
+            {
+                "channel": "output",
+                "run": run,
+                "unit": unit,
+                "rms": b,
+                "rms_extended": a,
+                "constant": k,
+                "noise_floor": f,
+                "rms_free": None,
+                "rms_contact": None,
+                "white": bool(float(np.sqrt(np.mean(x * x))) <= CLOSE * f),
+            }
+            for run, b, a, k, f, x in zip(
+                [name for name, _, _ in self.model.folds()],
+                before,
+                after,
+                self.constant,
+                self.floors,
+                left,
+                strict=False,
+            )
+        ]
+        out["ranking"] = [
+            {"effects": [x.kind for x in f.causes], "score": c.visited[0].evidence - f.evidence}
+            for f in c.visited[:8]
+        ]
+        return finite(out)
+
+
+def heldout(runs: Sequence[str], before: Array, after: Array) -> dict[str, Any]:
+    """The gain on left-out runs, with the interval by the bootstrap over them."""
+    draws = np.random.default_rng(0).integers(0, len(runs), (1000, len(runs)))
+    gains = 1.0 - np.sqrt((after**2)[draws].sum(axis=1) / (before**2)[draws].sum(axis=1))
+    low, high = (float(v) for v in np.percentile(gains, [2.5, 97.5]))
+    rms = [float(np.sqrt(np.mean(x**2))) for x in (before, after)]
+    return {
+        "runs": list(runs),
+        "rms_before": rms[0],
+        "rms_after": rms[1],
+        "reduction": 1.0 - rms[1] / rms[0] if rms[0] > 0.0 else 0.0,
+        "ci95": (low, high),
+        "placebo_reduction": None,
+        "per_run": [
+            {"run": r, "before": float(b), "after": float(a)}
+            for r, b, a in zip(runs, before, after, strict=True)
+        ],
+    }
