@@ -12,7 +12,10 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hiltestbed.effects.base import Departure
 
 EXIT_STATUS = {
     0: "done",
@@ -31,6 +34,7 @@ def pages() -> dict[str, str]:
         "reference/scenario.md": keys("scenario", "Scenario"),
         "reference/campaign.md": keys("campaign", "Campaign"),
         "reference/dataset.md": keys("dataset", "Dataset"),
+        "reference/axis.md": keys("axis", "Axis"),
         "reference/effects.md": effects(),
         "reference/methods.md": methods(),
         "reference/columns.md": columns(),
@@ -71,17 +75,21 @@ def keys(kind: str, title: str) -> str:
     lines = [
         f"# {title}",
         "",
-        f"Every key of a {kind} file, as `hiltestbed schema {kind}` prints it. Units stand in "
+        f"Every key of {_a(kind)} file, as `hiltestbed schema {kind}` prints it. Units stand in "
         f"brackets.",
         "",
     ]
     lines += _section("the file", schema)
     for name, definition in schema.get("$defs", {}).items():
-        if kind == "scenario" and _is_effect(definition):
+        if kind in ("scenario", "axis") and _is_effect(definition):
             continue  # they have a page of their own
         if "properties" in definition:
             lines += _section(_called(name, definition), definition)
     return "\n".join(lines) + "\n"
+
+
+def _a(word: str) -> str:
+    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
 
 
 def _is_effect(definition: Mapping[str, Any]) -> bool:
@@ -126,6 +134,7 @@ ACT_ON = {  # link to what holds for all of its effects
 
 def effects() -> str:
     """The vocabulary."""
+    from hiltestbed.axis.effects.base import AXIS_EFFECTS
     from hiltestbed.effects import EFFECTS
     from hiltestbed.effects.base import LINKS
 
@@ -139,26 +148,37 @@ def effects() -> str:
         mine = {kind: cls for kind, cls in EFFECTS.items() if cls.link == link}
         lines += [f"## {link}", "", *ACT_ON.get(link, ())] if mine else []
         for kind, cls in mine.items():
-            lines += [
-                f"### `{kind}`",
-                "",
-                cls.meaning(),
-                "",
-                f"- Equation: `{cls.equation}`",
-                f"- Source: {cls.reference}",
-            ]
-            if cls.resembles:
-                lines.append(
-                    f"- Easily taken for: {', '.join(f'`{name}`' for name in cls.resembles)}"
-                )
-            lines += ["", "| parameter | unit | meaning |", "|---|---|---|"]
-            for name, field in cls.model_fields.items():
-                if name != "kind":
-                    lines.append(
-                        f"| `{name}` | {cls.unit(name) or '-'} | {_cell(field.description or '')} |"
-                    )
-            lines.append("")
+            lines += _effect(kind, cls)
+    lines += [
+        "## Of one axis",
+        "",
+        "Those of a [drive, a servo or a damper](../tutorials/one-axis.md).",
+        "",
+    ]
+    for kind, cls in AXIS_EFFECTS.items():
+        lines += _effect(kind, cls)
     return "\n".join(lines) + "\n"
+
+
+def _effect(kind: str, cls: type[Departure]) -> list[str]:
+    axes = getattr(cls, "axes", ())
+    lines = [
+        f"### `{kind}`" + (f" of a {' or '.join(axes)}" if axes else ""),
+        "",
+        cls.meaning(),
+        "",
+        f"- Equation: `{cls.equation}`",
+        f"- Source: {cls.reference}",
+    ]
+    if cls.resembles:
+        lines.append(f"- Easily taken for: {', '.join(f'`{name}`' for name in cls.resembles)}")
+    lines += ["", "| parameter | unit | meaning |", "|---|---|---|"]
+    lines += [
+        f"| `{name}` | {cls.unit(name) or '-'} | {_cell(field.description or '')} |"
+        for name, field in cls.model_fields.items()
+        if name != "kind"
+    ]
+    return [*lines, ""]
 
 
 def methods() -> str:

@@ -31,6 +31,16 @@ LEAST_BETTER = 0.9
 # of the largest input, rms difference of two runs that count as repeats of one
 REPEATED = 0.02
 COPIED = 1e-6  # of the range of an output: a straight line of its input leaves less
+OF_ROTATION = {  # units of an axis that slides, and of one that turns
+    "m": "rad",
+    "m/s": "rad/s",
+    "m/s^2": "rad/s^2",
+    "kg": "kg m^2",
+    "N": "N m",
+    "N/s": "N m/s",
+    "N/m": "N m/rad",
+    "N s/m": "N m s/rad",
+}
 Progress = Callable[[str], None]
 
 
@@ -107,7 +117,7 @@ def decide(
     """Verdict, causes, noise floors and remarks."""
     floors = np.maximum(model.floors, repeatability(model))
     null_noise = bool(np.all(c.null.rms() <= CLOSE * floors))
-    causes = merged(c.causes, {x.kind for x in model.candidates()})
+    causes = merged(c.causes, {x.kind for x in model.candidates()}, model.rotates)
     if not causes:
         return ("no_discrepancy" if null_noise else "unknown"), (), floors, ()
     if model.kind != "drive" and float(np.mean(np.log(c.after / constant))) > math.log(
@@ -140,7 +150,9 @@ def repeatability(model: AxisModel) -> Array:
     return out
 
 
-def merged(causes: Sequence[Confirmed], searched: set[str]) -> tuple[AxisCause, ...]:
+def merged(
+    causes: Sequence[Confirmed], searched: set[str], rotates: bool = False
+) -> tuple[AxisCause, ...]:
     """The confirmed parts as effects: parts of one effect are one cause. searched: kinds among
     which it was sought; those that would be the same are its equals.
     """
@@ -152,8 +164,10 @@ def merged(causes: Sequence[Confirmed], searched: set[str]) -> tuple[AxisCause, 
     for (kind, _), parts in groups.items():
         parameters: dict[str, tuple[float, tuple[float, float] | None, str]] = {}
         for part in parts:
-            unit = part.cause.effect.unit
-            parameters |= {e.name: (e.value, (e.low, e.high), unit(e.name)) for e in part.estimates}
+            for e in part.estimates:
+                unit = part.cause.effect.unit(e.name)
+                shown = OF_ROTATION.get(unit, unit) if rotates else unit
+                parameters[e.name] = (e.value, (e.low, e.high), shown)
         first = parts[0]
         parameters |= {n: (v, None, "") for n, v in first.cause.fixed.items()}
         base = [p for p in parts if not p.cause.needs] or parts

@@ -236,7 +236,10 @@ class DriveModel(AxisModel):
             few = slice(None, None, max(1, motion.window // ROWS_A_WINDOW))
             self._inputs.append(smoothed(u, motion.window)[few])
             self._motions.append(motion.thinned(few))
-            noise.append(noise_of(u) / math.sqrt(motion.window))
+            # of the input, and of the acceleration that it is compared with
+            inertial = self.nominal.get("mass", 0.0) / self.nominal.get("gain", 1.0)
+            own = noise_of(u) / math.sqrt(motion.window)
+            noise.append(math.hypot(own, inertial * motion.shaken))
         # where dry friction holds the axis, its force is not that of a motion
         self._moves = [np.abs(m.v) > RESOLVED_SIGMA * m.resolved for m in self._motions]
         self.floors = np.array(noise)

@@ -24,7 +24,8 @@ class Motion(NamedTuple):
 
     Attributes:
         window: rows over which it was smoothed; other signals are compared with it after the same
-            smoothing. resolved: [m/s] standard deviation of the speed.
+            smoothing. resolved, shaken: [m/s], [m/s^2] standard deviations of speed and
+            acceleration.
     """
 
     t: Array
@@ -33,11 +34,12 @@ class Motion(NamedTuple):
     a: Array
     window: int
     resolved: float
+    shaken: float
 
     def thinned(self, rows: slice) -> Motion:
         """Some of its rows."""
         t, x, v, a = (np.ascontiguousarray(part[rows]) for part in self[:4])
-        return Motion(t, x, v, a, self.window, self.resolved)
+        return Motion(t, x, v, a, self.window, self.resolved, self.shaken)
 
 
 def even(t: Array, *signals: Array) -> tuple[Array, ...]:
@@ -74,12 +76,14 @@ def motion_of(t: Array, x: Array) -> Motion:
     smooth, v, a = (
         np.asarray(savgol_filter(x, window, ORDER, deriv=d, delta=tick)) for d in range(3)
     )
-    # variance of the slope of a local cubic at its middle, by the sum of its squared coefficients
+    # variance of a derivative of a local cubic at its middle: the sum of its squared coefficients
     impulse = np.zeros(2 * window + 1)
     impulse[window] = 1.0
-    slope = np.asarray(savgol_filter(impulse, window, ORDER, deriv=1, delta=tick))
-    gain = float(np.linalg.norm(slope))
-    return Motion(t, smooth, v, a, window, gain * noise)
+    gains = [
+        float(np.linalg.norm(np.asarray(savgol_filter(impulse, window, ORDER, d, tick))))
+        for d in (1, 2)
+    ]
+    return Motion(t, smooth, v, a, window, gains[0] * noise, gains[1] * noise)
 
 
 def smoothed(y: Array, window: int) -> Array:

@@ -130,7 +130,12 @@ def bench(
     write_bench(
         result,
         folder,
-        called | chosen | {"for" if k == "minutes" else k: v for k, v in more.items()},
+        called
+        | chosen
+        | {
+            "for" if k == "minutes" else k: str(v) if isinstance(v, Path) else v
+            for k, v in more.items()
+        },
     )
     if as_json:
         print(

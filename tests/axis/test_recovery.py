@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiltestbed.axis.diagnose import decide, merged, searched, spread, tells_nothing
+from hiltestbed.axis.diagnose import decide, searched, spread, tells_nothing
 from hiltestbed.axis.models import AxisRun, model_of
 from hiltestbed.inference.conclude import conclude
 from tests.axis import machines
@@ -45,6 +45,8 @@ def test_gravity_on_a_joint_is_no_spring_and_no_friction():
     _, causes, _ = found("drive", runs, {"mass": 42.0}, rotates=True)
     assert "dynamics.gravity" in causes
     assert "dynamics.mass" not in causes
+    # an axis that turns is in N m and rad
+    assert causes["dynamics.force"].parameters["viscous"][2] == "N m s/rad"
 
 
 def test_a_delay_and_a_bandwidth_are_told_apart():
@@ -108,7 +110,3 @@ def test_constants_and_copies_tell_nothing():
     for y in (np.full(len(t), 0.2), 3.0 * u + 0.1):
         assert tells_nothing(model_of("servo", [AxisRun("a", t, u, y)], {}))
     assert tells_nothing(model_of("servo", [AxisRun("a", t, 0.0 * u, u)], {}))
-
-
-def test_parts_of_one_effect_are_one_cause():
-    assert merged((), set()) == ()
