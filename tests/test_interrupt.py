@@ -119,6 +119,8 @@ def test_no_ending_leaves_shared_memory(
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # a test run that was started with nohup or in the background ignores some of them
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     ) as running:
         assert running.stdout is not None
         name = running.stdout.readline().strip()
