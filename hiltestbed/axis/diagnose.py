@@ -14,6 +14,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -63,27 +64,41 @@ def diagnose_axis(path: str | Path | LoadedAxis, progress: Progress | None = Non
     start = time.monotonic()
     loaded = path if isinstance(path, LoadedAxis) else load_axis(path)
     model = loaded.model()
+    found = diagnosed(model, progress)
+    return AxisDiagnosis(
+        loaded,
+        model,
+        found.verdict,
+        found.causes,
+        found.conclusion,
+        found.constant,
+        found.floors,
+        (*loaded.remarks, *found.remarks),
+        time.monotonic() - start,
+    )
+
+
+class Diagnosed(NamedTuple):
+    """What is found on the records of a model; the parts are those of an :class:`AxisFinding`."""
+
+    verdict: str
+    causes: tuple[AxisCause, ...]
+    conclusion: Conclusion | None
+    constant: Array
+    floors: Array
+    remarks: tuple[str, ...]
+
+
+def diagnosed(model: AxisModel, progress: Progress | None = None) -> Diagnosed:
+    """Search, left-out runs and verdict on the records of a model."""
     constant = np.array([spread(test.measured()) for _, _, test in model.folds()])
-    why = tells_nothing(model)
-    if why:
-        return AxisDiagnosis(
-            loaded, model, "inconclusive", (), None, constant, model.floors, (*loaded.remarks, why)
-        )
+    if why := tells_nothing(model):
+        return Diagnosed("inconclusive", (), None, constant, model.floors, (why,))
     with np.errstate(all="ignore"):
         found = searched(model, progress)
         conclusion = conclude(found, model.folds(), model.candidates(), progress)
     verdict, causes, floors, remarks = decide(model, found, conclusion, constant)
-    return AxisDiagnosis(
-        loaded,
-        model,
-        verdict,
-        causes,
-        conclusion,
-        constant,
-        floors,
-        (*loaded.remarks, *remarks),
-        time.monotonic() - start,
-    )
+    return Diagnosed(verdict, causes, conclusion, constant, floors, remarks)
 
 
 def searched(model: AxisModel, progress: Progress | None = None) -> Searched:

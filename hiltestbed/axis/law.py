@@ -79,13 +79,6 @@ class Law:
         self.numbers[STRIBECK] = 1.0
         self.sliders, self.branches = np.zeros((MOST, 3)), np.zeros((MOST, 2))
 
-    def copy(self) -> Law:
-        """An independent copy."""
-        out = Law()
-        out.numbers, out.sliders = self.numbers.copy(), self.sliders.copy()
-        out.branches = self.branches.copy()
-        return out
-
     def add(self, rows: Array, values: tuple[float, ...]) -> None:
         """Put ``values`` into the first free row of the sliders or branches ``rows``."""
         free = np.flatnonzero(rows[:, 0] == 0.0)

@@ -117,10 +117,7 @@ class Model(ABC):
         return np.array([n.sigma for n in self.nuisances])
 
 
-FOLDS, BLOCKS = (
-    4,
-    16,
-)  # parts of a run that are left out in turn, and stretches that they consist of
+FOLDS = 4  # parts of a run that are left out in turn, each of stretches all over it
 
 
 class Part(Model):

@@ -11,7 +11,6 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.plugins import Registry, placeholder
 
 AxisKind = Literal["drive", "servo", "damper"]
-AXIS_KINDS: tuple[AxisKind, ...] = ("drive", "servo", "damper")
 
 
 @dataclass(frozen=True)

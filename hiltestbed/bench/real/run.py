@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiltestbed.axis.diagnose import decide, searched, spread, tells_nothing
+from hiltestbed.axis.diagnose import diagnosed
 from hiltestbed.axis.models import AxisRun, model_of
 from hiltestbed.bench.real import DEVICES
 from hiltestbed.bench.real.device import Array, Device, Record
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.errors import InputError
-from hiltestbed.inference.conclude import conclude
 from hiltestbed.report.page import Report, new_figure
 
 if TYPE_CHECKING:
@@ -123,14 +122,12 @@ def measured(device: Device, data: Path) -> tuple[dict[str, Any], Figure]:
     model = model_of(
         device.kind, [as_run(r) for r in fit], device.nominal, device.units[1] in ("rad", "N m")
     )
-    if why := tells_nothing(model):
-        raise InputError(f"bench real: {device.name}: {why}")
+    found = diagnosed(model)
+    cpu = time.process_time() - start
+    conclusion = found.conclusion
+    if conclusion is None:
+        raise InputError(f"bench real: {device.name}: {' '.join(found.remarks)}")
     with np.errstate(all="ignore"):
-        found = searched(model)
-        conclusion = conclude(found, model.folds(), model.candidates())
-        constant = np.array([spread(test.measured()) for _, _, test in model.folds()])
-        verdict, causes, _, _ = decide(model, found, conclusion, constant)
-        cpu = time.process_time() - start
         there = model.of([as_run(r) for r in out])
         product = there.predicted(conclusion.fit.of)
         nominal = there.predicted(conclusion.null.of)
@@ -145,10 +142,10 @@ def measured(device: Device, data: Path) -> tuple[dict[str, Any], Figure]:
         "device": device.name,
         "kind": device.kind,
         "unit": device.units[1],
-        "verdict": verdict,
-        "causes": [c.effect for c in causes],
-        "parameters": [c.to_json() for c in causes],
-        "sentence": " and ".join(c.words() for c in causes) or "No cause is named.",
+        "verdict": found.verdict,
+        "causes": [c.effect for c in found.causes],
+        "parameters": [c.to_json() for c in found.causes],
+        "sentence": " and ".join(c.words() for c in found.causes) or "No cause is named.",
         "published": dict(device.published),
         "left_out": {k: dict(zip(device.left_out, v, strict=True)) for k, v in left.items()},
         "cpu": cpu,
