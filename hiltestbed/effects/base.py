@@ -59,7 +59,8 @@ class Departure(Strictly):
         kind: its id in the vocabulary, a literal. link: the link of the loop that it acts on.
         equation, reference: what it does, and the source of that.
         resembles: effects that it is easily mistaken for. repeats: whether two of its kind may act
-            together.
+            together. parallel: whether a search may take several with numbers of their own, side by
+            side.
         leading: the parameter that sets its size. vanishes: whether the effect becomes smaller as
             that parameter grows (a limit). jumps: the parameter on which the prediction depends
             discontinuously, or "".
@@ -73,6 +74,7 @@ class Departure(Strictly):
     reference: ClassVar[str] = ""
     resembles: ClassVar[tuple[str, ...]] = ()
     repeats: ClassVar[bool] = False
+    parallel: ClassVar[bool] = False
     leading: ClassVar[str] = ""
     vanishes: ClassVar[bool] = False
     jumps: ClassVar[str] = ""

@@ -120,6 +120,8 @@ class Candidate:
             ln(choices) in chi-square.
         needs: parameters, as "kind:name", without which this one means nothing: it is a part of an
             effect to which they belong.
+        sigma: standard deviation of each parameter's prior, about 0, of a nuisance: a number that
+            is not known and not asked for; None: a cause.
     """
 
     effect: type[Departure]
@@ -132,6 +134,7 @@ class Candidate:
     variant: Mapping[str, Any] = field(default_factory=dict)
     choices: int = 1
     needs: tuple[str, ...] = ()
+    sigma: Array | None = None
 
     @property
     def kind(self) -> str:

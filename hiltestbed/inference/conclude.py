@@ -62,6 +62,7 @@ class Confirmed:
     gain: float
     probability: float
     rivals: tuple[str, ...]
+    others: tuple[Fit, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +90,12 @@ class LeftOut:
     def __init__(self, likelihood: Likelihood, folds: Sequence[Fold]) -> None:
         """folds: names, the runs to fit, and those that are left out."""
         self._known: dict[tuple[str, ...], list[Fit]] = {}
-        self._folds = [
-            (Likelihood(a, likelihood.counts[0] * np.ones(len(a.runs)), likelihood.choices), b)
-            for _, a, b in folds
-        ]
+        counts = dict(zip(likelihood.model.runs, likelihood.counts, strict=True))
+
+        def of(model: Model) -> Likelihood:
+            return Likelihood(model, np.array([counts[r] for r in model.runs]), likelihood.choices)
+
+        self._folds = [(of(a), of(b)) for _, a, b in folds]
 
     def fits(self, found: Fit) -> list[Fit]:
         """The hypothesis fitted to each set of runs."""
@@ -106,13 +109,18 @@ class LeftOut:
     def rms(self, found: Fit) -> Array:
         """(F,) of each left-out part, as its owner would compare it, in the unit of the record."""
         pairs = zip(self.fits(found), self._folds, strict=True)
-        return np.array([_rms(left.departure(fit.of)) for fit, (_, left) in pairs])
+        return np.array([_rms(left.model.departure(fit.of)) for fit, (_, left) in pairs])
 
     def score(self, found: Fit) -> float:
-        """Mean logarithm of the rms of the residuals of the left-out parts."""
-        pairs = zip(self.fits(found), self._folds, strict=True)
-        each = np.array([_rms(left.scored(fit.of)) for fit, (_, left) in pairs])
-        return float(np.mean(np.log(np.maximum(each, 1e-300))))
+        """Mean logarithm of the rms of the residuals of the left-out parts; where the noise is
+        known, half their cost an independent sample, which above the noise is the same.
+        """
+        pairs = list(zip(self.fits(found), self._folds, strict=True))
+        if not self._folds[0][1].model.noise_known:
+            each = np.array([_rms(left.model.scored(f.of)) for f, (_, left) in pairs])
+            return float(np.mean(np.log(np.maximum(each, 1e-300))))
+        costs = [left.cost([*left.model.scored(f.of), np.zeros(0)]) for f, (_, left) in pairs]
+        return sum(costs) / (2.0 * sum(float(left.counts.sum()) for _, left in self._folds))
 
 
 def _rms(parts: Sequence[Array]) -> float:
@@ -130,25 +138,31 @@ def conclude(
     runs that were not fitted are predicted as well without them.
     """
     held, likelihood = LeftOut(found.likelihood, folds), found.likelihood
+    known = likelihood.model.noise_known
+    least = 0.0 if known else LEAST_GAIN
     settled, judge = _in_time(found, folds) or (None, held)
     if progress:
         progress("left-out runs: the hypotheses with the most evidence")
     # of those that predict as well, the one with the most evidence
-    fit = min(_pool(found), key=lambda f: (round(judge.score(f) / TIED), -f.evidence))
+    fit = found.best if found.best.evidence > found.null.evidence else found.null
+    if not known:
+        fit = min(_pool(found), key=lambda f: (round(judge.score(f) / TIED), -f.evidence))
+    # what is known to leave noise alone is right as far as these data tell
+    enough = likelihood.model.leaves_noise(fit.left)
     score = judge.score(fit)
-    while fit.causes:
+    while fit.causes and not enough:
         if progress:
             progress(f"left-out runs: {named(fit)}")
         fewer = [without(likelihood, fit, i) for i in range(len(fit.causes))]
         scores = [judge.score(f) for f in fewer]
-        least = int(np.argmin(scores))
-        if scores[least] > score + LEAST_GAIN:
+        worst = int(np.argmin(scores))
+        if scores[worst] > score + least:
             break
-        fit, score = fewer[least], scores[least]
+        fit, score = fewer[worst], scores[worst]
     ends = intervals(likelihood, fit, held)
     while (open_ := undetermined(fit, ends)) is not None:
         fewer_ = without(likelihood, fit, open_)
-        if judge.score(fewer_) > score + DETERMINED_GAIN:
+        if not known and judge.score(fewer_) > score + DETERMINED_GAIN:
             break
         fit, score = fewer_, judge.score(fewer_)
         ends = intervals(likelihood, fit, held)
@@ -162,7 +176,11 @@ def conclude(
             [np.minimum(ends[:, 0], own[:, 0]), np.maximum(ends[:, 1], own[:, 1])]
         )
         fit = replace(fit, of=whole.of)
-    if fit.causes and float(np.mean(np.log(after))) > float(np.mean(np.log(before))):
+    if known:
+        worse_than_none = judge.score(fit) > judge.score(null)
+    else:
+        worse_than_none = float(np.mean(np.log(after))) > float(np.mean(np.log(before)))
+    if fit.causes and worse_than_none:
         fit, after, ends = null, before, np.zeros((0, 2))
     causes, start = [], 0
     for i, cause in enumerate(fit.causes):
@@ -172,9 +190,18 @@ def conclude(
             Estimate(name, float(v), float(low), float(high))
             for name, v, (low, high) in zip(cause.names, fit.of.theta[own], ends[own], strict=True)
         )
-        worse = judge.score(without(likelihood, fit, i)) - score
-        rivals, probability = _rivals(likelihood, fit, i, candidates)
-        causes.append(Confirmed(cause, estimates, 1.0 - math.exp(-worse), probability, rivals))
+        if cause.sigma is not None:
+            continue
+        worse = (
+            0.0
+            if enough and len(fit.causes) > 1
+            else judge.score(without(likelihood, fit, i)) - score
+        )
+        others, probability = _rivals(likelihood, fit, i, candidates)
+        gain = 1.0 - math.exp(-worse)
+        causes.append(
+            Confirmed(cause, estimates, gain, probability, tuple(others), tuple(others.values()))
+        )
     causes.sort(key=lambda c: -c.gain)
     return Conclusion(fit, null, tuple(causes), before, after, found.visited)
 
@@ -188,6 +215,8 @@ def undetermined(fit: Fit, ends: Array) -> int | None:
         cause = fit.causes[index]
         own = ends[stop - len(cause.names) : stop]
         stop -= len(cause.names)
+        if not cause.names:
+            continue
         neutral = 1.0 if cause.names[0] == "factor" else 0.0
         none = not cause.effect.vanishes and own[0, 0] <= neutral <= own[0, 1]
         rows = np.column_stack([own, cause.low, cause.high])
@@ -249,17 +278,20 @@ def intervals(likelihood: Likelihood, fit: Fit, held: LeftOut) -> Array:
 
 def _rivals(
     likelihood: Likelihood, fit: Fit, index: int, candidates: Sequence[Candidate]
-) -> tuple[tuple[str, ...], float]:
-    """Effects that do as well in the place of a cause, and the probability of the cause beside
-    them.
+) -> tuple[dict[str, Fit], float]:
+    """Effects that do as well in the place of a cause, the best first, each with its fit; and the
+    probability of the cause beside them. Another place of the same effect is one of them.
     """
     cause, here = fit.causes[index], likelihood.again(fit)
-    others = [c for c in candidates if c.kind != cause.kind]
-    close: dict[str, float] = {}
-    for other in extended(likelihood, without(likelihood, fit, index), others, RIVALS):
+    others = [c for c in candidates if c.kind != cause.kind or c.place != cause.place]
+    close: dict[str, tuple[float, Fit]] = {}
+    least = here.evidence - TOLD_APART if likelihood.model.noise_known else -math.inf
+    for other in extended(likelihood, without(likelihood, fit, index), others, RIVALS, least):
         gap = other.evidence - here.evidence
-        for kind in {c.kind for c in other.causes} - {c.kind for c in fit.causes}:
-            if gap > -TOLD_APART:
-                close[kind] = max(close.get(kind, -math.inf), gap)
-    total = sum(math.exp(min(gap, 0.0)) for gap in close.values())
-    return tuple(sorted(close, key=lambda k: -close[k])), 1.0 / (1.0 + total)
+        kinds = {c.kind for c in other.causes} - {c.kind for c in fit.causes} or {cause.kind}
+        for kind in sorted(kinds):
+            if gap > -TOLD_APART and (kind not in close or gap > close[kind][0]):
+                close[kind] = (gap, other)
+    total = sum(math.exp(min(gap, 0.0)) for gap, _ in close.values())
+    ranked = sorted(close, key=lambda k: -close[k][0])
+    return {k: close[k][1] for k in ranked}, 1.0 / (1.0 + total)

@@ -1,15 +1,18 @@
 """The likelihood of a hypothesis, its fit, and its evidence.
 
-The residual of a run is taken for noise of a variance that is not known but not below the run's
-floor, and of which ``counts`` samples are independent::
+The residual of a run is taken for normal noise of a variance that is not known but not below the
+run's floor, and of which ``counts`` samples are independent. At the variance that fits best,
+v = max(mean square, floor^2)::
 
-    log L = -1/2 sum over runs of counts log(mean square + floor^2) - 1/2 sum (nuisance/sigma)^2
+    log L = -1/2 sum over runs of counts (log v + mean square/v) - 1/2 sum (nuisance/sigma)^2
 
-Each run therefore counts by the *share* of its residual that a hypothesis removes: a run that
-departs most does not decide alone. Where a model is wrong, its residuals are smooth and few of them
-are independent; the number follows from their autocorrelation (C. J. Geyer, Stat. Sci. 7, 1992:
-the initial positive sequence). The evidence of a hypothesis of P parameters is Laplace's
-approximation with a prior that is worth one sample (G. Schwarz, Ann. Stat. 6, 1978)::
+Above its floor each run therefore counts by the *share* of its residual that a hypothesis removes:
+a run that departs most does not decide alone. At the floor it counts by its chi-square. Where the
+floor is itself only an estimate, as of a machine, log v is that of mean square + floor^2. Where a
+model is wrong, its residuals are smooth and few of them are independent; the number follows from
+their autocorrelation (C. J. Geyer, Stat. Sci. 7, 1992: the initial positive sequence). The evidence
+of a hypothesis of P parameters is Laplace's approximation with a prior that is worth one sample
+(G. Schwarz, Ann. Stat. 6, 1978)::
 
     log E = log L - P/2 log(sum of counts) - log(number of ways to choose the causes)
 """
@@ -33,7 +36,14 @@ ITERATIONS = 40
 # what a parameter costs in the evidence
 CONVERGED, LEAST_CHANGE = 1e-4, 0.05
 Move = tuple[Candidate, ...]  # that join a hypothesis together
+PROMISED_AT_ONCE = 256  # hypotheses whose predictions are held at once
+# share of a number in which the prediction jumps: to each side of it that is scanned, points of the
+# scan, and the step at which the search ends
+SCAN, SCAN_POINTS, SCAN_END = 0.1, 21, 1e-3
 
+# of a mean square over that of the noise, from which a run departs; share of what is left of such
+# runs, in the mean logarithm of its rms, that a further cause has to remove
+DEPARTING, LEAST_SHARE = 2.0, 0.03
 NEAR = 1e-3  # of a range, within which an estimate stands at its end
 LEAST_COUNT = 4.0  # a run of which fewer samples are independent tells no variance
 
@@ -66,10 +76,13 @@ class Fit:
         return np.array([math.sqrt(float(np.mean(x * x))) for x in self.left[:-1]])
 
 
-def independent(left: Sequence[Array]) -> Array:
+def independent(left: Sequence[Array], noise_known: bool = False) -> Array:
     """(R,) number of independent samples in each residual: the geometric mean over the runs, since
-    how many a run has says how lively it is, and not how much it tells.
+    how many a run has says how lively it is, and not how much it tells; all samples where the noise
+    is known to be white.
     """
+    if noise_known:
+        return np.array([float(len(x)) for x in left[:-1]])
     counts = [max(len(x) / _correlated(x), LEAST_COUNT) for x in left[:-1]]
     return np.full(len(counts), float(np.exp(np.mean(np.log(counts)))))
 
@@ -97,7 +110,7 @@ class Likelihood:
 
     def __init__(self, model: Model, counts: Array, choices: int = 1) -> None:
         self.model, self.counts, self.choices = model, counts, choices
-        self._squares = np.asarray(model.floors) ** 2
+        self._squares = np.maximum(np.asarray(model.floors) ** 2, np.finfo(float).tiny)
         self._sigma = model.prior_sigma()
 
     def counting(self, counts: Array) -> Likelihood:
@@ -122,16 +135,45 @@ class Likelihood:
 
     def cost(self, left: Sequence[Array]) -> float:
         """-2 log of the likelihood of residuals, with the priors."""
-        squares = np.array([float(np.mean(x * x)) for x in left[:-1]])
-        out = float(self.counts @ np.log(squares + self._squares) + left[-1] @ left[-1])
+        squares, variance = self._variances(left)
+        least = squares / variance if self.model.noise_known else 0.0
+        out = float(self.counts @ (np.log(variance) + least) + left[-1] @ left[-1])
         return out if math.isfinite(out) else math.inf
+
+    def _variances(self, left: Sequence[Array]) -> tuple[Array, Array]:
+        """(R,) mean square of each run's residual, and the variance of its noise."""
+        squares = np.array([float(x @ x) / len(x) for x in left[:-1]])
+        if self.model.noise_known:
+            return squares, np.maximum(squares, self._squares)
+        return squares, squares + self._squares
 
     def evidence(self, cost: float, causes: Sequence[Candidate]) -> float:
         """Log of the evidence of a fit of ``causes``."""
         numbers = sum(max(1, len(c.names)) for c in causes)
         price = 0.5 * numbers * math.log(float(self.counts.sum()))
-        ways = sum(math.log(self.choices * c.choices) for c in causes)
+        ways = sum(math.log((self.choices if c.sigma is None else 1) * c.choices) for c in causes)
         return -0.5 * cost - price - ways
+
+    def most_gain(self, found: Fit) -> float:
+        """What any further cause could add to the log likelihood of a fit: with no residual left,
+        the noise of each run is its floor.
+        """
+        return 0.5 * (found.cost - float(self.counts @ np.log(self._squares)))
+
+    def least_gain(self, found: Fit) -> float:
+        """Of the log likelihood, by which a further cause has to raise it: where the noise is known
+        and far more than noise is left, causes that remove a small share of it chase what has no
+        name.
+        """
+        if not self.model.noise_known:
+            return 0.0
+        squares, _ = self._variances(found.left)
+        departing = squares > DEPARTING * self._squares
+        return LEAST_SHARE * float(self.counts[departing].sum())
+
+    def least_price(self, candidates: Sequence[Candidate]) -> float:
+        """What the cheapest of further causes costs in evidence."""
+        return min((-self.evidence(0.0, (c,)) for c in candidates), default=math.inf)
 
     def again(self, found: Fit) -> Fit:
         """A fit of another likelihood, scored by this one as it stands."""
@@ -153,44 +195,78 @@ class Likelihood:
         causes = tuple(causes)
         eta = np.zeros(len(self._sigma)) if nuisances is None else nuisances
         low, high, log = self.bounds(causes)
-        best, least, left = None, math.inf, None
-        for theta in starts:
-            x = np.clip(np.concatenate([theta, eta]), low, high)
-            shown = self._left(causes, x)
-            cost = self.cost(shown)
-            if cost < least or best is None:
-                best, least, left = x, cost, shown
-        assert best is not None
-        assert left is not None
-        x, left, least = self._descend(causes, best, left, least, (low, high, log), iterations)
+        begun = [np.clip(np.concatenate([theta, eta]), low, high) for theta in starts]
+        shown = self._lefts(causes, begun)
+        costs = [self.cost(left) for left in shown]
+        first = int(np.argmin(costs))
+        x, left, least = begun[first], shown[first], costs[first]
+        x, left, least = self._descend(causes, x, left, least, (low, high, log), iterations)
+        if iterations == ITERATIONS:
+            x, left, least = self._scanned(causes, x, left, least, (low, high))
         count = len(x) - len(eta)
         evidence = -math.inf if _ended(x, low, high, log) else self.evidence(least, causes)
         return Fit(Hypothesis(causes, x[:count], x[count:]), least, evidence, tuple(left))
 
     def _left(self, causes: tuple[Candidate, ...], x: Array) -> list[Array]:
+        return self._lefts(causes, [x])[0]
+
+    def _lefts(self, causes: tuple[Candidate, ...], xs: Sequence[Array]) -> list[list[Array]]:
+        """Residuals of a hypothesis at several values of its numbers."""
+        return self._many([(causes, x) for x in xs])
+
+    def _many(self, points: Sequence[tuple[tuple[Candidate, ...], Array]]) -> list[list[Array]]:
+        """Residuals of hypotheses, each with its numbers; to their priors those of causes that are
+        nuisances are added.
+        """
+        of = [self._at(causes, x) for causes, x in points]
+        return [
+            [*left[:-1], np.concatenate([left[-1], _in_priors(h)])]
+            for left, h in zip(self.model.many(of), of, strict=True)
+        ]
+
+    def _at(self, causes: tuple[Candidate, ...], x: Array) -> Hypothesis:
         count = len(x) - len(self._sigma)
-        return self.model.residuals(Hypothesis(causes, x[:count], x[count:]))
+        return Hypothesis(causes, x[:count], x[count:])
+
+    def _scanned(self, causes, x, left, cost, bounds):
+        """The best within a tenth of each number in which the prediction jumps, where slopes are no
+        guide: a scan, and a pattern search (R. Hooke, T. A. Jeeves, J. ACM 8, 1961).
+        """
+        jumps = [c.effect.jumps == name for c in causes for name in c.names]
+        for j in np.flatnonzero(jumps):
+            step, parts = SCAN, np.linspace(-SCAN, SCAN, SCAN_POINTS)
+            while step > SCAN_END:
+                tried = np.tile(x, (len(parts), 1))
+                tried[:, j] = np.clip(x[j] * (1.0 + parts), bounds[0][j], bounds[1][j])
+                shown = self._lefts(causes, list(tried))
+                costs = [self.cost(s) for s in shown]
+                best = int(np.argmin(costs))
+                if costs[best] < cost - LEAST_CHANGE:
+                    x, left, cost = tried[best], shown[best], costs[best]
+                else:
+                    step *= 0.4
+                parts = np.array([step, -step])
+        return x, left, cost
 
     def weights(self, left: Sequence[Array]) -> Array:
         """(R + 1,) of the residuals of each run and of the priors, with which their sum of squares
         has the gradient of the cost.
         """
-        squares = np.array([float(np.mean(r * r)) for r in left[:-1]]) + self._squares
         rows = np.array([len(r) for r in left[:-1]])
-        return np.append(np.sqrt(self.counts / (rows * squares)), 1.0)
+        return np.append(np.sqrt(self.counts / (rows * self._variances(left)[1])), 1.0)
 
     def slopes(self, causes: tuple[Candidate, ...], x: Array, left: Sequence[Array]) -> list[Array]:
         """(N, P) change of each run's residual per unit of each scaled parameter and nuisance."""
         low, high, log = self.bounds(causes)
         scale = self.scale(x, low, high, log)
-        out = [np.empty((len(r), len(x))) for r in left]
-        for j in range(len(x)):
-            step = STEP if x[j] + STEP * scale[j] <= high[j] else -STEP
-            moved = x.copy()
-            moved[j] += step * scale[j]
-            for column, a, b in zip(out, self._left(causes, moved), left, strict=True):
-                column[:, j] = (a - b) / step
-        return out
+        steps = np.where(x + STEP * scale <= high, STEP, -STEP)
+        shown = self._lefts(causes, list(x + np.diag(steps * scale)))
+        return [
+            np.column_stack([(s[g] - r) / step for s, step in zip(shown, steps, strict=True)])
+            if len(x)
+            else np.empty((len(r), 0))
+            for g, r in enumerate(left)
+        ]
 
     def scale_of(self, causes: Sequence[Candidate], x: Array) -> Array:
         """The scale of each parameter of ``causes`` and of each nuisance."""
@@ -210,35 +286,68 @@ class Likelihood:
         starts to fit it from: to first order at each start, all numbers of ``base`` following.
         """
         x = np.concatenate([base.of.theta, base.of.nuisances])
-        known = self.slopes(base.causes, x, base.left)
-        out = []
-        for move in moves:
-            causes, found = (*base.causes, *move), []
+        known, points = self.slopes(base.causes, x, base.left), []
+        for n, move in enumerate(moves):
             low, high, _ = _bounds(move)
             for start in itertools.product(*(c.grid for c in move)):
                 theta = np.clip(
                     np.concatenate([np.array(s, dtype=float) for s in start]), low, high
                 )
-                full = np.concatenate([base.of.theta, theta, base.of.nuisances])
-                shown = self._left(causes, full)
-                cost = self.cost(shown)
-                if not math.isfinite(cost):
-                    continue
-                # along the change that the move makes at this start, or begins to make where it
-                # makes none, and along what its base may change
-                changes = [[b - a] for a, b in zip(base.left, shown, strict=True)]
-                if not any(change[0].any() for change in changes):
-                    changes = self._begun(causes, full, len(base.of.theta), move, shown)
-                rows = [np.column_stack([k, *d]) for k, d in zip(known, changes, strict=True)]
-                normal, gradient = self.normal(base.left, rows)
-                step = -np.asarray(np.linalg.lstsq(normal, gradient, rcond=1e-10)[0], dtype=float)
-                expected = base.cost + self._expected(base.left, rows, step)
-                found.append((min(cost, expected), theta))
-            if found:
-                found.sort(key=lambda item: item[0])
-                starts = [np.concatenate([base.of.theta, theta]) for _, theta in found[:3]]
-                out.append((self.evidence(found[0][0], causes), move, starts))
+                points.append((n, theta))
+        found: dict[int, list[tuple[float, Array]]] = {}
+        for first in range(0, len(points), PROMISED_AT_ONCE):
+            block = points[first : first + PROMISED_AT_ONCE]
+            hypotheses = [
+                (
+                    (*base.causes, *moves[n]),
+                    np.concatenate([base.of.theta, theta, base.of.nuisances]),
+                )
+                for n, theta in block
+            ]
+            for (n, theta), at, shown in zip(
+                block, hypotheses, self._many(hypotheses), strict=True
+            ):
+                reached = self._promised(base, known, moves[n], at, shown)
+                if reached is not None:
+                    found.setdefault(n, []).append((reached, theta))
+        out = []
+        for n, reached_from in found.items():
+            reached_from.sort(key=lambda item: item[0])
+            starts = [np.concatenate([base.of.theta, t]) for _, t in reached_from[:3]]
+            causes = (*base.causes, *moves[n])
+            out.append((self.evidence(reached_from[0][0], causes), moves[n], starts))
         return sorted(out, key=lambda item: -item[0])
+
+    def _promised(
+        self,
+        base: Fit,
+        known: Sequence[Array],
+        move: Move,
+        at: tuple[tuple[Candidate, ...], Array],
+        shown: Sequence[Array],
+    ) -> float | None:
+        """The cost to which a move leads from one of its starts, to first order; None where it
+        leads nowhere.
+
+        It is that along the change that the move makes at this start, or begins to make where it
+        makes none, and along what its base may change.
+        """
+        cost = self.cost(shown)
+        if not math.isfinite(cost):
+            return None
+        own = len(base.left[-1])
+        left = [*base.left[:-1], np.concatenate([base.left[-1], np.zeros(len(shown[-1]) - own)])]
+        known = [
+            *known[:-1],
+            np.vstack([known[-1], np.zeros((len(shown[-1]) - own, len(known[-1].T)))]),
+        ]
+        changes = [[b - a] for a, b in zip(left, shown, strict=True)]
+        if not any(change[0].any() for change in changes):
+            changes = self._begun(*at, len(base.of.theta), move, shown)
+        rows = [np.column_stack([k, *d]) for k, d in zip(known, changes, strict=True)]
+        normal, gradient = self.normal(left, rows)
+        step = -np.asarray(np.linalg.lstsq(normal, gradient, rcond=1e-10)[0], dtype=float)
+        return min(cost, base.cost + self._expected(left, rows, step))
 
     def _begun(
         self,
@@ -345,6 +454,16 @@ def _ended(x: Array, low: Array, high: Array, log: np.ndarray) -> bool:
         return False
     at, a, b = np.log(x[log]), np.log(low[log]), np.log(high[log])
     return bool(np.any(np.minimum(at - a, b - at) < NEAR * (b - a)))
+
+
+def _in_priors(h: Hypothesis) -> Array:
+    """The numbers of the causes that are nuisances, in standard deviations of their priors."""
+    out, start = [np.zeros(0)], 0
+    for c in h.causes:
+        if c.sigma is not None:
+            out.append(h.theta[start : start + len(c.names)] / c.sigma)
+        start += len(c.names)
+    return np.concatenate(out)
 
 
 def _bounds(causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:

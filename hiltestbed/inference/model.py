@@ -7,7 +7,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,14 @@ class Hypothesis(NamedTuple):
     theta: Array
     nuisances: Array
 
+    def each(self) -> list[Any]:
+        """Each cause as an effect."""
+        out, start = [], 0
+        for c in self.causes:
+            out.append(c.at(self.theta[start : start + len(c.names)]))
+            start += len(c.names)
+        return out
+
     def effects(self) -> list[Departure]:
         """The causes as effects: parts of one effect, such as the viscous and the dry friction of
         one force, are one.
@@ -59,19 +67,26 @@ class Model(ABC):
 
     Attributes:
         runs: their names. floors: (R,) noise of each run's output, below which a residual means
-            nothing. nuisances: their priors.
+            nothing. nuisances: their priors. noise_known: whether the floors are those of the noise
+            and the residual is white where nothing departs, so that the evidence can be trusted by
+            itself.
     """
 
     runs: tuple[str, ...]
     floors: Array
     nuisances: tuple[Nuisance, ...]
     stretches: int = 16  # of a run, of which every fourth is left out together
+    noise_known: bool = False
 
     @abstractmethod
     def residuals(self, of: Hypothesis) -> list[Array]:
         """(N,) measured less predicted of each run, in the unit of the output; and last, in
         standard deviations of their priors, the nuisances and the zero that was taken off each run.
         """
+
+    def many(self, of: Sequence[Hypothesis]) -> list[list[Array]]:
+        """:meth:`residuals` of several hypotheses."""
+        return [self.residuals(h) for h in of]
 
     def scored(self, of: Hypothesis) -> list[Array]:
         """(N,) residual of each run by which hypotheses are compared on runs that were not fitted:
@@ -84,6 +99,12 @@ class Model(ABC):
         """(N,) measured less predicted of each run as its owner would compare them, where the
         likelihood compares something else.
         """
+
+    def leaves_noise(self, left: Sequence[Array]) -> bool:
+        """Whether residuals are known to be noise alone, so that no set of causes can explain more
+        of them than chance does.
+        """
+        return False
 
     def in_time(self) -> Model | None:
         """The same model whose residuals are its :meth:`departure`, on which the estimates of a
@@ -129,7 +150,7 @@ class Part(Model):
     def __init__(self, whole: Model, fold: int, inside: bool) -> None:
         self.whole, self.fold, self.inside = whole, fold, inside
         self.runs, self.floors, self.nuisances = whole.runs, whole.floors, whole.nuisances
-        self.stretches = whole.stretches
+        self.stretches, self.noise_known = whole.stretches, whole.noise_known
 
     def _rows(self, x: Array) -> Array:
         block = np.arange(len(x)) * self.whole.stretches // len(x)
@@ -138,6 +159,9 @@ class Part(Model):
     def residuals(self, of: Hypothesis) -> list[Array]:
         *left, priors = self.whole.residuals(of)
         return [*map(self._rows, left), priors]
+
+    def many(self, of: Sequence[Hypothesis]) -> list[list[Array]]:
+        return [[*map(self._rows, left), priors] for *left, priors in self.whole.many(of)]
 
     def scored(self, of: Hypothesis) -> list[Array]:
         return [self._rows(x) for x in self.whole.scored(of)]

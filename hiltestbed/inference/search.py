@@ -4,17 +4,22 @@ neither helps alone, and shrink by any that the others have made needless.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hiltestbed.effects.search import Candidate
+from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Fit, Likelihood, Move, independent
 
 Progress = Callable[[str], None]
 MOST_CAUSES = 10  # parts of effects; more than twice as many as any of the machines at hand has
+MOST_PARALLEL = 3  # effects of one kind that act side by side
 KEPT = 4  # candidates that are fitted beside a hypothesis
+# moves of which a few steps are made before the best are fitted, those of one kind, and the steps
+SCREENED, SAME_KIND, SCREENED_STEPS = 24, 2, 3
 PAIRED = 3  # candidates beside which a second one is sought where none helps alone
 
 
@@ -35,28 +40,37 @@ class Searched:
 
 
 def search(
-    likelihood: Likelihood, candidates: Sequence[Candidate], progress: Progress | None = None
+    likelihood: Likelihood,
+    candidates: Sequence[Candidate],
+    progress: Progress | None = None,
+    start: Fit | None = None,
 ) -> Searched:
-    """The hypothesis with the most evidence that is reached from nothing by adding a cause, adding
-    two, leaving one out, or putting another one in its place.
+    """The hypothesis with the most evidence that is reached from ``start``, by default from
+    nothing, by adding a cause, adding two, leaving one out, or putting another one in its place.
     """
     likelihood = Likelihood(
-        likelihood.model, likelihood.counts, max(1, len({c.kind for c in candidates}))
+        likelihood.model,
+        likelihood.counts,
+        max(1, len({c.kind for c in candidates if c.sigma is None})),
     )
-    null = best = likelihood.start()
+    null = likelihood.start()
+    best = null if start is None else pruned(likelihood, start)
     visited: dict[tuple[str, ...], Fit] = {}
     tried: set[tuple[str, ...]] = set()
     while len(best.causes) < MOST_CAUSES:
         # the counts are those of what the present hypothesis leaves: it is smoother than what a
         # better one leaves, and fewer of its samples are independent
-        here = likelihood.counting(independent(best.left))
+        here = likelihood.counting(independent(best.left, likelihood.model.noise_known))
         best = here.again(best)
         visited[best.keys] = best
         if best.keys in tried:
             break
         tried.add(best.keys)
         better = None
-        for way in (_added, _paired, _exchanged):
+        if here.most_gain(best) < here.least_price(candidates):
+            break
+        ways = (_added,) if here.model.leaves_noise(best.left) else (_added, _paired, _exchanged)
+        for way in ways:
             if progress:
                 progress(f"{WORDS[way.__name__]} {named(best)}")
             fits = way(here, best, candidates, visited)
@@ -66,8 +80,11 @@ def search(
             better = None
         if better is None:
             break
-        best = pruned(here, better)
-    last = likelihood.counting(independent(best.left))
+        grown = pruned(here, better)
+        if grown.evidence - best.evidence < here.least_gain(best):
+            break
+        best = grown
+    last = likelihood.counting(independent(best.left, likelihood.model.noise_known))
     scored = sorted((last.again(f) for f in visited.values()), key=lambda f: -f.evidence)
     return Searched(last, scored[0], tuple(scored), last.again(null))
 
@@ -80,7 +97,8 @@ WORDS = {
 
 
 def _added(here, best, candidates, visited) -> list[Fit]:
-    fits = extended(here, best, candidates)
+    noise = here.model.leaves_noise(best.left)
+    fits = extended(here, best, candidates, least=best.evidence if noise else -math.inf)
     visited.update({f.keys: f for f in fits})
     return fits
 
@@ -113,17 +131,41 @@ def _exchanged(here, best, candidates, visited) -> list[Fit]:
 
 
 def extended(
-    here: Likelihood, base: Fit, candidates: Sequence[Candidate], most: int = KEPT
+    here: Likelihood,
+    base: Fit,
+    candidates: Sequence[Candidate],
+    most: int = KEPT,
+    least: float = -math.inf,
 ) -> list[Fit]:
     """Fits of ``base`` with one more cause, the most evidence first: those are fitted that promise
-    most to first order at the best of their starts.
+    most to first order at the best of their starts, and more than ``least``.
     """
-    rated = here.promises(base, moves(base.causes, candidates))
+    rated = [r for r in here.promises(base, moves(base.causes, candidates)) if r[0] > least]
+    if here.model.noise_known and len(rated) > most:
+        rated = _screened(here, base, rated)
     fits = [
         here.fit((*base.causes, *move), starts, base.of.nuisances)
         for _, move, starts in rated[:most]
     ]
     return sorted(fits, key=lambda f: -f.evidence)
+
+
+def _screened(
+    here: Likelihood, base: Fit, rated: Sequence[tuple[float, Move, list[Array]]]
+) -> list[tuple[float, Move, list[Array]]]:
+    """The moves that promise most after a few steps of their descents, from where these end
+    (successive halving: K. Jamieson, A. Talwalkar, AISTATS 2016).
+    """
+    out: list[tuple[float, Move, list[Array]]] = []
+    kinds: dict[tuple[str, ...], int] = {}
+    for _, move, starts in rated:
+        kind = tuple(c.kind for c in move)
+        kinds[kind] = kinds.get(kind, 0) + 1
+        if kinds[kind] > SAME_KIND or len(out) >= SCREENED:
+            continue
+        begun = here.fit((*base.causes, *move), starts, base.of.nuisances, SCREENED_STEPS)
+        out.append((begun.evidence, move, [begun.of.theta]))
+    return sorted(out, key=lambda item: -item[0])
 
 
 def moves(causes: Sequence[Candidate], candidates: Sequence[Candidate]) -> list[Move]:
@@ -149,12 +191,11 @@ def _may_join(c: Candidate, causes: Sequence[Candidate]) -> bool:
     have = {f"{o.kind}:{name}" for o in causes for name in o.names}
     if not all(need in have for need in c.needs):
         return False
-    own = {f"{c.kind}:{name}" for name in c.names}
-    if c.effect.repeats and not c.needs:
-        return sum(o.kind == c.kind for o in causes) < 3 and c.key not in {
-            o.key for o in causes if not o.effect.repeats
-        }
-    return not own & have and not any(
+    if c.effect.parallel and not c.needs:
+        return sum(o.kind == c.kind for o in causes) < MOST_PARALLEL
+    taken = {(o.kind, name, o.place) for o in causes for name in o.names or ("",)}
+    own = {(c.kind, name, c.place) for name in c.names or ("",)}
+    return not own & taken and not any(
         o.kind in c.effect.excludes or c.kind in o.effect.excludes for o in causes
     )
 

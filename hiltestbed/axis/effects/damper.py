@@ -91,6 +91,7 @@ class DamperFriction(AxisEffect):
     )
     resembles = ("contact.damping", "contact.bouc_wen")
     repeats = True
+    parallel = True
     leading = "force"
 
     def apply(self, p: Law) -> None:
@@ -123,6 +124,7 @@ class DamperBoucWen(AxisEffect):
     reference = "R. Bouc, 1967; Y.-K. Wen, J. Eng. Mech. 102, 1976"
     resembles = ("contact.dry_friction",)
     repeats = True
+    parallel = True
     leading = "force"
 
     def apply(self, p: Law) -> None:
@@ -180,6 +182,7 @@ class DamperRelaxation(AxisEffect):
     reference = "Maxwell branch of the standard linear solid"
     resembles = ("contact.damping",)
     repeats = True
+    parallel = True
     leading = "stiffness"
 
     def apply(self, p: Law) -> None:
