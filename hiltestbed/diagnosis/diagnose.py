@@ -27,7 +27,8 @@ from hiltestbed.axis.dataset import is_axis, load_axis
 from hiltestbed.config.dataset import LoadedDataset, dataset_from
 from hiltestbed.config.yaml_source import read_source
 from hiltestbed.diagnosis.find import CLOSING_STEPS, find
-from hiltestbed.diagnosis.investigate import investigate
+from hiltestbed.diagnosis.investigate import Findings, investigate
+from hiltestbed.diagnosis.likelihood.investigate import investigate_by_likelihood, log_has_errors
 from hiltestbed.diagnosis.report.conclude import conclude
 from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.diagnosis.search import Progress
@@ -39,22 +40,33 @@ if TYPE_CHECKING:
 
 @overload
 def diagnose(
-    dataset: LoadedDataset | MeasuredDataset, progress: Progress | None = None
+    dataset: LoadedDataset | MeasuredDataset,
+    progress: Progress | None = None,
+    likelihood: bool | None = None,
 ) -> Diagnosis: ...
 
 
 @overload
-def diagnose(dataset: str | Path, progress: Progress | None = None) -> Any: ...
+def diagnose(
+    dataset: str | Path, progress: Progress | None = None, likelihood: bool | None = None
+) -> Any: ...
 
 
 def diagnose(
-    dataset: str | Path | LoadedDataset | MeasuredDataset, progress: Progress | None = None
+    dataset: str | Path | LoadedDataset | MeasuredDataset,
+    progress: Progress | None = None,
+    likelihood: bool | None = None,
 ) -> Diagnosis | AxisDiagnosis:
-    """The diagnosis of a dataset, or of the dataset in a file, which may be one of a single axis;
-    `progress` is called with a line on what is being done.
+    """The diagnosis of a dataset, or of the dataset in a file; `progress` is called with a line on
+    what is being done.
 
-    `investigate` runs the stages 1 to 4 of the list above, `find` the fifth and `conclude` the
-    last. No stage changes its input.
+    It is a :class:`Diagnosis`, or an :class:`~hiltestbed.axis.diagnose.AxisDiagnosis` where the
+    file is one of a single axis. `investigate` runs the stages 1 to 4 of the list above, `find` the
+    fifth and `conclude` the last. No stage changes its input.
+
+    Args:
+        likelihood: whether the stages 3 and 4 are those of
+            :mod:`hiltestbed.diagnosis.likelihood`; None: where the log has errors of its own.
 
     Raises:
         InputError: a file cannot be read, or its data contradict the physics.
@@ -74,7 +86,16 @@ def diagnose(
         dataset = load_dataset(dataset)
     # hypotheses far from the truth may overflow; their misfit is clipped, and they are not selected
     with np.errstate(all="ignore"):
-        finding = find(investigate(dataset, progress), progress)
+        finding = find(investigated(dataset, progress, likelihood), progress)
     if progress:
         progress(f"closing step 3 of {CLOSING_STEPS}: nominal and extended runs in closed loop")
     return conclude(dataset, finding, time.monotonic() - start)
+
+
+def investigated(
+    dataset: MeasuredDataset, progress: Progress | None = None, likelihood: bool | None = None
+) -> Findings:
+    """The explanations of the links, by the likelihood or by the rules; see :func:`diagnose`."""
+    if likelihood is None:
+        likelihood = log_has_errors(dataset)
+    return (investigate_by_likelihood if likelihood else investigate)(dataset, progress)

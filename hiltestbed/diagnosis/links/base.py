@@ -120,6 +120,7 @@ class Link(ABC):
     timing: Timing = NO_SHIFT
     known: frozenset[str] = frozenset()
     rounding: Sequence[Array] = ()
+    computed: bool = False  # whether the output follows from the input without a delay or noise
 
     def with_rounding(self, rounding: Sequence[Array]) -> Self:
         """The same link with ``rounding`` errors in its input."""
@@ -203,6 +204,35 @@ class Link(ABC):
     def _with_errors(self, i: int) -> Link:
         """Run i on its input, and on copies of it with rounding errors."""
         raise NotImplementedError(f"the input of the link {self.name} has no rounding errors")
+
+    def weights(self, i: int) -> Array | None:
+        """(N, C) one over the deviations by which :meth:`whitened` divides; None: it does not."""
+        return None
+
+    def smoothing(self, effects: Effects) -> float:
+        """Share of the noise of the input that is left where ``effects`` interpolate it: a
+        hypothesis that smooths the noise would else explain it (W. A. Fuller, Measurement Error
+        Models, 1987).
+        """
+        return 1.0
+
+    def noisier(self, left: Sequence[tuple[int, Array]]) -> Link:
+        """The same link with as much noise of its input as departures (N, C) of its runs show that
+        are noise; itself where it knows none.
+        """
+        return self
+
+    def whitened(self, i: int, left: Array) -> Array | None:
+        """(N, C) departures ``left`` (N, C) of run i from the prediction, white and in units of the
+        noise, where errors of the input go on in the output; None: they do not.
+        """
+        return None
+
+    def colour(self) -> Array | None:
+        """(P + 1,) prediction-error filter that makes the noise of the output white; None: it is
+        white.
+        """
+        return None
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, C) uncertainty of the prediction due to how finely the facility divides its tick;

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
 
 from hiltestbed.compensation.input import InputParameters
 from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded
@@ -16,6 +19,7 @@ from hiltestbed.replay.wrench import shifted
 
 IMPULSE = 1e9  # [N] that exceeds any dead zone
 MEMORY_TOLERANCE = 1e-6  # chosen: of the largest response, below which it has decayed
+COLOUR_ORDER = 12  # of the filter that makes noise behind a compensation white
 RESPONSE_ROWS = 400  # chosen: within which the response to an impulse decays
 
 
@@ -23,6 +27,7 @@ class CompensationLink(Link):
     """The believed compensation, and the loop's dead zone before it."""
 
     name = "compensation"
+    computed = True
     channels = (
         "wrench_comp.fx",
         "wrench_comp.fy",
@@ -92,12 +97,10 @@ class CompensationLink(Link):
         late.
         """
         skew = log_parameters(effects).skew
-        if not skew:
-            return self.wrenches[i]
         return (
-            self.used[i]
-            if self.used is not None
-            else shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
+            shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
+            if skew
+            else self.wrenches[i]
         )
 
     def noise_gain(self) -> float:
@@ -106,6 +109,30 @@ class CompensationLink(Link):
         """
         answer = self._answer()
         return 1.0 if answer is None else float(np.linalg.norm(answer))
+
+    def colour(self) -> Array | None:
+        """What the log alone adds to a reading passes through the compensation: its noise has the
+        spectrum of the compensation's response to an impulse.
+        """
+        answer = self._answer()
+        if answer is None:
+            return None
+        n = len(answer)
+        lags = np.correlate(answer, answer, "full")[n - 1 : n + COLOUR_ORDER]
+        return np.concatenate([[1.0], -solve_toeplitz(lags[:-1], lags[1:])])
+
+    def smoothing(self, effects: Effects) -> float:
+        tick = self.runs[0].scenario.tick
+        shifts = (log_parameters(effects).skew, self.timing_with(effects).delay)
+        parts = (abs(s / tick) % 1.0 for s in shifts)
+        return math.prod(math.hypot(p, 1.0 - p) for p in parts)
+
+    def passed(self, variance: Array) -> Array:
+        """(N, 6) variance of the output due to that of the readings, both (N, 6)."""
+        answer = self._answer()
+        if answer is None or not variance.any():
+            return variance
+        return np.asarray(lfilter(answer[RESPONSE_ROWS // 4 :] ** 2, 1.0, variance, axis=0))
 
     def memory(self) -> float | None:
         """[s] after which the compensation of the first run has forgotten a reading; None where it

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import minimize
 
+from hiltestbed.compiled.jit import njit
 from hiltestbed.diagnosis.links.base import Lane, Link, LinkRun, flat_pose, moved, padded
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay import Departing, replay_model
+
+GAIN_ROWS = 10  # over which the response to an impulse is averaged
 
 
 class DynamicsLink(Link):
@@ -32,6 +38,8 @@ class DynamicsLink(Link):
         """
         self.runs = runs
         self._wrenches = padded(wrenches)
+        self._errors = [np.zeros((r.rows, 6)) for r in runs]
+        self._filters: list[tuple[Array, Array, Array]] | None = None
 
     def with_unknown_start(self, level: Array) -> DynamicsLink:
         """The same link where the wrench that acted first may not be on record: nuisance terms of
@@ -52,6 +60,69 @@ class DynamicsLink(Link):
                 t[:, :, axis] = b - a
         out.runs = [r.with_nuisances(t) for r, t in zip(self.runs, terms, strict=True)]
         return out
+
+    def with_input_errors(self, variance: Sequence[Array]) -> DynamicsLink:
+        """The same link on recorded wrenches whose errors have a ``variance`` (N, 6) in each run:
+        rows that are not on record, written digits, noise that only the log has.
+
+        They change the twists, so that a departure from the believed motion goes on. It is whitened
+        by the innovations of a Kalman filter of each channel (R. E. Kalman, J. Basic Eng. 82,
+        1960), with position and speed as its state.
+        """
+        out, gains = copy(self), self._gains()
+        out._errors = list(variance)
+        out._filters = [
+            _innovations(np.ascontiguousarray(v @ gains.T**2), r.sigma**2)
+            for v, r in zip(variance, self.runs, strict=True)
+        ]
+        return out
+
+    def noisier(self, left: Sequence[tuple[int, Array]]) -> DynamicsLink:
+        """With noise of the wrenches' record, of one level and in proportion to the reading, that
+        makes the departures most likely.
+        """
+        sizes = [self._wrenches[i, : self.runs[i].rows] ** 2 for i, _ in left]
+        gains = self._gains() ** 2
+        floor = np.sqrt(max(float(s.mean()) for s in sizes))
+
+        def variance(i: int, numbers: Array) -> Array:
+            level, share = np.exp(numbers)
+            own = self._wrenches[i, : self.runs[i].rows] ** 2
+            arms = np.where(np.arange(6) < 3, 1.0, 0.1)
+            return self._errors[i] + (level * arms) ** 2 + share**2 * own
+
+        def cost(numbers: Array) -> float:
+            total = 0.0
+            for i, x in left:
+                process = np.ascontiguousarray(variance(i, numbers) @ gains.T)
+                filters = _innovations(process, self.runs[i].sigma ** 2)
+                z, w = _whiten(x, *filters), filters[2]
+                total += float(np.sum(z * z)) - 2.0 * float(np.sum(np.log(w[w > 0.0])))
+            return total
+
+        starts = [np.log([1e-6 * floor, s]) for s in (1e-6, 1e-3, 1e-2)] + [
+            np.log([1e-2 * floor, 1e-6])
+        ]
+        found = minimize(cost, min(starts, key=cost), method="Nelder-Mead", options={"maxfev": 80})
+        return self.with_input_errors([variance(i, found.x) for i in range(len(self.runs))])
+
+    def _gains(self) -> Array:
+        """(6, 6) change of each channel in a tick, per unit of each part of the wrench."""
+        out, rows = np.empty((6, 6)), min(GAIN_ROWS, self.runs[0].rows - 1)
+        still = np.zeros((rows + 1, 6))
+        runs = [replace(self.runs[0], measured=still, sigma=np.ones_like(still))]
+        base = DynamicsLink(runs, [still]).shown(0)
+        for j in range(6):
+            pushed = still.copy()
+            pushed[0, j] = 1.0
+            out[:, j] = (DynamicsLink(runs, [pushed]).shown(0) - base)[rows] / (rows + 1)
+        return out
+
+    def weights(self, i: int) -> Array | None:
+        return None if self._filters is None else self._filters[i][2]
+
+    def whitened(self, i: int, left: Array) -> Array | None:
+        return None if self._filters is None else _whiten(left, *self._filters[i])
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
         run = np.array([i for i, _ in lanes])
@@ -80,3 +151,42 @@ class DynamicsLink(Link):
             moved(pose[: self.runs[i].rows], rows)
             for pose, rows, i in zip(poses, late, run, strict=True)
         ]
+
+
+@njit(cache=True)
+def _innovations(process, noise):
+    """Of each row and channel, both variances (N, C): the two gains of the filter, and one over the
+    deviation of the innovation; 0 where the noise is infinite.
+    """
+    rows, channels = noise.shape
+    place, speed = np.zeros((rows, channels)), np.zeros((rows, channels))
+    weight = np.zeros((rows, channels))
+    for c in range(channels):
+        a, b, d = 0.0, 0.0, 0.0  # covariance of position, of both, of speed
+        for k in range(rows):
+            d += process[k, c]
+            a, b = a + 2.0 * b + d, b + d
+            if np.isfinite(noise[k, c]):
+                s = a + noise[k, c]
+                place[k, c], speed[k, c] = a / s, b / s
+                weight[k, c] = 1.0 / math.sqrt(s)
+                d -= b * b / s
+                b -= a * b / s
+                a -= a * a / s
+    return place, speed, weight
+
+
+@njit(cache=True)
+def _whiten(left, place, speed, weight):
+    """(N, C) innovations of departures (N, C), over their deviations."""
+    out = np.zeros_like(left)
+    for c in range(left.shape[1]):
+        x, v = 0.0, 0.0
+        for k in range(left.shape[0]):
+            x += v
+            if weight[k, c] > 0.0:
+                e = left[k, c] - x
+                x += place[k, c] * e
+                v += speed[k, c] * e
+                out[k, c] = e * weight[k, c]
+    return out

@@ -44,6 +44,7 @@ MANY_ROWS = 8_000  # chosen: of all runs, from which a search of a docking takes
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal distribution
 MOST_TOUCHES = 24  # chosen: of a run on a mount, whose instants are not known
 STEP_RATIO = 2  # of the steps of a mount, for the extrapolation to steps of zero length
+LEVERS = (0.0, 0.25, 0.5, 0.75, 1.0)  # between the surface and the tip
 NO_COUNT = 1e6  # chosen: times its noise: uncertainty of a reading that does not count
 # chosen: of the longest jump: what is shorter is motion of the axes that are held
 SHARE_OF_A_JUMP = 0.1
@@ -190,6 +191,26 @@ class WrenchLink(Link):
         if isinstance(out._felt, Felt) and out.exact != out._felt.leapfrog:
             out._felt = replace(out._felt, leapfrog=out.exact)
         out._step_error = out._missed_by_steps() if out.exact else None
+        return out
+
+    def interpretations(self) -> list[list[WrenchLink]]:
+        """Other interpretations of what the facility leaves open, a group for each question: where
+        between surface and tip the force acts, what of the tip meets a plane, whether a latch
+        resists turning, how a mount is integrated, and whether late readings lie between the
+        instants of the physics.
+        """
+        if not isinstance(self._felt, Felt):
+            return []
+        first = self.runs[0].scenario
+        out = [[self.interpreted(lever=x) for x in LEVERS if x != self.lever]]
+        if first.mechanism.flat:
+            out.append([self.interpreted(blunt=1.0 - self.blunt)])
+        if first.mechanism.captured:
+            out.append([self.interpreted(ring=1.0 - self.ring)])
+        if self.stepped:
+            out.append([self.interpreted(exact=not self.exact)])
+        elif self.grid is None:
+            out.append([self.interpreted(grid=first.substeps)])
         return out
 
     def as_interpreted(self, other: WrenchLink) -> WrenchLink:

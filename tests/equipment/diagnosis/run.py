@@ -115,15 +115,15 @@ def _key(task: Task) -> tuple[int, float]:
 
 def one_set(task: Task) -> dict[str, Any]:
     """Draw a set, write it, diagnose it from its files, and compare."""
+    from hiltestbed.diagnosis.diagnose import investigated
     from hiltestbed.diagnosis.find import cause_of, gain_of, judge
-    from hiltestbed.diagnosis.investigate import investigate
     from hiltestbed.measured import load_dataset
 
     hidden = task.draw()
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         write_set(folder, hidden)
-        judged = judge(investigate(load_dataset(Path(folder) / "dataset.yaml")))
+        judged = judge(investigated(load_dataset(Path(folder) / "dataset.yaml")))
     findings, verdict = judged.findings, judged.verdict
     causes = [cause_of(findings, c) for c in verdict.causes]
     gain = gain_of(findings, verdict.causes)

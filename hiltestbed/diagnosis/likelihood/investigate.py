@@ -1,0 +1,213 @@
+"""The explanation of each link by one likelihood, in the order in which one helps the next: a force
+record that is stamped late shows in the compensation, and where A went in the platform.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from hiltestbed.diagnosis.adequacy import Leftover
+from hiltestbed.diagnosis.fit import Fit, fit, null_fit
+from hiltestbed.diagnosis.investigate import ORDER, Findings
+from hiltestbed.diagnosis.lacking import too_little
+from hiltestbed.diagnosis.layout import Layout, lay_out, platform_link, with_noise_beside
+from hiltestbed.diagnosis.likelihood.explain import Explained, candidates_of, explain
+from hiltestbed.diagnosis.likelihood.links import compensation, dynamics
+from hiltestbed.diagnosis.likelihood.model import LinkModel
+from hiltestbed.diagnosis.links import Link, PlatformLink, WrenchLink
+from hiltestbed.diagnosis.paths import BestPath, best_path, compared_share, make_wrench_link
+from hiltestbed.diagnosis.plain import LINK_NAMES
+from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Explanation, Progress
+from hiltestbed.diagnosis.settings import MIN_COMPARED
+from hiltestbed.diagnosis.stiction import sticking
+from hiltestbed.effects.search import Candidate, Scales
+from hiltestbed.inference.likelihood import Fit as LikelyFit
+from hiltestbed.inference.model import Hypothesis
+from hiltestbed.measured import MeasuredDataset
+
+MANY_LOST = 0.02  # share of the rows
+# mean square over that of the floor, from which a computed force is not what the record gives: one
+# that is, leaves 1e-20; written digits of which four are right leave 0.02, which the rules know
+INEXACT = 0.05
+SAME_RATE = 1e-3  # of the loop's rate, by which that of a log may be off
+LISTED = 8  # hypotheses of one cause, and of several, that an explanation lists
+
+
+def investigate_by_likelihood(
+    dataset: MeasuredDataset, progress: Progress | None = None
+) -> Findings:
+    """Explain every link that the dataset's channels allow."""
+    layout = lay_out(dataset)
+    judged = [name for name in ORDER if name not in layout.missing]
+    found: dict[str, Explained] = {}
+    whole: dict[str, Link] = {}
+    missing = dict(layout.missing)
+
+    def told(name: str) -> Progress | None:
+        words = f"link {judged.index(name) + 1} of {len(judged)}, {LINK_NAMES[name]}"
+        return partial(_told, progress, words) if progress else None
+
+    scales = layout.scales
+    if "compensation" in judged:
+        # of a late record each row is tried: a delay that is a row off fits no better than none
+        candidates = candidates_of(replace(scales, jumps=True), ("compensation", "log"))
+        model = LinkModel(compensation(layout, layout.rows))
+        found["compensation"] = explain(model, candidates, told("compensation"))
+        whole["compensation"] = compensation(layout, layout.whole)
+    if "dynamics" in judged:
+        model = LinkModel(dynamics(layout, layout.rows))
+        found["dynamics"] = explain(model, candidates_of(scales, ("dynamics",)), told("dynamics"))
+        whole["dynamics"] = dynamics(layout, layout.whole)
+    if "platform" in judged:
+        link = platform_link(layout, layout.rows)
+        candidates = _platform_candidates(layout, link)
+        found["platform"] = explain(LinkModel(link), candidates, told("platform"))
+        whole["platform"] = platform_link(layout, layout.whole)
+    if "wrench" in judged:
+        layout, path = _path(layout, found)
+        if (part := compared_share(layout, path)) < MIN_COMPARED:
+            missing["wrench"] = (
+                f"the smallest difference decides how the mechanism moves after the touch: "
+                f"{part:.0%} of the rows in contact could be replayed"
+            )
+        else:
+            contact = make_wrench_link(layout, path, layout.rows)
+            contact = choose_steps(choose_ring(choose_lever(contact)))
+            candidates = _wrench_candidates(
+                replace(scales, jumps=contact.jumps is not None),
+                found.get("compensation"),
+                bool(contact.commands),
+            )
+            found["wrench"] = explain(LinkModel(contact), candidates, told("wrench"))
+            read = found["wrench"].link
+            assert isinstance(read, WrenchLink)
+            whole["wrench"] = make_wrench_link(layout, path, layout.whole).as_interpreted(read)
+    for name, explained in found.items():
+        if not explained.departs and (why := too_little(explained.link)):
+            missing[name] = why
+    order = [name for name in LINK_NAMES if name in found]
+    timed = {name: link.with_timing(found[name].timing()) for name, link in whole.items()}
+    return Findings(layout, {n: explanation(found[n]) for n in order}, missing, timed)
+
+
+def log_has_errors(dataset: MeasuredDataset) -> bool:
+    """Whether the log has errors of its own: rows are lost, or a computed force differs from what
+    the readings on record give by what does not follow it, so that it was computed from others.
+    """
+    rates = [run.record.sample_rate / run.scenario.rate for run in dataset.runs]
+    if any(abs(rate - 1.0) > SAME_RATE for rate in rates):  # its rows are not the loop's ticks
+        return False
+    for run in dataset.runs:
+        for group in ("wrench_comp", "wrench_meas", "pose_cmd", "pose_act"):
+            if run.record.has(group) and run.record.lost(group).mean() > MANY_LOST:
+                return True
+    layout = lay_out(dataset)
+    if "compensation" in layout.missing or layout.logged:
+        return False
+    link = compensation(layout, layout.rows)
+    if link.colour() is None:  # it does more than respond linearly to the readings
+        return False
+    model = LinkModel(link)
+    left = model.residuals(Hypothesis((), np.zeros(0), np.zeros(0)))
+    rows = sum(map(len, left[:-1]))
+    exact = sum(float(x @ x) for x in left[:-1]) <= INEXACT * rows
+    return not exact and model.leaves_noise(left)
+
+
+def explanation(e: Explained) -> Explanation:
+    """What a likelihood explains, as the stages that decide and report take it."""
+    residual = Residual(e.link.with_timing(e.timing()), e.model.members, e.model.weight)
+    null = null_fit(residual)
+    chosen = _as_fit(residual, e.fit, again=True) if e.conclusion.causes else null
+    by_key = {c.cause.key: c.others for c in e.conclusion.causes}
+    rivals = tuple(
+        tuple(_as_fit(residual, f) for f in by_key.get(c.key, ())) for c in chosen.causes
+    )
+    listed = [f for f in e.conclusion.visited if f.causes and np.isfinite(f.evidence)]
+    fits = [_as_fit(residual, f) for f in listed[: 2 * LISTED]]
+    return Explanation(
+        residual,
+        e.candidates,
+        null,
+        chosen,
+        e.adequate,
+        e.departs,
+        _leftovers(e, e.fit),
+        _leftovers(e, e.conclusion.null),
+        tuple(f for f in fits if len(f.causes) == 1)[:LISTED],
+        tuple(f for f in fits if len(f.causes) > 1)[:LISTED],
+        rivals,
+    )
+
+
+def _as_fit(residual: Residual, found: LikelyFit, again: bool = False) -> Fit:
+    """A fit without its nuisances, ``again`` by least squares."""
+    causes, theta, start = [], [], 0
+    for c in found.causes:
+        own = found.of.theta[start : start + len(c.names)]
+        start += len(c.names)
+        if c.sigma is None:
+            causes.append(c)
+            theta.append(own)
+    at = np.concatenate([np.zeros(0), *theta])
+    if again:
+        return fit(residual, causes, [at], tries=1)
+    r = residual([c.at(x) for c, x in zip(causes, theta, strict=True)])
+    return Fit(tuple(causes), at, float(r @ r), r, np.zeros((len(r), len(at))))
+
+
+def _leftovers(e: Explained, found: LikelyFit) -> dict[str, Leftover]:
+    """Channel to its excess over what noise leaves, in contact or outside it."""
+    out: dict[str, Leftover] = {}
+    computed = e.model.link.computed
+    for (c, _), left in e.model.leftovers(found.left).items():
+        excess = e.model.excess(found.left) if computed else left.excess
+        name = e.model.link.channels[c]
+        if name not in out or excess > out[name].excess:
+            out[name] = Leftover(0.0, excess, 1.0, 1.0, 0)
+    return out
+
+
+def _told(progress: Progress, words: str, text: str) -> None:
+    progress(f"{words}: {text}")
+
+
+def _platform_candidates(layout: Layout, link: PlatformLink) -> Sequence[Candidate]:
+    """Those of the platform, with starts for stiction from the data."""
+    noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
+    sticks = sticking(link, noise, layout.scales.substeps)
+    return candidates_of(replace(layout.scales, sticks=sticks.starts), ("platform",))
+
+
+def _wrench_candidates(
+    scales: Scales, late_record: Explained | None, commanded: bool
+) -> Sequence[Candidate]:
+    """Those of contact and sensor, which the data cannot separate into two links; of the log where
+    the compensation shows it late, and then not of a late sensor, or where it was not judged; of
+    the platform where only its command is on record.
+    """
+    links = ["contact", "sensor", *(["platform"] if commanded else [])]
+    late = late_record is not None and "log.skew" in late_record.kinds
+    if late or late_record is None:
+        links.append("log")
+    found = candidates_of(scales, links)
+    return [c for c in found if not (late and c.kind == "sensor.delay")]
+
+
+def _path(layout: Layout, found: Mapping[str, Explained]) -> tuple[Layout, BestPath]:
+    """The path of A, and the layout with the noise of a latched mechanism's force from what the
+    believed contact on that path leaves of the readings.
+    """
+    platform = found.get("platform")
+    path = best_path(layout, None if platform is None else explanation(platform))
+    if not any(r.scenario.mechanism.captured for r in layout.runs):
+        return layout, path
+    link = choose_ring(choose_lever(make_wrench_link(layout, path, layout.whole)))
+    shown = [link.shown(i) for i in range(len(link.runs))]
+    return with_noise_beside(layout, shown), path

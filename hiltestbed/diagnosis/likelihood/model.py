@@ -1,0 +1,428 @@
+"""A link of the loop as a model whose departures can be sought: what it leaves of the recorded
+output, in units of the noise.
+
+The samples of a run fall into groups, one for each channel in contact and outside it. The noise of
+a group is known from below only: errors that only the log has may add to it. What the groups share
+is sought by :mod:`hiltestbed.inference`, as on a single axis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.linalg import solve_toeplitz
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import lfilter
+from scipy.stats import chi2, gamma
+
+from hiltestbed.diagnosis.aside import Aside
+from hiltestbed.diagnosis.links import Link, LinkRun, Timing, WrenchLink
+from hiltestbed.diagnosis.noise import softened
+from hiltestbed.effects.base import Effect
+from hiltestbed.effects.search import Candidate
+from hiltestbed.frames import Array
+from hiltestbed.inference.likelihood import Fit
+from hiltestbed.inference.model import Hypothesis, Model
+from hiltestbed.sensor.effects.delay import SensorDelay, SensorJitter
+
+# of a reading, error of a model of the same physics: a contact of a hundred steps is integrated to
+# 0.1 to 0.24 %
+MODEL_ERROR = 1e-3
+SLOW_SHAPES = 3  # degree of the polynomials by which a model's error varies along a contact
+TIME_ERROR = 0.05  # [rows] error in time of an integration in steps
+# of the whole force, or torque: an engine's constraints give by a ten-thousandth
+SOFTNESS = 1e-4
+FAR = 1e6  # [standard deviations] stands for a prediction that is not finite
+# [rows] standard deviation of a time-stamp offset: loggers stamp up to a row early or late
+STAMP_SIGMA = 1.0 / math.sqrt(3.0)
+# [rows] by which the output of a link may be early and late: stamps of two channels, and for the
+# late side one and the instant of a sample: more is a delay, which has a name
+MOST_EARLY, MOST_LATE = 2.25, 1.05
+END_ROWS = 3  # that a shift of the stamps leaves without data
+# [rows] of an instant within a tick at which a facility samples or obeys
+INSTANT_SIGMA, LATEST_INSTANT = 0.5 / math.sqrt(3.0), 0.5
+# share of what is left of a computed channel that follows its output, from which it departs
+FOLLOWING = 0.1
+TINY = 1e-300
+COLOUR_ORDER = 16  # of the filter that makes noise white
+# times the noise by third differences, up to which a residual outside contact may be noise of
+# another colour: a neighbour correlation of 0.9 and as much white noise have 1.4
+COLOURED_LEVEL = 2.0
+# of a standard normal variable: nodes and weights by which its mean and variance are summed
+NODES = np.linspace(-2.75, 2.75, 12)
+WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
+OUTSIDE, INSIDE = "outside", "in"
+# rows whose mean is tested: a smooth residual far below the noise shows in it
+BLOCK_ROWS = 8
+# the same of a sample in a fit, of those that exceed as many rms: one normal one in 5e8
+CLIPPED = 6.0
+OUTLYING = 4.0  # robust standard deviations at which a sample is clipped: one normal one in 16,000
+# probability with which white noise exceeds a limit: of some 50 limits of a set one in 3000 sets
+ALLOWED = 7e-6
+
+
+class Leftover(NamedTuple):
+    """Whether the residual of a channel is white noise, of whatever level.
+
+    Attributes:
+        level: its rms in units of the noise, not below 1. blocks: mean square of the means of
+            blocks of rows, over what white noise has there. line: the strongest line of its
+            spectrum, over the mean. allowed: how much of either chance gives as rarely as
+            :data:`ALLOWED`.
+    """
+
+    level: float
+    blocks: float
+    line: float
+    allowed: tuple[float, float]
+
+    @property
+    def noise(self) -> bool:
+        return self.excess <= 1.0
+
+    @property
+    def excess(self) -> float:
+        """The worse of both over what is allowed."""
+        return max(self.blocks / self.allowed[0], self.line / self.allowed[1])
+
+
+def leftover(parts: Sequence[Array]) -> Leftover:
+    """Of one channel: residuals (M,) of each run, in units of the noise.
+
+    Outliers are clipped. The sum of B squares of means is chi-square of B, a line of the sum of the
+    spectra of R runs a gamma variable of shape R.
+    """
+    rows, longest = sum(map(len, parts)), max(map(len, parts))
+    size = max(1.4826 * float(np.median(np.abs(np.concatenate(parts)))), 1.0)
+    parts = [np.clip(x, -OUTLYING * size, OUTLYING * size) for x in parts]
+    level = max(sum(float(x @ x) for x in parts) / rows, 1.0)
+    means = [
+        x[: len(x) // BLOCK_ROWS * BLOCK_ROWS].reshape(-1, BLOCK_ROWS).sum(axis=1) for x in parts
+    ]
+    count = sum(map(len, means))
+    squares = sum(float(m @ m) for m in means) / (BLOCK_ROWS * max(count, 1) * level)
+    power = sum(np.abs(np.fft.rfft(x, longest))[1:] ** 2 for x in parts) / (rows * level)
+    lines = max(longest // 2, 1)
+    return Leftover(
+        math.sqrt(level),
+        squares,
+        float(np.max(power, initial=0.0)),
+        (
+            float(chi2.isf(ALLOWED, max(count, 1))) / max(count, 1),
+            float(gamma.isf(ALLOWED / lines, len(parts))) / len(parts),
+        ),
+    )
+
+
+class LinkModel(Model):
+    """A link on some of its runs.
+
+    Attributes:
+        link: that is replayed. members: its runs that count. groups: of the residuals, (place in
+            ``members``, channel, whether in contact). rows: (M,) of each group.
+    """
+
+    noise_known = True
+    nuisances = ()
+
+    def __init__(
+        self,
+        link: Link,
+        members: Sequence[int] | None = None,
+        doubt: Sequence[Array | None] | None = None,
+        colour: Sequence[Array] | None = None,
+    ) -> None:
+        """doubt: (N, C) of each run of the link: further uncertainty of its prediction, in the unit
+        of the output. colour: (C, P + 1) of each run, prediction-error filters that make the
+        noise white; None: those of the link.
+        """
+        self.link, self.doubt = link, doubt
+        self.members = tuple(range(len(link.runs)) if members is None else members)
+        self.counted = tuple(_without_ends(np.isfinite(r.sigma)) for r in link.runs)
+        self.weight: list[Array] = []
+        for i, (r, c) in enumerate(zip(link.runs, self.counted, strict=True)):
+            sigma = np.hypot(r.sigma, self._model_error(r))
+            more = doubt[i] if doubt else None
+            sigma = sigma if more is None else np.hypot(sigma, more)
+            self.weight.append(np.where(c, 1.0 / np.where(c, sigma, 1.0), 0.0))
+        own = link.colour()
+        if colour is None and own is not None:
+            colour = [np.tile(own, (len(link.channels), 1)) for _ in link.runs]
+        self._colour = colour
+        self._aside: dict[int, Aside | None] = {}
+        self.groups: list[tuple[int, int, bool]] = []
+        self.rows: list[np.ndarray] = []
+        names = []
+        for n, i in enumerate(self.members):
+            touching = link.runs[i].touching
+            for c, channel in enumerate(link.channels):
+                for inside in (False, True):
+                    rows = np.flatnonzero(self.counted[i][:, c] & (touching == inside))
+                    if len(rows):
+                        self.groups.append((n, c, inside))
+                        self.rows.append(rows)
+                        names.append(f"run {i}, {channel}, {INSIDE if inside else OUTSIDE} contact")
+        self.runs = tuple(names)
+        self.floors = np.ones(len(names))
+
+    def _model_error(self, run: LinkRun) -> Array:
+        """(N, C) error of a model of the same physics: of a computed reading, in proportion to it
+        and to the whole force, or torque; 0 on other links. It is alike over a block of rows, and
+        counts like noise that is larger by the root of their number.
+        """
+        if not isinstance(self.link, WrenchLink):
+            return np.zeros_like(run.measured)
+        parts = [run.measured[:, :3], run.measured[:, 3:]]
+        whole = np.repeat([np.linalg.norm(x, axis=1) for x in parts], 3, axis=0).T
+        error = SOFTNESS * whole + MODEL_ERROR * np.abs(run.measured)
+        return np.asarray(math.sqrt(BLOCK_ROWS) * error)
+
+    def on(self, runs: Sequence[int]) -> LinkModel:
+        return LinkModel(self.link, [self.members[i] for i in runs], self.doubt, self._colour)
+
+    def through(self, link: Link) -> LinkModel:
+        """The same samples of another interpretation of the link."""
+        return LinkModel(link, self.members, self.doubt, self._colour)
+
+    def under(self, effects: Sequence[Effect]) -> LinkModel:
+        """The same with less weight on what the prediction under ``effects`` leaves open."""
+        doubt = [
+            self.link.doubt(i, effects) if i in self.members else None
+            for i in range(len(self.link.runs))
+        ]
+        return (
+            self
+            if not any(d is not None for d in doubt)
+            else LinkModel(self.link, self.members, doubt, self._colour)
+        )
+
+    def coloured(self, left: Sequence[Array]) -> LinkModel:
+        """The same with noise of the colour that residuals have outside contact, channel by channel
+        and run by run; itself where they are more than noise of another colour.
+        """
+        colour = [np.zeros((len(self.link.channels), COLOUR_ORDER + 1)) for _ in self.link.runs]
+        for c in colour:
+            c[:, 0] = 1.0
+        for x, (n, c, inside) in zip(left, self.groups, strict=False):
+            if inside or len(x) <= COLOUR_ORDER or not x.any():
+                continue
+            if float(x @ x) / len(x) > COLOURED_LEVEL**2:
+                return self
+            lags = np.array([float(x[k:] @ x[: len(x) - k]) for k in range(COLOUR_ORDER + 1)])
+            colour[self.members[n]][c, 1:] = -solve_toeplitz(lags[:-1], lags[1:])
+        return LinkModel(self.link, self.members, self.doubt, colour)
+
+    def folds(self) -> list[tuple[str, Model, Model]]:
+        count = len(self.members)
+        if count < 3:
+            return super().folds()
+        rest = [[j for j in range(count) if j != i] for i in range(count)]
+        return [(f"run {self.members[i]}", self.on(rest[i]), self.on([i])) for i in range(count)]
+
+    def many(self, of: Sequence[Hypothesis]) -> list[list[Array]]:
+        lanes = [(i, effects) for effects in (h.each() for h in of) for i in self.members]
+        shown, out = self.link.predict(lanes), []
+        for k in range(len(of)):
+            first = k * len(self.members)
+            z, wider = [], []
+            for n, i in enumerate(self.members):
+                prediction, ratio = self._spread(i, shown[first + n], lanes[first + n][1])
+                z.append(self.in_sigma(i, prediction, self.link.smoothing(lanes[first + n][1])))
+                wider.append(ratio)
+            left, logs = [], 0.0
+            for (n, c, _), rows in zip(self.groups, self.rows, strict=True):
+                ratio = wider[n]
+                own = z[n][rows, c] if ratio is None else z[n][rows, c] / ratio[rows, c]
+                left.append(_without_outliers(own))
+                logs += 0.0 if ratio is None else float(np.sum(np.log(ratio[rows, c])))
+            out.append([*left, np.array([math.sqrt(2.0 * logs)])])
+        return out
+
+    def residuals(self, of: Hypothesis) -> list[Array]:
+        return self.many([of])[0]
+
+    def _spread(
+        self, i: int, shown: Array, effects: Sequence[Effect]
+    ) -> tuple[Array, Array | None]:
+        """The mean prediction, and the deviation of the output over that of its noise alone, both
+        (N, C), where a delay varies from sample to sample; None: it does not.
+
+        Residuals are divided by that ratio; its logarithms belong to -2 log of the likelihood of a
+        normal variable.
+        """
+        sigma = math.sqrt(sum(e.sigma**2 for e in effects if isinstance(e, SensorJitter)))
+        if not sigma:
+            return shown, None
+        rows, at = sigma / self.link.runs[i].scenario.tick, np.arange(len(shown), dtype=float)
+        nominal = float(sum(e.delay for e in effects if isinstance(e, SensorDelay)))
+        nominal += self.link.runs[i].scenario.sensor.delay
+        late = np.maximum(rows * NODES, -nominal / self.link.runs[i].scenario.tick)
+        found = [np.column_stack([np.interp(at - n, at, x) for x in shown.T]) for n in late]
+        mean = np.tensordot(WEIGHTS, np.array(found), 1)
+        square = np.tensordot(WEIGHTS, (np.array(found) - mean) ** 2, 1)
+        return mean, np.sqrt(1.0 + square * self.weight[i] ** 2)
+
+    def in_sigma(self, i: int, shown: Array, smoothing: float = 1.0) -> Array:
+        """(N, C) of run i: measured less ``shown`` (N, C), whitened, in units of the noise
+        that is left of that of the input, ``smoothing``.
+        """
+        run, weight = self.link.runs[i], self.weight[i]
+        left = run.measured - shown
+        if (white := self.link.whitened(i, np.nan_to_num(left, nan=FAR))) is not None:
+            return np.clip(white, -FAR, FAR)
+        if (aside := self._aside_of(i)) is not None:
+            left = left - aside.of(left)
+        z = left * (weight / smoothing)
+        z = softened(z, run.heavy)
+        if self._colour is not None:
+            filters = self._colour[i]
+            white = [lfilter(f, 1.0, x) for f, x in zip(filters, z.T, strict=True)]
+            z = np.where(weight > 0.0, np.column_stack(white), 0.0)
+        if not np.isfinite(z).all():
+            z = np.clip(np.nan_to_num(z, nan=FAR), -FAR, FAR)
+        return z
+
+    def _aside_of(self, i: int) -> Aside | None:
+        """The nuisance terms of run i: those of its record, and those of the model's error."""
+        if i not in self._aside:
+            run = self.link.runs[i]
+            terms = [] if run.nuisances is None else [run.nuisances]
+            if isinstance(self.link, WrenchLink):
+                terms.append(_model_terms(run))
+            columns = np.concatenate(terms, axis=2) if terms else None
+            none = columns is None and run.shared is None
+            self._aside[i] = None if none else Aside(self.weight[i], columns, run.shared)
+        return self._aside[i]
+
+    def departure(self, of: Hypothesis) -> list[Array]:
+        """In units of the noise: in contact, where there is one."""
+        left = self.residuals(of)[:-1]
+        inside = [x for x, (_, _, within) in zip(left, self.groups, strict=True) if within]
+        return inside or left
+
+    def leftovers(self, left: Sequence[Array]) -> dict[tuple[int, bool], Leftover]:
+        """What is left of each channel, in contact and outside it."""
+        out = {}
+        for key in dict.fromkeys((c, inside) for _, c, inside in self.groups):
+            mine = [x for x, (_, *g) in zip(left, self.groups, strict=False) if tuple(g) == key]
+            out[key] = leftover(mine)
+        return out
+
+    def leaves_noise(self, left: Sequence[Array]) -> bool:
+        return self.excess(left) <= 1.0
+
+    def excess(self, left: Sequence[Array]) -> float:
+        """What is left of the worst channel, over what noise leaves."""
+        if self.link.computed:
+            return self.follows_input(left)
+        return max((x.excess for x in self.leftovers(left).values()), default=0.0)
+
+    def follows_input(self, left: Sequence[Array]) -> float:
+        """The largest share of what is left of a computed channel in contact that follows the
+        output itself, over :data:`FOLLOWING`; 0 below the noise.
+
+        A computed output departs as a function of its input, whatever the log adds does not. That
+        function is one of the output, its rates and its size, fitted to the other runs.
+        """
+        worst = 0.0
+        for c in range(len(self.link.channels)):
+            pairs = []
+            for x, rows, (n, d, inside) in zip(left, self.rows, self.groups, strict=False):
+                if d == c and inside:
+                    y = self.link.runs[self.members[n]].measured[:, c]
+                    y = uniform_filter1d(y, BLOCK_ROWS)
+                    rate = np.gradient(y)
+                    basis = np.column_stack(
+                        [y, rate, np.gradient(rate), y * np.abs(y), np.abs(rate)]
+                    )
+                    pairs.append(
+                        (np.clip(x, -FAR, FAR), basis[rows] / (np.std(basis, axis=0) + TINY))
+                    )
+            if len(pairs) < 2 or sum(float(x @ x) for x, _ in pairs) <= sum(
+                len(x) for x, _ in pairs
+            ):
+                continue
+            sizes = np.abs(np.concatenate([x for x, _ in pairs]))
+            size = OUTLYING * max(1.4826 * float(np.median(sizes)), 1.0)
+            pairs = [(np.clip(x, -size, size), b) for x, b in pairs]
+            after = 0.0
+            for n, (x, b) in enumerate(pairs):
+                others = [pair for m, pair in enumerate(pairs) if m != n]
+                y, a = (np.concatenate(parts) for parts in zip(*others, strict=True))
+                law = np.linalg.lstsq(a, y, rcond=1e-9)[0]
+                after += float(np.sum((x - b @ law) ** 2))
+            before = sum(float(x @ x) for x, _ in pairs)
+            if not before:
+                continue
+            worst = max(worst, (1.0 - after / before) / FOLLOWING)
+        return worst
+
+    def deviance(self, found: Fit) -> float:
+        """-2 log of the likelihood of a fit, with the deviations of the noise."""
+        weights = [self.link.weights(i) for i in self.members]
+        weights = [
+            self.weight[i] if w is None else w for i, w in zip(self.members, weights, strict=True)
+        ]
+        return found.cost - 2.0 * sum(float(np.sum(np.log(w[w > 0.0]))) for w in weights)
+
+    def measured(self) -> list[Array]:
+        return [
+            self.link.runs[self.members[n]].measured[rows, c]
+            for (n, c, _), rows in zip(self.groups, self.rows, strict=True)
+        ]
+
+    def timings(self) -> tuple[Candidate, ...]:
+        """When the facility samples, obeys and stamps, as nuisances."""
+        tick = self.link.runs[0].scenario.tick
+        stamp, ends = STAMP_SIGMA * tick, (-MOST_EARLY * tick, MOST_LATE * tick)
+        grid = tuple((x * tick,) for x in (-0.8, -0.3, 0.3, 0.8))
+        out = [_nuisance("delay", stamp, *ends, grid)]
+        if self.link.name == "platform":
+            grid = ((0.25 * tick,),)
+            out.append(_nuisance("obeyed", INSTANT_SIGMA * tick, 0.0, LATEST_INSTANT * tick, grid))
+        return tuple(out)
+
+
+def _without_outliers(z: Array) -> Array:
+    """Residuals (M,) clipped at :data:`CLIPPED` robust standard deviations."""
+    if not len(z) or float(np.max(np.abs(z))) <= CLIPPED * math.sqrt(float(z @ z) / len(z)):
+        return z
+    size = CLIPPED * max(1.4826 * float(np.median(np.abs(z))), 1.0)
+    return np.clip(z, -size, size)
+
+
+def _without_ends(counted: np.ndarray) -> np.ndarray:
+    """Without the first and last rows, for which a channel that is stamped off has no data."""
+    out = counted.copy()
+    out[:END_ROWS] = out[len(out) - END_ROWS :] = False
+    return out
+
+
+def _model_terms(run: LinkRun) -> Array:
+    """(N, C, D) how a model of the same physics may err along a contact: in proportion to the
+    reading, by a share that varies slowly, and in time.
+    """
+    at = np.flatnonzero(run.touching)
+    if not len(at):
+        return np.zeros((*run.measured.shape, 0))
+    places = np.clip(2.0 * (np.arange(run.rows) - at[0]) / max(at[-1] - at[0], 1) - 1.0, -1.0, 1.0)
+    slow = MODEL_ERROR * legendre.legvander(places, SLOW_SHAPES)
+    terms = run.measured[:, :, None] * slow[:, None, :]
+    late = TIME_ERROR * np.gradient(run.measured, axis=0)
+    return np.concatenate([terms, late[:, :, None]], axis=2)
+
+
+def _nuisance(name: str, sigma: float, low: float, high: float, grid: tuple) -> Candidate:
+    return Candidate(
+        Timing,
+        (name,),
+        np.array([low]),
+        np.array([high]),
+        np.zeros(1, bool),
+        grid,
+        sigma=np.array([sigma]),
+    )

@@ -1,0 +1,163 @@
+"""One likelihood for the links of the loop: its parts against closed forms, and verdicts on logs
+with errors of their own.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from hiltestbed.diagnosis.find import Judged, judge
+from hiltestbed.diagnosis.layout import lay_out
+from hiltestbed.diagnosis.likelihood.explain import candidates_of
+from hiltestbed.diagnosis.likelihood.investigate import investigate_by_likelihood, log_has_errors
+from hiltestbed.diagnosis.likelihood.links import dynamics
+from hiltestbed.diagnosis.likelihood.model import LinkModel, leftover
+from hiltestbed.diagnosis.paths import best_path, make_wrench_link
+from hiltestbed.inference.likelihood import Likelihood, independent
+from hiltestbed.inference.model import Hypothesis
+from hiltestbed.measured import MeasuredDataset, load_dataset
+from tests.equipment.diagnosis.tasks import Task
+from tests.equipment.independent_rig import write_set
+from tests.equipment.log_errors import Change, in_steps, lost, of_the_reading, rewrite, spikes
+from tests.slow import slow
+
+NOTHING = Hypothesis((), np.zeros(0), np.zeros(0))
+FORCES = tuple(f"wrench_meas.f{axis}" for axis in "xyz")
+HEALTHY, FRICTION, DELAY = (
+    Task(400_126, "healthy"),
+    Task(400_601, "single", ("contact.dry_friction",)),
+    Task(400_042, "single", ("sensor.delay",)),
+)
+
+
+def written(folder: Path, task: Task, change: Change | None = None) -> MeasuredDataset:
+    """A set of the independent rig, its log changed."""
+    write_set(folder, task.draw())
+    if change:
+        rewrite(folder, change)
+    return load_dataset(folder / "dataset.yaml")
+
+
+def judged(dataset: MeasuredDataset) -> Judged:
+    with np.errstate(all="ignore"):
+        return judge(investigate_by_likelihood(dataset))
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory: pytest.TempPathFactory) -> MeasuredDataset:
+    return written(tmp_path_factory.mktemp("healthy"), HEALTHY)
+
+
+@cache
+def white(count: int) -> list[list[np.ndarray]]:
+    rng = np.random.default_rng(3)
+    return [[rng.standard_normal(400) for _ in range(6)] for _ in range(count)]
+
+
+def test_white_noise_passes_whatever_its_level() -> None:
+    for level in (0.1, 1.0, 30.0):
+        assert all(leftover([level * x for x in parts]).noise for parts in white(200))
+
+
+@pytest.mark.parametrize("shape", ["line", "drift"])
+def test_what_is_not_white_is_seen_below_the_noise(shape: str) -> None:
+    t = np.arange(400)
+    more = 0.5 * np.sin(0.3 * t) if shape == "line" else 0.5 * np.sin(2.0 * np.pi * t / 400)
+    assert not any(leftover([x + more for x in parts]).noise for parts in white(20))
+
+
+def test_above_its_floor_a_run_counts_by_its_share_and_below_by_its_square(
+    healthy: MeasuredDataset,
+) -> None:
+    """-2 log of the normal density, maximised over a variance that is not below 1."""
+    model = LinkModel(dynamics(lay_out(healthy), [400] * 6))
+    likelihood = Likelihood(model, np.full(len(model.runs), 100.0))
+    for level in (0.5, 1.0, 3.0):
+        x = level * white(1)[0][0][:100]
+        ms = float(np.mean(x * x))
+        density = -2.0 * float(np.sum(norm.logpdf(x, scale=math.sqrt(max(ms, 1.0)))))
+        cost = likelihood.cost([x] * len(model.runs) + [np.zeros(0)]) / len(model.runs)
+        assert cost == pytest.approx(density - 100.0 * math.log(2.0 * math.pi), rel=1e-12)
+
+
+def test_errors_of_a_recorded_force_leave_the_motion_white(healthy: MeasuredDataset) -> None:
+    """Forces with white errors, integrated: the innovations are white, with a variance of 1."""
+    layout, rng = lay_out(healthy), np.random.default_rng(1)
+    link = dynamics(layout, layout.rows)
+    sigma = 5.0
+    variance = [np.full((r.rows, 6), sigma**2) for r in link.runs]
+    filtered, gains = link.with_input_errors(variance), link._gains()
+    z = []
+    for i, run in enumerate(link.runs):
+        pushed = sigma * rng.standard_normal((run.rows, 6)) @ gains.T
+        away = np.cumsum(np.cumsum(pushed, axis=0), axis=0)
+        noise = run.sigma * rng.standard_normal(run.sigma.shape)
+        z.append(filtered.whitened(i, away + noise))
+    x = np.concatenate([v[:, :3] for v in z])
+    assert float(np.mean(x * x)) == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / x.size))
+    assert float(np.mean(x[1:] * x[:-1])) == pytest.approx(0.0, abs=5.0 / math.sqrt(x.size))
+
+
+def test_a_delay_that_varies_has_the_likelihood_of_its_variance(healthy: MeasuredDataset) -> None:
+    layout = lay_out(healthy)
+    model = LinkModel(make_wrench_link(layout, best_path(layout, None), layout.rows))
+    jitter = next(c for c in candidates_of(layout.scales, ("sensor",)) if c.kind == "sensor.jitter")
+    counts = independent(model.residuals(NOTHING), noise_known=True)
+    likelihood = Likelihood(model, counts)
+    of = Hypothesis((jitter,), np.array([layout.scales.tick]), np.zeros(0))
+    shown, total = model.link.predict([(i, of.each()) for i in model.members]), 0.0
+    for (n, c, _), rows in zip(model.groups, model.rows, strict=True):
+        mean, ratio = model._spread(n, shown[n], of.each())
+        assert ratio is not None
+        z = (model.in_sigma(n, mean) / ratio)[rows, c]
+        v = max(float(np.mean(z * z)), 1.0)
+        total += float(np.sum(np.log(v) + z * z / v + 2.0 * np.log(ratio[rows, c])))
+    assert likelihood.cost(model.residuals(of)) == pytest.approx(total, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lost(0.1),
+        slow(lost(0.2)),
+        of_the_reading(0.01),
+        slow(of_the_reading(0.01, "wrench_comp")),
+        slow(spikes(50.0, 1e-3, FORCES)),
+        slow(in_steps(1.0, FORCES)),
+    ],
+)
+def test_errors_of_the_log_alone_are_no_departure(tmp_path: Path, change: Change) -> None:
+    dataset = written(tmp_path, HEALTHY, change)
+    assert log_has_errors(dataset)
+    found = judged(dataset).verdict
+    assert found.causes == ()
+    assert found.verdict in ("no_discrepancy", "inconclusive")
+
+
+@pytest.mark.parametrize(
+    ("task", "change"),
+    [
+        (FRICTION, lost(0.1)),
+        slow(FRICTION, of_the_reading(0.01)),
+        slow(DELAY, lost(0.1)),
+        slow(DELAY, lost(0.4)),
+        slow(DELAY, spikes(50.0, 1e-3, FORCES)),
+    ],
+)
+def test_what_departs_is_named_all_the_same(tmp_path: Path, task: Task, change: Change) -> None:
+    found = judged(written(tmp_path, task, change)).verdict
+    assert [c.effect for c in found.causes] == list(task.names or ())
+    hidden = task.draw().effects[0]
+    leading = next(v for k, v in hidden.items() if k != "kind")
+    cause = found.causes[0]
+    assert cause.fit.part(cause.index)[0] == pytest.approx(leading, rel=0.03)
+
+
+def test_a_log_without_errors_of_its_own_is_left_to_the_rules(healthy: MeasuredDataset) -> None:
+    assert not log_has_errors(healthy)
