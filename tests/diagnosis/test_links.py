@@ -280,3 +280,13 @@ def test_a_wrench_that_is_not_on_record_makes_the_bodies_drift() -> None:
     drift = np.diff(terms[:, 2, 2]) / H
     np.testing.assert_allclose(np.abs(drift[5:]), 2.0 * H * 2.0 / 500.0, rtol=1e-6)
     assert np.abs(terms[:, 0, 2]).max() < 1e-3 * np.abs(terms[-1, 2, 2])
+
+
+def test_a_late_record_is_replayed_on_the_readings_that_the_loop_used() -> None:
+    """Where these are known, the record does not count, and the compensation is that of them."""
+    link = compensated({"kind": "phase_lead"})
+    used = np.random.default_rng(2).normal(0, [30, 20, 200, 5, 8, 3], (10, 6))
+    late = link.on_used([used], link.runs)
+    expected = CompensationLink(link.runs, [used], {}).shown(0)
+    np.testing.assert_array_equal(late.shown(0, [effect("log.skew", delay=3 * H)]), expected)
+    np.testing.assert_array_equal(late.shown(0), link.shown(0))

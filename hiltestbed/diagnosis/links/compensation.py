@@ -97,10 +97,12 @@ class CompensationLink(Link):
         late.
         """
         skew = log_parameters(effects).skew
+        if not skew:
+            return self.wrenches[i]
         return (
-            shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
-            if skew
-            else self.wrenches[i]
+            self.used[i]
+            if self.used is not None
+            else shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
         )
 
     def noise_gain(self) -> float:
