@@ -367,7 +367,7 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
         replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * d))
         for run, d in zip(runs, half_digits, strict=True)
     ]
-    level = _levels(layout, "wrench_comp")
+    level = levels(layout, "wrench_comp")
     runs = bridged(runs, lambda given: DynamicsLink(runs, given), wrenches, missing, bends, level)
     if any(b.any() for b in bends):
         # interpolation errors may add up in the motion
@@ -411,7 +411,7 @@ def wrench_link(
     )
 
 
-def _levels(layout: Layout, group: str) -> Array:
+def levels(layout: Layout, group: str) -> Array:
     """(6,) noise of the wrench of a group."""
     return np.array([layout.noise.get(name, 0.0) for name in GROUPS[group].columns])
 

@@ -103,7 +103,9 @@ ADEQUACY_SIGMA = 4.5
 # as one
 FLOOR_ERROR = 0.08
 FLOOR_ROWS = 1500
-MODEL_ERROR = 1e-3  # chosen: share of the signal: another sub-stepping, another interpolation
+# measured: share of the signal: another sub-stepping, another interpolation; a contact of a hundred
+# steps is integrated to 0.1 to 0.24 %
+MODEL_ERROR = 1e-3
 # chosen: share of the departure of a computed channel that an explanation may leave
 MAX_COMPUTED_RESIDUAL = 0.01
 # chosen: times the propagated noise of the record, up to which a residual of the compensation may

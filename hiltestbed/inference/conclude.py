@@ -192,18 +192,21 @@ def conclude(
         )
         if cause.sigma is not None:
             continue
-        worse = (
-            0.0
-            if enough and len(fit.causes) > 1
-            else judge.score(without(likelihood, fit, i)) - score
-        )
-        others, probability = _rivals(likelihood, fit, i, candidates)
+        fewer_ = without(likelihood, fit, i)
+        worse = judge.score(fewer_) - score if not known else _more_left(likelihood, fewer_, fit)
+        others, probability = _rivals(likelihood, fit, i, fewer_, candidates)
         gain = 1.0 - math.exp(-worse)
         causes.append(
             Confirmed(cause, estimates, gain, probability, tuple(others), tuple(others.values()))
         )
     causes.sort(key=lambda c: -c.gain)
     return Conclusion(fit, null, tuple(causes), before, after, found.visited)
+
+
+def _more_left(likelihood: Likelihood, fewer: Fit, fit: Fit) -> float:
+    """What a fit with fewer causes leaves more, as the mean logarithm of the rms."""
+    costs = [likelihood.cost(f.left) for f in (fewer, fit)]
+    return (costs[0] - costs[1]) / (2.0 * float(likelihood.counts.sum()))
 
 
 def undetermined(fit: Fit, ends: Array) -> int | None:
@@ -277,16 +280,17 @@ def intervals(likelihood: Likelihood, fit: Fit, held: LeftOut) -> Array:
 
 
 def _rivals(
-    likelihood: Likelihood, fit: Fit, index: int, candidates: Sequence[Candidate]
+    likelihood: Likelihood, fit: Fit, index: int, fewer: Fit, candidates: Sequence[Candidate]
 ) -> tuple[dict[str, Fit], float]:
-    """Effects that do as well in the place of a cause, the best first, each with its fit; and the
-    probability of the cause beside them. Another place of the same effect is one of them.
+    """Effects that do as well beside the ``fewer`` in the place of a cause, the best first, each
+    with its fit; and the probability of the cause beside them. Another place of the same effect is
+    one of them.
     """
     cause, here = fit.causes[index], likelihood.again(fit)
     others = [c for c in candidates if c.kind != cause.kind or c.place != cause.place]
     close: dict[str, tuple[float, Fit]] = {}
     least = here.evidence - TOLD_APART if likelihood.model.noise_known else -math.inf
-    for other in extended(likelihood, without(likelihood, fit, index), others, RIVALS, least):
+    for other in extended(likelihood, fewer, others, RIVALS, least):
         gap = other.evidence - here.evidence
         kinds = {c.kind for c in other.causes} - {c.kind for c in fit.causes} or {cause.kind}
         for kind in sorted(kinds):

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hiltestbed.diagnosis.layout import Layout, compensation_link
+from hiltestbed.diagnosis.layout import Layout, compensation_link, levels
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, flat_pose
 from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS, DYNAMICS_FLOOR
 from hiltestbed.frames import Array
@@ -27,7 +27,7 @@ def compensation(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     respond linearly to the readings. Rows do not count that depend on readings which are not on
     record: one wrong reading shows in many rows of the output.
     """
-    noise = _levels(layout, "wrench_meas")
+    noise = levels(layout, "wrench_meas")
     level = COMPENSATION_FLOOR * max(noise[2], 1e-6) * math.sqrt(CORRELATED_ROWS)
     pairs = list(zip(layout.runs, rows, strict=True))
     groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
@@ -50,7 +50,7 @@ def compensation(layout: Layout, rows: Sequence[int]) -> CompensationLink:
 def dynamics(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     """The numerical model on the first ``rows`` of each run."""
     level = DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS)
-    noise, runs, wrenches, variance = _levels(layout, "wrench_comp"), [], [], []
+    noise, runs, wrenches, variance = levels(layout, "wrench_comp"), [], [], []
     for r, n in zip(layout.runs, rows, strict=True):
         run = _computed(r, flat_pose(r.record.data["pose_cmd"]), level, n)
         written = r.record.rounding("pose_cmd")[:n, :6] * np.array([1, 1, 1, 2, 2, 2])
@@ -92,8 +92,3 @@ def input_variance(record: Record, group: str, noise: Array) -> Array:
 def _computed(run: MeasuredRun, values: Array, level: float, rows: int) -> LinkRun:
     sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
     return LinkRun(run.scenario, np.nan_to_num(values[:rows]), sigma, run.touching(rows))
-
-
-def _levels(layout: Layout, group: str) -> Array:
-    """(6,) noise of the wrench of a group."""
-    return np.array([layout.noise.get(name, 0.0) for name in GROUPS[group].columns])

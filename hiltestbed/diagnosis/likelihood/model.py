@@ -21,7 +21,9 @@ from scipy.stats import chi2, gamma
 
 from hiltestbed.diagnosis.aside import Aside
 from hiltestbed.diagnosis.links import Link, LinkRun, Timing, WrenchLink
+from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
 from hiltestbed.diagnosis.noise import softened
+from hiltestbed.diagnosis.settings import BLOCK_ROWS, MODEL_ERROR
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
@@ -29,9 +31,6 @@ from hiltestbed.inference.likelihood import Fit
 from hiltestbed.inference.model import Hypothesis, Model
 from hiltestbed.sensor.effects.delay import SensorDelay, SensorJitter
 
-# of a reading, error of a model of the same physics: a contact of a hundred steps is integrated to
-# 0.1 to 0.24 %
-MODEL_ERROR = 1e-3
 SLOW_SHAPES = 3  # degree of the polynomials by which a model's error varies along a contact
 TIME_ERROR = 0.05  # [rows] error in time of an integration in steps
 # of the whole force, or torque: an engine's constraints give by a ten-thousandth
@@ -52,12 +51,7 @@ COLOUR_ORDER = 16  # of the filter that makes noise white
 # times the noise by third differences, up to which a residual outside contact may be noise of
 # another colour: a neighbour correlation of 0.9 and as much white noise have 1.4
 COLOURED_LEVEL = 2.0
-# of a standard normal variable: nodes and weights by which its mean and variance are summed
-NODES = np.linspace(-2.75, 2.75, 12)
-WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
 OUTSIDE, INSIDE = "outside", "in"
-# rows whose mean is tested: a smooth residual far below the noise shows in it
-BLOCK_ROWS = 8
 # the same of a sample in a fit, of those that exceed as many rms: one normal one in 5e8
 CLIPPED = 6.0
 OUTLYING = 4.0  # robust standard deviations at which a sample is clipped: one normal one in 16,000

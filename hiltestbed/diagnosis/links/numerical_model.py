@@ -12,11 +12,17 @@ from scipy.optimize import minimize
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.diagnosis.links.base import Lane, Link, LinkRun, flat_pose, moved, padded
+from hiltestbed.diagnosis.settings import LEVER_ARM
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay import Departing, replay_model
 
 GAIN_ROWS = 10  # over which the response to an impulse is averaged
+# noise of a recorded wrench that is tried first: of the rms of the wrench, and of its reading; next
+# to none, a share of a thousandth and of a hundredth, a level of a hundredth; and trials from there
+NOISE_STARTS = ((1e-6, 1e-6), (1e-6, 1e-3), (1e-6, 1e-2), (1e-2, 1e-6))
+NOISE_TRIALS = 80
+ARMS = np.array([1.0] * 3 + [LEVER_ARM] * 3)  # noise of forces to that of torques [m]
 
 
 class DynamicsLink(Link):
@@ -88,8 +94,7 @@ class DynamicsLink(Link):
         def variance(i: int, numbers: Array) -> Array:
             level, share = np.exp(numbers)
             own = self._wrenches[i, : self.runs[i].rows] ** 2
-            arms = np.where(np.arange(6) < 3, 1.0, 0.1)
-            return self._errors[i] + (level * arms) ** 2 + share**2 * own
+            return self._errors[i] + (level * ARMS) ** 2 + share**2 * own
 
         def cost(numbers: Array) -> float:
             total = 0.0
@@ -100,10 +105,10 @@ class DynamicsLink(Link):
                 total += float(np.sum(z * z)) - 2.0 * float(np.sum(np.log(w[w > 0.0])))
             return total
 
-        starts = [np.log([1e-6 * floor, s]) for s in (1e-6, 1e-3, 1e-2)] + [
-            np.log([1e-2 * floor, 1e-6])
-        ]
-        found = minimize(cost, min(starts, key=cost), method="Nelder-Mead", options={"maxfev": 80})
+        starts = [np.log([level * floor, share]) for level, share in NOISE_STARTS]
+        found = minimize(
+            cost, min(starts, key=cost), method="Nelder-Mead", options={"maxfev": NOISE_TRIALS}
+        )
         return self.with_input_errors([variance(i, found.x) for i in range(len(self.runs))])
 
     def _gains(self) -> Array:
