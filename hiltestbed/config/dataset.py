@@ -139,10 +139,12 @@ def load_dataset(path: str | Path, set: Mapping[str, Any] | None = None) -> Load
     return dataset_from(read_source(path).with_set(set))
 
 
-def dataset_from(source: Source) -> LoadedDataset:
-    """The dataset in a source that has been read already. Raises InputError with every fault."""
+def dataset_from(source: Source, on_record: bool = True) -> LoadedDataset:
+    """The dataset in a source that has been read already; ``on_record``: its files must exist.
+    Raises InputError with every fault.
+    """
     spec = validate(Dataset, source)
-    faults = [*_missing_files(spec, source), *_channel_faults(spec, source)]
+    faults = [*(_missing_files(spec, source) if on_record else ()), *_channel_faults(spec, source)]
     nominal_source = referenced_source(source)
     nominal = scenario_from(nominal_source)
     scenarios = []
