@@ -253,6 +253,12 @@ class Record:
         return (last >= 0) & (np.arange(self.ticks) - last <= lasting)
 
 
+def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """The first row of each stretch of successive True values, and the one after its last."""
+    edges = np.flatnonzero(np.diff(np.r_[False, flags, False]))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
 def place(column: str) -> tuple[str, int]:
     """Group and part number of a column of the trace."""
     group, _, part = column.rpartition(".")

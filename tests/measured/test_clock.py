@@ -11,8 +11,9 @@ import pytest
 
 from hiltestbed import load_scenario
 from hiltestbed.diagnosis.bridged import kink_errors
-from hiltestbed.measured.clock import bend, check_clock, start_of_run, to_ticks
+from hiltestbed.measured.clock import check_clock, start_of_run
 from hiltestbed.measured.reading import read_record
+from hiltestbed.measured.ticks import bend, to_ticks
 
 TICK = 1e-3
 

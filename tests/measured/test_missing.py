@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from hiltestbed.measured import examine
-from hiltestbed.measured.clock import check_clock
+from hiltestbed.measured.clock import check_clock, unrolled
 from hiltestbed.measured.outliers import outliers
-from hiltestbed.measured.rollover import unrolled
 
 from . import bounce
 

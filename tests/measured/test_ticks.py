@@ -11,10 +11,10 @@ import pytest
 
 from hiltestbed import load_scenario
 from hiltestbed.measured.clock import Clock
-from hiltestbed.measured.held import without_held
 from hiltestbed.measured.noise import digits_of, last_digit
 from hiltestbed.measured.reading import read_record
 from hiltestbed.measured.ticks import as_ticks
+from hiltestbed.measured.values import without_held
 
 TICK, ROWS = 1e-3, 800
 NOISE = 2e-6  # [m]
