@@ -115,9 +115,7 @@ def _scaled(record: Record, found: Survey, scenario: Scenario, pair: Momentum) -
 
 
 def _pose_at_fault(pair: Momentum, start: Start | None) -> bool:
-    """Whether the start of the pose shows the same factor or sign: then the unit of the pose is
-    wrong, not that of the force.
-    """
+    """Whether the start of the pose shows the same factor or sign: then its unit is wrong."""
     if start is None or not start.ratios:
         return False
     off = start.unit if start.unit is not None else 1.0

@@ -49,9 +49,7 @@ def check_run(record: Record, scenario: Scenario) -> tuple[Record, Survey, list[
 def check_dataset(
     records: Sequence[Record], names: Sequence[str], links: Mapping[str, tuple[str, ...]]
 ) -> list[Remark]:
-    """Remarks on what the dataset lacks: links without input or output, groups with missing axes.
-    ``names``: of its runs.
-    """
+    """Remarks on links without input or output and on missing axes; ``names``: of the runs."""
     remarks = []
     for group in NEEDED:
         have = [record for record in records if record.has(group)]
@@ -75,9 +73,7 @@ def check_dataset(
 def clipped_samples(
     record: Record, found: Survey
 ) -> tuple[dict[str, NDArray[np.bool_]], list[Remark]]:
-    """Group to ``(ticks, parts)``: which samples are at a limit; and a remark on each such
-    channel.
-    """
+    """Group to ``(ticks, parts)``: samples at a limit; and a remark on each such channel."""
     clipped = {group: np.zeros_like(valid) for group, valid in record.valid.items()}
     remarks = []
     for name in record.columns():
@@ -117,9 +113,7 @@ def _at_limit(values: Array, level: float, quantum: float) -> NDArray[np.bool_]:
 
 
 def _held_back(record: Record, part: int, values: Array) -> NDArray[np.bool_]:
-    """Samples of a pose whose command goes beyond them: a pose that rests at its command is not at
-    a limit.
-    """
+    """Samples of a pose short of its command: one that rests at its command is at no limit."""
     if not record.has("pose_cmd") or part > 2:
         return np.zeros(len(values), dtype=bool)
     least = 0.05 * np.nanmax(values - np.nanmin(values))

@@ -147,9 +147,7 @@ def _repeated(run: int, t: Array, steps: Array) -> Remark:
 def _wrong_length(
     run: int, t: Array, interval: float, tick: float, duration: float
 ) -> Remark | None:
-    """A remark on a record that is much longer or shorter than its scenario, usually because its
-    clock has another unit.
-    """
+    """A remark on a record much longer or shorter than its scenario, as in another unit."""
     span, ratio = float(t[-1] - t[0]), interval / tick
     longer = span > LENGTH_LIMIT * max(duration, tick)
     shorter = span < duration / LENGTH_LIMIT and ratio < 1 / LENGTH_LIMIT

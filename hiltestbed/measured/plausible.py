@@ -56,18 +56,14 @@ def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Re
 
 
 def _of_the_mass(remark: Remark) -> Remark:
-    """A note instead of an error on the unit of the force: another mass would have the same
-    effect.
-    """
+    """A note instead of an error on the unit of the force: the mass may be another."""
     if remark.check != "unit" or remark.severity != "error":
         return remark
     return replace(remark, severity="note", text=f"{remark.text}; or its mass is another", check="")
 
 
 def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
-    """Remarks on the forces: by the momentum balance if the bodies float freely, otherwise by the
-    contact law.
-    """
+    """Remarks on the forces: by momentum if the bodies float freely, else by the contact law."""
     pairs = balances(record, scenario)
     wrong = list(imbalances(record, found, scenario, pairs))
     if pairs:
@@ -100,9 +96,7 @@ def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
 
 
 def _order(run: int, group: str, q: Array, expected: Array) -> Iterator[Remark]:
-    """Remark on a start attitude far from the scenario's, and the reading of the four columns that
-    would match it.
-    """
+    """Remark on a start attitude far from the scenario's, and the order that would match it."""
     name, given = f"{group}.q*", _angle_deg(q, expected)
     w_first = _angle_deg(q[:, [1, 2, 3, 0]], expected)
     conjugate = _angle_deg(q * [-1, -1, -1, 1], expected)
@@ -139,9 +133,7 @@ def _angle_deg(q: Array, expected: Array) -> float:
 
 
 def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Remarks on sign and magnitude of the force along z, and on a force that is on another
-    axis.
-    """
+    """Remarks on sign and size of the force along z, and on one that is on another axis."""
     name = "wrench_meas.fz" if record.has("wrench_meas.fz") else "wrench_comp.fz"
     if not record.has(name) or not found.contacts:
         return
@@ -171,9 +163,7 @@ def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterat
 
 
 def _pulls(record: Record, force: Array, peak: float, low: float, scenario: Scenario) -> bool:
-    """Whether the force has the wrong sign: by its largest excursion (not for a latched mechanism,
-    which may pull) and its time history.
-    """
+    """Whether the sign is wrong: by the largest force (not of a latch) and its history."""
     latched, depth = scenario.mechanism.captured, penetration(record)
     if not latched and -low < 3 * peak:
         return False
@@ -213,9 +203,7 @@ def _expected_force(record: Record, scenario: Scenario) -> float | None:
 
 
 def _fastest(record: Record, depth: Array) -> float:
-    """The 99th percentile of the rate of penetration [m/s], over steps that are long compared with
-    the noise of the pose.
-    """
+    """99th percentile of the rate of penetration [m/s], over steps beyond the pose's noise."""
     known = np.flatnonzero(np.isfinite(depth))
     known = known[:: max(1, len(known) // 500)]
     if len(known) < 3:
@@ -240,9 +228,7 @@ def _other_axis(record: Record, found: Survey, name: str, expected: float) -> It
 
 
 def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
-    """Remarks on each axis of the compensated wrench compared with the measured one: the same
-    force, some milliseconds apart.
-    """
+    """Remarks on wrench_comp against wrench_meas: the same force, some milliseconds apart."""
     for axis in ("fx", "fy", "fz", "tx", "ty", "tz"):
         meas, comp = names = f"wrench_meas.{axis}", f"wrench_comp.{axis}"
         if not (record.has(meas) and record.has(comp)):
@@ -289,9 +275,7 @@ def _torques(record: Record, found: Survey) -> Iterator[Remark]:
 
 
 def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Remarks on the torques of an off-axis contact with a plane: about P's origin tx = y fz and ty
-    = -x fz, with A at (x, y).
-    """
+    """Remarks on torques of an off-axis contact with a plane: tx = y fz, ty = -x fz."""
     columns = set(record.columns())
     places = [p for p in ("pose_act", "pose_cmd") if {f"{p}.px", f"{p}.py"} <= columns]
     if not places or scenario.mechanism.captured or not scenario.mechanism.flat:

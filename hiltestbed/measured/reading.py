@@ -186,9 +186,7 @@ def _stamps(
 def _clocks(
     run: int, stamps: Mapping[str, Array], scenario: Scenario
 ) -> tuple[dict[str, Clock | None], list[Remark]]:
-    """The clock of each channel, counted from the start of the run, and the remarks on them, each
-    once.
-    """
+    """The clock of each channel, from the start of the run, and the remarks on them, once."""
     tick, duration = scenario.tick, scenario.duration
     given = {id(t): t for t in stamps.values()}
     distinct = {key: unrolled(run, t) for key, t in given.items()}
@@ -205,9 +203,7 @@ def _clocks(
 
 
 def _losses(run: int, channels: Mapping[str, tuple[Array, Clock]]) -> tuple[set[str], list[Remark]]:
-    """Channels that lack too many samples to be used, and remarks; channels that lack the same
-    samples share one.
-    """
+    """Channels that lack too many samples, and remarks, one for those that lack the same."""
     lost: set[str] = set()
     patterns: dict[bytes, tuple[NDArray[np.bool_], Clock, list[str]]] = {}
     for name, (column, clock) in channels.items():

@@ -86,9 +86,7 @@ def note(run: int | None, channel: str, text: str, fix: str = "", /, **evidence:
 
 
 def together(remarks: Iterable[Remark]) -> list[Remark]:
-    """The remarks, those that differ in their channel only as one that names all of them, at the
-    place of the first.
-    """
+    """The remarks, those that differ in their channel only as one, at the place of the first."""
     groups: dict[tuple[object, ...], list[Remark]] = {}
     for remark in remarks:
         groups.setdefault(remark.finding, []).append(remark)
@@ -106,9 +104,7 @@ def _joined(alike: list[Remark]) -> Remark:
 
 
 def overrides(remarks: Iterable[Remark]) -> tuple[str, ...]:
-    """A sentence on each check that a dataset overrides: on which data, and what is assumed of
-    them.
-    """
+    """A sentence on each check that a dataset overrides: which data, and what is assumed."""
     found: dict[str, list[Remark]] = {}
     for remark in remarks:
         if remark.overridden:

@@ -114,9 +114,7 @@ def _bend(record: Record) -> float:
 
 
 def _moving(a: Array, b: Array) -> tuple[Array, Array]:
-    """The rows in which one of the two is not at its most frequent value: at rest, coarsely
-    quantised channels agree.
-    """
+    """The rows in which one is not at its most frequent value: at rest coarse channels agree."""
     away = np.zeros(len(a), dtype=bool)
     for values in (a, b):
         numbers, counts = np.unique(values[np.isfinite(values)], return_counts=True)

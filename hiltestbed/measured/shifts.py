@@ -65,9 +65,7 @@ WRENCH = GROUPS["wrench_comp"].columns
 
 
 def shifts(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Errors for an output that precedes its input by more than a logger's stamping can explain;
-    notes for smaller shifts.
-    """
+    """Errors for outputs further ahead of their inputs than loggers stamp them; else notes."""
     if abs(record.sample_rate * scenario.tick - 1.0) > 1e-3:
         return  # the rows of the file are not ticks of the loop
     given = compensated(record, scenario)
@@ -149,9 +147,7 @@ def _ahead(record: Record, rows: float, moved: int | None, tick: float, found: S
 
 
 def _answered(record: Record, rows: int, tick: float, why: str) -> Remark:
-    """A note, not an error: the diagnosis has an effect for a force that is late only in the
-    record.
-    """
+    """A note only: the diagnosis has an effect for a force that is late in the record alone."""
     text = (
         f"has its effect {rows} rows before it is in the record, since {why}: the record "
         f"is late, not the loop"
@@ -165,9 +161,7 @@ def _answered(record: Record, rows: int, tick: float, why: str) -> Remark:
 
 
 def _led(record: Record, rows: int, lead: float | None, scenario: Scenario) -> Remark:
-    """Remark on a force ``rows`` before the contact of the recorded pose; the platform's ``lead``
-    shows which of the two was shifted.
-    """
+    """Remark on a force ``rows`` before the contact; the platform's ``lead`` tells which is off."""
     if lead is not None and abs(lead + rows) < 1.0:
         why = "wrench_meas shows the contact before it, and pose_cmd precedes it by as much"
         return _shifted(record, "pose_act", rows, scenario.tick, why)
@@ -229,9 +223,7 @@ def _unexplained(basis: Array, values: Array) -> float:
 
 
 def compensated(record: Record, scenario: Scenario, source: str = "wrench_meas") -> Array | None:
-    """``(ticks, 6)`` output of the believed compensation for a recorded wrench; None if it needs
-    other inputs or rows are missing.
-    """
+    """``(ticks, 6)`` believed compensation of a recorded wrench; None if it needs more inputs."""
     if needs(scenario) != {"wrench_meas"} or not record.whole(source):
         return None
     reading = np.ascontiguousarray(record.filled(source))[None]
@@ -240,9 +232,7 @@ def compensated(record: Record, scenario: Scenario, source: str = "wrench_meas")
 
 
 def _exchanged_forces(record: Record, scenario: Scenario, given: Array | None) -> bool:
-    """Whether the believed compensation converts wrench_comp to wrench_meas, and not the
-    reverse.
-    """
+    """Whether the compensation converts wrench_comp to wrench_meas, not the reverse."""
     crossed = compensated(record, scenario, "wrench_comp")
     if given is None or crossed is None:
         return False
@@ -251,9 +241,7 @@ def _exchanged_forces(record: Record, scenario: Scenario, given: Array | None) -
 
 
 def _echo(record: Record, given: Array | None) -> int | None:
-    """Rows by which the noise of the computed compensated wrench is later in wrench_comp (negative:
-    earlier); None: not in both.
-    """
+    """Rows by which the noise of ``given`` is later in wrench_comp; None: not in both."""
     best: tuple[float, int | None] = ECHO, None
     for j, name in enumerate(WRENCH[:3]):
         if given is None or not record.has(name) or not record.measured(name).all():
@@ -275,9 +263,7 @@ def _clipped_noise(values: Array) -> Array:
 
 
 def _correlated(a: Array, b: Array) -> Array:
-    """Correlation of ``a`` (n,) with each window of length n of ``b`` (n + 2 FURTHEST,), from the
-    first on.
-    """
+    """Correlation of ``a`` (n,) with each window of ``b`` (n + 2 FURTHEST,), in order."""
     total = np.concatenate([[0.0], np.cumsum(b * b)])
     size = np.sqrt((a @ a) * (total[len(a) :] - total[: -len(a)]))
     product = correlate(b, a, mode="valid", method="fft")
@@ -285,9 +271,7 @@ def _correlated(a: Array, b: Array) -> Array:
 
 
 def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float | None:
-    """Rows by which the pose is earlier than one row after its command; negative: later; None if it
-    cannot be determined.
-    """
+    """Rows by which the pose precedes the row after its command; None if that is not told."""
     if not follows_exactly(scenario):
         return None
     above = below = 0.0
@@ -350,9 +334,7 @@ def _smooth(values: Array) -> Array:
 
 
 def _felt(record: Record, scenario: Scenario) -> tuple[Array, Array]:
-    """The believed sensor's reading for the recorded pose, twice (ticks, 6): without and with the
-    damping of the contact.
-    """
+    """The believed sensor's reading of the recorded pose, (ticks, 6): undamped, and damped."""
     mechanism, path = scenario.mechanism, record.filled("pose_act")
     path[:, :3] = _smooth(path[:, :3])
     before = np.empty(7)

@@ -112,9 +112,7 @@ def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> St
 
 
 def _rate(t: Array, values: Array, sigma: float) -> tuple[float, float]:
-    """Speed at the first of the rows (n,) and its standard deviation, for positions with noise
-    ``sigma``: least-squares parabola.
-    """
+    """Speed at the first row (n,) and its sigma, by a parabola through positions."""
     inverse = np.linalg.pinv(np.vander(t - t[0], 3, increasing=True))
     return float(inverse[1] @ values), sigma * float(np.linalg.norm(inverse[1]))
 
@@ -164,9 +162,7 @@ def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
 def _another(
     record: Record, name: str, start: Start, evidence: dict[str, float]
 ) -> Iterator[Remark]:
-    """Errors for a motion that is not the scenario's approach: a diagnosis would attribute the
-    difference to a link.
-    """
+    """Errors for another approach than the scenario's, which would be blamed on a link."""
     speed, place = start.velocity, start.expected_begin
     commanded = name == "pose_cmd.pz"
     stamped = STAMPS * abs(speed) * float(record.t[1])
@@ -187,18 +183,14 @@ def _another(
 
 
 def scale_fix(channel: str, scale: float) -> str:
-    """The entry of the channel map that would correct a channel, in addition to any scale that it
-    has.
-    """
+    """The entry of the channel map that would correct a channel, on top of a scale of its own."""
     return (
         f"if so, multiply its scale by {scale:.8g}: channels: {{{channel}: {{scale: {scale:.8g}}}}}"
     )
 
 
 def factor_text(size: float, si: str) -> str:
-    """Text on numbers that are ``size`` times those in SI units: the unit that they are probably
-    in.
-    """
+    """Text on numbers ``size`` times those in SI units: the unit that they may be in."""
     unit = likely_unit(si, 1.0 / size, 0.03) or likely_unit(si, 1.0 / size, AGREE - 1.0)
     power = round(math.log10(size))
     about = f"{size:.3g}" if abs(math.log10(size) - power) > 0.05 else f"{10.0**power:g}"
@@ -206,9 +198,7 @@ def factor_text(size: float, si: str) -> str:
 
 
 def likely_scale(size: float, si: str) -> float:
-    """The factor that converts numbers that are ``size`` times those in SI: that of a unit, a power
-    of ten, or 1/size.
-    """
+    """Factor that converts numbers ``size`` times those in SI: a unit's, 10^n, or 1/size."""
     unit = likely_unit(si, 1.0 / size, 0.03)
     power = round(math.log10(size))
     if unit is not None:

@@ -94,9 +94,7 @@ def look(record: Record, scenario: Scenario) -> Survey:
 
 
 def penetration(record: Record) -> Array | None:
-    """``(ticks,)`` measured pz [m] (commanded if the reached pose is absent), NaN in gaps; None
-    without either.
-    """
+    """``(ticks,)`` reached pz [m], or commanded; NaN in gaps, None without either."""
     name = _depth_name(record)
     return record.column(name) if record.has(name) else None
 
@@ -143,9 +141,7 @@ def baseline(record: Record, found: Survey, name: str) -> float:
 
 
 def _free_ticks(record: Record, depth: Array | None, felt: tuple[str, ...]) -> int:
-    """Ticks before the first touch, by the pose or by the forces ``felt``, whichever is
-    earliest.
-    """
+    """Ticks before the first touch, by the pose or the forces ``felt``, whichever is first."""
     ends = [record.ticks]
     if depth is not None:
         ends += np.flatnonzero(depth > 0)[:1].tolist()
@@ -161,9 +157,7 @@ def _free_ticks(record: Record, depth: Array | None, felt: tuple[str, ...]) -> i
 
 
 def _still(force: Array) -> Array:
-    """The first rows; if they vary so much that they must contain a touch, the quietest stretch of
-    the same length.
-    """
+    """The first rows; if they must contain a touch, the quietest stretch of that length."""
     rows = 2 * FREE_MINIMUM
     first = force[:rows]
     if len(force) < 2 * rows:
@@ -245,9 +239,7 @@ def _contact(
 
 
 def _bridged(values: Array) -> Array:
-    """``values`` with missing ones interpolated: in a log that is slower than the loop most ticks
-    are missing.
-    """
+    """``values`` with missing ones interpolated: of a slow log most ticks are missing."""
     known = np.isfinite(values)
     if known.all() or not known.any():
         return np.nan_to_num(values)

@@ -53,9 +53,7 @@ def as_ticks(
 
 
 def _on_ticks(clock: Clock, columns: Mapping[str, Array], tick: float) -> Clock:
-    """The clock with each row on its tick; unchanged if the rows are not ticks, or are on them
-    already.
-    """
+    """The clock with each row on its tick; unchanged if rows are no ticks, or are there."""
     t = clock.t
     if len(t) < 30 or abs(clock.interval / tick - 1.0) > UNEVEN:
         return clock
@@ -102,9 +100,7 @@ def _as_smooth(clock: Clock, columns: Mapping[str, Array], ticks: Array) -> bool
 
 
 def _roughness(t: Array, values: Array) -> float:
-    """Median distance of a sample from the cubic through its four neighbours, for the assumed
-    sample times (n,).
-    """
+    """Median distance of a sample from the cubic through its four neighbours, at times t."""
 
     def moved(values: Array, by: int) -> Array:
         return values[2 + by : len(values) - 2 + by]
@@ -155,9 +151,7 @@ def to_ticks(
 def _about(
     t: Array, at: Array
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Array]:
-    """For each time ``at``: the samples before and after it, the nearer one, and the distance to
-    that one [s].
-    """
+    """Of each time ``at``: samples before and after, the nearer one, distance to it [s]."""
     after = np.minimum(np.maximum(np.searchsorted(t, at), 1), len(t) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(t[after] - at) < np.abs(at - t[before]), after, before)
