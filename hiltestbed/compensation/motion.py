@@ -40,11 +40,9 @@ class MotionCommand:
         self.acceleration = np.zeros((n, 6))
         self._previous = np.zeros((n, 6))
         self._rate_before, self._still = np.zeros((n, 6)), np.zeros((n, 6))
-        self._velocity, self._accel, self._jerk = (
-            np.zeros((n, 6)),
-            np.zeros((n, 6)),
-            np.zeros((n, 6)),
-        )
+        self._velocity = np.zeros((n, 6))
+        self._accel = np.zeros((n, 6))
+        self._jerk = np.zeros((n, 6))
 
         self._pass_pose = Call(
             _pass_pose,

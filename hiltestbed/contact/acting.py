@@ -88,12 +88,10 @@ def acting_law(law: ContactParameters, mass: float, speed: float) -> Pair:
             ]
         )
         half = 0.5 * PHASES  # the sum of sin^2, and of cos^2
-        before, found = (
-            found,
-            (
-                max(float(force @ np.sin(phase)) / (size * half), SAME * found[0]),
-                float(force @ np.cos(phase)) / (speed * half),
-            ),
+        before = found
+        found = (
+            max(float(force @ np.sin(phase)) / (size * half), SAME * found[0]),
+            float(force @ np.cos(phase)) / (speed * half),
         )
         if abs(found[0] - before[0]) <= SAME * found[0]:
             break

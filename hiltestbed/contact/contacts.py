@@ -73,11 +73,9 @@ class Contacts:
         self.stage = engagement.stage if engagement else int(mujoco.mjtStage.mjSTAGE_NONE)
         self.touching = engagement.touching if engagement else np.zeros(n, dtype=bool)
         self.latched = engagement.latched if engagement else np.zeros(n, dtype=bool)
-        self._ncon, self._qpos, self._qvel = (
-            batch.bind("ncon"),
-            batch.bind("qpos"),
-            batch.bind("qvel"),
-        )
+        self._ncon = batch.bind("ncon")
+        self._qpos = batch.bind("qpos")
+        self._qvel = batch.bind("qvel")
         self._applied = batch.bind("xfrc_applied").reshape(n, -1, 6)
         self._pulls = force is not None or (engagement is not None and engagement.pulls)
         self._pull = engagement.pull if engagement else np.zeros((n, 6))

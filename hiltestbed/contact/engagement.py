@@ -119,11 +119,9 @@ class Engagement:
         self._pairs = _Pairs(batch, structure, self.parameters)
         self.state = np.zeros((n, len(pairs) + 1, STATES))
         self.met = np.zeros((n, len(pairs), MET))
-        self.wrench, self.pull, self.touching = (
-            np.zeros((n, 6)),
-            np.zeros((n, 6)),
-            np.zeros(n, dtype=bool),
-        )
+        self.wrench = np.zeros((n, 6))
+        self.pull = np.zeros((n, 6))
+        self.touching = np.zeros(n, dtype=bool)
         self.pulls = bool(
             (self.parameters[:, :-1, ADHESION] > 0.0).any()
             or (self.parameters[:, :-1, MODE] > 0.0).any()
@@ -278,10 +276,8 @@ class _Bodies:
     def __init__(self, batch: Batch, structure: Structure, tilt: Array) -> None:
         n, m = len(tilt), batch.model
         names = structure.sides.frames
-        self.frames, self.motions = (
-            np.zeros((n, FRAMES + len(names), 7)),
-            np.zeros((n, FRAMES + len(names), 6)),
-        )
+        self.frames = np.zeros((n, FRAMES + len(names), 7))
+        self.motions = np.zeros((n, FRAMES + len(names), 6))
         self.carry = np.zeros((n, FRAMES + len(names), 7))
         self.carry[..., 6] = 1.0
         for f, (prefix, port) in enumerate(((ACTIVE, "A"), (PASSIVE, "P"))):
@@ -299,14 +295,10 @@ class _Bodies:
         if names:
             self._root = m.body_rootid[self._ids].astype(np.int64)
             bind = batch.bind
-            self._xpos, self._xquat = (
-                bind("xpos").reshape(n, -1, 3),
-                bind("xquat").reshape(n, -1, 4),
-            )
-            self._cvel, self._com = (
-                bind("cvel").reshape(n, -1, 6),
-                bind("subtree_com").reshape(n, -1, 3),
-            )
+            self._xpos = bind("xpos").reshape(n, -1, 3)
+            self._xquat = bind("xquat").reshape(n, -1, 4)
+            self._cvel = bind("cvel").reshape(n, -1, 6)
+            self._com = bind("subtree_com").reshape(n, -1, 3)
             self.moving.append(
                 bound(
                     _parts,
@@ -356,10 +348,8 @@ class _Pairs:
         )
         self.gain = np.tile(inverse_mass(m, bodies), (len(parameters), 1))
         self.geom_pos, self.geom_quat = batch.expand("geom_pos"), batch.expand("geom_quat")
-        self.solref, self.friction = (
-            batch.expand("pair_solref"),
-            batch.expand("pair_solreffriction"),
-        )
+        self.solref = batch.expand("pair_solref")
+        self.friction = batch.expand("pair_solreffriction")
         self.friction[:, pairs] = 2.0 * NO_DAMPING
         if structure.rubs:
             batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(

@@ -79,10 +79,8 @@ def pair_at(
     frames = engagement.frames[i]
     axes = rotation_matrix(frames[PASSIVE, 3:7])
     joints = _Joints(batch, structure, i, frames[[ACTIVE, PASSIVE]])
-    stiffness, damping = (
-        np.diag(np.concatenate([np.zeros(6), joints.stiffness])),
-        np.diag(np.concatenate([np.zeros(6), joints.damping])),
-    )
+    stiffness = np.diag(np.concatenate([np.zeros(6), joints.stiffness]))
+    damping = np.diag(np.concatenate([np.zeros(6), joints.damping]))
     for spring in springs:
         stretch = _stretch(spring, place, axes, joints)
         stiffness += spring.stiffness * stretch.T @ stretch
@@ -312,10 +310,8 @@ def _held(batch: Batch, i: int, j: int) -> bool:
 def _driven(batch: Batch, i: int, j: int) -> tuple[float, float]:
     """Stiffness and damping of the actuators of a joint, except those at their force limit."""
     m, spring, damper = batch.model, 0.0, 0.0
-    q, v = (
-        float(batch.bind("qpos")[i, m.jnt_qposadr[j]]),
-        float(batch.bind("qvel")[i, m.jnt_dofadr[j]]),
-    )
+    q = float(batch.bind("qpos")[i, m.jnt_qposadr[j]])
+    v = float(batch.bind("qvel")[i, m.jnt_dofadr[j]])
     for u in range(m.nu):
         if (
             int(m.actuator_trntype[u]) != int(mujoco.mjtTrn.mjTRN_JOINT)

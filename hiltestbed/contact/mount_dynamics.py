@@ -81,12 +81,10 @@ def borne(scenario: Scenario, reading: Array) -> Array:
     dynamics = MountDynamics.of([scenario])
     if dynamics is None:
         return reading
-    stiffness, damping, body, h = (
-        dynamics.stiffness[0],
-        dynamics.damping[0],
-        dynamics.body,
-        scenario.tick,
-    )
+    stiffness = dynamics.stiffness[0]
+    damping = dynamics.damping[0]
+    body = dynamics.body
+    h = scenario.tick
     rate = np.empty_like(reading)
     for j in range(6):
         if damping[j] > 0.0:  # q' = (r - K q)/C, r linear over a tick
@@ -163,53 +161,37 @@ def mount_step(stiffness, damping, body, kick, drift, leapfrog, wrench, q, qd):
     x, y, z = body[CENTRE], body[CENTRE + 1], body[CENTRE + 2]
     # centre of mass from the hinges' point
     cx, cy, cz = t00 * x + t01 * y + zx * z, t10 * x + t11 * y + zy * z, t20 * x + t21 * y + zz * z
-    i00, i01, i02, i10, i11, i12, i20, i21, i22 = (
-        body[INERTIA],
-        body[INERTIA + 1],
-        body[INERTIA + 2],
-        body[INERTIA + 3],
-        body[INERTIA + 4],
-        body[INERTIA + 5],
-        body[INERTIA + 6],
-        body[INERTIA + 7],
-        body[INERTIA + 8],
-    )
-    h00, h01, h02 = (
-        t00 * i00 + t01 * i10 + zx * i20,
-        t00 * i01 + t01 * i11 + zx * i21,
-        t00 * i02 + t01 * i12 + zx * i22,
-    )
-    h10, h11, h12 = (
-        t10 * i00 + t11 * i10 + zy * i20,
-        t10 * i01 + t11 * i11 + zy * i21,
-        t10 * i02 + t11 * i12 + zy * i22,
-    )
-    h20, h21, h22 = (
-        t20 * i00 + t21 * i10 + zz * i20,
-        t20 * i01 + t21 * i11 + zz * i21,
-        t20 * i02 + t21 * i12 + zz * i22,
-    )
-    xx, xy, xz = (
-        h00 * t00 + h01 * t01 + h02 * zx,
-        h00 * t10 + h01 * t11 + h02 * zy,
-        h00 * t20 + h01 * t21 + h02 * zz,
-    )
-    yy, yz, izz = (
-        h10 * t10 + h11 * t11 + h12 * zy,
-        h10 * t20 + h11 * t21 + h12 * zz,
-        h20 * t20 + h21 * t21 + h22 * zz,
-    )
+    i00 = body[INERTIA]
+    i01 = body[INERTIA + 1]
+    i02 = body[INERTIA + 2]
+    i10 = body[INERTIA + 3]
+    i11 = body[INERTIA + 4]
+    i12 = body[INERTIA + 5]
+    i20 = body[INERTIA + 6]
+    i21 = body[INERTIA + 7]
+    i22 = body[INERTIA + 8]
+    h00 = t00 * i00 + t01 * i10 + zx * i20
+    h01 = t00 * i01 + t01 * i11 + zx * i21
+    h02 = t00 * i02 + t01 * i12 + zx * i22
+    h10 = t10 * i00 + t11 * i10 + zy * i20
+    h11 = t10 * i01 + t11 * i11 + zy * i21
+    h12 = t10 * i02 + t11 * i12 + zy * i22
+    h20 = t20 * i00 + t21 * i10 + zz * i20
+    h21 = t20 * i01 + t21 * i11 + zz * i21
+    h22 = t20 * i02 + t21 * i12 + zz * i22
+    xx = h00 * t00 + h01 * t01 + h02 * zx
+    xy = h00 * t10 + h01 * t11 + h02 * zy
+    xz = h00 * t20 + h01 * t21 + h02 * zz
+    yy = h10 * t10 + h11 * t11 + h12 * zy
+    yz = h10 * t20 + h11 * t21 + h12 * zz
+    izz = h20 * t20 + h21 * t21 + h22 * zz
     # Velocity-dependent part of the angular acceleration, from the rotation of the hinges' axes
-    bx, by, bz = (
-        r2 * (uy * zz - uz * zy),
-        r2 * (uz * zx - ux * zz) - r0 * r1 * s0,
-        r2 * (ux * zy - uy * zx) + r0 * r1 * c0,
-    )
-    lx, ly, lz = (
-        xx * wx + xy * wy + xz * wz,
-        xy * wx + yy * wy + yz * wz,
-        xz * wx + yz * wy + izz * wz,
-    )
+    bx = r2 * (uy * zz - uz * zy)
+    by = r2 * (uz * zx - ux * zz) - r0 * r1 * s0
+    bz = r2 * (ux * zy - uy * zx) + r0 * r1 * c0
+    lx = xx * wx + xy * wy + xz * wz
+    ly = xy * wx + yy * wy + yz * wz
+    lz = xz * wx + yz * wy + izz * wz
     w0, w1, w2 = wrench[0], wrench[1], wrench[2]
     tx = wrench[3] - (q1 * w2 - q2 * w1) - (wy * lz - wz * ly) - (xx * bx + xy * by + xz * bz)
     ty = wrench[4] - (q2 * w0 - q0 * w2) - (wz * lx - wx * lz) - (xy * bx + yy * by + yz * bz)
@@ -235,11 +217,9 @@ def mount_step(stiffness, damping, body, kick, drift, leapfrog, wrench, q, qd):
     )
     # (M + ahead C)^-1 times force and torque: the slides, of a diagonal block, are eliminated; p:
     # forces that a hinge's acceleration needs
-    ix, iy, iz = (
-        1.0 / (m + ahead * damping[0]),
-        1.0 / (m + ahead * damping[1]),
-        1.0 / (m + ahead * damping[2]),
-    )
+    ix = 1.0 / (m + ahead * damping[0])
+    iy = 1.0 / (m + ahead * damping[1])
+    iz = 1.0 / (m + ahead * damping[2])
     p01, p02 = -m * cz, m * cy
     p10, p11, p12 = m * (c0 * cz - s0 * cy), m * s0 * cx, -m * c0 * cx
     p20, p21, p22 = m * (zy * cz - zz * cy), m * (zz * cx - zx * cz), m * (zx * cy - zy * cx)
@@ -258,11 +238,9 @@ def mount_step(stiffness, damping, body, kick, drift, leapfrog, wrench, q, qd):
     )
     # inertia times the second axis, and the third
     jx, jy, jz = xy * c0 + xz * s0, yy * c0 + yz * s0, yz * c0 + izz * s0
-    kx, ky, kz = (
-        xx * zx + xy * zy + xz * zz,
-        xy * zx + yy * zy + yz * zz,
-        xz * zx + yz * zy + izz * zz,
-    )
+    kx = xx * zx + xy * zy + xz * zz
+    ky = xy * zx + yy * zy + yz * zz
+    kz = xz * zx + yz * zy + izz * zz
     d00 = xx - (p01 * iy * p01 + p02 * iz * p02) + ahead * damping[3]
     d01 = jx - (p01 * iy * p11 + p02 * iz * p12)
     d02 = kx - (p01 * iy * p21 + p02 * iz * p22)

@@ -104,11 +104,9 @@ class ContactParameters:
         stop or curve over penetration.
         """
         self.offset = self.preload = self.stop_stiffness = 0.0
-        self.stop, self.over_penetration, self.spring_over_penetration = (
-            np.inf,
-            packed(()),
-            packed(()),
-        )
+        self.stop = np.inf
+        self.over_penetration = packed(())
+        self.spring_over_penetration = packed(())
         return self
 
     def row(self) -> Array:

@@ -61,10 +61,8 @@ class Phases:
         self._commands = [actuators_of(phase, model) for phase in self._phases]
         self._dropped = [dropped_by(sides, phase.drop_contacts) for phase in self._phases]
         self._ctrl, self._qpos = batch.bind("ctrl"), batch.bind("qpos")
-        self.begun, self.since = (
-            np.zeros(n, dtype=np.int64),
-            np.full((n, len(self._phases)), -1, dtype=np.int64),
-        )
+        self.begun = np.zeros(n, dtype=np.int64)
+        self.since = np.full((n, len(self._phases)), -1, dtype=np.int64)
         self._held, self._due = np.zeros(n), np.zeros(n, dtype=bool)
         self._ticks = np.zeros(1, dtype=np.int64)
 

@@ -51,10 +51,8 @@ class Side:
                 f"{file}: the site {site!r} is on a part that moves; the port's frame must be "
                 f"fixed to its side"
             )
-        self.origin, self.axes = (
-            self.data.site_xpos[found].copy(),
-            self.data.site_xmat[found].reshape(3, 3).copy(),
-        )
+        self.origin = self.data.site_xpos[found].copy()
+        self.axes = self.data.site_xmat[found].reshape(3, 3).copy()
         self.findings: dict[str, list[Finding]] = {}
         self._surfaces: dict[int, Surface] = {}
 

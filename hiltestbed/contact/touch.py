@@ -152,18 +152,14 @@ class Meeting:
         count = sides.geometry.count
         self._p = np.ones((count, PARAMETERS))
         self._p[:, LEVER], self._p[:, OFFSET] = 0.5, 0.0
-        self.frames, self._motions, self._work = (
-            np.zeros((2, 7)),
-            np.zeros((2, 6)),
-            np.empty((9, 7)),
-        )
+        self.frames = np.zeros((2, 7))
+        self._motions = np.zeros((2, 6))
+        self._work = np.empty((9, 7))
         self.frames[1, 6] = 1.0
         self.depth, self._rate = np.empty(count), np.empty(count)
-        self.point, self.normal, self._slip = (
-            np.zeros((count, 3)),
-            np.zeros((count, 3)),
-            np.zeros((count, 3)),
-        )
+        self.point = np.zeros((count, 3))
+        self.normal = np.zeros((count, 3))
+        self._slip = np.zeros((count, 3))
 
     def deepest(self, pose: Array) -> float:
         """Largest penetration [m] with A at ``pose`` (7,), negative while apart; details in

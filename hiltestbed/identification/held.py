@@ -59,25 +59,19 @@ class HeldPlace:
         for phase in mechanism.phases():
             if phase.close is not None:
                 closing += 1
-                (a, at_a), (p, at_p) = (
-                    sites["A", phase.close.active],
-                    sites["P", phase.close.passive],
-                )
+                (a, at_a) = sites["A", phase.close.active]
+                (p, at_p) = sites["P", phase.close.passive]
                 self._places.append((at_a, at_p))
                 kinds.append(ON_ACTIVE if a == ACTIVE else ON_PASSIVE if p == PASSIVE else AT_A)
                 together.append(phase.close.hold == "together" and kinds[-1] != AT_A)
             self._acts.append(closing)
         self._acts = np.array([NONE, *self._acts], dtype=np.int64)
         self._places = np.array(self._places).reshape(len(kinds), 2, 7)
-        self._kinds, self._together = (
-            np.array(kinds, dtype=np.int64),
-            np.array(together, dtype=bool),
-        )
-        self.lever, self.origin, self.reference = (
-            np.zeros((n, 3)),
-            np.zeros((n, 3)),
-            np.tile(UNTURNED, (n, 1)),
-        )
+        self._kinds = np.array(kinds, dtype=np.int64)
+        self._together = np.array(together, dtype=bool)
+        self.lever = np.zeros((n, 3))
+        self.origin = np.zeros((n, 3))
+        self.reference = np.tile(UNTURNED, (n, 1))
         self.since, self.changes = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
         self._held = np.array([s.mechanism.captured for s in scenarios])
         self._steps = np.zeros(n, dtype=np.int64)

@@ -279,12 +279,10 @@ def _meet(k, index, values, pose, twist, x, v, normal, at_once):
     six axes; and how many contacts there are at once.
     """
     slot, length, count = k % x.shape[1], x.shape[1], index[-1]
-    frames, motions, work, p = (
-        np.zeros((2, 7)),
-        np.zeros((2, 6)),
-        np.empty((9, 7)),
-        np.ones((count, PARAMETERS)),
-    )
+    frames = np.zeros((2, 7))
+    motions = np.zeros((2, 6))
+    work = np.empty((9, 7))
+    p = np.ones((count, PARAMETERS))
     for c in range(count):
         p[c, LEVER] = 0.5
     frames[1, 6] = 1.0

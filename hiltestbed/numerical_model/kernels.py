@@ -106,14 +106,12 @@ def load_bodies(q, port, wrench, work, tau):
     centre of mass in body axes, of ``wrench`` (6,), active on passive, in P at P's origin; ``work``
     (WORK, 7).
     """
-    attitude, force, torque, arm, point, moment = (
-        work[0],
-        work[1],
-        work[2],
-        work[3],
-        work[4],
-        work[5],
-    )
+    attitude = work[0]
+    force = work[1]
+    torque = work[2]
+    arm = work[3]
+    point = work[4]
+    moment = work[5]
     quat_mul(q[TARGET, 3:7], port[TARGET, 3:7], attitude)
     rotate(attitude, wrench[0:3], force)
     rotate(attitude, wrench[3:6], torque)

@@ -360,14 +360,12 @@ def _swing_at(appendage, whole, rest, q, v, h, swing, tau):
     Linear momentum is conserved to the last bit, and so is the total angular momentum, except for
     what the step of the body's rotation loses.
     """
-    away, arm, turn, drift, push, torque = (
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-    )
+    away = np.empty(3)
+    arm = np.empty(3)
+    turn = np.empty(3)
+    drift = np.empty(3)
+    push = np.empty(3)
+    torque = np.empty(3)
     rotate(q[3:7], v[3:6], turn)
     for s in range(appendage.shape[0]):
         a, m = appendage[s], swing[s]

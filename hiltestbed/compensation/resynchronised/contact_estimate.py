@@ -234,13 +234,11 @@ def prior(stiffness: float, damping: float, touch_point: float) -> tuple[np.ndar
     fit, law = unknown()
     fit[REFERENCE], fit[PRIOR_K], fit[PRIOR_C] = touch_point, stiffness, damping
     fit[SD_K], fit[SD_C], fit[SD_X] = 0.005 * stiffness, 0.02 * damping + 5e-5 * stiffness, 5e-5
-    law[STIFFNESS], law[DAMPING], law[TOUCH], law[KNOWN], law[ARMED] = (
-        stiffness,
-        damping,
-        touch_point,
-        1.0,
-        1.0,
-    )
+    law[STIFFNESS] = stiffness
+    law[DAMPING] = damping
+    law[TOUCH] = touch_point
+    law[KNOWN] = 1.0
+    law[ARMED] = 1.0
     law[STIFFNESS_SD], law[DAMPING_SD] = fit[SD_K], fit[SD_C]
     return fit, law
 

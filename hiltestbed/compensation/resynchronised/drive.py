@@ -159,11 +159,9 @@ class ResynchronisedDrive:
         )
         self.state = _state(scenarios, given, model, int(self._setup.late.max()))
         law = self.state.law
-        self.stiffness, self.damping, self.touch = (
-            law[:, ce.STIFFNESS],
-            law[:, ce.DAMPING],
-            law[:, ce.TOUCH],
-        )
+        self.stiffness = law[:, ce.STIFFNESS]
+        self.damping = law[:, ce.DAMPING]
+        self.touch = law[:, ce.TOUCH]
         self.delay = self.state.delay
 
     def advance(self, measurement: Measurement) -> None:

@@ -91,11 +91,9 @@ class FrameMode(Effect):
     vanishes = True
 
     def apply(self, p: ContactParameters) -> None:
-        p.mode, p.mode_damping, p.mode_mass = (
-            2.0 * math.pi * self.frequency,
-            self.damping_ratio,
-            self.mass,
-        )
+        p.mode = 2.0 * math.pi * self.frequency
+        p.mode_damping = self.damping_ratio
+        p.mode_mass = self.mass
         p.reaction = float(self.variant.get("reads") == "reaction")
 
     def unfit(self, scenario: Scenario) -> str | None:

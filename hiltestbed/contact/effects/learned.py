@@ -65,15 +65,11 @@ class ContactMap(Effect):
     leading = "penetration"
 
     def apply(self, p: ContactParameters) -> None:
-        p.over_penetration, p.over_rate, p.over_stretch = (
-            packed(self.penetration),
-            packed(self.rate),
-            packed(self.stretch),
-        )
-        p.spring_over_penetration, p.spring_over_rate = (
-            packed(self.spring),
-            packed(self.spring_rate),
-        )
+        p.over_penetration = packed(self.penetration)
+        p.over_rate = packed(self.rate)
+        p.over_stretch = packed(self.stretch)
+        p.spring_over_penetration = packed(self.spring)
+        p.spring_over_rate = packed(self.spring_rate)
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:

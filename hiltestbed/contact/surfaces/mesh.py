@@ -213,11 +213,9 @@ def mesh_distance(tree, point, reach, normal):
     distance = math.sqrt(best2)
     sign = 1.0 if dx * n[0] + dy * n[1] + dz * n[2] >= 0.0 else -1.0
     if distance > 1e-12:
-        normal[0], normal[1], normal[2] = (
-            sign * dx / distance,
-            sign * dy / distance,
-            sign * dz / distance,
-        )
+        normal[0] = sign * dx / distance
+        normal[1] = sign * dy / distance
+        normal[2] = sign * dz / distance
     else:
         length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
         normal[0], normal[1], normal[2] = n[0] / length, n[1] / length, n[2] / length

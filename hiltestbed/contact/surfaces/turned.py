@@ -28,10 +28,8 @@ def polyline(loop: list[Element], arc_step: float) -> Array:
 
 def _on_arc(e: Element, arc_step: float) -> list[tuple[float, float]]:
     assert e.centre is not None
-    (rho, z), (start, end) = (
-        e.centre,
-        (math.atan2(p[1] - e.centre[1], p[0] - e.centre[0]) for p in (e.a, e.b)),
-    )
+    (rho, z) = e.centre
+    (start, end) = (math.atan2(p[1] - e.centre[1], p[0] - e.centre[0]) for p in (e.a, e.b))
     radius = math.hypot(e.a[0] - rho, e.a[1] - z)
     sweep = -((start - end) % (2.0 * math.pi)) if e.clockwise else (end - start) % (2.0 * math.pi)
     sweep = sweep or (-2.0 * math.pi if e.clockwise else 2.0 * math.pi)

@@ -62,11 +62,9 @@ class HuntCrossleyFit:
         self.source = ContactSamples(scenarios)
         self._sums = np.zeros((n, 6, 9))
         self._deepest = np.zeros((n, 6))
-        self.exponent, self.coefficient, self.alpha = (
-            np.full((n, 6), np.nan),
-            np.full((n, 6), np.nan),
-            np.full((n, 6), np.nan),
-        )
+        self.exponent = np.full((n, 6), np.nan)
+        self.coefficient = np.full((n, 6), np.nan)
+        self.alpha = np.full((n, 6), np.nan)
         self.stiffness, self.damping = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
         self.samples = np.zeros((n, 6))
 
