@@ -71,9 +71,7 @@ def resisting(laws, f, v, free, gain):
 
 @njit(cache=True)
 def _gained(v, net, slope, gain):
-    """[m/s] change of the speed ``v`` under a force ``net`` [N] against ``slope`` [N s/m] that acts
-    for ``gain`` [m/s per N].
-    """
+    """[m/s] gained under ``net`` [N] against ``slope`` [N s/m], for ``gain`` [m/s per N]."""
     decay = gain * slope
     return (net - slope * v) * gain * (-math.expm1(-decay) / decay if decay > 0.0 else 1.0)
 

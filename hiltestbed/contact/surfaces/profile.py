@@ -133,9 +133,7 @@ def profile_bounds(profile: Array) -> tuple[Array, float]:
 
 @njit(cache=True)
 def profile_distance(profile, point, normal):
-    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the
-    outward normal.
-    """
+    """Distance [m] of ``point`` (3,), negative inside; ``normal`` (3,): becomes the outward one."""
     head = profile[0]
     x, y, z = point[0] - head[0], point[1] - head[1], point[2] - head[2]
     h = x * head[3] + y * head[4] + z * head[5]

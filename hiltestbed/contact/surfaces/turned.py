@@ -15,9 +15,7 @@ from hiltestbed.frames import Array
 
 
 def polyline(loop: list[Element], arc_step: float) -> Array:
-    """``(n, 2)`` points on the chain ``loop``, ends included, arcs in steps of at most ``arc_step``
-    [rad].
-    """
+    """``(n, 2)`` points on a chain, ends included, arcs in steps of ``arc_step`` [rad] or less."""
     points = [loop[0].a]
     for e in loop:
         if e.centre is not None:
@@ -67,9 +65,7 @@ def turn(points: Array, segments: int) -> tuple[Array, NDArray[np.int_]]:
 
 
 def _band(low: NDArray[np.int_], high: NDArray[np.int_]) -> list[tuple[int, int, int]]:
-    """Triangles between two rings, as numbers of vertices; a ring on the axis is one vertex,
-    repeated.
-    """
+    """Triangles between two rings of vertices; a ring on the axis is one vertex, repeated."""
     faces = []
     for k in range(len(low)):
         n = (k + 1) % len(low)
