@@ -20,7 +20,7 @@ from hiltestbed.config.sense import warnings
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.resolution import unconverged, with_half_the_step
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.contact.truth import axis_truth, normal_truth
+from hiltestbed.contact.touch import axis_truth, normal_truth
 from hiltestbed.effects.log import stamp_late
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.identification.least_squares import RecursiveLeastSquares

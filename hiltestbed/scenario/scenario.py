@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from hiltestbed import plugins
-from hiltestbed.compensation.section import Compensation
+from hiltestbed.compensation.settings import Compensation
 from hiltestbed.config.gallery import find_scenario
 from hiltestbed.config.mjcf import packed
 from hiltestbed.config.validation import (

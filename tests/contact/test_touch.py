@@ -82,12 +82,7 @@ def test_walls_that_meet_at_once_are_parallel_springs(tmp_path: Path, angle: flo
     for offset, number, size, row in (
         ((0.0, 0.0), 4, 4.0 * sine * sine, (0.0, 0.0, 1.0)),
         ((0.01, 0.0), 1, 1.0, (cosine, 0.0, sine)),
-        (
-            (0.01, 0.01),
-            2,
-            both,
-            np.array([cosine, cosine, 2.0 * sine]) / math.sqrt(2.0 * both),
-        ),
+        ((0.01, 0.01), 2, both, np.array([cosine, cosine, 2.0 * sine]) / math.sqrt(2.0 * both)),
     ):
         s = scenario(tmp_path, angle, False, **{"approach.offset": list(offset)})
         touch = first_touch(s)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hiltestbed.contact.truth import axis_truth
+from hiltestbed.contact.touch import axis_truth
 from hiltestbed.devices.motion import blend
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.scenario import Scenario

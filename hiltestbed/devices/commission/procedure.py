@@ -25,7 +25,7 @@ from hiltestbed.devices.session import Observed, Options, Row, Session
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, attitude_deg_from_quat, quat_from_attitude_deg
 from hiltestbed.scenario import Scenario, resolved, scenario_from
-from hiltestbed.sensor.effects.rotation import SensorRotation
+from hiltestbed.sensor.effects import SensorRotation
 
 FORCE = 100.0  # [N] of a press
 # relative difference of misfit within which two fits with equally many numbers are equivalent

@@ -29,7 +29,7 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Fit
 from hiltestbed.inference.model import Hypothesis, Model
-from hiltestbed.sensor.effects.delay import SensorDelay, SensorJitter
+from hiltestbed.sensor.effects import SensorDelay, SensorJitter
 
 SLOW_SHAPES = 3  # degree of the polynomials by which a model's error varies along a contact
 TIME_ERROR = 0.05  # [rows] error in time of an integration in steps
