@@ -6,16 +6,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.interface import Link
-from hiltestbed.devices.rdt import RdtServer
-from hiltestbed.devices.rsi_controller import RsiServer
 from hiltestbed.devices.session import Session
-from hiltestbed.devices.udp_device import UdpPlatformServer
+from hiltestbed.devices.sockets import Datagrams
 from hiltestbed.devices.watch import CommunicationLimits
 from hiltestbed.run_folder.store import read_run, write_run
 from hiltestbed.scenario import Scenario
@@ -36,16 +35,12 @@ def _strict(platform: str, **changes: object) -> Scenario:
 
 def _sends(link: Link, change: Callable[[bytes], list[bytes]]) -> None:
     """Have ``change`` done to every datagram that an emulated device sends in the coming cycle."""
-    if isinstance(link, UdpPlatformServer):
-        owner, name = link._receiver, "socket"
-    else:
-        assert isinstance(link, RdtServer | RsiServer)
-        owner, name = link, "_socket"
-    real = getattr(owner, name)
+    assert isinstance(link, Datagrams)
+    real: Any = link._socket
 
     class Once:
         def sendto(self, data: bytes, towards: tuple[str, int]) -> int:
-            setattr(owner, name, real)
+            link._socket = real
             for new in change(bytes(data)):
                 real.sendto(new, towards)
             return len(data)
@@ -53,7 +48,7 @@ def _sends(link: Link, change: Callable[[bytes], list[bytes]]) -> None:
         def __getattr__(self, attribute: str) -> object:
             return getattr(real, attribute)
 
-    setattr(owner, name, Once())
+    link._socket = Once()  # type: ignore[assignment]
 
 
 class Fault:

@@ -78,11 +78,7 @@ def _urls(sensor: str, platform: str) -> tuple[str, str, str, str]:
 def _port(server: Link) -> int:
     if isinstance(server, RdtServer):
         return server.address[1]
-    return (
-        server.controller.address[1]
-        if isinstance(server, RtdeSensorServer | RtdePlatformServer)
-        else 0
-    )
+    return server.address[1] if isinstance(server, RtdeSensorServer | RtdePlatformServer) else 0
 
 
 @contextmanager

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from hiltestbed.devices.interface import Event, Link, PlatformClient, PlatformServer, SensorClient
-from hiltestbed.devices.mailbox import attach
 from hiltestbed.devices.rdt import RdtServer
 from hiltestbed.devices.rsi import RsiClient
 from hiltestbed.devices.rtde_controller import RtdePlatformServer
+from hiltestbed.devices.shm import attach
 from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
 from tests.devices.independent import rtde_peer
 from tests.devices.running import START, free_ports, going, until
@@ -276,13 +276,13 @@ def test_rtde_server() -> None:
         server.publish(START, 0.0)
         state = _state(server)
         for k in range(COUNT):
-            with socket.create_connection(server.controller.address, 2.0) as stranger:
+            with socket.create_connection(server.address, 2.0) as stranger:
                 data = rng.bytes(int(rng.integers(3, 60)))
                 stranger.sendall(
                     data if k % 2 else struct.pack("!HB", 3 + len(data), ord("UIO"[k % 3])) + data
                 )
             server.poll()
-        until(lambda: server.poll() or not server.controller._clients)
+        until(lambda: server.poll() or not server._clients)
         assert _state(server) == state
         assert server.counts[Event.RECEIVED] == 0
 

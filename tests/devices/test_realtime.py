@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.devices.bench import _stolen, measure
-from hiltestbed.devices.clock import CycleClock
+from hiltestbed.devices.pace import CycleClock
 from hiltestbed.devices.realtime import prepared
 from hiltestbed.devices.recorder import Recorder
 from hiltestbed.devices.ring import Ring

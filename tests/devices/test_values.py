@@ -70,7 +70,7 @@ def _connected(protocol: str, role: str, options: str = "") -> Iterator[tuple]:
     with ExitStack() as stack:
         server = stack.enter_context(server_of(urls[1]))
         tells = isinstance(server, RtdePlatformServer | RtdeSensorServer)
-        port = server.controller.address[1] if tells else 0
+        port = server.address[1] if tells else 0
         client = client_of(urls[0].format(port=port))
         with going(publish, 0.002):
             stack.enter_context(client)
