@@ -121,9 +121,7 @@ class Packed:
     """
 
     def __init__(self, slave: Any, period: float, variables: Variables) -> None:
-        """``variables``: name, parts and present values of each group, and whether it is an
-        input.
-        """
+        """``variables``: name, parts and present values of each group, whether it is an input."""
         from pythonfmu3 import Float64
         from pythonfmu3 import Fmi3Causality as Causality
 

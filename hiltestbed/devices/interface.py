@@ -216,9 +216,7 @@ class SensorClient(Client):
         self.sample = self.reading = Reading()
 
     def bias(self) -> None:
-        """Tare the sensor at its present load. Raises DeviceError if the protocol has no such
-        request.
-        """
+        """Tare the sensor at its present load. Raises DeviceError if the protocol cannot."""
         raise DeviceError(
             f"{self.where}: this protocol cannot tare the sensor; tare in the loop instead"
         )

@@ -243,9 +243,7 @@ class Record:
         return True
 
     def pack(self, values: Array, sequence: int, time: float, flag: int = 0) -> bytes:
-        """The record of a wrench (6,) or a pose (7,); an integer field is rounded, and clipped at
-        its limits.
-        """
+        """The record of a wrench (6,) or pose (7,); integers are rounded and clipped."""
         values = poses.rotation_vector_from_pose(values) if self._turned else values
         known = dict(zip(self._names, values.tolist(), strict=True))
         known |= {"time": time, "sequence": sequence, self._flag: flag}

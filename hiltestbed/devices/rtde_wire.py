@@ -88,9 +88,7 @@ class Stream:
         self.connection.sendall(package(kind, payload))
 
     def receive(self) -> Iterator[tuple[int, bytes]]:
-        """The packages that have arrived completely. Raises Broken, and ConnectionError if the
-        other side has closed.
-        """
+        """The packages that have arrived completely. Raises Broken; ConnectionError if closed."""
         try:
             data = self.connection.recv(AT_ONCE)
         except BlockingIOError:

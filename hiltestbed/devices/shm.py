@@ -83,9 +83,7 @@ class Mailbox:
         self._words[1] = (lock + 1) & 0xFFFFFFFFFFFFFFFF
 
     def read(self) -> bool | None:
-        """True for a new message; False for none, or while the writer is active; None for a damaged
-        one.
-        """
+        """True for a new message; False for none, or one being written; None for a damaged one."""
         if int(self._words[2]) == self.number:
             return False
         damaged = False
@@ -119,9 +117,7 @@ class Mailbox:
 
 
 def make(name: str, where: str) -> Mailbox:
-    """Create a mailbox; ``where``: the device, for the message. Raises InputError if the name is
-    taken.
-    """
+    """Create a mailbox of the device ``where``. Raises InputError if the name is taken."""
     try:
         return Mailbox(SharedMemory(name, create=True, size=SIZE), owner=True)
     except FileExistsError:

@@ -79,9 +79,7 @@ class CommunicationWatch:
         self.stop = self.link.sample.implausible = None
 
     def check(self, new: bool) -> Stop | None:
-        """Call after the reads of a cycle; ``new``: whether there was a new sample. Returns
-        :attr:`stop`.
-        """
+        """Call after the reads of a cycle; ``new``: whether a sample was; returns :attr:`stop`."""
         self.link.counts[Event.LATE] += not new
         age = self.link.sample.age()
         if age > self.limits.stale:

@@ -231,9 +231,7 @@ class _Data:
         chosen: Sequence[Element],
         before: _Fit | None,
     ) -> _Fit:
-        """Least squares over rotation, delay and the ``chosen`` numbers, starting from a fit with
-        one number less.
-        """
+        """Least squares over rotation, delay and ``chosen``, from a fit with one number less."""
 
         def residuals(p: Array) -> Array:
             shown = self._shown(rotation @ _turn(p[:3]), 1e-3 * p[3], _calibration(chosen, p[4:]))
