@@ -20,9 +20,6 @@ ROOT = Path(hiltestbed.__file__).parent
 PAIRS = [
     ("contact.settings", "contact.sides"),
     ("effects.base", "effects.search"),
-    ("devices.rdt", "devices.rdt_page"),
-    ("devices.rsi", "devices.rsi_controller"),
-    ("devices.rtde", "devices.rtde_controller"),
     ("measured.apart", "measured.formats"),
     ("numerical_model.fmu", "numerical_model.kinds"),
     *(

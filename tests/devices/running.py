@@ -1,9 +1,10 @@
-"""What several tests of devices need: a device that goes on by itself, and a wait for something
-that another thread will do.
+"""What several tests of devices need: free addresses, a device that goes on by itself, and a wait
+for something that another thread will do.
 """
 
 from __future__ import annotations
 
+import os
 import random
 import socket
 import threading
@@ -68,3 +69,19 @@ def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> list[int]:
     for opened in held:
         opened.close()
     return ports
+
+
+def urls(scheme: str) -> tuple[str, str]:
+    """Of the loop's and of the device's side, at a free address."""
+    a, b = free_ports(2)
+    host, name = "127.0.0.1", f"shm://hiltestbed-test-{os.getpid()}-{a}"
+    return {
+        "rdt": (
+            f"rdt://{host}:{a}?counts_per_force=1e6&counts_per_torque=1e6",
+            f"rdt://{host}:{a}",
+        ),
+        "rsi": (f"rsi://{host}:{a}?connect=10", f"rsi://{host}:{a}?late_limit=1000000"),
+        "rtde": (f"rtde://{host}:{a}?connect=10", f"rtde://{host}:{a}"),
+        "udp": (f"udp://{host}:{a}?listen={b}&connect=10", f"udp://{host}:{a}?peer={b}"),
+        "shm": (name, name),
+    }[scheme]
