@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed.measured import examine
+from tests.equipment.independent_rig.log import write_set
 from tests.equipment.independent_rig.sets import draw_set
-from tests.equipment.independent_rig.writing import write_set
 from tests.equipment.robustness.distortions import DISTORTIONS
 from tests.slow import slow
 
