@@ -20,7 +20,7 @@ import numpy as np
 
 from hiltestbed.axis.dataset import LoadedAxis, load_axis
 from hiltestbed.axis.models import AxisModel
-from hiltestbed.axis.result import CLOSE, AxisCause, AxisFinding
+from hiltestbed.axis.result import CLOSE, AxisCause, AxisDiagnosis
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Conclusion, Confirmed, conclude
 from hiltestbed.inference.likelihood import Likelihood, independent
@@ -45,16 +45,6 @@ OF_ROTATION = {  # units of an axis that slides, and of one that turns
 Progress = Callable[[str], None]
 
 
-class AxisDiagnosis(AxisFinding):
-    """What was found on an axis, and its folder."""
-
-    def write(self, folder: str | Path) -> Path:
-        """Write the diagnosis folder. Raises InputError where it cannot be written."""
-        from hiltestbed.axis.report import write_axis_diagnosis
-
-        return write_axis_diagnosis(self, folder)
-
-
 def diagnose_axis(path: str | Path | LoadedAxis, progress: Progress | None = None) -> AxisDiagnosis:
     """The diagnosis of an axis.
 
@@ -65,21 +55,13 @@ def diagnose_axis(path: str | Path | LoadedAxis, progress: Progress | None = Non
     loaded = path if isinstance(path, LoadedAxis) else load_axis(path)
     model = loaded.model()
     found = diagnosed(model, progress)
-    return AxisDiagnosis(
-        loaded,
-        model,
-        found.verdict,
-        found.causes,
-        found.conclusion,
-        found.constant,
-        found.floors,
-        (*loaded.remarks, *found.remarks),
-        time.monotonic() - start,
-    )
+    remarks = (*loaded.remarks, *found.remarks)
+    elapsed = time.monotonic() - start
+    return AxisDiagnosis(loaded, model, *found[:5], remarks, elapsed)
 
 
 class Diagnosed(NamedTuple):
-    """What is found on the records of a model; the parts are those of an :class:`AxisFinding`."""
+    """What is found on the records of a model; the parts are those of an :class:`AxisDiagnosis`."""
 
     verdict: str
     causes: tuple[AxisCause, ...]

@@ -15,10 +15,9 @@ import pytest
 import hiltestbed
 from hiltestbed.cli import main
 from tests.equipment.diagnosis import run as bench
-from tests.equipment.diagnosis.reliability import reliability, wilson
 from tests.equipment.diagnosis.report import diagnosis_report
 from tests.equipment.diagnosis.run import diagnosis
-from tests.equipment.diagnosis.summary import groups, summarise
+from tests.equipment.diagnosis.summary import groups, reliability, summarise, wilson
 from tests.equipment.diagnosis.tasks import (
     COMPUTING_FULL,
     FULL,

@@ -13,8 +13,8 @@ import pytest
 
 from hiltestbed.config.yaml_source import dump_yaml, read_source
 from hiltestbed.measured import examine
+from tests.equipment.independent_rig.log import write_set
 from tests.equipment.independent_rig.sets import draw_set
-from tests.equipment.independent_rig.writing import write_set
 from tests.equipment.robustness.distortions import DISTORTIONS
 from tests.slow import slow
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from hiltestbed.config.piecewise import Pairs
 from hiltestbed.contact.effects.law import ContactMap
-from hiltestbed.diagnosis.learned.curves import Block
-from hiltestbed.diagnosis.learned.selection import Choices
+from hiltestbed.diagnosis.learned.selection import Block, Choices
 from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
