@@ -7,7 +7,7 @@ from __future__ import annotations
 import fnmatch
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -50,12 +50,12 @@ class Device:
     files: Mapping[str, str]
     kind: Literal["drive", "servo", "damper", "sensor"]
     units: tuple[str, str]
-    nominal: Mapping[str, float]
     fit: tuple[str, ...]
     left_out: tuple[str, ...]
-    published: Mapping[str, float]
     records: Callable[[Path], list[Record]]
     expert: Callable[[Sequence[Record]], Predictor]
+    nominal: Mapping[str, float] = field(default_factory=dict)
+    published: Mapping[str, float] = field(default_factory=dict)
 
     def absent(self, data: Path) -> list[str]:
         """Files that are not below `data`, or whose content is not the one that was described."""
