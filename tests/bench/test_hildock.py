@@ -14,11 +14,26 @@ import numpy as np
 import pytest
 
 from hiltestbed.bench.hildock.door import UdpEntrant
-from hiltestbed.bench.hildock.methods import METHODS, PhaseLead, Resynchronised, Uncompensated
-from hiltestbed.bench.hildock.problem import TICK, Case, cases, draws, play, reference
-from hiltestbed.bench.hildock.score import causal_bound, indices, percentile_95, rebound
-from hiltestbed.bench.hildock.shipped import shipped
-from hiltestbed.bench.hildock.touch import TouchFitted
+from hiltestbed.bench.hildock.methods import (
+    METHODS,
+    PhaseLead,
+    Resynchronised,
+    TouchFitted,
+    Uncompensated,
+    shipped,
+)
+from hiltestbed.bench.hildock.problem import (
+    TICK,
+    Case,
+    cases,
+    causal_bound,
+    draws,
+    indices,
+    percentile_95,
+    play,
+    rebound,
+    reference,
+)
 from hiltestbed.errors import HiltestbedError, InputError
 
 QUICK = cases(quick=True)
