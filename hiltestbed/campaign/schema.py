@@ -29,6 +29,12 @@ FIGURES = (
 # a day on a thousand cores; a larger number is assumed to be a typing error
 CASE_LIMIT = 10_000_000
 
+WAYS = ("values", "uniform", "log_uniform", "normal")  # in which a key can vary
+Count = Annotated[int, Field(ge=1, description="Number of cases")]
+PointSeed = Annotated[
+    int, Field(ge=0, description="Seed of the points; the same seed, the same points")
+]
+
 
 class Variation(Strictly):
     """How one key varies: exactly one of values, uniform, log_uniform and normal."""
@@ -48,11 +54,7 @@ class Variation(Strictly):
     @property
     def kind(self) -> str:
         """Which of the four is given."""
-        return next(
-            name
-            for name in ("values", "uniform", "log_uniform", "normal")
-            if getattr(self, name) is not None
-        )
+        return next(name for name in WAYS if getattr(self, name) is not None)
 
     @model_validator(mode="after")
     def _is_one(self) -> Variation:
@@ -87,17 +89,12 @@ class Variation(Strictly):
 
 
 def _variation_problems(variation: Variation) -> Iterator[Problem]:
-    given = [
-        name
-        for name in ("values", "uniform", "log_uniform", "normal")
-        if getattr(variation, name) is not None
-    ]
+    given = [name for name in WAYS if getattr(variation, name) is not None]
     if len(given) != 1:
         got = ", ".join(given) or "none"
         yield (
             (),
-            f"needs one way to vary (got {got}); allowed is exactly one of values, uniform, "
-            f"log_uniform, normal",
+            f"needs one way to vary (got {got}); allowed is exactly one of {', '.join(WAYS)}",
         )
         return
     kind, limits = given[0], getattr(variation, given[0])
@@ -130,10 +127,8 @@ class Sobol(Strictly):
     kind: Literal["sobol"] = Field(
         default="sobol", description="Design. sobol: scrambled Sobol points"
     )
-    cases: Annotated[int, Field(ge=1)] = Field(description="Number of cases")
-    seed: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="Seed of the points; the same seed, the same points"
-    )
+    cases: Count
+    seed: PointSeed = 0
 
 
 class Random(Strictly):
@@ -142,10 +137,8 @@ class Random(Strictly):
     kind: Literal["random"] = Field(
         default="random", description="Design. random: independent random points"
     )
-    cases: Annotated[int, Field(ge=1)] = Field(description="Number of cases")
-    seed: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="Seed of the points; the same seed, the same points"
-    )
+    cases: Count
+    seed: PointSeed = 0
 
 
 class Campaign(Strictly):

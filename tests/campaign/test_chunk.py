@@ -11,11 +11,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from hiltestbed.campaign.chunk import run_chunk
+from hiltestbed.campaign.cases import skeleton, structural_keys
+from hiltestbed.campaign.chunk import run_chunk, trace_sha256
 from hiltestbed.campaign.columns import SCALARS, table
-from hiltestbed.campaign.digest import trace_sha256
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
-from hiltestbed.campaign.structure import skeleton, structural_keys
 from hiltestbed.campaign.sweep import case_scenario, planned_chunks
 from hiltestbed.scenario import scenario_from
 from hiltestbed.simulation import run

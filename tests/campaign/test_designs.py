@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.campaign.designs import case_seed, case_values
+from hiltestbed.campaign.cases import case_seed, case_values
 from hiltestbed.campaign.schema import load_campaign
 
 VARY = (
