@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hiltestbed.errors import InputError
+from hiltestbed.run_folder.folders import free_folder
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -38,6 +40,27 @@ def complete(incomplete: str) -> list[str]:
         for name in (*files, *scenario_names(), *campaign_names())
         if name.startswith(incomplete)
     ]
+
+
+ScenarioFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="Scenario file, or the name of a shipped one.",
+        autocompletion=complete,
+    ),
+]
+
+
+def result_folder(out: Path | None, label: str) -> Path:
+    """``out``, or if left out a folder below `runs` that does not exist yet."""
+    return out if out is not None else free_folder(Path("runs") / label)
+
+
+def print_json(found: dict[str, Any], folder: Path | None = None) -> None:
+    """One JSON object on standard output, with the folder of the result."""
+    about = {"folder": str(folder)} if folder is not None else {}
+    print(json.dumps(found | about, allow_nan=False))
 
 
 def overrides(sets: list[str] | None) -> dict[str, Any]:
