@@ -114,7 +114,8 @@ def bench(
         raise HiltestbedError(
             f"interrupted; the same command with --out {folder} goes on from {keep['keep']}"
         ) from None
-    called: dict[str, object] = ({"quick": True} if quick else {}) | chosen
+    called: dict[str, object] = {"quick": True} if quick else {}
+    called |= chosen
     for option, value in more.items():
         name_of = "for" if option == "minutes" else option
         called[name_of] = str(value) if isinstance(value, Path) else value

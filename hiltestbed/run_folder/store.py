@@ -158,9 +158,9 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True, report: bool = 
 
                 write_recording(folder / RECORDING, run)
         if report:
-            from hiltestbed.report.run import REPORT, write_run_report
+            from hiltestbed.report.run import REPORT, run_report
 
-            write_run_report(run, folder / REPORT)
+            run_report(run).write(folder / REPORT)
         if run.failure is not None:
             np.savez(folder / FAILURE, **flatten(run.failure))  # type: ignore[arg-type]
     return path
