@@ -136,14 +136,13 @@ class Tally:
         """The numerical model's twist ``(n, 6)`` before the first tick."""
         self._twist[:] = twist
 
-    def update(
+    def taking(
         self,
-        k: int,
         rig: tuple[Array, Array, Array, NDArray[np.bool_]],
         pose_before: Array,
         drive: tuple[Array, Array],
-    ) -> None:
-        """Update the figures with tick k.
+    ) -> Callable[[int], None]:
+        """The update with tick k: a call with k, bound to arrays with fixed memory.
 
         Args:
             rig: physical wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)`` and contact ``(n,)``
@@ -151,15 +150,6 @@ class Tally:
             pose_before: ``(n, 7)`` pose that had been commanded for t_k.
             drive: used wrench and new twist of the numerical model, ``(n, 6)`` each.
         """
-        self.taking(rig, pose_before, drive)(k)
-
-    def taking(
-        self,
-        rig: tuple[Array, Array, Array, NDArray[np.bool_]],
-        pose_before: Array,
-        drive: tuple[Array, Array],
-    ) -> Callable[[int], None]:
-        """:meth:`update` bound to arrays with fixed memory; it is called with k."""
         return self._update.on(*rig, pose_before, *drive)
 
     def parted(self, alive: NDArray[np.bool_]) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.campaign.boundary import closed_contact_delay
+from hiltestbed.analysis.spring_damper import SpringDamper
 from hiltestbed.report.page import Report, new_figure
 
 COLUMNS = (
@@ -176,7 +176,7 @@ def _boundary(boundary: dict[str, Any]):
     names = [name for name in boundary if name not in ("frequency", "delay", "damping_ratio")]
     figure, axes = new_figure(13, 3.8, ncols=len(names), sharey=True)
     w, z = 2.0 * math.pi * frequency, boundary["damping_ratio"]
-    limit = [1e3 * closed_contact_delay(w_i**2, 2.0 * z * w_i, 1.0) for w_i in w]  # for a unit mass
+    limit = [1e3 * SpringDamper(v**2, 2.0 * z * v, 1.0).critical_delay for v in w]  # of a unit mass
     for axis, name in zip(axes, names, strict=True):
         e = np.array(boundary[name])
         mesh = axis.pcolormesh(

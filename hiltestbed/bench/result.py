@@ -50,23 +50,12 @@ def write_bench(
     content = {"name": result.name, **made, "records": result.records, "summary": result.summary}
     page = deepcopy(result.report)
     page.heading("How it was made")
-    called = " ".join(
-        [
-            "bench",
-            result.name,
-            *(
-                f"--{name}" if value is True else f"--{name} {value}"
-                for name, value in options.items()
-            ),
-        ]
-    )
-    page.table(
-        ("item", "version, or start of the SHA-256"),
-        [("command", called), *provenance(made["versions"], made["plugins"])],
-    )
+    flags = [f"--{n}" if value is True else f"--{n} {value}" for n, value in options.items()]
+    called = " ".join(["bench", result.name, *flags])
+    rows = [("command", called), *provenance(made["versions"], made["plugins"])]
+    page.table(("item", "version, or start of the SHA-256"), rows)
+    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     with whole_folder(path, mark=BENCH) as folder:
-        (folder / BENCH).write_text(
-            json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8"
-        )
+        (folder / BENCH).write_text(text, encoding="utf-8")
         page.write(folder / REPORT)
     return path

@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.analysis.ledger import effective_mass
+from hiltestbed.analysis.spring_damper import SpringDamper
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
 
@@ -31,17 +32,6 @@ LONGEST = 6.0  # in units of 1/w; an undamped bounce takes pi
 _STEPS = 61
 # damping ratio up to which these formulas have been compared with simulations
 HIGHEST_DAMPING = 0.6
-
-
-def closed_contact_delay(stiffness: float, damping: float, mass: float) -> float:
-    """The delay [s] beyond which a closed contact oscillates with growing amplitude.
-
-    For stiffness [N/m], damping [N s/m], reduced mass [kg]: tau = atan(c w/k)/w with w^2 = (c^2 +
-    sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2). atan(c w/k) is the phase lead of the damper, which the delay
-    uses up.
-    """
-    w = math.sqrt((damping**2 + math.sqrt(damping**4 + 4 * mass**2 * stiffness**2)) / (2 * mass**2))
-    return math.atan(damping * w / stiffness) / w
 
 
 def bounce_delay(stiffness: float, damping: float, mass: float) -> float:
@@ -139,4 +129,4 @@ def margin(scenario: Scenario) -> tuple[float, float]:
     """
     delay = SensorParameters.believed(scenario.sensor).with_effects(scenario.effects).delay
     law = (*acting_along_z(scenario), effective_mass(scenario))
-    return delay - closed_contact_delay(*law), delay - bounce_delay(*law)
+    return delay - SpringDamper(*law).critical_delay, delay - bounce_delay(*law)

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from hiltestbed.analysis.spring_damper import SpringDamper
 from hiltestbed.campaign.boundary import (
     applies,
     bounce_cor,
     bounce_delay,
-    closed_contact_delay,
     margin,
     neutral,
 )
@@ -47,7 +47,7 @@ def test_a_bounce_that_may_pull_is_neutral_where_a_closed_contact_is(zeta: float
     """The two differ by the shape of half a period against a whole one: below 2 % in the delay
     while w tau < 0.5.
     """
-    w_tau = closed_contact_delay(1.0, 2 * zeta, 1.0)
+    w_tau = SpringDamper(1.0, 2 * zeta, 1.0).critical_delay
     slope = 0.5 * math.pi  # of ln e over w tau
     assert abs(math.log(bounce_cor(zeta, w_tau, pulls=True))) < 0.02 * slope * w_tau
 
@@ -57,7 +57,7 @@ def test_a_bounce_that_cannot_pull_is_neutral_earlier_by_the_missing_pull(zeta: 
     """Leaving at v0, the force would pull from x = c v0/k to 0, an impulse of c^2 v0/(2 k): 2
     zeta^2 in e, so 4 zeta^2/pi in w tau.
     """
-    earlier = closed_contact_delay(1.0, 2 * zeta, 1.0) - neutral(zeta)
+    earlier = SpringDamper(1.0, 2 * zeta, 1.0).critical_delay - neutral(zeta)
     assert earlier == pytest.approx(4 * zeta**2 / math.pi, rel=0.1)
 
 
@@ -100,7 +100,7 @@ def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it(
 ) -> None:
     """Latched, so that it pulls too: 1 % of delay on either side tells, up to w tau = 0.5."""
     damping = 2 * zeta * math.sqrt(5.0e3 * 50.0)
-    delay = closed_contact_delay(5.0e3, damping, 50.0)
+    delay = SpringDamper(5.0e3, damping, 50.0).critical_delay
     closed = {
         "mechanism.kind": "latched",
         "approach.gap": 0.0,
