@@ -64,9 +64,7 @@ class RigSide(Protocol):
 
 
 class SensorSide(Protocol):
-    """The force sensor as seen by the loop; implemented by
-    :class:`~hiltestbed.sensor.sensor.Sensor`.
-    """
+    """The force sensor, :class:`~hiltestbed.sensor.sensor.Sensor`, as seen by the loop."""
 
     reading: Array
 
@@ -174,9 +172,7 @@ class Loop:
         self.k = k + 1
 
     def _kept(self, trace: Trace | None) -> Callable[[int], bool]:
-        """The call that updates figures, contacts and the row of a tick, and returns whether a run
-        is lost.
-        """
+        """The call that updates figures, contacts and row; returns whether a run is lost."""
         drive, (traced, pose, twist, wrench) = self.drive, self._keeping
         if (
             trace is not traced
@@ -197,9 +193,7 @@ class Loop:
         return self._keep
 
     def row_of(self, trace: Trace) -> Callable[[int], None]:
-        """The call that writes row k of a trace: the readings at t_k and the commands computed from
-        them.
-        """
+        """The call that writes row k: the readings at t_k and the commands from them."""
         drive, plant, known = self.drive, self.plant, self.measurement
         now = {
             "pose_cmd": drive.pose,
@@ -268,9 +262,7 @@ def _write_flags(k, now, rows):
 
 @njit(cache=True)
 def _lost(pose, limit, alive, diverged):
-    """Whether a run that was alive has exceeded ``limit`` or become non-finite, in the numerical
-    model or in the rig.
-    """
+    """Whether a live run has left ``limit`` or the finite numbers, in the model or the rig."""
     for i in range(pose.shape[0]):
         if alive[i]:
             if diverged[i]:

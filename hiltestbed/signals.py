@@ -1,6 +1,4 @@
-"""Named signals on a time base: the columns of a trace, with unit and frame, and the arrays behind
-them.
-"""
+"""Named signals on a time base: a trace's columns, with unit and frame, and their arrays."""
 
 from __future__ import annotations
 
@@ -172,9 +170,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         joints: tuple[str, ...] = SIX_SLIDERS,
         moving: MovingParts = (),
     ) -> None:
-        """``joints``: units of the platform's driven joints; ``moving``: joints of the
-        mechanism.
-        """
+        """``joints``: units of the driven joints; ``moving``: joints of the mechanism."""
         self.t, self.data, self.contact, self.joints = t, data, contact, joints
         self.moving = moving
         super().__init__(t=t)
@@ -222,9 +218,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         return {name: about_column(name, self.joints, self.moving) for name in self}
 
     def to_pandas(self):
-        """A pandas DataFrame, time [s] as its index; ``attrs`` holds unit, frame and meaning of
-        each column.
-        """
+        """A pandas DataFrame over time [s]; ``attrs``: unit, frame, meaning of each column."""
         try:
             import pandas as pd
         except ImportError:
@@ -270,9 +264,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         return xr.Dataset(variables, coordinates)
 
     def plot(self, *names: str, axes: Axes | None = None) -> Axes:
-        """Columns or groups over time, with contacts shaded; returns the Matplotlib axes. Raises
-        UnknownColumn.
-        """
+        """Columns or groups over time, contacts shaded; the axes. Raises UnknownColumn."""
         from hiltestbed.report.curves import PALETTE, shade_contacts
 
         names = names or ("wrench_meas.fz",)

@@ -1,6 +1,4 @@
-"""Runs and batches of runs: the loop from the first tick to the last, the reference run, and the
-results.
-"""
+"""Runs and batches: the loop from the first tick to the last, the reference, the results."""
 
 from __future__ import annotations
 
@@ -57,9 +55,7 @@ class Batch:
 
 
 def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) -> Run:
-    """Run one scenario, with its trace, its reference, and the stability of its loop in a
-    contact.
-    """
+    """Run one scenario, with its trace, its reference, and its stability in a contact."""
     done = run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
     done.summary["stability"] = stability(scenario)
     return done
@@ -286,9 +282,7 @@ def _identifiable_axes(loop: Loop, i: int) -> int:
 
 
 def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
-    """The values identified along the contact normal before latching, for a mechanism whose
-    surfaces are not one plane.
-    """
+    """The values along the contact normal before latching, for surfaces that are no plane."""
     estimate, mechanism = loop.identification, loop.scenarios[i].mechanism
     if not isinstance(estimate, RecursiveLeastSquares) or mechanism.flat or mechanism.captured:
         return {}
@@ -299,9 +293,7 @@ def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _capture(loop: Loop, i: int) -> dict[str, Any]:
-    """The phases of a mechanism with phases, each with the time at which it began [s], None if it
-    has not begun.
-    """
+    """The phases of a mechanism that has them, each with its beginning [s], or None."""
     phases, rate = loop.plant.phases, loop.scenarios[i].rate
     if phases is None:
         return {}
@@ -310,9 +302,7 @@ def _capture(loop: Loop, i: int) -> dict[str, Any]:
 
 
 def _monitored(loop: Loop, i: int) -> dict[str, Any]:
-    """Result of process monitoring for a run that requests it; wear is judged by the values
-    identified along z.
-    """
+    """Result of process monitoring, if requested; wear by what was identified along z."""
     if loop.monitor is None or loop.scenarios[i].monitoring is None:
         return {}
     estimate, contact = loop.identification, None

@@ -70,9 +70,7 @@ def test_a_bounce_through_a_second_order_and_a_delay(band, zeta, late, ratio, ma
 
 
 def light_tip(k: float, c: float, **more):
-    """A probe of which the contact's normal in the cone moves little mass, a spring and a damper,
-    no compensation.
-    """
+    """A probe, little of whose mass a cone's normal moves; spring, damper, no compensation."""
     bodies = {
         "chaser": {
             "mass": 750.0,
@@ -127,9 +125,7 @@ def test_a_bounce_in_a_cone_is_foretold(k, c, damped, stable) -> None:
 
 
 def test_the_delay_that_a_bounce_bears() -> None:
-    """At the largest delay a bounce ends as fast as it began, whichever ends first: that, or the
-    damping of what stays.
-    """
+    """At the largest delay a bounce ends as fast as it began, or its damping is used up."""
     said = stability(light_tip(1.0e5, 6000.0))
     assert said is not None
     for factor, stable in ((0.98, True), (1.02, False)):
@@ -313,9 +309,7 @@ def test_a_bounce_that_is_not_the_first_contacts_says_to_which_side_it_is() -> N
     ],
 )
 def test_what_gives_way_behind_the_contact_is_in_the_bounce_that_is_foretold(gives) -> None:
-    """A frame takes part of the deflection, and its part of the damper's work: the rebound is 0.91
-    without it.
-    """
+    """A frame takes part of deflection and damper's work: without it the rebound is 0.91."""
     s = load_scenario(
         SCENARIOS / "02-bumper.yaml",
         {"effects": [gives], "compensation": {"force": {"kind": "none"}}},
@@ -338,9 +332,7 @@ def test_what_is_not_in_the_bounce_that_is_foretold_is_said() -> None:
 
 
 def test_a_stiffness_that_an_effect_of_the_contact_does_not_bear_is_not_simulated() -> None:
-    """A frame of a gram on a spring of 1 GN/m would ring in 1,250 steps an instant, which no
-    scenario may.
-    """
+    """A gram on 1 GN/m would ring in 1,250 steps an instant, which no scenario may."""
     ringing = {"kind": "frame.mode", "frequency": 1.0e4, "damping_ratio": 0.1, "mass": 1e-3}
     simulated = first_contact(load_scenario(SCENARIOS / "02-bumper.yaml", {"effects": [ringing]}))
     assert simulated is not None

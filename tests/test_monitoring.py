@@ -53,9 +53,7 @@ def test_noise_alone_is_no_touch() -> None:
 
 
 def test_a_stop_behind_a_spring_is_a_seat() -> None:
-    """A second spring, five times as stiff, 0.5 mm in: the stiffness over 20 ms rises from k to 6
-    k.
-    """
+    """A second spring, 5 k, 0.5 mm in: the stiffness over 20 ms rises from k to 6 k."""
     contact = Contact(2.0, 0.005, 0.05)
     stop = {"kind": "contact.hard_stop", "position": 1.2e-3, "stiffness": 5.0 * contact.stiffness}
     scenario = replace(contact, changes={"effects": [stop]}).scenario(FORCE)
@@ -87,9 +85,7 @@ def _estimates(contact: Contact, seeds: range) -> list[ContactEstimate]:
 
 
 def test_a_scenario_asks_for_it() -> None:
-    """The shipped one: 2 % softer than three contacts of which each is known to 0.04 %: 40
-    sigma.
-    """
+    """The shipped one: 2 % softer than three contacts known to 0.04 % each: 40 sigma."""
     batch = simulate([load_scenario(SCENARIOS / "24-worn-buffer.yaml")])
     found = batch.outcomes[0]["monitoring"]
     figures = batch.figures[0]

@@ -90,9 +90,7 @@ def test_tracking_error() -> None:
 
 
 def test_limb_angle() -> None:
-    """A sideways drift x leans the vertical links, which keep their length L = 1.1 m: sin(angle) =
-    x/L.
-    """
+    """A sideways drift x leans vertical links of L = 1.1 m: sin(angle) = x/L."""
     scenario = _bumper(
         approach__gap=0.01, approach__velocity=[0.2, 0.0, 0.0], safety__limb_angle_deg=8.0
     )

@@ -54,9 +54,7 @@ def critical_damping(mass: float, stiffness: float) -> float:
 
 
 def latched(damping: float):
-    """A contact that pulls, too, so that the loop is linear, behind a platform that is a second
-    order with a delay.
-    """
+    """A contact that pulls, too: a linear loop, behind a second order with a delay."""
     effects = [
         {"kind": "platform.delay", "delay": LATE},
         {"kind": "platform.lag", "bandwidth": BAND},
@@ -207,9 +205,7 @@ def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
 
 
 def slow_across(damping: float):
-    """A latch behind a platform that is slow along x alone, ports at the centres of mass: each axis
-    for itself.
-    """
+    """A latch behind a platform that is slow along x alone, ports at the centres of mass."""
     answer = {
         "bandwidth": [4.0, 30.0, 30.0, 30.0, 30.0, 30.0],
         "damping_ratio": 0.7,

@@ -48,9 +48,7 @@ def assess(summary: dict[str, Any]) -> Assessment:
 
 
 def monitored(summary: dict[str, Any]) -> tuple[str, str] | None:
-    """Result of process monitoring: the events in order, and wear; None if the scenario does not
-    request it.
-    """
+    """Result of process monitoring: events in order, and wear; None if it is not requested."""
     found = summary.get("monitoring")
     if not found:
         return None
@@ -172,9 +170,7 @@ def _warnings(summary: dict[str, Any]) -> list[str]:
 
 
 def identified(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The estimates on each axis that has one, and along the normal of a contact whose surface is
-    not one plane.
-    """
+    """The estimates on each axis that has one, and along the normal of a curved contact."""
     every = summary["identification"] | (
         {"normal": summary["identification_normal"]} if "identification_normal" in summary else {}
     )
@@ -206,9 +202,7 @@ def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def _lags_later(summary: dict[str, Any]) -> bool:
-    """Whether the rig makes energy in a later touch, whose line a compensation of the platform does
-    not know in advance.
-    """
+    """Whether the rig makes energy in a later touch, whose line the compensation does not know."""
     ways = (summary.get("stability") or {}).get("directions", ())
     return any(
         way["direction"].endswith("later touch") and (way.get("rig_energy") or 0.0) > NEUTRAL

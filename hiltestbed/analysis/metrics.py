@@ -162,9 +162,7 @@ class Tally:
         return self._settled
 
     def first_contact(self, i: int) -> tuple[Array, Array, Array]:
-        """Of run ``i``: impulse (6,) about A of the wrench used in the first contact; twists (6,)
-        before and after it, or NaN.
-        """
+        """Of run ``i``: impulse (6,) about A of the first contact; twists before, after; or NaN."""
         return self._first_impulse[i], self._speeds[i, 0], self._speeds[i, 1]
 
     def figures(self, i: int) -> ContactFigures:

@@ -79,9 +79,7 @@ def mujoco_parameters(contact: SpringDamper) -> PairParameters:
 
 
 def positive_solref(contact: SpringDamper) -> tuple[float, float] | None:
-    """(timeconst [s], dampratio [-]) of the same contact; None without damping, which that form
-    cannot say.
-    """
+    """(timeconst [s], dampratio [-]) of the same contact; None without damping."""
     if contact.damping == 0.0:
         return None
     return 2.0 * contact.mass / contact.damping, contact.damping_ratio
@@ -111,9 +109,7 @@ def bounce_in_mujoco(
     speed: float,
     step: float | None = None,
 ) -> Drop:
-    """The bounce of a ball on a plate with these parameters, in steps of ``step`` [s]; None: as
-    small as the contact needs.
-    """
+    """A ball's bounce on a plate in steps of ``step`` [s]; None: as small as the contact needs."""
     spec = _bodies(masses)
     first, second = spec.body("a"), spec.body("b")
     first.add_geom(name="a", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0, 0])
@@ -169,9 +165,7 @@ def pair_in_mjcf(
 
 
 def _bodies(masses: tuple[float, float]) -> mujoco.MjSpec:
-    """A model of two bodies, ``a`` above ``b``, without gravity; a mass that is infinite stands
-    still.
-    """
+    """Two bodies, ``a`` above ``b``, without gravity; an infinite mass stands still."""
     spec = mujoco.MjSpec()
     spec.option.gravity = [0.0, 0.0, 0.0]
     for name, mass in zip("ab", masses, strict=True):

@@ -23,9 +23,7 @@ SAME = 2e-3
 
 
 class Rebounds:
-    """Bounces of a contact ``way`` on a rig with a response; ``simulated`` simulates them, None:
-    they are only computed.
-    """
+    """Bounces of a contact ``way`` on a rig; ``simulated`` simulates them, None: only computed."""
 
     def __init__(
         self, response: RigResponse, way: Direction, simulated: FirstContact | None = None
@@ -35,9 +33,7 @@ class Rebounds:
         self.lag = lag_of(response)
 
     def first(self, delay: float, stiffness: float) -> Bounce:
-        """The bounce of the contact itself; if it equals the computed one, no further bounce is
-        simulated.
-        """
+        """The contact's own bounce; if it equals the computed one, no further one is simulated."""
         found = self.at(delay, stiffness)
         if abs(self._factor - 1.0) < SAME:
             self._simulated, self._factor = None, 1.0
@@ -63,9 +59,7 @@ class Rebounds:
         return Bounce(through.rebound * self._factor, through.energy + found.energy - beside.energy)
 
     def slower(self, delay: float, stiffness: float) -> bool:
-        """Whether a bounce ends slower than it began, by the computed rebound times the factor of
-        the last simulated one.
-        """
+        """Whether a bounce ends slower than it began: computed, times the last one's factor."""
         return self._computed(delay, stiffness).rebound * self._factor < 1.0
 
     def settled(

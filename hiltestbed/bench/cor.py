@@ -121,9 +121,7 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
 def _unless_failed(
     contender: Contender, failed: dict[str, str], measured: Callable[[], T]
 ) -> T | None:
-    """Result of ``measured``. If a method of the user raises, None, with the reason in ``failed``:
-    the other methods are still measured.
-    """
+    """Result of ``measured``; None if a user's method raises, with the reason in ``failed``."""
     if contender.name in failed:
         return None
     try:
@@ -143,9 +141,7 @@ def _conditions(quick: bool) -> list[tuple[str, str]]:
 
 
 def _takes_part(contender: Contender, condition: tuple[str, str], quick: bool) -> bool:
-    """A quick run includes every method under ideal conditions, and the leading and the user's
-    methods under other conditions.
-    """
+    """Quick: every method under ideal conditions, the leading and the user's under others too."""
     leads = contender.own or contender.name.startswith((BEST, "phase_lead"))
     return not quick or leads or condition == ("ideal", "exact")
 
@@ -295,9 +291,7 @@ def _costly() -> list[Contact]:
 
 
 def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
-    """Microseconds per sim-tick of the method, in addition to the numerical model, in a batch of 64
-    runs in contact.
-    """
+    """Microseconds per sim-tick beyond the numerical model's, in a batch of 64 runs in contact."""
     loop = Loop([c.scenario(contender.force(c)) for c in _costly()])
     craft, plant = loop.model, loop.plant
     assert isinstance(plant, Plant)  # the simulated side
@@ -324,9 +318,7 @@ def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
 def leaderboard(
     records: Sequence[dict[str, Any]], costs: dict[tuple[str, str], float | None]
 ) -> list[dict[str, Any]]:
-    """One row per method and knowledge of the contact, best first; a method with a run that never
-    rebounded ranks last.
-    """
+    """A row per method and knowledge of the contact, best first; without a rebound it is last."""
     rows = []
     for name, contact in dict.fromkeys((r["method"], r["contact"]) for r in records):
         mine = [r for r in records if (r["method"], r["contact"]) == (name, contact)]

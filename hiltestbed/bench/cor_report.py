@@ -97,17 +97,13 @@ def _leaderboard(report: Report, board: Sequence[dict[str, Any]]) -> None:
 
 
 def _error(row: dict[str, Any], key: str) -> str:
-    """The largest error; a dash if nothing was measured under the condition, `lost` if a run gave
-    no rebound.
-    """
+    """The largest error; a dash if nothing was measured, `lost` if a run gave no rebound."""
     value = row[key]
     return f"{value:.4f}" if value is not None else "lost" if row["runs"][key] else "-"
 
 
 def _heat_maps(records: Sequence[dict[str, Any]]):
-    """One map per method, on a common colour scale: cells show the number, and are white if it
-    rounds to zero.
-    """
+    """One map per method, on one colour scale; a cell is white if its number rounds to zero."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import SymLogNorm
 
@@ -136,9 +132,7 @@ def _heat_maps(records: Sequence[dict[str, Any]]):
 def worst_errors(
     records: Sequence[dict[str, Any]], frequencies: Sequence[float], delays: Sequence[float]
 ) -> np.ndarray:
-    """``(frequencies, delays)`` error of largest magnitude over the damping ratios; NaN if a
-    contact gave no rebound.
-    """
+    """``(frequencies, delays)`` the largest errors over the damping ratios; NaN: no rebound."""
     values = np.zeros((len(frequencies), len(delays)))
     for r in records:
         i, j = frequencies.index(r["frequency"]), delays.index(r["delay"])

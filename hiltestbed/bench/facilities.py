@@ -55,9 +55,7 @@ def facilities(quick: bool = False, progress: Progress | None = None) -> BenchRe
 
 
 def facilities_entered() -> dict[str, dict[str, Any]]:
-    """Name to `rig.platform` of all that take part: every kind of platform, also of plugins, in its
-    variants.
-    """
+    """Name to `rig.platform`: every kind of platform, also of plugins, in its variants."""
     return {
         name: dict(settings)
         for platform in PLATFORMS.values()
@@ -66,9 +64,7 @@ def facilities_entered() -> dict[str, dict[str, Any]]:
 
 
 def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:
-    """A contact of a bumper with the given stiffness [N/m] between two free bodies, within reach of
-    every facility.
-    """
+    """A bumper of a stiffness [N/m] between two free bodies, within reach of every facility."""
     base = load_scenario(shipped("scenarios") / "18-stewart.yaml")
     damping = 2.0 * RATIO * math.sqrt(stiffness * effective_mass(base))
     keys = {"mechanism.contact.stiffness": stiffness, "mechanism.contact.damping": damping}
@@ -83,9 +79,7 @@ def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:
 
 
 def docking(platform: dict[str, Any]) -> Scenario:
-    """A probe that meets its cone 30 mm off the axis, in a plane in which every facility can
-    move.
-    """
+    """A probe that meets its cone 30 mm off the axis, in a plane in which all facilities move."""
     keys = {
         "rig.platform": platform,
         "approach.offset": [0.03, 0.0],
@@ -111,9 +105,7 @@ def treated(
 
 
 def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
-    """Name to compensation and identification; for freely moving bodies only the uncompensated
-    case.
-    """
+    """Name to compensation and identification; of freely moving bodies only the uncompensated."""
     platform = scenario.rig.platform
     if platform.physical:
         return {"as it is": (NONE, "none")}
@@ -186,9 +178,7 @@ def tuned(runs: list[Scenario], wanted: list[float | None]) -> list[Scenario]:
 
 
 def _dockings(platform: dict[str, Any]) -> list[dict[str, Any]]:
-    """Records of the docking with the default compensation and without, with the capture time of
-    the reference.
-    """
+    """Records of the docking, compensated by default and not, with the reference's capture time."""
     scenario = docking(platform)
     reference = simulate([reference_scenario(scenario)]).outcomes[0]
     out = []
@@ -353,9 +343,7 @@ def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
 
 
 def _errors(worst: list[dict[str, Any]]):
-    """One group of bars per facility: uncompensated, the field's usual compensation, the
-    default.
-    """
+    """One group of bars per facility: uncompensated, the field's usual method, the default."""
     names = list(dict.fromkeys(w["facility"] for w in worst))
     figure, axes = new_figure(9.0, 3.8)
     colors = {"uncompensated": "0.55", "default": "C0", "as it is": "C2"}

@@ -37,9 +37,7 @@ CALIBRATION = Contact(4.0, 0.01, 0.05)
 
 
 def identification(quick: bool = False, progress: Progress | None = None) -> BenchResult:
-    """All methods on the whole grid at 0.2 % noise, and on its corners at other noise levels;
-    ``quick``: only corners at 0.2 % noise.
-    """
+    """All methods: all contacts at 0.2 % noise, corners at others; ``quick``: corners at 0.2 %."""
     seeds = 4 if quick else 16
     noises = (0.002,) if quick else NOISES
     at = [(m, n) for m in METHODS for n in noises]
@@ -123,9 +121,7 @@ def interval_coverage(seeds: int) -> dict[str, float]:
 
 
 def leaderboard(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row per method, by its largest error of c at 0.2 % noise; methods that gave no estimate
-    in some contact rank last.
-    """
+    """A row per method, by its largest error of c at 0.2 % noise; no estimate: it is last."""
     rows = []
     for method in dict.fromkeys(r["method"] for r in records):
         mine = [r for r in records if r["method"] == method and r["noise"] == 0.002]

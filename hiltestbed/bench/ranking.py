@@ -178,9 +178,7 @@ def _error(batch: Batch, reference: Batch) -> float | None:
 
 
 def table(records: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """The records of :func:`rank` as cells, below :data:`HEADER`, without those that could not
-    run.
-    """
+    """The records of :func:`rank` that could run, as cells below :data:`HEADER`."""
     return [
         (
             ("motion: " if record["link"] == "motion" else "") + record["method"],

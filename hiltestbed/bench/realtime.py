@@ -26,9 +26,7 @@ class LoopLoad:
 def realtime(
     quick: bool = False, progress: Callable[[int, int], None] | None = None
 ) -> BenchResult:
-    """Measure the cycle at several rates; half the time is spent on 1 kHz with a device, the case
-    closest to a real run.
-    """
+    """Measure the cycle at several rates, half of the time at 1 kHz with a device."""
     cases = [LoopLoad(rate, device) for rate in RATES for device in (False, True)]
     total = QUICK if quick else SECONDS
     main = LoopLoad(1000.0, True)

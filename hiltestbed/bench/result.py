@@ -42,9 +42,7 @@ class BenchResult:
 def write_bench(
     result: BenchResult, path: str | Path, options: Mapping[str, object] | None = None
 ) -> Path:
-    """Write the folder of a benchmark and return its path; ``options``: options of the call, by
-    their command-line names.
-    """
+    """Write the folder of a benchmark, called with ``options`` (as on the command line)."""
     path, options = Path(path), dict(options or {})
     made = {"options": options, "versions": versions(), "plugins": plugins.loaded()}
     content = {"name": result.name, **made, "records": result.records, "summary": result.summary}

@@ -43,9 +43,7 @@ Progress = Callable[[int, int], None]
 
 
 def throughput(quick: bool = False, progress: Progress | None = None) -> BenchResult:
-    """Loop against bare steps for batches of 1 to 512 runs on one and two threads; recording;
-    scaling with cases and ticks.
-    """
+    """Loop against bare steps, 1 to 512 runs; recording; scaling with cases and ticks."""
     scenario = load_scenario(shipped("scenarios") / "reference-bumper.yaml")
     sizes = (
         [(1, 1), (64, 1), (64, 2)]
@@ -90,9 +88,7 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
 
 
 def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> dict[str, Any]:
-    """The loop and the bare steps of an identical plant, alternating over one scenario; medians
-    over the intervals.
-    """
+    """The loop and bare steps of an identical plant in alternation; medians over the intervals."""
     loop, bare = Loop([scenario] * n, threads), Loop([scenario] * n, threads).plant
     assert isinstance(bare, Plant)  # the simulated side
     trace = Trace(scenario.ticks, n, scenario.rate, loop.plant.units)
@@ -177,9 +173,7 @@ def docking_ratios(n: int, stretches: int) -> dict[str, float]:
 
 
 def _oval_cone(folder: Path) -> dict[str, str]:
-    """The shipped probe, and its cone as a mesh that is not a surface of revolution, written to
-    ``folder``: keys of a scenario.
-    """
+    """Keys of a scenario: the shipped probe, and a cone that is no surface of revolution."""
     models = shipped("models") / "probe_cone"
     shape = runpy.run_path(str(models / "turn_cone.py"))
     vertices, faces = turn(polyline(shape["PROFILE"], shape["ARC_STEP"]), 1024)
@@ -292,9 +286,7 @@ def _report(
 
 
 def growth(quick: bool = False) -> list[dict[str, Any]]:
-    """Records of `cases`, `ticks`, `wall` [s] without the start of the process, and `memory` [MB,
-    at its peak].
-    """
+    """Records of `cases`, `ticks`, `wall` [s] without the process's start, peak `memory` [MB]."""
     points = [CASES[0], CASES[2], TICKS[2]] if quick else list(dict.fromkeys((*CASES, *TICKS)))
     with ProcessPoolExecutor(1, mp_context=get_context("spawn"), max_tasks_per_child=1) as pool:
         return [pool.submit(measured, cases, ticks).result() for cases, ticks in points]
@@ -315,9 +307,7 @@ def measured(cases: int, ticks: int) -> dict[str, Any]:
 
 
 def peak_memory() -> float:
-    """Peak memory of this process [MB]. On Linux not from `ru_maxrss`, which a new process inherits
-    from its parent.
-    """
+    """Peak memory of this process [MB]; on Linux `ru_maxrss` would include its parent's."""
     status = Path("/proc/self/status")
     if status.is_file():
         lines = dict(line.split(":", 1) for line in status.read_text().splitlines())
@@ -326,9 +316,7 @@ def peak_memory() -> float:
 
 
 def order(records: list[dict[str, Any]], key: str, other: str) -> float:
-    """Exponent p of wall ~ key^p between the smallest and the largest of the records with equal
-    `other`.
-    """
+    """Exponent p of wall ~ key^p from the smallest to the largest record with equal `other`."""
     line = sorted((r for r in records if r[other] == records[0][other]), key=lambda r: r[key])
     first, last = line[0], line[-1]
     if last[key] == first[key]:

@@ -35,9 +35,7 @@ HIGHEST_DAMPING = 0.6
 
 
 def bounce_delay(stiffness: float, damping: float, mass: float) -> float:
-    """The delay [s] at which one bounce of a contact that cannot pull rebounds with its approach
-    speed, e = 1.
-    """
+    """The delay [s] at which a contact that cannot pull rebounds with its approach speed, e = 1."""
     zeta = damping / (2 * math.sqrt(stiffness * mass))
     if zeta > HIGHEST_DAMPING:
         raise ValueError(f"damping ratio {zeta:g}; known up to {HIGHEST_DAMPING:g}")
@@ -86,9 +84,7 @@ def bounce_cor(zeta: float, w_tau: float, pulls: bool = False) -> float:
 
 
 def motion(times: Array, zeta: float, w_tau: float) -> tuple[Array, Array, Array]:
-    """Position, speed and integral of the position at `times` (units of 1/w) during the contact;
-    each with the shape of `times`.
-    """
+    """Position, speed and integral of the position in contact at `times` (units of 1/w)."""
     position, speed, integral = (np.zeros_like(times) for _ in range(3))
     for n in range(TERMS):
         late = np.maximum(times - n * w_tau, 0.0)
@@ -105,9 +101,7 @@ def motion(times: Array, zeta: float, w_tau: float) -> tuple[Array, Array, Array
 
 
 def applies(scenario: Scenario) -> bool:
-    """Whether the closed forms describe the scenario: a linear contact, a pure delay, no
-    compensation, ideal tracking.
-    """
+    """Whether the closed forms hold: linear contact, pure delay, bare loop, ideal tracking."""
     sensor = scenario.sensor
     return (
         scenario.mechanism.flat
@@ -124,9 +118,7 @@ def applies(scenario: Scenario) -> bool:
 
 
 def margin(scenario: Scenario) -> tuple[float, float]:
-    """The scenario's delay minus the limits of the closed contact and of the bounce [s]; positive:
-    the rig adds energy.
-    """
+    """The delay beyond the limits of closed contact and bounce [s]; positive: energy is added."""
     delay = SensorParameters.believed(scenario.sensor).with_effects(scenario.effects).delay
     law = (*acting_along_z(scenario), effective_mass(scenario))
     return delay - SpringDamper(*law).critical_delay, delay - bounce_delay(*law)

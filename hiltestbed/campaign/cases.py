@@ -21,9 +21,7 @@ _KEPT = ("rate", "physics_rate")
 
 
 def case_values(campaign: Campaign, cases: Sequence[int]) -> list[dict[str, Any]]:
-    """For each case number, dotted key to value; `seed` is spawned from (design.seed, case) unless
-    it varies itself.
-    """
+    """For each case, dotted key to value; `seed` is spawned from design.seed unless it varies."""
     if isinstance(campaign.design, Grid):
         rows = _grid(campaign, cases)
     else:
@@ -79,9 +77,7 @@ def _sobol(campaign: Campaign, cases: Sequence[int]) -> list[np.ndarray]:
 
 
 def skeleton(scenario: Scenario) -> str:
-    """The scenario without its numbers: kinds, methods, which optional parts are present, the rates
-    and the number of ticks.
-    """
+    """The scenario without its numbers: kinds, methods, optional parts, rates, number of ticks."""
     data = {
         key: value if key in _KEPT else _bare(value)
         for key, value in resolved(scenario).items()
@@ -103,9 +99,7 @@ def _bare(value: Any) -> Any:
 def lockstep_groups(
     scenarios: Sequence[tuple[int, Scenario]], size: int
 ) -> list[list[tuple[int, Scenario]]]:
-    """(case, scenario) pairs in groups with the same skeleton and at most `size` members, in case
-    order within each.
-    """
+    """(case, scenario) pairs in groups of one skeleton, at most `size` members, in case order."""
     groups: dict[str, list[tuple[int, Scenario]]] = {}
     for pair in scenarios:
         groups.setdefault(skeleton(pair[1]), []).append(pair)
@@ -117,9 +111,7 @@ def lockstep_groups(
 
 
 def structural_keys(campaign: LoadedCampaign) -> list[str]:
-    """The varied keys that change the skeleton, found by setting each of their listed values
-    alone.
-    """
+    """The varied keys that change the skeleton, found by setting each listed value alone."""
     return [
         key
         for key, variation in campaign.spec.vary.items()

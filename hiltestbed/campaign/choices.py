@@ -51,9 +51,7 @@ class Result:
 
 
 def choices_of(campaign: LoadedCampaign, table: Any) -> list[CaseGroup]:
-    """Every combination of the campaign's choices that occurs in its cases; a single one without a
-    label if there are no choices.
-    """
+    """Every combination of the campaign's choices in its cases; one without a label if none."""
     keys = [key for key, variation in campaign.spec.vary.items() if not is_numeric(variation)]
     if not keys:
         return [CaseGroup("", np.ones(table.num_rows, dtype=bool))]
@@ -68,9 +66,7 @@ def choices_of(campaign: LoadedCampaign, table: Any) -> list[CaseGroup]:
 
 
 def in_words(cell: str) -> str:
-    """A value from the table as text without JSON syntax: `{"kind": "phase_lead", "lag": 0.001}` as
-    `phase_lead (lag 0.001)`.
-    """
+    """A value without JSON syntax: `{"kind": "lead", "lag": 0.001}` is `lead (lag 0.001)`."""
     try:
         value = json.loads(cell)
     except (json.JSONDecodeError, TypeError):

@@ -1,6 +1,4 @@
-"""One chunk of cases: from case numbers to table rows. A worker runs this, on this machine or on
-another.
-"""
+"""One chunk of cases, from case numbers to table rows: what a worker runs, here or elsewhere."""
 
 from __future__ import annotations
 
@@ -31,9 +29,7 @@ ROWS_LIMIT = 400_000  # rows of trace in memory at a time (0.25 GB), if traces a
 
 @dataclass
 class ChunkResult:
-    """Result of a chunk: one row per case, the files that are kept (path below `cases/`, to bytes),
-    the wall time [s].
-    """
+    """One row per case, the files that are kept (path below `cases/` to bytes), wall time [s]."""
 
     cases: tuple[int, ...]
     rows: list[dict[str, Any]]
@@ -42,9 +38,7 @@ class ChunkResult:
 
 
 def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
-    """Runs the cases, those of the same structure in lockstep. The row of a case that cannot be run
-    has the reason.
-    """
+    """Runs the cases, those of one structure in lockstep; a case that cannot run has the reason."""
     start = time.perf_counter()
     result = ChunkResult(tuple(cases), [])
     values = dict(zip(cases, case_values(campaign.spec, cases), strict=True))
@@ -61,9 +55,7 @@ def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
 
 
 def _has_rows(campaign: LoadedCampaign, scenario: Scenario) -> bool:
-    """Whether the rows of the trace are needed: to keep them, or because `log.*` effects act on the
-    complete record.
-    """
+    """Whether rows of the trace are needed: kept, or because `log.*` effects act on the record."""
     return campaign.spec.keep != "summary" or any(
         effect.link == "log" for effect in scenario.effects
     )

@@ -1,6 +1,4 @@
-"""Figures of a campaign: the response over two keys with the stability boundary, and
-distributions.
-"""
+"""Figures of a campaign: the response over two keys, the stability boundary, distributions."""
 
 from __future__ import annotations
 
@@ -158,9 +156,7 @@ def _cell(edges: Array, values: Array) -> np.ndarray:
 
 
 def _scale(axis: Any, log: bool, edges: Array) -> None:
-    """A linear scale with few ticks, or a logarithmic one with denser ticks if it spans less than a
-    decade.
-    """
+    """A linear scale with few ticks, or a logarithmic one, denser for less than a decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     if not log:
@@ -214,9 +210,7 @@ def _draw_neutral(axes: Any, edges: tuple[Array, Array], cor: Any) -> None:
 
 
 def _edges(variation: Variation, values: Array, most: int = 64) -> tuple[Array, bool]:
-    """Edges of the cells along a key, from its lowest to its highest value, and whether they are
-    spaced logarithmically.
-    """
+    """Edges of the cells along a key, from its lowest to its highest value; whether logarithmic."""
     levels = np.unique(values)
     log = variation.log_uniform is not None or bool(
         levels[0] > 0 and levels.size > 2 and np.ptp(np.diff(np.log(levels))) < 1e-6

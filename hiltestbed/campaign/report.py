@@ -1,6 +1,4 @@
-"""report.html of a campaign: results per choice, maps over the keys, sensitivities, and the worst
-cases.
-"""
+"""report.html of a campaign: results per choice, maps over keys, sensitivities, worst cases."""
 
 from __future__ import annotations
 
@@ -159,9 +157,7 @@ def _by_choice(report: Report, cases: Cases) -> list[CaseGroup]:
 
 
 def _strongest(cases: Cases, found: Sensitivity | None) -> list[str]:
-    """The keys, strongest first: by total index if the expansion is reliable, otherwise by the
-    share that a key explains alone.
-    """
+    """The keys, strongest first: by total index if reliable, else by what each explains alone."""
     if found is not None and found.explained > TRUSTED:
         return [index.key for index in sorted(found.indices, key=lambda index: -index.total)]
     return sorted(cases.inputs, key=lambda key: -explained_share(cases.inputs[key], cases.figure))
@@ -282,9 +278,7 @@ def _sensitivities(
 
 
 def _worst(report: Report, cases: Cases, folder: Path) -> None:
-    """Cases that did not complete, then those with the largest figure, and the command to repeat a
-    case.
-    """
+    """Cases that did not complete, those with the largest figure, the command to repeat a case."""
     failed = np.flatnonzero(cases.statuses != "completed")
     magnitude = np.where(np.isfinite(cases.figure), np.abs(cases.figure), -1.0)
     largest = [i for i in np.argsort(-magnitude, kind="stable")[:WORST] if magnitude[i] >= 0]

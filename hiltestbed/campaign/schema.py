@@ -1,6 +1,4 @@
-"""The schema of a campaign: its scenario, the varied keys and their ranges, the design, and what is
-kept of each case.
-"""
+"""The schema of a campaign: its scenario, how keys vary, the design, what is kept of each case."""
 
 from __future__ import annotations
 
@@ -77,9 +75,7 @@ class Variation(Strictly):
         return NormalDist(mean, sigma).inv_cdf(min(max(u, 1e-12), 1.0 - 1e-12))
 
     def grid(self) -> list[Any]:
-        """The values of a grid along this key: those listed, or `points` values of the range
-        including both ends.
-        """
+        """The values of a grid: those listed, or `points` of the range including both ends."""
         if self.values is not None:
             return list(self.values)
         low, high = self.uniform or self.log_uniform or (0.0, 0.0)
@@ -236,9 +232,7 @@ def _overlap_problems(campaign: Campaign) -> Iterator[Problem]:
 
 @dataclass(frozen=True)
 class LoadedCampaign:
-    """A campaign whose scenario and keys are valid. `source` is the scenario's data with the
-    campaign's `set` applied.
-    """
+    """A valid campaign; `source` is the scenario's data with the campaign's `set` applied."""
 
     spec: Campaign
     path: Path
@@ -247,9 +241,7 @@ class LoadedCampaign:
 
 
 def load_campaign(path: str | Path, set: Mapping[str, Any] | None = None) -> LoadedCampaign:
-    """The campaign in a YAML file; `set` overrides keys of the campaign. Raises InputError with
-    every fault.
-    """
+    """The campaign in a YAML file, with keys set. Raises InputError with every fault."""
     return campaign_from(read_source(path).with_set(set))
 
 
@@ -281,9 +273,7 @@ def campaign_from(source: Source) -> LoadedCampaign:
 
 
 def _key_faults(source: Source, base: Source, key: str, variation: Variation) -> Iterator[Fault]:
-    """Tests every listed value, or both ends of a range, alone in the scenario. Combinations are
-    validated per case, when they run.
-    """
+    """Tests every listed value, or the ends of a range, alone; combinations when they run."""
     for index, value in enumerate(_probes(variation)):
         try:
             scenario_from(base, {key: value})

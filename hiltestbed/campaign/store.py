@@ -43,9 +43,7 @@ _WALL = b"wall"
 
 
 def campaign_sha256(campaign: LoadedCampaign) -> str:
-    """Hash of everything that determines the results: the resolved scenario, how it varies, and
-    what is kept.
-    """
+    """Hash of all that determines the results: resolved scenario, how it varies, what is kept."""
     spec = campaign.spec.model_dump(mode="json")
     whole = {"scenario": identity(campaign.nominal)} | {
         key: spec[key] for key in ("vary", "design", "keep")
@@ -117,9 +115,7 @@ class Store:
             yield store
 
     def write_files(self) -> None:
-        """campaign.yaml and scenario.yaml with every override included, so that `--case` works
-        wherever the folder is copied.
-        """
+        """campaign.yaml and scenario.yaml with every override, so that `--case` works anywhere."""
         spec = self.campaign.spec.model_dump(mode="json", exclude_none=True)
         spec |= {"name": self.name, "scenario": SCENARIO, "set": {}}
         shutil.rmtree(self.folder / MODELS, ignore_errors=True)
@@ -151,9 +147,7 @@ class Store:
         ) == "complete"
 
     def done(self) -> np.ndarray:
-        """For each case, whether it is on disk. A chunk that cannot be read (corrupted by the disk)
-        is removed and does not count.
-        """
+        """For each case, whether it is on disk. A chunk that cannot be read is removed."""
         flags = np.zeros(self.campaign.spec.cases, dtype=bool)
         for file in self.chunks.glob("*.parquet"):
             try:
@@ -229,9 +223,7 @@ def _window(files: list[tuple[Path, np.ndarray]], start: int, end: int) -> pa.Ta
 
 
 def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
-    """Raises InputError if `folder` contains anything other than this campaign with these versions;
-    the folder is not changed.
-    """
+    """Raises InputError if `folder` holds anything but this campaign; the folder is not changed."""
     if not folder.exists() and not folder.is_symlink():
         return
     if not folder.is_dir():

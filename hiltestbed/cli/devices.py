@@ -1,6 +1,4 @@
-"""The commands against real devices and other simulators: `hiltestbed live | emulate | commission |
-fmu`.
-"""
+"""The commands against real devices and other simulators: `live | emulate | commission | fmu`."""
 
 from __future__ import annotations
 

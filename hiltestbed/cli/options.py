@@ -29,9 +29,7 @@ Json = Annotated[
 
 
 def complete(incomplete: str) -> list[str]:
-    """Shell completion: shipped scenarios and campaigns, and files, that begin with
-    ``incomplete``.
-    """
+    """Shell completion: shipped scenarios and campaigns, and files, beginning so."""
     from hiltestbed.config.gallery import campaign_names, scenario_names
 
     files = [str(path) for path in Path().glob("*.yaml")]
@@ -78,9 +76,7 @@ def overrides(sets: list[str] | None) -> dict[str, Any]:
 
 
 def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -> Scenario:
-    """The scenario in a file, or one case of the campaign in it. Raises InputError that names the
-    kind of any other file.
-    """
+    """The scenario in a file, or a campaign's case. Raises InputError naming another kind."""
     from hiltestbed.compiled.warm import tell_of_compiling
     from hiltestbed.config.check import file_kind
     from hiltestbed.config.gallery import (

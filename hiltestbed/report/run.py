@@ -234,9 +234,7 @@ def _shown(trace: RunTrace) -> np.ndarray:
 
 
 def _span(trace: RunTrace) -> tuple[float, float]:
-    """From shortly before the first contact to shortly after the last; the whole run if that is
-    most of it.
-    """
+    """From shortly before the first contact to after the last; all if that is most of the run."""
     start, end = float(trace.t[0]), float(trace.t[-1])
     if trace.contact.any():
         first = float(trace.t[np.argmax(trace.contact)])
@@ -247,9 +245,7 @@ def _span(trace: RunTrace) -> tuple[float, float]:
 
 
 def _energy(trace: RunTrace, scenario: Scenario, summary: dict[str, Any]):
-    """Energy that the rig has made so far: the work on the physical contact minus the work of the
-    numerical model.
-    """
+    """Energy that the rig made so far: work on the contact minus work of the numerical model."""
     made = energy_generated(trace, scenario)
     rows = _shown(trace)
     figure, axis = new_figure(9.0, 2.6)

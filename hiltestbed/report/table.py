@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 def print_run(
     summary: dict[str, Any], folder: Path, recording: bool = True, elapsed: float | None = None
 ) -> None:
-    """Prints the summary of a run and its folder to standard output; ``elapsed`` [s]: duration of
-    the whole command.
-    """
+    """Prints a run's summary and folder; ``elapsed`` [s]: duration of the whole command."""
     screen = console()
     screen.print(_figures(summary, elapsed))
     for warning in assess(summary).warnings:
@@ -60,9 +58,7 @@ def print_lines(title: str, lines: list[tuple[str, str]], folder: Path | None) -
 def print_table(
     title: str, header: Sequence[str], rows: Sequence[Sequence[str]], folder: Path | None
 ) -> None:
-    """Prints rows of cells below a header, and the path of their report if there is one, to
-    standard output.
-    """
+    """Prints rows of cells below a header, and the path of their report if there is one."""
     table = _table(title)
     for name, cells in zip(header, zip(*rows, strict=True), strict=True):
         words = any(cell[:1].isalpha() for cell in cells)
@@ -83,9 +79,7 @@ def _print_path(what: str, path: Path | None) -> None:
 def print_comparison(
     names: Sequence[str], rows: Sequence[Sequence[str]], page: Path | None
 ) -> None:
-    """Prints runs side by side to standard output; one below the other where the terminal is too
-    narrow for whole words.
-    """
+    """Prints runs side by side, or one below the other if words do not fit the terminal."""
     screen = console()
     widths = _whole_words(list(zip(("", *names), *rows, strict=True)), screen.width)
     if widths:
@@ -273,9 +267,7 @@ def _table(title: str, header: bool = True) -> Table:
 
 
 def against(values: Mapping[str, Any], quantity: str) -> tuple[str, str, str]:
-    """An identified quantity with its standard deviation, the true value, and the error in per
-    cent, as cells.
-    """
+    """An identified quantity with its sd, the true value, and the error in per cent, as cells."""
     value, true, sd = (values.get(quantity + part) for part in ("", "_true", "_sd"))
     error = "" if value is None or not true else f"{100.0 * (value / true - 1.0):+z.2f} %"
     sure = "" if value is None or sd is None else f" ± {sd:.0f}" if sd >= 10.0 else f" ± {sd:.2g}"

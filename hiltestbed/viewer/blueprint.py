@@ -158,9 +158,7 @@ def _signals(facts: ShownRun) -> rrb.Tabs:
 
 
 def _contact(facts: ShownRun) -> rrb.Vertical:
-    """The axis of insertion, and beside it its stiffness and damping if they have a true value,
-    otherwise the lateral forces.
-    """
+    """The insertion; beside it stiffness and damping if they are known, else lateral forces."""
     trace = facts.trace
     if facts.run.summary["identification"]["z"]["stiffness_true"] is not None:
         beside = [
@@ -250,9 +248,7 @@ def _phases(facts: ShownRun) -> rrb.StateTimelineView:
 
 
 def _range(facts: ShownRun, values: Array) -> tuple[float, float] | None:
-    """Range of values ``(ticks, ...)`` in the window; None if there is none, and the viewer then
-    chooses.
-    """
+    """Range of values ``(ticks, ...)`` in the window; None: none, and the viewer chooses."""
     start, end = facts.shown
     shown = values[(facts.trace.t >= start) & (facts.trace.t <= end)]
     shown = shown[np.isfinite(shown)]
@@ -260,9 +256,7 @@ def _range(facts: ShownRun, values: Array) -> tuple[float, float] | None:
 
 
 def _estimate_range(facts: ShownRun, name: str) -> tuple[float, float] | None:
-    """Range of the later estimates and the true value: the first few estimates of a contact may be
-    far off.
-    """
+    """Range of later estimates and the true value: the first of a contact may be far off."""
     values: Array = facts.trace[f"{name}_est"][:, 2]
     values = values[np.isfinite(values)]
     truth = facts.run.summary["identification"]["z"][f"{name}_true"]

@@ -72,9 +72,7 @@ def log_solid(rec: rr.RecordingStream, path: str, shape: Solid, opacity: float =
 
 
 def force_scale(peak: float, length: float = ARROW_LENGTH) -> float:
-    """[m/N] such that ``peak`` [N] is drawn within ``length`` [m] and a metre is a round number of
-    newtons.
-    """
+    """[m/N] such that ``peak`` [N] is within ``length`` [m] and a metre is a round number of N."""
     if not peak > 0.0:
         return 1e-3
     least = peak / length

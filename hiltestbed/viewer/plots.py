@@ -52,9 +52,7 @@ class Plotter:
         values: Array,
         widths: Sequence[float] = (),
     ) -> None:
-        """Curves ``values`` (ticks, curves) under one entity; a wide curve stays visible beneath a
-        narrow one.
-        """
+        """Curves ``values`` (ticks, curves) of one entity; wide ones show beneath narrow ones."""
         style = rr.SeriesLines(
             names=list(names), colors=list(palette), widths=list(widths) or [1.5] * len(names)
         )
@@ -101,9 +99,7 @@ def _axes(plotter: Plotter, trace: RunTrace) -> None:
 
 
 def _estimates(plotter: Plotter, run: Run, trace: RunTrace) -> None:
-    """Identified stiffness and damping from the first estimate on, bright once settled, with their
-    true values if known.
-    """
+    """Identified stiffness and damping, bright once settled, with their true values if known."""
     counted = trace.contact if trace.contact.any() else np.ones(len(trace.t), dtype=bool)
     for name, units in (("stiffness", ("N/m", "N m/rad")), ("damping", ("N s/m", "N m s/rad"))):
         for j, axis in enumerate(AXES):

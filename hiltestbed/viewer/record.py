@@ -74,9 +74,7 @@ def _peak(trace: RunTrace) -> float:
 
 
 def _felt(trace: RunTrace) -> NDArray[np.float64]:
-    """(rows, 6) the contact wrench; in a run with real devices, which do not measure it, the
-    sensor's.
-    """
+    """(rows, 6) the contact wrench; with real devices, which do not measure it, the sensor's."""
     return trace["wrench_meas"] if np.isnan(trace["wrench_true"]).all() else trace["wrench_true"]
 
 
@@ -86,9 +84,7 @@ def _identity(run: Run) -> str:
 
 
 def frame_rows(trace: RunTrace, rate: float) -> NDArray[np.intp]:
-    """Rows at FREE, at CONTACT while the mechanisms touch, the first and the last, and the largest
-    force; finite poses only.
-    """
+    """Rows at FREE, in contact at CONTACT, first, last, the largest force; finite poses only."""
     ticks = len(trace.t)
     drawn = np.zeros(ticks, dtype=bool)
     drawn[_every(ticks, rate / FREE)] = True

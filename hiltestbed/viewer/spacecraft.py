@@ -64,9 +64,7 @@ def _place_chaser(target: Array, ports: Array, pose: Array, out: Array) -> None:
 
 
 def cuboid(body: Body) -> tuple[Array, Array]:
-    """Half sizes ``(3,)`` [m] and axes ``(3, 3)`` of the homogeneous cuboid with the body's mass
-    and inertia.
-    """
+    """Half sizes ``(3,)`` [m] and axes ``(3, 3)`` of the cuboid of equal mass and inertia."""
     moments, axes = np.linalg.eigh(inertia_matrix(body.inertia))
     order = [int(np.argmax(np.abs(axes[i]))) for i in range(3)]
     if sorted(order) == [0, 1, 2]:  # each principal axis is assigned to the nearest body axis
@@ -88,9 +86,7 @@ def heights(scenario: Scenario) -> tuple[float, float]:
 
 
 def draw(rec: rr.RecordingStream, scenario: Scenario) -> None:
-    """Both bodies as cuboids with their mass and inertia, each with a port on a boom and a pair of
-    panels.
-    """
+    """Both bodies as cuboids of equal mass and inertia, with a port on a boom and two panels."""
     rec.log(ROOT, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for i, body in ((CHASER, scenario.spacecraft.chaser), (TARGET, scenario.spacecraft.target)):
         half, axes = cuboid(body)

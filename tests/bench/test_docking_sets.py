@@ -1,6 +1,4 @@
-"""Docking sets of the second rig: what is hidden stays in its link, sets come from their seeds,
-files are whole.
-"""
+"""Docking sets of the second rig: each hidden effect in its link, sets from seeds, whole files."""
 
 from __future__ import annotations
 
@@ -119,9 +117,7 @@ def test_a_docking_set_comes_from_its_seed_and_is_written_as_a_dataset(
 @SLOW
 @pytest.mark.parametrize("pair", list(LOOK_ALIKES), ids="/".join)
 def test_look_alikes_do_much_the_same_to_the_records(pair: tuple[str, str]) -> None:
-    """On the same command, and under the same force, both change the records of their link
-    alike.
-    """
+    """On one command, under one force, both change the records of their link alike."""
     rng = np.random.default_rng(9)
     facility = draw_facility(rng, frozenset({"slide"}))
     both = draw_look_alike(rng, pair, facility)

@@ -101,9 +101,7 @@ def test_a_fitted_delay_need_not_be_told() -> None:
 
 @pytest.mark.parametrize("method", [Uncompensated, PhaseLead])
 def test_a_block_of_the_package_does_what_its_axis_does_alone(method: type) -> None:
-    """Three bodies in six axes with their own inertias move as the reduced mass does, but for
-    round-off.
-    """
+    """Three bodies in six axes move as the reduced mass does, but for round-off."""
     block = next(s for s in shipped() if s.name == f"shipped {method.name}")
     case = QUICK[-1]
     alone, whole = play(case, method()), play(case, block)

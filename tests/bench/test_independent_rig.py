@@ -1,6 +1,4 @@
-"""The second rig: closed forms, agreement with records of a third one, and effects that stay in
-their link.
-"""
+"""The second rig: closed forms, records of a third one, effects that stay in their link."""
 
 from __future__ import annotations
 

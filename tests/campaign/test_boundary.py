@@ -36,17 +36,13 @@ def test_without_delay_the_series_is_the_closed_form(zeta: float) -> None:
     ("w_tau", "e"), [(0.063, 1.104), (0.126, 1.217), (0.251, 1.474), (0.503, 2.102), (1.005, 3.743)]
 )
 def test_without_damping_it_is_the_table_of_independent_simulations(w_tau: float, e: float) -> None:
-    """The table was made with steps of 10 us and w tau is given to three digits, which is 1e-3 of
-    e.
-    """
+    """Made with steps of 10 us; w tau is given to three digits, which is 1e-3 of e."""
     assert bounce_cor(0.0, w_tau) == pytest.approx(e, rel=1e-3)
 
 
 @pytest.mark.parametrize("zeta", [0.02, 0.1, 0.2])
 def test_a_bounce_that_may_pull_is_neutral_where_a_closed_contact_is(zeta: float) -> None:
-    """The two differ by the shape of half a period against a whole one: below 2 % in the delay
-    while w tau < 0.5.
-    """
+    """Half a period differs from a whole one by less than 2 % of the delay for w tau < 0.5."""
     w_tau = SpringDamper(1.0, 2 * zeta, 1.0).critical_delay
     slope = 0.5 * math.pi  # of ln e over w tau
     assert abs(math.log(bounce_cor(zeta, w_tau, pulls=True))) < 0.02 * slope * w_tau

@@ -96,9 +96,7 @@ def test_a_case_that_diverges_or_is_stopped_ends_alone(file: Path) -> None:
 
 
 def test_values_that_do_not_go_together_are_told_in_the_row(file: Path) -> None:
-    """rate and physics_rate are each right beside the scenario's own 1000 Hz; 500 over 1000 is
-    not.
-    """
+    """Each rate is right beside the scenario's own 1000 Hz; 500 over 1000 is not."""
     file.write_text(
         "scenario: scenario.yaml\nset: {physics_rate: 2000}\nvary: {rate: {values: [1000, 2000]}, "
         "physics_rate: {values: [1000, 2000]}}\ndesign: {kind: grid}\n"

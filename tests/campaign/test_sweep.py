@@ -1,6 +1,4 @@
-"""The result folder: the same bytes whoever ran it, however often it was ended, and never
-another's.
-"""
+"""The result folder: the same bytes whoever ran it, however often ended; never another's."""
 
 from __future__ import annotations
 
@@ -142,9 +140,7 @@ def killed_with_its_workers(file: Path) -> None:
 def test_ended_in_every_way_it_goes_on_to_the_same_bytes(
     ways: tuple[Callable[[Path], None], ...], file: Path, tmp_path: Path, expected: bytes
 ) -> None:
-    """One way after the other, with other chunks each time, and at last `kill -9` of a worker,
-    which the sweep bears.
-    """
+    """One way after the other, other chunks each time; at last `kill -9` of a worker."""
     out = tmp_path / "out"
     for way in ways:
         way(file)

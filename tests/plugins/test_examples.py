@@ -75,9 +75,7 @@ def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
 
 
 def test_a_compensation_takes_the_delay_out(tmp_path: Path) -> None:
-    """Extrapolated to second order, |ln(e/e_ref)| falls from (pi/2) w tau = 0.124 to a few per cent
-    of it.
-    """
+    """Of second order: |ln(e/e_ref)| falls from (pi/2) w tau = 0.124 to a few per cent."""
     done = command(
         "run",
         "03-bumper-delay-uncompensated",
@@ -149,9 +147,7 @@ def test_one_batch_and_many_give_the_same_bytes() -> None:
 
 
 def test_a_mechanism_touches_with_all_of_its_pads() -> None:
-    """Three springs side by side: head-on it is a bumper of three times the stiffness and damping
-    of a pad.
-    """
+    """Head-on, three springs are a bumper of three times a pad's stiffness and damping."""
     plugins.load([str(EXAMPLES / "three_pads.py")])
     slower = {"rate": 2000, "physics_rate": 4000}
     bumper = shipped("02-bumper", **slower)

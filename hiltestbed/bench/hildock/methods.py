@@ -238,9 +238,7 @@ def _late(delay: float, shown: Array) -> Array:
 
 
 def _solve(delay: float, shown: Array, forces: Array) -> tuple[float, tuple[float, float]]:
-    """Sum of squares [N^2] that a delay leaves, with its k and c: normal equations of two columns
-    that are scaled to length one.
-    """
+    """Sum of squares [N^2] that a delay leaves, with its k and c, by normal equations."""
     rows = _late(delay, shown)
     scale = np.sqrt((rows * rows).sum(axis=1)) + 1e-300
     rows /= scale[:, None]

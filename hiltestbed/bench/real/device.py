@@ -1,6 +1,4 @@
-"""What a public record of a real machine is: its source, its frozen split and the model that an
-expert fits to it.
-"""
+"""A public record of a real machine: its source, its frozen split, and an expert's model of it."""
 
 from __future__ import annotations
 
@@ -20,9 +18,7 @@ Predictor = Callable[["Record"], Array]
 
 
 class Record(NamedTuple):
-    """One run of one axis: times [s], recorded input and recorded output in SI units, all of
-    shape (N,).
-    """
+    """One run of one axis: times [s], recorded input and output in SI units, each of shape (N,)."""
 
     name: str
     t: Array
@@ -77,9 +73,7 @@ def _is(path: Path, sha256: str) -> bool:
 
 
 def split(record: Record, *names: str) -> list[Record]:
-    """The record cut by time into parts of equal numbers of rows, one a name; each part starts
-    at t = 0.
-    """
+    """The record cut into parts of equal numbers of rows, one a name; each starts at t = 0."""
     rows = np.array_split(np.arange(record.t.size), len(names))
     parts = zip(names, rows, strict=True)
     return [Record(n, record.t[i] - record.t[i[0]], record.u[i], record.y[i]) for n, i in parts]

@@ -34,9 +34,7 @@ def _emps_records(data: Path, loop: bool) -> list[Record]:
 
 
 def _emps_expert(records: Sequence[Record]) -> Predictor:
-    """Mass, viscous friction and dry friction of its own size each way: regression first, then
-    the simulated path.
-    """
+    """Mass, viscous and dry friction each way: by regression first, then by the simulated path."""
 
     def model(p: Array, record: Record) -> Array:
         return experts.drive(p, record, window=0.01)
@@ -62,9 +60,7 @@ def _loop(p: Array, t: Array, u: Array, start: float) -> Array:
 
 
 def _loop_expert(records: Sequence[Record]) -> Predictor:
-    """The cascade q'' = a (kp (reference - q) - q') - b q' - c sign q' with the known kp of the
-    position loop.
-    """
+    """q'' = a (kp (reference - q) - q') - b q' - c sign q', kp of the position loop known."""
     # kv gtau / mass, viscous / mass and coulomb / mass of the published values
     start = [243.45 * 35.15 / 95.1, 2.1, 0.18, 0.25]
     return experts.best_of(lambda p, r: _loop(p, r.t, r.u, r.y[0]), records, [start])
@@ -163,9 +159,7 @@ def _hsm150_records(data: Path) -> list[Record]:
 
 
 def _hsm150_expert(records: Sequence[Record]) -> Predictor:
-    """Inertia, viscous friction and dry friction of its own size each way, by the simulated
-    path.
-    """
+    """Inertia, viscous and dry friction each way, by the simulated path."""
 
     def model(p: Array, record: Record) -> Array:
         return experts.drive(np.abs(p), record, window=0.0)

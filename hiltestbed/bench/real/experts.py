@@ -58,9 +58,7 @@ def best_of(
 
 
 def derivatives(record: Record, window: float, column: str = "y") -> tuple[Array, Array]:
-    """First and second time derivative of a column, from a cubic fitted over a sliding window
-    [s] of evenly spaced rows.
-    """
+    """First and second derivative of a column, by a cubic over a window [s] of even rows."""
     period = float(np.median(np.diff(record.t)))
     length = max(5, 2 * int(window / period / 2) + 1)
     values = getattr(record, column)

@@ -29,9 +29,7 @@ def _with_unit_gain(
     bounds: tuple[Sequence[float], Sequence[float]],
     steps: int,
 ) -> Predictor:
-    """Second order with delay, play, a speed limit and an offset: six numbers, from several
-    starts.
-    """
+    """Second order with delay, play, speed limit and offset: six numbers, from several starts."""
 
     def model(p: Array, record: Record) -> Array:
         return experts.servo(np.append(p, 1.0), record, steps)
@@ -45,9 +43,7 @@ MOTIONS = ("chirp_sweep", "step_response", "velocity_ramp", "multisine")
 
 
 def _so101_column(path: Path, joint: int) -> tuple[Array, Array]:
-    """Times [s] (stamps are in microseconds) and angles [rad] of one joint of a log whose rows
-    hold a JSON list.
-    """
+    """Times [s] (stamps in microseconds) and angles [rad] of a joint; rows hold a JSON list."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     t = np.array([float(row["timestamp"]) for row in rows]) * 1e-6
