@@ -44,16 +44,8 @@ def expected(in_one_go: Path) -> bytes:
 
 
 def command(file: Path, *more: str) -> list[str]:
-    return [
-        sys.executable,
-        "-m",
-        "hiltestbed.cli",
-        "sweep",
-        str(file),
-        "--out",
-        str(file.parent / "out"),
-        *more,
-    ]
+    called = [sys.executable, "-m", "hiltestbed.cli", "sweep", str(file)]
+    return [*called, "--out", str(file.parent / "out"), *more]
 
 
 def wait_for(condition, what: str) -> None:
@@ -148,14 +140,9 @@ def test_ended_in_every_way_it_goes_on_to_the_same_bytes(
     assert 3 * len(ways) <= int(store.Store(out, load_campaign(file)).done().sum()) < 96
 
     process = begun(file, "--workers", "2", "--chunk", "3")
-    workers = [
-        int(pid)
-        for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    ]
-    os.kill(
-        next(pid for pid in workers if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()),
-        signal.SIGKILL,
-    )
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    spawned = (p for p in children if b"spawn_main" in Path(f"/proc/{p}/cmdline").read_bytes())
+    os.kill(int(next(spawned)), signal.SIGKILL)
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 0, err
     assert (out / "cases.parquet").read_bytes() == expected
@@ -170,17 +157,8 @@ def test_on_a_cluster_with_a_worker_killed_the_same_bytes(
     dask = str(Path(sys.executable).with_name("dask"))
     where = tmp_path / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
-    scheduler = [
-        "scheduler",
-        "--host",
-        "127.0.0.1",
-        "--port",
-        "0",
-        "--no-dashboard",
-        "--scheduler-file",
-        str(where),
-    ]
-    started = [subprocess.Popen([dask, *scheduler], **quiet)]
+    at = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(where)]
+    started = [subprocess.Popen([dask, "scheduler", *at], **quiet)]
     try:
         wait_for(where.exists, "the scheduler")
         time.sleep(0.2)
