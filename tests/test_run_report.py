@@ -11,7 +11,7 @@ import pytest
 
 import hiltestbed
 from hiltestbed.analysis.assessment import ACTIVE, NEUTRAL, assess, is_active
-from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.numerical_model.bodies import effective_mass, mobility
 from hiltestbed.report.run import run_report
 

@@ -43,7 +43,6 @@ from hiltestbed.analysis.ledger import (
     corrects_platform,
     force_path_delay,
 )
-from hiltestbed.analysis.rebounds import Rebounds
 from hiltestbed.analysis.rig_response import (
     EXACT,
     Complex,
@@ -52,7 +51,7 @@ from hiltestbed.analysis.rig_response import (
     measured_response,
     six_axis_response,
 )
-from hiltestbed.analysis.trial import FirstContact, first_contact
+from hiltestbed.analysis.trial import FirstContact, Rebounds, first_contact
 from hiltestbed.contact.directions import Direction, directions, insertion
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import by_link

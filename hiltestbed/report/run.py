@@ -17,7 +17,7 @@ from hiltestbed.analysis.assessment import (
     identified,
     monitored,
 )
-from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.identification.samples import GATE_SIGMA

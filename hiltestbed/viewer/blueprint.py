@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.frames import Array
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario

@@ -13,7 +13,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from hiltestbed.analysis.assessment import UNSURE
-from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import AXES, RunTrace
