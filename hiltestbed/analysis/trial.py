@@ -187,7 +187,7 @@ def corrected_log_error(scenario: Scenario, delay: float) -> float | None:
 
 class Rebounds:
     """Bounces of a contact ``way`` on a rig, over delay and stiffness; ``simulated`` simulates
-        them, None: only computed.
+    them, None: only computed.
 
     Computed bounces are cheap and depend on delay and stiffness like simulated ones, except for a
     factor of the rebound that changes slowly with either; the factor of the last simulated bounce
