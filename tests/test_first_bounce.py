@@ -293,10 +293,7 @@ def test_a_bounce_that_is_not_the_first_contacts_says_to_which_side_it_is() -> N
 )
 def test_what_gives_way_behind_the_contact_is_in_the_bounce_that_is_foretold(gives) -> None:
     """A frame takes part of deflection and damper's work: without it the rebound is 0.91."""
-    s = shipped(
-        "02-bumper",
-        {"effects": [gives], "compensation": {"force": {"kind": "none"}}},
-    )
+    s = shipped("02-bumper", {"effects": [gives], "compensation": {"force": {"kind": "none"}}})
     said, done = judged(s), run(s).summary
     assert abs(done["cor"] - 0.907) > 0.01
     assert said["rebound"] == pytest.approx(done["cor"], rel=1e-3)

@@ -43,8 +43,7 @@ def test_a_bounce_is_a_touch_and_no_more() -> None:
 
 def test_noise_alone_is_no_touch() -> None:
     scenario = shipped(
-        "01-free-flight",
-        {"rig.platform.tracking": "ideal", "sensor.noise": 1.0, "duration": 1.0},
+        "01-free-flight", {"rig.platform.tracking": "ideal", "sensor.noise": 1.0, "duration": 1.0}
     )
     monitor, _ = _watch([scenario.model_copy(update={"seed": seed}) for seed in range(32)])
     assert np.isnan(monitor.touch).all()

@@ -18,10 +18,7 @@ from tests.running import shipped
 @pytest.fixture(scope="module")
 def short_run():
     return run(
-        shipped(
-            "04-bumper-delay-compensated",
-            {"duration": 0.45, "rig.platform.tracking": "ideal"},
-        )
+        shipped("04-bumper-delay-compensated", {"duration": 0.45, "rig.platform.tracking": "ideal"})
     )
 
 
@@ -117,8 +114,7 @@ def test_a_run_that_diverges_leaves_the_others_of_its_batch_alone() -> None:
     from hiltestbed.simulation import simulate
 
     base = shipped(
-        "04-bumper-delay-compensated",
-        {"rig.platform.tracking": "ideal", "duration": 0.6},
+        "04-bumper-delay-compensated", {"rig.platform.tracking": "ideal", "duration": 0.6}
     )
     wild = shipped(
         "04-bumper-delay-compensated",

@@ -17,10 +17,7 @@ UNWATCHED: dict[str, Any] = {f"safety.{limit}": None for limit in LIMITS}
 
 def _bumper(**changes: Any) -> Scenario:
     changes = {key.replace("__", "."): value for key, value in changes.items()}
-    return shipped(
-        "03-bumper-delay-uncompensated",
-        UNWATCHED | {"sensor.noise": 0.0} | changes,
-    )
+    return shipped("03-bumper-delay-uncompensated", UNWATCHED | {"sensor.noise": 0.0} | changes)
 
 
 def _stopped_at(scenario: Scenario, quantity: str) -> int:

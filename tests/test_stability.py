@@ -158,10 +158,7 @@ def test_a_slower_controller_of_the_sliders_is_as_late_as_its_cycles() -> None:
         "physics_rate": 4000.0,
     }
     s = shipped("03-bumper-delay-uncompensated", keys)
-    direct = shipped(
-        "03-bumper-delay-uncompensated",
-        keys | {"rig.platform": {"kind": "pss33"}},
-    )
+    direct = shipped("03-bumper-delay-uncompensated", keys | {"rig.platform": {"kind": "pss33"}})
     found, none = measured_response(s), measured_response(direct)
     low = (found.frequency > 0.0) & (found.frequency <= 4.0)
     late = -np.angle(found.follows[low] / none.follows[low]) / (
@@ -170,16 +167,12 @@ def test_a_slower_controller_of_the_sliders_is_as_late_as_its_cycles() -> None:
     assert late == pytest.approx(7 / 2000.0, rel=0.02)
     with pytest.raises(InputError, match=r"controller_rate: does not divide the loop's rate"):
         shipped(
-            "03-bumper-delay-uncompensated",
-            keys | {"rig.platform.command.controller_rate": 900.0},
+            "03-bumper-delay-uncompensated", keys | {"rig.platform.command.controller_rate": 900.0}
         )
 
 
 def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
-    s = shipped(
-        "18-stewart",
-        {"sensor.delay": 0.001, "compensation.force.kind": "none"},
-    )
+    s = shipped("18-stewart", {"sensor.delay": 0.001, "compensation.force.kind": "none"})
     said = judged(s)
     assert said["stable"]
     for key, limit in (
@@ -253,8 +246,7 @@ def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
     its mass has both bodies' levers.
     """
     s = shipped(
-        "09-docking",
-        {"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0]},
+        "09-docking", {"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0]}
     )
     touch = first_touch(s)
     assert touch is not None
@@ -289,10 +281,7 @@ def test_a_command_through_the_inverse_of_the_platform_is_judged_as_it_runs() ->
         "inverse": inverse,
     }.items():
         summary = run(
-            shipped(
-                "02-bumper",
-                {"compensation.force": {"kind": "phase_lead"}} | rig | changes,
-            )
+            shipped("02-bumper", {"compensation.force": {"kind": "phase_lead"}} | rig | changes)
         ).summary
         found[name] = summary["stability"]
         assert found[name]["rebound"] == pytest.approx(summary["cor"], rel=1e-3)

@@ -104,10 +104,7 @@ def spring_damper_of(solref: tuple[float, float], mass: float) -> SpringDamper:
 
 
 def bounce_in_mujoco(
-    parameters: PairParameters,
-    masses: tuple[float, float],
-    speed: float,
-    step: float | None = None,
+    parameters: PairParameters, masses: tuple[float, float], speed: float, step: float | None = None
 ) -> Drop:
     """A ball's bounce on a plate in steps of ``step`` [s]; None: as small as the contact needs."""
     spec = _bodies(masses)

@@ -38,11 +38,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.analysis.ledger import (
-    contact_frequency,
-    corrects_platform,
-    force_path_delay,
-)
+from hiltestbed.analysis.ledger import contact_frequency, corrects_platform, force_path_delay
 from hiltestbed.analysis.rig_response import (
     EXACT,
     Complex,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -89,17 +89,9 @@ def results(
             (float(v) for v in np.quantile(size, [0.5, 0.95])) if size.size else (None, None)
         )
         completed = int((choice.cases & (statuses == "completed")).sum())
-        out.append(
-            Result(
-                choice.label,
-                int(choice.cases.sum()),
-                completed,
-                int((cor[choice.cases] > 1.0).sum()),
-                median,
-                worst,
-            )
-        )
+        counts = (int(choice.cases.sum()), completed, int((cor[choice.cases] > 1.0).sum()))
+        out.append(Result(choice.label, *counts, median, worst))
     out.sort(key=lambda r: (-r.completed / r.cases, np.inf if r.worst is None else r.worst))
     if out[0].worst is not None and len(out) > 1:
-        out[0] = Result(**(vars(out[0]) | {"best": True}))
+        out[0] = replace(out[0], best=True)
     return out

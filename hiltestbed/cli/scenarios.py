@@ -191,12 +191,7 @@ def rig(
 
 
 @app.command()
-def rank(
-    scenario: ScenarioFile,
-    out: Out = None,
-    sets: Sets = None,
-    as_json: Json = False,
-) -> None:
+def rank(scenario: ScenarioFile, out: Out = None, sets: Sets = None, as_json: Json = False) -> None:
     """Try every compensation on a scenario, with the delay known and 20 % longer, and rank them.
 
     hiltestbed rank my-rig.yaml --plugin my_method.py

@@ -212,8 +212,7 @@ def diagnose(
     dataset: Annotated[
         Path,
         typer.Argument(
-            metavar="DATASET",
-            help="Dataset file: a scenario or an axis, and the measured runs.",
+            metavar="DATASET", help="Dataset file: a scenario or an axis, and the measured runs."
         ),
     ],
     out: Annotated[

@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.analysis.spring_damper import SpringDamper
-from hiltestbed.campaign.boundary import (
-    applies,
-    bounce_cor,
-    bounce_delay,
-    margin,
-    neutral,
-)
+from hiltestbed.campaign.boundary import applies, bounce_cor, bounce_delay, margin, neutral
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run_batch
 from tests.slow import slow

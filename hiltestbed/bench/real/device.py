@@ -83,8 +83,5 @@ def evenly(record: Record, period: float) -> Record:
     """The record on an even grid [s], linear between its rows."""
     t = np.arange(record.t[0], record.t[-1], period)
     return Record(
-        record.name,
-        t - t[0],
-        np.interp(t, record.t, record.u),
-        np.interp(t, record.t, record.y),
+        record.name, t - t[0], np.interp(t, record.t, record.u), np.interp(t, record.t, record.y)
     )
