@@ -218,9 +218,7 @@ def test_a_group_is_a_rig_and_a_kind_of_set() -> None:
 
 
 def played(monkeypatch: pytest.MonkeyPatch, last: int) -> list[int]:
-    """Has no set diagnosed: the seeds of those that are asked for, the last of which is
-    interrupted.
-    """
+    """Has no set diagnosed: the seeds that are asked for; the last of them is interrupted."""
     asked: list[int] = []
 
     def one_set(task: Task) -> dict[str, Any]:

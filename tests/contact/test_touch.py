@@ -15,7 +15,7 @@ from hiltestbed import Scenario, run
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.resolution import error_bound, unconverged
 from hiltestbed.contact.touch import first_touch
-from hiltestbed.report.run import write_run_report
+from hiltestbed.report.run import run_report
 from hiltestbed.scenario import scenario_from
 
 K, C = 1e5, 300.0  # of each wall
@@ -152,7 +152,7 @@ def test_the_report_says_why_nothing_was_identified(tmp_path: Path) -> None:
     """A contact of almost a second, of which the pose does not show the rod's stroke."""
     done = run(scenario(tmp_path, 40.0, True))
     assert done.summary["contact_duration"] > 0.5
-    write_run_report(done, tmp_path / "run.html")
+    run_report(done).write(tmp_path / "run.html")
     page = (tmp_path / "run.html").read_text()
     assert "the pose does not show how far" in page
     assert "long enough" not in page
