@@ -20,7 +20,7 @@ import numpy as np
 
 from hiltestbed.axis.dataset import LoadedAxis, load_axis
 from hiltestbed.axis.models import AxisModel
-from hiltestbed.axis.result import CLOSE, AxisCause, AxisDiagnosis
+from hiltestbed.axis.result import CLOSE, AxisCause, AxisFinding
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Conclusion, Confirmed, conclude
 from hiltestbed.inference.likelihood import Likelihood, independent
@@ -43,6 +43,16 @@ OF_ROTATION = {  # units of an axis that slides, and of one that turns
     "N s/m": "N m s/rad",
 }
 Progress = Callable[[str], None]
+
+
+class AxisDiagnosis(AxisFinding):
+    """What was found on an axis, and its folder."""
+
+    def write(self, folder: str | Path) -> Path:
+        """Write the diagnosis folder. Raises InputError where it cannot be written."""
+        from hiltestbed.axis.report import write_axis_diagnosis
+
+        return write_axis_diagnosis(self, folder)
 
 
 def diagnose_axis(path: str | Path | LoadedAxis, progress: Progress | None = None) -> AxisDiagnosis:

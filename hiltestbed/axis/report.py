@@ -15,7 +15,7 @@ from hiltestbed.run_folder.store import whole_folder
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hiltestbed.axis.result import AxisDiagnosis
+    from hiltestbed.axis.result import AxisFinding
 
 DIAGNOSIS = "diagnosis.json"
 MEASURED, NOMINAL, EXTENDED, GREY = "#1b2530", "#d1495b", "#0b6e99", "#8a97a3"
@@ -30,7 +30,7 @@ TITLES = {
 }
 
 
-def write_axis_diagnosis(diagnosis: AxisDiagnosis, path: str | Path) -> Path:
+def write_axis_diagnosis(diagnosis: AxisFinding, path: str | Path) -> Path:
     """Write the folder and return its path.
 
     Raises:
@@ -45,7 +45,7 @@ def write_axis_diagnosis(diagnosis: AxisDiagnosis, path: str | Path) -> Path:
     return path
 
 
-def extended_yaml(d: AxisDiagnosis) -> str:
+def extended_yaml(d: AxisFinding) -> str:
     """The file of the axis with the named effects: `hiltestbed diagnose` reads it again."""
     data: dict[str, Any] = d.loaded.spec.model_dump(mode="json", exclude_unset=True)
     folder = d.loaded.source.folder.resolve()
@@ -56,7 +56,7 @@ def extended_yaml(d: AxisDiagnosis) -> str:
     return head + json.dumps(data, indent=2) + "\n"
 
 
-def page_of(d: AxisDiagnosis) -> Report:
+def page_of(d: AxisFinding) -> Report:
     """report.html, from the verdict down."""
     report = Report(f"Diagnosis of {d.name}: {TITLES[d.verdict]}")
     report.lead(d.sentence())
@@ -128,7 +128,7 @@ def page_of(d: AxisDiagnosis) -> Report:
     return report
 
 
-def over_time(d: AxisDiagnosis) -> Figure:
+def over_time(d: AxisFinding) -> Figure:
     """Measured, nominal and extended over time, and what each leaves."""
     assert d.conclusion is not None
     records = d.model.records[:MOST_RUNS]
@@ -157,7 +157,7 @@ def over_time(d: AxisDiagnosis) -> Figure:
     return figure
 
 
-def left_out(d: AxisDiagnosis) -> Figure:
+def left_out(d: AxisFinding) -> Figure:
     """rms of each left-out run: constant, nominal, extended."""
     assert d.conclusion is not None
     c, names = d.conclusion, [name for name, _, _ in d.model.folds()]

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,8 +78,8 @@ class AxisCause:
 
 
 @dataclass(frozen=True, eq=False)
-class AxisDiagnosis:
-    """What was found on an axis, and its folder.
+class AxisFinding:
+    """What was found on an axis.
 
     Attributes:
         loaded: the data. model: nominal. verdict: as of any diagnosis. causes: those that remove
@@ -135,12 +134,6 @@ class AxisDiagnosis:
         if self.verdict == "ambiguous":
             return f"{text} These data cannot decide which of them it is."
         return text
-
-    def write(self, folder: str | Path) -> Path:
-        """Write the diagnosis folder. Raises InputError where it cannot be written."""
-        from hiltestbed.axis.report import write_axis_diagnosis
-
-        return write_axis_diagnosis(self, folder)
 
     def _left(self) -> str:
         c = self.conclusion
