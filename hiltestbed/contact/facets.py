@@ -53,13 +53,13 @@ class Bodies(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """MuJoCo's arrays, per run."""
+    """MuJoCo's arrays of the same names, per run."""
 
     ids: NDArray[np.int64]  # (T, 3) numbers of each contact's pair, facet and ball; -1: none
-    geom_pos: Array
-    geom_quat: Array
-    solref: Array
-    friction: Array
+    geom_pos: Array  # (n, ngeom, 3) [m] in the geom's body
+    geom_quat: Array  # (n, ngeom, 4), w first
+    solref: Array  # pair_solref (n, npair, 2)
+    friction: Array  # pair_solreffriction (n, npair, 2)
 
 
 class Felt(NamedTuple):

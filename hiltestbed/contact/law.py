@@ -112,7 +112,9 @@ def _of_spring(x, v, p):
 
 @njit(cache=True)
 def _behind_frame(rigid, x, v, branch, p, held):
-    """With the frame's spring in series: the root F of law(x - F/k_frame); ``rigid``: without."""
+    """With the frame's spring in series: the root of F = law(x - F/k_frame); ``rigid``: the force
+    without it.
+    """
     low, high = min(rigid, 0.0), max(rigid, 0.0)
     force = rigid
     for _ in range(60):  # the law increases with x: one root between 0 and the rigid force

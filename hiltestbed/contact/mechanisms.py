@@ -98,8 +98,8 @@ class Latched(_Shipped):
 
 @register
 class IdssRing(Described):
-    """An androgynous ring with three guide petals per side: soft capture by latches, attenuation,
-    hard capture.
+    """An androgynous ring with three guide petals per side, after the International Docking System
+    Standard: soft capture by latches, attenuation, hard capture.
     """
 
     kind: Literal["idss_ring"] = "idss_ring"

@@ -166,7 +166,9 @@ class Meeting:
         self._met = (*given, self.depth, np.empty(count), self.point, self.normal, slip)
 
     def deepest(self, pose: Array) -> float:
-        """Largest penetration [m] with A at ``pose`` (7,), negative while apart."""
+        """Largest penetration [m] with A at ``pose`` (7,), negative while apart; that of each pair,
+        with its point and normal in W, is in ``depth``, ``point`` and ``normal``.
+        """
         self.frames[0] = pose
         meet_all(*self._met)
         return float(self.depth.max())

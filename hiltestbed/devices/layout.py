@@ -39,7 +39,8 @@ from hiltestbed.devices.interface import Array
 Whole = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"]
 Real = Literal["float32", "float64"]
 Check = Literal["crc16", "crc32"]
-CODES = dict(zip((*get_args(Whole), *get_args(Real)), "bBhHiIqQfd", strict=True))  # of struct
+REALS = get_args(Real)
+CODES = dict(zip((*get_args(Whole), *REALS), "bBhHiIqQfd", strict=True))  # of struct
 CRC = dict(zip(get_args(Check), "HI", strict=True))
 FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 POSITION, QUATERNION, ROTATION = ("px", "py", "pz"), ("qx", "qy", "qz", "qw"), ("rx", "ry", "rz")
@@ -260,7 +261,7 @@ def _on_wire(field: FieldOfRecord, known: dict[str, float]) -> float | int:
     if field.name in COUNTED:
         return int(known[field.name]) & _range(field.type)[1]
     value = known[field.name] / field.scale
-    if field.type in get_args(Real):
+    if field.type in REALS:
         return value
     low, high = _range(field.type)
     return min(max(round(value), low), high) if math.isfinite(value) else 0

@@ -190,7 +190,7 @@ class RdtClient(sockets.Datagrams, SensorClient):
 class RdtServer(sockets.Datagrams, SensorServer):
     """An emulated sensor: sends a record for each wrench once a client has requested them."""
 
-    _largest = 63  # [byte] eight times a request
+    _largest = 63  # [byte] far above a request of 8
 
     def __init__(self, settings: RdtSettings) -> None:
         super().__init__(settings.where)

@@ -275,11 +275,12 @@ class Session:
         specifies.
         """
         rig, duration = self.rig, self.scenario.devices.platform.run_up
-        twist = self.loop.drive.twist[0].copy() if self.loop.k > 0 else np.zeros(6)
         try:
             if rig.stop is not None or self.loop.trouble:
                 self._stop()
-            elif self.follow(run_down(rig.last.copy(), twist, rig.tick, duration)):
+                return
+            twist = self.loop.drive.twist[0].copy() if self.loop.k > 0 else np.zeros(6)
+            if self.follow(run_down(rig.last.copy(), twist, rig.tick, duration)):
                 self._hold()
             else:
                 self.devices.platform.hold()

@@ -45,9 +45,8 @@ class Datagrams(Link):
                 data, sender = self._socket.recvfrom(self._largest + 1)
             except BlockingIOError:
                 break
-            except (
-                OSError
-            ):  # the other side's port is closed: each of our datagrams comes back once
+            # the other side's port is closed: each of our datagrams comes back once
+            except OSError:
                 self.counts[Event.GONE] += 1
                 break
             new = self._take(data, sender) or new

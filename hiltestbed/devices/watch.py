@@ -114,32 +114,33 @@ class CommunicationWatch:
         self._errors = self._errors + errors if errors or not new else 0
 
     def _judge(self, age: float) -> Stop | None:
-        limits, sample, window = self.limits, self.link.sample, f"{self.limits.window} cycles"
-        miss, disturbance = self._last_miss, self._last_disturbance
-        last = f"the last {miss.name.lower()} (limit"
-
-        def stop(event: Event, reason: str) -> Stop:
-            return Stop(event, f"{self._name}: {reason}")
-
+        limits, sample = self.limits, self.link.sample
         if sample.implausible is not None:
-            return stop(Event.MALFORMED, sample.implausible)
+            return self._stop(Event.MALFORMED, sample.implausible)
         if self._errors > (limit := limits.status_in_a_row):
             status = f"status {sample.status:#x}; allowed are {limit} in a row"
-            return stop(Event.STATUS, f"the device reports an error ({status})")
+            return self._stop(Event.STATUS, f"the device reports an error ({status})")
         if self._happened[Event.GONE]:
             gone = "the connection is gone; nothing listens at the device's address any more"
-            return stop(Event.GONE, gone)
+            return self._stop(Event.GONE, gone)
         if age > (limit := limits.stale):
             old = f"the newest sample is {1e3 * age:.1f} ms old (limit {1e3 * limit:g} ms)"
-            return stop(Event.STALE, old)
+            return self._stop(Event.STALE, old)
         if self._in_a_row > (limit := limits.misses_in_a_row):
-            return stop(miss, f"{self._in_a_row} misses in a row, {last} {limit})")
+            return self._too_many(self._last_miss, f"{self._in_a_row} misses in a row", limit)
         if self._missed > (limit := limits.misses_in_window):
-            return stop(miss, f"{self._missed} misses in {window}, {last} {limit})")
+            often = f"{self._missed} misses in {limits.window} cycles"
+            return self._too_many(self._last_miss, often, limit)
         if self._disturbed > (limit := limits.disturbances_in_window):
-            last = f"the last {disturbance.name.lower()} (limit {limit})"
-            return stop(disturbance, f"{self._disturbed} records rejected in {window}, {last}")
+            often = f"{self._disturbed} records rejected in {limits.window} cycles"
+            return self._too_many(self._last_disturbance, often, limit)
         return None
+
+    def _stop(self, event: Event, reason: str) -> Stop:
+        return Stop(event, f"{self._name}: {reason}")
+
+    def _too_many(self, last: Event, often: str, limit: int) -> Stop:
+        return self._stop(last, f"{often}, the last {last.name.lower()} (limit {limit})")
 
 
 def said(link: Link) -> dict[str, int]:

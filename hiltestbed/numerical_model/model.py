@@ -70,6 +70,7 @@ class NumericalModel:
         self.inertia = np.array([[inertia_matrix(b.inertia) for b in pair] for pair in bodies])
         self.port = np.array([[port_pose(b) for b in pair] for pair in bodies])
         self.q, self.v = np.zeros((n, 2, 7)), np.zeros((n, 2, 6))
+        self._centres = np.zeros_like(self.q)
         self.pose, self.twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._tau, self._before = np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
         self._approach = np.array([approach_state(s) for s in scenarios])
@@ -129,12 +130,14 @@ class NumericalModel:
         return q, v
 
     def centres(self) -> Array:
-        """``(n, 2, 7)`` poses at the overall centres of mass, with undeflected appendages."""
+        """``(n, 2, 7)`` poses at the overall centres of mass, with undeflected appendages; the same
+        array at every call.
+        """
         if not self._placed.any():
             return self.q
-        out = self.q.copy()
-        leave_rest(self._rest, out)
-        return out
+        self._centres[:] = self.q
+        leave_rest(self._rest, self._centres)
+        return self._centres
 
     @cached_property
     def _nominal(self) -> tuple[Call, Callable[[float], None]]:
