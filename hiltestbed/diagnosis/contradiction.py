@@ -10,6 +10,7 @@ from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import Fit, fit
 from hiltestbed.diagnosis.plain import listed
 from hiltestbed.diagnosis.search import Explanation, first_of_each
+from hiltestbed.diagnosis.settings import DETECTION, PENALTY
 from hiltestbed.frames import Array
 
 BINS = 100  # of the travel; a range is then known to 1 % of it
@@ -17,21 +18,27 @@ HALF = 0.5  # of the sum of squares of a residual
 
 
 def contradiction(found: Explanation) -> str:
-    """One effect that leaves only noise in each run alone, with a size of its own in each, in
-    words; empty where no single effect does, or where there is one run.
+    """One effect that leaves only noise in each run alone, with sizes that differ, in words; empty
+    where no single effect does, or where there is one run.
+
+    Sizes differ where those of their own take more off chi-square than so many more parameters of
+    any effect have to: the threshold of a further effect, and the penalty of each parameter.
     """
     if len(found.residual.runs) < 2:
         return ""
     for known in first_of_each([f for f in found.singles if f.causes], "kinds"):
         alone = _in_each_run(found, known)
-        if alone:
+        if alone and known.chi2 - sum(f.chi2 for f in alone) > DETECTION + PENALTY * len(
+            known.theta
+        ) * (len(alone) - 1):
             sizes = ", ".join(
                 f"{listed(f.effects()[0].parameters())} in run {i}"
                 for i, f in zip(found.residual.runs, alone, strict=True)
             )
             return (
                 f"the runs contradict each other: {known.kinds[0]} explains each of them alone, "
-                f"with another size in each ({sizes})"
+                f"with a size that changes from run to run, or with what differs between them "
+                f"({sizes})"
             )
     return ""
 

@@ -36,7 +36,7 @@ def isolability(
     """One entry for each effect among the candidates, for the hypothesis (of an axis, a body) that
     shows most at its largest size.
     """
-    found = sensitivities(residual, candidates, progress)
+    found = detectable(residual, candidates, progress)
     directions = {
         s.kind: s.change / np.sqrt(square(s.change)) for s in found if s.change is not None
     }
@@ -58,7 +58,7 @@ def isolability(
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class Detectable:
     """The smallest size of an effect that data would show.
 
     Attributes:
@@ -102,9 +102,9 @@ class Sensitivity:
         return self.candidate.effect.unit(name) if name else ""
 
 
-def sensitivities(
+def detectable(
     residual: Residual, candidates: Sequence[Candidate], progress: Progress | None = None
-) -> list[Sensitivity]:
+) -> list[Detectable]:
     """One for each effect among the candidates."""
     first = list(_clearest(residual, candidates).values())
     return _smallest(residual, first, progress)[::-1]
@@ -127,7 +127,7 @@ def _clearest(residual: Residual, candidates: Sequence[Candidate]) -> dict[str, 
 
 def _smallest(
     residual: Residual, candidates: Sequence[Candidate], progress: Progress | None
-) -> list[Sensitivity]:
+) -> list[Detectable]:
     """The smallest size of each candidate that would be detected beyond its penalty.
 
     The bisections of all candidates go on together: each step is one replay.
@@ -161,7 +161,7 @@ def _smallest(
             else:
                 low[j] = middle[j]
     return [
-        Sensitivity(c, _at(c, float(most)), change)
+        Detectable(c, _at(c, float(most)), change)
         for c, change, most in zip(candidates, best, high, strict=True)
     ]
 

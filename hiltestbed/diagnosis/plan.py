@@ -13,29 +13,31 @@ its own products.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from hiltestbed.config.dataset import Dataset, LoadedDataset, RunEntry
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.isolability import LOOK_ALIKE_COSINE, Sensitivity, sensitivities
+from hiltestbed.diagnosis.isolability import LOOK_ALIKE_COSINE, Detectable, detectable
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Progress, labelled
 from hiltestbed.effects.table import EFFECTS
-from hiltestbed.errors import HiltestbedError
+from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.frames import Array
-from hiltestbed.measured import load_dataset
+from hiltestbed.measured import examine, load_dataset
 from hiltestbed.measured.record import MEASURED_GROUPS
-from hiltestbed.run_folder.store import write_trace
 from hiltestbed.scenario import Scenario, resolved, scenario_from
-from hiltestbed.signals import GROUPS, RunTrace
+from hiltestbed.signals import GROUPS
 from hiltestbed.simulation import simulate
 
+MEASURED = frozenset(c for group in MEASURED_GROUPS for c in GROUPS[group].columns)
 MOST_PROPOSED = 3  # runs
 FACTOR = 4.0  # of a stiffness or mass: its frequency is then twice or half the nominal one
 SPEED_FACTOR = 3.0  # the peak force grows as much
@@ -44,7 +46,7 @@ TILT = 2.0  # [deg] a tip 0.1 m off the axis then touches 3.5 mm early, beyond a
 
 
 @dataclass(frozen=True)
-class Shown:
+class PlannedEffect:
     """What the planned runs would show of an effect.
 
     Attributes:
@@ -72,6 +74,14 @@ class Proposal:
     settles: tuple[tuple[str, str], ...]
 
 
+class Further(NamedTuple):
+    """A further run that may be proposed: in words, as settings, and its scenario."""
+
+    words: str
+    set: dict[str, Any]
+    scenario: Scenario
+
+
 @dataclass(frozen=True)
 class Plan:
     """What planned runs would show.
@@ -85,7 +95,7 @@ class Plan:
     name: str
     runs: tuple[str, ...]
     noise: dict[str, float]
-    effects: tuple[Shown, ...]
+    effects: tuple[PlannedEffect, ...]
     proposals: tuple[Proposal, ...]
     not_judged: dict[str, str]
 
@@ -119,7 +129,7 @@ class _LinkPlan:
     """
 
     link: str
-    shown: list[Sensitivity]
+    shown: list[Detectable]
     products: Array
 
     def alike(self, runs: Sequence[int]) -> set[frozenset[str]]:
@@ -143,31 +153,28 @@ def plan(task: Scenario | LoadedDataset, progress: Progress | None = None) -> Pl
         HiltestbedError: a planned run diverges.
     """
     scenarios = [task] if isinstance(task, Scenario) else list(task.scenarios)
-    noise, groups = ({}, None) if isinstance(task, Scenario) else _on_record(task)
+    noise, columns = ({}, MEASURED) if isinstance(task, Scenario) else _on_record(task)
     scenarios = [_with_noise(s, noise, seed) for seed, s in enumerate(scenarios)]
-    with tempfile.TemporaryDirectory() as folder, np.errstate(all="ignore"):
-        files, further = [], []
-        asked = [(f"run {i + 1} of {len(scenarios)}", {}, s) for i, s in enumerate(scenarios)]
-        believed = resolved(scenarios[0])
-        others = [
-            (words, keys, scenario_from(believed, keys | {"seed": len(scenarios) + i}))
-            for i, (words, keys) in enumerate(alternatives(scenarios[0]))
-        ]
-        for words, keys, s in (*asked, *others):
+    further: list[Further] = []
+    with tempfile.TemporaryDirectory() as name, np.errstate(all="ignore"):
+        folder = Path(name)
+        for i, scenario in enumerate(scenarios):
             if progress:
-                progress(f"simulating: {words}")
-            file = Path(folder) / f"run_{len(files)}.parquet"
-            why = _simulate(s, file, noise, groups)
-            if why and not keys:
-                raise HiltestbedError(f"{words} of the plan: {why}")
-            if not why:
-                files.append(file)
-                further += [(words, keys, s)] if keys else []
+                progress(f"simulating run {i + 1} of {len(scenarios)}")
+            if why := _simulate(scenario, folder / f"{i}.parquet", noise, columns):
+                raise HiltestbedError(f"run {i} of the plan: {why}")
+        for run in _possible(scenarios[0], len(scenarios)):
+            if progress:
+                progress(f"simulating a run {run.words}")
+            file = folder / f"{len(scenarios) + len(further)}.parquet"
+            if not _simulate(run.scenario, file, noise, columns):
+                further.append(run)
+        every = (*scenarios, *(run.scenario for run in further))
+        files = tuple(folder / f"{i}.parquet" for i in range(len(every)))
         spec = Dataset(scenario="plan", runs=tuple(RunEntry(file=f.name) for f in files))
-        every = (*scenarios, *(s for *_, s in further))
-        home = Path(folder) / "plan.yaml"
-        loaded = LoadedDataset(spec, home, scenarios[0], every, tuple(files))
-        findings = investigate(load_dataset(loaded), progress)
+        loaded = LoadedDataset(spec, folder / "plan.yaml", scenarios[0], every, files)
+        # simulated by these scenarios: no finding of the check forbids a diagnosis
+        findings = investigate(examine(loaded), progress)
     links, missing = [], dict(findings.missing)
     for name, found in findings.explanations.items():
         if found.departs:
@@ -175,7 +182,7 @@ def plan(task: Scenario | LoadedDataset, progress: Progress | None = None) -> Pl
             continue
         told = labelled(progress, f"sizes, {LINK_NAMES[name]}")
         planned = found.residual.on(range(len(scenarios)))
-        every_effect = sensitivities(planned, found.candidates, told)
+        every_effect = detectable(planned, found.candidates, told)
         shown = [s for s in every_effect if s.size is not None]
         alike = _LinkPlan(name, shown, _products(found.residual, shown))
         links.append((every_effect, alike))
@@ -194,16 +201,16 @@ def plan(task: Scenario | LoadedDataset, progress: Progress | None = None) -> Pl
     )
 
 
-def _shown(s: Sensitivity, alike: set[str]) -> Shown:
+def _shown(s: Detectable, alike: set[str]) -> PlannedEffect:
     link = EFFECTS[s.kind].link
-    return Shown(s.kind, link, s.parameter, s.unit, s.size, tuple(sorted(alike)))
+    return PlannedEffect(s.kind, link, s.parameter, s.unit, s.size, tuple(sorted(alike)))
 
 
 def _name(task: Scenario | LoadedDataset) -> str:
     return task.name if isinstance(task, Scenario) else task.spec.name or task.path.parent.name
 
 
-def _products(residual: Residual, shown: Sequence[Sensitivity]) -> Array:
+def _products(residual: Residual, shown: Sequence[Detectable]) -> Array:
     """(R, E, E) of each run, see :class:`_LinkPlan`."""
     null, *others = residual.by_run([(), *(s.effects for s in shown)])
     out = np.zeros((len(null), len(shown), len(shown)))
@@ -214,7 +221,7 @@ def _products(residual: Residual, shown: Sequence[Sensitivity]) -> Array:
 
 
 def _proposals(
-    links: Sequence[_LinkPlan], own: range, further: Sequence[tuple[str, dict[str, Any], Scenario]]
+    links: Sequence[_LinkPlan], own: range, further: Sequence[Further]
 ) -> tuple[Proposal, ...]:
     """The further runs that tell most pairs apart, each beside those before it."""
     runs, out = list(own), []
@@ -227,17 +234,27 @@ def _proposals(
         best = max(range(len(further)), key=lambda k: len(settled[k]), default=None)
         if best is None or not settled[best]:
             break
-        words, settings, _ = further[best]
         pairs = sorted((min(p), max(p)) for p in settled[best])
-        out.append(Proposal(words, settings, tuple(pairs)))
+        out.append(Proposal(further[best].words, further[best].set, tuple(pairs)))
         runs.append(len(own) + best)
         left -= settled[best]
     return tuple(out)
 
 
+def _possible(scenario: Scenario, seed: int) -> Iterator[Further]:
+    """Those of the further runs that the facility can make, each with its own noise."""
+    believed = resolved(scenario)
+    for i, (words, settings) in enumerate(alternatives(scenario)):
+        try:
+            other = scenario_from(believed, settings | {"seed": seed + i})
+        except InputError:  # the facility, or the mechanism, does not allow it
+            continue
+        yield Further(words, settings, other)
+
+
 def alternatives(scenario: Scenario) -> list[tuple[str, dict[str, Any]]]:
-    """Further runs of a scenario that its facility can make, in words and as settings: other
-    speeds, springs and masses, sliding, tilted.
+    """Further runs of a scenario, in words and as settings: other springs and masses, tilted, and
+    where it approaches, other speeds and sliding.
     """
     approach, duration = scenario.approach, scenario.duration
     speed, k = approach.velocity[2], scenario.mechanism.contact.stiffness
@@ -259,22 +276,22 @@ def alternatives(scenario: Scenario) -> list[tuple[str, dict[str, Any]]]:
         )
         for factor in (SPEED_FACTOR, 1.0 / SPEED_FACTOR)
     ]
+    sliding = (f"sliding at {SLIDING * speed:.3g} m/s", {"approach.velocity.0": SLIDING * speed})
     return [
-        *speeds,
         *springs,
         (f"with a chaser of {mass:.3g} kg in the model", {"spacecraft.chaser.mass": mass}),
-        (f"sliding at {SLIDING * speed:.3g} m/s", {"approach.velocity.0": SLIDING * speed}),
         (f"tilted by {TILT:g} degrees", {"approach.attitude_deg.1": TILT}),
+        *((*speeds, sliding) if speed else ()),
     ]
 
 
-def _on_record(task: LoadedDataset) -> tuple[dict[str, float], set[str] | None]:
-    """The noise of the columns of the runs that are on record, and the groups that they have; none
-    where no run is.
+def _on_record(task: LoadedDataset) -> tuple[dict[str, float], Set[str]]:
+    """The noise of the columns of the runs that are on record, and these columns; no noise and all
+    columns where no run is.
     """
     known = [i for i, file in enumerate(task.files) if file.is_file()]
     if not known:
-        return {}, None
+        return {}, MEASURED
     spec = task.spec.model_copy(update={"runs": tuple(task.spec.runs[i] for i in known)})
     data = load_dataset(
         replace(
@@ -288,8 +305,8 @@ def _on_record(task: LoadedDataset) -> tuple[dict[str, float], set[str] | None]:
     for run in data.runs:
         for column, found in run.survey.noise.items():
             levels.setdefault(column, []).append(found.white)
-    groups = {group for run in data.runs for group in run.record.data}
-    return {column: float(np.median(v)) for column, v in levels.items()}, groups
+    columns = {column for run in data.runs for column in run.record.columns()}
+    return {column: float(np.median(v)) for column, v in levels.items()}, columns
 
 
 def _with_noise(scenario: Scenario, noise: Mapping[str, float], seed: int) -> Scenario:
@@ -307,30 +324,23 @@ def _with_noise(scenario: Scenario, noise: Mapping[str, float], seed: int) -> Sc
     return scenario_from(resolved(scenario), levels | {"seed": seed})
 
 
-def _simulate(
-    scenario: Scenario, file: Path, noise: Mapping[str, float], groups: set[str] | None
-) -> str:
-    """Write the record of a run to a ``file``; in words why there is none, else empty."""
+def _simulate(scenario: Scenario, file: Path, noise: Mapping[str, float], columns: Set[str]) -> str:
+    """Write a run to a ``file`` as its log would have it: the ``columns`` that are measured, with
+    the noise of a measured pose; that of the force has gone through the loop.
+
+    Returns:
+        In words why there is no run; empty where it is written.
+    """
     try:
         batch = simulate([scenario], trace=True)
     except HiltestbedError as error:
         return str(error)
     if batch.trouble or batch.trace is None:
         return batch.trouble[0][2] if batch.trouble else "it has no trace"
-    write_trace(_as_logged(batch.trace.run(0), noise, groups), file)
+    rng = np.random.default_rng(scenario.seed)
+    logged = {name: v for name, v in batch.trace.run(0).items() if name in columns | {"t"}}
+    for name, values in logged.items():
+        if name.startswith("pose_act."):
+            logged[name] = values + noise.get(name, 0.0) * rng.standard_normal(len(values))
+    pq.write_table(pa.table(logged), file)
     return ""
-
-
-def _as_logged(trace: RunTrace, noise: Mapping[str, float], groups: set[str] | None) -> RunTrace:
-    """A run as its log has it: the measured groups that are on record, with the noise of a measured
-    pose; that of the force has gone through the loop.
-    """
-    rng = np.random.default_rng(0)
-    kept = set(MEASURED_GROUPS) if groups is None else groups
-    data = {name: values.copy() for name, values in trace.data.items() if name in kept}
-    if "pose_act" in data:
-        level = np.array([noise.get(c, 0.0) for c in GROUPS["pose_act"].columns])
-        pose = data["pose_act"] + level * rng.standard_normal(data["pose_act"].shape)
-        pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
-        data["pose_act"] = pose
-    return RunTrace(trace.t, data, trace.contact, trace.joints, trace.moving)
