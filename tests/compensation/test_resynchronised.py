@@ -129,3 +129,19 @@ def test_free_flight_is_undisturbed_by_noise() -> None:
     assert noisy is not None
     assert noisy["wrench_meas"].std() > 0.1
     assert np.array_equal(quiet["pose_cmd"], noisy["pose_cmd"])
+
+
+def test_a_run_is_the_run_in_a_batch_bit_for_bit() -> None:
+    contacts = [Contact(4.0, 0.001 + 1e-4 * i, 0.05, seed=i) for i in range(20)]
+    scenarios = [
+        c.scenario({"kind": "resynchronised"}).model_copy(update={"duration": 0.25})
+        for c in contacts
+    ]
+    together, alone = (
+        simulate(scenarios, trace=True).trace,
+        simulate([scenarios[7]], trace=True).trace,
+    )
+    assert together is not None
+    assert alone is not None
+    for name in ("pose_cmd", "wrench_comp", "pose_act"):
+        assert np.array_equal(together[name][:, 7], alone[name][:, 0])

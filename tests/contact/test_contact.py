@@ -74,3 +74,21 @@ def test_sliding_friction_is_at_the_coulomb_limit_and_opposes_the_motion(trackin
     # the active side drags the passive one along
     assert wrench[0] == pytest.approx(0.2 * wrench[2], rel=1e-2)
     assert abs(wrench[1]) < 1e-2 * wrench[0]
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.3, 0.0)])
+@pytest.mark.parametrize("stiffness", [1e4, 1e6])
+def test_static_stiffness_under_a_constant_load(
+    place: tuple[float, float], stiffness: float
+) -> None:
+    """The platform is held pressed in; what the sensor reads over the depth reached is k, damping
+    playing no part.
+    """
+    s = scenario(stiffness=stiffness)
+    plant, still = Plant([s]), np.zeros((1, 6))
+    goal = pose(*place, 100.0 / stiffness)
+    plant.reset(goal, still)
+    for _ in range(1000):
+        plant.advance(goal, still, still)
+    assert np.abs(plant.twist_act).max() < 1e-9
+    assert plant.wrench_sub[0, -1, 2] / plant.pose_act[0, 2] == pytest.approx(stiffness, rel=1e-6)
