@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hiltestbed.cli.options import Json, Sets, complete, overrides, read_scenario
+from hiltestbed.cli.options import Json, Sets, complete, overrides, print_json, read_scenario
 from hiltestbed.errors import InputError
 
 app = typer.Typer()
@@ -32,6 +32,7 @@ def plan(
 
     hiltestbed plan my-rig.yaml --set sensor.noise=0.2
     """
+    from hiltestbed.compiled.warm import tell_of_compiling
     from hiltestbed.config.check import file_kind
     from hiltestbed.config.dataset import dataset_from
     from hiltestbed.config.gallery import find_scenario
@@ -39,6 +40,7 @@ def plan(
     from hiltestbed.diagnosis.plan import plan as planned
     from hiltestbed.process.progress import step_line
 
+    tell_of_compiling()
     file = find_scenario(task)
     kind = file_kind(read_source(file)) if file.is_file() else "scenario"
     if kind == "axis":
@@ -51,7 +53,7 @@ def plan(
     with step_line(f"plan {task.stem}") as progress:
         found = planned(known, progress)
     if as_json:
-        print(json.dumps(found.to_json(), allow_nan=False))
+        print_json(found.to_json())
         return
     from hiltestbed.report.table import print_table
 
@@ -67,7 +69,8 @@ def plan(
     lines = [found.sentence, *(f"{k} was not judged: {v}" for k, v in found.not_judged.items())]
     for proposal in found.proposals:
         apart = ", ".join(" from ".join(pair) for pair in proposal.settles)
-        lines.append(f"  - set: {json.dumps(proposal.set)}  # {proposal.words}: tells {apart}")
+        settings = json.dumps(proposal.set)
+        lines.append(f"  - {{file: FILE, set: {settings}}}  # {proposal.words}: tells {apart}")
     if not found.noise:
         lines.append(
             "noise: of the scenario's sensor; poses without noise. A dataset with one recorded run "

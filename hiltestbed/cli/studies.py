@@ -248,6 +248,11 @@ def diagnose(
     folder = result_folder(out, f"diagnosis-{safe_name(label)}")
     refuse_foreign(folder, DIAGNOSIS)
     source = read_source(dataset)
+    if likelihood is not None and is_axis(source):
+        raise InputError(
+            f"{dataset}: is one axis; --likelihood and --rules are about the links of a rig; leave "
+            f"them out"
+        )
     with step_line(label) as progress:
         found = (
             _of_axis(source, progress)

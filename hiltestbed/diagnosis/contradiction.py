@@ -28,9 +28,12 @@ def contradiction(found: Explanation) -> str:
         return ""
     for known in first_of_each([f for f in found.singles if f.causes], "kinds"):
         alone = _in_each_run(found, known)
-        if alone and known.chi2 - sum(f.chi2 for f in alone) > DETECTION + PENALTY * len(
-            known.theta
-        ) * (len(alone) - 1):
+        if not alone:
+            continue
+        joint = fit(found.residual, known.causes, [known.theta], tries=1)
+        if joint.chi2 - sum(f.chi2 for f in alone) > DETECTION + PENALTY * len(known.theta) * (
+            len(alone) - 1
+        ):
             sizes = ", ".join(
                 f"{listed(f.effects()[0].parameters())} in run {i}"
                 for i, f in zip(found.residual.runs, alone, strict=True)

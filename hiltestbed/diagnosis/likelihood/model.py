@@ -52,9 +52,9 @@ COLOUR_ORDER = 16  # of the filter that makes noise white
 # another colour: a neighbour correlation of 0.9 and as much white noise have 1.4
 COLOURED_LEVEL = 2.0
 OUTSIDE, INSIDE = "outside", "in"
-# the same of a sample in a fit, of those that exceed as many rms: one normal one in 5e8
-CLIPPED = 6.0
 OUTLYING = 4.0  # robust standard deviations at which a sample is clipped: one normal one in 16,000
+# the same of a sample in a fit, in rms: one normal one in 5e8
+CLIPPED = 6.0
 # probability with which white noise exceeds a limit: of some 50 limits of a set one in 3000 sets
 ALLOWED = 7e-6
 
