@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import cycle
 
 import numpy as np
 
@@ -53,15 +54,22 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.0005)
 
 
+# each worker has ports of its own, and gives none twice before all were given
+WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+OWN = range(20_000 + WORKER, 32_000, WORKERS)
+PORTS = cycle(random.sample(OWN, len(OWN)))
+
+
 def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> list[int]:
-    """Ports of the loopback address that nobody uses just now, and that the kernel gives nobody of
-    itself (Linux: those below 32768).
+    """Ports of the loopback address that nobody uses just now, that the kernel gives nobody of
+    itself (Linux: those below 32768), and that no other test is given.
     """
     held: list[socket.socket] = []
     while len(held) < count:
         opened = socket.socket(socket.AF_INET, kind)
         try:
-            opened.bind(("127.0.0.1", random.randrange(20_000, 32_000)))
+            opened.bind(("127.0.0.1", next(PORTS)))
             held.append(opened)
         except OSError:
             opened.close()
