@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,47 @@ class ContactFigures:
     energy_made: float = 0.0
 
 
+class Sums(NamedTuple):
+    """Running sums of ``n`` runs, which :func:`_update` adds to.
+
+    Attributes:
+        tick: [s]. settle: (n,) see :func:`settle_ticks`. wait: (n,) times the contact's duration
+            that is waited for a compensation that still acts.
+        energy, peak_force, peak_error, impulse: (n,) [J, N, m, N s].
+        contact_ticks, contacts, first_tick, last_tick: (n,) int64, of all contacts.
+        speeds: (n, 2, 6) twists of the numerical model before the first contact, and after it.
+        first_impulse: (n, 6) of the wrench that was used in the first contact, about A.
+        later_impulse: (n, 6) of it since the rebound speed was last taken.
+        peak_used: (n, 2) [N] largest force used before that contact and since.
+        quiet: (n,) successive ticks in which the compensation no longer acts.
+        settled: (n,) whether the rebound speed is known.
+        wrench_before, pose_before, twist_before: (n, 6), (n, 7), (n, 6) of the tick before.
+        tracking: (n, 5) sums of v v, v F, F F, e v, e F along z, in contact.
+    """
+
+    tick: float
+    settle: NDArray[np.int64]
+    wait: Array
+    energy: Array
+    peak_force: Array
+    peak_error: Array
+    impulse: Array
+    contact_ticks: NDArray[np.int64]
+    contacts: NDArray[np.int64]
+    first_tick: NDArray[np.int64]
+    last_tick: NDArray[np.int64]
+    speeds: Array
+    first_impulse: Array
+    peak_used: Array
+    later_impulse: Array
+    quiet: NDArray[np.int64]
+    settled: NDArray[np.bool_]
+    wrench_before: Array
+    pose_before: Array
+    twist_before: Array
+    tracking: Array
+
+
 class Tally:
     """Running figures of ``n`` runs.
 
@@ -76,67 +118,45 @@ class Tally:
             - F_used . v_cmd``; moments are about A's origin, as is the twist.
             Positive: active.
         peak_force: ``(n,)`` [N] largest physical contact force so far.
+        impulse: ``(n,)`` [N s] of the physical contact force along z so far.
+        contacts, first_tick: ``(n,)`` contacts so far, and tick of the first; -1: none.
     """
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n, first = len(scenarios), scenarios[0]
-        self.tick = 1.0 / first.rate
-        self._settle = np.array([settle_ticks(s) for s in scenarios], dtype=np.int64)
-        self._wait = np.array(
-            [0.0 if s.compensation.force.adds_force else LONGEST_WAIT for s in scenarios]
+        waits = [0.0 if s.compensation.force.adds_force else LONGEST_WAIT for s in scenarios]
+        contact_ticks, contacts, quiet = (np.zeros(n, dtype=np.int64) for _ in range(3))
+        sums = Sums(
+            tick=1.0 / first.rate,
+            settle=np.array([settle_ticks(s) for s in scenarios], dtype=np.int64),
+            wait=np.array(waits),
+            energy=np.zeros(n),
+            peak_force=np.zeros(n),
+            peak_error=np.zeros(n),
+            impulse=np.zeros(n),
+            contact_ticks=contact_ticks,
+            contacts=contacts,
+            first_tick=np.full(n, -1, dtype=np.int64),
+            last_tick=np.full(n, -1, dtype=np.int64),
+            speeds=np.full((n, 2, 6), np.nan),
+            first_impulse=np.zeros((n, 6)),
+            peak_used=np.zeros((n, 2)),
+            later_impulse=np.zeros((n, 6)),
+            quiet=quiet,
+            settled=np.zeros(n, dtype=bool),
+            wrench_before=np.zeros((n, 6)),
+            pose_before=np.zeros((n, 7)),
+            twist_before=np.zeros((n, 6)),
+            tracking=np.zeros((n, 5)),
         )
-        self.energy = np.zeros(n)
-        self.peak_force = np.zeros(n)
-        self.peak_error = np.zeros(n)
-        self.impulse = np.zeros(n)
-        self.contact_ticks = np.zeros(n, dtype=np.int64)
-        self.contacts = np.zeros(n, dtype=np.int64)
-        self.first_tick = np.full(n, -1, dtype=np.int64)
-        self._last_tick = np.full(n, -1, dtype=np.int64)
-        # twists of the numerical model before the first contact, and after it
-        self._speeds = np.full((n, 2, 6), np.nan)
-        # of the wrench that was used in the first contact, about A
-        self._first_impulse = np.zeros((n, 6))
-        self._peak_used = np.zeros((n, 2))  # [N] its largest force before that contact and since
-        # of that wrench since the rebound speed was last taken
-        self._later_impulse = np.zeros((n, 6))
-        self._quiet = np.zeros(n, dtype=np.int64)  # successive ticks in which it no longer acts
-        self._settled = np.zeros(n, dtype=bool)
-        self._wrench = np.zeros((n, 6))
-        self._pose = np.zeros((n, 7))
-        self._twist = np.zeros((n, 6))
-        self._started = np.zeros(n, dtype=bool)
-        self._tracking = np.zeros((n, 5))  # vv, vF, FF, ev, eF along z, in contact
-        self._update = Call(
-            _update,
-            ...,
-            self.tick,
-            *(GIVEN,) * 7,
-            self._settle,
-            self._wait,
-            self.energy,
-            self.peak_force,
-            self.peak_error,
-            self.impulse,
-            self.contact_ticks,
-            self.contacts,
-            self.first_tick,
-            self._last_tick,
-            self._speeds,
-            self._first_impulse,
-            self._peak_used,
-            self._later_impulse,
-            self._quiet,
-            self._settled,
-            self._wrench,
-            self._pose,
-            self._twist,
-            self._tracking,
-        )
+        self._sums = sums
+        self.energy, self.peak_force, self.impulse = sums.energy, sums.peak_force, sums.impulse
+        self.contacts, self.first_tick = sums.contacts, sums.first_tick
+        self._update = Call(_update, ..., *(GIVEN,) * 7, sums)
 
     def start(self, twist: Array) -> None:
         """The numerical model's twist ``(n, 6)`` before the first tick."""
-        self._twist[:] = twist
+        self._sums.twist_before[:] = twist
 
     def taking(
         self,
@@ -161,37 +181,37 @@ class Tally:
     @property
     def rebounded(self) -> NDArray[np.bool_]:
         """``(n,)`` runs whose rebound speed is known, and changes no more."""
-        return self._settled
+        return self._sums.settled
 
     def first_contact(self, i: int) -> tuple[Array, Array, Array]:
         """Of run ``i``: impulse (6,) about A of the first contact; twists before, after; or NaN."""
-        return self._first_impulse[i], self._speeds[i, 0], self._speeds[i, 1]
+        return self._sums.first_impulse[i], *self._sums.speeds[i]
 
     def figures(self, i: int) -> ContactFigures:
         """The figures of run ``i``."""
-        approach, rebound = (None if math.isnan(v) else float(v) for v in self._speeds[i, :, 2])
-        delay, compliance = tracking_fit(self._tracking[i])
+        sums = self._sums
+        tick, first, peak = sums.tick, int(sums.first_tick[i]), float(sums.peak_force[i])
+        approach, rebound = (None if math.isnan(v) else float(v) for v in sums.speeds[i, :, 2])
+        delay, compliance = tracking_fit(sums.tracking[i])
+        cor = None
+        if approach is not None and rebound is not None and approach > 0.0 >= rebound:
+            cor = -rebound / approach
+        before, after = sums.speeds[i]
         return ContactFigures(
-            cor=None
-            if approach is None or rebound is None or approach <= 0.0 or rebound > 0.0
-            else -rebound / approach,
-            cor_normal=along_impulse(self._first_impulse[i], *self._speeds[i]),
+            cor=cor,
+            cor_normal=along_impulse(sums.first_impulse[i], before, after),
             approach_speed=approach,
             rebound_speed=rebound,
-            energy_generated=float(self.energy[i]),
-            peak_force=float(self.peak_force[i]),
-            contact_duration=float(self.contact_ticks[i] * self.tick),
-            contacts=int(self.contacts[i]),
-            first_contact=float(self.first_tick[i] * self.tick)
-            if self.first_tick[i] >= 0
-            else None,
-            impulse=float(self.impulse[i]),
+            energy_generated=float(sums.energy[i]),
+            peak_force=peak,
+            contact_duration=float(sums.contact_ticks[i] * tick),
+            contacts=int(sums.contacts[i]),
+            first_contact=first * tick if first >= 0 else None,
+            impulse=float(sums.impulse[i]),
             tracking_delay=delay,
             tracking_compliance=compliance,
-            tracking_error=float(self.peak_error[i]),
-            energy_made=energy_made(
-                self._first_impulse[i], *self._speeds[i], push=self.tick * float(self.peak_force[i])
-            ),
+            tracking_error=float(sums.peak_error[i]),
+            energy_made=energy_made(sums.first_impulse[i], before, after, push=tick * peak),
         )
 
 
@@ -308,37 +328,8 @@ def about_A(wrench, pose, out):
 
 
 @njit(cache=True)
-def _update(
-    k,
-    h,
-    wrench,
-    pose,
-    twist,
-    contact,
-    pose_before,
-    used,
-    twist_cmd,
-    settle,
-    wait,
-    energy,
-    peak_force,
-    peak_error,
-    impulse,
-    contact_ticks,
-    contacts,
-    first_tick,
-    last_tick,
-    speeds,
-    first_impulse,
-    peak_used,
-    later_impulse,
-    quiet,
-    settled,
-    wrench_before,
-    rig_pose_before,
-    twist_before,
-    tracking,
-):
+def _update(k, wrench, pose, twist, contact, pose_before, used, twist_cmd, sums):
+    h = sums.tick
     slope, felt, paid = np.zeros(6), np.empty(6), np.empty(6)
     for i in range(wrench.shape[0]):
         about_A(wrench[i], pose[i], felt)
@@ -346,52 +337,54 @@ def _update(
         square = 0.0
         error = 0.0
         if k > 0:
-            twist_between(rig_pose_before[i], pose[i], h, slope)
+            twist_between(sums.pose_before[i], pose[i], h, slope)
         for j in range(7):
-            rig_pose_before[i, j] = pose[i, j]
+            sums.pose_before[i, j] = pose[i, j]
         for j in range(6):
-            energy[i] += 0.5 * h * (felt[j] + wrench_before[i, j]) * slope[j]
-            energy[i] -= 0.5 * h * paid[j] * (twist_cmd[i, j] + twist_before[i, j])
+            sums.energy[i] += 0.5 * h * (felt[j] + sums.wrench_before[i, j]) * slope[j]
+            sums.energy[i] -= 0.5 * h * paid[j] * (twist_cmd[i, j] + sums.twist_before[i, j])
             if j < 3:
                 square += wrench[i, j] ** 2
                 error += (pose_before[i, j] - pose[i, j]) ** 2
-        peak_force[i] = max(peak_force[i], math.sqrt(square))
-        peak_error[i] = max(peak_error[i], math.sqrt(error))
-        impulse[i] += h * wrench[i, 2]
+        sums.peak_force[i] = max(sums.peak_force[i], math.sqrt(square))
+        sums.peak_error[i] = max(sums.peak_error[i], math.sqrt(error))
+        sums.impulse[i] += h * wrench[i, 2]
         if contact[i]:
-            if last_tick[i] < 0:
-                first_tick[i] = k
+            if sums.last_tick[i] < 0:
+                sums.first_tick[i] = k
                 for j in range(6):
-                    speeds[i, 0, j] = twist_before[i, j]
-            if last_tick[i] < 0 or k - last_tick[i] > settle[i]:
-                contacts[i] += 1
-                settled[i] = contacts[i] > 1
-            last_tick[i] = k
-            contact_ticks[i] += 1
+                    sums.speeds[i, 0, j] = sums.twist_before[i, j]
+            if sums.last_tick[i] < 0 or k - sums.last_tick[i] > sums.settle[i]:
+                sums.contacts[i] += 1
+                sums.settled[i] = sums.contacts[i] > 1
+            sums.last_tick[i] = k
+            sums.contact_ticks[i] += 1
             e, v, f = pose_before[i, 2] - pose[i, 2], twist[i, 2], wrench[i, 2]
-            tracking[i, 0] += v * v
-            tracking[i, 1] += v * f
-            tracking[i, 2] += f * f
-            tracking[i, 3] += e * v
-            tracking[i, 4] += e * f
+            sums.tracking[i, 0] += v * v
+            sums.tracking[i, 1] += v * f
+            sums.tracking[i, 2] += f * f
+            sums.tracking[i, 3] += e * v
+            sums.tracking[i, 4] += e * f
         force = math.sqrt(paid[0] ** 2 + paid[1] ** 2 + paid[2] ** 2)
-        if contacts[i] == 0:
-            peak_used[i, 0] = max(peak_used[i, 0], force)
-        if contacts[i] == 1 and not settled[i]:
-            over = k - last_tick[i] - settle[i]
-            peak_used[i, 1] = max(peak_used[i, 1], force)
-            acts = wait[i] > 0.0 and force > max(
-                STILL_ACTING * peak_used[i, 1], ABOVE_NOISE * peak_used[i, 0]
+        if sums.contacts[i] == 0:
+            sums.peak_used[i, 0] = max(sums.peak_used[i, 0], force)
+        if sums.contacts[i] == 1 and not sums.settled[i]:
+            over = k - sums.last_tick[i] - sums.settle[i]
+            sums.peak_used[i, 1] = max(sums.peak_used[i, 1], force)
+            acts = sums.wait[i] > 0.0 and force > max(
+                STILL_ACTING * sums.peak_used[i, 1], ABOVE_NOISE * sums.peak_used[i, 0]
             )
-            quiet[i] = 0 if acts else quiet[i] + 1
+            sums.quiet[i] = 0 if acts else sums.quiet[i] + 1
             if over == 0 or (over > 0 and acts):
                 for j in range(6):
-                    speeds[i, 1, j] = twist_cmd[i, j]
-                    first_impulse[i, j] += later_impulse[i, j]
-                    later_impulse[i, j] = 0.0
+                    sums.speeds[i, 1, j] = twist_cmd[i, j]
+                    sums.first_impulse[i, j] += sums.later_impulse[i, j]
+                    sums.later_impulse[i, j] = 0.0
             for j in range(6):
-                later_impulse[i, j] += h * paid[j]
-            settled[i] = over >= 0 and (quiet[i] > settle[i] or over >= wait[i] * contact_ticks[i])
+                sums.later_impulse[i, j] += h * paid[j]
+            sums.settled[i] = over >= 0 and (
+                sums.quiet[i] > sums.settle[i] or over >= sums.wait[i] * sums.contact_ticks[i]
+            )
         for j in range(6):
-            wrench_before[i, j] = felt[j]
-            twist_before[i, j] = twist_cmd[i, j]
+            sums.wrench_before[i, j] = felt[j]
+            sums.twist_before[i, j] = twist_cmd[i, j]

@@ -22,7 +22,7 @@ from hiltestbed.contact.composition import (
     POS,
     READ,
 )  # fmt: skip
-from hiltestbed.contact.geometry import RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES
+from hiltestbed.contact.geometry import RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES, unmet
 from hiltestbed.contact.parameters import DAMPING, OFFSET, STIFFNESS
 from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all
 from hiltestbed.frames import Array, quat_mul, rotate, rotate_back
@@ -141,19 +141,18 @@ def pose_facet(i, c, show, geometry, bodies, inputs, point, normal, work):
 @njit(cache=True)
 def touch_facets(geometry, laws, bodies, inputs, felt):
     """Facets, springs and friction of each run from the poses of its sides."""
-    index, values = geometry
+    index = geometry[0]
     dt, least_creep, p, linear, live, gain = laws
     frames, motions, ids, geom_pos = bodies.frames, bodies.motions, inputs.ids, inputs.geom_pos
     solref, friction = inputs.solref, inputs.friction
     state, met, wrench, pull, touching = felt
     count = index[-1]
-    depth, rate = np.empty(count), np.empty(count)
-    point, normal, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
-    work, f = np.empty((9, 7)), np.empty(6)
+    meeting, work, f = unmet(count), np.empty((9, 7)), np.empty(6)
+    depth, rate, point, normal, slip = meeting
     for i in range(met.shape[0]):
         wrench[i], pull[i] = 0.0, 0.0
         touching[i] = False
-        meet_all(index, values, p[i], frames[i], motions[i], work, depth, rate, point, normal, slip)
+        meet_all(geometry, p[i], frames[i], motions[i], work, meeting)
         for c in range(count):
             row, out, at, n, v = p[i, c], met[i, c], point[c], normal[c], slip[c]
             out[0], out[1], out[PUSH], out[DRAG] = depth[c], rate[c], 0.0, 0.0

@@ -66,6 +66,30 @@ class Geometry(NamedTuple):
         return int(self.index[-1])
 
 
+class Met(NamedTuple):
+    """How each of C candidates meets, at an instant.
+
+    Attributes:
+        depth, rate: (C,) penetration [m], negative while apart, and its rate [m/s].
+        point, normal, slip: (C, 3) in the frame of the surface: point of application of the force
+            [m], direction of the force on the surface, and tangential velocity of the body that
+            touches it [m/s].
+    """
+
+    depth: Array
+    rate: Array
+    point: Array
+    normal: Array
+    slip: Array
+
+
+@njit(cache=True)
+def unmet(count):
+    """A :class:`Met` of ``count`` candidates that are nowhere."""
+    point, normal, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    return Met(np.zeros(count), np.zeros(count), point, normal, slip)
+
+
 class Round(NamedTuple):
     """A ball or a rod: radius [m], both ends (2, 3) of its axis [m] in the frame number ``frame``;
     the ends of a ball are equal.
@@ -146,21 +170,20 @@ def _surface(index, values, c):
 
 
 @njit(cache=True)
-def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal, slip):
-    """One candidate of one run; returns penetration [m], negative while apart, and its rate [m/s].
+def meet(geometry, c, pose, twist, law, work, met):
+    """Write how candidate ``c`` of one run meets to ``met``, a :class:`Met`.
 
     Args:
-        pose, twist: (7,), (6,) of the round's frame in the surface's. lever: point of application
-            of the force within the overlap, 0 at
-            the undeformed surface, 1 at the tip. blunt: 1 if a ball touches, 0 if its foremost
-            point does. ahead: [m] largest distance at which the (negative) penetration is exact,
-            not a bound.
+        pose, twist: (7,), (6,) of the round's frame in the surface's.
+        law: point of application of the force within the overlap, 0 at the undeformed surface, 1 at
+            the tip; 1 if a ball touches, 0 if its foremost point does; and the largest distance
+            [m] at which the (negative) penetration is exact. Farther apart it is only an upper
+            bound, at most minus that distance, and point, normal and slip are zero.
         work: (5, 3) scratch.
-        point, normal, slip: (3,) point of application of the force [m], direction of the force on
-            the surface, and tangential velocity of the round [m/s], in the surface's frame. If the
-            two are farther apart than ``ahead``, the penetration is only an upper bound, at most
-            -``ahead``, and these are zero.
     """
+    index, values = geometry
+    lever, blunt, ahead = law
+    point, normal, slip = met.point[c], met.normal[c], met.slip[c]
     row = values[c * VALUES : (c + 1) * VALUES]
     start, end, free, nearest, v = work[0], work[1], work[2], work[3], work[4]
     ball = (
@@ -191,7 +214,8 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
         rotate_back(attitude, end, end)
     near = _beyond(row, start, end, ball) - radius
     if near > ahead:
-        return _apart(-near, point, normal, slip)
+        _apart(-near, c, met)
+        return
     turned = index[c * ROW + KIND] == TURNED
     if ball:
         if turned:  # passing a tree as well would double the cost
@@ -210,7 +234,8 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
                 _surface(index, values, c), start, end, radius + ahead, free, nearest
             )
         if distance >= radius + ahead:
-            return _apart(radius - distance, point, normal, slip)
+            _apart(radius - distance, c, met)
+            return
     x = radius - distance
     rotate(attitude, free, free)
     rotate(attitude, nearest, nearest)
@@ -225,15 +250,15 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
     into = -(v[0] * free[0] + v[1] * free[1] + v[2] * free[2])
     for j in range(3):
         slip[j] = v[j] + into * free[j]
-    return x, into
+    met.depth[c], met.rate[c] = x, into
 
 
 @njit(cache=True)
-def _apart(bound, point, normal, slip):
-    """Return a bound of the penetration; clear what may be left from another run."""
+def _apart(bound, c, met):
+    """Write a bound of the penetration; clear what may be left from another run."""
     for j in range(3):
-        point[j] = normal[j] = slip[j] = 0.0
-    return bound, 0.0
+        met.point[c, j] = met.normal[c, j] = met.slip[c, j] = 0.0
+    met.depth[c], met.rate[c] = bound, 0.0
 
 
 @njit(cache=True)

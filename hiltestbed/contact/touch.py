@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiltestbed.contact.geometry import FRAMES
+from hiltestbed.contact.geometry import FRAMES, Met
 from hiltestbed.contact.law import Pair, acting_contacts, acting_law, in_series, linear_law
 from hiltestbed.contact.parameters import LEVER, OFFSET, PARAMETERS
 from hiltestbed.contact.sides import Sides, sides_of
@@ -160,10 +160,9 @@ class Meeting:
         p[:, LEVER], p[:, OFFSET] = 0.5, 0.0
         self.frames = np.zeros((frames, 7))
         self.frames[1, 6] = 1.0
-        self.depth = np.empty(count)
-        self.point, self.normal, slip = (np.zeros((count, 3)) for _ in range(3))
-        given = (*sides.geometry, p, self.frames, np.zeros((frames, 6)), np.empty((9, 7)))
-        self._met = (*given, self.depth, np.empty(count), self.point, self.normal, slip)
+        met = Met(*np.zeros((2, count)), *np.zeros((3, count, 3)))
+        self.depth, self.point, self.normal = met.depth, met.point, met.normal
+        self._met = sides.geometry, p, self.frames, np.zeros((frames, 6)), np.empty((9, 7)), met
 
     def deepest(self, pose: Array) -> float:
         """Largest penetration [m] with A at ``pose`` (7,), negative while apart; that of each pair,

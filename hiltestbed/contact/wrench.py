@@ -70,37 +70,23 @@ def relate(pose, twist, place, motion, pose_out, twist_out):
 
 
 @njit(cache=True)
-def meet_all(index, values, p, frames, motions, work, depth, rate, point, normal, slip):
+def meet_all(geometry, p, frames, motions, work, met):
     """Contact geometry of the candidates of one run, with the parameters ``p`` (C, PARAMETERS).
 
     Args:
         frames, motions: (F, 7), (F, 6) poses and twists of the frames in W. work: (9, 7) scratch.
-        depth, rate: (C,) penetration [m], negative while apart, and its rate [m/s].
-        point, normal, slip: (C, 3) in the frame of the surface: point of application of the force
-            [m], direction of the force on the surface, and tangential velocity of the body that
-            touches it [m/s].
+        met: a :class:`~hiltestbed.contact.geometry.Met`, written.
     """
+    index = geometry[0]
     pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
     a, s = -1, -1
-    for c in range(depth.shape[0]):
+    for c in range(met.depth.shape[0]):
         frame_a, frame_s = index[c * ROW + ROUND_FRAME], index[c * ROW + SURFACE_FRAME]
         if frame_a != a or frame_s != s:
             a, s = frame_a, frame_s
             relate_one(frames[a], motions[a], frames[s], motions[s], pose, twist, scratch)
-        depth[c], rate[c] = meet(
-            index,
-            values,
-            c,
-            pose,
-            twist,
-            p[c, LEVER],
-            p[c, BLUNT],
-            max(0.0, -p[c, OFFSET]),
-            scratch,
-            point[c],
-            normal[c],
-            slip[c],
-        )
+        law = p[c, LEVER], p[c, BLUNT], max(0.0, -p[c, OFFSET])
+        meet(geometry, c, pose, twist, law, scratch, met)
 
 
 @njit(cache=True)
@@ -133,69 +119,45 @@ def add_contact(push, drag, point, normal, slip, place, side, f, wrench):
 
 
 @njit(cache=True)
-def contact_wrench(
-    index,
-    values,
-    dt,
-    least_creep,
-    p,
-    frames,
-    motions,
-    latched,
-    hold,
-    state,
-    depth,
-    rate,
-    point,
-    normal,
-    slip,
-    work,
-    wrench,
-):
+def contact_wrench(geometry, laws, sides, latched, hold, met, work, wrench):
     """The contacts of one run at an instant: ``wrench`` (6,) on the passive side, in W at W's
     origin. Returns whether they touch.
 
     Args:
-        dt: time since the last instant [s]. p: (C + 1, PARAMETERS), of each candidate and of the
-            latch. frames, motions: (F, 7), (F, 6).
-        state: (C + 1, STATES) of the laws, updated. depth ... slip: see :func:`meet_all`. work: (9,
-            7) scratch.
+        laws: time since the last instant [s], least creep (see :func:`law_of`), parameters
+            (C + 1, PARAMETERS) of each candidate and of the latch, and states (C + 1, STATES) of
+            the laws, which are updated. sides: (F, 7), (F, 6) poses and twists of the frames.
+        met: a :class:`~hiltestbed.contact.geometry.Met`, written. work: (9, 7) scratch.
     """
-    for j in range(6):
-        wrench[j] = 0.0
-    count = depth.shape[0]
+    dt, _, p, state = laws
+    frames, motions = sides
+    wrench[:] = 0.0
     if latched:
         pose, twist = work[5], work[6][:6]
-        relate_one(
-            frames[ACTIVE],
-            motions[ACTIVE],
-            frames[PASSIVE],
-            motions[PASSIVE],
-            pose,
-            twist,
-            work[:5, :3],
-        )
-        latch_wrench(p[count], dt, pose, twist, hold, state[count], work[:4], work[7][:6])
+        a, s = (frames[ACTIVE], motions[ACTIVE]), (frames[PASSIVE], motions[PASSIVE])
+        relate_one(*a, *s, pose, twist, work[:5, :3])
+        latch_wrench(p[-1], dt, pose, twist, hold, state[-1], work[:4], work[7][:6])
         to_frame(frames[PASSIVE], work[7], wrench)
         return True
-    meet_all(index, values, p, frames, motions, work, depth, rate, point, normal, slip)
-    return surface_wrench(
-        index, dt, least_creep, p, frames, state, depth, rate, point, normal, slip, work[7], wrench
-    )
+    meet_all(geometry, p, frames, motions, work, met)
+    return surface_wrench(geometry, laws, frames, met, work[7], wrench)
 
 
 @njit(cache=True)
-def surface_wrench(
-    index, dt, least_creep, p, frames, state, depth, rate, point, normal, slip, f, wrench
-):
-    """Add the laws' forces to ``wrench`` (6,); whether surfaces touch. ``f`` (6,): scratch."""
+def surface_wrench(geometry, laws, frames, met, f, wrench):
+    """Add the laws' forces to ``wrench`` (6,), see :func:`contact_wrench`; whether surfaces touch.
+    ``f`` (6,): scratch.
+    """
+    index = geometry[0]
+    dt, least_creep, p, state = laws
     touching = False
-    for c in range(depth.shape[0]):
-        push, drag = law_of(dt, least_creep, p[c], state[c], depth[c], rate[c], slip[c])
-        touching |= depth[c] > p[c, OFFSET] or push != 0.0
+    for c in range(met.depth.shape[0]):
+        depth, slip = met.depth[c], met.slip[c]
+        push, drag = law_of(dt, least_creep, p[c], state[c], depth, met.rate[c], slip)
+        touching |= depth > p[c, OFFSET] or push != 0.0
         if push != 0.0:
             frame, side = frames[index[c * ROW + SURFACE_FRAME]], index[c * ROW + SIDE]
-            add_contact(push, drag, point[c], normal[c], slip[c], frame, side, f, wrench)
+            add_contact(push, drag, met.point[c], met.normal[c], slip, frame, side, f, wrench)
     return touching
 
 

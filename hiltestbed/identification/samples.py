@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call, Joined
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.geometry import ROW, SIDE
+from hiltestbed.contact.geometry import ROW, SIDE, unmet
 from hiltestbed.contact.parameters import LEVER, PARAMETERS
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
@@ -258,7 +258,7 @@ def _meet(k, geometry, pose, twist, past, at_once):
     """Penetration, its rate and the normal of the deepest contact at t_k, in the column after the
     six axes; and how many contacts there are at once.
     """
-    (index, values), x, v, normal = geometry, past.x, past.v, past.normal
+    index, x, v, normal = geometry.index, past.x, past.v, past.normal
     slot, length, count = k % x.shape[1], x.shape[1], index[-1]
     frames = np.zeros((2, 7))
     motions = np.zeros((2, 6))
@@ -267,14 +267,14 @@ def _meet(k, geometry, pose, twist, past, at_once):
     for c in range(count):
         p[c, LEVER] = 0.5
     frames[1, 6] = 1.0
-    depth, rate = np.empty(count), np.empty(count)
-    point, across, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    met = unmet(count)
+    depth, rate, across = met.depth, met.rate, met.normal
     for i in range(pose.shape[0]):
         for j in range(7):
             frames[0, j] = pose[i, j]
         for j in range(6):
             motions[0, j] = twist[i, j]
-        meet_all(index, values, p, frames, motions, work, depth, rate, point, across, slip)
+        meet_all(geometry, p, frames, motions, work, met)
         c, together = 0, 0
         for other in range(count):
             together += depth[other] > 0.0

@@ -173,8 +173,9 @@ class NumericalModel:
         if self._resisted is not None:
             resist_bodies(self._force, self.v, self._rigid, self.tick, self._tau)
         if self._swings:
-            bodies = (self._whole, self._rigid, self._placed, self._rest, self.q, self.v)
-            swing(self._appendage, *bodies, self.tick, self._swing, self._tau)
+            hung = self._appendage, self._placed, self._rest
+            masses = self._whole, self._rigid
+            swing(hung, masses, self.q, self.v, self.tick, self._swing, self._tau)
         if self._explicit is not None:
             self._before[:] = self.v
         self.flyers.accelerate(self.q, self.v, self._tau, self.tick)
@@ -295,15 +296,18 @@ def hang(appendage, placed, rest, q, v, swing):
 
 
 @njit(cache=True)
-def swing(appendage, whole, rigid, placed, rest, q, v, h, swing, tau):
+def swing(hung, masses, q, v, h, swing, tau):
     """Add the loads of the appendages on their bodies to ``tau`` (n, 2, 6), and advance them:
     velocity first, then displacement.
 
+    hung: the appendages, which bodies are ``placed`` (n, 2), and ``rest`` (n, 2, 3), the centre of
+        mass of a body without its appendages. masses: (n, 2) [kg] with and without appendages.
     swing: (n, 2, S, 2, 3) displacement [m] and velocity [m/s] of each appendage relative to its
-        body, in inertial axes; for bodies that are ``placed`` (n, 2), its inertial position and
-        velocity. rest: (n, 2, 3) centre of mass of a body without its appendages, at ``q`` (n, 2,
-        7) with the velocity ``v`` (n, 2, 6).
+        body, in inertial axes; for bodies that are ``placed``, its inertial position and velocity.
+    q, v: (n, 2, 7), (n, 2, 6) of the bodies.
     """
+    appendage, placed, rest = hung
+    whole, rigid = masses
     acceleration = np.empty(3)
     for i in range(tau.shape[0]):
         for b in range(2):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.geometry import arm
+from hiltestbed.contact.geometry import Geometry, Met, arm
 from hiltestbed.contact.latch import closes
 from hiltestbed.contact.mount import mount_place
 from hiltestbed.contact.mount_dynamics import mount_reading
@@ -60,7 +60,7 @@ class Trajectory(NamedTuple):
     Attributes:
         poses, twists, ends, clear: (N, ...). bent: whether the twist changes within a tick.
             captured: from the start. tick: [s].
-        geometry: index and values. met: depth, rate, point, normal and slip, (N, C, ...).
+        met: of each row, (N, C, ...).
     """
 
     poses: Array
@@ -69,11 +69,11 @@ class Trajectory(NamedTuple):
     bent: bool
     before: Array
     clear: Array
-    met: tuple[Array, Array, Array, Array, Array]
+    met: Met
     captured: bool
     latch: Array
     tick: float
-    geometry: tuple[Array, Array]
+    geometry: Geometry
     lever: float
     least_creep: float
 
@@ -90,18 +90,18 @@ def contact_along(path, mount, p, tilt, parts, between, sub):
     """
     count, law, m, h = p.shape[0] - 1, p[-1], parts.shape[0], path.tick
     scene = scene_of(path, p, tilt)
-    wrench, depth = scene.wrench, scene.met[0]
+    wrench, depth = scene.wrench, scene.met.depth
     # deflection of the mount, its rate, that at the end of a step, and the last ones
     moving = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(LAST)
     latched, near, touches = path.captured, False, 0
     sub[:] = 0.0
-    lean, longest = abs(law[TILT_X]) + abs(law[TILT_Y]), arm(scene.values, count)
+    lean, longest = abs(law[TILT_X]) + abs(law[TILT_Y]), arm(scene.geometry.values, count)
     reach = max(0.0, -law[OFFSET] if count == 0 else -p[0, OFFSET])
     remembers = law[BRANCH_STIFFNESS] > 0.0 or law[DRAG] > 0.0 or law[OVER_STRETCH] > 0.0
     remembers = remembers or law[MODE] > 0.0 or path.latch[1] < NO_LATCH
     moved = law[LEVER] - path.lever
     plain = lean == 0.0 and not mount.there and reach <= NEAR
-    plain = plain and (moved == 0.0 or on_passive(scene.index, count))
+    plain = plain and (moved == 0.0 or on_passive(scene.geometry.index, count))
     sharp = not mount.there and law[MODE] == 0.0
     for c in range(count):
         sharp &= p[c, BLUNT] == 1.0
@@ -135,7 +135,7 @@ def contact_along(path, mount, p, tilt, parts, between, sub):
                 continue
             split = 1
             if mount.leapfrog and not latched and k > 0:
-                slips = scene.touching, scene.met[4], scene.slipped
+                slips = scene.touching, scene.met.slip, scene.slipped
                 split = pieces(mount, dt, scene.least_creep, wrench, *slips, moving[3], p)
             dt /= split
             for piece in range(split):
@@ -148,18 +148,18 @@ def contact_along(path, mount, p, tilt, parts, between, sub):
                     _exert(scene, dt, True, wrench)
                 elif mount.there:
                     before = wrench.copy()
-                    scene.slipped[:] = scene.met[4]
+                    scene.slipped[:] = scene.met.slip
                     meet_next(scene, longest)
                     _press(scene, dt)
                     if mount.leapfrog:
-                        slips = scene.touching, scene.met[4], scene.slipped
-                        part = touched(depth, scene.met[1], p, dt, *slips)
+                        slips = scene.touching, scene.met.slip, scene.slipped
+                        part = touched(depth, scene.met.rate, p, dt, *slips)
                         if part >= 0.0 and k > 0:
                             touches += 1
                             part += STEP_SIGMA * split if touches == mount.early else 0.0
                             struck(mount, dt, part, wrench, before, *moving[:3])
                 elif sharp and at == 1.0:
-                    meet_near(scene, path.met[0][k], lean)
+                    meet_near(scene, path.met.depth[k], lean)
                     _press(scene, dt)
                 else:
                     _exert(scene, dt, False, wrench)
@@ -191,9 +191,9 @@ def _apart(path, mount, scene, moving, bounds, k):
         _to_row(path, mount, scene, moving, k)
         meet_every(scene)
         last = path.poses[k - 1]
-        return -scene.met[0].max() > reach + swing + way_between(last, pose, longest)
+        return -scene.met.depth.max() > reach + swing + way_between(last, pose, longest)
     if lean == 0.0 and reach <= NEAR:
-        depths = path.met[0]
+        depths = path.met.depth
         return clear > NEAR or (k > 0 and outside(depths[k], depths[k - 1], scene.p))
     return clear > reach + lean * away
 
@@ -250,35 +250,35 @@ def _at_row(path, scene, moved, dt, k, wrench):
     application, which is ``moved`` by this fraction of the overlap.
     """
     depths, rates, points, normals, slips = path.met
-    point, slip = scene.met[2], scene.met[4]
+    point, slip = scene.met.point, scene.met.slip
     scene.frames[0], scene.motions[0] = path.poses[k], path.ends[k]
     point[:], slip[:] = points[k], slips[k]
     if moved != 0.0:
         move_lever(moved, depths[k], normals[k], path.ends[k], point, slip)
-    met = depths[k], rates[k], point, normals[k], slip
-    p, frames, state = scene.p, scene.frames, scene.state
-    surface_wrench(
-        scene.index, dt, scene.least_creep, p, frames, state, *met, scene.work[7], wrench
-    )
+    met, laws = Met(depths[k], rates[k], point, normals[k], slip), _laws(scene, dt)
+    surface_wrench(scene.geometry, laws, scene.frames, met, scene.work[7], wrench)
+
+
+@njit(cache=True)
+def _laws(scene, dt):
+    """See :func:`~hiltestbed.contact.wrench.contact_wrench`."""
+    return dt, scene.least_creep, scene.p, scene.state
 
 
 @njit(cache=True)
 def _press(scene, dt):
     """The wrench of the contacts, whose geometry is known."""
-    p, frames, state, wrench = scene.p, scene.frames, scene.state, scene.wrench
+    laws, wrench = _laws(scene, dt), scene.wrench
     wrench[:] = 0.0
-    surface_wrench(
-        scene.index, dt, scene.least_creep, p, frames, state, *scene.met, scene.work[7], wrench
-    )
+    surface_wrench(scene.geometry, laws, scene.frames, scene.met, scene.work[7], wrench)
 
 
 @njit(cache=True)
 def _exert(scene, dt, latched, wrench):
     """``wrench`` (6,) of the contacts or of the latch, from the frames."""
-    p, frames, motions, hold, state = scene.p, scene.frames, scene.motions, scene.hold, scene.state
-    geometry = scene.index, scene.values
-    sides = p, frames, motions, latched, hold, state
-    contact_wrench(*geometry, dt, scene.least_creep, *sides, *scene.met, scene.work, wrench)
+    laws, sides = _laws(scene, dt), (scene.frames, scene.motions)
+    held = latched, scene.hold
+    contact_wrench(scene.geometry, laws, sides, *held, scene.met, scene.work, wrench)
 
 
 @njit(cache=True)

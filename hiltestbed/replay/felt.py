@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.geometry import Geometry, arm
+from hiltestbed.contact.geometry import Geometry, Met, arm
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import BLUNT, LEVER, OFFSET, PARAMETERS
 from hiltestbed.contact.wrench import meet_all
@@ -98,15 +98,15 @@ class Felt:
     def __post_init__(self) -> None:
         object.__setattr__(self, "twists", slopes(self.poses, self.before, self.tick))
         met, clear = zip(*(self._met(r) for r in range(len(self.poses))), strict=True)
-        object.__setattr__(self, "met", tuple(np.stack(one) for one in zip(*met, strict=True)))
+        object.__setattr__(self, "met", Met(*(np.stack(one) for one in zip(*met, strict=True))))
         object.__setattr__(self, "clear", np.stack(clear))
 
-    def _met(self, r: int) -> tuple[tuple[Array, ...], Array]:
+    def _met(self, r: int) -> tuple[Met, Array]:
         rows, count = self.poses.shape[1], self.geometry.count
         depth, rate, clear = np.full((rows, count), -1.0), np.zeros((rows, count)), np.empty(rows)
-        met = depth, rate, *(np.zeros((rows, count, 3)) for _ in range(3))
+        met = Met(depth, rate, *(np.zeros((rows, count, 3)) for _ in range(3)))
         levers = (self.lever, self.blunt)
-        _meet(tuple(self.geometry), levers, self.poses[r], self.ends[r], self.before[r], clear, met)
+        _meet(self.geometry, levers, self.poses[r], self.ends[r], self.before[r], clear, met)
         return met, clear
 
     def instants(self, grid: int | None) -> int:
@@ -126,7 +126,6 @@ def _meet(geometry, levers, poses, twists, before, clear, met):
     """Contact geometry at each row, and a lower bound of the surfaces' distance in the tick that
     ends there.
     """
-    index, values = geometry
     depth, rate, point, normal, slip = met
     count = depth.shape[1]
     frames, motions, work = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7))
@@ -134,12 +133,12 @@ def _meet(geometry, levers, poses, twists, before, clear, met):
     frames[1, 6] = 1.0
     p[:, LEVER], p[:, BLUNT] = levers
     p[:, OFFSET] = -NEAR
-    longest = arm(values, count)
+    longest = arm(geometry.values, count)
     last, nearest = before, -np.inf
     for k in range(len(poses)):
         frames[0], motions[0] = poses[k], twists[k]
-        row = depth[k], rate[k], point[k], normal[k], slip[k]
-        meet_all(index, values, p, frames, motions, work, *row)
+        row = Met(depth[k], rate[k], point[k], normal[k], slip[k])
+        meet_all(geometry, p, frames, motions, work, row)
         now = -np.inf
         for c in range(count):
             now = max(now, depth[k, c])

@@ -10,7 +10,18 @@ from typing import NamedTuple
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.geometry import PASSIVE, ROUND_FRAME, ROW, SURFACE_FRAME, VALUES, arm, meet
+from hiltestbed.contact.geometry import (
+    PASSIVE,
+    ROUND_FRAME,
+    ROW,
+    SURFACE_FRAME,
+    VALUES,
+    Geometry,
+    Met,
+    arm,
+    meet,
+    unmet,
+)
 from hiltestbed.contact.law import STATES
 from hiltestbed.contact.parameters import BLUNT, LEVER, OFFSET
 from hiltestbed.contact.wrench import meet_all, relate_one
@@ -22,17 +33,15 @@ class Scene(NamedTuple):
     """The contacts of a run at an instant; its arrays are updated in place.
 
     Attributes:
-        index, values, p, least_creep: geometry, (C + 1, PARAMETERS) of the law, and of its
-            friction. tilt: (7,) of the passive port. frames, motions: (2, 7), (2, 6) of both sides.
-        state: (C + 1, STATES). hold: (7,) of the latch. met: see
-            :func:`hiltestbed.contact.wrench.meet_all`. wrench: (6,).
+        p, least_creep: (C + 1, PARAMETERS) of the law, and of its friction.
+        tilt: (7,) of the passive port. frames, motions: (2, 7), (2, 6) of both sides.
+        state: (C + 1, STATES). hold: (7,) of the latch. wrench: (6,).
         touching: (C,) bool, and slipped: (C, 3) the slips before, as of
             :func:`~hiltestbed.replay.mounted.touched`.
         seen, apart_by: (2, 7), (C,) see :func:`meet_next`. work: (9, 7) scratch.
     """
 
-    index: np.ndarray
-    values: Array
+    geometry: Geometry
     p: Array
     least_creep: float
     tilt: Array
@@ -40,7 +49,7 @@ class Scene(NamedTuple):
     motions: Array
     state: Array
     hold: Array
-    met: tuple[Array, Array, Array, Array, Array]
+    met: Met
     wrench: Array
     touching: np.ndarray
     slipped: Array
@@ -54,14 +63,11 @@ def scene_of(path, p, tilt):
     """A :class:`Scene` before the first row of a
     :class:`~hiltestbed.replay.contact_path.Trajectory`.
     """
-    index, values = path.geometry
     count = p.shape[0] - 1
     frames, hold = np.zeros((2, 7)), np.zeros(7)
     frames[1], hold[6] = tilt, 1.0
-    point, normal, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
     return Scene(
-        index,
-        values,
+        path.geometry,
         p,
         path.least_creep,
         tilt,
@@ -69,7 +75,7 @@ def scene_of(path, p, tilt):
         np.zeros((2, 6)),
         np.zeros((count + 1, STATES)),
         hold,
-        (np.zeros(count), np.zeros(count), point, normal, slip),
+        unmet(count),
         np.zeros(6),
         np.zeros(count, dtype=np.bool_),
         np.zeros((count, 3)),
@@ -82,8 +88,7 @@ def scene_of(path, p, tilt):
 @njit(cache=True)
 def meet_every(scene):
     """Contact geometry of all candidates."""
-    geometry, sides = (scene.index, scene.values), (scene.frames, scene.motions)
-    meet_all(*geometry, scene.p, *sides, scene.work, *scene.met)
+    meet_all(scene.geometry, scene.p, scene.frames, scene.motions, scene.work, scene.met)
 
 
 @njit(cache=True)
@@ -146,11 +151,9 @@ def move_lever(moved, depth, normal, twist, point, slip):
 @njit(cache=True)
 def _meet_one(scene, c, ahead):
     """Contact geometry of candidate c, whose frames are related in ``work``."""
-    depth, rate, point, normal, slip = scene.met
     pose, twist, scratch = scene.work[5], scene.work[6][:6], scene.work[:5, :3]
     law = scene.p[c, LEVER], scene.p[c, BLUNT], ahead
-    found = scratch, point[c], normal[c], slip[c]
-    depth[c], rate[c] = meet(scene.index, scene.values, c, pose, twist, *law, *found)
+    meet(scene.geometry, c, pose, twist, law, scratch, scene.met)
 
 
 @njit(cache=True)
@@ -169,11 +172,11 @@ def meet_near(scene, untilted, lean):
     A tilt moves a point by at most its distance from P's origin times the angle, which bounds the
     change of a penetration.
     """
-    depth, rate = scene.met[0], scene.met[1]
+    depth, rate = scene.met.depth, scene.met.rate
     away = distance(scene.frames[0])
     related = False
     for c in range(depth.shape[0]):
-        longest = arm(scene.values[c * VALUES : (c + 1) * VALUES], 1)
+        longest = arm(scene.geometry.values[c * VALUES : (c + 1) * VALUES], 1)
         depth[c], rate[c] = -1.0, 0.0
         if untilted[c] + lean * (away + longest) < min(scene.p[c, OFFSET], 0.0):
             continue
@@ -192,7 +195,7 @@ def meet_next(scene, longest):
     candidate then [m]; both are updated. ``longest``: largest distance of a round from its frame
     [m].
     """
-    depth, rate, frames, seen = scene.met[0], scene.met[1], scene.frames, scene.seen
+    depth, rate, frames, seen = scene.met.depth, scene.met.rate, scene.frames, scene.seen
     apart_by = scene.apart_by
     reach = longest + math.sqrt(
         (seen[0, 0] - seen[1, 0]) ** 2
@@ -208,8 +211,8 @@ def meet_next(scene, longest):
         if apart_by[c] > ahead:
             depth[c], rate[c] = -apart_by[c], 0.0
             continue
-        if scene.index[c * ROW + ROUND_FRAME] != a:
-            a = scene.index[c * ROW + ROUND_FRAME]
+        if scene.geometry.index[c * ROW + ROUND_FRAME] != a:
+            a = scene.geometry.index[c * ROW + ROUND_FRAME]
             _relate(scene, a)
         _meet_one(scene, c, ahead)
         apart_by[c] = -depth[c]

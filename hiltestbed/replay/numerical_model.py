@@ -101,7 +101,7 @@ def _replay_model(wrench, run, approach, bodies, hung, laws, h, state, out):
         resist_between(force, q, v, port, rigid, inverse, h, push)
         load_wrench(q, port, push, tau)
         resist_bodies(force, v, rigid, h, tau)
-        swing(appendage, whole, rigid, placed, rest, q, v, h, swinging, tau)
+        swing(hung, (whole, rigid), q, v, h, swinging, tau)
         before[:] = v
         newton_euler(rigid, inertia, inverse, tau, h, v)
         for i in range(n):

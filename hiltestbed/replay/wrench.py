@@ -11,6 +11,7 @@ import numpy as np
 from numba import get_num_threads
 
 from hiltestbed.compiled.jit import njit
+from hiltestbed.contact.geometry import Met
 from hiltestbed.contact.wrench import tilts
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.log import LogParameters
@@ -67,7 +68,8 @@ def replay_wrench(felt: Felt | Simulated, lanes: Sequence[Lane], grid: int | Non
         # a tone continues until it is read again
         chain.tone[:, :, 4] -= 2.0 * math.pi * chain.tone[:, :, 3] * again[:, None]
     out = np.empty((len(lanes), felt.poses.shape[1], 6))
-    elements, between = chain.elements(), bool(instants)
+    elements = chain.elements()._replace(step=np.zeros_like(chain.step))
+    between = bool(instants)
     # lanes that differ only in their sensor share the contact wrench
     sharing: dict[ContactKey, list[int]] = {}
     for i, lane in enumerate(lanes):
@@ -107,11 +109,11 @@ def _exerted(felt: Felt, lanes: Sequence[Lane], parts: Array, between: bool) -> 
             felt.rates is not None,
             felt.before[r],
             felt.clear[r],
-            tuple(rows[r] for rows in felt.met),  # type: ignore[arg-type]
+            Met(*(rows[r] for rows in felt.met)),
             bool(felt.captured[r]),
             felt.latch[r],
             felt.tick,
-            tuple(felt.geometry),  # type: ignore[arg-type]
+            felt.geometry,
             felt.lever,
             felt.least_creep,
         )
@@ -152,7 +154,7 @@ def _sense(lanes, sub, between, ticks, h, elements, out):
     """Readings of the sensors of the ``lanes`` for one contact wrench ``sub`` (N, m, 6), written to
     ``out`` (L, N, 6).
     """
-    calibration, curve, lag, leak, offset, drift, tone, deadzone, limit, step = elements
+    lag, leak = elements.lag, elements.leak
     memory = np.zeros((max(lag.shape[1], leak.shape[1]), MEMORY, 6))
     m = sub.shape[1] if between else 1
     quiet, late, rows = np.zeros(6), np.zeros((m, 6)), out.shape[1]
@@ -160,9 +162,7 @@ def _sense(lanes, sub, between, ticks, h, elements, out):
         memory[:] = 0.0
         first = 0 if filters(lag[i], leak[i]) else m - 1
         back = int(math.floor(ticks[i]))
-        chain = calibration[i], curve[i], lag[i], leak[i], offset[i], drift[i], tone[i]
-        ends = deadzone[i], limit[i]
-        if not between and passes(*chain, *ends):
+        if not between and passes(i, elements):
             out[i, :back] = 0.0
             out[i, back:] = sub[: rows - min(back, rows), 0]
             continue
@@ -173,7 +173,7 @@ def _sense(lanes, sub, between, ticks, h, elements, out):
             else:
                 for j in range(6):
                     late[0, j] = sub[k - back, 0, j] if k >= back else 0.0
-            condition(late, k * h, quiet, *chain, *ends, step[i] * 0.0, memory, out[i, k])
+            condition(i, elements, late, k * h, quiet, memory, out[i, k])
 
 
 @njit(cache=True)

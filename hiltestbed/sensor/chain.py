@@ -97,41 +97,27 @@ LOW, LOW_INPUT, HIGH, HIGH_INPUT, MEMORY = range(5)
 
 
 @njit(cache=True)
-def condition(
-    w,
-    t,
-    noise,
-    calibration,
-    curve,
-    lag,
-    leak,
-    offset,
-    drift,
-    tone,
-    deadzone,
-    limit,
-    step,
-    memory,
-    out,
-):
-    """Pass one sample through the sensor, after the delay.
+def condition(i, e, w, t, noise, memory, out):
+    """Pass one sample through sensor ``i``, after the delay.
 
     Args:
+        e: :class:`hiltestbed.sensor.parameters.Elements` of all sensors.
         w: (m, 6) the delayed wrench at the instants of the tick that ends with the sample; without
             a filter only the last is used.
         t: [s]. noise: (6,) added before the conversion.
-        calibration ... step: see :class:`hiltestbed.sensor.parameters.Chain`, of one run.
         memory: (S, MEMORY, 6) of the filters, changed in place; zero at the start.
         out: (6,) the reading.
     """
+    calibration, curve, tone = e.calibration[i], e.curve[i], e.tone[i]
+    lag, leak, limit, step = e.lag[i], e.leak[i], e.limit[i], e.step[i]
     last = w.shape[0] - 1
     for j in range(6):
         y = 0.0
         for at in range(0 if filters(lag, leak) else last, last + 1):
             y = 0.0
-            for i in range(6):
-                if calibration[j, i] != 0.0:
-                    y += calibration[j, i] * w[at, i]
+            for c in range(6):
+                if calibration[j, c] != 0.0:
+                    y += calibration[j, c] * w[at, c]
             if curve[j, 0] > 0.0:
                 y = along(curve[j], y)
             for s in range(lag.shape[0]):
@@ -144,13 +130,13 @@ def condition(
                     state = memory[s]
                     u, y = y, leaked(state[HIGH, j], y, state[HIGH_INPUT, j], leak[s])
                     state[HIGH, j], state[HIGH_INPUT, j] = y, u
-        y += offset[j] + drift[j] * t
+        y += e.offset[i, j] + e.drift[i, j] * t
         if j < 3:
             for s in range(tone.shape[0]):
                 if tone[s, j] != 0.0:
                     y += tone[s, j] * math.sin(2.0 * math.pi * tone[s, 3] * t + tone[s, 4])
         y += noise[j]
-        if abs(y) < deadzone[j]:
+        if abs(y) < e.deadzone[i, j]:
             y = 0.0
         y = min(max(y, -limit[j]), limit[j])
         if step[j] > 0.0:
@@ -165,22 +151,17 @@ def filters(lag, leak):
 
 
 @njit(cache=True)
-def passes(calibration, curve, lag, leak, offset, drift, tone, deadzone, limit):
-    """Whether the reading is the wrench, but for noise and quantisation: see :func:`condition`."""
+def passes(i, e):
+    """Whether the reading of sensor ``i`` is the wrench, but for noise and quantisation: see
+    :func:`condition`.
+    """
     for j in range(6):
-        for i in range(6):
-            if calibration[j, i] != (1.0 if i == j else 0.0):
+        for c in range(6):
+            if e.calibration[i, j, c] != (1.0 if c == j else 0.0):
                 return False
-        if (
-            curve[j, 0] > 0.0
-            or offset[j] != 0.0
-            or drift[j] != 0.0
-            or deadzone[j] != 0.0
-            or limit[j] < math.inf
-        ):
+        clear = e.curve[i, j, 0] == 0.0 and e.offset[i, j] == 0.0 and e.drift[i, j] == 0.0
+        if not clear or e.deadzone[i, j] != 0.0 or e.limit[i, j] < math.inf:
             return False
-    for s in range(tone.shape[0]):
-        for j in range(3):
-            if tone[s, j] != 0.0:
-                return False
-    return not filters(lag, leak)
+    if np.any(e.tone[i, :, :3] != 0.0):
+        return False
+    return not filters(e.lag[i], e.leak[i])

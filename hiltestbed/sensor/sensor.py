@@ -120,11 +120,7 @@ def _read(k, h, sub, late, noise, e, memory, out):
     row = k % BLOCK
     _arrive(k, sub, late, e.lag, e.leak)
     for i in range(sub.shape[0]):
-        condition(
-            late.arrived[i], k * h, noise[i, row], e.calibration[i], e.curve[i], e.lag[i],
-            e.leak[i], e.offset[i], e.drift[i], e.tone[i], e.deadzone[i], e.limit[i], e.step[i],
-            memory[i], out[i],
-        )  # fmt: skip
+        condition(i, e, late.arrived[i], k * h, noise[i, row], memory[i], out[i])
 
 
 @njit(cache=True)

@@ -73,21 +73,10 @@ class ProcessMonitor:
         """Update at t_k with wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         self._local.update(wrench, pose, twist)
         time, local = float(self._clock[0]) * self.tick, self._local
-        _watch(
-            time,
-            self._enough,
-            self._ratio,
-            wrench,
-            self._threshold,
-            local.stiffness[:, AXIAL],
-            local.stiffness_sd[:, AXIAL],
-            local.samples[:, AXIAL],
-            self.first_stiffness,
-            self._runs,
-            self.touch,
-            self.seat,
-            self.capture,
-        )
+        axial = local.stiffness[:, AXIAL], local.stiffness_sd[:, AXIAL], local.samples[:, AXIAL]
+        settings = self._enough, self._ratio, self._threshold
+        events = self.first_stiffness, self._runs, self.touch, self.seat, self.capture
+        _watch(time, wrench, axial, settings, events)
         self._clock[0] += 1
 
     def summary(self, i: int, contact: ContactEstimate | None) -> dict[str, Any] | None:
@@ -112,21 +101,10 @@ def _number(value: float) -> float | None:
 
 
 @njit(cache=True)
-def _watch(
-    time,
-    enough,
-    ratio,
-    wrench,
-    threshold,
-    stiffness,
-    sd,
-    samples,
-    first,
-    runs,
-    touch,
-    seat,
-    capture,
-):
+def _watch(time, wrench, axial, settings, events):
+    stiffness, sd, samples = axial
+    enough, ratio, threshold = settings
+    first, runs, touch, seat, capture = events
     for i in range(wrench.shape[0]):
         force = wrench[i, AXIAL]
         runs[i, 0] = runs[i, 0] + 1 if force > threshold[i] else 0

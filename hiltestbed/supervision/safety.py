@@ -68,13 +68,9 @@ class Safety:
         self._ticks = np.zeros(n, dtype=np.int64)
         self._watch = Call(
             _watch,
-            self._tick,
-            self._limbs,
+            (self._tick, self._limbs, self._limits),
             *(GIVEN,) * 6,
-            self._ticks,
-            self._sliders,
-            self.quantities,
-            self._limits,
+            (self._ticks, self._sliders, self.quantities),
         )
 
     def passed(self, plant: Plant, pose_before: Array, energy: Array) -> bool:
@@ -101,9 +97,12 @@ class Safety:
 
 
 @njit(cache=True)
-def _watch(
-    h, limbs, sliders, pose_W, pose, pose_before, wrench_sub, energy, ticks, before, q, limits
-):
+def _watch(rig, sliders, pose_W, pose, pose_before, wrench_sub, energy, state):
+    """``rig``: tick [s], limbs, and limits (n, 8). ``state``: ticks so far, the sliders' positions
+    and speeds then, and :attr:`Safety.quantities`.
+    """
+    h, limbs, limits = rig
+    ticks, before, q = state
     passed = False
     arm = np.empty(3)
     for i in range(sliders.shape[0]):
