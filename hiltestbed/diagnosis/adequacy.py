@@ -146,8 +146,6 @@ def _read_from(link: Link) -> int:
     free = sum(
         int(np.count_nonzero(k & ~run.touching)) for k, run in zip(known, link.runs, strict=True)
     )
-    return (
-        free
-        if free > MIN_FREE_ROWS * len(link.runs)
-        else sum(int(np.count_nonzero(k)) for k in known)
-    )
+    if free > MIN_FREE_ROWS * len(link.runs):
+        return free
+    return sum(int(np.count_nonzero(k)) for k in known)

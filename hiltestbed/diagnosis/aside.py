@@ -37,10 +37,8 @@ class Aside:
     """
 
     def __init__(self, weight: Array, columns: Array | None, shared: Array | None = None) -> None:
-        self._weight, self._inverse = (
-            weight,
-            np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0),
-        )
+        self._weight = weight
+        self._inverse = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
         self._own = self._all = None
         if columns is not None:
             self._own = _basis(np.moveaxis(columns * weight[:, :, None], 1, 0))  # (C, N, D)

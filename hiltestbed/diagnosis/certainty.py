@@ -151,15 +151,11 @@ def certainty(
             "lowest" if at - low[j] <= close[j] else "highest" if high[j] - at <= close[j] else None
         )
         values, costs = _profile(residual, found, spread, j)
-        ends, bounds = (
-            (float(spread.ends[j, 0]), float(spread.ends[j, 1])),
-            (float(low[j]), float(high[j])),
-        )
+        ends = (float(spread.ends[j, 0]), float(spread.ends[j, 1]))
+        bounds = (float(low[j]), float(high[j]))
         rise = (costs - base) / spread.misfit
-        unit, of = (
-            _unit(c, name.partition(".")[0]),
-            ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str)),
-        )
+        unit = _unit(c, name.partition(".")[0])
+        of = ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str))
         profiles.append(Profile(c.kind, name, unit, of, at, ends, bounds, met, values, rise))
     return Certainty(link, tuple(profiles), spread.correlation, spread.ends)
 
@@ -214,10 +210,8 @@ def _with_variants(
                 tries=1,
             )
             own = [here.start + other.names.index(name) for name in cause.names]
-            there, shift = (
-                intervals(residual, again).ends[own],
-                np.abs(again.theta[own] - found.theta[here]),
-            )
+            there = intervals(residual, again).ends[own]
+            shift = np.abs(again.theta[own] - found.theta[here])
             out[here] = np.column_stack(
                 [
                     np.minimum(out[here, 0], there[:, 0] - shift),

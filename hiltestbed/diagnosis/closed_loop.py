@@ -178,10 +178,8 @@ def bounce_of(motion: RunSignals, scenario: Scenario) -> FirstContact | None:
     start, end, until = motion.span
     window, settle = round(SPEED_WINDOW * scenario.rate), settle_ticks(scenario)
     first = min(end + settle + round(QUIET_TIME * scenario.rate), max(end + settle, until - window))
-    before, after = (
-        (max(0, start - 1 - window), start - 1),
-        (first, min(until, len(z), first + window)),
-    )
+    before = (max(0, start - 1 - window), start - 1)
+    after = (first, min(until, len(z), first + window))
     approach, rebound = _slope(motion.t, z, *before), _slope(motion.t, z, *after)
     return FirstContact(
         before,

@@ -69,13 +69,11 @@ class Conclusion:
         """Name of the `extended` prediction of the series: the extended model, the best explanation
         that is not adequate, or none.
         """
-        return (
-            "extended"
-            if self.finding.extends
-            else "best explanation"
-            if self.finding.partial
-            else ""
-        )
+        if self.finding.extends:
+            return "extended"
+        if self.finding.partial:
+            return "best explanation"
+        return ""
 
     @property
     def overridden(self) -> tuple[str, ...]:

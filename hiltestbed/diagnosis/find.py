@@ -234,11 +234,9 @@ def _learned(
         and needless(result[0], alone[0], sum(len(c.fit.part(c.index)) for c in causes))
     ):
         others = tuple(c for c in verdict.causes if c.link != name)
-        verdict, share, result = (
-            Verdict("unknown", verdict.link, others, verdict.not_judged),
-            None,
-            alone,
-        )
+        verdict = Verdict("unknown", verdict.link, others, verdict.not_judged)
+        share = None
+        result = alone
     if result is None:
         return verdict, share, None, ()
     learned, effect = result

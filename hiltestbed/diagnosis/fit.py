@@ -245,11 +245,9 @@ def refit(residual: Residual, found: Fit, known: float = np.inf) -> Fit:
     """The same hypothesis fitted again from its last estimate, with other weights or runs; known:
     as of :func:`fit`.
     """
-    return (
-        fit(residual, found.causes, [found.theta], tries=1, known=known)
-        if found.causes
-        else null_fit(residual)
-    )
+    if found.causes:
+        return fit(residual, found.causes, [found.theta], tries=1, known=known)
+    return null_fit(residual)
 
 
 def refit_without(residual: Residual, found: Fit, index: int, known: float = np.inf) -> Fit:
@@ -311,10 +309,8 @@ def _descend(
     for step in range(MAX_ITERATIONS):
         scale = scales(theta, low, high, log)
         jacobian = differences(run, theta, r, scale, low, high)
-        gradient, normal = (
-            np.einsum("mi,m->i", jacobian, r),
-            np.einsum("mi,mj->ij", jacobian, jacobian),
-        )
+        gradient = np.einsum("mi,m->i", jacobian, r)
+        normal = np.einsum("mi,mj->ij", jacobian, jacobian)
         better = _step(run, theta, chi2, damping, gradient, normal, scale, low, high, log)
         if better is None:
             break

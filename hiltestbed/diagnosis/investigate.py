@@ -540,10 +540,8 @@ def _settle_compensation(
     for rows in (layout.rows, layout.whole):
         wrench = make_wrench_link(layout, path, rows).as_interpreted(chosen)
         everything = range(len(wrench.runs))
-        late, prompt = (
-            wrench.predict([(i, effects) for i in everything]),
-            wrench.predict([(i, in_time) for i in everything]),
-        )
+        late = wrench.predict([(i, effects) for i in everything])
+        prompt = wrench.predict([(i, in_time) for i in everything])
         used = [
             used_readings(run, a, b, ticks)
             for run, a, b in zip(wrench.runs, late, prompt, strict=True)
@@ -581,10 +579,8 @@ def _settle_platform(
         return layout
     wrench = whole["wrench"]
     everything = range(len(layout.runs))
-    shown, borne = (
-        wrench.predict([(i, effects) for i in everything]),
-        wrench.predict([(i, in_truth) for i in everything]),
-    )
+    shown = wrench.predict([(i, effects) for i in everything])
+    borne = wrench.predict([(i, in_truth) for i in everything])
     readings = [
         r.record.filled("wrench_meas") + b - s
         for r, b, s in zip(layout.runs, borne, shown, strict=True)

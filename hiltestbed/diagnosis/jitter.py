@@ -115,10 +115,8 @@ def _independent(z: Array, where: np.ndarray, channels: int) -> bool:
     """
     signs, where = np.sign(z).reshape(-1, channels), where.reshape(-1, channels)
     pairs = where[1:] & where[:-1]
-    counts, products = (
-        np.sum(pairs, axis=0),
-        np.sum(np.where(pairs, signs[1:] * signs[:-1], 0.0), axis=0),
-    )
+    counts = np.sum(pairs, axis=0)
+    products = np.sum(np.where(pairs, signs[1:] * signs[:-1], 0.0), axis=0)
     many = counts >= MIN_PAIRS
     most = 2.0 / math.pi * math.asin(MAX_JITTER_CORRELATION)
     alike = abs(float(products.sum())) < most * int(counts.sum())

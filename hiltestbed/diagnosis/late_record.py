@@ -44,11 +44,9 @@ def stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | N
     residual = residual.downweighted(fits[0].effects())
     fits = [refit(residual, f) for f in fits]
     borne_out = null_fit(residual).chi2 - fits[0].chi2 > DETECTION
-    return (
-        fits
-        if borne_out or compensation.chosen.chi2 < MAX_SKEW_RESIDUAL * compensation.null.chi2
-        else []
-    )
+    if borne_out or compensation.chosen.chi2 < MAX_SKEW_RESIDUAL * compensation.null.chi2:
+        return fits
+    return []
 
 
 def other_reading_betters(found: Explanation, other: Fit) -> bool:

@@ -327,10 +327,8 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
 
 def _filtered(run: LinkRun, logged: LowPass) -> LinkRun:
     """The computed force filtered like the recorded one it is compared with."""
-    sigma, filtered = (
-        np.hypot(run.sigma, CORRELATION_FACTOR * logged.missed(run.measured)),
-        logged(run.measured),
-    )
+    sigma = np.hypot(run.sigma, CORRELATION_FACTOR * logged.missed(run.measured))
+    filtered = logged(run.measured)
     return replace(
         run, measured=filtered, sigma=sigma, nuisances=_late(filtered, logged)[:, :, None]
     )

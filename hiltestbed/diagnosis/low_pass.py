@@ -125,10 +125,8 @@ class LowPass:
         next order, rms over its response time. Infinite at the end, where the record would have to
         go on.
         """
-        width, other = (
-            round(RESPONSE_PERIODS / self.cutoff) | 1,
-            replace(self, order=self.order + 1),
-        )
+        width = round(RESPONSE_PERIODS / self.cutoff) | 1
+        other = replace(self, order=self.order + 1)
         out = np.sqrt(
             np.maximum(uniform_filter1d((other(values) - self(values)) ** 2, width, axis=0), 0.0)
         )

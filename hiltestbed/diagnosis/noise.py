@@ -484,14 +484,12 @@ def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) ->
             rates.append(((smooth[2:-1] - smooth[1:-2]) ** 2).ravel())
     if not squares or sum(map(len, squares)) < 200:
         return 0.0
-    y, basis = (
-        np.concatenate(squares),
-        np.column_stack(
-            [
-                np.concatenate([np.ones_like(r) for r in readings]),
-                *map(np.concatenate, (readings, rates)),
-            ]
-        ),
+    y = np.concatenate(squares)
+    basis = np.column_stack(
+        [
+            np.concatenate([np.ones_like(r) for r in readings]),
+            *map(np.concatenate, (readings, rates)),
+        ]
     )
     found = np.array([1.0, 0.0, 0.0])
     for _ in range(6):
@@ -505,8 +503,6 @@ def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) ->
     )
     error = math.sqrt(float(np.linalg.pinv(information)[1, 1]))
     grown = found[1] * float(np.percentile(basis[:, 1], 95.0))
-    return (
-        math.sqrt(found[1])
-        if found[1] > SIGNIFICANCE_SIGMA * error and grown > MIN_SHARE_VARIANCE * max(found[0], 0.1)
-        else 0.0
-    )
+    if found[1] > SIGNIFICANCE_SIGMA * error and grown > MIN_SHARE_VARIANCE * max(found[0], 0.1):
+        return math.sqrt(found[1])
+    return 0.0

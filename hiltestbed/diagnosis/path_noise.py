@@ -151,10 +151,8 @@ def _perturbed(
         None,
         rates or None,
     )
-    shown, found = (
-        link.predict([(i, ()) for i in runs]),
-        many.predict([(i, ()) for i in range(len(copies))]),
-    )
+    shown = link.predict([(i, ()) for i in runs])
+    found = many.predict([(i, ()) for i in range(len(copies))])
     return link, [
         [found[n] - shown[i] for n in range(i, len(copies), len(layout.runs))] for i in runs
     ]

@@ -79,10 +79,8 @@ class BestPath:
 
 def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     """The path with the least noise that the data allow, with the poses as they are stamped."""
-    explained, follows = (
-        platform is not None and platform.adequate,
-        all(follows_exactly(r.scenario) for r in layout.runs),
-    )
+    explained = platform is not None and platform.adequate
+    follows = all(follows_exactly(r.scenario) for r in layout.runs)
     measured, path_noise = _least_noisy(layout, _measured(layout))
     if (
         measured is not None

@@ -71,11 +71,9 @@ def choose_ring(link: WrenchLink) -> WrenchLink:
     if not any(r.scenario.mechanism.captured for r in link.runs):
         return link
     free = link.interpreted(ring=0.0)
-    return (
-        free
-        if square(Residual(free)(())) < square(Residual(link)(())) - INTERPRETATION_PENALTY
-        else link
-    )
+    if square(Residual(free)(())) < square(Residual(link)(())) - INTERPRETATION_PENALTY:
+        return free
+    return link
 
 
 def choose_steps(link: WrenchLink) -> WrenchLink:
@@ -98,11 +96,9 @@ def other_steps(explanation: Explanation) -> WrenchLink | None:
         return None
     other = link.interpreted(exact=not link.exact)
     there = explanation.residual.through(other)
-    return (
-        other.with_unknown_steps()
-        if refit(there, chosen).score < chosen.score - DETECTION * inflation(chosen)
-        else None
-    )
+    if refit(there, chosen).score < chosen.score - DETECTION * inflation(chosen):
+        return other.with_unknown_steps()
+    return None
 
 
 def lever_under(residual: Residual, found: Fit) -> Residual:
@@ -135,11 +131,9 @@ def ring_under(residual: Residual, found: Fit) -> Residual:
     if JITTER in found.kinds or not any(r.scenario.mechanism.captured for r in link.runs):
         return residual
     other = residual.through(link.interpreted(ring=1.0 - link.ring))
-    return (
-        other
-        if refit(other, found).chi2 < refit(residual, found).chi2 - DETECTION * inflation(found)
-        else residual
-    )
+    if refit(other, found).chi2 < refit(residual, found).chi2 - DETECTION * inflation(found):
+        return other
+    return residual
 
 
 def reinterpreted(residual: Residual, found: Fit) -> Residual:
@@ -152,11 +146,9 @@ def reinterpreted(residual: Residual, found: Fit) -> Residual:
         return levered
     here = refit(levered, found)
     other = link.interpreted(exact=not link.exact)
-    return (
-        Residual(other.with_unknown_steps())
-        if refit(Residual(other), here).chi2 < here.chi2 - DETECTION * inflation(here)
-        else levered
-    )
+    if refit(Residual(other), here).chi2 < here.chi2 - DETECTION * inflation(here):
+        return Residual(other.with_unknown_steps())
+    return levered
 
 
 def other_lever(explanation: Explanation) -> WrenchLink | None:
@@ -206,11 +198,9 @@ def with_point_contact(explanation: Explanation) -> WrenchLink | None:
         *([refit(there, explanation.chosen)] if explanation.chosen.causes else []),
     ]
     fits += [fit(there, (c,), c.grid) for c in tilts]
-    return (
-        other
-        if min(f.score for f in fits) < explanation.chosen.score - INTERPRETATION_PENALTY
-        else None
-    )
+    if min(f.score for f in fits) < explanation.chosen.score - INTERPRETATION_PENALTY:
+        return other
+    return None
 
 
 def with_time_grid(explanation: Explanation) -> WrenchLink | None:

@@ -231,11 +231,9 @@ def _weighed(
     ]
     if not pairs:
         return found, []
-    known, cor, error = (
-        [i for i, _ in pairs],
-        np.array([r.cor for _, r in pairs]),
-        np.array([r.error for _, r in pairs]),
-    )
+    known = [i for i, _ in pairs]
+    cor = np.array([r.cor for _, r in pairs])
+    error = np.array([r.error for _, r in pairs])
     chi2 = np.sum(((shown[:, known] - cor) / error) ** 2, axis=1)
     # something else in the loop spoils the comparison
     scale = max(1.0, float(chi2.min()) / len(known)) / inflation(found.chosen)
@@ -272,10 +270,8 @@ def _rechosen(found: Explanation, chosen: Fit, rivals: Sequence[Sequence[Fit]]) 
     losers: list[list[Fit]] = [list(others) for others in rivals]
     if best is not chosen:
         own = next(c for c in best.causes if c.key not in {c.key for c in chosen.causes})
-        winner, best = (
-            best,
-            best.ordered([own if j == i else c for j, c in enumerate(chosen.causes)]),
-        )
+        winner = best
+        best = best.ordered([own if j == i else c for j, c in enumerate(chosen.causes)])
         losers = [
             [chosen, *(f for f in others if f is not winner)]
             if j == i

@@ -108,10 +108,8 @@ class Residual:
         """
         out = 0.0
         for i in self.runs if effects else ():
-            believed, found = (
-                self.link.passed_from_input(i, ()),
-                self.link.passed_from_input(i, effects),
-            )
+            believed = self.link.passed_from_input(i, ())
+            found = self.link.passed_from_input(i, effects)
             if believed is not None and found is not None:
                 out += float(np.sum(self.weight[i] ** 2 * (believed - found)))
         return out

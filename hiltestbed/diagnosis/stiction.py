@@ -368,12 +368,10 @@ class Data:
             self.velocity,
             self.moves,
         )
-        margin, out, buffer, budget = (
-            PATH_MARGIN + ROW_MARGIN * rows,
-            [],
-            np.empty((MAX_PATHS, 3)),
-            SCAN_BUDGET,
-        )
+        margin = PATH_MARGIN + ROW_MARGIN * rows
+        out = []
+        buffer = np.empty((MAX_PATHS, 3))
+        budget = SCAN_BUDGET
         for h, low, high in zip(
             found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True
         ):

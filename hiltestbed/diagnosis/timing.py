@@ -46,11 +46,9 @@ HIDDEN_ROWS = 0.05
 CONVERGED_ROWS = 0.02  # chosen: change of the timing below which a link is not explained again
 # links whose output is interpolated between rows where their input lies there
 INTERPOLATED_LINKS = ("platform", "compensation")
-EARLY, EITHER, LATE = (
-    (-MAX_STAMP_SHIFT_ROWS, 0.0),
-    (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS),
-    (0.0, MAX_STAMP_SHIFT_ROWS),
-)
+EARLY = (-MAX_STAMP_SHIFT_ROWS, 0.0)
+EITHER = (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS)
+LATE = (0.0, MAX_STAMP_SHIFT_ROWS)
 # rows, ticks; a longer delay is a platform.delay
 ENCODER, OBEYED = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), (0.0, 0.5)
 # rows: its stamp, half a tick of its instant, and the error due to noise
@@ -326,11 +324,9 @@ def within_range(link: Link, found: Fit) -> bool:
     """Whether the stamps and instants are off by less than the largest shifts: one that would have
     to be larger is none.
     """
-    shift, timing, theta = (
-        found.causes[-1],
-        link.timing.plus(_fitted_timing(found)),
-        found.part(len(found.causes) - 1),
-    )
+    shift = found.causes[-1]
+    timing = link.timing.plus(_fitted_timing(found))
+    theta = found.part(len(found.causes) - 1)
     if "old" in shift.names:  # all of an old twist is explicit Euler
         old = shift.names.index("old")
         shift, theta = shift.held(old, theta[old]), np.delete(theta, old)
@@ -379,10 +375,8 @@ def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict
     out: dict[str, dict[str, float]] = {}
     for name, e in departing.items():
         for i, effect in enumerate(e.chosen.effects()):
-            tick, rivals = (
-                e.residual.link.runs[0].scenario.tick,
-                e.rivals[i] if e.rivals and effect.kind not in DELAY_EFFECTS else (),
-            )
+            tick = e.residual.link.runs[0].scenario.tick
+            rivals = e.rivals[i] if e.rivals and effect.kind not in DELAY_EFFECTS else ()
             for delay in (
                 effect,
                 *(
@@ -429,10 +423,8 @@ def may_be_stamp(effect: Effect, link: Link) -> bool:
     """Whether an effect is a delay that may be the stamp's, of a row more where other links show
     that stamps are off by rows.
     """
-    rows, most = (
-        _delay_rows(effect, link.runs[0].scenario.tick),
-        MAX_UNNAMED_DELAY_ROWS + (MAX_STAMP_ROWS if link.known else 0.0),
-    )
+    rows = _delay_rows(effect, link.runs[0].scenario.tick)
+    most = MAX_UNNAMED_DELAY_ROWS + (MAX_STAMP_ROWS if link.known else 0.0)
     return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
 
 
@@ -456,11 +448,9 @@ def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
     kinds, fits = {c.kind for c in candidates}, [best(link) for link in links]
     costs = [f.score for f in fits]
     least = int(np.argmin(costs))
-    return (
-        least
-        if costs[least] < costs[0] - INTERPRETATION_PENALTY and not kinds & set(fits[least].kinds)
-        else 0
-    )
+    if costs[least] < costs[0] - INTERPRETATION_PENALTY and not kinds & set(fits[least].kinds):
+        return least
+    return 0
 
 
 def _delay_rows(effect: Effect, tick: float) -> float | None:
@@ -468,11 +458,9 @@ def _delay_rows(effect: Effect, tick: float) -> float | None:
     if effect.kind not in DELAY_EFFECTS:
         return None
     given = effect.parameters()
-    return (
-        float(given.get("ticks", 1.0))
-        if effect.kind in TICK_EFFECTS
-        else float(given["delay"]) / tick
-    )
+    if effect.kind in TICK_EFFECTS:
+        return float(given.get("ticks", 1.0))
+    return float(given["delay"]) / tick
 
 
 @dataclass(frozen=True)

@@ -145,11 +145,9 @@ def yielded_under(run: MeasuredRun, found: Deflection, reading: Array, noise: fl
         recorded,
         _noiseless_pose(run),
     )
-    return (
-        found.yielded
-        if path is None
-        else flat_pose(path) - flat_pose(told_pose(run)) - (found.away - found.yielded)
-    )
+    if path is None:
+        return found.yielded
+    return flat_pose(path) - flat_pose(told_pose(run)) - (found.away - found.yielded)
 
 
 def _load(
@@ -173,11 +171,9 @@ def _load(
 
 def _recorded(run: MeasuredRun) -> Array:
     """(N, 6) the measured wrench; zero where none was measured."""
-    return (
-        run.record.filled("wrench_meas")
-        if run.record.has("wrench_meas")
-        else np.zeros((run.record.ticks, 6))
-    )
+    if run.record.has("wrench_meas"):
+        return run.record.filled("wrench_meas")
+    return np.zeros((run.record.ticks, 6))
 
 
 def _told_rates(run: MeasuredRun) -> Array | None:

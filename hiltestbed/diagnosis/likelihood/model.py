@@ -188,11 +188,9 @@ class LinkModel(Model):
             self.link.doubt(i, effects) if i in self.members else None
             for i in range(len(self.link.runs))
         ]
-        return (
-            self
-            if not any(d is not None for d in doubt)
-            else LinkModel(self.link, self.members, doubt, self._colour)
-        )
+        if not any(d is not None for d in doubt):
+            return self
+        return LinkModel(self.link, self.members, doubt, self._colour)
 
     def coloured(self, left: Sequence[Array]) -> LinkModel:
         """The same with noise of the colour that residuals have outside contact, channel by channel

@@ -109,8 +109,6 @@ class AxisLink(Link):
             np.ascontiguousarray(place[: rows[i], None])
             for place, i in zip(found, run, strict=True)
         ]
-        return (
-            places
-            if self._from is None
-            else [p - p[self._from[i]] for p, i in zip(places, run, strict=True)]
-        )
+        if self._from is None:
+            return places
+        return [p - p[self._from[i]] for p, i in zip(places, run, strict=True)]

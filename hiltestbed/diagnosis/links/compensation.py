@@ -99,11 +99,9 @@ class CompensationLink(Link):
         skew = log_parameters(effects).skew
         if not skew:
             return self.wrenches[i]
-        return (
-            self.used[i]
-            if self.used is not None
-            else shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
-        )
+        if self.used is not None:
+            return self.used[i]
+        return shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
 
     def noise_gain(self) -> float:
         """Factor on white noise of the readings by the compensation of the first run; 1 where it is

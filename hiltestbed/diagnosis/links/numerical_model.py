@@ -135,10 +135,8 @@ class DynamicsLink(Link):
             [self.runs[i].scenario for i in run],
             stack([DynamicsParameters.of(effects) for _, effects in lanes]),
         )
-        places, tick = (
-            [self.timing_with(effects) for _, effects in lanes],
-            self.runs[0].scenario.tick,
-        )
+        places = [self.timing_with(effects) for _, effects in lanes]
+        tick = self.runs[0].scenario.tick
         wrenches, driven = self._wrenches, run
         if any(place.before for place in places):
             wrenches = np.stack(

@@ -150,10 +150,8 @@ class PlatformLink(Link):
         """(N, 7) poses that the platform reaches in each run, with the commanded attitude, as they
         are stamped.
         """
-        reached, late = (
-            self._reached([(i, effects) for i in range(len(self.runs))]),
-            self.timing.delay + self.timing.before,
-        )
+        reached = self._reached([(i, effects) for i in range(len(self.runs))])
+        late = self.timing.delay + self.timing.before
         return [
             poses_of(moved(r, late / run.scenario.tick))
             for r, run in zip(reached, self.runs, strict=True)

@@ -169,22 +169,18 @@ class WrenchLink(Link):
     ) -> WrenchLink:
         """The same link with another interpretation of what the facility leaves open."""
         out = copy(self)
-        lever, blunt = (
-            self.lever if lever is None else lever,
-            self.blunt if blunt is None else blunt,
-        )
+        lever = self.lever if lever is None else lever
+        blunt = self.blunt if blunt is None else blunt
         ring = self.ring if ring is None else ring
         if isinstance(self._felt, Felt) and (lever, blunt, ring) != (
             self.lever,
             self.blunt,
             self.ring,
         ):
-            out.lever, out.blunt, out.ring, out._felt = (
-                lever,
-                blunt,
-                ring,
-                replace(self._felt, lever=lever, blunt=blunt),
-            )
+            out.lever = lever
+            out.blunt = blunt
+            out.ring = ring
+            out._felt = replace(self._felt, lever=lever, blunt=blunt)
             out._believed = [_numbers(r.scenario, lever, blunt, ring) for r in self.runs]
         out.grid = self.grid if grid is None else grid
         out.exact = self.exact if exact is None else exact
@@ -366,11 +362,9 @@ class WrenchLink(Link):
         """
         out, waits = [], False
         for run, path, rate in zip(self.runs, self.paths, rates, strict=True):
-            mechanism, limits, held = (
-                run.scenario.mechanism,
-                latch_limits([run.scenario])[0],
-                rate.copy(),
-            )
+            mechanism = run.scenario.mechanism
+            limits = latch_limits([run.scenario])[0]
+            held = rate.copy()
             out.append(held)
             if mechanism.latch is None or mechanism.captured:
                 continue
