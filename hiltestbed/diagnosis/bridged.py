@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from hiltestbed.diagnosis.aside import Aside
 from hiltestbed.diagnosis.links import Link, LinkRun
+from hiltestbed.diagnosis.nuisances import Aside
 from hiltestbed.diagnosis.settings import CORRELATED_ROWS, SMOOTHING_ROWS
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun

@@ -3,7 +3,9 @@ long as the departure is preserved.
 
 A damper that is moved at 1 Hz and recorded at 1 kHz tells no more with a thousand rows a second
 than with two hundred, and every row costs a step of every hypothesis. A block mean delays path and
-reading alike, and preserves a linear law between them.
+reading alike, and preserves a linear law between them. It blurs the instants at which a contact
+begins and ends, which tell a delayed sensor from a stamp delay, and a delay from a smooth response:
+estimates and rivals are those of a fit to the whole record.
 """
 
 from __future__ import annotations
@@ -13,9 +15,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
+from hiltestbed.diagnosis.fit import fit, inflation, null_fit, refit
+from hiltestbed.diagnosis.heldout import placebo_of
 from hiltestbed.diagnosis.links import LinkRun, WrenchLink
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Explanation, first_of_each, with_rivals
+from hiltestbed.diagnosis.settings import CLOSE_CHI2, MAX_PARTNERS
 from hiltestbed.frames import Array
 from hiltestbed.scenario import resolved, scenario_from
+
+# calibrated: share of the reduction in chi-square that decimation may change; ten times the largest
+# seen (1.2e-5)
+DECIMATION_ERROR = 1e-4
 
 MIN_ROWS = 3000  # chosen: of all runs together, that are always kept
 # chosen: share of the departure from the nominal model that may lie between the blocks
@@ -100,3 +112,48 @@ def _run(run: LinkRun, count: int) -> LinkRun:
         nuisances=None if run.nuisances is None else _means(run.nuisances, count),
         shared=None if run.shared is None else _means(run.shared, count),
     )
+
+
+def refit_on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
+    """``found`` and the fits near it, fitted again on ``link``; ``found`` itself where it does not
+    explain all rows.
+    """
+    chosen = found.chosen
+    if not (found.departs and found.adequate and chosen.causes) or JITTER in chosen.kinds:
+        return found
+    residual = Residual(link).downweighted(chosen.effects())
+    pool = sorted(
+        (f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)),
+        key=lambda f: f.score,
+    )
+    within = CLOSE_CHI2 * inflation(chosen) + DECIMATION_ERROR * (found.null.chi2 - chosen.chi2)
+    near = [
+        f
+        for f in first_of_each(pool, "key")
+        if f.score - chosen.score < within and JITTER not in f.kinds
+    ]
+    fits = sorted((refit(residual, f) for f in near[:MAX_PARTNERS]), key=lambda f: f.score) or [
+        refit(residual, chosen)
+    ]
+    best = fits[0]
+    leftovers = contact_leftovers(residual, best.effects())
+    if not noise_alone(leftovers):
+        return found
+    fewer = [
+        fit(residual, causes, [theta], tries=1)
+        for causes, theta in map(best.without, range(len(best.causes)))
+        if causes
+    ]
+    placebo = placebo_of(found.singles, best)
+    result = replace(
+        found,
+        residual=residual,
+        null=null_fit(residual),
+        chosen=best,
+        leftovers=leftovers,
+        before=contact_leftovers(residual, ()),
+        singles=tuple(refit(residual, f) for f in [placebo] if f is not None),
+        more=(*fits, *fewer),
+        rivals=(),
+    )
+    return with_rivals(result, contact_leftovers)

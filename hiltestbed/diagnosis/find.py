@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import gmean
 
-from hiltestbed.diagnosis import judges, timing
+from hiltestbed.diagnosis import timing
 from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
 from hiltestbed.diagnosis.certainty import Certainties, spans_its_range
-from hiltestbed.diagnosis.describe import describe
 from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
@@ -39,9 +38,8 @@ from hiltestbed.diagnosis.result import (
 )
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import MIN_HELDOUT_GAIN
-from hiltestbed.diagnosis.verdict import Named, Verdict, decide
+from hiltestbed.diagnosis.verdict import Named, Verdict, decide, describe
 from hiltestbed.effects.base import Effect
-from hiltestbed.effects.table import EFFECTS
 
 CLOSING_STEPS = 4  # after the links: intervals, smallest sizes, closed loop, report
 MAX_RANKED = 6  # hypotheses of a link that are listed
@@ -368,6 +366,3 @@ def _unsized(findings: Findings) -> dict[str, str]:
         LINK_NAMES[name]: f"it was not judged: {reason}"
         for name, reason in findings.missing.items()
     }
-
-
-__all__ = ["EFFECTS", "cause_of", "find", "gain_of", "judges"]

@@ -14,7 +14,8 @@ from hiltestbed.diagnosis.fit import Fit, fit
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Heldout
-from hiltestbed.diagnosis.settings import RESAMPLES
+
+RESAMPLES = 2000  # chosen: draws of the bootstrap over runs
 
 
 def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) -> Heldout | None:

@@ -12,9 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hiltestbed.diagnosis import judges
-from hiltestbed.diagnosis.adequacy import noise_alone
-from hiltestbed.diagnosis.all_rows import refit_on_all_rows
+from hiltestbed.diagnosis.adequacy import (
+    judge_of_axis,
+    judge_of_compensation,
+    judge_of_dynamics,
+    noise_alone,
+)
+from hiltestbed.diagnosis.decimation import refit_on_all_rows
 from hiltestbed.diagnosis.driven import (
     AXIS_EFFECTS,
     DISPLACEMENT_SPAN,
@@ -23,14 +27,9 @@ from hiltestbed.diagnosis.driven import (
     simplest_force,
 )
 from hiltestbed.diagnosis.fit import Fit, null_fit, refit
-from hiltestbed.diagnosis.jitter import jitter_beside
+from hiltestbed.diagnosis.grow import Richer
+from hiltestbed.diagnosis.jitter_and_hum import hum_beside, jitter_beside, lines
 from hiltestbed.diagnosis.lacking import too_little
-from hiltestbed.diagnosis.late_record import (
-    other_reading_betters,
-    stamped_late,
-    used_readings,
-    without_end,
-)
 from hiltestbed.diagnosis.layout import (
     Layout,
     compensation_link,
@@ -40,7 +39,6 @@ from hiltestbed.diagnosis.layout import (
     with_noise_beside,
     with_readings,
 )
-from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import (
     AxisLink,
     CompensationLink,
@@ -74,15 +72,18 @@ from hiltestbed.diagnosis.readings import (
     wrench_link_of,
 )
 from hiltestbed.diagnosis.residual import Residual, square
-from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import DETECTION, MIN_COMPARED
 from hiltestbed.diagnosis.stamps import (
     exactly_stamped,
     least_left,
     only_late_record,
+    other_reading_betters,
     rows_in_common,
+    stamped_late,
     stamps_known,
+    used_readings,
+    without_end,
 )
 from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.diagnosis.timing import (
@@ -239,7 +240,7 @@ def _explain_dynamics(
     if layout.scales.driven is not None:
         return _explain_axis(layout, _begin(progress, layout, "dynamics", "driven axis"))
     link = _stamped_dynamics(layout, found)
-    judge = judges.of_dynamics(Residual(link))
+    judge = judge_of_dynamics(Residual(link))
     if not noise_alone(judge(Residual(link), ())):
         link = _with_unknown_start(layout, link)
     search = Search(
@@ -294,7 +295,7 @@ def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanatio
     )
     search = Search(
         simplest_force(candidates),
-        judges.of_axis(link),
+        judge_of_axis(link),
         (mass_and_force(candidates),),
         progress,
         beside=math.inf,
@@ -317,7 +318,7 @@ def _explain_compensation(
     progress: Progress | None,
     stamps: bool = False,
 ) -> Explanation:
-    judge = judges.of_compensation(link, layout.noise)
+    judge = judge_of_compensation(link, layout.noise)
     approximate = layout.logged is not None or any(
         "wrench_meas" in run.record.bends for run in layout.runs
     )

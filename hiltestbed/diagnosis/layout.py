@@ -21,7 +21,7 @@ from hiltestbed.diagnosis.bridged import (
     rms_differences,
 )
 from hiltestbed.diagnosis.driven import regression
-from hiltestbed.diagnosis.floors import floors
+from hiltestbed.diagnosis.floors import floors, repetition_factor
 from hiltestbed.diagnosis.lacking import every_run_has, lacking, on_record
 from hiltestbed.diagnosis.links import (
     CompensationLink,
@@ -33,16 +33,12 @@ from hiltestbed.diagnosis.links import (
 )
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
 from hiltestbed.diagnosis.noise import FEW_STEPS, POSE_PARTS, ForceNoise, few_levels, force_noise
-from hiltestbed.diagnosis.quantised import repetition_factor
 from hiltestbed.diagnosis.scales import scales_of
 from hiltestbed.diagnosis.settings import (
     COMPENSATION_FLOOR,
     CORRELATED_ROWS,
     DYNAMICS_FLOOR,
-    FORCE_ARM_ERROR,
-    MIN_FORCE_NOISE,
     MIN_POSE_NOISE,
-    TAIL_TIME,
 )
 from hiltestbed.diagnosis.yielding import Deflection, deflection, engagement
 from hiltestbed.effects.search import Scales
@@ -53,6 +49,13 @@ from hiltestbed.replay import Engaged
 from hiltestbed.replay.compensation import needs
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
+
+MIN_FORCE_NOISE = 1e-6  # chosen: share of the peak force: floor of a force without noise
+# chosen: [m] uncertainty of the point of application; times the peak force it is the floor of a
+# torque
+FORCE_ARM_ERROR = 2e-6
+# chosen: [s] after the last contact that the search includes, where charge leakage and ringing show
+TAIL_TIME = 0.15
 
 # chosen: [s] for which a missing sample is taken to affect platform, contact and compensation
 GAP_MEMORY = 0.05

@@ -24,13 +24,6 @@ from scipy.optimize import brentq, nnls
 from scipy.stats import chi2 as chi_square
 from scipy.stats import f as fisher
 
-from hiltestbed.diagnosis.aside import (
-    BASELINE_DEGREE,
-    MIN_BASELINE_ROWS,
-    UNKNOWN,
-    baseline_terms,
-    wander_between,
-)
 from hiltestbed.diagnosis.free_flight import (
     free_readings,
     readings_apart,
@@ -38,19 +31,29 @@ from hiltestbed.diagnosis.free_flight import (
     straightened,
 )
 from hiltestbed.diagnosis.low_pass import LowPass
-from hiltestbed.diagnosis.settings import (
-    MIN_NOISE_ROWS,
-    MIN_OUTLIERS,
-    MIN_SHARE_VARIANCE,
-    OUTLIER_KNEE,
-    SIGNIFICANCE_LEVEL,
-    SIGNIFICANCE_SIGMA,
+from hiltestbed.diagnosis.nuisances import (
+    BASELINE_DEGREE,
+    MIN_BASELINE_ROWS,
+    UNKNOWN,
+    baseline_terms,
+    phases_differ,
+    tones_of,
+    wander_between,
+    without_tones,
 )
-from hiltestbed.diagnosis.tones import phases_differ, tones_of, without_tones
+from hiltestbed.diagnosis.settings import MIN_NOISE_ROWS, SIGNIFICANCE_LEVEL, SIGNIFICANCE_SIGMA
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.signals import GROUPS
+
+# chosen: samples beyond four standard deviations, in excess of those of normal noise
+MIN_OUTLIERS = 3
+# chosen: [sigma] beyond which a sample of noise with outliers counts by its logarithm
+OUTLIER_KNEE = 3.0
+# chosen: share of the noise variance that noise in proportion to the reading must add at the
+# largest readings
+MIN_SHARE_VARIANCE = 0.3
 
 CHANNELS = GROUPS["wrench_meas"].columns
 POSE_PARTS = ("px", "py", "pz", "qx", "qy", "qz")  # of the axes of CHANNELS
@@ -96,7 +99,7 @@ class ForceNoise:
         wander: (D, 6) standard deviation [N, N m] between runs of each coefficient of the baseline,
             a Legendre polynomial over the run; infinite where it is not known, D = 0 where there is
             none. tones: [rad] a row, whose phase differs between runs. For both see
-            :mod:`hiltestbed.diagnosis.aside`.
+            :mod:`hiltestbed.diagnosis.nuisances`.
         step: [N] quantisation of the force, where the scenario states a smaller one or none; 0
             otherwise, and where noise dithers it.
     """

@@ -21,9 +21,6 @@ from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.settings import (
     BLOCK_ROWS,
-    COPY_PERTURBATION,
-    DIVERGED_TIME,
-    DIVERGENCE_THRESHOLD,
     LEVER_ARM,
     PERTURBED_COPIES,
     SIGNIFICANCE_SIGMA,
@@ -37,6 +34,12 @@ from hiltestbed.replay import moves_linearly
 from hiltestbed.replay.compensation import central_rates
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario
+
+# chosen: share of the change of a rate, or of a pose's slope, in a tick: perturbation of the copies
+COPY_PERTURBATION = 2e-3
+# derived: of the force noise, above which copies have diverged; less adds 4 % to the noise
+DIVERGENCE_THRESHOLD = 0.3
+DIVERGED_TIME = 0.25  # chosen: [s] for which copies are not used after they have diverged
 
 
 @dataclass(frozen=True)

@@ -40,13 +40,7 @@ from hiltestbed.diagnosis.path_noise import (
 from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import (
-    BLOCK_ROWS,
-    DETECTION,
-    LEVER_ARM,
-    MAX_PATH_NOISE,
-    MODEL_ERROR,
-)
+from hiltestbed.diagnosis.settings import BLOCK_ROWS, DETECTION, LEVER_ARM, MODEL_ERROR
 from hiltestbed.diagnosis.timing import may_be_stamp
 from hiltestbed.diagnosis.yielding import told_pose, yielded_under
 from hiltestbed.frames import Array
@@ -54,6 +48,9 @@ from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import finest_noise
 from hiltestbed.replay import follows_exactly
 from hiltestbed.signals import GROUPS
+
+# derived: share of the force noise that a measured path may add: half a percent of the noise
+MAX_PATH_NOISE = 0.1
 
 # chosen: of force and yielding in turn: with drives ten times as stiff as the contact, the noise
 # falls by 1000

@@ -27,9 +27,8 @@ from hiltestbed.diagnosis.closed_loop import (
 )
 from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
-from hiltestbed.diagnosis.jitter import jitter_beside
+from hiltestbed.diagnosis.jitter_and_hum import hum_beside, jitter_beside
 from hiltestbed.diagnosis.layout import Layout
-from hiltestbed.diagnosis.lines import hum_beside
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.plain import entry
 from hiltestbed.diagnosis.readings import reinterpreted

@@ -8,12 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.aside import Aside
 from hiltestbed.diagnosis.links import Link
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.noise import softened
-from hiltestbed.diagnosis.settings import MAX_RESIDUAL
+from hiltestbed.diagnosis.nuisances import Aside
 from hiltestbed.frames import Array
+
+MAX_RESIDUAL = 1e6  # chosen: [sigma] stands for a prediction that is not finite
 
 
 class Residual:

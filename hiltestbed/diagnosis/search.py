@@ -14,33 +14,40 @@ from typing import Literal
 
 import numpy as np
 
-from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers, noise_alone
+from hiltestbed.diagnosis.adequacy import JITTER, Judge, Leftover, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit, refit_without
-from hiltestbed.diagnosis.jitter import again
-from hiltestbed.diagnosis.links.base import Effects
+from hiltestbed.diagnosis.jitter_and_hum import again
 from hiltestbed.diagnosis.rating import rate
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import (
     AMBIGUITY,
-    BEAM_WIDTH,
     CLOSE_CHI2,
-    COSTLY_BEAM_WIDTH,
     DETECTION,
-    LINEAR_GAIN_MARGIN,
     MAX_CAUSES,
-    MAX_FITS_PER_EFFECT,
     MAX_PARTNERS,
-    MAX_SINGLES,
     MIN_EXCESS_TO_GROW,
-    MIN_VARIANT_GAIN,
-    NEAR_BOUND,
-    SELECTION,
     SELECTION_INADEQUATE,
 )
 from hiltestbed.effects.search import Candidate
 from hiltestbed.process.progress import Pace, time_left_text
 
-Judge = Callable[[Residual, Effects], dict[str, Leftover]]
+# calibrated: selection threshold of a further cause where the causes so far already leave only
+# noise
+SELECTION = 100.0
+BEAM_WIDTH = 5  # chosen: first causes for which a second one is sought
+# chosen: pairs of causes for which a third one is sought, on a link whose replay is costly
+COSTLY_BEAM_WIDTH = 2
+MAX_FITS_PER_EFFECT = 3  # chosen: hypotheses of one effect (axes, variants) that are fitted
+MAX_SINGLES = 40  # chosen: single causes that are fitted
+# calibrated: most that a fit may gain over its linearised gain; 3.5 was the most of 553 fits on 18
+# rig sets
+LINEAR_GAIN_MARGIN = 10.0
+# chosen: share of the best gain in chi-square; a variant of an effect that gains less rules out its
+# other variants
+MIN_VARIANT_GAIN = 0.3
+# chosen: share of a parameter's range; a value closer to a bound is compared with the bound itself
+NEAR_BOUND = 0.1
+
 # a hypothesis from the residual of a fit; chi-square that another has reached
 Special = Callable[[Residual, Fit, float], Fit | None]
 # the interpretation of a link that fits better; the residual itself where none does

@@ -16,8 +16,11 @@ from scipy.stats import norm
 from hiltestbed.diagnosis.find import Judged, judge
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.likelihood.explain import candidates_of
-from hiltestbed.diagnosis.likelihood.investigate import investigate_by_likelihood, log_has_errors
-from hiltestbed.diagnosis.likelihood.links import dynamics
+from hiltestbed.diagnosis.likelihood.investigate import (
+    dynamics,
+    investigate_by_likelihood,
+    log_has_errors,
+)
 from hiltestbed.diagnosis.likelihood.model import LinkModel, leftover
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
 from hiltestbed.inference.likelihood import Likelihood, independent

@@ -10,10 +10,10 @@ import numpy as np
 
 from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import fit, null_fit
+from hiltestbed.diagnosis.grow import Richer
 from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.links import LinkRun, PlatformLink
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.effects.search import Candidate, Scales

@@ -14,15 +14,14 @@ from scipy.optimize import brentq
 from hiltestbed.diagnosis import search
 from hiltestbed.diagnosis.adequacy import Leftover
 from hiltestbed.diagnosis.fit import fit, null_fit
-from hiltestbed.diagnosis.jitter import jitter_beside
-from hiltestbed.diagnosis.late_record import used_readings
-from hiltestbed.diagnosis.lines import hum_beside, lines
+from hiltestbed.diagnosis.jitter_and_hum import hum_beside, jitter_beside, lines
 from hiltestbed.diagnosis.links import Link, LinkRun, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects, Lane
 from hiltestbed.diagnosis.rating import rate
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
 from hiltestbed.diagnosis.settings import MIN_EXCESS_TO_GROW
+from hiltestbed.diagnosis.stamps import used_readings
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Scales, candidate
 from hiltestbed.frames import Array

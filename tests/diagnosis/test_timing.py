@@ -15,14 +15,14 @@ import pytest
 
 from hiltestbed.config.yaml_source import dump_yaml, read_source
 from hiltestbed.diagnosis import stamps, timing
+from hiltestbed.diagnosis.adequacy import judge_of_compensation
 from hiltestbed.diagnosis.certainty import certainty
 from hiltestbed.diagnosis.find import Judged, judge
 from hiltestbed.diagnosis.fit import Fit, fit, null_fit
+from hiltestbed.diagnosis.floors import smooth_levels
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.judges import of_compensation
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, Timing
 from hiltestbed.diagnosis.links.base import Link, moved
-from hiltestbed.diagnosis.pose_noise import smooth_levels
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS
@@ -162,7 +162,7 @@ def stamped_compensation(output: float, given: float, seed: int = 1) -> Compensa
 
 def exactly(link: CompensationLink) -> Timing | None:
     noise = {name.replace("comp", "meas"): 0.5 for name in link.channels}
-    found = stamps.exactly_stamped(Residual(link), Search((), of_compensation(link, noise)))
+    found = stamps.exactly_stamped(Residual(link), Search((), judge_of_compensation(link, noise)))
     return found and found.link.timing
 
 

@@ -19,10 +19,10 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 from scipy.stats import chi2, gamma
 
-from hiltestbed.diagnosis.aside import Aside
 from hiltestbed.diagnosis.links import Link, LinkRun, Timing, WrenchLink
 from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
 from hiltestbed.diagnosis.noise import softened
+from hiltestbed.diagnosis.nuisances import Aside
 from hiltestbed.diagnosis.settings import BLOCK_ROWS, MODEL_ERROR
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate

@@ -67,13 +67,12 @@ class LinkRun:
     Attributes:
         scenario: as believed. measured: (N, C) at the output, 0 where it was not measured.
         sigma: (N, C) its noise, infinite where not measured. touching: (N,) bool, the nominal or
-            the measured contact, with its tail
-        through the sensor. heavy: whether the noise has outliers, see
-            :func:`hiltestbed.diagnosis.noise.softened`. tail: variance of the
-        square of a noise sample. nuisances: (N, C, D) nuisance terms, each at one standard
-            deviation, see
-        :mod:`hiltestbed.diagnosis.aside`; None: there are none. shared: (N, C, D') further ones,
-            each with one amplitude in all channels.
+            the measured contact, with its tail through the sensor.
+        heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`.
+            tail: variance of the square of a noise sample.
+        nuisances: (N, C, D) nuisance terms, each at one standard deviation, see
+            :mod:`hiltestbed.diagnosis.nuisances`; None: there are none. shared: (N, C, D') further
+            ones, each with one amplitude in all channels.
     """
 
     scenario: Scenario
