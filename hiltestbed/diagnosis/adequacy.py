@@ -180,9 +180,7 @@ def _read_from(link: Link) -> int:
 
 
 def judge_of_compensation(link: CompensationLink, noise: Mapping[str, float]) -> Judge:
-    """Computed, not measured: the residual is zero, or propagated noise of the record that is no
-    larger in contact than outside it.
-    """
+    """Leaves zero, or propagated noise of the record that is no larger in contact than outside."""
     gain = link.noise_gain()
 
     def judge(residual: Residual, effects: Effects) -> dict[str, Leftover]:
@@ -253,9 +251,7 @@ def _chance(residual: Residual, channel: int, left: Sequence[Array]) -> float:
 
 
 def judge_of_dynamics(residual: Residual) -> Judge:
-    """Computed: no more than integrators may differ by, or a hundredth of the departure that was
-    explained.
-    """
+    """Leaves what integrators may differ by, or a hundredth of the departure that is explained."""
     departures = _rms(residual, ())
 
     def judge(of: Residual, effects: Effects) -> dict[str, Leftover]:

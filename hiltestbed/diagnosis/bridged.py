@@ -58,15 +58,15 @@ def bridged(
     if not any(u.any() for u in unread):
         return list(runs)
     bent = [_bent(w, m) for w, m in zip(wrenches, missing, strict=True)]
-    rng, everything = np.random.default_rng(0), [(i, ()) for i in range(len(wrenches))]
-    shown = fed(wrenches).predict(everything)
+    rng = np.random.default_rng(0)
+    shown = fed(wrenches).shown_in_all()
     errors: list[list[Array]] = [[] for _ in runs]
     for _ in range(MODELLED_DRAWS + LEFT_DRAWS):
         shaken = [
             w + _interpolated(rng, u, level) + b * _of_each_gap(rng, u)
             for w, u, b in zip(wrenches, unread, bent, strict=True)
         ]
-        for found, a, b in zip(errors, fed(shaken).predict(everything), shown, strict=True):
+        for found, a, b in zip(errors, fed(shaken).shown_in_all(), shown, strict=True):
             found.append(a - b)
     out = []
     for run, found in zip(runs, errors, strict=True):
@@ -100,9 +100,7 @@ def _of_each_gap(rng: np.random.Generator, unread: np.ndarray) -> Array:
 def interpolation_errors(
     runs: Sequence[MeasuredRun], group: str, rows: Sequence[int]
 ) -> list[Array]:
-    """``(N, parts)`` interpolation error of each run, see `bends` of :class:`Record`; 0 where all
-    rows of the group are ticks.
-    """
+    """``(N, parts)`` of each run, see `bends` of :class:`Record`; 0 where all rows are ticks."""
     return [
         r.record.bends.get(group, np.zeros(r.record.data[group].shape))[:n]
         for r, n in zip(runs, rows, strict=True)
@@ -129,11 +127,8 @@ def kink_errors(record: Record, group: str) -> Array:
 
 
 def rms_differences(link: Link, other: Link) -> list[Array]:
-    """``(N, channels)`` difference of two links in each run, rms about each row: between the rows
-    of a log either may be right.
-    """
-    everything = [(i, ()) for i in range(len(link.runs))]
-    pairs = zip(link.predict(everything), other.predict(everything), strict=True)
+    """``(N, channels)`` difference of two links in each run, rms about each row."""
+    pairs = zip(link.shown_in_all(), other.shown_in_all(), strict=True)
     return [
         np.sqrt(np.maximum(uniform_filter1d((a - b) ** 2, SMOOTHING_ROWS, axis=0), 0.0))
         for a, b in pairs

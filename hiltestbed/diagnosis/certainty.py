@@ -75,9 +75,7 @@ class Certainty:
     ends: Array
 
     def strongest(self) -> tuple[Profile, Profile, float] | None:
-        """The two parameters with the most correlated estimates, and their correlation; None where
-        there is no pair.
-        """
+        """The two parameters with the most correlated estimates, and that; None without a pair."""
         size = np.abs(np.nan_to_num(np.triu(self.correlation, 1)))
         if not size.any():
             return None
@@ -96,9 +94,7 @@ class Certainty:
 
 
 class Certainties:
-    """The certainty of each fit of a diagnosis, computed once however many of its causes are
-    named.
-    """
+    """The certainty of each fit of a diagnosis, computed once however many causes are named."""
 
     def __init__(self, explanations: Mapping[str, Explanation]) -> None:
         self._explanations = explanations
@@ -255,9 +251,7 @@ def _unit(c: Candidate, name: str) -> str:
 
 
 def _profile(residual: Residual, found: Fit, spread: Spread, j: int) -> tuple[Array, Array]:
-    """Values of parameter j around its estimate, and chi-square there, with the other parameters
-    moved by linear regression on it.
-    """
+    """Values of parameter j, and chi-square there with the others moved by linear regression."""
     low, high, log = bounds_of(found.causes)
     scale = scales(found.theta, low, high, log)
     reach = np.linspace(-PROFILE_REACH, PROFILE_REACH, PROFILE_POINTS)

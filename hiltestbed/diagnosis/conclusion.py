@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """One run, simulated: the nominal and the extended trace, None where the simulation could not
-    be run.
-    """
+    """One run, simulated: the nominal and the extended trace, None where it could not be run."""
 
     run: int
     nominal: RunTrace | None

@@ -45,7 +45,7 @@ def decimated(link: WrenchLink) -> WrenchLink:
     rows = sum(len(p) for p in link.paths)
     count = 1
     if rows >= 2 * MIN_ROWS and not link.simulated and link.logged is None:
-        rms = _rms(link, link.predict([(i, ()) for i in range(len(link.runs))]))
+        rms = _rms(link, link.shown_in_all())
         while rows >= 2 * count * MIN_ROWS and _lost(link, 2 * count) < MAX_LOSS * rms:
             count *= 2
     if count == 1:
@@ -61,9 +61,7 @@ def decimated(link: WrenchLink) -> WrenchLink:
 
 
 def _rms(link: WrenchLink, modelled: list[Array]) -> float:
-    """Rms of the measured readings less `modelled`, in units of their noise, over all that was
-    measured.
-    """
+    """Rms of the measured readings less `modelled`, in units of their noise."""
     counted = [np.isfinite(r.sigma) for r in link.runs]
     left = [
         ((r.measured - m) / r.sigma)[c]
@@ -73,9 +71,7 @@ def _rms(link: WrenchLink, modelled: list[Array]) -> float:
 
 
 def _lost(link: WrenchLink, count: int) -> float:
-    """Rms of the signal between blocks of ``count`` rows, in units of the noise, with the share of
-    the noise subtracted.
-    """
+    """Rms of the signal between blocks of ``count`` rows, in units of the noise, less its share."""
     between = _rms(link, [_between(r.measured, count) for r in link.runs])
     white = np.eye(8 * count)
     own = float(np.mean(np.sum((white - _between(white, count)) ** 2, axis=1)))
@@ -115,9 +111,7 @@ def _run(run: LinkRun, count: int) -> LinkRun:
 
 
 def refit_on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
-    """``found`` and the fits near it, fitted again on ``link``; ``found`` itself where it does not
-    explain all rows.
-    """
+    """The fits near ``found``, fitted again on ``link``; ``found`` where they leave too much."""
     chosen = found.chosen
     if not (found.departs and found.adequate and chosen.causes) or JITTER in chosen.kinds:
         return found

@@ -70,9 +70,7 @@ class Judged:
 
 
 def judge(findings: Findings, progress: Progress | None = None) -> Judged:
-    """The verdict; where few effects together do not explain a link, with those causes that hold
-    all the same, or a learned law.
-    """
+    """The verdict; where few effects do not explain a link, with what holds, or a learned law."""
     findings = with_rebounds(findings)
     verdict = decide(findings)
     findings, nearest = _nearest(findings, verdict, progress)
@@ -131,9 +129,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
 
 
 def _determined(verdict: Verdict, certain: Certainties) -> Verdict:
-    """The verdict without causes whose size the data do not determine; what they explained is
-    unknown then.
-    """
+    """The verdict without causes whose size the data do not determine."""
     kept = tuple(
         c
         for c in verdict.causes
@@ -253,18 +249,14 @@ def needless(beside: Learned, alone: Learned, named: int) -> bool:
 
 
 def _left(law: Learned) -> float:
-    """The rms that a law leaves of left-out runs, as their geometric mean: that by which laws and
-    causes are selected.
-    """
+    """Geometric mean of the rms that a law leaves of left-out runs."""
     return float(gmean([after for _, after in law.heldout.per_run.values()]))
 
 
 def _in_part(
     findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]
 ) -> tuple[Verdict, float | None]:
-    """The verdict with those of the nearest causes that hold, and the share of the departure that
-    they explain; unchanged if none holds.
-    """
+    """The verdict with those of the nearest causes that hold, and the share that they explain."""
     if not nearest:
         return verdict, None
     e = findings.explanations[nearest[0].link]

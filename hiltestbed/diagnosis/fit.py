@@ -144,9 +144,7 @@ def null_fit(residual: Residual) -> Fit:
 
 
 def bounds_of(causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:
-    """Lower and upper bounds, and whether the scale is logarithmic, of all parameters,
-    concatenated.
-    """
+    """Bounds of all parameters, concatenated, and whether the scale is logarithmic."""
     if not causes:
         return np.zeros(0), np.zeros(0), np.zeros(0, bool)
     return (
@@ -242,18 +240,14 @@ def telling(residual: Residual, r: Array) -> list[int]:
 
 
 def refit(residual: Residual, found: Fit, known: float = np.inf) -> Fit:
-    """The same hypothesis fitted again from its last estimate, with other weights or runs; known:
-    as of :func:`fit`.
-    """
+    """The same hypothesis fitted again from its last estimate; known: as of :func:`fit`."""
     if found.causes:
         return fit(residual, found.causes, [found.theta], tries=1, known=known)
     return null_fit(residual)
 
 
 def refit_without(residual: Residual, found: Fit, index: int, known: float = np.inf) -> Fit:
-    """The other causes of a hypothesis, fitted again from where they stand beside that one; known:
-    as of :func:`fit`.
-    """
+    """The other causes of a hypothesis, fitted again; known: as of :func:`fit`."""
     causes, theta = found.without(index)
     return fit(residual, causes, [theta], tries=1, known=known) if causes else null_fit(residual)
 
@@ -275,9 +269,7 @@ def differences(
     high: Array,
     step: float = DIFFERENCE_STEP,
 ) -> Array:
-    """(M, P) derivative of the residual by the scaled parameters; a step that would leave the
-    bounds is reversed.
-    """
+    """(M, P) derivative by the scaled parameters; a step beyond the bounds is reversed."""
     if len(theta) == 0:
         return np.zeros((len(r), 0))
     moved, widths = [], []
@@ -342,9 +334,7 @@ def _step(
     high: Array,
     log: np.ndarray,
 ) -> tuple[Array, Array, float, float] | None:
-    """The first of increasingly damped steps that lowers chi-square: theta, residual, chi-square,
-    next damping; None where none does.
-    """
+    """The first of increasingly damped steps that lowers chi-square, and the next damping."""
     for attempt in range(3):
         tried, dampings = [], []
         for _ in range(1 if attempt == 0 else DAMPINGS_AT_ONCE):
@@ -363,16 +353,12 @@ def _step(
 
 
 def _resolution(chi2: float, r: Array) -> float:
-    """Change of chi-square below which a fit has converged; it scales with the misfit, like the
-    thresholds on differences of chi-square.
-    """
+    """Change of chi-square below which a fit has converged; it scales with the misfit."""
     return CONVERGED_CHI2 * max(1.0, chi2 / len(r))
 
 
 def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
-    """Scan and pattern search on the parameters in which chi-square has jumps, where a gradient is
-    no guide.
-    """
+    """Scan and pattern search on the parameters in which chi-square has jumps."""
     jumpy = [c.effect.jumps == name for c in found.causes for name in c.names]
     theta, chi2, r = found.theta, found.chi2, found.residual
     for j in np.flatnonzero(jumpy):
@@ -394,9 +380,7 @@ def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
 
 
 def inflation(found: Fit) -> float:
-    """Chi-square per sample of a hypothesis, at least 1: thresholds on differences of chi-square
-    scale with it.
-    """
+    """Chi-square per sample, at least 1, with which thresholds on its differences scale."""
     return max(1.0, square(found.residual) / max(1, np.count_nonzero(found.residual)))
 
 

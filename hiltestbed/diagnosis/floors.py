@@ -44,9 +44,7 @@ FAR_LAGS = (2, 3, 4)
 
 
 def floors(runs: Sequence[MeasuredRun]) -> dict[str, float]:
-    """Channel to noise floor: third differences away from contacts, pooled; a channel that is
-    constant there is estimated otherwise.
-    """
+    """Channel to noise floor, by third differences away from contacts, pooled over the runs."""
     out, smooth = {}, smooth_levels(runs)
     for name in dict.fromkeys(c for r in runs for c in r.record.columns()):
         found, still = [], 0
@@ -201,9 +199,7 @@ def _levels(runs: Sequence[MeasuredRun], moving: Sequence[str]) -> dict[str, flo
 
 
 def _free(run: MeasuredRun, name: str) -> Array:
-    """(n,) of the channel before the first touch; of a latched mechanism all of it, less its
-    command. Slow motion is taken off.
-    """
+    """(n,) of the channel before the first touch; if latched, all of it less its command."""
     if not run.record.has(name):
         return np.zeros(0)
     latched, told = run.scenario.mechanism.captured, name.replace("act", "cmd")

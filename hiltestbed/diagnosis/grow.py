@@ -45,9 +45,7 @@ def far_off(found: Explanation) -> bool:
 
 
 def grow(found: Explanation, search: Search) -> Fit:
-    """The best fit of several causes, beginning with the best so far: as many as exceed the
-    thresholds, until only noise is left.
-    """
+    """The best fit of as many causes as exceed the thresholds, until only noise is left."""
     residual = found.residual
     best = min([found.chosen, *found.singles, *found.more], key=lambda f: f.score)
     # its likelihood is no sum of squares: no further cause can be compared
@@ -72,9 +70,7 @@ def _exceeds_threshold(more: Fit, fewer: Fit) -> bool:
 
 
 def log_heldout_rms(residual: Residual, found: Fit) -> float:
-    """Logarithm of the rms on left-out runs, mean over the runs; of the fit itself if there is only
-    one run.
-    """
+    """Logarithm of the rms on left-out runs, mean over the runs; of a single run, of the fit."""
     if len(residual.runs) < 2:
         return 0.5 * math.log(max(found.chi2, 1e-300))
     return float(
@@ -83,9 +79,7 @@ def log_heldout_rms(residual: Residual, found: Fit) -> float:
 
 
 def _pruned(residual: Residual, found: Fit, before: float) -> Fit:
-    """Without the causes that the others have made needless; before: logarithm of the rms on
-    left-out runs with all of them.
-    """
+    """Without needless causes; before: logarithm of the rms on left-out runs with all of them."""
     for c in found.causes:
         index = next((i for i, other in enumerate(found.causes) if other is c), None)
         if index is None or len(found.causes) == 1:
@@ -100,9 +94,7 @@ def _pruned(residual: Residual, found: Fit, before: float) -> Fit:
 
 @dataclass(frozen=True)
 class Richer:
-    """``search``: of the link, among the simpler effects; ``candidates``: the hypotheses of the
-    effects with many parameters.
-    """
+    """A link's ``search`` among simple effects, and ``candidates`` with many parameters."""
 
     search: Search
     candidates: tuple[Candidate, ...]
@@ -162,9 +154,7 @@ class Richer:
     def _several(
         self, residual: Residual, singles: Sequence[Fit], known: Fit
     ) -> tuple[Fit, list[Fit]]:
-        """The best fit with as many further causes as lower chi-square by more than the penalty,
-        and all fits that were made.
-        """
+        """The best fit with as many further causes as pay, and all fits that were made."""
         tried = [*singles, *self._beside(residual, singles[0], known)]
         best = min(tried, key=lambda f: f.score)
         further = replace(self.search, candidates=(*self.candidates, *self.search.candidates))

@@ -56,9 +56,7 @@ MIN_CONDITION_SPREAD = 0.03
 
 
 def holding(found: Explanation) -> tuple[int, ...]:
-    """Indices of the causes of the chosen fit that hold; none where there are too few runs to
-    decide.
-    """
+    """Indices of the causes of the chosen fit that hold; none where there are too few runs."""
     if not _enough_evidence(found):
         return ()
     alone = in_each_run(found)
@@ -164,9 +162,7 @@ def _least(found: Explanation) -> int:
 
 
 def explained(found: Explanation) -> float:
-    """Share of the departure that the chosen fit explains on left-out runs, in mean square beyond
-    the noise.
-    """
+    """Share of the departure that the chosen fit explains on left-out runs, in mean square."""
     before, after = (
         math.exp(2.0 * log_heldout_rms(found.residual, f)) - 1.0 for f in (found.null, found.chosen)
     )
@@ -198,9 +194,7 @@ def same_in_each(chosen: Fit, alone: list[list[Fit]], index: int, least: int) ->
 
 
 def _worthwhile_without_rival(found: Explanation, index: int) -> bool:
-    """Whether a cause carries over to left-out runs beside the others, and no other effect does as
-    well in its place.
-    """
+    """Whether a cause carries over to left-out runs, and no other effect does as well."""
     residual, chosen = found.residual, found.chosen
     fewer = refit_without(residual, chosen, index)
     if not _improves_heldout(found, fewer):
@@ -213,9 +207,7 @@ def _worthwhile_without_rival(found: Explanation, index: int) -> bool:
 
 
 def _improves_heldout(found: Explanation, fewer: Fit) -> bool:
-    """Whether the chosen fit leaves enough less on left-out runs than that with ``fewer``
-    causes.
-    """
+    """Whether the chosen fit leaves enough less on left-out runs than with ``fewer`` causes."""
     return (
         log_heldout_rms(found.residual, fewer) - log_heldout_rms(found.residual, found.chosen)
         >= MIN_HELDOUT_GAIN_IN_PART

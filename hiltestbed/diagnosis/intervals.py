@@ -49,9 +49,7 @@ class Spread:
 
     @property
     def correlation(self) -> Array:
-        """(P, P) correlation of the estimates, by the inverse of `normal`; NaN for an undetermined
-        parameter.
-        """
+        """(P, P) correlation of the estimates; NaN for an undetermined parameter."""
         covariance = inverted(self.normal)
         root = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         out = np.clip(covariance / np.outer(root, root), -1.0, 1.0)
@@ -171,9 +169,7 @@ def stretch_variance(
 def _crossing(
     residual: Residual, found: Fit, j: int, sign: float, most: float, bound: float
 ) -> float:
-    """Where chi-square exceeds `most` as parameter j moves off its estimate, for one in which
-    chi-square has steps, such as a dead zone.
-    """
+    """Where chi-square exceeds `most` as parameter j moves, for one in which it has steps."""
     step = MIN_RELATIVE_WIDTH
     theta = found.theta.copy()
     while step < 1.0:

@@ -141,9 +141,7 @@ class Findings:
 def investigate(
     dataset: MeasuredDataset, progress: Progress | None = None, stamps: bool = True
 ) -> Findings:
-    """Explain every link that the dataset's channels allow; stamps: whether a late record may be a
-    matter of its stamps.
-    """
+    """Explain every link that the data allow; stamps: whether a late record may be its stamps."""
     layout = lay_out(dataset)
     found: dict[str, Explanation] = {}
     whole: dict[str, Link] = {}
@@ -185,9 +183,7 @@ def investigate(
 
 
 def _candidates(scales: Scales, links: Sequence[str], rich: bool = False) -> tuple[Candidate, ...]:
-    """The hypotheses of every effect that acts on one of ``links``: of the ``rich`` effects, or of
-    all others.
-    """
+    """The hypotheses of each effect that acts on one of ``links``: of ``rich`` ones, or others."""
     return tuple(
         c
         for effect in EFFECTS.values()
@@ -199,9 +195,7 @@ def _candidates(scales: Scales, links: Sequence[str], rich: bool = False) -> tup
 def _begin(
     progress: Progress | None, layout: Layout, link: str, words: str = ""
 ) -> Progress | None:
-    """Tell that a link is begun, with its number among those that are judged; the callback for what
-    is done on it.
-    """
+    """Tell that a link is begun; the callback for what is done on it."""
     judged = [name for name in ORDER if name not in layout.missing]
     told = labelled(
         progress, f"link {judged.index(link) + 1} of {len(judged)}, {words or LINK_NAMES[link]}"
@@ -286,9 +280,7 @@ def _with_unknown_start(layout: Layout, link: DynamicsLink) -> DynamicsLink:
 
 
 def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:
-    """The explanation of a driven axis: its mass and what resists it, sought together from the
-    estimates of a regression.
-    """
+    """A driven axis: its mass and what resists it, sought from the estimates of a regression."""
     link = axis_link(layout.runs)
     candidates = tuple(
         c for c in _candidates(layout.scales, ("dynamics",)) if c.kind in AXIS_EFFECTS
@@ -340,13 +332,11 @@ def _explain_compensation(
 
 
 def _with_noise_of_residual(layout: Layout, path: BestPath) -> Layout:
-    """The layout with the noise of a latched mechanism's force from what the believed contact on
-    its path leaves of the readings.
-    """
+    """The layout with the noise of a latched mechanism's force beside its believed contact."""
     if not any(r.scenario.mechanism.captured for r in layout.runs):
         return layout
     link = choose_steps(choose_ring(choose_lever(make_wrench_link(layout, path, layout.whole))))
-    shown = link.predict([(i, ()) for i in range(len(link.runs))])
+    shown = link.shown_in_all()
     known = [np.asarray(np.isfinite(run.sigma).any(axis=1)) for run in link.runs]
     return with_noise_beside(
         layout, [np.where(k[:, None], s, np.nan) for k, s in zip(known, shown, strict=True)]
@@ -443,9 +433,7 @@ def _as_stamped(link: WrenchLink, found: Mapping[str, Explanation]) -> WrenchLin
 def _choose_path(
     layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
 ) -> BestPath:
-    """The path that fits contact and sensor best, of those that the platform leaves open; and the
-    platform explained to match it.
-    """
+    """The path that fits contact and sensor best; and the platform explained to match it."""
     best = best_path(layout, found.get("platform"))
     if other := path_without_delay(layout, found.get("platform"), best):
         links = [
@@ -527,9 +515,7 @@ def _settle_compensation(
     whole: dict[str, Link],
     progress: Progress | None,
 ) -> None:
-    """The compensation explained again with the readings that the loop used, if contact and sensor
-    show how late the record is.
-    """
+    """The compensation under the readings that the loop used, if the contact shows these late."""
     explanation = found["wrench"]
     effects = explanation.chosen.effects()
     skew = log_parameters(effects).skew
@@ -540,9 +526,7 @@ def _settle_compensation(
     links = []
     for rows in (layout.rows, layout.whole):
         wrench = make_wrench_link(layout, path, rows).as_interpreted(chosen)
-        everything = range(len(wrench.runs))
-        late = wrench.predict([(i, effects) for i in everything])
-        prompt = wrench.predict([(i, in_time) for i in everything])
+        late, prompt = wrench.shown_in_all(effects), wrench.shown_in_all(in_time)
         used = [
             used_readings(run, a, b, ticks)
             for run, a, b in zip(wrench.runs, late, prompt, strict=True)
@@ -579,9 +563,7 @@ def _settle_platform(
     if all(follows_exactly(r.scenario) for r in layout.runs):
         return layout
     wrench = whole["wrench"]
-    everything = range(len(layout.runs))
-    shown = wrench.predict([(i, effects) for i in everything])
-    borne = wrench.predict([(i, in_truth) for i in everything])
+    shown, borne = wrench.shown_in_all(effects), wrench.shown_in_all(in_truth)
     readings = [
         r.record.filled("wrench_meas") + b - s
         for r, b, s in zip(layout.runs, borne, shown, strict=True)

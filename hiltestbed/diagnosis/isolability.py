@@ -31,9 +31,7 @@ BISECTIONS = 12
 def isolability(
     residual: Residual, candidates: Sequence[Candidate], progress: Progress | None = None
 ) -> tuple[Isolable, ...]:
-    """One entry for each effect among the candidates, for the hypothesis (of an axis, a body) that
-    shows most at its largest size.
-    """
+    """One entry for each effect, for the hypothesis that shows most at its largest size."""
     first = _clearest(residual, candidates)
     found = {
         kind: (c, *smallest)
@@ -60,9 +58,7 @@ def isolability(
 
 
 def _clearest(residual: Residual, candidates: Sequence[Candidate]) -> dict[str, Candidate]:
-    """Of each effect, in reverse order, the hypothesis that changes the residual most at the
-    largest size that is searched.
-    """
+    """Of each effect, in reverse order, the hypothesis that changes the residual most."""
     changes = _changes(
         residual, residual(()), candidates, np.array([1.0 if c.names else 0.0 for c in candidates])
     )
@@ -125,9 +121,7 @@ def _smallest(
 def _changes(
     residual: Residual, null: Array, candidates: Sequence[Candidate], sizes: Array
 ) -> list[Array]:
-    """(M,) change of the residual by each candidate at its size, from 0 (next to nothing) to 1 (the
-    largest that is searched).
-    """
+    """(M,) change of the residual by each candidate at its size, see :func:`_value`."""
     effects = []
     for c, size in zip(candidates, sizes, strict=True):
         theta = np.array(c.grid[len(c.grid) // 2], dtype=float)
@@ -139,9 +133,7 @@ def _changes(
 
 
 def _value(c: Candidate, size: float) -> float:
-    """The leading parameter for a size from 0 (next to nothing) to 1 (the largest that is
-    searched).
-    """
+    """The leading parameter for a size from 0 (next to nothing) to 1 (the largest searched)."""
     a, b = float(c.low[0]), float(c.high[0])
     if c.names[0] == "factor":
         return 1.0 + (min(b, 1.5) - 1.0) * 10.0 ** (-5.0 * (1.0 - size))

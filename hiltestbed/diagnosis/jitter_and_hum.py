@@ -94,9 +94,7 @@ def jitter_beside(residual: Residual, base: Fit, _known: float = math.inf) -> Fi
 
 
 def again(residual: Residual, found: Fit, known: float = math.inf) -> Fit:
-    """The same hypothesis fitted again under other weights; known: as of
-    :func:`~hiltestbed.diagnosis.fit.fit`.
-    """
+    """The same hypothesis fitted again under other weights; known: as of :func:`fit`."""
     if not found.causes or found.kinds[-1] != JITTER:
         return refit(residual, found, known)
     rest = replace(found, causes=found.causes[:-1], theta=found.theta[:-1])
@@ -107,9 +105,7 @@ def again(residual: Residual, found: Fit, known: float = math.inf) -> Fit:
 def _likelihood(
     link: WrenchLink, residual: Residual, effects: Effects, sigma: float
 ) -> tuple[float, Array]:
-    """Minus twice the log-likelihood, and the residual in units of noise and spread, for a delay
-    with standard deviation sigma.
-    """
+    """-2 log of the likelihood under a jitter ``sigma``, and the residual over the spread."""
     total, parts = 0.0, []
     for i in residual.runs:
         mean, spread = link.shaken(i, effects, sigma)
@@ -139,9 +135,7 @@ def _independent(z: Array, where: np.ndarray, channels: int) -> bool:
 
 
 def _centred(z: Array, worth: Array, where: np.ndarray) -> bool:
-    """Whether the delay varies about the believed one: a constant delay would correlate with the
-    rate of the reading, `worth`.
-    """
+    """Whether the delay varies about the believed one: it would else follow the rate, `worth`."""
     z, worth = z[where], worth[where]
     return abs(float(np.sum(z * worth))) < MAX_JITTER_CORRELATION * math.sqrt(
         square(z) * square(worth)
@@ -149,18 +143,16 @@ def _centred(z: Array, worth: Array, where: np.ndarray) -> bool:
 
 
 def lines(link: WrenchLink) -> dict[str, Line]:
-    """Axis to the strongest line of the readings outside contacts that exceeds the noise; in
-    contact where it is held throughout.
-    """
+    """Axis to the strongest line of the readings outside contacts; inside where always held."""
     parts = []
-    shown = link.predict([(i, ()) for i in range(len(link.runs))])
+    shown = link.shown_in_all()
     held = all(run.touching.all() for run in link.runs)
     for run, prediction in zip(link.runs, shown, strict=True):
         free = (run.touching if held else ~run.touching) & np.isfinite(run.sigma[:, :3]).all(axis=1)
         r = np.where(free[:, None], run.measured[:, :3] - prediction[:, :3], 0.0)
         r -= np.where(free[:, None], r[free].mean(axis=0) if free.any() else 0.0, 0.0)
         parts.append((r, free))
-    longest = max(len(r) for r, _ in parts) * link.runs[0].scenario.tick
+    longest = max(len(r) for r, _ in parts) * link.tick
     out = _strongest(link, parts, MIN_CYCLES / longest if held else MIN_FREQUENCY)
     if len(out) > 1:
         out["all"] = out.get("z", next(iter(out.values())))
@@ -184,7 +176,7 @@ def hum_beside(residual: Residual, base: Fit, known: float = math.inf) -> Fit | 
             counts[:, None] & (weight > 0), left[:, :3] / np.where(weight > 0, weight, 1.0), 0.0
         )
         parts.append((r, counts))
-    longest = max(int(counts.sum()) for _, counts in parts) * link.runs[0].scenario.tick
+    longest = max(int(counts.sum()) for _, counts in parts) * link.tick
     found = _strongest(link, parts, MIN_CYCLES / longest) if longest > 0.0 else {}
     fits = []
     for axis, line in found.items():
@@ -201,9 +193,7 @@ def hum_beside(residual: Residual, base: Fit, known: float = math.inf) -> Fit | 
 
 
 def _starts(base: Fit) -> list[Array]:
-    """Theta of `base`, and the grid of a lone threshold: fitted without the tone, chi-square had
-    its minimum elsewhere.
-    """
+    """Theta of `base`, and the grid of a lone threshold, which the tone may have misled."""
     out, only = [base.theta], base.causes[0]
     if len(base.causes) == len(only.names) == 1 and only.effect.jumps == only.names[0]:
         out += [np.array(start) for start in only.grid]
@@ -231,7 +221,7 @@ def _strongest(
         for run in link.runs
     ]
     level = np.median(levels, axis=0)
-    frequencies = np.fft.rfftfreq(size, link.runs[0].scenario.tick)
+    frequencies = np.fft.rfftfreq(size, link.tick)
     total[:, frequencies < slowest] = 0.0
     out = {}
     for j, axis in enumerate("xyz"):

@@ -143,9 +143,7 @@ def all_axes(run: MeasuredRun, *groups: str) -> bool:
 
 
 def on_record(run: MeasuredRun, *groups: str) -> bool:
-    """Whether each axis that the rig can move is on record in one of the ``groups``, which have the
-    same axes.
-    """
+    """Whether each axis that the rig can move is on record in one of the ``groups``."""
     moving = [
         part for part in GROUPS[groups[0]].parts if part not in run.scenario.rig.platform.still
     ]

@@ -162,38 +162,30 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
 
 
 def _share_of_rates(link: CompensationLink) -> float:
-    """Error of the computed force where twist_act is differentiated pose_act, as a share of that
-    force; 0 where twist_act is not needed.
-    """
+    """Share of the computed force that differentiating pose_act is off by; 0: it is not needed."""
     other = link.with_central_rates()
     if other is None:
         return 0.0
-    computed = np.concatenate([link.predict([(i, ())])[0] for i in range(len(link.runs))])[:, :3]
+    computed = np.concatenate([link.shown(i) for i in range(len(link.runs))])[:, :3]
     missed = np.concatenate(rms_differences(link, other))[:, :3]
     return float(np.linalg.norm(missed) / max(np.linalg.norm(computed), 1e-12))
 
 
 def _logger_filter(link: CompensationLink) -> LowPass | None:
-    """The filter through which the force went to the log but not to the loop; None where
-    wrench_comp shows none.
-    """
-    behind = link.predict([(i, ()) for i in range(len(link.runs))])
+    """The filter through which the force went to the log but not to the loop, if any."""
+    behind = link.shown_in_all()
     known = [np.asarray(np.isfinite(run.sigma).all(axis=1)) for run in link.runs]
     return low_pass_between([run.measured for run in link.runs], behind, known)
 
 
 def with_readings(layout: Layout, readings: Sequence[Array]) -> Layout | None:
-    """The same if the believed sensor had shown ``readings`` (N, 6) in each run; None where the rig
-    then cannot follow its command.
-    """
+    """The same if the sensor had shown ``readings`` (N, 6); None: the rig cannot follow then."""
     given, lost = _deflections(layout.runs, layout.noise, layout.engaged, readings)
     return replace(layout, deflection=given) if lost is None else None
 
 
 def with_noise_beside(layout: Layout, shown: Sequence[Array]) -> Layout:
-    """The same with the noise of a latched mechanism's force beside the readings ``shown`` (N, 6)
-    by the believed contact in each run.
-    """
+    """The same with a latched mechanism's noise beside readings ``shown`` (N, 6) by the contact."""
     force = force_noise(layout.runs, layout.logged, shown)
     before = layout.force.levels()
     noise = (
@@ -210,9 +202,7 @@ def _deflections(
     engaged: Sequence[Engaged | None],
     readings: Sequence[Array] | None = None,
 ) -> tuple[tuple[Deflection, ...] | None, MeasuredRun | None]:
-    """The believed rig's departure from its command in each run, or the first run in which it
-    cannot follow the command.
-    """
+    """The believed rig's departure from its command in each run, or a run it cannot follow."""
     found = []
     for i, run in enumerate(runs):
         one = deflection(
@@ -338,9 +328,7 @@ def _filtered(run: LinkRun, logged: LowPass) -> LinkRun:
 
 
 def _late(force: Array, logged: LowPass) -> Array:
-    """(N, C) change of a force (N, C) by the uncertainty of the filter's delay, at one standard
-    deviation.
-    """
+    """(N, C) change of a force by the filter's uncertain delay, at one standard deviation."""
     return np.asarray(logged.delay_error * np.gradient(force, axis=0))
 
 
@@ -431,9 +419,7 @@ def _rows(run: MeasuredRun) -> int:
 
 
 def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array) -> LinkRun:
-    """A measured force less the offset of this run, with a noise level that includes its colour and
-    its share of the reading.
-    """
+    """A measured force less the offset of this run, with its noise."""
     level = (
         np.maximum([layout.noise.get(name, 0.0) for name in GROUPS["wrench_meas"].columns], least)
         * layout.force.colour
@@ -505,9 +491,7 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
 
 
 def _told_to_stay(run: MeasuredRun, part: str) -> bool:
-    """Whether the command of a pose's part varies by less than what a quantised measurement shows
-    the size of.
-    """
+    """Whether a command varies by less than what a quantised measurement shows the size of."""
     return (
         float(np.ptp(run.record.filled("pose_cmd")[:, POSE_PARTS.index(part)]))
         < FEW_STEPS * run.record.steps[f"pose_act.{part}"]
@@ -515,9 +499,7 @@ def _told_to_stay(run: MeasuredRun, part: str) -> bool:
 
 
 def _pose_rounding(run: MeasuredRun, group: str) -> Array:
-    """(ticks, 6) 1 sigma of the rounding error of a written pose, as position and small rotation
-    vector.
-    """
+    """(ticks, 6) 1 sigma of the rounding error of a written pose, as of :func:`flat_pose`."""
     rounding = run.record.rounding(group)
     return np.column_stack([rounding[:, :3], 2.0 * rounding[:, 3:6]])
 
@@ -531,9 +513,7 @@ def _pose_steps(run: MeasuredRun, group: str) -> Array:
 def _computed_run(
     run: MeasuredRun, values: Array, level: float, rows: int, given: str, memory: float | None
 ) -> LinkRun:
-    """The run of a computed channel; given: the group from which it is computed; memory: [s], see
-    `Record.unknown`.
-    """
+    """The run of a channel computed from the group ``given``; memory: as of `Record.unknown`."""
     sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
     sigma[run.record.unknown(given, memory)[:rows]] = np.inf
     if given == "wrench_meas":  # axis by axis: an axis that was not measured gives nothing

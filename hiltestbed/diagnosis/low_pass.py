@@ -79,9 +79,7 @@ class LowPass:
 
     @property
     def delay(self) -> float:
-        """[rows] at low frequency: half the sum of 1/Q of its poles over the tangent of half its
-        cut-off.
-        """
+        """[rows] at low frequency: half the sum of 1/Q of its poles, over tan(pi cutoff)."""
         angles = math.pi * (2.0 * np.arange(self.order) + 1.0) / (2.0 * self.order)
         return float(np.sum(np.sin(angles))) / (2.0 * math.tan(math.pi * self.cutoff))
 
@@ -92,9 +90,7 @@ class LowPass:
 
     @property
     def colour(self) -> float:
-        """Root of the spectral density at low frequency of filtered white noise, over that of white
-        noise of the same variance.
-        """
+        """Root of the spectral density of unit filtered white noise at low frequency."""
         frequency = np.linspace(0.0, 0.5, 4096, endpoint=False)
         power = 1.0 / (
             1.0
@@ -198,9 +194,7 @@ def low_pass_between(
 
 
 def _interpolated(values: Sequence[Array], left: Callable[[Sequence[Array]], float]) -> list[float]:
-    """What is ``left`` by the ``values`` (N, C) where stamps lie between rows, for each whole
-    number of rows by which they may be off.
-    """
+    """What is ``left`` where stamps lie between rows, for each whole number of rows."""
 
     def misfit(late: float) -> float:
         return left([shifted(v, -late, held=False) for v in values])

@@ -119,9 +119,7 @@ class ForceNoise:
         return {c: float(v) for c, v in zip(CHANNELS, self.level, strict=True) if v > 0.0}
 
     def nuisances(self, rows: int, ticks: int, level: Array) -> Array:
-        """(rows, 6, D) nuisance terms of a run of ``ticks``, each at one standard deviation; level:
-        (6,) of the noise.
-        """
+        """(rows, 6, D) nuisance terms of a run of ``ticks`` at one sigma; level: (6,) of noise."""
         unknown = UNKNOWN * level
         at = np.arange(rows, dtype=float)
         baseline = (
@@ -171,9 +169,7 @@ class ForceNoise:
 
 
 def softened(z: Array, heavy: bool) -> Array:
-    """Residuals in units of the noise; for noise with outliers their squares grow logarithmically
-    beyond :data:`OUTLIER_KNEE`.
-    """
+    """Residuals in units of the noise; with outliers, squares grow by their logarithm."""
     return np.sign(z) * OUTLIER_KNEE * np.sqrt(np.log1p((z / OUTLIER_KNEE) ** 2)) if heavy else z
 
 
@@ -366,17 +362,13 @@ def _places(rows: Array, ticks: int) -> Array:
 
 
 def undithered(run: MeasuredRun, name: str) -> bool:
-    """Whether noise does not dither the quantisation of a channel, so that the noise cannot be
-    estimated from it.
-    """
+    """Whether noise does not dither a channel's quantisation, and cannot be estimated from it."""
     step = run.record.steps.get(name, 0.0)
     return step > 0.0 and run.survey.noise[name].white < MIN_DITHER * step
 
 
 def few_levels(run: MeasuredRun, name: str) -> bool:
-    """Whether an undithered channel shows three levels at most: the quantisation hides the size of
-    the force.
-    """
+    """Whether an undithered channel shows at most three levels, which hide the force's size."""
     if not run.record.has(name) or not undithered(run, name):
         return False
     values = run.record.column(name)
@@ -399,9 +391,7 @@ def _heavy(z: Sequence[Array]) -> bool:
 
 
 def _sudden(x: Array) -> int:
-    """Readings (n, C) that are far from a running median, four times as far as those beside them:
-    what rings is no outlier.
-    """
+    """Readings (n, C) far from a running median, and four times as far as their neighbours."""
     left = np.abs(x - median_filter(x, (SUDDEN_ROWS, 1)))
     beside = np.pad(left, ((1, 1), (0, 0)))
     alone = 4.0 * np.maximum(beside[:-2], beside[2:]) < left
@@ -429,9 +419,7 @@ def _colour(z: Sequence[Array], fitted: int) -> float:
 
 
 def _level(x: Array, heavy: bool) -> float:
-    """Standard deviation; with outliers, the unit in which the softened samples have a mean square
-    of 1.
-    """
+    """Standard deviation; with outliers, the unit of softened samples of mean square 1."""
     rms = float(np.std(x))
     if not heavy or rms == 0.0:
         return rms
@@ -465,9 +453,7 @@ def _offsets(counts: Sequence[int], start: Array, spread: Array) -> tuple[Array,
 
 
 def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) -> float:
-    """Noise in contact in proportion to the reading, by third differences, beside a term in
-    proportion to its rate (jitter).
-    """
+    """Noise in proportion to the reading, by third differences, beside one to its rate."""
     squares, readings, rates = [], [], []
     for run in runs:
         values = (

@@ -174,9 +174,7 @@ def with_clocks_off(layout: Layout, best: BestPath) -> BestPath:
 
 
 def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
-    """The same path with added noise for a logger's filter, which is known to about one order: as
-    smooth as filtered noise.
-    """
+    """The same path with added noise for a logger's filter, which is known to about one order."""
     if layout.logged is None:
         return best
     missed = [
@@ -203,9 +201,7 @@ def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
 def make_wrench_link(
     layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False
 ) -> WrenchLink:
-    """Contact and sensor on a path; ``decimate``: in fewer rows, where that loses nothing and no
-    other link continues from them.
-    """
+    """Contact and sensor on a path; decimate: where no other link continues from its rows."""
     link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise)
     link = link.through(layout.logged).with_rounding(best.path.rounding)
     if best.clocks_off or (differentiated(best.path) and best.jumps is None):
@@ -258,7 +254,7 @@ def _under_the_contact(
             _followed(layout), tried.yielded
         )
         link = link.as_interpreted(like) if like else choose_steps(choose_ring(choose_lever(link)))
-        shown = [link.shown(i, borne) for i in range(len(layout.runs))]
+        shown = link.shown_in_all(borne)
         again = [
             yielded_under(*each, level)
             for each in zip(layout.runs, layout.deflection, shown, strict=True)
@@ -294,9 +290,7 @@ def _followed(layout: Layout) -> list[Array]:
 
 
 def _measured(layout: Layout) -> list[Path]:
-    """The measured poses with measured rates, and with rates by differentiation; none where a pose,
-    or an axis that moves, is missing.
-    """
+    """The measured poses with measured rates, and with differences; none if an axis is missing."""
     runs, tick = layout.runs, layout.scales.tick
     if not all(r.record.whole("pose_act") and all_axes(r, "pose_act") for r in runs):
         return []
@@ -321,9 +315,7 @@ def _measured(layout: Layout) -> list[Path]:
 
 
 def _least_noisy(layout: Layout, paths: Sequence[Path]) -> tuple[Path | None, list[Array] | None]:
-    """The first path whose noise is small, or else the one with the least; and its noise. None
-    where there is no path.
-    """
+    """The first path whose noise is small, or else the one with the least; and its noise."""
     best, least, noise = None, math.inf, None
     for path in paths:
         found = noise_of(layout, path)
@@ -338,9 +330,7 @@ def _least_noisy(layout: Layout, paths: Sequence[Path]) -> tuple[Path | None, li
 def _replay_is_better(
     layout: Layout, measured: Path, path_noise: Sequence[Array], explained: bool
 ) -> bool:
-    """Whether the replayed platform has less noise than the measured pose or, where it is not
-    explained, the smoothed pose has.
-    """
+    """Whether the replayed platform, or the smoothed pose, has less noise than the measured."""
     share = _noise_ratio(layout, path_noise)
     if share < MAX_PATH_NOISE:
         return False
@@ -351,9 +341,7 @@ def _replay_is_better(
 
 
 def _noise_ratio(layout: Layout, path_noise: Sequence[Array]) -> float:
-    """Noise of the reading due to the path over that of the force, rms in contact, on the force
-    axis where it is largest.
-    """
+    """Noise due to the path over that of the force, rms in contact, on its largest force axis."""
     inside = [b[r.touching(len(b)), :3] for r, b in zip(layout.runs, path_noise, strict=True)]
     squares = np.mean(np.concatenate(inside) ** 2, axis=0)
     own = max(layout.noise.get("wrench_meas.fz", 0.0), layout.least_force)
@@ -361,9 +349,7 @@ def _noise_ratio(layout: Layout, path_noise: Sequence[Array]) -> float:
 
 
 def _finest(run: MeasuredRun, group: str) -> float:
-    """Noise of a pose [m] or of a twist [m/s]: the largest of its axes, of an attitude times its
-    lever arm.
-    """
+    """Noise of a pose [m] or twist [m/s]: the largest of its axes, attitude times lever arm."""
     values = run.record.filled(group)
     levels = [finest_noise(values[:, j]) for j in range(values.shape[1])]
     turned = 2.0 if group.startswith("pose") else 1.0
@@ -371,9 +357,7 @@ def _finest(run: MeasuredRun, group: str) -> float:
 
 
 def _jumps(path: Array) -> Array:
-    """(N,) distance [m] that a tip with stiction moved along path (N, 7) in the tick that ends at
-    each row.
-    """
+    """(N,) distance [m] that a tip moved along path (N, 7) in the tick that ends at each row."""
     return np.linalg.norm(np.diff(path[:, :3], axis=0, prepend=path[:1, :3]), axis=1)
 
 

@@ -121,9 +121,7 @@ def _scored(
 def _by_slopes(
     residual: Residual, known: Effects, basis: Array, r: Array, c: Candidate, theta: Array
 ) -> float:
-    """Reduction of chi-square by all parameters of `c` together, from the slopes of the residual at
-    theta.
-    """
+    """Reduction of chi-square by all parameters of `c` together, from the slopes at theta."""
     low, high, log = bounds_of([c])
 
     def run(thetas: Sequence[Array] | Array) -> Array:

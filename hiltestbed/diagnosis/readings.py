@@ -36,9 +36,7 @@ def wrench_link_of(residual: Residual) -> WrenchLink:
 
 
 def choose_lever(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
-    """The link with the lever (where between tip and surface the force acts) that fits the torques
-    best under ``effects``.
-    """
+    """The link with the lever that fits the torques best under ``effects``."""
     if _lever_has_no_effect(link):
         return link
 
@@ -77,9 +75,7 @@ def choose_ring(link: WrenchLink) -> WrenchLink:
 
 
 def choose_steps(link: WrenchLink) -> WrenchLink:
-    """The link with a mount stepped as by MuJoCo, or integrated exactly with the lever that fits
-    best there, whichever leaves less.
-    """
+    """The link with a mount stepped as by MuJoCo, or integrated exactly, whichever leaves less."""
     if not link.stepped:
         return link
     exact = choose_lever(link.interpreted(exact=True))
@@ -88,9 +84,7 @@ def choose_steps(link: WrenchLink) -> WrenchLink:
 
 
 def other_steps(explanation: Explanation) -> WrenchLink | None:
-    """The link with a mount integrated in the other way, if the chosen causes fit better there;
-    None otherwise.
-    """
+    """The link with a mount integrated in the other way, if the chosen causes fit better there."""
     link, chosen = wrench_link_of(explanation.residual), explanation.chosen
     if not link.stepped or not explanation.departs or not chosen.causes or JITTER in chosen.kinds:
         return None
@@ -137,9 +131,7 @@ def ring_under(residual: Residual, found: Fit) -> Residual:
 
 
 def reinterpreted(residual: Residual, found: Fit) -> Residual:
-    """The residual with the lever, the latch and the steps of a mount that fit best with ``found``;
-    itself where nothing changes.
-    """
+    """The residual with the lever, the latch and the steps of a mount that suit ``found`` best."""
     levered = ring_under(lever_under(residual, found), found)
     link = wrench_link_of(levered)
     if not link.stepped or JITTER in found.kinds:
@@ -204,9 +196,7 @@ def with_point_contact(explanation: Explanation) -> WrenchLink | None:
 
 
 def with_time_grid(explanation: Explanation) -> WrenchLink | None:
-    """The link with readings between the instants of the believed physics, if the chosen causes or
-    none fit better there; else None.
-    """
+    """The link with readings between the instants of the physics, if that fits better."""
     link = wrench_link_of(explanation.residual)
     if not explanation.departs or JITTER in explanation.chosen.kinds:
         return None

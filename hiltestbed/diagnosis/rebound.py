@@ -53,9 +53,7 @@ LONGER = 0.25  # chosen: of a bounce, by which it may last longer in a simulatio
 
 @dataclass(frozen=True)
 class Rebound:
-    """The first bounce of a run on record: coefficient of restitution, its standard error, and the
-    rows to simulate.
-    """
+    """First bounce on record: coefficient of restitution, standard error, rows to simulate."""
 
     cor: float
     error: float
@@ -220,9 +218,7 @@ def _others(explanations: Mapping[str, Explanation], name: str) -> list[Effect]:
 def _weighed(
     found: Explanation, beside: Sequence[Effect], layout: Layout, rebounds: Sequence[Rebound | None]
 ) -> tuple[Explanation, list[str]]:
-    """The explanation with the rebound in the scores of the chosen fit and its rivals; and in a
-    sentence what that decided.
-    """
+    """The explanation with the rebound in its scores, and in a sentence what that decided."""
     fits = [found.chosen, *(f for rivals in found.rivals for f in rivals)]
     shown = _simulated(fits, beside, layout.runs, rebounds)
     pairs = [
@@ -259,9 +255,7 @@ def _weighed(
 
 
 def _rechosen(found: Explanation, chosen: Fit, rivals: Sequence[Sequence[Fit]]) -> Explanation:
-    """The explanation with the best of the fits as the chosen one; its rivals are those of the
-    others that remain.
-    """
+    """The explanation with the best of the fits as the chosen one, and the rivals that remain."""
     i, best = min(
         ((i, f) for i, others in enumerate(rivals) for f in (chosen, *others)),
         key=lambda item: item[1].score,
@@ -328,9 +322,7 @@ def _simulated(
 def _extended(
     scenario: Scenario, entries: Sequence[Mapping[str, Any]], rows: int
 ) -> Scenario | None:
-    """The scenario with more effects, for so many rows; None where the estimate of an effect is
-    outside what a scenario may have.
-    """
+    """The scenario with more effects for so many rows; None where it may not have these."""
     data = resolved(scenario)
     data["effects"] = [*data["effects"], *entries]
     data["duration"] = min(data["duration"], rows * scenario.tick)

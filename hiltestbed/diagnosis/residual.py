@@ -42,9 +42,7 @@ class Residual:
         self._aside: dict[int, Aside] = {}
 
     def downweighted(self, effects: Effects) -> Residual:
-        """With less weight on samples that depend on how the facility divides its tick under
-        ``effects``; itself where none does.
-        """
+        """With less weight on what the prediction under ``effects`` leaves open; or itself."""
         doubts = {i: self.link.doubt(i, effects) for i in self.runs}
         scaled = {i: d * self.weight[i] for i, d in doubts.items() if d is not None}
         if not any(np.any(u > 1.0) for u in scaled.values()):
@@ -116,9 +114,7 @@ class Residual:
         return out
 
     def left(self, i: int, shown: Array) -> Array:
-        """(N, C) of run i: measured less ``shown`` (N, C), whitened against the nuisance terms of
-        the run.
-        """
+        """(N, C) of run i: measured less ``shown`` (N, C), whitened against its nuisance terms."""
         run = self.link.runs[i]
         left = run.measured - shown
         if run.nuisances is None and run.shared is None:

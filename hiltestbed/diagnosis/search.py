@@ -97,9 +97,7 @@ class Explanation:
         return max((left.excess for left in self.leftovers.values()), default=0.0)
 
     def stamped(self, **shifts: float) -> Explanation:
-        """The same explanation of a link with further ``shifts`` [s], see :meth:`Link.stamped`,
-        that do not show on it.
-        """
+        """The same with ``shifts`` [s] of :meth:`Link.stamped` that do not show on the link."""
         return replace(self, residual=self.residual.through(self.residual.link.stamped(**shifts)))
 
     def with_the_other_clock(self, judge: Judge) -> Explanation:
@@ -149,9 +147,7 @@ class Search:
     earlier: Explanation | None = None  # under that timing or interpretation
 
     def after(self, found: Explanation) -> Search:
-        """The same search of a link with another timing or interpretation than in ``found``: from
-        its estimates, where there are any.
-        """
+        """The same search of a link otherwise timed or interpreted, from those estimates."""
         fits = {frozenset(c.key for c in f.causes): f for f in (*found.more, *found.singles)}
         return replace(self, before={**self.before, **fits}, earlier=found)
 
@@ -197,9 +193,7 @@ class Search:
         )
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
-        """The explanation of a link; given: a fit with the cause that another link has shown, which
-        then is one of its causes.
-        """
+        """The explanation of a link; given: a fit with a cause that another link has shown."""
         if given is None and (same := self._as_far_off(residual)):
             return same
         residual = residual.downweighted(given.effects() if given else ())
@@ -340,9 +334,7 @@ class Search:
         return chosen
 
     def _near(self, residual: Residual, base: Fit, found: Sequence[Fit]) -> Search:
-        """The same search; where the best fit so far leaves only noise, only for causes that make a
-        rival of it out of ``base``.
-        """
+        """The same search; beside a fit that leaves only noise, only for rivals of it."""
         best = min(found, key=lambda f: f.score, default=base)
         foreign = set(base.kinds) - set(best.kinds)
         if not foreign:
@@ -412,9 +404,7 @@ class Search:
 
 
 def _reweighted(residual: Residual, fits: Sequence[Fit]) -> list[Fit]:
-    """The fits, best first, fitted again under other weights; on a costly link those that will not
-    come near the best are left early.
-    """
+    """The fits, best first, fitted again under other weights; costly ones if they come near."""
     out: list[Fit] = []
     for f in fits:
         best = min(out, key=lambda other: other.chi2, default=None)
@@ -426,25 +416,19 @@ def _reweighted(residual: Residual, fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _near_best(base: Fit, fits: Sequence[Fit], worth: float) -> tuple[float, Fit]:
-    """Chi-square that a further fit has to reach, and the best fit; ``worth``: least gain on
-    ``base``.
-    """
+    """Chi-square that a further fit has to reach, and the best; worth: least gain on ``base``."""
     best = min(fits, key=lambda f: f.chi2, default=base)
     return min(best.chi2 + CLOSE_CHI2 * inflation(best), base.chi2 - worth), best
 
 
 def _overlap(c: Candidate, other: Candidate) -> bool:
-    """Whether two hypotheses are of one effect, or one of them of an effect rich in numbers, of
-    which the other would be a part.
-    """
+    """Whether two hypotheses are of one effect, or one of a rich effect like the other's."""
     parts = [a.kind in b.effect.resembles for a, b in ((c, other), (other, c)) if b.effect.rich]
     return c.kind == other.kind or any(parts)
 
 
 def _beaten(c: Candidate, base: Fit, fits: Sequence[Fit]) -> bool:
-    """Whether another variant of a hypothesis gains so little, compared with the best, that this
-    one need not be tried.
-    """
+    """Whether another variant gains so little that this one need not be tried."""
     best = max((base.chi2 - f.chi2 for f in fits), default=0.0)
     twins = [f for f in fits if f.causes[-1].kind == c.kind and f.causes[-1].fixed == c.fixed]
     return any(base.chi2 - f.chi2 < MIN_VARIANT_GAIN * best for f in twins)
@@ -455,9 +439,7 @@ def _order(f: Fit) -> tuple[float, float]:
 
 
 def _boldness(f: Fit) -> float:
-    """Distance of the factors from one: of two equal fits (the mass of either body) the one nearer
-    to the believed model goes first.
-    """
+    """Distance of the factors from one: of two equal fits the less bold one goes first."""
     return sum(
         abs(math.log(max(e.parameters()["factor"], 1e-9)))
         for e in f.effects()

@@ -59,7 +59,7 @@ def exactly_stamped(residual: Residual, search: Search) -> Residual | None:
     both stamps are off do not show: the smallest stamps are taken, and none where both are whole,
     since either may be off. An input that is later than stamps may be is `log.skew`.
     """
-    link, tick = residual.link, residual.link.runs[0].scenario.tick
+    link, tick = residual.link, residual.link.tick
     memory = link.memory() if isinstance(link, CompensationLink) else None
     if memory is None:
         return None
@@ -90,7 +90,7 @@ def _both_stamps(residual: Residual, null: Fit) -> tuple[float, float, float]:
     """Rows by which output and input of a link are stamped late and early, and chi-square: whole
     rows are tried beside what a fit finds, since chi-square has a kink there.
     """
-    link, tick = residual.link, residual.link.runs[0].scenario.tick
+    link, tick = residual.link, residual.link.tick
     both = shift_candidate(link, {"delay": EITHER, "before": EITHER})
     found = fit_with_timing(residual, null, both)
     tried = [(*(found.theta / tick), found.chi2)]
@@ -103,18 +103,14 @@ def _both_stamps(residual: Residual, null: Fit) -> tuple[float, float, float]:
 
 
 def exact(leftovers: Mapping[str, Leftover]) -> bool:
-    """Whether a computed channel follows exactly from its input: it leaves less than its own noise,
-    which is no part of the input's.
-    """
+    """Whether a computed channel follows exactly: it leaves less than its own noise."""
     return bool(leftovers) and all(
         left.variance < MAX_EXACT_VARIANCE for left in leftovers.values()
     )
 
 
 def only_late_record(explanations: Mapping[str, Explanation]) -> bool:
-    """Whether nothing departs but a part of a row by which wrench_meas is stamped late, as by
-    `log.skew`.
-    """
+    """Whether nothing departs but a part of a row by which wrench_meas is stamped late."""
     links = {name: e.residual.link for name, e in explanations.items()}
     if "compensation" not in links or any(e.departs for e in explanations.values()):
         return False
@@ -138,16 +134,14 @@ def stamps_known(explanations: Mapping[str, Explanation]) -> dict[str, float]:
     for name, e in explanations.items():
         if name in ("compensation", "dynamics") and e.adequate:
             output, given = LINK_CHANNELS[name]
-            tick, timing = e.residual.link.runs[0].scenario.tick, e.residual.link.timing
+            tick, timing = e.residual.link.tick, e.residual.link.timing
             for channel, late in ((given, -timing.before), (output, timing.delay)):
                 out.setdefault(channel, late if abs(late) > MIN_STAMP_ROWS * tick else 0.0)
     return out if any(out.values()) else {}
 
 
 def rows_in_common(stamps: Mapping[str, float], tick: float) -> list[int]:
-    """Whole rows, 0 first, by which all channels may be stamped later than by ``stamps`` [s], which
-    show what they have between them.
-    """
+    """Whole rows, 0 first, by which all channels may be stamped later than by ``stamps`` [s]."""
     most = (MAX_STAMP_ROWS + MIN_STAMP_ROWS) * tick
     return [
         0,
@@ -204,9 +198,7 @@ def stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | N
 
 
 def other_reading_betters(found: Explanation, other: Fit) -> bool:
-    """Whether the chosen causes, the first of which is a late record, fit better with the
-    interpretation of `other` for it.
-    """
+    """Whether the causes fit better with the interpretation of `other` for a late record."""
     causes = (*other.causes, *found.chosen.causes[1:])
     if any(c.kind == JITTER for c in causes):
         return False

@@ -165,9 +165,7 @@ def _starts(found: Paths, believed: int) -> dict[tuple[int, float], list[float]]
 
 
 def _stretches(found: Paths, margin: float) -> Paths:
-    """The stretches of sticks in which paths with the same instants are no worse than the best of
-    these by more than a ``margin``.
-    """
+    """The stretches of sticks whose paths are no worse than the best by more than a ``margin``."""
     if not len(found.chi2):
         return found
     best = np.full(len(found.instants), np.inf)
@@ -269,9 +267,7 @@ class Data:
         return float(tried[agree >= AGREEING * agree.max()].mean())
 
     def _jumps(self, r: int, axis: int) -> Iterable[tuple[float, float]]:
-        """The least and the most by which an axis is late [ticks] according to each of its
-        jumps.
-        """
+        """The least and the most by which an axis is late [ticks], by each of its jumps."""
         goal = self.goal[r, : self.rows[r], axis]
         command = np.concatenate(
             [self.start[r, axis, None], self.commands[r, : self.rows[r] - 1, axis]]
@@ -297,9 +293,7 @@ class Data:
             yield last[before] - at, first[after] - at
 
     def phases(self, late: float) -> list[Instants]:
-        """Every number of instants, with phases between which the command moves by
-        :data:`PHASE_SIGMA`; no more than MAX_PHASES.
-        """
+        """Numbers of instants with phases a command moves by :data:`PHASE_SIGMA` between."""
         fastest = float(np.abs(np.diff(self.commands, axis=1)).max())
         count = {
             m: min(math.ceil(fastest / (m * PHASE_SIGMA * self.noise)), MAX_PHASES)
@@ -322,9 +316,7 @@ class Data:
         return self._followed(found, self.whole)
 
     def _unstuck(self, obeyed: Array, rows: int) -> float:
-        """Chi-square of a platform without stiction, which is where its command is that is
-        ``obeyed``, on the first ``rows``.
-        """
+        """Chi-square of a platform that is where the ``obeyed`` command is, on ``rows``."""
         compared = np.arange(self.goal.shape[1])[:, None] < self._compared(rows)[:, None, None]
         z = (self.goal - obeyed) / self.sigma
         return float(np.minimum(z * z, MAX_SAMPLE_CHI2)[compared & self.moves[:, None]].sum())
@@ -356,9 +348,7 @@ class Data:
         ), largest / LARGEST + travel + noise
 
     def _followed(self, found: Paths, rows: int, limit: float = math.inf) -> Paths:
-        """The paths with the sticks of ``found`` that fit the first ``rows`` best, best first;
-        limit: chi-square at most.
-        """
+        """The paths of ``found`` that fit the first ``rows`` best; limit: chi-square at most."""
         followed = Followed(
             self.commands,
             self.goal,

@@ -230,25 +230,19 @@ def _better_timing(
 
 
 def _comparable_score(link: Link) -> Callable[[Fit], float]:
-    """The score of a fit on ``link``, corrected for the noise that interpolation between rows
-    removes.
-    """
+    """The score of a fit on ``link``, corrected for the noise that interpolation removes."""
 
     def cost(f: Fit) -> float:
         last = f.effects()[-1:]
         timing = link.timing.plus(last[0]) if last and isinstance(last[0], Timing) else link.timing
-        part = (
-            timing.before / link.runs[0].scenario.tick % 1.0
-            if link.name in INTERPOLATED_LINKS
-            else 0.0
-        )
+        part = timing.before / link.tick % 1.0 if link.name in INTERPOLATED_LINKS else 0.0
         return f.chi2 / (part * part + (1.0 - part) ** 2) + f.penalty
 
     return cost
 
 
 def _in_rows(place: Timing, link: Link) -> Array:
-    tick = link.runs[0].scenario.tick
+    tick = link.tick
     return np.array([place.delay / tick, place.before / tick, place.obeyed / tick, place.old])
 
 
@@ -261,7 +255,7 @@ def timing_candidates(link: Link) -> list[Candidate]:
 
 def shift_candidate(link: Link, way: Mapping[str, tuple[float, float]]) -> Candidate:
     """The shifts named in ``way`` together, each within its range, as a hypothesis."""
-    tick, now = link.runs[0].scenario.tick, link.timing.parameters()
+    tick, now = link.tick, link.timing.parameters()
     names, ends = tuple(way), tuple(way.values())
     units = np.array([1.0 if name == "old" else tick for name in names])
     here = np.array([now[name] for name in names])
@@ -273,9 +267,7 @@ def shift_candidate(link: Link, way: Mapping[str, tuple[float, float]]) -> Candi
 
 
 def _bases(found: Explanation) -> list[Fit]:
-    """The fits beside which the timing is sought: none, the chosen one, and the best single
-    causes.
-    """
+    """The fits beside which timing is sought: none, the chosen one, the best single causes."""
     no_clock = next((f for f in found.singles if not set(f.kinds) & {*DELAY_EFFECTS, JITTER}), None)
     near = (
         found.chosen,
@@ -288,9 +280,7 @@ def _bases(found: Explanation) -> list[Fit]:
 
 
 def timing_found(link: Link) -> Candidate | None:
-    """What of the timing of a link was estimated from its own record, as a hypothesis; None where
-    it is as believed or as stamped.
-    """
+    """What of a link's timing its own record shows, as a hypothesis; None: nothing."""
     off = {
         name for name, value in link.timing.parameters().items() if value and name not in link.known
     }
@@ -307,9 +297,7 @@ def fit_with_timing(
     known: float = math.inf,
     starts: Sequence[Array] | None = None,
 ) -> Fit:
-    """``base`` with the timing ``later`` fitted as well, from ``starts``, by default its grid;
-    ``known``: see :func:`fit`.
-    """
+    """``base`` with the timing ``later``, from ``starts`` or its grid; known: see :func:`fit`."""
     begun = later.grid if starts is None else starts
     return fit(
         residual,
@@ -321,9 +309,7 @@ def fit_with_timing(
 
 
 def within_range(link: Link, found: Fit) -> bool:
-    """Whether the stamps and instants are off by less than the largest shifts: one that would have
-    to be larger is none.
-    """
+    """Whether stamps and instants are off by less than the largest shifts."""
     shift = found.causes[-1]
     timing = link.timing.plus(_fitted_timing(found))
     theta = found.part(len(found.causes) - 1)
@@ -331,14 +317,12 @@ def within_range(link: Link, found: Fit) -> bool:
         old = shift.names.index("old")
         shift, theta = shift.held(old, theta[old]), np.delete(theta, old)
     at_an_end = at_bound(shift, theta)
-    largest = (1.0 - BOUND_TOLERANCE) * MAX_STAMP_SHIFT_ROWS * link.runs[0].scenario.tick
+    largest = (1.0 - BOUND_TOLERANCE) * MAX_STAMP_SHIFT_ROWS * link.tick
     return not at_an_end and abs(timing.delay + timing.before) < largest
 
 
 def without_ends(residual: Residual, memory: int = 0) -> Residual:
-    """Without the first and the last rows, for which a shifted channel has no data; memory: more of
-    the first rows.
-    """
+    """Without the rows for which a shifted channel has no data; memory: more of the first."""
     ends = math.ceil(MAX_STAMP_SHIFT_ROWS)
     weight = [w.copy() for w in residual.weight]
     for w in weight:
@@ -352,9 +336,7 @@ def output_shift_rows(explanation: Explanation) -> float:
 
 
 def _stamp_shift_rows(link: Link) -> float:
-    """Rows by which the output of a link is stamped late relative to its input, without what the
-    numerical model's steps add.
-    """
+    """Rows by which the output is stamped later than the input, without those of old twists."""
     return float(_in_rows(link.timing, link)[:-1].sum())
 
 
@@ -375,7 +357,7 @@ def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict
     out: dict[str, dict[str, float]] = {}
     for name, e in departing.items():
         for i, effect in enumerate(e.chosen.effects()):
-            tick = e.residual.link.runs[0].scenario.tick
+            tick = e.residual.link.tick
             rivals = e.rivals[i] if e.rivals and effect.kind not in DELAY_EFFECTS else ()
             for delay in (
                 effect,
@@ -401,9 +383,7 @@ def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict
 
 
 def instants_off(explanations: Mapping[str, Explanation]) -> float:
-    """[s] by which a delay may be off because stamps and instants are; 0 where none is seen to be
-    off the believed ones.
-    """
+    """[s] by which a delay may be off because instants are; 0 where none is seen to be."""
     links = [e.residual.link for e in explanations.values()]
     off = any(link.timing != NO_SHIFT for link in links) or bool(delays_not_causes(explanations))
     return MAX_UNNAMED_DELAY_ROWS * links[0].runs[0].scenario.tick if off else 0.0
@@ -420,10 +400,8 @@ def part_of_a_tick(effect: Effect, tick: float) -> bool:
 
 
 def may_be_stamp(effect: Effect, link: Link) -> bool:
-    """Whether an effect is a delay that may be the stamp's, of a row more where other links show
-    that stamps are off by rows.
-    """
-    rows = _delay_rows(effect, link.runs[0].scenario.tick)
+    """Whether a delay may be the stamp's: by a row more where other links show stamps off."""
+    rows = _delay_rows(effect, link.tick)
     most = MAX_UNNAMED_DELAY_ROWS + (MAX_STAMP_ROWS if link.known else 0.0)
     return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
 
@@ -526,12 +504,9 @@ def _off(e: Explanation) -> bool:
 
 
 def timing_departs(explanations: Mapping[str, Explanation]) -> bool:
-    """Whether a link shows that channels are stamped, or instants lie, fractions of a row from
-    where they are believed to be.
-    """
+    """Whether a link shows channels stamped, or instants, off by fractions of a row."""
     return any(
-        _off(e)
-        or any(part_of_a_tick(c, e.residual.link.runs[0].scenario.tick) for c in e.chosen.effects())
+        _off(e) or any(part_of_a_tick(c, e.residual.link.tick) for c in e.chosen.effects())
         for e in explanations.values()
         if e.departs or _off(e)
     )

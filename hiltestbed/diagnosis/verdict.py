@@ -50,9 +50,7 @@ class Named:
 
     @property
     def indistinguishable_from(self) -> list[str]:
-        """Effects that explain the data as well; the effect itself where it may be on another axis
-        or body.
-        """
+        """Effects that explain the data as well; itself where on another axis or body."""
         return [
             next((kind for kind in f.kinds if kind not in self.fit.kinds), self.effect)
             for f in self.rivals
@@ -106,9 +104,7 @@ def decide(findings: Findings) -> Verdict:
 
 
 def _record_alone(findings: Findings) -> str | None:
-    """`log` where both links of the measured force depart, and a stamp delay was found on one: the
-    record departs, not the loop.
-    """
+    """`log` where both links of the measured force depart, one of them by a stamp delay."""
     both = [findings.explanations.get(name) for name in ("wrench", "compensation")]
     stamped = any(e is not None and "log.skew" in e.chosen.kinds for e in both)
     return "log" if stamped and all(e is not None and e.departs for e in both) else None
@@ -144,16 +140,12 @@ def _weight(e: Explanation, index: int) -> float:
 
 
 def _without_repeats(causes: list[Named]) -> list[Named]:
-    """Each effect once: a stamp delay shows on two links; contact and sensor, which come first,
-    determine it more exactly.
-    """
+    """Each effect once: contact and sensor, which come first, determine a stamp delay better."""
     return [c for i, c in enumerate(causes) if c.effect not in {o.effect for o in causes[:i]}]
 
 
 def _contact_or_sensor(e: Explanation) -> str:
-    """`sensor` where only sensor effects were chosen and the departure shows outside contact too;
-    else `contact`.
-    """
+    """`sensor` where only its effects were chosen and show outside contact too; else `contact`."""
     links = {c.effect.link for c in e.chosen.causes}
     return "sensor" if links == {"sensor"} and _shows_free(e) else "contact"
 

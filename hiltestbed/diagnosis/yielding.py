@@ -132,9 +132,7 @@ def deflection(
 
 
 def yielded_under(run: MeasuredRun, found: Deflection, reading: Array, noise: float) -> Array:
-    """`yielded` of a deflection that was ``found``, under another ``reading`` (N, 6); unchanged
-    where the rig could not follow.
-    """
+    """`yielded` of a deflection that was ``found``, under another ``reading`` (N, 6)."""
     _, wrench = _load(run, reading, noise)
     command, recorded = np.ascontiguousarray(run.record.filled("pose_cmd")), _recorded(run)
     path = replay_rig(
@@ -207,9 +205,7 @@ def engagement(run: MeasuredRun) -> Engaged | None:
 
 
 def _noiseless_pose(run: MeasuredRun) -> Array | None:
-    """(N, 7) the pose that a motion compensation was given, where the record holds it without the
-    noise that a log may have added.
-    """
+    """(N, 7) the pose that a motion compensation was given, where the record has no noise."""
     record = run.record
     if "pose" not in run.scenario.compensation.motion.reads or not record.whole("pose_act"):
         return None
@@ -222,9 +218,7 @@ def _noiseless_pose(run: MeasuredRun) -> Array | None:
 
 
 def _memory(scenario: Scenario) -> float:
-    """[s] correlation time of a deflection's noise, which is that of the force, filtered by the
-    drives.
-    """
+    """[s] correlation time of a deflection's noise."""
     return 1.0 / scenario.rig.platform.nearest_bandwidth(scenario)
 
 

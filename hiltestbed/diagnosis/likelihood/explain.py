@@ -139,9 +139,7 @@ def explain(
 
 
 def with_noise_of_the_log(model: LinkModel, best: Fit) -> LinkModel:
-    """The model with noise of the colour, or of the input, that a hypothesis leaves; itself where
-    what is left then is no noise either.
-    """
+    """The model with the noise that a hypothesis leaves; itself where what is left is no noise."""
     if isinstance(model.link, WrenchLink) or model.link.computed:
         return model
     shown = model.link.predict([(i, best.of.each()) for i in model.members])
@@ -152,9 +150,7 @@ def with_noise_of_the_log(model: LinkModel, best: Fit) -> LinkModel:
 
 
 def interpreted(model: LinkModel, found: Fit) -> LinkModel:
-    """The model with the interpretation of what the facility leaves open that suits a hypothesis
-    best; itself where none is clearly better.
-    """
+    """The model with the interpretation of the facility that suits a hypothesis best."""
     if not isinstance(model.link, WrenchLink):
         return model
     for others in model.link.interpretations():
@@ -186,7 +182,7 @@ def hums(model: LinkModel, left: Sequence[Array]) -> tuple[Candidate, ...]:
         total[c] += np.fft.rfft(x)
         count[c] += len(at)
         level[c] = max(level[c], float(np.median(sigma)))
-    frequencies = np.fft.rfftfreq(size, link.runs[0].scenario.tick)
+    frequencies = np.fft.rfftfreq(size, link.tick)
     total[:, frequencies < SLOWEST] = 0.0
     out = []
     for c, axis in enumerate("xyz"):

@@ -236,7 +236,7 @@ def _path(layout: Layout, found: Mapping[str, Explained]) -> tuple[Layout, BestP
     if not any(r.scenario.mechanism.captured for r in layout.runs):
         return layout, path
     link = choose_ring(choose_lever(make_wrench_link(layout, path, layout.whole)))
-    shown = [link.shown(i) for i in range(len(link.runs))]
+    shown = link.shown_in_all()
     return with_noise_beside(layout, shown), path
 
 

@@ -369,7 +369,7 @@ class LinkModel(Model):
 
     def timings(self) -> tuple[Candidate, ...]:
         """When the facility samples, obeys and stamps, as nuisances."""
-        tick = self.link.runs[0].scenario.tick
+        tick = self.link.tick
         stamp, ends = STAMP_SIGMA * tick, (-MOST_EARLY * tick, MOST_LATE * tick)
         grid = tuple((x * tick,) for x in (-0.8, -0.3, 0.3, 0.8))
         out = [_nuisance("delay", stamp, *ends, grid)]

@@ -162,17 +162,18 @@ class Link(ABC):
         return given - (moved(given, -timing.before / tick) - out) if timing.before else out
 
     @property
+    def tick(self) -> float:
+        """[s] of the runs."""
+        return self.runs[0].scenario.tick
+
+    @property
     def costly(self) -> bool:
-        """Whether a replay takes so long that a search is better spent on some of the runs
-        first.
-        """
+        """Whether a replay takes so long that a search begins on some of the runs."""
         return False
 
     @property
     def whole(self) -> Link:
-        """The form of the link on which adequacy is judged, where another one is fitted; itself as
-        a rule.
-        """
+        """The form of the link on which adequacy is judged; itself as a rule."""
         return self
 
     def predict(self, lanes: Sequence[Lane]) -> list[Array]:
@@ -192,10 +193,12 @@ class Link(ABC):
         """(N, C) predicted output of run i."""
         return self.predict([(i, effects)])[0]
 
+    def shown_in_all(self, effects: Effects = ()) -> list[Array]:
+        """(N, C) predicted output of each run."""
+        return self.predict([(i, effects) for i in range(len(self.runs))])
+
     def passed_from_input(self, i: int, effects: Effects) -> Array | None:
-        """(N, C) variance of the output of run i that comes from the rounding of the input on
-        record; None: that has none.
-        """
+        """(N, C) variance of run i due to rounding of its input; None: that has none."""
         if not self.rounding or not self.rounding[i].any():
             return None
         return variance_among(self._with_errors(i), effects)
@@ -216,9 +219,7 @@ class Link(ABC):
         return 1.0
 
     def noisier(self, left: Sequence[tuple[int, Array]]) -> Link:
-        """The same link with as much noise of its input as departures (N, C) of its runs show that
-        are noise; itself where it knows none.
-        """
+        """The same link with as much noise of its input as departures (N, C) of its runs show."""
         return self
 
     def whitened(self, i: int, left: Array) -> Array | None:
@@ -228,15 +229,11 @@ class Link(ABC):
         return None
 
     def colour(self) -> Array | None:
-        """(P + 1,) prediction-error filter that makes the noise of the output white; None: it is
-        white.
-        """
+        """(P + 1,) prediction-error filter that whitens the output's noise; None: it is white."""
         return None
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
-        """(N, C) uncertainty of the prediction due to how finely the facility divides its tick;
-        None: none.
-        """
+        """(N, C) uncertainty of the prediction by how a facility divides its tick; None: none."""
         return None
 
 
@@ -253,7 +250,7 @@ def perturbed(poses: Array, sigma: Array) -> list[Array]:
 
 def variance_among(copies: Link, effects: Effects) -> Array:
     """(N, C) variance of the output of the runs of ``copies`` about that of the first."""
-    exact, *others = copies.predict([(k, effects) for k in range(len(copies.runs))])
+    exact, *others = copies.shown_in_all(effects)
     return np.asarray(np.mean([np.square(other - exact) for other in others], axis=0))
 
 
@@ -266,15 +263,16 @@ def padded(arrays: Sequence[Array]) -> Array:
 
 
 def moved(values: Array, rows: float) -> Array:
-    """``values`` (N, C) as they were ``rows`` before, by linear interpolation, and extrapolation
-    beyond both ends.
-    """
+    """``values`` (N, C) as they were ``rows`` before, interpolated or extrapolated linearly."""
     return shifted(values, -rows, held=False) if rows else values
 
 
+def flat_channels(group: str) -> tuple[str, ...]:
+    """The names of the columns of :func:`flat_pose` for a pose of a group."""
+    return tuple(f"{group}.{part}" for part in ("px", "py", "pz", "rx", "ry", "rz"))
+
+
 def flat_pose(pose: Array) -> Array:
-    """(N, 6) position [m] and rotation vector [rad] (for small angles twice the vector part) of
-    poses (N, 7).
-    """
+    """(N, 6) position [m] and rotation vector [rad], for small angles, of poses (N, 7)."""
     sign = np.where(pose[..., 6:] < 0, -1.0, 1.0)
     return np.concatenate([pose[..., :3], 2.0 * sign * pose[..., 3:6]], axis=-1)

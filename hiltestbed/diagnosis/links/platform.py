@@ -13,6 +13,7 @@ from hiltestbed.diagnosis.links.base import (
     Link,
     LinkRun,
     Timing,
+    flat_channels,
     flat_pose,
     moved,
     padded,
@@ -34,26 +35,15 @@ JUMP_READING_ERROR = 0.5
 
 
 class PlatformLink(Link):
-    """The motion platform: its response to the command, and the deflection of the believed
-    drives.
-    """
+    """The motion platform: its response to the command, and the believed deflection."""
 
     name = "platform"
-    channels = (
-        "pose_act.px",
-        "pose_act.py",
-        "pose_act.pz",
-        "pose_act.rx",
-        "pose_act.ry",
-        "pose_act.rz",
-    )
+    channels = flat_channels("pose_act")
 
     def __init__(
         self, runs: Sequence[LinkRun], commands: Sequence[Array], deflection: Sequence[Array]
     ) -> None:
-        """commands: (N, 7) pose_cmd of each run. deflection: (N, 6) of the believed drives from it
-        [m, rad].
-        """
+        """commands: (N, 7) of each run. deflection: (N, 6) of the believed drives [m, rad]."""
         self.runs, self.commands, self.deflection = runs, commands, deflection
         self._padded = padded(commands)
         starts = [approach_state(r.scenario)[None, :7] for r in runs]
@@ -79,9 +69,7 @@ class PlatformLink(Link):
         return out
 
     def places(self, lanes: Sequence[Lane]) -> Array:
-        """(L, N, 3) positions [m] that the platform reaches in each lane, without the deflection of
-        its drives.
-        """
+        """(L, N, 3) positions [m] that are reached in each lane, without the deflection."""
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
         parameters = [
@@ -147,9 +135,7 @@ class PlatformLink(Link):
         return np.abs(early + late - 2.0 * now)
 
     def paths(self, effects: Effects) -> list[Array]:
-        """(N, 7) poses that the platform reaches in each run, with the commanded attitude, as they
-        are stamped.
-        """
+        """(N, 7) poses reached in each run, with the commanded attitude, as stamped."""
         reached = self._reached([(i, effects) for i in range(len(self.runs))])
         late = self.timing.delay + self.timing.before
         return [
@@ -159,9 +145,7 @@ class PlatformLink(Link):
 
 
 def poses_of(flat: Array) -> Array:
-    """(N, 7) poses of positions and small rotation vectors (N, 6), the inverse of
-    :func:`flat_pose`.
-    """
+    """(N, 7) poses of positions and small rotations (N, 6), the inverse of :func:`flat_pose`."""
     half = 0.5 * flat[:, 3:]
     w = np.sqrt(np.maximum(1.0 - np.sum(half * half, axis=1, keepdims=True), 0.0))
     return np.concatenate([flat[:, :3], half, w], axis=1)

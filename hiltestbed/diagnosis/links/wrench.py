@@ -39,6 +39,7 @@ from hiltestbed.replay.wrench import WHOLE, shifted
 from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
+from hiltestbed.signals import GROUPS
 
 MANY_ROWS = 8_000  # chosen: of all runs, from which a search of a docking takes minutes
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal distribution
@@ -55,9 +56,7 @@ _NO_LOG_EFFECT = log_parameters(())
 
 
 class _Numbers(NamedTuple):
-    """Contacts and sensor as a scenario describes them: the contacts of the rules, which of them
-    each pair has, and their rows.
-    """
+    """Contacts and sensor of a scenario: contacts of the rules, those of each pair, their rows."""
 
     contacts: list[ContactParameters]
     rules: Sequence[int]
@@ -102,14 +101,7 @@ class WrenchLink(Link):
     """
 
     name = "wrench"
-    channels = (
-        "wrench_meas.fx",
-        "wrench_meas.fy",
-        "wrench_meas.fz",
-        "wrench_meas.tx",
-        "wrench_meas.ty",
-        "wrench_meas.tz",
-    )
+    channels = GROUPS["wrench_meas"].columns
 
     def __init__(
         self,
@@ -210,9 +202,7 @@ class WrenchLink(Link):
         return out
 
     def as_interpreted(self, other: WrenchLink) -> WrenchLink:
-        """The same link with the interpretation and timing of another one, which may have fewer
-        rows.
-        """
+        """The same link with interpretation and timing of another, perhaps of fewer rows."""
         grid = (
             None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
         )
@@ -223,16 +213,12 @@ class WrenchLink(Link):
 
     @property
     def simulated(self) -> bool:
-        """Whether the contact force along a path is computed by simulating the mechanism's
-        physics.
-        """
+        """Whether the force along a path is computed by simulating the mechanism."""
         return isinstance(self._felt, Simulated)
 
     @property
     def costly(self) -> bool:
-        """Whether parts that move are integrated, or there are many rows of a surface that is
-        neither flat nor latched from the start.
-        """
+        """Whether parts that move are integrated, or many rows of a surface that is not flat."""
         simple = all(
             run.scenario.mechanism.flat or run.scenario.mechanism.captured for run in self.runs
         )
@@ -294,9 +280,7 @@ class WrenchLink(Link):
         return out
 
     def with_unknown_paths(self, changes: Sequence[Sequence[Array]]) -> WrenchLink:
-        """The same link whose paths may be off by any sum of ``changes`` (N, 6) [m, rad], those of
-        each run: a nuisance term for each.
-        """
+        """The same link, each of whose ``changes`` (N, 6) of the path is a nuisance."""
         out = copy(self)
         for change in zip(*changes, strict=True):
             paths = [
@@ -317,18 +301,13 @@ class WrenchLink(Link):
         rates: Sequence[Array] | None,
         times: float = 1.0,
     ) -> list[LinkRun]:
-        """The ``runs`` with a further nuisance term: ``times`` the change of the readings on other
-        paths (N, 7) and rates (N, 6).
-        """
-        everything = [(i, ()) for i in range(len(self.runs))]
+        """The ``runs`` with a nuisance term: the change of readings on other paths and rates."""
         other = (
             WrenchLink(self.runs, paths, self.jumps, rates)
             .as_interpreted(self)
             .through(self.logged)
         )
-        changes = [
-            b - a for a, b in zip(self.predict(everything), other.predict(everything), strict=True)
-        ]
+        changes = [b - a for a, b in zip(self.shown_in_all(), other.shown_in_all(), strict=True)]
         return [r.with_nuisances(times * c[:, :, None]) for r, c in zip(runs, changes, strict=True)]
 
     def with_unknown_rate(self) -> WrenchLink:
@@ -357,9 +336,7 @@ class WrenchLink(Link):
         return out
 
     def _closing_later(self, rates: Sequence[Array]) -> list[Array] | None:
-        """The rates with which each latch closes a row later, where it waits for A to be slow; None
-        where none does.
-        """
+        """The rates with which each latch that waits closes a row later; None: none does."""
         out, waits = [], False
         for run, path, rate in zip(self.runs, self.paths, rates, strict=True):
             mechanism = run.scenario.mechanism
@@ -449,7 +426,7 @@ class WrenchLink(Link):
 
     def _read(self, felt: Felt | Simulated, lanes: Sequence[Lane]) -> list[Array]:
         """(N, 6) reading of each lane as it is stamped, on the paths of ``felt``."""
-        read, tick = [self._lane(i, effects) for i, effects in lanes], self.runs[0].scenario.tick
+        read, tick = [self._lane(i, effects) for i, effects in lanes], self.tick
         # stamped before its contact: read later, by whole rows
         ahead = [max(math.ceil(-_lateness(lane) / tick), 0) for lane in read]
         found = replay_wrench(
@@ -485,9 +462,7 @@ class WrenchLink(Link):
         return FeltLane(i, rows, sensor, log, self.timing_with(effects).delay, acting)
 
     def penetration(self, i: int) -> Array:
-        """(N,) penetration in run i by geometry [m]: the deepest contact, negative while apart; for
-        a latched mechanism along z.
-        """
+        """(N,) [m] of run i by geometry: the deepest contact; if latched, along z."""
         if self.runs[i].scenario.mechanism.captured:
             return self.paths[i][:, 2]
         if isinstance(self._felt, Simulated):
@@ -495,25 +470,18 @@ class WrenchLink(Link):
         return np.asarray(self._felt.met[0][i, : self.runs[i].rows].max(axis=1, initial=-1.0))
 
     def lateness(self, i: int, effects: Effects) -> float:
-        """[s] by which the reading of run i is later than the contact; negative: it is stamped
-        before it.
-        """
+        """[s] by which the reading of run i is later than the contact."""
         return _lateness(self._lane(i, effects))
 
     def slopes(self, effects: Effects) -> list[Array]:
-        """(N, 6) rate of the reading in each run [N/s, N m/s], which a delay of the sample
-        multiplies.
-        """
-        everything = range(len(self.runs))
-        step = self.runs[0].scenario.tick / 2.0
-        early = self.predict([(i, [*effects, Timing(delay=-step)]) for i in everything])
-        late = self.predict([(i, [*effects, Timing(delay=step)]) for i in everything])
+        """(N, 6) rate of the reading in each run [N/s, N m/s], which a late sample multiplies."""
+        step = self.tick / 2.0
+        early = self.shown_in_all([*effects, Timing(delay=-step)])
+        late = self.shown_in_all([*effects, Timing(delay=step)])
         return [(a - b) / (2.0 * step) for a, b in zip(early, late, strict=True)]
 
     def shaken(self, i: int, effects: Effects, sigma: float) -> tuple[Array, Array]:
-        """(N, 6) mean and standard deviation of the reading [N, N m] for a delay that varies by
-        sigma [s] from sample to sample.
-        """
+        """(N, 6) mean and deviation of the reading, for a delay that varies by sigma [s]."""
         nominal = max(self.lateness(i, effects), 0.0)
         found = self.predict(
             [(i, [*effects, Timing(delay=float(max(sigma * node, -nominal)))]) for node in NODES]
@@ -564,9 +532,7 @@ class WrenchLink(Link):
         return out
 
     def beside_jumps(self, i: int, effects: Effects = ()) -> np.ndarray:
-        """(N,) bool: rows whose reading may be of a tick in which A jumps, or of one beside it,
-        where instants are not known.
-        """
+        """(N,) bool: rows whose reading may be of a tick in which A jumps, or beside it."""
         if self.jumps is None or not self.unknown_rate:
             return np.zeros(self.runs[i].rows, dtype=bool)
         jumps, late, tick = self.jumps[i], self.lateness(i, effects), self.runs[i].scenario.tick
