@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiltestbed.diagnosis.fit import predicted
 from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, WrenchLink
 from hiltestbed.diagnosis.links.base import NO_SHIFT, Effects
 from hiltestbed.diagnosis.noise import softened
@@ -93,7 +92,7 @@ def leftover(residuals: list[Array], tail: float = 2.0, rows: int = FLOOR_ROWS) 
     rows: from which the noise floor was estimated.
     """
     total, squares, sums, blocks = 0, 0.0, 0.0, 0
-    level = FLOOR_ERROR * math.sqrt(tail / 2.0 * max(1.0 / max(rows, 1)))
+    level = FLOOR_ERROR * math.sqrt(tail / 2.0 * max(1.0, FLOOR_ROWS / max(rows, 1)))
     for r in residuals:
         total += len(r)
         squares += float(r @ r)
@@ -141,7 +140,8 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
     inside: list[list[Array]] = [[] for _ in link.channels]
     outside: list[list[Array]] = [[] for _ in link.channels]
     varies = shake(effects)
-    for i, prediction in zip(residual.runs, predicted(residual, effects), strict=True):
+    shown = link.predict([(i, effects) for i in residual.runs])
+    for i, prediction in zip(residual.runs, shown, strict=True):
         run, weight = link.runs[i], residual.weight[i]
         sigma = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), np.inf)
         if isinstance(link, WrenchLink):

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, at_bound, bounds_of, fit, inflation, refit_without, scales
+from hiltestbed.diagnosis.fit import Bounds, Fit, at_bound, fit, inflation, refit_without
 from hiltestbed.diagnosis.grow import log_heldout_rms
 from hiltestbed.diagnosis.intervals import derivatives_by_run
 from hiltestbed.diagnosis.links import LinkRun
@@ -229,8 +229,7 @@ def varies(residual: Residual, chosen: Fit, index: int, sizes: list[int], neutra
     """
     by_run = derivatives_by_run(residual, chosen)
     left, jacobian = (np.concatenate(parts) for parts in zip(*by_run, strict=True))
-    low, high, log = bounds_of(chosen.causes)
-    place, scale = chosen.place(index), scales(chosen.theta, low, high, log)
+    place, scale = chosen.place(index), Bounds.of(chosen.causes).scales(chosen.theta)
     relative = ((chosen.part(index)[sizes] - neutral) / scale[place][sizes])[:, None]
     # of the misfits, by the size relative to itself
     by_size = (jacobian[:, place][:, sizes] @ relative)[:, 0]
