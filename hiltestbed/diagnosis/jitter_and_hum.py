@@ -223,14 +223,20 @@ def _strongest(
     level = np.median(levels, axis=0)
     frequencies = np.fft.rfftfreq(size, link.tick)
     total[:, frequencies < slowest] = 0.0
+    return strongest_lines(total, frequencies, np.full(3, count), level)
+
+
+def strongest_lines(
+    spectra: np.ndarray, frequencies: np.ndarray, counts: np.ndarray, levels: Array
+) -> dict[str, Line]:
+    """Axis to the strongest line of its spectrum (3, F) of so many samples, if it exceeds white
+    noise of the ``levels`` (3,) [N].
+    """
     out = {}
-    for j, axis in enumerate("xyz"):
-        at = int(np.argmax(np.abs(total[j])))
-        if abs(total[j, at]) ** 2 > MIN_LINE_POWER * count * level[j] ** 2:
-            line = total[j, at]
-            out[axis] = (
-                float(frequencies[at]),
-                2.0 * abs(line) / count,
-                float(np.angle(line) + math.pi / 2.0),
-            )
+    for axis, spectrum, count, level in zip("xyz", spectra, counts, levels, strict=True):
+        at = int(np.argmax(np.abs(spectrum)))
+        line = spectrum[at]
+        if count and abs(line) ** 2 > MIN_LINE_POWER * count * level**2:
+            phase = float(np.angle(line) + math.pi / 2.0)
+            out[axis] = (float(frequencies[at]), 2.0 * abs(line) / count, phase)
     return out

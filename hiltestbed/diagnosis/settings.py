@@ -66,9 +66,6 @@ PERTURBED_COPIES = 4
 # chosen: window of the Savitzky-Golay filter, order 3, where only a noisy pose is available
 SMOOTHING_ROWS = 31
 
-# chosen: share of the rows in contact, on which perturbed copies of a path have to agree
-MIN_COMPARED = 0.05
-
 # Gain on left-out runs
 # chosen: share of the residual on left-out runs (geometric mean) by which a further cause has to
 # lower it

@@ -7,13 +7,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import Leftover
 from hiltestbed.diagnosis.fit import Fit, fit, null_fit
-from hiltestbed.diagnosis.investigate import ORDER, Findings
+from hiltestbed.diagnosis.investigate import ORDER, Findings, candidates_of, with_stiction
 from hiltestbed.diagnosis.lacking import too_little
 from hiltestbed.diagnosis.layout import (
     Layout,
@@ -23,37 +22,36 @@ from hiltestbed.diagnosis.layout import (
     platform_link,
     with_noise_beside,
 )
-from hiltestbed.diagnosis.likelihood.explain import Explained, candidates_of, explain
+from hiltestbed.diagnosis.likelihood.explain import Explained, explain
 from hiltestbed.diagnosis.likelihood.model import LinkModel
 from hiltestbed.diagnosis.links import (
     CompensationLink,
     DynamicsLink,
     Link,
     LinkRun,
-    PlatformLink,
     WrenchLink,
     flat_pose,
 )
-from hiltestbed.diagnosis.paths import BestPath, best_path, compared_share, make_wrench_link
+from hiltestbed.diagnosis.paths import BestPath, best_path, make_wrench_link, too_divergent
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.search import Explanation, Progress
+from hiltestbed.diagnosis.search import Explanation, Progress, labelled
 from hiltestbed.diagnosis.settings import (
     COMPENSATION_FLOOR,
     CORRELATED_ROWS,
     DYNAMICS_FLOOR,
-    MIN_COMPARED,
 )
-from hiltestbed.diagnosis.stiction import sticking
-from hiltestbed.effects.search import Candidate, Scales
+from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Fit as LikelyFit
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.measured import MeasuredDataset, MeasuredRun, Record
 from hiltestbed.replay.compensation import needs
+from hiltestbed.sensor.effects.delay import SensorJitter
 from hiltestbed.signals import GROUPS
 
+JITTERS = (0.3, 1.0, 3.0)  # [rows] from which a jitter is sought
 MANY_LOST = 0.02  # share of the rows
 # mean square over that of the floor, from which a computed force is not what the record gives: one
 # that is, leaves 1e-20; written digits of which four are right leave 0.02, which the rules know
@@ -78,31 +76,30 @@ def investigate_by_likelihood(
 
     def told(name: str) -> Progress | None:
         words = f"link {judged.index(name) + 1} of {len(judged)}, {LINK_NAMES[name]}"
-        return partial(_told, progress, words) if progress else None
+        return labelled(progress, words)
 
     scales = layout.scales
     if "compensation" in judged:
         # of a late record each row is tried: a delay that is a row off fits no better than none
-        candidates = candidates_of(replace(scales, jumps=True), ("compensation", "log"))
+        candidates = likely_candidates(replace(scales, jumps=True), ("compensation", "log"))
         model = LinkModel(compensation(layout, layout.rows))
         found["compensation"] = explain(model, candidates, told("compensation"))
         whole["compensation"] = compensation(layout, layout.whole)
     if "dynamics" in judged:
         model = LinkModel(dynamics(layout, layout.rows))
-        found["dynamics"] = explain(model, candidates_of(scales, ("dynamics",)), told("dynamics"))
+        found["dynamics"] = explain(
+            model, likely_candidates(scales, ("dynamics",)), told("dynamics")
+        )
         whole["dynamics"] = dynamics(layout, layout.whole)
     if "platform" in judged:
         link = platform_link(layout, layout.rows)
-        candidates = _platform_candidates(layout, link)
+        candidates = likely_candidates(with_stiction(layout, link)[0], ("platform",))
         found["platform"] = explain(LinkModel(link), candidates, told("platform"))
         whole["platform"] = platform_link(layout, layout.whole)
     if "wrench" in judged:
         layout, path = _path(layout, found)
-        if (part := compared_share(layout, path)) < MIN_COMPARED:
-            missing["wrench"] = (
-                f"the smallest difference decides how the mechanism moves after the touch: "
-                f"{part:.0%} of the rows in contact could be replayed"
-            )
+        if why := too_divergent(layout, path):
+            missing["wrench"] = why
         else:
             contact = make_wrench_link(layout, path, layout.rows)
             contact = choose_steps(choose_ring(choose_lever(contact)))
@@ -201,15 +198,14 @@ def _leftovers(e: Explained, found: LikelyFit) -> dict[str, Leftover]:
     return out
 
 
-def _told(progress: Progress, words: str, text: str) -> None:
-    progress(f"{words}: {text}")
-
-
-def _platform_candidates(layout: Layout, link: PlatformLink) -> Sequence[Candidate]:
-    """Those of the platform, with starts for stiction from the data."""
-    noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
-    sticks = sticking(link, noise, layout.scales.substeps)
-    return candidates_of(replace(layout.scales, sticks=sticks.starts), ("platform",))
+def likely_candidates(scales: Scales, links: Sequence[str]) -> tuple[Candidate, ...]:
+    """The hypotheses of every effect on ``links``; of a jitter as well, which changes the variance
+    of a reading more than its mean.
+    """
+    found = candidates_of(scales, links, rich=None)
+    if SensorJitter.link not in links:
+        return found
+    return (*found, candidate(SensorJitter, {"sigma": [x * scales.tick for x in JITTERS]}))
 
 
 def _wrench_candidates(
@@ -223,7 +219,7 @@ def _wrench_candidates(
     late = late_record is not None and "log.skew" in late_record.kinds
     if late or late_record is None:
         links.append("log")
-    found = candidates_of(scales, links)
+    found = likely_candidates(scales, links)
     return [c for c in found if not (late and c.kind == "sensor.delay")]
 
 
