@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.diagnosis.fit import Bounds, Fit, Trials, fit
+from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Bounds, Fit, Trials, fit
 from hiltestbed.diagnosis.intervals import Spread, intervals
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
@@ -21,7 +21,6 @@ from hiltestbed.frames import Array
 PROFILE_REACH = 2.0  # chosen: of a profile to each side, in half-widths of the 95 % interval
 PROFILE_POINTS = 9  # chosen: values of a profile
 PRIOR_SHARE = 0.95  # derived: of a range, that its uniform prior's 95 % interval has
-BOUND_TOLERANCE = 1e-3  # chosen: of a parameter's scale
 
 
 @dataclass(frozen=True, eq=False)

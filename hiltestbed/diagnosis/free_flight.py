@@ -13,6 +13,7 @@ from scipy.stats import theilslopes
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
+from hiltestbed.measured.noise import MAD_TO_SIGMA
 
 TOUCH_MARGIN_ROWS = 2  # chosen: before the first touch, that are not counted as free
 # chosen: robust standard deviations of free flight, from which a force that rises before a contact
@@ -49,7 +50,7 @@ def _risen(forces: Array) -> list[int]:
             continue
         line: Any = theilslopes(x[few], rows[few])  # a quarter of the rows may depart from it
         far = np.abs(x - line.intercept - line.slope * rows)
-        sigma = 1.4826 * float(np.median(far[known]))
+        sigma = MAD_TO_SIGMA * float(np.median(far[known]))
         risen = far > RISING_SIGMA * sigma
         count = int(np.argmin(risen[::-1]))
         out.append(

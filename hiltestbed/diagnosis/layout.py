@@ -36,7 +36,6 @@ from hiltestbed.diagnosis.noise import FEW_STEPS, POSE_PARTS, ForceNoise, few_le
 from hiltestbed.diagnosis.scales import scales_of
 from hiltestbed.diagnosis.settings import (
     COMPENSATION_FLOOR,
-    CORRELATED_ROWS,
     DYNAMICS_FLOOR,
     MIN_POSE_NOISE,
 )
@@ -186,14 +185,9 @@ def with_readings(layout: Layout, readings: Sequence[Array]) -> Layout | None:
 
 def with_noise_beside(layout: Layout, shown: Sequence[Array]) -> Layout:
     """The same with a latched mechanism's noise beside readings ``shown`` (N, 6) by the contact."""
-    force = force_noise(layout.runs, layout.logged, shown)
-    before = layout.force.levels()
-    noise = (
-        floors(layout.runs)
-        | {c: v for c, v in layout.noise.items() if c not in before}
-        | force.levels()
-    )
-    return replace(layout, force=force, noise=noise)
+    force, before = force_noise(layout.runs, layout.logged, shown), layout.force.levels()
+    others = {c: v for c, v in layout.noise.items() if c not in before}
+    return replace(layout, force=force, noise=floors(layout.runs) | others | force.levels())
 
 
 def _deflections(
@@ -205,12 +199,8 @@ def _deflections(
     """The believed rig's departure from its command in each run, or a run it cannot follow."""
     found = []
     for i, run in enumerate(runs):
-        one = deflection(
-            run,
-            noise.get("wrench_meas.fz", 0.0),
-            readings[i] if readings is not None else None,
-            engaged[i],
-        )
+        reading = None if readings is None else readings[i]
+        one = deflection(run, noise.get("wrench_meas.fz", 0.0), reading, engaged[i])
         if one is None:
             return None, run
         found.append(one)
@@ -256,11 +246,8 @@ def _from_where_it_stood(run: MeasuredRun) -> Scenario:
 
 def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     """The compensation on the first ``rows`` of each run."""
-    level = (
-        COMPENSATION_FLOOR
-        * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6)
-        * math.sqrt(CORRELATED_ROWS)
-    )
+    level = COMPENSATION_FLOOR * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6)
+    level *= CORRELATION_FACTOR
     groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
     twists = {
         g.replace("pose", "twist")
@@ -268,54 +255,44 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
         if every_run_has(layout.runs, g.replace("pose", "twist"))
     }
     pairs = list(zip(layout.runs, rows, strict=True))
-    records = {
-        g: [np.ascontiguousarray(r.record.filled(g)[:n]) for r, n in pairs] for g in groups | twists
-    }
-    runs = [
-        _computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", GAP_MEMORY)
-        for r, n in pairs
-    ]
-    wrenches = [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs]
-    link = CompensationLink(runs, wrenches, records)
-    memory, gain = link.memory() or GAP_MEMORY, link.noise_gain()
-    runs = [
-        _computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory)
-        for r, n in pairs
-    ]
+    records = {g: _filled(layout, g, rows) for g in groups | twists}
+    wrenches = _filled(layout, "wrench_meas", rows)
+
+    def computed(memory: float) -> list[LinkRun]:
+        return [
+            _computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory)
+            for r, n in pairs
+        ]
+
+    link = CompensationLink(computed(GAP_MEMORY), wrenches, records)
+    gain, runs = link.noise_gain(), computed(link.memory() or GAP_MEMORY)
     written = [
         np.hypot(r.record.rounding("wrench_comp"), gain * r.record.rounding("wrench_meas"))[:n]
         for r, n in pairs
     ]
-    runs = [
-        replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * w))
-        for run, w in zip(runs, written, strict=True)
-    ]
+    runs = _less_certain(runs, written)
     bends = interpolation_errors(layout.runs, "wrench_meas", rows)
     if any(b.any() for b in bends):
         straight = [w - b for w, b in zip(wrenches, bends, strict=True)]
         missed = rms_differences(
             CompensationLink(runs, wrenches, records), CompensationLink(runs, straight, records)
         )
-        out = [
-            np.hypot(m, b)
-            for m, b in zip(
-                missed, interpolation_errors(layout.runs, "wrench_comp", rows), strict=True
-            )
-        ]
-        runs = [
-            replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m))
-            for run, m in zip(runs, out, strict=True)
-        ]
+        own = interpolation_errors(layout.runs, "wrench_comp", rows)
+        runs = _less_certain(runs, [np.hypot(m, b) for m, b in zip(missed, own, strict=True)])
     if layout.logged:
         runs = [_filtered(run, layout.logged) for run in runs]
     link = CompensationLink(runs, wrenches, records)
     if (other := link.with_central_rates()) is not None:
-        missed = rms_differences(link, other)
-        runs = [
-            replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m))
-            for run, m in zip(runs, missed, strict=True)
-        ]
+        runs = _less_certain(runs, rms_differences(link, other))
     return CompensationLink(runs, wrenches, records)
+
+
+def _less_certain(
+    runs: Sequence[LinkRun], errors: Sequence[Array], factor: float = CORRELATION_FACTOR
+) -> list[LinkRun]:
+    """The runs with further ``errors`` (N, C), which are correlated over rows."""
+    pairs = zip(runs, errors, strict=True)
+    return [replace(run, sigma=np.hypot(run.sigma, factor * e)) for run, e in pairs]
 
 
 def _filtered(run: LinkRun, logged: LowPass) -> LinkRun:
@@ -334,7 +311,7 @@ def _late(force: Array, logged: LowPass) -> Array:
 
 def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     """The numerical model on the first ``rows`` of each run."""
-    level = DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS)
+    level = DYNAMICS_FLOOR * CORRELATION_FACTOR
     pairs = list(zip(layout.runs, rows, strict=True))
     # [s] for which a lost sample matters: to the end of the run, unless its bridge has a known
     # error
@@ -344,7 +321,7 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
         _computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n, "wrench_comp", gone[s])
         for (r, n), s in zip(pairs, short, strict=True)
     ]
-    wrenches = [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in pairs]
+    wrenches = _filled(layout, "wrench_comp", rows)
     missing = [r.record.lost("wrench_comp")[:n] & s for (r, n), s in zip(pairs, short, strict=True)]
     bends = interpolation_errors(layout.runs, "wrench_comp", rows)
     # at most
@@ -352,10 +329,7 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
         math.sqrt(3.0) * np.hypot(_pose_rounding(r, "pose_cmd"), _pose_steps(r, "pose_cmd"))[:n]
         for r, n in pairs
     ]
-    runs = [
-        replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * d))
-        for run, d in zip(runs, half_digits, strict=True)
-    ]
+    runs = _less_certain(runs, half_digits)
     level = levels(layout, "wrench_comp")
     runs = bridged(runs, lambda given: DynamicsLink(runs, given), wrenches, missing, bends, level)
     if any(b.any() for b in bends):
@@ -364,9 +338,7 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
         missed = rms_differences(DynamicsLink(runs, wrenches), DynamicsLink(runs, coherent))
         # one error a run, in however many rows
         lasting = [math.sqrt(len(m)) * np.maximum.accumulate(m, axis=0) for m in missed]
-        runs = [
-            replace(run, sigma=np.hypot(run.sigma, s)) for run, s in zip(runs, lasting, strict=True)
-        ]
+        runs = _less_certain(runs, lasting, 1.0)
     return DynamicsLink(runs, wrenches)
 
 
@@ -384,14 +356,10 @@ def wrench_link(
         caused by the path's own noise [N, N m].
     """
     least = layout.scales.force * np.array([MIN_FORCE_NOISE] * 3 + [FORCE_ARM_ERROR] * 3)
-    runs = []
-    for i, (run, n) in enumerate(zip(layout.runs, rows, strict=True)):
-        link_run = _force_run(run, layout, i, n, least)
-        runs.append(
-            link_run
-            if extra is None
-            else replace(link_run, sigma=np.hypot(link_run.sigma, extra[i][:n]))
-        )
+    pairs = enumerate(zip(layout.runs, rows, strict=True))
+    runs = [_force_run(run, layout, i, n, least) for i, (run, n) in pairs]
+    if extra is not None:
+        runs = _less_certain(runs, _cut(extra, rows), 1.0)
     return WrenchLink(
         runs,
         _cut(paths, rows),
@@ -403,6 +371,11 @@ def wrench_link(
 def levels(layout: Layout, group: str) -> Array:
     """(6,) noise of the wrench of a group."""
     return np.array([layout.noise.get(name, 0.0) for name in GROUPS[group].columns])
+
+
+def _filled(layout: Layout, group: str, rows: Sequence[int]) -> list[Array]:
+    """The first ``rows`` of a group in each run, with gaps bridged."""
+    return _cut([r.record.filled(group) for r in layout.runs], rows)
 
 
 def _cut(arrays: Sequence[Array], rows: Sequence[int]) -> list[Array]:
@@ -420,18 +393,11 @@ def _rows(run: MeasuredRun) -> int:
 
 def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array) -> LinkRun:
     """A measured force less the offset of this run, with its noise."""
-    level = (
-        np.maximum([layout.noise.get(name, 0.0) for name in GROUPS["wrench_meas"].columns], least)
-        * layout.force.colour
-    )
+    level = np.maximum(levels(layout, "wrench_meas"), least) * layout.force.colour
     reading = np.nan_to_num(run.record.data["wrench_meas"][:rows]) - layout.force.offset[i]
-    level = np.hypot(
-        np.hypot(level, layout.force.share * reading), run.record.rounding("wrench_meas")[:rows]
-    )
-    level = np.hypot(
-        level * repetition_factor(run, "wrench_meas", rows),
-        kink_errors(run.record, "wrench_meas")[:rows],
-    )
+    written, kinks = run.record.rounding("wrench_meas"), kink_errors(run.record, "wrench_meas")
+    level = np.hypot(np.hypot(level, layout.force.share * reading), written[:rows])
+    level = np.hypot(level * repetition_factor(run, "wrench_meas", rows), kinks[:rows])
     sigma = np.where(run.record.valid["wrench_meas"][:rows], level, np.inf)
     sigma[:, [few_levels(run, name) for name in GROUPS["wrench_meas"].columns]] = np.inf
     path = next((g for g in ("pose_act", "pose_cmd") if run.record.has(g)), None)
@@ -441,10 +407,8 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     force = layout.force
     nuisances = force.nuisances(rows, run.record.ticks, np.min(level, axis=0))
     if layout.logged:
-        nuisances = np.concatenate(
-            [nuisances, _late(run.record.filled("wrench_meas")[:rows], layout.logged)[:, :, None]],
-            axis=2,
-        )
+        late = _late(run.record.filled("wrench_meas")[:rows], layout.logged)
+        nuisances = np.concatenate([nuisances, late[:, :, None]], axis=2)
     terms = nuisances if nuisances.shape[2] else None
     return LinkRun(
         run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, terms

@@ -25,8 +25,8 @@ from hiltestbed.replay.wrench import shifted
 ORDERS = (1, 2, 3, 4, 5, 6, 8)
 CUTOFFS = (0.01, 0.02, 0.05, 0.12, 0.3)  # chosen: [1/row] at which a search starts
 MIN_CUTOFF, MAX_CUTOFF = 0.004, 0.45  # chosen: [1/row]
-MAX_STAMP_SHIFT_ROWS = 40.0  # chosen: [rows] by which stamps may be off as well
-MAX_STAMP_ROWS = 3  # chosen: of two channels together, by which interpolation may shift one
+MAX_LATE_ROWS = 40.0  # chosen: [rows] by which stamps may be off as well
+MAX_INTERPOLATED_ROWS = 3  # chosen: of two channels together, by which interpolation may shift one
 # chosen: of the variances of second differences, filtered over unfiltered, for a search to begin
 MAX_ROUGHNESS_RATIO = 0.5
 # chosen: of the rms difference, with the filter over without it: 1 % of the variance
@@ -168,7 +168,7 @@ def low_pass_between(
         one = LowPass(
             order,
             _cutoff(x[0]),
-            part=float(np.clip(x[1], -MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS)),
+            part=float(np.clip(x[1], -MAX_LATE_ROWS, MAX_LATE_ROWS)),
         )
         return left([one(b) for b in before])
 
@@ -201,7 +201,7 @@ def _interpolated(values: Sequence[Array], left: Callable[[Sequence[Array]], flo
 
     each: list[Any] = [
         minimize_scalar(misfit, bounds=(n, n + 1.0), method="bounded")
-        for n in range(-MAX_STAMP_ROWS, MAX_STAMP_ROWS)
+        for n in range(-MAX_INTERPOLATED_ROWS, MAX_INTERPOLATED_ROWS)
     ]
     return [float(found.fun) for found in each]
 

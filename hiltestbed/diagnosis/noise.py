@@ -44,7 +44,7 @@ from hiltestbed.diagnosis.nuisances import (
 from hiltestbed.diagnosis.settings import MIN_NOISE_ROWS, SIGNIFICANCE_LEVEL, SIGNIFICANCE_SIGMA
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
-from hiltestbed.measured.noise import white_noise
+from hiltestbed.measured.noise import MAD_TO_SIGMA, white_noise
 from hiltestbed.signals import GROUPS
 
 # chosen: samples beyond four standard deviations, in excess of those of normal noise
@@ -232,12 +232,8 @@ def _noise(
     tones = [] if logged else tones_of(flat)  # filtered noise is not flat about a tone
     aside = phases_differ(flat, tones, apart)
     flat = without_tones(flat, tones)
-    scale = np.array(
-        [
-            1.4826 * np.median(np.abs(np.concatenate([x[:, i] for x in flat])))
-            for i in range(len(columns))
-        ]
-    )
+    each = np.ascontiguousarray(np.concatenate(flat).T)  # (C, rows)
+    scale = MAD_TO_SIGMA * np.median(np.abs(each), axis=1)
     z = [x / np.where(scale > 0.0, scale, 1.0) for x in flat]
     heavy = (
         _heavy([x[:: logged.stride] for x in z])
@@ -250,10 +246,7 @@ def _noise(
     lost = math.sqrt(rows / max(rows - fitted, 1))
     level, tail = np.zeros(6), NORMAL_SQUARE_VARIANCE
     if heavy or colour > 1.0:
-        level[columns] = [
-            lost * _level(np.concatenate([x[:, i] for x in flat]), heavy)
-            for i in range(len(columns))
-        ]
+        level[columns] = [lost * _level(x, heavy) for x in each]
     elif aside:
         level[columns] = _white_levels(
             without_tones([x for _, x in apart], aside, [r for r, _ in apart])
@@ -272,33 +265,23 @@ def _noise(
         pressed = [j for j in moved if j in measured]
         scale = white[pressed]
     share = _share(runs, pressed, scale)
-    spread = (
-        lost
-        * np.array(
-            [float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]
-        )
-        * colour
-    )
+    spread = np.array([lost * float(np.std(x)) * colour for x in each])
     wander = wander_between(
         [(_places(r, run.record.ticks), x) for run, (r, x) in zip(runs, apart, strict=True)], spread
     )
+    offset = still.offset
     if wander is not None:
         known = np.full((len(wander), 6), np.inf)
         known[:, columns] = wander
-        return ForceNoise(level, colour, heavy, still.offset, share, tail, known, aside)
-    offset, (found, unknown) = (
-        [np.zeros(6) for _ in runs],
-        _offsets([len(x) for x in flat], start, spread),
-    )
-    if latched and any(f.any() for f in found):  # the offset of an axis that moves is not known
-        return ForceNoise(
-            level, colour, heavy, still.offset, share, tail, np.full((1, 6), np.inf), aside
-        )
-    for o, f in zip(offset, found, strict=True):
-        o[columns] = f
-    return ForceNoise(
-        level, colour, heavy, tuple(offset), share, tail, np.full((int(unknown), 6), np.inf), aside
-    )
+    else:
+        found, unknown = _offsets([len(x) for x in flat], start, spread)
+        if latched and found.any():  # the offset of an axis that moves is not known
+            unknown = True
+        else:
+            for o, f in zip(offset, found, strict=True):
+                o[columns] = f
+        known = np.full((int(unknown), 6), np.inf)
+    return ForceNoise(level, colour, heavy, offset, share, tail, known, aside)
 
 
 def _white_levels(readings: Sequence[Array]) -> Array:
@@ -395,7 +378,7 @@ def _sudden(x: Array) -> int:
     left = np.abs(x - median_filter(x, (SUDDEN_ROWS, 1)))
     beside = np.pad(left, ((1, 1), (0, 0)))
     alone = 4.0 * np.maximum(beside[:-2], beside[2:]) < left
-    return int(np.sum(alone & (left > SUDDEN_SIGMA * 1.4826 * np.median(left, axis=0))))
+    return int(np.sum(alone & (left > SUDDEN_SIGMA * MAD_TO_SIGMA * np.median(left, axis=0))))
 
 
 def _colour(z: Sequence[Array], fitted: int) -> float:
@@ -473,23 +456,16 @@ def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) ->
             rates.append(((smooth[2:-1] - smooth[1:-2]) ** 2).ravel())
     if not squares or sum(map(len, squares)) < 200:
         return 0.0
-    y = np.concatenate(squares)
-    basis = np.column_stack(
-        [
-            np.concatenate([np.ones_like(r) for r in readings]),
-            *map(np.concatenate, (readings, rates)),
-        ]
-    )
+    y, *rest = (np.concatenate(x) for x in (squares, readings, rates))
+    basis = np.column_stack([np.ones_like(y), *rest])
     found = np.array([1.0, 0.0, 0.0])
     for _ in range(6):
         expected = np.maximum(basis @ found, 0.1)
         y_used = np.minimum(y, 9.0 * expected)
         found, _ = nnls(basis / expected[:, None], y_used / expected)
-    expected = np.maximum(basis @ found, 0.1)
+    weighted = basis / np.maximum(basis @ found, 0.1)[:, None]
     # variance of a square: 2
-    information = (
-        (basis / expected[:, None]).T @ (basis / expected[:, None]) / (2.0 * CORRELATED_SQUARES)
-    )
+    information = weighted.T @ weighted / (2.0 * CORRELATED_SQUARES)
     error = math.sqrt(float(np.linalg.pinv(information)[1, 1]))
     grown = found[1] * float(np.percentile(basis[:, 1], 95.0))
     if found[1] > SIGNIFICANCE_SIGMA * error and grown > MIN_SHARE_VARIANCE * max(found[0], 0.1):

@@ -13,6 +13,7 @@ from hiltestbed.diagnosis.fit import Fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
+from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.timing import delays_not_causes
@@ -21,11 +22,10 @@ from hiltestbed.frames import Array
 
 MAX_RIVALS = 2  # chosen: that are listed for a cause; a larger set identifies nothing
 
-LINK_ORDER = ("platform", "wrench", "compensation", "dynamics")
 # chosen: of the noise variance: mean square of a residual outside contact, from which a departure
 # shows there
 MIN_FREE_VARIANCE = 1.5
-SMOOTHING_ROWS = 9  # chosen: of the running mean before the correlation
+SHAPE_ROWS = 9  # chosen: of the running mean before the correlation
 MIN_CORRELATION = 0.6  # chosen: from which a quantity is named
 
 
@@ -78,7 +78,7 @@ def decide(findings: Findings) -> Verdict:
     causes: list[Named] = []
     unexplained: list[tuple[float, str]] = []
     timing = delays_not_causes(findings.explanations)
-    for name in LINK_ORDER:
+    for name in LINK_NAMES:
         e = findings.explanations.get(name)
         if e is None or not e.departs:
             continue
@@ -216,7 +216,7 @@ def _shape(residual: Residual, effects: Effects, column: int) -> str:
     for i in residual.runs:
         run = link.runs[i]
         z = np.convolve(
-            residual.of_run(i, effects)[:, column], np.ones(SMOOTHING_ROWS) / SMOOTHING_ROWS, "same"
+            residual.of_run(i, effects)[:, column], np.ones(SHAPE_ROWS) / SHAPE_ROWS, "same"
         )
         depth = paths[i][:, 2] if paths is not None else np.zeros(len(z))
         rate = np.gradient(depth, run.scenario.tick)

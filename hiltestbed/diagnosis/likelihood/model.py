@@ -19,16 +19,19 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 from scipy.stats import chi2, gamma
 
+from hiltestbed.diagnosis.layout import UNUSED_END_ROWS
 from hiltestbed.diagnosis.links import Link, LinkRun, Timing, WrenchLink
 from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
 from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.nuisances import Aside
 from hiltestbed.diagnosis.settings import BLOCK_ROWS, MODEL_ERROR
+from hiltestbed.diagnosis.timing import MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Fit
 from hiltestbed.inference.model import Hypothesis, Model
+from hiltestbed.measured.noise import MAD_TO_SIGMA
 from hiltestbed.sensor.effects.delay import SensorDelay, SensorJitter
 
 SLOW_SHAPES = 3  # degree of the polynomials by which a model's error varies along a contact
@@ -38,10 +41,6 @@ SOFTNESS = 1e-4
 FAR = 1e6  # [standard deviations] stands for a prediction that is not finite
 # [rows] standard deviation of a time-stamp offset: loggers stamp up to a row early or late
 STAMP_SIGMA = 1.0 / math.sqrt(3.0)
-# [rows] by which the output of a link may be early and late: stamps of two channels, and for the
-# late side one and the instant of a sample: more is a delay, which has a name
-MOST_EARLY, MOST_LATE = 2.25, 1.05
-END_ROWS = 3  # that a shift of the stamps leaves without data
 # [rows] of an instant within a tick at which a facility samples or obeys
 INSTANT_SIGMA, LATEST_INSTANT = 0.5 / math.sqrt(3.0), 0.5
 # share of what is left of a computed channel that follows its output, from which it departs
@@ -59,7 +58,7 @@ OUTLYING = 4.0  # robust standard deviations at which a sample is clipped: one n
 ALLOWED = 7e-6
 
 
-class Leftover(NamedTuple):
+class Whiteness(NamedTuple):
     """Whether the residual of a channel is white noise, of whatever level.
 
     Attributes:
@@ -84,14 +83,14 @@ class Leftover(NamedTuple):
         return max(self.blocks / self.allowed[0], self.line / self.allowed[1])
 
 
-def leftover(parts: Sequence[Array]) -> Leftover:
+def leftover(parts: Sequence[Array]) -> Whiteness:
     """Of one channel: residuals (M,) of each run, in units of the noise.
 
     Outliers are clipped. The sum of B squares of means is chi-square of B, a line of the sum of the
     spectra of R runs a gamma variable of shape R.
     """
     rows, longest = sum(map(len, parts)), max(map(len, parts))
-    size = max(1.4826 * float(np.median(np.abs(np.concatenate(parts)))), 1.0)
+    size = max(MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(parts)))), 1.0)
     parts = [np.clip(x, -OUTLYING * size, OUTLYING * size) for x in parts]
     level = max(sum(float(x @ x) for x in parts) / rows, 1.0)
     means = [
@@ -101,7 +100,7 @@ def leftover(parts: Sequence[Array]) -> Leftover:
     squares = sum(float(m @ m) for m in means) / (BLOCK_ROWS * max(count, 1) * level)
     power = sum(np.abs(np.fft.rfft(x, longest))[1:] ** 2 for x in parts) / (rows * level)
     lines = max(longest // 2, 1)
-    return Leftover(
+    return Whiteness(
         math.sqrt(level),
         squares,
         float(np.max(power, initial=0.0)),
@@ -296,7 +295,7 @@ class LinkModel(Model):
         inside = [x for x, (_, _, within) in zip(left, self.groups, strict=True) if within]
         return inside or left
 
-    def leftovers(self, left: Sequence[Array]) -> dict[tuple[int, bool], Leftover]:
+    def leftovers(self, left: Sequence[Array]) -> dict[tuple[int, bool], Whiteness]:
         """What is left of each channel, in contact and outside it."""
         out = {}
         for key in dict.fromkeys((c, inside) for _, c, inside in self.groups):
@@ -339,7 +338,7 @@ class LinkModel(Model):
             ):
                 continue
             sizes = np.abs(np.concatenate([x for x, _ in pairs]))
-            size = OUTLYING * max(1.4826 * float(np.median(sizes)), 1.0)
+            size = OUTLYING * max(MAD_TO_SIGMA * float(np.median(sizes)), 1.0)
             pairs = [(np.clip(x, -size, size), b) for x, b in pairs]
             after = 0.0
             for n, (x, b) in enumerate(pairs):
@@ -370,7 +369,10 @@ class LinkModel(Model):
     def timings(self) -> tuple[Candidate, ...]:
         """When the facility samples, obeys and stamps, as nuisances."""
         tick = self.link.tick
-        stamp, ends = STAMP_SIGMA * tick, (-MOST_EARLY * tick, MOST_LATE * tick)
+        stamp, ends = (
+            STAMP_SIGMA * tick,
+            (-MAX_STAMP_SHIFT_ROWS * tick, MAX_UNNAMED_DELAY_ROWS * tick),
+        )
         grid = tuple((x * tick,) for x in (-0.8, -0.3, 0.3, 0.8))
         out = [_nuisance("delay", stamp, *ends, grid)]
         if self.link.name == "platform":
@@ -383,14 +385,14 @@ def _without_outliers(z: Array) -> Array:
     """Residuals (M,) clipped at :data:`CLIPPED` robust standard deviations."""
     if not len(z) or float(np.max(np.abs(z))) <= CLIPPED * math.sqrt(float(z @ z) / len(z)):
         return z
-    size = CLIPPED * max(1.4826 * float(np.median(np.abs(z))), 1.0)
+    size = CLIPPED * max(MAD_TO_SIGMA * float(np.median(np.abs(z))), 1.0)
     return np.clip(z, -size, size)
 
 
 def _without_ends(counted: np.ndarray) -> np.ndarray:
     """Without the first and last rows, for which a channel that is stamped off has no data."""
     out = counted.copy()
-    out[:END_ROWS] = out[len(out) - END_ROWS :] = False
+    out[:UNUSED_END_ROWS] = out[len(out) - UNUSED_END_ROWS :] = False
     return out
 
 
