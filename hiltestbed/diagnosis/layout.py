@@ -326,7 +326,7 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     bends = interpolation_errors(layout.runs, "wrench_comp", rows)
     # at most
     half_digits = [
-        math.sqrt(3.0) * np.hypot(_pose_rounding(r, "pose_cmd"), _pose_steps(r, "pose_cmd"))[:n]
+        math.sqrt(3.0) * np.hypot(pose_rounding(r, "pose_cmd"), pose_steps(r, "pose_cmd"))[:n]
         for r, n in pairs
     ]
     runs = _less_certain(runs, half_digits)
@@ -432,10 +432,10 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
         [valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1
     )
     level = (
-        np.hypot(level, _pose_rounding(run, "pose_act")[:rows])
+        np.hypot(level, pose_rounding(run, "pose_act")[:rows])
         * repetition_factor(run, "pose_act", rows)[:, :6]
     )
-    told = _pose_rounding(run, "pose_cmd")[:rows] * repetition_factor(run, "pose_cmd", rows)[:, :6]
+    told = pose_rounding(run, "pose_cmd")[:rows] * repetition_factor(run, "pose_cmd", rows)[:, :6]
     sigma = np.where(counted, np.sqrt(level**2 + told**2 + doubt**2), np.inf)
     sigma[
         :, [few_levels(run, f"pose_act.{part}") and _told_to_stay(run, part) for part in POSE_PARTS]
@@ -462,13 +462,13 @@ def _told_to_stay(run: MeasuredRun, part: str) -> bool:
     )
 
 
-def _pose_rounding(run: MeasuredRun, group: str) -> Array:
+def pose_rounding(run: MeasuredRun, group: str) -> Array:
     """(ticks, 6) 1 sigma of the rounding error of a written pose, as of :func:`flat_pose`."""
     rounding = run.record.rounding(group)
     return np.column_stack([rounding[:, :3], 2.0 * rounding[:, 3:6]])
 
 
-def _pose_steps(run: MeasuredRun, group: str) -> Array:
+def pose_steps(run: MeasuredRun, group: str) -> Array:
     """(6,) 1 sigma of the quantisation error of a pose, as position and small rotation vector."""
     steps = [run.record.steps.get(f"{group}.{part}", 0.0) for part in POSE_PARTS]
     return np.array(steps) * np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]) / math.sqrt(12.0)

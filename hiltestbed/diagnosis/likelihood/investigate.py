@@ -20,6 +20,8 @@ from hiltestbed.diagnosis.layout import (
     lay_out,
     levels,
     platform_link,
+    pose_rounding,
+    pose_steps,
     with_noise_beside,
 )
 from hiltestbed.diagnosis.likelihood.explain import Explained, explain
@@ -267,9 +269,7 @@ def dynamics(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     noise, runs, wrenches, variance = levels(layout, "wrench_comp"), [], [], []
     for r, n in zip(layout.runs, rows, strict=True):
         run = _computed(r, flat_pose(r.record.data["pose_cmd"]), level, n)
-        written = r.record.rounding("pose_cmd")[:n, :6] * np.array([1, 1, 1, 2, 2, 2])
-        steps = [r.record.steps.get(name, 0.0) for name in GROUPS["pose_cmd"].columns[:6]]
-        quantised = STEP_SIGMA * np.array(steps) * np.array([1, 1, 1, 2, 2, 2])
+        written, quantised = pose_rounding(r, "pose_cmd")[:n], pose_steps(r, "pose_cmd")
         runs.append(replace(run, sigma=np.sqrt(run.sigma**2 + written**2 + quantised**2)))
         wrenches.append(np.ascontiguousarray(r.record.filled("wrench_comp")[:n]))
         variance.append(input_variance(r.record, "wrench_comp", noise)[:n])

@@ -368,16 +368,10 @@ class LinkModel(Model):
 
     def timings(self) -> tuple[Candidate, ...]:
         """When the facility samples, obeys and stamps, as nuisances."""
-        tick = self.link.tick
-        stamp, ends = (
-            STAMP_SIGMA * tick,
-            (-MAX_STAMP_SHIFT_ROWS * tick, MAX_UNNAMED_DELAY_ROWS * tick),
-        )
-        grid = tuple((x * tick,) for x in (-0.8, -0.3, 0.3, 0.8))
-        out = [_nuisance("delay", stamp, *ends, grid)]
+        ends, tick = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), self.link.tick
+        out = [_nuisance("delay", STAMP_SIGMA, ends, (-0.8, -0.3, 0.3, 0.8), tick)]
         if self.link.name == "platform":
-            grid = ((0.25 * tick,),)
-            out.append(_nuisance("obeyed", INSTANT_SIGMA * tick, 0.0, LATEST_INSTANT * tick, grid))
+            out.append(_nuisance("obeyed", INSTANT_SIGMA, (0.0, LATEST_INSTANT), (0.25,), tick))
         return tuple(out)
 
 
@@ -410,13 +404,10 @@ def _model_terms(run: LinkRun) -> Array:
     return np.concatenate([terms, late[:, :, None]], axis=2)
 
 
-def _nuisance(name: str, sigma: float, low: float, high: float, grid: tuple) -> Candidate:
-    return Candidate(
-        Timing,
-        (name,),
-        np.array([low]),
-        np.array([high]),
-        np.zeros(1, bool),
-        grid,
-        sigma=np.array([sigma]),
-    )
+def _nuisance(
+    name: str, sigma: float, ends: tuple[float, float], starts: Sequence[float], tick: float
+) -> Candidate:
+    """A shift of the timing; all numbers in rows."""
+    low, high, sigmas = (np.array([x * tick]) for x in (*ends, sigma))
+    grid = tuple((x * tick,) for x in starts)
+    return Candidate(Timing, (name,), low, high, np.zeros(1, bool), grid, sigma=sigmas)
