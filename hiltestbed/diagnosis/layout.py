@@ -34,11 +34,7 @@ from hiltestbed.diagnosis.links import (
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
 from hiltestbed.diagnosis.noise import FEW_STEPS, POSE_PARTS, ForceNoise, few_levels, force_noise
 from hiltestbed.diagnosis.scales import scales_of
-from hiltestbed.diagnosis.settings import (
-    COMPENSATION_FLOOR,
-    DYNAMICS_FLOOR,
-    MIN_POSE_NOISE,
-)
+from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, DYNAMICS_FLOOR, MIN_POSE_NOISE
 from hiltestbed.diagnosis.yielding import Deflection, deflection, engagement
 from hiltestbed.effects.search import Scales
 from hiltestbed.frames import Array

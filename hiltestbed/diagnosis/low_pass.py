@@ -166,9 +166,7 @@ def low_pass_between(
 
     def misfit(order: int, x: Array) -> float:
         one = LowPass(
-            order,
-            _cutoff(x[0]),
-            part=float(np.clip(x[1], -MAX_LATE_ROWS, MAX_LATE_ROWS)),
+            order, _cutoff(x[0]), part=float(np.clip(x[1], -MAX_LATE_ROWS, MAX_LATE_ROWS))
         )
         return left([one(b) for b in before])
 

@@ -76,23 +76,13 @@ def test_a_stick_is_found_to_where_the_last_jump_ends() -> None:
     assert left_by(link, found)[0] < allowed(link)
 
 
-@pytest.mark.parametrize(
-    ("instants", "stick"),
-    [
-        (2, 1.1e-4),
-        (7, 9.1e-5),
-        (57, 8.46e-5),
-    ],
-)
+@pytest.mark.parametrize(("instants", "stick"), [(2, 1.1e-4), (7, 9.1e-5), (57, 8.46e-5)])
 def test_a_stick_is_found_however_finely_a_tick_is_divided(instants: int, stick: float) -> None:
     link = platform_link(sticks(instants, stick))
     assert left_by(link, sticking(link, POSE_NOISE, 4))[0] < allowed(link)
 
 
-@pytest.mark.parametrize(
-    ("instants", "phase", "late"),
-    [(5, 0.3, 0.62), slow(31, 0.5, -1.2)],
-)
+@pytest.mark.parametrize(("instants", "phase", "late"), [(5, 0.3, 0.62), slow(31, 0.5, -1.2)])
 def test_a_stick_is_found_whenever_the_platform_obeys_and_the_pose_is_stamped(
     instants: int, phase: float, late: float
 ) -> None:

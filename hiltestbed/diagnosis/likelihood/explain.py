@@ -10,11 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiltestbed.diagnosis.jitter_and_hum import (
-    MIN_FREQUENCY,
-    MIN_SPECTRUM_ROWS,
-    strongest_lines,
-)
+from hiltestbed.diagnosis.jitter_and_hum import MIN_FREQUENCY, MIN_SPECTRUM_ROWS, strongest_lines
 from hiltestbed.diagnosis.likelihood.model import LinkModel
 from hiltestbed.diagnosis.links import Link, Timing, WrenchLink
 from hiltestbed.diagnosis.links.base import NO_SHIFT

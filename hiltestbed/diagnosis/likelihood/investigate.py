@@ -39,11 +39,7 @@ from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Progress, labelled
-from hiltestbed.diagnosis.settings import (
-    COMPENSATION_FLOOR,
-    CORRELATED_ROWS,
-    DYNAMICS_FLOOR,
-)
+from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS, DYNAMICS_FLOOR
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Fit as LikelyFit
