@@ -99,15 +99,9 @@ def _run(run: LinkRun, count: int) -> LinkRun:
     sigma = _means(run.sigma, count)  # infinite where one of the rows was not measured
     touching = _means(run.touching[:, None].astype(float), count)[:, 0] > 0.0
     scenario = scenario_from(resolved(run.scenario) | {"rate": rate})
-    return replace(
-        run,
-        scenario=scenario,
-        measured=_means(run.measured, count),
-        sigma=sigma,
-        touching=touching,
-        nuisances=None if run.nuisances is None else _means(run.nuisances, count),
-        shared=None if run.shared is None else _means(run.shared, count),
-    )
+    terms = [None if x is None else _means(x, count) for x in (run.nuisances, run.shared)]
+    measured = _means(run.measured, count)
+    return LinkRun(scenario, measured, sigma, touching, run.heavy, run.tail, *terms)
 
 
 def refit_on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:

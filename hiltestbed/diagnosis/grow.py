@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -137,18 +138,10 @@ class Richer:
         if not better:
             return found
         leftovers = self.search.judge(residual, best.effects())
-        explanation = Explanation(
-            residual,
-            (*self.candidates, *found.candidates),
-            null_fit(residual),
-            best,
-            noise_alone(leftovers),
-            True,
-            leftovers,
-            found.before,
-            (*singles, *found.singles),
-            (*tried, *found.more),
-        )
+        candidates, null = (*self.candidates, *found.candidates), null_fit(residual)
+        explained = partial(Explanation, residual, candidates, null, best, noise_alone(leftovers))
+        fits = ((*singles, *found.singles), (*tried, *found.more))
+        explanation = explained(True, leftovers, found.before, *fits)
         return with_rivals(explanation, self.search.judge) if explanation.adequate else explanation
 
     def _several(
@@ -170,12 +163,8 @@ class Richer:
 
     def _beside(self, residual: Residual, single: Fit, known: Fit) -> list[Fit]:
         """Fits together with those of the ``known`` causes that the effect does not resemble."""
-        effect = single.causes[0].effect
-        other = [
-            i
-            for i, c in enumerate(known.causes)
-            if c.kind not in (*effect.resembles, single.causes[0].kind)
-        ]
+        alike = (*single.causes[0].effect.resembles, single.causes[0].kind)
+        other = [i for i, c in enumerate(known.causes) if c.kind not in alike]
         if not other:
             return []
         causes = tuple(known.causes[i] for i in other)

@@ -117,9 +117,11 @@ def _reacts_sharply(scenario: Scenario) -> bool:
     return not sides_of(scenario.mechanism).rigid or scenario.mechanism.contact.friction > 0.0
 
 
-def both(noise: list[Array], other: list[Array] | None) -> list[Array]:
+def both(noise: Sequence[Array], other: Sequence[Array] | None) -> list[Array]:
     """Root of the sum of squares of two noises (N, 6) of each run; the second may be None."""
-    return noise if other is None else [np.hypot(a, b) for a, b in zip(noise, other, strict=True)]
+    if other is None:
+        return list(noise)
+    return [np.hypot(a, b) for a, b in zip(noise, other, strict=True)]
 
 
 def _lasting_rms(away: Sequence[Sequence[Array]]) -> list[Array]:

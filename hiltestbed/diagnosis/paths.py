@@ -88,11 +88,7 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     ):
         path, extra = measured, path_noise
     elif platform is not None and platform.adequate:
-        poses = (
-            platform_link(layout, layout.whole)
-            .with_timing(platform.residual.link.timing)
-            .paths(platform.chosen.effects())
-        )
+        poses = _explained(layout, platform)
         rounding = [r.record.unsmoothed() for r in layout.runs]
         path = Path(poses, central_rates_of(layout, poses), source="pose_cmd", rounding=rounding)
         extra = command_noise(layout, path)
@@ -122,6 +118,12 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
             for parted, e in zip(diverged(layout, path), extra, strict=True)
         ]
     return BestPath(path, extra, _jumped(platform, path))
+
+
+def _explained(layout: Layout, platform: Explanation) -> list[Array]:
+    """(N, 7) the poses of each run that the explained platform reaches."""
+    link = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing)
+    return link.paths(platform.chosen.effects())
 
 
 def too_divergent(layout: Layout, best: BestPath) -> str | None:
@@ -175,10 +177,7 @@ def with_clocks_off(layout: Layout, best: BestPath) -> BestPath:
         math.sqrt(BLOCK_ROWS) * MODEL_ERROR * np.abs(np.nan_to_num(r.record.data["wrench_meas"]))
         for r in layout.runs
     ]
-    noise = [
-        np.hypot(e, b) for e, b in zip(error, best.path_noise or [0.0] * len(error), strict=True)
-    ]
-    return replace(best, path_noise=noise, clocks_off=True)
+    return replace(best, path_noise=both(error, best.path_noise), clocks_off=True)
 
 
 def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
@@ -189,13 +188,7 @@ def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
         layout.logged.colour * layout.logged.missed(r.record.filled("wrench_meas"))
         for r in layout.runs
     ]
-    return replace(
-        best,
-        path_noise=[
-            np.hypot(m, b)
-            for m, b in zip(missed, best.path_noise or [0.0] * len(missed), strict=True)
-        ],
-    )
+    return replace(best, path_noise=both(missed, best.path_noise))
 
 
 def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
@@ -309,16 +302,8 @@ def _measured(layout: Layout) -> list[Path]:
     out = [Path(poses, central_rates_of(layout, poses), place, math.sqrt(0.5) * place / tick)]
     if all(r.record.whole("twist_act") and all_axes(r, "twist_act") for r in runs):
         twists = [r.record.filled("twist_act") for r in runs]
-        out.insert(
-            0,
-            Path(
-                poses,
-                twists,
-                place,
-                max(_finest(r, "twist_act") for r in runs),
-                rates_measured=True,
-            ),
-        )
+        rate = max(_finest(r, "twist_act") for r in runs)
+        out.insert(0, Path(poses, twists, place, rate, rates_measured=True))
     return out
 
 
@@ -379,11 +364,7 @@ def _smooth_paths(layout: Layout, platform: Explanation | None) -> tuple[list[Ar
     """
     near = None
     if platform is not None:
-        near = (
-            platform_link(layout, layout.whole)
-            .with_timing(platform.residual.link.timing)
-            .paths(platform.chosen.effects())
-        )
+        near = _explained(layout, platform)
     out, flattened = [], []
     for i, run in enumerate(layout.runs):
         told = told_pose(run) if run.record.has("pose_cmd") else None

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -148,7 +149,7 @@ class Search:
 
     def after(self, found: Explanation) -> Search:
         """The same search of a link otherwise timed or interpreted, from those estimates."""
-        fits = {frozenset(c.key for c in f.causes): f for f in (*found.more, *found.singles)}
+        fits = {_keys(f.causes): f for f in (*found.more, *found.singles)}
         return replace(self, before={**self.before, **fits}, earlier=found)
 
     def _as_far_off(self, residual: Residual) -> Explanation | None:
@@ -160,16 +161,11 @@ class Search:
         found = self.earlier
         if found is None or found.adequate or not residual.link.costly:
             return None
-        pool = [
-            found.chosen,
-            *first_of_each(found.singles, "kinds"),
-            *first_of_each(found.more, "kinds")[:MAX_PARTNERS],
-        ]
+        several = first_of_each(found.more, "kinds")[:MAX_PARTNERS]
+        pool = [found.chosen, *first_of_each(found.singles, "kinds"), *several]
+        pool = [f for f in pool if f.causes and JITTER not in f.kinds]
         there = residual.downweighted(found.chosen.effects())
-        fits = [
-            null_fit(there),
-            *_reweighted(there, [f for f in pool if f.causes and JITTER not in f.kinds]),
-        ]
+        fits = [null_fit(there), *_reweighted(there, pool)]
         best = min(fits, key=lambda f: f.score)
         leftovers = self.judge(there, best.effects())
         if max(left.excess for left in leftovers.values()) <= MIN_EXCESS_TO_GROW:
@@ -178,19 +174,8 @@ class Search:
             [f for f in sorted(fits, key=_order) if len(f.causes) in counts]
             for counts in ((1,), (2, 3))
         )
-        before = self.judge(residual, ())
-        return Explanation(
-            there,
-            self.candidates,
-            fits[0],
-            best,
-            False,
-            True,
-            leftovers,
-            before,
-            tuple(singles),
-            tuple(more),
-        )
+        explained = partial(Explanation, there, self.candidates, fits[0], best, False, True)
+        return explained(leftovers, self.judge(residual, ()), tuple(singles), tuple(more))
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
         """The explanation of a link; given: a fit with a cause that another link has shown."""
@@ -205,26 +190,19 @@ class Search:
         # threshold of a cause, in units of the misfit
         least = SELECTION if given and adequate_null else DETECTION
         singles = self.extend(residual, null, worth=least if adequate_null else 0.0)
-        if (
-            singles
-            and (downweighted := residual.downweighted(singles[0].effects())) is not residual
-        ):
-            residual = downweighted
-            null = refit(residual, null)
-            singles = _reweighted(
-                residual, _beam(singles, BEAM_WIDTH, variants=not residual.link.costly)
-            )
+        there = residual.downweighted(singles[0].effects()) if singles else residual
+        if there is not residual:
+            residual, null = there, refit(there, null)
+            beam = _beam(singles, BEAM_WIDTH, variants=not residual.link.costly)
+            singles = _reweighted(residual, beam)
             before = self.judge(residual, null.effects())
         counts = singles and (
             not adequate_null or null.score - singles[0].score > least * inflation(singles[0])
         )
-        if (
-            counts
-            and not given
-            and self.reread
-            and (other := self.reread(residual, singles[0])) is not residual
-        ):
-            return replace(self, reread=None, earlier=None).explain(other)
+        if counts and not given and self.reread:
+            other = self.reread(residual, singles[0])
+            if other is not residual:
+                return replace(self, reread=None, earlier=None).explain(other)
         # under the weights of the best model
         singles += [f for make in self.special if (f := make(residual, null, math.inf)) is not None]
         singles.sort(key=_order)
@@ -233,17 +211,8 @@ class Search:
         departs = null.score - best.score > need or not adequate_null
         known = (null,) if given else ()
         if not departs:
-            return Explanation(
-                residual,
-                self.candidates,
-                null_fit(residual),
-                null,
-                True,
-                given is not None,
-                before,
-                before,
-                (*singles, *known),
-            )
+            explained = partial(Explanation, residual, self.candidates, null_fit(residual), null)
+            return explained(True, given is not None, before, before, (*singles, *known))
         chosen = best if null.score - best.score > need else null
         return self._several(residual, chosen, singles, before, known, given is not None)
 
@@ -270,14 +239,8 @@ class Search:
             width = 1 if adequate else COSTLY_BEAM_WIDTH if count > 1 and costly else BEAM_WIDTH
             for base in _beam(level, width, variants=not (adequate or costly)):
                 search = self._near(residual, base, found) if count > 1 else self
-                found += search.extend(
-                    residual,
-                    base,
-                    MAX_PARTNERS,
-                    self.special,
-                    beside=found,
-                    worth=self.beside if adequate else 0.0,
-                )
+                worth = self.beside if adequate else 0.0
+                found += search.extend(residual, base, MAX_PARTNERS, self.special, found, worth)
             found = first_of_each(sorted(found, key=lambda f: f.score), "key")
             if not found:
                 break
@@ -295,19 +258,8 @@ class Search:
         if level is not singles and (fewer := self.needed(residual, chosen)) is not chosen:
             chosen, more, leftovers = fewer, [fewer, *more], self.judge(residual, fewer.effects())
             adequate = noise_alone(leftovers)
-        null = null_fit(residual)
-        result = Explanation(
-            residual,
-            self.candidates,
-            null,
-            chosen,
-            adequate,
-            True,
-            leftovers,
-            before,
-            (*singles, *known),
-            tuple(more),
-        )
+        explained = partial(Explanation, residual, self.candidates, null_fit(residual), chosen)
+        result = explained(adequate, True, leftovers, before, (*singles, *known), tuple(more))
         return result if not (adequate and chosen.causes) else with_rivals(result, self.judge)
 
     def needed(self, residual: Residual, chosen: Fit) -> Fit:
@@ -324,11 +276,8 @@ class Search:
             fewer = refit_without(residual, chosen, index, known=chosen.score + most)
             if fewer.score - chosen.score > most:
                 continue
-            need = (
-                self.beside
-                if noise_alone(self.judge(residual, fewer.effects()))
-                else SELECTION_INADEQUATE
-            )
+            noise = noise_alone(self.judge(residual, fewer.effects()))
+            need = self.beside if noise else SELECTION_INADEQUATE
             if fewer.score - chosen.score <= need * share:
                 return self.needed(residual, fewer)
         return chosen
@@ -390,17 +339,18 @@ class Search:
                     f"{' + '.join([*base.kinds, c.kind])}"
                 )
             causes, together = (*base.causes, c), [np.concatenate([base.theta, s]) for s in starts]
-            earlier = self.before.get(frozenset(cause.key for cause in causes))
+            tries, earlier = 2 if base.causes else 3, self.before.get(_keys(causes))
             # simple effects alone are sought anew: it takes little
             if earlier is not None and (base.causes or c.effect.rich):
-                fits.append(
-                    fit(residual, causes, [earlier.of(causes), *together], tries=1, known=near)
-                )
-                continue
-            fits.append(fit(residual, causes, together, tries=2 if base.causes else 3, known=near))
+                tries, together = 1, [earlier.of(causes), *together]
+            fits.append(fit(residual, causes, together, tries, near))
         near, _ = _near_best(base, (*fits, *beside), worth)
         fits += [f for make in special if (f := make(residual, base, near)) is not None]
         return sorted(fits, key=_order)
+
+
+def _keys(causes: Sequence[Candidate]) -> frozenset[tuple]:
+    return frozenset(c.key for c in causes)
 
 
 def _reweighted(residual: Residual, fits: Sequence[Fit]) -> list[Fit]:
@@ -466,11 +416,8 @@ def _beam(fits: Sequence[Fit], width: int, variants: bool) -> list[Fit]:
 
 
 def _causes(f: Fit, by: Identity) -> tuple[str, ...]:
-    return tuple(
-        sorted(
-            str({"kinds": c.kind, "places": (c.kind, *c.place), "key": c.key}[by]) for c in f.causes
-        )
-    )
+    each = ({"kinds": c.kind, "places": (c.kind, *c.place), "key": c.key} for c in f.causes)
+    return tuple(sorted(str(c[by]) for c in each))
 
 
 def first_of_each(fits: Sequence[Fit], by: Identity) -> list[Fit]:
@@ -503,19 +450,9 @@ def _limit_of(residual: Residual, chosen: Fit, index: int, other: Fit) -> bool:
     ends = np.where(theta - richer.low < richer.high - theta, richer.low, richer.high)
     close = np.flatnonzero(np.abs(theta - ends) < NEAR_BOUND * (richer.high - richer.low))
     for j in close:
-        rest = np.delete(np.arange(len(theta)), j)
-        causes = (
-            *other.causes[:own],
-            richer.held(int(j), float(ends[j])),
-            *other.causes[own + 1 :],
-        )
-        start = np.concatenate(
-            [
-                *(other.part(i) for i in range(own)),
-                theta[rest],
-                *(other.part(i) for i in range(own + 1, len(causes))),
-            ]
-        )
+        held = richer.held(int(j), float(ends[j]))
+        causes = (*other.causes[:own], held, *other.causes[own + 1 :])
+        start = np.delete(other.theta, other.place(own).start + j)
         if fit(residual, causes, [start], tries=1).chi2 - other.chi2 < AMBIGUITY * inflation(other):
             return True
     return False
@@ -543,14 +480,11 @@ def with_rivals(found: Explanation, judge: Judge) -> Explanation:
     """
     chosen = found.chosen
     pool = [f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)]
-    close = [
-        f
-        for f in pool
-        if f is not chosen and f.score - chosen.score < AMBIGUITY * inflation(chosen)
-    ]
-    of_same = [sorted(f.kinds) == sorted(chosen.kinds) for f in close]
-    elsewhere = first_of_each([f for f, same in zip(close, of_same, strict=True) if same], "places")
-    others = first_of_each([f for f, same in zip(close, of_same, strict=True) if not same], "kinds")
+    most = chosen.score + AMBIGUITY * inflation(chosen)
+    close = [f for f in pool if f is not chosen and f.score < most]
+    same = [f for f in close if sorted(f.kinds) == sorted(chosen.kinds)]
+    elsewhere = first_of_each(same, "places")
+    others = first_of_each([f for f in close if f not in same], "kinds")
     rivals: list[list[Fit]] = [[] for _ in chosen.causes]
     for f in (*elsewhere, *others):
         index = _only_difference(chosen, f)

@@ -57,17 +57,13 @@ OLD_TWIST_RANGE = (0.0, 1.0)  # chosen: share of the old twist, instead of rows
 # channels that are shifted together, each with its range [rows]
 SHIFTS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {
     "platform": (
-        {"delay": ENCODER},
-        {"before": EITHER},
-        {"obeyed": OBEYED},
+        *({"delay": ENCODER}, {"before": EITHER}, {"obeyed": OBEYED}),
         {"obeyed": OBEYED, "delay": STAMPED_ENCODER},
     ),
     "wrench": ({"delay": EARLY}, {"before": (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS)}),
     "compensation": ({"delay": LATE}, {"before": LATE}),
     "dynamics": (
-        {"delay": EITHER},
-        {"before": EITHER},
-        {"old": OLD_TWIST_RANGE},
+        *({"delay": EITHER}, {"before": EITHER}, {"old": OLD_TWIST_RANGE}),
         {"delay": EITHER, "before": EITHER, "old": OLD_TWIST_RANGE},
     ),
 }

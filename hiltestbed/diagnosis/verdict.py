@@ -95,12 +95,8 @@ def decide(findings: Findings) -> Verdict:
     if not causes:
         return Verdict("inconclusive" if missing else "no_discrepancy", None, (), missing)
     ambiguous = any(c.rivals for c in causes)
-    return Verdict(
-        "ambiguous" if ambiguous else "named",
-        EFFECTS[causes[0].effect].link,
-        tuple(causes),
-        missing,
-    )
+    link = EFFECTS[causes[0].effect].link
+    return Verdict("ambiguous" if ambiguous else "named", link, tuple(causes), missing)
 
 
 def _record_alone(findings: Findings) -> str | None:
@@ -116,17 +112,8 @@ def _causes(name: str, e: Explanation) -> list[Named]:
     for index, kind in enumerate(e.chosen.kinds):
         rivals = (e.rivals[index] if e.rivals else ())[:MAX_RIVALS]
         odds = [math.exp(-0.5 * max(-50.0, (f.score - e.chosen.score) / share)) for f in rivals]
-        out.append(
-            Named(
-                kind,
-                name,
-                e.chosen,
-                index,
-                1.0 / (1.0 + sum(odds)),
-                _weight(e, index) / share,
-                tuple(rivals),
-            )
-        )
+        probability, weight = 1.0 / (1.0 + sum(odds)), _weight(e, index) / share
+        out.append(Named(kind, name, e.chosen, index, probability, weight, tuple(rivals)))
     return out
 
 
@@ -168,26 +155,18 @@ def describe(explanation: Explanation, name: str) -> str:
     phases, shape = _phases(residual, effects, column), _shape(residual, effects, column)
     worst = max(phases, key=lambda p: phases[p])
     figures = ", ".join(f"{phase} {value:.2g}" for phase, value in phases.items())
-    along = (
-        f"; it correlates with {shape}"
-        if shape
-        else "; it correlates with none of penetration, rate, their product, force or time"
-    )
+    along = shape or "none of penetration, rate, their product, force or time"
     words = " and ".join(explanation.chosen.kinds)
     taken = f"with {words} removed, " if words else ""
     return (
         f"{name}: {taken}the largest residual is on {channel}, {worst} (times the noise: "
-        f"{figures}){along}"
+        f"{figures}); it correlates with {along}"
     )
 
 
 def _phases(residual: Residual, effects: Effects, column: int) -> dict[str, float]:
-    parts: dict[str, list[Array]] = {
-        "before the touch": [],
-        "while loading": [],
-        "while unloading": [],
-        "after the contact": [],
-    }
+    names = ("before the touch", "while loading", "while unloading", "after the contact")
+    parts: dict[str, list[Array]] = {name: [] for name in names}
     for i in residual.runs:
         z, run = residual.of_run(i, effects)[:, column], residual.link.runs[i]
         touched = np.logical_or.accumulate(run.touching)
@@ -205,14 +184,9 @@ def _phases(residual: Residual, effects: Effects, column: int) -> dict[str, floa
 
 def _shape(residual: Residual, effects: Effects, column: int) -> str:
     link = residual.link
-    paths = (
-        link.paths
-        if isinstance(link, WrenchLink)
-        else link.commands
-        if isinstance(link, PlatformLink)
-        else None
-    )
-    left, columns = [], []
+    paths = link.paths if isinstance(link, WrenchLink) else None
+    paths = link.commands if isinstance(link, PlatformLink) else paths
+    left, columns, quantities = [], [], {}
     for i in residual.runs:
         run = link.runs[i]
         z = np.convolve(
@@ -225,36 +199,20 @@ def _shape(residual: Residual, effects: Effects, column: int) -> str:
         inside = run.touching if run.touching.any() else np.ones(len(z), dtype=bool)
         start = t[inside][0]
         left.append(z[inside])
-        columns.append(
-            np.column_stack(
-                [
-                    depth,
-                    rate,
-                    depth * rate,
-                    np.abs(depth) * np.sign(rate),
-                    np.sign(rate),
-                    depth**3,
-                    force,
-                    t - start,
-                ]
-            )[inside]
-        )
-    y, x = np.concatenate(left), np.concatenate(columns)
-    names = (
-        "the penetration",
-        "its rate",
-        "penetration times rate",
-        "penetration, with the sign of the rate",
-        "the sign of the rate",
-        "the cube of the penetration",
-        "the force",
-        "the time in contact",
-    )
+        quantities = {
+            "the penetration": depth,
+            "its rate": rate,
+            "penetration times rate": depth * rate,
+            "penetration, with the sign of the rate": np.abs(depth) * np.sign(rate),
+            "the sign of the rate": np.sign(rate),
+            "the cube of the penetration": depth**3,
+            "the force": force,
+            "the time in contact": t - start,
+        }
+        columns.append(np.column_stack(list(quantities.values()))[inside])
+    y, x, names = np.concatenate(left), np.concatenate(columns), list(quantities)
     if len(y) < 20 or np.std(y) == 0:
         return ""
-    known = np.std(x, axis=0) > 0
-    match = [
-        abs(float(np.corrcoef(y, x[:, j])[0, 1])) if known[j] else 0.0 for j in range(len(names))
-    ]
+    match = [abs(float(np.corrcoef(y, c)[0, 1])) if np.std(c) > 0 else 0.0 for c in x.T]
     best = int(np.argmax(match))
     return f"{names[best]} (correlation {match[best]:.2f})" if match[best] > MIN_CORRELATION else ""
