@@ -21,7 +21,7 @@ from hiltestbed.diagnosis.find import Judged, judge
 from hiltestbed.diagnosis.fit import Fit, fit, null_fit
 from hiltestbed.diagnosis.floors import smooth_levels
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, Timing
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Timing
 from hiltestbed.diagnosis.links.base import Link, moved
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
@@ -29,11 +29,11 @@ from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.measured import load_dataset
-from hiltestbed.scenario import scenario_from
+from hiltestbed.scenario import Scenario, scenario_from
 from tests.equipment.independent_rig import Nuisances, draw_set, write_set
 from tests.slow import SLOW, slow
 
-from .made import H, contact_link, effect, platform_link, scenario
+from .made import H, contact_link, effect, link_run, platform_link, scenario
 from .test_verdict import candidates
 
 
@@ -125,14 +125,9 @@ def test_what_is_made_of_readings_between_rows_lies_between_its_own_rows() -> No
     """A linear compensation of ``(1 - p) w_k + p w_(k+1)`` gives ``(1 - p) u_k + p u_(k+1)``, noise
     and all.
     """
-    told = scenario().model_dump(mode="json") | {
-        "compensation": {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}}
-    }
-    s, noise = scenario_from(told), np.random.default_rng(1).normal(0, 0.5, (300, 6))
-    run = LinkRun(s, np.zeros((300, 6)), np.ones((300, 6)), np.ones(300, dtype=bool))
-    given = CompensationLink([run], [noise], {}).shown(0)
-    early = LinkRun(s, given, np.ones((300, 6)), np.ones(300, dtype=bool))
-    link = CompensationLink([early], [moved(noise, -0.3)], {})
+    s, noise = phase_lead(), np.random.default_rng(1).normal(0, 0.5, (300, 6))
+    given = CompensationLink([link_run(s, 300)], [noise], {}).shown(0)
+    link = CompensationLink([link_run(s, given)], [moved(noise, -0.3)], {})
     left = [
         np.abs(link.runs[0].measured - at.shown(0))[20:-20].max()
         for at in (link, link.with_timing(Timing(before=0.3 * H)))
@@ -141,22 +136,22 @@ def test_what_is_made_of_readings_between_rows_lies_between_its_own_rows() -> No
     assert left[1] < 1e-9
 
 
+def phase_lead() -> Scenario:
+    method = {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}}
+    return scenario_from(scenario().model_dump(mode="json") | {"compensation": method})
+
+
 def stamped_compensation(output: float, given: float, seed: int = 1) -> CompensationLink:
     """A phase lead on noise and a bump, with its output and its input stamped so many rows late,
     both interpolated between rows.
     """
-    told = scenario().model_dump(mode="json") | {
-        "compensation": {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}}
-    }
-    s, readings = scenario_from(told), np.random.default_rng(seed).normal(0, 0.5, (2000, 6))
+    s, readings = phase_lead(), np.random.default_rng(seed).normal(0, 0.5, (2000, 6))
     readings[150:250, 2] += 40.0 * np.sin(np.pi * np.arange(100) / 100)
     touching = np.zeros(2000, dtype=bool)
     touching[150:250] = True
-    made = CompensationLink(
-        [LinkRun(s, np.zeros((2000, 6)), np.ones((2000, 6)), touching)], [readings], {}
-    ).shown(0)
-    sigma = np.full((2000, 6), COMPENSATION_FLOOR * 0.5 * math.sqrt(CORRELATED_ROWS))  # as laid out
-    run = LinkRun(s, moved(made, output), sigma, touching)
+    made = CompensationLink([link_run(s, 2000)], [readings], {}).shown(0)
+    sigma = COMPENSATION_FLOOR * 0.5 * math.sqrt(CORRELATED_ROWS)  # as laid out
+    run = link_run(s, moved(made, output), sigma, touching)
     return CompensationLink([run], [moved(readings, given)], {})
 
 
@@ -193,8 +188,7 @@ def test_readings_taken_again_between_two_rows_follow_from_no_stamp() -> None:
 def test_an_old_twist_in_the_new_pose_lies_between_both_integrators() -> None:
     wrench = np.zeros((200, 6))
     wrench[50:100] = [3.0, -2.0, 40.0, 0.5, 1.0, -0.3]
-    run = LinkRun(scenario(), np.zeros((200, 6)), np.ones((200, 6)), np.ones(200, dtype=bool))
-    link = DynamicsLink([run], [wrench])
+    link = DynamicsLink([link_run(scenario(), 200)], [wrench])
     implicit, explicit = (
         link.shown(0),
         link.shown(0, [EFFECTS["dynamics.integrator"].hypothesis({}, scheme="explicit_euler")]),
@@ -205,16 +199,9 @@ def test_an_old_twist_in_the_new_pose_lies_between_both_integrators() -> None:
 
 
 def test_a_late_output_and_a_late_input_of_the_numerical_model_differ_by_the_approach() -> None:
-    run = LinkRun(scenario(), np.zeros((100, 6)), np.ones((100, 6)), np.ones(100, dtype=bool))
-    link = DynamicsLink([run], [np.zeros((100, 6))])
-    prompt, late, before = (
-        at.shown(0)[:, 2]
-        for at in (
-            link,
-            link.with_timing(Timing(delay=0.4 * H)),
-            link.with_timing(Timing(before=0.4 * H)),
-        )
-    )
+    link = DynamicsLink([link_run(scenario(), 100)], [np.zeros((100, 6))])
+    timings = (Timing(), Timing(delay=0.4 * H), Timing(before=0.4 * H))
+    prompt, late, before = (link.with_timing(at).shown(0)[:, 2] for at in timings)
     np.testing.assert_allclose(prompt - late, 0.03 * 0.4 * H, rtol=1e-6)
     np.testing.assert_array_equal(before, prompt)
 
@@ -223,13 +210,9 @@ def test_a_late_output_and_a_late_input_of_the_numerical_model_differ_by_the_app
 def test_the_numerical_model_shows_whole_rows_that_the_compensation_does_not(rows: int) -> None:
     wrench = 0.5 * np.random.default_rng(4).standard_normal((400, 6))
     wrench[150:250, 2] += 40.0
-    run = LinkRun(
-        scenario(), np.zeros((400, 6)), np.full((400, 6), 1e-12), np.ones(400, dtype=bool)
-    )
-    shown = DynamicsLink([run], [wrench]).shown(0)
-    link = DynamicsLink(
-        [LinkRun(run.scenario, shown, run.sigma, run.touching)], [moved(wrench, float(rows))]
-    )
+    shown = DynamicsLink([link_run(scenario(), 400)], [wrench]).shown(0)
+    run = link_run(scenario(), shown, 1e-12)
+    link = DynamicsLink([run], [moved(wrench, float(rows))])
     choices = stamps.rows_in_common({"wrench_meas": 0.0, "wrench_comp": 0.0}, H)
     assert choices == [0, 1, -1]
     links = [link.stamped(before=-n * H).with_unknown_start(np.ones(6)) for n in choices]
