@@ -9,6 +9,7 @@ departures that are not there.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import DETECTION, INTERPRETATION_PENALTY
+from hiltestbed.effects.search import Candidate
 
 LEVERS = (0.5, 0.0, 1.0)  # chosen: that are tried first: the middle, the surface, the tip
 
@@ -183,16 +185,18 @@ def with_point_contact(explanation: Explanation) -> WrenchLink | None:
     ):
         return None
     other = link.interpreted(blunt=0.0)
-    there = explanation.residual.through(other)
     tilts = [c for c in explanation.candidates if c.kind == "contact.misalignment"]
-    fits = [
-        null_fit(there),
-        *([refit(there, explanation.chosen)] if explanation.chosen.causes else []),
-    ]
-    fits += [fit(there, (c,), c.grid) for c in tilts]
-    if min(f.score for f in fits) < explanation.chosen.score - INTERPRETATION_PENALTY:
-        return other
-    return None
+    least = _least_score(explanation, other, tilts)
+    return other if least < explanation.chosen.score - INTERPRETATION_PENALTY else None
+
+
+def _least_score(
+    explanation: Explanation, other: WrenchLink, alone: Sequence[Candidate] = ()
+) -> float:
+    """Of the chosen causes, of none and of some ``alone``, on another form of the link."""
+    there, chosen = explanation.residual.through(other), explanation.chosen
+    fits = [null_fit(there), *(fit(there, (c,), c.grid) for c in alone)]
+    return min(f.score for f in (*fits, *([refit(there, chosen)] if chosen.causes else [])))
 
 
 def with_time_grid(explanation: Explanation) -> WrenchLink | None:
@@ -201,10 +205,5 @@ def with_time_grid(explanation: Explanation) -> WrenchLink | None:
     if not explanation.departs or JITTER in explanation.chosen.kinds:
         return None
     other = link.interpreted(grid=link.runs[0].scenario.substeps)
-    there = explanation.residual.through(other)
-    fits = [
-        null_fit(there),
-        *([refit(there, explanation.chosen)] if explanation.chosen.causes else []),
-    ]
     need = INTERPRETATION_PENALTY * inflation(explanation.chosen)
-    return other if min(f.score for f in fits) < explanation.chosen.score - need else None
+    return other if _least_score(explanation, other) < explanation.chosen.score - need else None

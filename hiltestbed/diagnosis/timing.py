@@ -342,38 +342,25 @@ def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict
     as for a channel that is stamped late. Neither is what cannot be told from one.
     """
     departing = {name: e for name, e in explanations.items() if e.departs}
-    places = [output_shift_rows(e) for e in explanations.values()]
-    departures = sum(
-        max(len(e.chosen.causes), int(not e.adequate)) for e in departing.values()
-    ) + sum(rows != 0.0 for rows in places)
+    departures = sum(max(len(e.chosen.causes), int(not e.adequate)) for e in departing.values())
+    departures += sum(output_shift_rows(e) != 0.0 for e in explanations.values())
     if departures < 2:
         return {}
     # stamps cancel around the loop
     taken_back = max(-sum(_stamp_shift_rows(e.residual.link) for e in explanations.values()), 0.0)
+    # whole rows, of which the instants of the platform hide a part
+    whole = max(taken_back + 0.5, math.ceil(taken_back)) if taken_back > HIDDEN_ROWS else 0.0
     out: dict[str, dict[str, float]] = {}
     for name, e in departing.items():
         for i, effect in enumerate(e.chosen.effects()):
-            tick = e.residual.link.tick
             rivals = e.rivals[i] if e.rivals and effect.kind not in DELAY_EFFECTS else ()
-            for delay in (
-                effect,
-                *(
-                    other
-                    for f in rivals
-                    for other in f.effects()
-                    if other.kind not in e.chosen.kinds
-                ),
-            ):
-                rows = _delay_rows(delay, tick)
-                most = taken_back + MAX_UNNAMED_DELAY_ROWS
-                # whole rows, of which the instants of the platform hide a part
-                if delay.kind in TICK_EFFECTS:
-                    most = (
-                        max(taken_back + 0.5, math.ceil(taken_back))
-                        if taken_back > HIDDEN_ROWS
-                        else 0.0
-                    )
-                if rows is not None and rows <= most:
+            alike = [o for f in rivals for o in f.effects() if o.kind not in e.chosen.kinds]
+            for delay in (effect, *alike):
+                rows = _delay_rows(delay, e.residual.link.tick)
+                ticks = delay.kind in TICK_EFFECTS
+                if rows is not None and rows <= (
+                    whole if ticks else taken_back + MAX_UNNAMED_DELAY_ROWS
+                ):
                     out.setdefault(name, {})[effect.kind] = rows
     return out
 
@@ -385,21 +372,16 @@ def instants_off(explanations: Mapping[str, Explanation]) -> float:
     return MAX_UNNAMED_DELAY_ROWS * links[0].runs[0].scenario.tick if off else 0.0
 
 
-def part_of_a_tick(effect: Effect, tick: float) -> bool:
-    """Whether an effect is a delay that the timing of a facility can explain."""
+def part_of_a_tick(effect: Effect, tick: float, most: float = MAX_UNNAMED_DELAY_ROWS) -> bool:
+    """Whether an effect is a delay, of ``most`` rows, that the timing of a facility can explain."""
     rows = _delay_rows(effect, tick)
-    return (
-        effect.kind not in TICK_EFFECTS
-        and rows is not None
-        and 0.0 < rows <= MAX_UNNAMED_DELAY_ROWS
-    )
+    return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
 
 
 def may_be_stamp(effect: Effect, link: Link) -> bool:
     """Whether a delay may be the stamp's: by a row more where other links show stamps off."""
-    rows = _delay_rows(effect, link.tick)
-    most = MAX_UNNAMED_DELAY_ROWS + (MAX_STAMP_ROWS if link.known else 0.0)
-    return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
+    more = MAX_STAMP_ROWS if link.known else 0.0
+    return part_of_a_tick(effect, link.tick, MAX_UNNAMED_DELAY_ROWS + more)
 
 
 def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:

@@ -161,23 +161,18 @@ class WrenchLink(Link):
     ) -> WrenchLink:
         """The same link with another interpretation of what the facility leaves open."""
         out = copy(self)
-        lever = self.lever if lever is None else lever
-        blunt = self.blunt if blunt is None else blunt
-        ring = self.ring if ring is None else ring
-        if isinstance(self._felt, Felt) and (lever, blunt, ring) != (
-            self.lever,
-            self.blunt,
-            self.ring,
-        ):
-            out.lever = lever
-            out.blunt = blunt
-            out.ring = ring
-            out._felt = replace(self._felt, lever=lever, blunt=blunt)
-            out._believed = [_numbers(r.scenario, lever, blunt, ring) for r in self.runs]
         out.grid = self.grid if grid is None else grid
         out.exact = self.exact if exact is None else exact
-        if isinstance(out._felt, Felt) and out.exact != out._felt.leapfrog:
-            out._felt = replace(out._felt, leapfrog=out.exact)
+        if isinstance(self._felt, Felt):
+            out.lever = self.lever if lever is None else lever
+            out.blunt = self.blunt if blunt is None else blunt
+            out.ring = self.ring if ring is None else ring
+            read = (out.lever, out.blunt, out.ring)
+            if read != (self.lever, self.blunt, self.ring):
+                out._felt = replace(self._felt, lever=out.lever, blunt=out.blunt)
+                out._believed = [_numbers(r.scenario, *read) for r in self.runs]
+            if out.exact != self.exact:
+                out._felt = replace(out._felt, leapfrog=out.exact)
         out._step_error = out._missed_by_steps() if out.exact else None
         return out
 
