@@ -88,8 +88,7 @@ def noise_alone(leftovers: Mapping[str, Leftover]) -> bool:
 
 def leftover(residuals: list[Array], tail: float = 2.0, rows: int = FLOOR_ROWS) -> Leftover:
     """Of one channel; residuals: one array a run (or contact), in units of the noise; tail:
-    variance of the square of a noise sample;
-    rows: from which the noise floor was estimated.
+    variance of the square of a noise sample; rows: from which the noise floor was estimated.
     """
     total, squares, sums, blocks = 0, 0.0, 0.0, 0
     level = FLOOR_ERROR * math.sqrt(tail / 2.0 * max(1.0, FLOOR_ROWS / max(rows, 1)))

@@ -2,8 +2,8 @@
 rows.
 
 A lost sample is interpolated; the error follows from the noise and from how the force bends across
-the gap. What a link makes of such
-errors is correlated over its rows, above all where it integrates them, and is found by replays.
+the gap. What a link makes of such errors is correlated over its rows, above all where it integrates
+them, and is found by replays.
 """
 
 from __future__ import annotations

@@ -5,8 +5,7 @@ The link is that of the numerical model, but measured: the position carries an e
 run does not begin in free flight at the scenario's approach, and the log decides whether a position
 belongs to the row before or after its force. So position and speed at the start are estimated from
 the record, the stamp is fitted with the causes, and a regression of the force on the motion (the
-inverse model of
-robot identification: M. Gautier, P. Poignet, 2001) gives the start of the search.
+inverse model of robot identification: M. Gautier, P. Poignet, 2001) gives the start of the search.
 """
 
 from __future__ import annotations

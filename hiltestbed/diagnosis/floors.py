@@ -155,10 +155,9 @@ def smooth_levels(runs: Sequence[MeasuredRun]) -> dict[str, float]:
     unit], where rows lie between two samples.
 
     Smooth departures are judged by that level: for rows ``(1 - p) w_k + p w_(k-1)`` it is that of
-    the samples ``w``. Empty where neighbours
-    are not correlated, or rows further apart are too: that is a motion. Then the axes at rest may
-    show it; one that moves is taken to have as much of it above third differences as those have. In
-    a latched mechanism it always is.
+    the samples ``w``. Empty where neighbours are not correlated, or rows further apart are too:
+    that is a motion. Then the axes at rest may show it; one that moves is taken to have as much of
+    it above third differences as those have. In a latched mechanism it always is.
     """
     moving = sorted({POSE_PARTS[j] for run in runs for j in moved_axes(run)})
     latched = any(run.scenario.mechanism.captured for run in runs)

@@ -137,9 +137,8 @@ def stretch_variance(
     each row is an independent sample.
 
     The sandwich of the stretches' gradients; of the link's stretch lengths, the one that gives the
-    most. A few stretches give a poor
-    estimate of their own scatter: the variance is that of the normal distribution whose 95 %
-        interval equals Student's.
+    most. A few stretches give a poor estimate of their own scatter: the variance is that of the
+    normal distribution whose 95 % interval equals Student's.
     """
     count = len(inverse)
     out = np.zeros(count)

@@ -2,9 +2,8 @@
 which effects would look the same.
 
 The idea of structural fault isolation (E. Frisk, M. Krysander, fault isolability of over-determined
-systems), with sensitivities from
-replays of the links in place of structure: two effects with parallel residuals cannot be told apart
-at small size.
+systems), with sensitivities from replays of the links in place of structure: two effects with
+parallel residuals cannot be told apart at small size.
 """
 
 from __future__ import annotations

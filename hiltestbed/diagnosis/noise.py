@@ -2,13 +2,12 @@
 noise in proportion to the reading.
 
 The noise is taken for white, of one level, unless free flight, where a sensor reads nothing else,
-contradicts that beyond chance. A hum,
-a drift and a bias that all runs share stay in the record: they are effects, not noise. A mechanism
-that is latched from the start never
-flies freely: there the axes that do not move take the place of free flight, less what they share
-with the axes that do, and less what the believed contact makes of their path. In the loop a drift
-of the sensor moves the numerical model until the springs of the latch balance
-it: the reading then shows no drift, and the path does.
+contradicts that beyond chance. A hum, a drift and a bias that all runs share stay in the record:
+they are effects, not noise. A mechanism that is latched from the start never flies freely: there
+the axes that do not move take the place of free flight, less what they share with the axes that do,
+and less what the believed contact makes of their path. In the loop a drift of the sensor moves the
+numerical model until the springs of the latch balance it: the reading then shows no drift, and the
+path does.
 """
 
 from __future__ import annotations

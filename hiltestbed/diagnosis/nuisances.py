@@ -4,8 +4,8 @@ sensor.
 
 Their amplitudes in a run are not known, but how large they are as a rule is: as large as they
 differ between the runs. Misfits are whitened by the covariance of noise and nuisances together, at
-no cost for each hypothesis. What the runs have in common beyond that remains a
-misfit: a baseline that wanders by 0.1 N from run to run does not hide a bias of 2 N.
+no cost for each hypothesis. What the runs have in common beyond that remains a misfit: a baseline
+that wanders by 0.1 N from run to run does not hide a bias of 2 N.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ def wander_between(free: Sequence[tuple[Array, Array]], spread: Array) -> Array 
     shapes differ by no more than chance.
 
     It is larger than that of the coefficients on hand, so far that what the runs share passes for a
-    cause as rarely as noise does, however
-    few they are: F(1, n - 1) and not chi-square is the distribution of its square.
+    cause as rarely as noise does, however few they are: F(1, n - 1) and not chi-square is the
+    distribution of its square.
 
     Args:
         free: of each run, rows (M,) scaled from -1 to 1 and readings there (M, C). spread: (C,)
@@ -155,9 +155,8 @@ def tones_of(flat: Sequence[Array]) -> list[float]:
 
 def _least_ratio(count: int, frequencies: int) -> float:
     """Power of a line over the median around it, which noise without lines exceeds at one of the
-    ``frequencies`` by chance in
-    :data:`SIGNIFICANCE_LEVEL` of all sets: the sum of ``count`` periodograms of noise follows a
-    gamma distribution of that shape.
+    ``frequencies`` by chance in :data:`SIGNIFICANCE_LEVEL` of all sets: the sum of ``count``
+    periodograms of noise follows a gamma distribution of that shape.
     """
     return max(
         MIN_POWER_RATIO,

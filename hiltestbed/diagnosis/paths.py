@@ -356,9 +356,8 @@ def _jumps(path: Array) -> Array:
 
 def _smooth_paths(layout: Layout, platform: Explanation | None) -> tuple[list[Array], list[Array]]:
     """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform
-    where there is one; and (N, 6) what that
-    cut off, roughly: what it cuts off once more (J. W. Tukey, Exploratory Data Analysis, 1977,
-        "twicing").
+    where there is one; and (N, 6) what that cut off, roughly: what it cuts off once more (J. W.
+    Tukey, Exploratory Data Analysis, 1977, "twicing").
 
     Axes that were not measured are those of the explanation, or were commanded.
     """

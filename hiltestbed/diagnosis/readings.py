@@ -175,7 +175,7 @@ def with_point_contact(explanation: Explanation) -> WrenchLink | None:
     better there; None otherwise.
 
     In the MJCF a ball meets a plane: where the bodies turn, or the port is tilted, it is met beside
-        the foremost point. A facility may compute the contact at that point.
+    the foremost point. A facility may compute the contact at that point.
     """
     link = wrench_link_of(explanation.residual)
     if (

@@ -1,10 +1,10 @@
 """Stage "decide": the rebound as evidence between rivals.
 
 A link is replayed alone, on measured inputs, so that what the closed loop made of a departure does
-not enter. Rivals that leave the same
-residual may differ in just that: a sensor that is late makes the vehicles part faster, a record
-that is stamped late does not. The scenario extended by each rival is simulated up to the rebound,
-and its coefficient of restitution compared with that on record.
+not enter. Rivals that leave the same residual may differ in just that: a sensor that is late makes
+the vehicles part faster, a record that is stamped late does not. The scenario extended by each
+rival is simulated up to the rebound, and its coefficient of restitution compared with that on
+record.
 """
 
 from __future__ import annotations
@@ -93,10 +93,10 @@ def _uncontradicted(findings: Findings) -> Findings:
     and in a sentence what it contradicts.
 
     It contradicts causes if it departs by more than :data:`AMBIGUITY` in chi-square from the loop
-    without them and with them, and is not nearer to the latter by as much. Stamps that
-    are off do not act in the loop: where the link has such, it is explained again as stamped. Else
-    the best of the fits that leave only noise and that the rebound does not contradict is chosen;
-    where there is none, the link is not explained.
+    without them and with them, and is not nearer to the latter by as much. Stamps that are off do
+    not act in the loop: where the link has such, it is explained again as stamped. Else the best of
+    the fits that leave only noise and that the rebound does not contradict is chosen; where there
+    is none, the link is not explained.
     """
     layout, explanations = findings.layout, dict(findings.explanations)
     found = explanations.get("wrench")

@@ -205,8 +205,8 @@ class Figures:
     cannot be estimated.
 
     Attributes:
-        cor: rebound speed / approach speed. peak_force [N]: largest reading along z.
-        stiffness [N/m], damping [N s/m]: least squares of the reading on pose and rate in contact.
+        cor: rebound speed / approach speed. peak_force [N]: largest reading along z. stiffness
+            [N/m], damping [N s/m]: least squares of the reading on pose and rate in contact.
     """
 
     cor: float | None = None

@@ -154,9 +154,8 @@ class Search:
 
     def _as_far_off(self, residual: Residual) -> Explanation | None:
         """The earlier explanation of a costly link, fitted again with another timing or
-        interpretation, where each of its fits is far off
-        with that as well: no others are sought then, which would take as long as the first search.
-            None where one comes near.
+        interpretation, where each of its fits is far off with that as well: no others are sought
+        then, which would take as long as the first search. None where one comes near.
         """
         found = self.earlier
         if found is None or found.adequate or not residual.link.costly:

@@ -1,11 +1,11 @@
 """Stage "select": starts for the fit of a platform with stiction.
 
 Each jump begins where the last one ended, so that some hundred jumps in a row end in the right
-place only for a stick that is right to 1e-5
-and for the right instants within a tick: chi-square is rugged. But it has few values: the path
-changes only where the stick passes the length of a jump, and each replay tells how far the next
-such place is. So all paths are compared for every number of instants a tick, first on the beginning
-of the slowest run, which jumps least; those that fit are followed over more and more rows.
+place only for a stick that is right to 1e-5 and for the right instants within a tick: chi-square is
+rugged. But it has few values: the path changes only where the stick passes the length of a jump,
+and each replay tells how far the next such place is. So all paths are compared for every number of
+instants a tick, first on the beginning of the slowest run, which jumps least; those that fit are
+followed over more and more rows.
 
 Where clocks are off, the jumps tell it: each shows between which rows the command was obeyed that
 the axis is held at from then on.
@@ -198,9 +198,8 @@ class Data:
         order: indices of the runs in the link. tick: [s]. noise: of the pose [m]. commands, goal,
             sigma: (R, N, 3) [m]; goal: the measured
         positions, sigma: infinite where none was measured. rows: (R,). start, velocity: (R, 3) of
-            the approach. moves: (R, 3) axes that
-        are commanded to move. whole: rows of the last scan. speed: mean travel of all axes in a row
-            [m].
+            the approach. moves: (R, 3) axes that are commanded to move. whole: rows of the last
+            scan. speed: mean travel of all axes in a row [m].
     """
 
     def __init__(self, link: PlatformLink, noise: float) -> None:

@@ -64,10 +64,10 @@ def deflection(
     command.
 
     Its error has one sign over whole blocks of rows, and counts like white noise that is larger by
-    the root of a block. noise: [N] of the
-    force. reading: (N, 6) of the believed sensor; None: the record. It is shifted earlier by the
-        believed delay of the sensor; where an axis of it that acts was not measured, the pose is
-        not compared once A has reached P. engaged: see :func:`engagement`.
+    the root of a block. noise: [N] of the force. reading: (N, 6) of the believed sensor; None: the
+    record. It is shifted earlier by the believed delay of the sensor; where an axis of it that acts
+    was not measured, the pose is not compared once A has reached P. engaged: see
+    :func:`engagement`.
     """
     scenario = run.scenario
     if follows_exactly(scenario):

@@ -123,8 +123,8 @@ def test_a_reading_that_is_stamped_before_its_contact_is_one_read_later_but_not_
     grid: int | None,
 ) -> None:
     """Of the step of c v = 12 N at the touch, 0.7 ms before a row, interpolation between rows would
-    give a part. The sensor is late by
-    5 rows: a shift of -5.3 reads 0.3 ms after the row's contact, as one of -0.3 does 5 rows later.
+    give a part. The sensor is late by 5 rows: a shift of -5.3 reads 0.3 ms after the row's contact,
+    as one of -0.3 does 5 rows later.
     """
     link = contact_link(seed=None).interpreted(grid=grid)
     before, after = (link.with_timing(Timing(delay=-rows * H)) for rows in (5.3, 0.3))

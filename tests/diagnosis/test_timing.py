@@ -238,9 +238,7 @@ def explained(
 
 
 def test_a_stamp_and_the_instants_of_encoder_and_platform_are_told_from_a_mode() -> None:
-    """A row and 0.22 of a row late, and 0.4 of a tick: together more than a single instant can
-    be.
-    """
+    """A row and 0.22 of a row late, and 0.4 of a tick: together more than a single instant can be."""
     hidden = effect("platform.mode", frequency=9.3, damping_ratio=0.1)
     link = platform_link([hidden, Timing(delay=1.22 * H, obeyed=0.4 * H)])
     scales = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=0.1, slow=0.03, fast=0.06)
@@ -391,9 +389,7 @@ def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples
 def test_a_shift_that_would_have_to_be_larger_than_the_largest_is_none(
     rows: float, stamp: bool
 ) -> None:
-    """Beside a scale, the platform is late by three rows, which no stamp is; or by a part of a
-    row.
-    """
+    """Beside a scale, the platform is late by three rows, which no stamp is; or by a part of a row."""
     residual = Residual(
         platform_link(
             [

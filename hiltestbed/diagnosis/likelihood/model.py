@@ -130,8 +130,8 @@ class LinkModel(Model):
         colour: Sequence[Array] | None = None,
     ) -> None:
         """doubt: (N, C) of each run of the link: further uncertainty of its prediction, in the unit
-        of the output. colour: (C, P + 1) of each run, prediction-error filters that make the
-        noise white; None: those of the link.
+        of the output. colour: (C, P + 1) of each run, prediction-error filters that make the noise
+        white; None: those of the link.
         """
         self.link, self.doubt = link, doubt
         self.members = tuple(range(len(link.runs)) if members is None else members)
@@ -258,8 +258,8 @@ class LinkModel(Model):
         return mean, np.sqrt(1.0 + square * self.weight[i] ** 2)
 
     def in_sigma(self, i: int, shown: Array, smoothing: float = 1.0) -> Array:
-        """(N, C) of run i: measured less ``shown`` (N, C), whitened, in units of the noise
-        that is left of that of the input, ``smoothing``.
+        """(N, C) of run i: measured less ``shown`` (N, C), whitened, in units of the noise that is
+        left of that of the input, ``smoothing``.
         """
         run, weight = self.link.runs[i], self.weight[i]
         left = run.measured - shown

@@ -39,8 +39,8 @@ class CompensationLink(Link):
         used: Sequence[Array] | None = None,
     ) -> None:
         """wrenches: (N, 6) wrench_meas of each run. records: pose_act, pose_cmd and their twists,
-        as far as the method reads them.
-        used: the wrench that the loop used, where the record is known to be stamped late.
+        as far as the method reads them. used: the wrench that the loop used, where the record is
+        known to be stamped late.
         """
         self.runs, self.wrenches, self.used = runs, wrenches, used
         self._sources = records

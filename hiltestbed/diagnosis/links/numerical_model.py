@@ -51,8 +51,7 @@ class DynamicsLink(Link):
         each run, which go on for its length.
 
         Of a wrench whose stamps are shifted, the record lacks up to a row at one end, of which only
-        the noise, ``level`` (6,) [N, N m], is
-        known: it makes the bodies drift.
+        the noise, ``level`` (6,) [N, N m], is known: it makes the bodies drift.
         """
         out, terms = copy(self), [np.empty((r.rows, 6, 6)) for r in self.runs]
         believed = self.shown_in_all()

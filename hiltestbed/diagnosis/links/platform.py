@@ -114,9 +114,8 @@ class PlatformLink(Link):
         """(N, 6) uncertainty of where a platform jumps, bends or stops.
 
         With stiction: its change in rows whose jump may have come a row sooner or later. Where
-            other links show that stamps lie between
-        rows: its bend within half a tick, which interpolation between rows cuts off. None
-            otherwise.
+        other links show that stamps lie between rows: its bend within half a tick, which
+        interpolation between rows cuts off. None otherwise.
         """
         tick = self.runs[i].scenario.tick
         if any(e.kind == PlatformFriction.model_fields["kind"].default for e in effects):

@@ -88,12 +88,11 @@ class WrenchLink(Link):
 
     Attributes:
         lever: where between the undeformed surface (0) and the tip (1) the force acts. blunt: 1
-            where the ball of the tip touches, 0 where
-        its foremost point does. ring: 1 where a latch resists turning, 0 where it does not. grid:
-            instants a tick between which a late reading is interpolated linearly, as by a facility
-            that computes its contact step by step; None: it is the reading at the instant at which
-            it left the contact. The rate of a contact jumps from one tick to the next, so that the
-            two differ.
+            where the ball of the tip touches, 0 where its foremost point does. ring: 1 where a
+            latch resists turning, 0 where it does not. grid: instants a tick between which a late
+            reading is interpolated linearly, as by a facility that computes its contact step by
+            step; None: it is the reading at the instant at which it left the contact. The rate of a
+            contact jumps from one tick to the next, so that the two differ.
         logged: the filter through which readings went to the record; None: none.
         of_rows: of the record, whose mean each row is. exact: whether a mount is integrated to
             second order, and corrected to the exact integral by what that misses of the believed
@@ -111,8 +110,8 @@ class WrenchLink(Link):
         rates: Sequence[Array] | None = None,
     ) -> None:
         """paths: (N, 7) of A in P at t_k. jumps: (N,) distance [m] by which A jumped in the tick
-        that ends at t_k, at an unknown instant.
-        rates: (N, 6) its twist at t_k; None: the slope over the tick that ends there.
+        that ends at t_k, at an unknown instant. rates: (N, 6) its twist at t_k; None: the slope
+        over the tick that ends there.
         """
         self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
         self.lever, self.blunt, self.ring, self.grid = 0.5, 1.0, 1.0, None
@@ -310,10 +309,10 @@ class WrenchLink(Link):
         known: a nuisance term of each run.
 
         Its standard deviation is a tick: the rate may be the slope of a tick or of its last half,
-            and pose, command and reading may each be up to half a tick from where they are stamped.
-            A latch that waits for A to be slow may then close a row later, a term of its own: what
-            it holds A with afterwards depends on where it closed. Where A jumps, these decide row
-            by row whether a reading shows the jump: readings beside a jump then do not count.
+        and pose, command and reading may each be up to half a tick from where they are stamped. A
+        latch that waits for A to be slow may then close a row later, a term of its own: what it
+        holds A with afterwards depends on where it closed. Where A jumps, these decide row by row
+        whether a reading shows the jump: readings beside a jump then do not count.
         """
         out = copy(self)
         out.unknown_rate = True
@@ -491,9 +490,9 @@ class WrenchLink(Link):
         """(N, 6) uncertainty of a reading due to what a replay does not know.
 
         It has three parts: what happens between two instants of the physics, which is large at a
-            touch or a jump; noise that decides whether a force at the edge of a dead zone is read;
-            and the correction for the steps of a mount, which is that of the believed motion, errs
-            alike over many rows and counts like noise that is larger by the root of a block.
+        touch or a jump; noise that decides whether a force at the edge of a dead zone is read; and
+        the correction for the steps of a mount, which is that of the believed motion, errs alike
+        over many rows and counts like noise that is larger by the root of a block.
         """
         of_steps = (
             0.0 if self._step_error is None else math.sqrt(BLOCK_ROWS) * np.abs(self._step_error[i])
