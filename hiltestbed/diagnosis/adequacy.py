@@ -185,23 +185,14 @@ def judge_of_compensation(link: CompensationLink, noise: Mapping[str, float]) ->
     def judge(residual: Residual, effects: Effects) -> dict[str, Leftover]:
         out = {}
         left = residual.by_run([effects])[0]
+        touching = np.concatenate([residual.link.runs[i].touching for i in residual.runs])
+        rows = np.concatenate(left)
         late = any(e.link == "log" for e in effects)
         for c, name in enumerate(residual.link.channels):
             level = min(float(residual.link.runs[i].sigma[:, c].min()) for i in residual.runs)
             if not math.isfinite(level):  # an axis that was not measured, or whose input was not
                 continue
-            inside = np.concatenate(
-                [
-                    r[residual.link.runs[i].touching, c]
-                    for i, r in zip(residual.runs, left, strict=True)
-                ]
-            )
-            outside = np.concatenate(
-                [
-                    r[~residual.link.runs[i].touching, c]
-                    for i, r in zip(residual.runs, left, strict=True)
-                ]
-            )
+            inside, outside = rows[touching, c], rows[~touching, c]
             rms_in, rms_out = (
                 float(np.sqrt(np.mean(x * x))) * level if len(x) else 0.0 for x in (inside, outside)
             )
@@ -211,13 +202,8 @@ def judge_of_compensation(link: CompensationLink, noise: Mapping[str, float]) ->
             if late:  # from a late record the loop's readings are known up to its noise
                 apart = led
             floor = max(level / math.sqrt(CORRELATED_ROWS), min(apart, MAX_PROPAGATED_NOISE * led))
-            out[name] = Leftover(
-                (max(rms_in, rms_out) / floor) ** 2,
-                0.0,
-                max(MIN_VARIANCE_LIMIT, _chance(residual, c, left)),
-                1.0,
-                len(inside),
-            )
+            ratio, limit = (max(rms_in, rms_out) / floor) ** 2, _chance(residual, c, left)
+            out[name] = Leftover(ratio, 0.0, max(MIN_VARIANCE_LIMIT, limit), 1.0, len(inside))
         return out
 
     return judge
@@ -268,13 +254,8 @@ def judge_of_dynamics(residual: Residual) -> Judge:
 
 def judge_of_axis(link: AxisLink) -> Judge:
     """Measured, and integrated twice: no more than the noise, or than a hundredth of the motion."""
-    motion = float(
-        np.sqrt(
-            np.mean(
-                np.concatenate([(r.measured - r.measured.mean(axis=0)) ** 2 for r in link.runs])
-            )
-        )
-    )
+    squares = [(r.measured - r.measured.mean(axis=0)) ** 2 for r in link.runs]
+    motion = float(np.sqrt(np.mean(np.concatenate(squares))))
     noise = min(float(r.sigma.min()) for r in link.runs)
     allowed = max(noise, MAX_COMPUTED_RESIDUAL * motion)
 

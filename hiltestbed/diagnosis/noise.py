@@ -60,8 +60,6 @@ POSE_PARTS = ("px", "py", "pz", "qx", "qy", "qz")  # of the axes of CHANNELS
 CONTACT_MARGIN_ROWS = 6
 MAX_LAG = 64  # chosen: rows over which a correlation is summed
 SMOOTHED_ROWS = 9  # chosen: of the running mean of a reading in contact
-# chosen: robust standard deviations at which a sample is clipped before it is correlated
-CLIP_SIGMA = 4.0
 # chosen: range of a channel in steps of its converter, below which it shows the presence of a force
 # and not its size
 FEW_STEPS = 2.5
@@ -384,7 +382,7 @@ def _colour(z: Sequence[Array], fitted: int) -> float:
     """`colour` of :class:`ForceNoise`; 1 unless neighbours are correlated beyond chance. fitted:
     numbers that were fitted to a channel of a run, which biases each of its correlations.
     """
-    clipped = [np.clip(x, -CLIP_SIGMA, CLIP_SIGMA) for x in z]
+    clipped = [np.clip(x, -OUTLIER_SIGMA, OUTLIER_SIGMA) for x in z]
     square, samples = sum(float(np.sum(x * x)) for x in clipped), sum(x.size for x in clipped)
     chance = 1.0 / math.sqrt(samples)
     taken = fitted * len(z) / max(1, sum(len(x) for x in z))

@@ -24,6 +24,7 @@ from hiltestbed.diagnosis.closed_loop import (
     restitution,
     trace_motion,
     traces_of,
+    with_entries,
 )
 from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
@@ -41,7 +42,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.momentum import mobility
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario
 
 # chosen: of the approach speed, beyond which the motion on record is not that of the scenario's
 # loop
@@ -323,10 +324,7 @@ def _extended(
     scenario: Scenario, entries: Sequence[Mapping[str, Any]], rows: int
 ) -> Scenario | None:
     """The scenario with more effects for so many rows; None where it may not have these."""
-    data = resolved(scenario)
-    data["effects"] = [*data["effects"], *entries]
-    data["duration"] = min(data["duration"], rows * scenario.tick)
     try:
-        return scenario_from(data)
+        return with_entries(scenario, entries, rows)
     except InputError:
         return None

@@ -20,6 +20,7 @@ from hiltestbed.diagnosis.jitter_and_hum import JITTER
 from hiltestbed.diagnosis.layout import Layout
 from hiltestbed.diagnosis.links import CompensationLink, Link, LinkRun, Timing, WrenchLink
 from hiltestbed.diagnosis.links.base import NO_SHIFT
+from hiltestbed.diagnosis.noise import OUTLIER_SIGMA
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.diagnosis.settings import DETECTION
@@ -42,7 +43,6 @@ from hiltestbed.replay.wrench import shifted
 # chosen: share of a stamp delay's chi-square in the compensation, which interpolation between rows
 # may leave
 MAX_SKEW_RESIDUAL = 0.2
-MAX_NOISE_SIGMA = 4.0  # chosen: standard deviations within which a difference is taken for noise
 
 MIN_STAMP_ROWS = 1e-4  # chosen: by which a channel is stamped off: less is round-off
 # derived: of what a computed channel may leave; one that does not follow exactly leaves 1, its own
@@ -215,7 +215,7 @@ def used_readings(run: LinkRun, modelled: Array, in_time: Array, ticks: int) -> 
     shifted: across a touch a reading cannot be interpolated from the rows beside it, and a larger
         difference there is a model error.
     """
-    most = MAX_NOISE_SIGMA * np.where(np.isfinite(run.sigma), run.sigma, 0.0)
+    most = OUTLIER_SIGMA * np.where(np.isfinite(run.sigma), run.sigma, 0.0)
     return in_time + shifted(np.clip(run.measured - modelled, -most, most), float(ticks))
 
 

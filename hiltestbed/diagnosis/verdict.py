@@ -1,4 +1,4 @@
-"""Stage "decide": from the explanations of the links (`Findings`) to one `Verdict` and its causes."""
+"""Stage "decide": from the explanations of the links to one `Verdict` and its causes."""
 
 from __future__ import annotations
 

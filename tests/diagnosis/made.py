@@ -63,7 +63,10 @@ def reread(link: WrenchLink, measured: Sequence[Array]) -> WrenchLink:
 
 
 def link_run(
-    s: Scenario, measured: Array | int, sigma: float | Array = 1.0, touching: Array | None = None
+    s: Scenario,
+    measured: Array | int,
+    sigma: float | Array = 1.0,
+    touching: np.ndarray | None = None,
 ) -> LinkRun:
     """A run of a link; measured: (N, 6), or N rows of zeros; sigma: (N, 6), or one for all samples;
     touching: (N,), by default everywhere.

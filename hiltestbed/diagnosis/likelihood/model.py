@@ -14,16 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.linalg import solve_toeplitz
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 from scipy.stats import chi2, gamma
 
 from hiltestbed.diagnosis.layout import UNUSED_END_ROWS
 from hiltestbed.diagnosis.links import Link, LinkRun, Timing, WrenchLink
+from hiltestbed.diagnosis.links.base import whitening_filter
 from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
-from hiltestbed.diagnosis.noise import softened
+from hiltestbed.diagnosis.noise import OUTLIER_SIGMA, softened
 from hiltestbed.diagnosis.nuisances import Aside
+from hiltestbed.diagnosis.residual import MAX_RESIDUAL
 from hiltestbed.diagnosis.settings import BLOCK_ROWS, MODEL_ERROR
 from hiltestbed.diagnosis.timing import MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS
 from hiltestbed.effects.base import Effect
@@ -38,7 +39,6 @@ SLOW_SHAPES = 3  # degree of the polynomials by which a model's error varies alo
 TIME_ERROR = 0.05  # [rows] error in time of an integration in steps
 # of the whole force, or torque: an engine's constraints give by a ten-thousandth
 SOFTNESS = 1e-4
-FAR = 1e6  # [standard deviations] stands for a prediction that is not finite
 # [rows] standard deviation of a time-stamp offset: loggers stamp up to a row early or late
 STAMP_SIGMA = 1.0 / math.sqrt(3.0)
 # [rows] of an instant within a tick at which a facility samples or obeys
@@ -53,7 +53,6 @@ COLOURED_LEVEL = 2.0
 OUTSIDE, INSIDE = "outside", "in"
 # the same of a sample in a fit, of those that exceed as many rms: one normal one in 5e8
 CLIPPED = 6.0
-OUTLYING = 4.0  # robust standard deviations at which a sample is clipped: one normal one in 16,000
 # probability with which white noise exceeds a limit: of some 50 limits of a set one in 3000 sets
 ALLOWED = 7e-6
 
@@ -91,7 +90,7 @@ def leftover(parts: Sequence[Array]) -> Whiteness:
     """
     rows, longest = sum(map(len, parts)), max(map(len, parts))
     size = max(MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(parts)))), 1.0)
-    parts = [np.clip(x, -OUTLYING * size, OUTLYING * size) for x in parts]
+    parts = [np.clip(x, -OUTLIER_SIGMA * size, OUTLIER_SIGMA * size) for x in parts]
     level = max(sum(float(x @ x) for x in parts) / rows, 1.0)
     means = [
         x[: len(x) // BLOCK_ROWS * BLOCK_ROWS].reshape(-1, BLOCK_ROWS).sum(axis=1) for x in parts
@@ -204,7 +203,7 @@ class LinkModel(Model):
             if float(x @ x) / len(x) > COLOURED_LEVEL**2:
                 return self
             lags = np.array([float(x[k:] @ x[: len(x) - k]) for k in range(COLOUR_ORDER + 1)])
-            colour[self.members[n]][c, 1:] = -solve_toeplitz(lags[:-1], lags[1:])
+            colour[self.members[n]][c] = whitening_filter(lags)
         return LinkModel(self.link, self.members, self.doubt, colour)
 
     def folds(self) -> list[tuple[str, Model, Model]]:
@@ -263,8 +262,8 @@ class LinkModel(Model):
         """
         run, weight = self.link.runs[i], self.weight[i]
         left = run.measured - shown
-        if (white := self.link.whitened(i, np.nan_to_num(left, nan=FAR))) is not None:
-            return np.clip(white, -FAR, FAR)
+        if (white := self.link.whitened(i, np.nan_to_num(left, nan=MAX_RESIDUAL))) is not None:
+            return np.clip(white, -MAX_RESIDUAL, MAX_RESIDUAL)
         if (aside := self._aside_of(i)) is not None:
             left = left - aside.of(left)
         z = left * (weight / smoothing)
@@ -274,7 +273,7 @@ class LinkModel(Model):
             white = [lfilter(f, 1.0, x) for f, x in zip(filters, z.T, strict=True)]
             z = np.where(weight > 0.0, np.column_stack(white), 0.0)
         if not np.isfinite(z).all():
-            z = np.clip(np.nan_to_num(z, nan=FAR), -FAR, FAR)
+            z = np.clip(np.nan_to_num(z, nan=MAX_RESIDUAL), -MAX_RESIDUAL, MAX_RESIDUAL)
         return z
 
     def _aside_of(self, i: int) -> Aside | None:
@@ -324,21 +323,17 @@ class LinkModel(Model):
             pairs = []
             for x, rows, (n, d, inside) in zip(left, self.rows, self.groups, strict=False):
                 if d == c and inside:
-                    y = self.link.runs[self.members[n]].measured[:, c]
-                    y = uniform_filter1d(y, BLOCK_ROWS)
+                    y = uniform_filter1d(self.link.runs[self.members[n]].measured[:, c], BLOCK_ROWS)
                     rate = np.gradient(y)
-                    basis = np.column_stack(
-                        [y, rate, np.gradient(rate), y * np.abs(y), np.abs(rate)]
-                    )
-                    pairs.append(
-                        (np.clip(x, -FAR, FAR), basis[rows] / (np.std(basis, axis=0) + TINY))
-                    )
-            if len(pairs) < 2 or sum(float(x @ x) for x, _ in pairs) <= sum(
-                len(x) for x, _ in pairs
-            ):
+                    terms = (y, rate, np.gradient(rate), y * np.abs(y), np.abs(rate))
+                    basis = np.column_stack(terms)
+                    basis = basis[rows] / (np.std(basis, axis=0) + TINY)
+                    pairs.append((np.clip(x, -MAX_RESIDUAL, MAX_RESIDUAL), basis))
+            square, count = sum(float(x @ x) for x, _ in pairs), sum(len(x) for x, _ in pairs)
+            if len(pairs) < 2 or square <= count:
                 continue
             sizes = np.abs(np.concatenate([x for x, _ in pairs]))
-            size = OUTLYING * max(MAD_TO_SIGMA * float(np.median(sizes)), 1.0)
+            size = OUTLIER_SIGMA * max(MAD_TO_SIGMA * float(np.median(sizes)), 1.0)
             pairs = [(np.clip(x, -size, size), b) for x, b in pairs]
             after = 0.0
             for n, (x, b) in enumerate(pairs):

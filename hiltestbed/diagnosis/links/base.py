@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 
 from hiltestbed.diagnosis.settings import PERTURBED_COPIES
 from hiltestbed.effects.base import Effect
@@ -252,6 +253,13 @@ def variance_among(copies: Link, effects: Effects) -> Array:
     """(N, C) variance of the output of the runs of ``copies`` about that of the first."""
     exact, *others = copies.shown_in_all(effects)
     return np.asarray(np.mean([np.square(other - exact) for other in others], axis=0))
+
+
+def whitening_filter(lags: Array) -> Array:
+    """(P + 1,) prediction-error filter of noise with these autocorrelations (P + 1,), by the
+    Yule-Walker equations.
+    """
+    return np.concatenate([[1.0], -solve_toeplitz(lags[:-1], lags[1:])])
 
 
 def padded(arrays: Sequence[Array]) -> Array:

@@ -6,11 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
 from hiltestbed.compensation.input import InputParameters
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded
+from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded, whitening_filter
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array
 from hiltestbed.replay import moves_linearly, replay_compensation
@@ -107,7 +106,7 @@ class CompensationLink(Link):
             return None
         n = len(answer)
         lags = np.correlate(answer, answer, "full")[n - 1 : n + COLOUR_ORDER]
-        return np.concatenate([[1.0], -solve_toeplitz(lags[:-1], lags[1:])])
+        return whitening_filter(lags)
 
     def smoothing(self, effects: Effects) -> float:
         tick = self.tick
