@@ -71,9 +71,7 @@ def bridged(
     out = []
     for run, found in zip(runs, errors, strict=True):
         terms = GAP_SIGMA * np.stack(found[:MODELLED_DRAWS], axis=2) / math.sqrt(MODELLED_DRAWS)
-        known = np.isfinite(run.sigma)
-        weight = np.where(known, 1.0 / np.where(known, run.sigma, 1.0), 0.0)
-        aside = Aside(weight, None, terms)
+        aside = Aside(run.weight, None, terms)
         left = [GAP_SIGMA * (e - aside.of(e)) for e in found[MODELLED_DRAWS:]]
         noise = np.sqrt(np.mean(np.square(left), axis=0))
         sigma = np.hypot(run.sigma, CORRELATION_FACTOR * noise)

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import fit, inflation, null_fit, refit
+from hiltestbed.diagnosis.fit import Fit, inflation, null_fit, refit, refit_without
 from hiltestbed.diagnosis.heldout import placebo_of
 from hiltestbed.diagnosis.links import LinkRun, WrenchLink
 from hiltestbed.diagnosis.residual import Residual
@@ -104,34 +104,31 @@ def _run(run: LinkRun, count: int) -> LinkRun:
     return LinkRun(scenario, measured, sigma, touching, run.heavy, run.tail, *terms)
 
 
+def _score(f: Fit) -> float:
+    return f.score
+
+
 def refit_on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
     """The fits near ``found``, fitted again on ``link``; ``found`` where they leave too much."""
     chosen = found.chosen
     if not (found.departs and found.adequate and chosen.causes) or JITTER in chosen.kinds:
         return found
     residual = Residual(link).downweighted(chosen.effects())
-    pool = sorted(
-        (f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)),
-        key=lambda f: f.score,
-    )
+    alike = [f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)]
+    pool = sorted(alike, key=_score)
     within = CLOSE_CHI2 * inflation(chosen) + DECIMATION_ERROR * (found.null.chi2 - chosen.chi2)
     near = [
         f
         for f in first_of_each(pool, "key")
         if f.score - chosen.score < within and JITTER not in f.kinds
     ]
-    fits = sorted((refit(residual, f) for f in near[:MAX_PARTNERS]), key=lambda f: f.score) or [
-        refit(residual, chosen)
-    ]
+    fits = sorted((refit(residual, f) for f in near[:MAX_PARTNERS] or [chosen]), key=_score)
     best = fits[0]
     leftovers = contact_leftovers(residual, best.effects())
     if not noise_alone(leftovers):
         return found
-    fewer = [
-        fit(residual, causes, [theta], tries=1)
-        for causes, theta in map(best.without, range(len(best.causes)))
-        if causes
-    ]
+    several = range(len(best.causes)) if len(best.causes) > 1 else ()
+    fewer = [refit_without(residual, best, i) for i in several]
     placebo = placebo_of(found.singles, best)
     result = replace(
         found,

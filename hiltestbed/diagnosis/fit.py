@@ -81,6 +81,11 @@ class Fit:
         """The ids of the causes."""
         return tuple(c.kind for c in self.causes)
 
+    @property
+    def keys(self) -> frozenset[tuple]:
+        """The hypotheses, in whatever order."""
+        return keys_of(self.causes)
+
     def effects(self) -> list[Effect]:
         """The causes with their parameters."""
         return effects_at(self.causes, self.theta)
@@ -118,6 +123,11 @@ class Fit:
         own = self.place(index)
         theta = np.concatenate([self.theta[: own.start], self.theta[own.stop :]])
         return (*self.causes[:index], *self.causes[index + 1 :]), theta
+
+
+def keys_of(causes: Sequence[Candidate]) -> frozenset[tuple]:
+    """The keys of ``causes``, in whatever order."""
+    return frozenset(c.key for c in causes)
 
 
 def effects_at(causes: Sequence[Candidate], theta: Array) -> list[Effect]:

@@ -46,15 +46,10 @@ def resampled(
     draws = np.random.default_rng(seed).integers(0, len(runs), (RESAMPLES, len(runs)))
     gains = 1.0 - np.sqrt(b[draws].sum(axis=1) / a[draws].sum(axis=1))
     low, high = np.percentile(gains, [2.5, 97.5])
-    return Heldout(
-        tuple(runs),
-        _rms(a),
-        _rms(b),
-        1.0 - _rms(b) / _rms(a),
-        (float(low), float(high)),
-        1.0 - _rms(w) / _rms(a),
-        {i: (math.sqrt(before[i]), math.sqrt(after[i])) for i in runs},
-    )
+    reduction, placebo = (1.0 - _rms(x) / _rms(a) for x in (b, w))
+    per_run = {i: (math.sqrt(before[i]), math.sqrt(after[i])) for i in runs}
+    ends = (float(low), float(high))
+    return Heldout(tuple(runs), _rms(a), _rms(b), reduction, ends, placebo, per_run)
 
 
 def _rms(squares: np.ndarray) -> float:

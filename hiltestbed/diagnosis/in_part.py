@@ -181,15 +181,13 @@ def same_in_each(chosen: Fit, alone: list[list[Fit]], index: int, least: int) ->
     scale = float(np.linalg.norm(size))
     if not leading or scale == 0.0:
         return False
-    off = [
-        [
-            float(np.linalg.norm(f.part(index)[leading] - neutral - size))
-            <= MAX_SIZE_SPREAD * scale
-            for f in fits
-        ]
-        for fits in alone
-    ]
-    same, other = sum(all(near) for near in off), sum(not any(near) for near in off)
+
+    def near(f: Fit) -> bool:
+        off = float(np.linalg.norm(f.part(index)[leading] - neutral - size))
+        return off <= MAX_SIZE_SPREAD * scale
+
+    off = [[near(f) for f in fits] for fits in alone]
+    same, other = sum(map(all, off)), sum(not any(each) for each in off)
     return same >= max(least, MIN_RUN_SHARE * (same + other))
 
 

@@ -76,21 +76,10 @@ def jitter_beside(residual: Residual, base: Fit, _known: float = math.inf) -> Fi
         (best * f, *_likelihood(link, residual, effects, best * f)) for f in REFINEMENT_FACTORS
     ]
     sigma, chi2, r = min(tried, key=lambda item: item[1])
-    cause = Candidate(
-        EFFECTS[JITTER],
-        ("sigma",),
-        np.array([0.0]),
-        np.array([MAX_SIGMA]),
-        np.array([False]),
-        ((0.0,),),
-    )
-    return Fit(
-        (*base.causes, cause),
-        np.append(base.theta, sigma),
-        chi2,
-        r,
-        np.column_stack([base.jacobian, np.zeros(len(r))]),
-    )
+    low, high, log = np.array([0.0]), np.array([MAX_SIGMA]), np.array([False])
+    cause = Candidate(EFFECTS[JITTER], ("sigma",), low, high, log, ((0.0,),))
+    jacobian = np.column_stack([base.jacobian, np.zeros(len(r))])
+    return Fit((*base.causes, cause), np.append(base.theta, sigma), chi2, r, jacobian)
 
 
 def again(residual: Residual, found: Fit, known: float = math.inf) -> Fit:
@@ -181,14 +170,8 @@ def hum_beside(residual: Residual, base: Fit, known: float = math.inf) -> Fit | 
     fits = []
     for axis, line in found.items():
         c = SensorHum.near(axis, *line)
-        fits.append(
-            fit(
-                residual,
-                (*base.causes, c),
-                [np.concatenate([t, c.grid[0]]) for t in _starts(base)],
-                known=known,
-            )
-        )
+        starts = [np.concatenate([t, c.grid[0]]) for t in _starts(base)]
+        fits.append(fit(residual, (*base.causes, c), starts, known=known))
     return min(fits, key=lambda f: f.score, default=None)
 
 

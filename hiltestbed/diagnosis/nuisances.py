@@ -136,16 +136,11 @@ def tones_of(flat: Sequence[Array]) -> list[float]:
     for _ in range(MAX_TONES):
         power = np.zeros(size // 2 + 1)
         for x in left:
-            power += (
-                np.abs(np.fft.rfft(x / np.maximum(x.std(axis=0), 1e-300), size, axis=0)) ** 2
-            ).sum(axis=1)
+            spectrum = np.fft.rfft(x / np.maximum(x.std(axis=0), 1e-300), size, axis=0)
+            power += (np.abs(spectrum) ** 2).sum(axis=1)
         at = int(np.argmax(power))
-        beside = np.concatenate(
-            [
-                power[max(0, at - reach * width) : max(0, at - width)],
-                power[at + width : at + reach * width],
-            ]
-        )
+        below = power[max(0, at - reach * width) : max(0, at - width)]
+        beside = np.concatenate([below, power[at + width : at + reach * width]])
         if at < width or not len(beside) or power[at] < least * np.median(beside):
             break
         found.append(2.0 * math.pi * at / size)
@@ -158,10 +153,8 @@ def _least_ratio(count: int, frequencies: int) -> float:
     ``frequencies`` by chance in :data:`SIGNIFICANCE_LEVEL` of all sets: the sum of ``count``
     periodograms of noise follows a gamma distribution of that shape.
     """
-    return max(
-        MIN_POWER_RATIO,
-        float(gamma.isf(SIGNIFICANCE_LEVEL / max(frequencies, 1), count) / gamma.median(count)),
-    )
+    least = gamma.isf(SIGNIFICANCE_LEVEL / max(frequencies, 1), count) / gamma.median(count)
+    return max(MIN_POWER_RATIO, float(least))
 
 
 def without_tones(

@@ -71,14 +71,8 @@ def _with_rivals_weighed(findings: Findings) -> Findings:
     layout, explanations = findings.layout, dict(findings.explanations)
     # what is attributed to the timing of the facility needs no decision
     shifts = delays_not_causes(explanations)
-    open_ = [
-        name
-        for name, e in explanations.items()
-        if e.departs
-        and e.adequate
-        and any(e.rivals)
-        and not set(e.chosen.kinds) & {*shifts.get(name, ())}
-    ]
+    rivals = {n: e for n, e in explanations.items() if e.departs and e.adequate and any(e.rivals)}
+    open_ = [n for n, e in rivals.items() if not set(e.chosen.kinds) & {*shifts.get(n, ())}]
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))] if open_ else []
     if not any(rebounds):
         return findings
@@ -222,14 +216,11 @@ def _weighed(
     """The explanation with the rebound in its scores, and in a sentence what that decided."""
     fits = [found.chosen, *(f for rivals in found.rivals for f in rivals)]
     shown = _simulated(fits, beside, layout.runs, rebounds)
-    pairs = [
-        (i, r) for i, r in enumerate(rebounds) if r is not None and np.isfinite(shown[:, i]).all()
-    ]
+    ends = np.isfinite(shown).all(axis=0)
+    pairs = [(i, r.cor, r.error) for i, r in enumerate(rebounds) if r is not None and ends[i]]
     if not pairs:
         return found, []
-    known = [i for i, _ in pairs]
-    cor = np.array([r.cor for _, r in pairs])
-    error = np.array([r.error for _, r in pairs])
+    known, cor, error = (np.array(x) for x in zip(*pairs, strict=True))
     chi2 = np.sum(((shown[:, known] - cor) / error) ** 2, axis=1)
     # something else in the loop spoils the comparison
     scale = max(1.0, float(chi2.min()) / len(known)) / inflation(found.chosen)
@@ -274,15 +265,10 @@ def _rechosen(found: Explanation, chosen: Fit, rivals: Sequence[Sequence[Fit]]) 
         ]
     most = AMBIGUITY * inflation(best)
     kept = tuple(tuple(f for f in others if f.score - best.score < most) for others in losers)
-    known = {
-        frozenset(c.key for c in f.causes): f.elsewhere
-        for f in (chosen, best, *(f for others in rivals for f in others))
-    }
+    fits = (chosen, best, *(f for others in rivals for f in others))
+    known = {f.keys: f.elsewhere for f in fits}
     singles, more = (
-        tuple(
-            replace(f, elsewhere=known.get(frozenset(c.key for c in f.causes), f.elsewhere))
-            for f in fits
-        )
+        tuple(replace(f, elsewhere=known.get(f.keys, f.elsewhere)) for f in fits)
         for fits in (found.singles, found.more)
     )
     return replace(found, chosen=best, rivals=kept, singles=singles, more=more)

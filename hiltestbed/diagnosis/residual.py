@@ -31,14 +31,7 @@ class Residual:
     ) -> None:
         self.link = link
         self.runs = tuple(range(len(link.runs)) if runs is None else runs)
-        if weight is None:
-            weight = [
-                np.where(
-                    np.isfinite(r.sigma), 1.0 / np.where(np.isfinite(r.sigma), r.sigma, 1.0), 0.0
-                )
-                for r in link.runs
-            ]
-        self.weight = tuple(weight)
+        self.weight = tuple([r.weight for r in link.runs] if weight is None else weight)
         self._aside: dict[int, Aside] = {}
 
     def downweighted(self, effects: Effects) -> Residual:

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import JITTER, Judge, Leftover, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit, refit_without
+from hiltestbed.diagnosis.fit import Fit, fit, inflation, keys_of, null_fit, refit, refit_without
 from hiltestbed.diagnosis.jitter_and_hum import again
 from hiltestbed.diagnosis.rating import rate
 from hiltestbed.diagnosis.residual import Residual
@@ -149,7 +149,7 @@ class Search:
 
     def after(self, found: Explanation) -> Search:
         """The same search of a link otherwise timed or interpreted, from those estimates."""
-        fits = {_keys(f.causes): f for f in (*found.more, *found.singles)}
+        fits = {f.keys: f for f in (*found.more, *found.singles)}
         return replace(self, before={**self.before, **fits}, earlier=found)
 
     def _as_far_off(self, residual: Residual) -> Explanation | None:
@@ -338,7 +338,7 @@ class Search:
                     f"{' + '.join([*base.kinds, c.kind])}"
                 )
             causes, together = (*base.causes, c), [np.concatenate([base.theta, s]) for s in starts]
-            tries, earlier = 2 if base.causes else 3, self.before.get(_keys(causes))
+            tries, earlier = 2 if base.causes else 3, self.before.get(keys_of(causes))
             # simple effects alone are sought anew: it takes little
             if earlier is not None and (base.causes or c.effect.rich):
                 tries, together = 1, [earlier.of(causes), *together]
@@ -346,10 +346,6 @@ class Search:
         near, _ = _near_best(base, (*fits, *beside), worth)
         fits += [f for make in special if (f := make(residual, base, near)) is not None]
         return sorted(fits, key=_order)
-
-
-def _keys(causes: Sequence[Candidate]) -> frozenset[tuple]:
-    return frozenset(c.key for c in causes)
 
 
 def _reweighted(residual: Residual, fits: Sequence[Fit]) -> list[Fit]:

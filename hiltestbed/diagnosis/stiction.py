@@ -342,39 +342,21 @@ class Data:
         away = np.where(known, np.abs(self.goal - obeyed)[0, :rows], 0.0)
         largest = float(np.quantile(away, LARGEST, axis=0).max())
         travel = _speed(self.commands[0])
-        return max(
-            largest - travel - 4.0 * noise, 0.5 * largest, noise
-        ), largest / LARGEST + travel + noise
+        least = max(largest - travel - 4.0 * noise, 0.5 * largest, noise)
+        return least, largest / LARGEST + travel + noise
 
     def _followed(self, found: Paths, rows: int, limit: float = math.inf) -> Paths:
         """The paths of ``found`` that fit the first ``rows`` best; limit: chi-square at most."""
-        followed = Followed(
-            self.commands,
-            self.goal,
-            self.sigma,
-            self._compared(rows),
-            self.start,
-            self.velocity,
-            self.moves,
-        )
-        margin = PATH_MARGIN + ROW_MARGIN * rows
-        out = []
-        buffer = np.empty((MAX_PATHS, 3))
-        budget = SCAN_BUDGET
-        for h, low, high in zip(
-            found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True
-        ):
+        runs, compared = (self.commands, self.goal, self.sigma), self._compared(rows)
+        followed = Followed(*runs, compared, self.start, self.velocity, self.moves)
+        margin, budget = PATH_MARGIN + ROW_MARGIN * rows, SCAN_BUDGET
+        out, buffer = [], np.empty((MAX_PATHS, 3))
+        ends = zip(found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True)
+        for h, low, high in ends:
             m, phase, late = found.instants[h]
+            obeying, within = Obeying(self.tick, late, m, phase), (MAX_SAMPLE_CHI2, limit, margin)
             count, budget = all_paths(
-                followed,
-                Obeying(self.tick, late, m, phase),
-                (low, high),
-                MAX_SAMPLE_CHI2,
-                limit,
-                margin,
-                self.speed,
-                budget,
-                buffer,
+                followed, obeying, (low, high), *within, self.speed, budget, buffer
             )
             if count:
                 out.append(np.column_stack([np.full(count, float(h)), buffer[:count]]))

@@ -294,14 +294,8 @@ def fit_with_timing(
     starts: Sequence[Array] | None = None,
 ) -> Fit:
     """``base`` with the timing ``later``, from ``starts`` or its grid; known: see :func:`fit`."""
-    begun = later.grid if starts is None else starts
-    return fit(
-        residual,
-        (*base.causes, later),
-        [np.concatenate([base.theta, s]) for s in begun],
-        tries=2,
-        known=known,
-    )
+    begun = [np.concatenate([base.theta, s]) for s in (later.grid if starts is None else starts)]
+    return fit(residual, (*base.causes, later), begun, tries=2, known=known)
 
 
 def within_range(link: Link, found: Fit) -> bool:

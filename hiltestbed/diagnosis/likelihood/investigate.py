@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -153,19 +154,11 @@ def explanation(e: Explained) -> Explanation:
     )
     listed = [f for f in e.conclusion.visited if f.causes and np.isfinite(f.evidence)]
     fits = [_as_fit(residual, f) for f in listed[: 2 * LISTED]]
-    return Explanation(
-        residual,
-        e.candidates,
-        null,
-        chosen,
-        e.adequate,
-        e.departs,
-        _leftovers(e, e.fit),
-        _leftovers(e, e.conclusion.null),
-        tuple(f for f in fits if len(f.causes) == 1)[:LISTED],
-        tuple(f for f in fits if len(f.causes) > 1)[:LISTED],
-        rivals,
-    )
+    singles = tuple(f for f in fits if len(f.causes) == 1)[:LISTED]
+    more = tuple(f for f in fits if len(f.causes) > 1)[:LISTED]
+    left, before = (_leftovers(e, f) for f in (e.fit, e.conclusion.null))
+    explained = partial(Explanation, residual, e.candidates, null, chosen, e.adequate, e.departs)
+    return explained(left, before, singles, more, rivals)
 
 
 def _as_fit(residual: Residual, found: LikelyFit, again: bool = False) -> Fit:

@@ -90,6 +90,12 @@ class LinkRun:
         """N."""
         return len(self.measured)
 
+    @property
+    def weight(self) -> Array:
+        """(N, C) one over the noise, 0 where not measured."""
+        known = np.isfinite(self.sigma)
+        return np.where(known, 1.0 / np.where(known, self.sigma, 1.0), 0.0)
+
     def with_nuisances(self, terms: Array) -> LinkRun:
         """The same run with further nuisance ``terms`` (N, C, D)."""
         return replace(

@@ -88,14 +88,8 @@ class PlatformLink(Link):
                 for c, n in zip(self._padded[run], lost, strict=True)
             ]
         )
-        found = replay_platform(
-            scenarios,
-            parameters,
-            commands,
-            np.arange(len(lanes)),
-            obeyed,
-            early + lost * scenarios[0].tick,
-        )
+        early, lane = early + lost * scenarios[0].tick, np.arange(len(lanes))
+        found = replay_platform(scenarios, parameters, commands, lane, obeyed, early)
         return np.stack(
             [
                 np.concatenate([np.repeat(p[:1], n, axis=0), p[: len(p) - n]])
@@ -105,10 +99,8 @@ class PlatformLink(Link):
 
     def _with_errors(self, i: int) -> PlatformLink:
         commands = perturbed(self.commands[i], self.rounding[i])
-        count = len(commands)
-        return PlatformLink(
-            [self.runs[i]] * count, commands, [self.deflection[i]] * count
-        ).with_timing(self.timing)
+        runs, still = [self.runs[i]] * len(commands), [self.deflection[i]] * len(commands)
+        return PlatformLink(runs, commands, still).with_timing(self.timing)
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) uncertainty of where a platform jumps, bends or stops.

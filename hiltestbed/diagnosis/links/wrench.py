@@ -360,21 +360,16 @@ class WrenchLink(Link):
         )
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
-        moved = (
-            [
-                n
-                for n, (_, effects) in enumerate(lanes)
-                if any(e.link == "platform" for e in effects)
-            ]
-            if self.commands
-            else []
-        )
-        if not moved:
+        moves = [
+            bool(self.commands) and any(e.link == "platform" for e in effects)
+            for _, effects in lanes
+        ]
+        if not any(moves):
             return self._felt_by(lanes)
-        rest = [n for n in range(len(lanes)) if n not in set(moved)]
-        out = dict(zip(rest, self._felt_by([lanes[n] for n in rest]) if rest else [], strict=True))
-        out |= dict(zip(moved, self._moved([lanes[n] for n in moved]), strict=True))
-        return [out[n] for n in range(len(lanes))]
+        rest = [lane for lane, m in zip(lanes, moves, strict=True) if not m]
+        others = iter(self._felt_by(rest) if rest else [])
+        moved = iter(self._moved([lane for lane, m in zip(lanes, moves, strict=True) if m]))
+        return [next(moved if m else others) for m in moves]
 
     def _moved(self, lanes: Sequence[Lane]) -> list[Array]:
         """Predictions on the paths of a platform with effects, with the commanded attitude."""
@@ -388,34 +383,25 @@ class WrenchLink(Link):
             scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes])
         )
         paths = [
-            np.concatenate(
-                [p[: r.rows] + self.deflection[i][: r.rows, :3], self.paths[i][: r.rows, 3:]],
-                axis=1,
+            np.column_stack(
+                [p[: r.rows] + self.deflection[i][: r.rows, :3], self.paths[i][: r.rows, 3:]]
             )
             for p, r, (i, _) in zip(places, runs, lanes, strict=True)
         ]
-        rates = (
-            None
-            if self.rates is None
-            else [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
-        )
+        rates = None
+        if self.rates is not None:
+            rates = [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
         link = WrenchLink(runs, paths, None, rates).interpreted(
             self.lever, self.grid, self.blunt, self.exact, self.ring
         )
         link = link.with_timing(self.timing)
-        return link.through(self.logged).predict(
-            [
-                (n, [e for e in effects if e.link != "platform"])
-                for n, (_, effects) in enumerate(lanes)
-            ]
-        )
+        rest = [[e for e in effects if e.link != "platform"] for _, effects in lanes]
+        return link.through(self.logged).predict(list(enumerate(rest)))
 
     def _felt_by(self, lanes: Sequence[Lane]) -> list[Array]:
         shown = self._read(self._felt, lanes)
-        if self._step_error is not None:
-            shown = [
-                reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)
-            ]
+        if (error := self._step_error) is not None:
+            shown = [reading + error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
         return [self.logged(reading) for reading in shown] if self.logged else shown
 
     def _read(self, felt: Felt | Simulated, lanes: Sequence[Lane]) -> list[Array]:
@@ -423,14 +409,8 @@ class WrenchLink(Link):
         read, tick = [self._lane(i, effects) for i, effects in lanes], self.tick
         # stamped before its contact: read later, by whole rows
         ahead = [max(math.ceil(-_lateness(lane) / tick), 0) for lane in read]
-        found = replay_wrench(
-            felt,
-            [
-                lane._replace(later=lane.later + n * tick)
-                for lane, n in zip(read, ahead, strict=True)
-            ],
-            self.grid,
-        )
+        later = [x._replace(later=x.later + n * tick) for x, n in zip(read, ahead, strict=True)]
+        found = replay_wrench(felt, later, self.grid)
         late = [
             self.timing_with(effects).before / tick - n
             for n, (_, effects) in zip(ahead, lanes, strict=True)
