@@ -13,6 +13,7 @@ import numpy as np
 
 from hiltestbed.diagnosis.links import LinkRun, PlatformLink, WrenchLink
 from hiltestbed.effects import EFFECTS, Effect
+from hiltestbed.effects.search import Scales
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario, scenario_from
 
@@ -20,6 +21,7 @@ H = 1e-3  # [s]
 STIFFNESS = 1e5  # [N/m]
 NOISE = 0.1  # [N]
 POSE_NOISE = 2e-6  # [m]
+SCALES = Scales(300.0, 3e-3, STIFFNESS, H, NOISE, slow=0.02, fast=0.1, duration=0.5, substeps=4)
 
 
 def effect(kind: str, variant: dict[str, Any] | None = None, **parameters: Any) -> Effect:

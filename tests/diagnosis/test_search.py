@@ -23,13 +23,11 @@ from hiltestbed.diagnosis.search import Search
 from hiltestbed.diagnosis.settings import MIN_EXCESS_TO_GROW
 from hiltestbed.diagnosis.stamps import used_readings
 from hiltestbed.effects import EFFECTS
-from hiltestbed.effects.search import Scales, candidate
+from hiltestbed.effects.search import candidate
 from hiltestbed.frames import Array
 from tests.slow import SLOW
 
-from .made import NOISE, H, bounce, contact_link, effect, link_run, reread, scenario
-
-SCALES = Scales(300.0, 3e-3, 1e5, H, 0.1, slow=0.02, fast=0.1, duration=0.5, substeps=4)
+from .made import NOISE, SCALES, H, bounce, contact_link, effect, link_run, reread, scenario
 
 
 class Along(Link):

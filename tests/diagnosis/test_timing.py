@@ -372,11 +372,8 @@ def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples
 ) -> None:
     levels = {}
     for rows in (0.0, 0.4):
-        made = draw_set(
-            np.random.default_rng(seed),
-            "healthy",
-            nuisances=Nuisances(stamps={"pose_act": rows} if rows else {}),
-        )
+        nuisances = Nuisances(stamps={"pose_act": rows} if rows else {})
+        made = draw_set(np.random.default_rng(seed), "healthy", nuisances=nuisances)
         write_set(tmp_path / str(rows), made)
         levels[rows] = smooth_levels(load_dataset(tmp_path / str(rows) / "dataset.yaml").runs)
     assert made.facility.scenario["mechanism"]["kind"] == ("latched" if latched else "bumper")
