@@ -216,7 +216,7 @@ def _weighed(
     """The explanation with the rebound in its scores, and in a sentence what that decided."""
     fits = [found.chosen, *(f for rivals in found.rivals for f in rivals)]
     shown = _simulated(fits, beside, layout.runs, rebounds)
-    ends = np.isfinite(shown).all(axis=0)
+    ends = np.isfinite(shown).all(axis=0).tolist()
     pairs = [(i, r.cor, r.error) for i, r in enumerate(rebounds) if r is not None and ends[i]]
     if not pairs:
         return found, []

@@ -162,16 +162,17 @@ class WrenchLink(Link):
         out = copy(self)
         out.grid = self.grid if grid is None else grid
         out.exact = self.exact if exact is None else exact
-        if isinstance(self._felt, Felt):
+        if isinstance(felt := self._felt, Felt):
             out.lever = self.lever if lever is None else lever
             out.blunt = self.blunt if blunt is None else blunt
             out.ring = self.ring if ring is None else ring
             read = (out.lever, out.blunt, out.ring)
             if read != (self.lever, self.blunt, self.ring):
-                out._felt = replace(self._felt, lever=out.lever, blunt=out.blunt)
+                felt = replace(felt, lever=out.lever, blunt=out.blunt)
                 out._believed = [_numbers(r.scenario, *read) for r in self.runs]
             if out.exact != self.exact:
-                out._felt = replace(out._felt, leapfrog=out.exact)
+                felt = replace(felt, leapfrog=out.exact)
+            out._felt = felt
         out._step_error = out._missed_by_steps() if out.exact else None
         return out
 
