@@ -216,8 +216,8 @@ def _weighed(
     """The explanation with the rebound in its scores, and in a sentence what that decided."""
     fits = [found.chosen, *(f for rivals in found.rivals for f in rivals)]
     shown = _simulated(fits, beside, layout.runs, rebounds)
-    ends = np.isfinite(shown).all(axis=0).tolist()
-    pairs = [(i, r.cor, r.error) for i, r in enumerate(rebounds) if r is not None and ends[i]]
+    there = [i for i in range(len(rebounds)) if np.isfinite(shown[:, i]).all()]
+    pairs = [(i, r.cor, r.error) for i in there if (r := rebounds[i]) is not None]
     if not pairs:
         return found, []
     known, cor, error = (np.array(x) for x in zip(*pairs, strict=True))
