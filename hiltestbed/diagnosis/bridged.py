@@ -2,8 +2,8 @@
 rows.
 
 A lost sample is interpolated; the error follows from the noise and from how the force bends across
-the gap. What a link makes of such
-errors is correlated over its rows, above all where it integrates them, and is found by replays.
+the gap. What a link makes of such errors is correlated over its rows, above all where it integrates
+them, and is found by replays.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from hiltestbed.diagnosis.aside import Aside
 from hiltestbed.diagnosis.links import Link, LinkRun
+from hiltestbed.diagnosis.nuisances import Aside
 from hiltestbed.diagnosis.settings import CORRELATED_ROWS, SMOOTHING_ROWS
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
@@ -58,22 +58,20 @@ def bridged(
     if not any(u.any() for u in unread):
         return list(runs)
     bent = [_bent(w, m) for w, m in zip(wrenches, missing, strict=True)]
-    rng, everything = np.random.default_rng(0), [(i, ()) for i in range(len(wrenches))]
-    shown = fed(wrenches).predict(everything)
+    rng = np.random.default_rng(0)
+    shown = fed(wrenches).shown_in_all()
     errors: list[list[Array]] = [[] for _ in runs]
     for _ in range(MODELLED_DRAWS + LEFT_DRAWS):
         shaken = [
             w + _interpolated(rng, u, level) + b * _of_each_gap(rng, u)
             for w, u, b in zip(wrenches, unread, bent, strict=True)
         ]
-        for found, a, b in zip(errors, fed(shaken).predict(everything), shown, strict=True):
+        for found, a, b in zip(errors, fed(shaken).shown_in_all(), shown, strict=True):
             found.append(a - b)
     out = []
     for run, found in zip(runs, errors, strict=True):
         terms = GAP_SIGMA * np.stack(found[:MODELLED_DRAWS], axis=2) / math.sqrt(MODELLED_DRAWS)
-        known = np.isfinite(run.sigma)
-        weight = np.where(known, 1.0 / np.where(known, run.sigma, 1.0), 0.0)
-        aside = Aside(weight, None, terms)
+        aside = Aside(run.weight, None, terms)
         left = [GAP_SIGMA * (e - aside.of(e)) for e in found[MODELLED_DRAWS:]]
         noise = np.sqrt(np.mean(np.square(left), axis=0))
         sigma = np.hypot(run.sigma, CORRELATION_FACTOR * noise)
@@ -100,9 +98,7 @@ def _of_each_gap(rng: np.random.Generator, unread: np.ndarray) -> Array:
 def interpolation_errors(
     runs: Sequence[MeasuredRun], group: str, rows: Sequence[int]
 ) -> list[Array]:
-    """``(N, parts)`` interpolation error of each run, see `bends` of :class:`Record`; 0 where all
-    rows of the group are ticks.
-    """
+    """``(N, parts)`` of each run, see `bends` of :class:`Record`; 0 where all rows are ticks."""
     return [
         r.record.bends.get(group, np.zeros(r.record.data[group].shape))[:n]
         for r, n in zip(runs, rows, strict=True)
@@ -129,11 +125,8 @@ def kink_errors(record: Record, group: str) -> Array:
 
 
 def rms_differences(link: Link, other: Link) -> list[Array]:
-    """``(N, channels)`` difference of two links in each run, rms about each row: between the rows
-    of a log either may be right.
-    """
-    everything = [(i, ()) for i in range(len(link.runs))]
-    pairs = zip(link.predict(everything), other.predict(everything), strict=True)
+    """``(N, channels)`` difference of two links in each run, rms about each row."""
+    pairs = zip(link.shown_in_all(), other.shown_in_all(), strict=True)
     return [
         np.sqrt(np.maximum(uniform_filter1d((a - b) ** 2, SMOOTHING_ROWS, axis=0), 0.0))
         for a, b in pairs

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.diagnosis.fit import Fit, bounds_of, effects_at, fit, scales
+from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Bounds, Fit, Trials, fit
 from hiltestbed.diagnosis.intervals import Spread, intervals
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
@@ -21,7 +21,6 @@ from hiltestbed.frames import Array
 PROFILE_REACH = 2.0  # chosen: of a profile to each side, in half-widths of the 95 % interval
 PROFILE_POINTS = 9  # chosen: values of a profile
 PRIOR_SHARE = 0.95  # derived: of a range, that its uniform prior's 95 % interval has
-BOUND_TOLERANCE = 1e-3  # chosen: of a parameter's scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +74,7 @@ class Certainty:
     ends: Array
 
     def strongest(self) -> tuple[Profile, Profile, float] | None:
-        """The two parameters with the most correlated estimates, and their correlation; None where
-        there is no pair.
-        """
+        """The two parameters with the most correlated estimates, and that; None without a pair."""
         size = np.abs(np.nan_to_num(np.triu(self.correlation, 1)))
         if not size.any():
             return None
@@ -96,9 +93,7 @@ class Certainty:
 
 
 class Certainties:
-    """The certainty of each fit of a diagnosis, computed once however many of its causes are
-    named.
-    """
+    """The certainty of each fit of a diagnosis, computed once however many causes are named."""
 
     def __init__(self, explanations: Mapping[str, Explanation]) -> None:
         self._explanations = explanations
@@ -131,36 +126,22 @@ def certainty(
         off: [s] by which instants of the facility may be off, which no channel tells from a delay.
     """
     spread = intervals(residual, found)
-    spread = replace(
-        spread,
-        ends=_with_variants(
-            residual, found, _with_timing(residual, found, spread.ends), candidates
-        ),
-    )
-    if off:
-        spread = replace(spread, ends=_with_instants(found, spread.ends, off))
-    low, high, log = bounds_of(found.causes)
-    close = (
-        BOUND_TOLERANCE * scales(found.theta, low, high, log) if len(found.theta) else np.zeros(0)
-    )
+    wider = _with_variants(residual, found, _with_timing(residual, found, spread.ends), candidates)
+    spread = replace(spread, ends=_with_instants(found, wider, off) if off else wider)
+    bounds = Bounds.of(found.causes)
+    close = BOUND_TOLERANCE * bounds.scales(found.theta)
     base = square(residual(found.effects()))
     profiles, names = [], [(c, name) for c in found.causes for name in c.names]
     for j, (c, name) in enumerate(names):
         at = float(found.theta[j])
-        met = (
-            "lowest" if at - low[j] <= close[j] else "highest" if high[j] - at <= close[j] else None
-        )
+        low, high = float(bounds.low[j]), float(bounds.high[j])
+        met = "lowest" if at - low <= close[j] else "highest" if high - at <= close[j] else None
         values, costs = _profile(residual, found, spread, j)
-        ends, bounds = (
-            (float(spread.ends[j, 0]), float(spread.ends[j, 1])),
-            (float(low[j]), float(high[j])),
-        )
+        ends = (float(spread.ends[j, 0]), float(spread.ends[j, 1]))
         rise = (costs - base) / spread.misfit
-        unit, of = (
-            _unit(c, name.partition(".")[0]),
-            ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str)),
-        )
-        profiles.append(Profile(c.kind, name, unit, of, at, ends, bounds, met, values, rise))
+        unit = _unit(c, name.partition(".")[0])
+        of = ", ".join(str(v) for v in c.fixed.values() if isinstance(v, str))
+        profiles.append(Profile(c.kind, name, unit, of, at, ends, (low, high), met, values, rise))
     return Certainty(link, tuple(profiles), spread.correlation, spread.ends)
 
 
@@ -169,7 +150,7 @@ def spans_its_range(found: Fit, index: int, ends: Array) -> bool:
     its prior, which is uniform over the range of the search: then the data do not determine it. Of
     a vector: of every item.
     """
-    cause, here, (low, high, log) = found.causes[index], found.place(index), bounds_of(found.causes)
+    cause, here, (low, high, log) = found.causes[index], found.place(index), Bounds.of(found.causes)
     leads = np.array([n.partition(".")[0] == cause.effect.leading for n in cause.names], dtype=bool)
     if not leads.any():
         return False
@@ -193,7 +174,7 @@ def _with_variants(
     for i, cause in enumerate(found.causes):
         here = found.place(i)
         for other in candidates:
-            beside = [name for name in other.names if name not in cause.names]
+            beside = set(other.names) - set(cause.names)
             same = (
                 other.kind == cause.kind
                 and other.fixed == cause.fixed
@@ -207,24 +188,20 @@ def _with_variants(
                 for name, value in zip(other.names, other.grid[0], strict=True)
             ]
             causes = (*found.causes[:i], other, *found.causes[i + 1 :])
-            again = fit(
-                residual,
-                causes,
-                [np.concatenate([found.theta[: here.start], start, found.theta[here.stop :]])],
-                tries=1,
-            )
+            whole = np.concatenate([found.theta[: here.start], start, found.theta[here.stop :]])
+            again = fit(residual, causes, [whole], tries=1)
             own = [here.start + other.names.index(name) for name in cause.names]
-            there, shift = (
-                intervals(residual, again).ends[own],
-                np.abs(again.theta[own] - found.theta[here]),
-            )
-            out[here] = np.column_stack(
-                [
-                    np.minimum(out[here, 0], there[:, 0] - shift),
-                    np.maximum(out[here, 1], there[:, 1] + shift),
-                ]
-            )
+            out[here] = _widened(out[here], residual, again, own, found.part(i))
     return out
+
+
+def _widened(ends: Array, residual: Residual, again: Fit, own: list[int], theta: Array) -> Array:
+    """(n, 2) ``ends`` of the intervals of theta (n,), wide enough for another estimate of it,
+    ``own`` in the fit ``again``, and for as much beyond as that differs.
+    """
+    there, shift = intervals(residual, again).ends[own], np.abs(again.theta[own] - theta)
+    low = np.minimum(ends[:, 0], there[:, 0] - shift)
+    return np.column_stack([low, np.maximum(ends[:, 1], there[:, 1] + shift)])
 
 
 def _with_timing(residual: Residual, found: Fit, ends: Array) -> Array:
@@ -238,21 +215,16 @@ def _with_timing(residual: Residual, found: Fit, ends: Array) -> Array:
     if shift is None or not found.causes:
         return ends
     again = fit_with_timing(residual, found, shift, starts=[np.zeros(len(shift.names))])
-    own = slice(0, len(found.theta))
-    there, moved = intervals(residual, again).ends[own], np.abs(again.theta[own] - found.theta)
-    return np.column_stack(
-        [np.minimum(ends[:, 0], there[:, 0] - moved), np.maximum(ends[:, 1], there[:, 1] + moved)]
-    )
+    return _widened(ends, residual, again, list(range(len(found.theta))), found.theta)
 
 
 def _with_instants(found: Fit, ends: Array, off: float) -> Array:
     """(P, 2) ends of the intervals, those of delays wider by ``off`` [s] on each side."""
-    low, high, _ = bounds_of(found.causes)
     names = [(c.kind, name) for c in found.causes for name in c.names]
     wider = np.array(
         [off if kind in DELAY_EFFECTS and name == "delay" else 0.0 for kind, name in names]
     )
-    return np.clip(ends + wider[:, None] * np.array([-1.0, 1.0]), low[:, None], high[:, None])
+    return Bounds.of(found.causes).clip((ends + wider[:, None] * np.array([-1.0, 1.0])).T).T
 
 
 def _unit(c: Candidate, name: str) -> str:
@@ -261,16 +233,14 @@ def _unit(c: Candidate, name: str) -> str:
 
 
 def _profile(residual: Residual, found: Fit, spread: Spread, j: int) -> tuple[Array, Array]:
-    """Values of parameter j around its estimate, and chi-square there, with the other parameters
-    moved by linear regression on it.
-    """
-    low, high, log = bounds_of(found.causes)
-    scale = scales(found.theta, low, high, log)
+    """Values of parameter j, and chi-square there with the others moved by linear regression."""
+    trials = Trials(residual, found.causes)
+    bounds, scale = trials.bounds, trials.bounds.scales(found.theta)
     reach = np.linspace(-PROFILE_REACH, PROFILE_REACH, PROFILE_POINTS)
     side = np.where(
         reach < 0.0, found.theta[j] - spread.ends[j, 0], spread.ends[j, 1] - found.theta[j]
     )
-    values = np.unique(np.clip(found.theta[j] + reach * side, low[j], high[j]))
+    values = np.unique(np.clip(found.theta[j] + reach * side, bounds.low[j], bounds.high[j]))
     thetas = np.tile(found.theta, (len(values), 1))
     others = np.flatnonzero(spread.determined & (np.arange(len(scale)) != j))
     if len(others) and spread.determined[j]:
@@ -279,7 +249,4 @@ def _profile(residual: Residual, found: Fit, spread: Spread, j: int) -> tuple[Ar
         )[0]
         thetas[:, others] += (values - found.theta[j])[:, None] / scale[j] * follow * scale[others]
     thetas[:, j] = values
-    thetas = np.clip(thetas, low, high)
-    return values, np.array(
-        [square(r) for r in residual.many([effects_at(found.causes, theta) for theta in thetas])]
-    )
+    return values, np.array([square(r) for r in trials(bounds.clip(thetas))])

@@ -8,8 +8,9 @@ rate in contact.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -70,7 +71,8 @@ def simulate_runs(
 ) -> tuple[SimulatedRun, ...]:
     """Simulate every run's scenario as believed, and with the causes."""
     nominal = [r.scenario for r in dataset.runs]
-    extended = [with_causes(s, causes) for s in nominal] if causes else []
+    entries = [c.entry() for c in causes]
+    extended = [with_entries(s, entries) for s in nominal] if causes else []
     traces = traces_of(nominal)
     after = traces_of(extended) if causes else traces
     return tuple(
@@ -79,10 +81,14 @@ def simulate_runs(
     )
 
 
-def with_causes(scenario: Scenario, causes: Sequence[Cause | Learned]) -> Scenario:
-    """A run's scenario with the causes added to its effects."""
+def with_entries(
+    scenario: Scenario, entries: Sequence[Mapping[str, Any]], rows: int | None = None
+) -> Scenario:
+    """A run's scenario with more effects, for so many rows at most."""
     data = resolved(scenario)
-    data["effects"] = [*data["effects"], *(c.entry() for c in causes)]
+    data["effects"] = [*data["effects"], *entries]
+    if rows is not None:
+        data["duration"] = min(data["duration"], rows * scenario.tick)
     return scenario_from(data)
 
 
@@ -178,10 +184,8 @@ def bounce_of(motion: RunSignals, scenario: Scenario) -> FirstContact | None:
     start, end, until = motion.span
     window, settle = round(SPEED_WINDOW * scenario.rate), settle_ticks(scenario)
     first = min(end + settle + round(QUIET_TIME * scenario.rate), max(end + settle, until - window))
-    before, after = (
-        (max(0, start - 1 - window), start - 1),
-        (first, min(until, len(z), first + window)),
-    )
+    before = (max(0, start - 1 - window), start - 1)
+    after = (first, min(until, len(z), first + window))
     approach, rebound = _slope(motion.t, z, *before), _slope(motion.t, z, *after)
     return FirstContact(
         before,

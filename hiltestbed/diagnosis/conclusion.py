@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """One run, simulated: the nominal and the extended trace, None where the simulation could not
-    be run.
-    """
+    """One run, simulated: the nominal and the extended trace, None where it could not be run."""
 
     run: int
     nominal: RunTrace | None
@@ -69,13 +67,11 @@ class Conclusion:
         """Name of the `extended` prediction of the series: the extended model, the best explanation
         that is not adequate, or none.
         """
-        return (
-            "extended"
-            if self.finding.extends
-            else "best explanation"
-            if self.finding.partial
-            else ""
-        )
+        if self.finding.extends:
+            return "extended"
+        if self.finding.partial:
+            return "best explanation"
+        return ""
 
     @property
     def overridden(self) -> tuple[str, ...]:

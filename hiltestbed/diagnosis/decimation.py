@@ -3,7 +3,9 @@ long as the departure is preserved.
 
 A damper that is moved at 1 Hz and recorded at 1 kHz tells no more with a thousand rows a second
 than with two hundred, and every row costs a step of every hypothesis. A block mean delays path and
-reading alike, and preserves a linear law between them.
+reading alike, and preserves a linear law between them. It blurs the instants at which a contact
+begins and ends, which tell a delayed sensor from a stamp delay, and a delay from a smooth response:
+estimates and rivals are those of a fit to the whole record.
 """
 
 from __future__ import annotations
@@ -13,9 +15,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
+from hiltestbed.diagnosis.fit import Fit, inflation, null_fit, refit, refit_without
+from hiltestbed.diagnosis.heldout import placebo_of
 from hiltestbed.diagnosis.links import LinkRun, WrenchLink
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Explanation, first_of_each, with_rivals
+from hiltestbed.diagnosis.settings import CLOSE_CHI2, MAX_PARTNERS
 from hiltestbed.frames import Array
 from hiltestbed.scenario import resolved, scenario_from
+
+# calibrated: share of the reduction in chi-square that decimation may change; ten times the largest
+# seen (1.2e-5)
+DECIMATION_ERROR = 1e-4
 
 MIN_ROWS = 3000  # chosen: of all runs together, that are always kept
 # chosen: share of the departure from the nominal model that may lie between the blocks
@@ -33,7 +45,7 @@ def decimated(link: WrenchLink) -> WrenchLink:
     rows = sum(len(p) for p in link.paths)
     count = 1
     if rows >= 2 * MIN_ROWS and not link.simulated and link.logged is None:
-        rms = _rms(link, link.predict([(i, ()) for i in range(len(link.runs))]))
+        rms = _rms(link, link.shown_in_all())
         while rows >= 2 * count * MIN_ROWS and _lost(link, 2 * count) < MAX_LOSS * rms:
             count *= 2
     if count == 1:
@@ -49,9 +61,7 @@ def decimated(link: WrenchLink) -> WrenchLink:
 
 
 def _rms(link: WrenchLink, modelled: list[Array]) -> float:
-    """Rms of the measured readings less `modelled`, in units of their noise, over all that was
-    measured.
-    """
+    """Rms of the measured readings less `modelled`, in units of their noise."""
     counted = [np.isfinite(r.sigma) for r in link.runs]
     left = [
         ((r.measured - m) / r.sigma)[c]
@@ -61,9 +71,7 @@ def _rms(link: WrenchLink, modelled: list[Array]) -> float:
 
 
 def _lost(link: WrenchLink, count: int) -> float:
-    """Rms of the signal between blocks of ``count`` rows, in units of the noise, with the share of
-    the noise subtracted.
-    """
+    """Rms of the signal between blocks of ``count`` rows, in units of the noise, less its share."""
     between = _rms(link, [_between(r.measured, count) for r in link.runs])
     white = np.eye(8 * count)
     own = float(np.mean(np.sum((white - _between(white, count)) ** 2, axis=1)))
@@ -91,12 +99,46 @@ def _run(run: LinkRun, count: int) -> LinkRun:
     sigma = _means(run.sigma, count)  # infinite where one of the rows was not measured
     touching = _means(run.touching[:, None].astype(float), count)[:, 0] > 0.0
     scenario = scenario_from(resolved(run.scenario) | {"rate": rate})
-    return replace(
-        run,
-        scenario=scenario,
-        measured=_means(run.measured, count),
-        sigma=sigma,
-        touching=touching,
-        nuisances=None if run.nuisances is None else _means(run.nuisances, count),
-        shared=None if run.shared is None else _means(run.shared, count),
+    terms = [None if x is None else _means(x, count) for x in (run.nuisances, run.shared)]
+    measured = _means(run.measured, count)
+    return LinkRun(scenario, measured, sigma, touching, run.heavy, run.tail, *terms)
+
+
+def _score(f: Fit) -> float:
+    return f.score
+
+
+def refit_on_all_rows(found: Explanation, link: WrenchLink) -> Explanation:
+    """The fits near ``found``, fitted again on ``link``; ``found`` where they leave too much."""
+    chosen = found.chosen
+    if not (found.departs and found.adequate and chosen.causes) or JITTER in chosen.kinds:
+        return found
+    residual = Residual(link).downweighted(chosen.effects())
+    alike = [f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)]
+    pool = sorted(alike, key=_score)
+    within = CLOSE_CHI2 * inflation(chosen) + DECIMATION_ERROR * (found.null.chi2 - chosen.chi2)
+    near = [
+        f
+        for f in first_of_each(pool, "key")
+        if f.score - chosen.score < within and JITTER not in f.kinds
+    ]
+    fits = sorted((refit(residual, f) for f in near[:MAX_PARTNERS] or [chosen]), key=_score)
+    best = fits[0]
+    leftovers = contact_leftovers(residual, best.effects())
+    if not noise_alone(leftovers):
+        return found
+    several = range(len(best.causes)) if len(best.causes) > 1 else ()
+    fewer = [refit_without(residual, best, i) for i in several]
+    placebo = placebo_of(found.singles, best)
+    result = replace(
+        found,
+        residual=residual,
+        null=null_fit(residual),
+        chosen=best,
+        leftovers=leftovers,
+        before=contact_leftovers(residual, ()),
+        singles=tuple(refit(residual, f) for f in [placebo] if f is not None),
+        more=(*fits, *fewer),
+        rivals=(),
     )
+    return with_rivals(result, contact_leftovers)

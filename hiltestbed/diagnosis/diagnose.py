@@ -65,8 +65,8 @@ def diagnose(
     fifth and `conclude` the last. No stage changes its input.
 
     Args:
-        likelihood: whether the stages 3 and 4 are those of
-            :mod:`hiltestbed.diagnosis.likelihood`; None: where the log has errors of its own.
+        likelihood: whether the stages 3 and 4 are those of :mod:`hiltestbed.diagnosis.likelihood`;
+            None: where the log has errors of its own.
 
     Raises:
         InputError: a file cannot be read, or its data contradict the physics.

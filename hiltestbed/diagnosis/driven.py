@@ -5,8 +5,7 @@ The link is that of the numerical model, but measured: the position carries an e
 run does not begin in free flight at the scenario's approach, and the log decides whether a position
 belongs to the row before or after its force. So position and speed at the start are estimated from
 the record, the stamp is fitted with the causes, and a regression of the force on the motion (the
-inverse model of
-robot identification: M. Gautier, P. Poignet, 2001) gives the start of the search.
+inverse model of robot identification: M. Gautier, P. Poignet, 2001) gives the start of the search.
 """
 
 from __future__ import annotations
@@ -86,9 +85,7 @@ def _link_run(run: MeasuredRun) -> LinkRun:
 
 
 def _start(run: MeasuredRun) -> tuple[float, float]:
-    """Position [m] and speed [m/s] at row 0: of a parabola through as few of the first rows as the
-    noise allows.
-    """
+    """Position [m] and speed [m/s] at row 0, of a parabola through as few rows as noise allows."""
     place, tick = run.record.column(PLACE), run.scenario.tick
     known = np.flatnonzero(np.isfinite(place))
     noise = max(white_noise(place), MIN_POSE_NOISE)
@@ -134,9 +131,7 @@ def regression(runs: Sequence[MeasuredRun]) -> DrivenAxis:
 
 
 def _factor(run: MeasuredRun, mass: float) -> float:
-    """The factor on the chaser's mass that gives both bodies together the inertia ``mass`` [kg]
-    along the axis; 1 where none does.
-    """
+    """Factor on the chaser's mass for which both bodies have the inertia ``mass`` [kg]; 1: none."""
     chaser, target = run.scenario.spacecraft.chaser.mass, run.scenario.spacecraft.target.mass
     return target * mass / (target - mass) / chaser if 0.0 < mass < 0.99 * target else 1.0
 

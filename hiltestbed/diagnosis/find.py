@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import gmean
 
-from hiltestbed.diagnosis import judges, timing
+from hiltestbed.diagnosis import timing
 from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
 from hiltestbed.diagnosis.certainty import Certainties, spans_its_range
-from hiltestbed.diagnosis.describe import describe
 from hiltestbed.diagnosis.fit import Fit
 from hiltestbed.diagnosis.grow import far_off, grow
 from hiltestbed.diagnosis.heldout import heldout, placebo_of
@@ -39,9 +38,9 @@ from hiltestbed.diagnosis.result import (
 )
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import MIN_HELDOUT_GAIN
+from hiltestbed.diagnosis.unexplained import describe
 from hiltestbed.diagnosis.verdict import Named, Verdict, decide
 from hiltestbed.effects.base import Effect
-from hiltestbed.effects.table import EFFECTS
 
 CLOSING_STEPS = 4  # after the links: intervals, smallest sizes, closed loop, report
 MAX_RANKED = 6  # hypotheses of a link that are listed
@@ -72,9 +71,7 @@ class Judged:
 
 
 def judge(findings: Findings, progress: Progress | None = None) -> Judged:
-    """The verdict; where few effects together do not explain a link, with those causes that hold
-    all the same, or a learned law.
-    """
+    """The verdict; where few effects do not explain a link, with what holds, or a learned law."""
     findings = with_rebounds(findings)
     verdict = decide(findings)
     findings, nearest = _nearest(findings, verdict, progress)
@@ -133,9 +130,7 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
 
 
 def _determined(verdict: Verdict, certain: Certainties) -> Verdict:
-    """The verdict without causes whose size the data do not determine; what they explained is
-    unknown then.
-    """
+    """The verdict without causes whose size the data do not determine."""
     kept = tuple(
         c
         for c in verdict.causes
@@ -234,11 +229,9 @@ def _learned(
         and needless(result[0], alone[0], sum(len(c.fit.part(c.index)) for c in causes))
     ):
         others = tuple(c for c in verdict.causes if c.link != name)
-        verdict, share, result = (
-            Verdict("unknown", verdict.link, others, verdict.not_judged),
-            None,
-            alone,
-        )
+        verdict = Verdict("unknown", verdict.link, others, verdict.not_judged)
+        share = None
+        result = alone
     if result is None:
         return verdict, share, None, ()
     learned, effect = result
@@ -257,18 +250,14 @@ def needless(beside: Learned, alone: Learned, named: int) -> bool:
 
 
 def _left(law: Learned) -> float:
-    """The rms that a law leaves of left-out runs, as their geometric mean: that by which laws and
-    causes are selected.
-    """
+    """Geometric mean of the rms that a law leaves of left-out runs."""
     return float(gmean([after for _, after in law.heldout.per_run.values()]))
 
 
 def _in_part(
     findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]
 ) -> tuple[Verdict, float | None]:
-    """The verdict with those of the nearest causes that hold, and the share of the departure that
-    they explain; unchanged if none holds.
-    """
+    """The verdict with those of the nearest causes that hold, and the share that they explain."""
     if not nearest:
         return verdict, None
     e = findings.explanations[nearest[0].link]
@@ -370,6 +359,3 @@ def _unsized(findings: Findings) -> dict[str, str]:
         LINK_NAMES[name]: f"it was not judged: {reason}"
         for name, reason in findings.missing.items()
     }
-
-
-__all__ = ["EFFECTS", "cause_of", "find", "gain_of", "judges"]

@@ -9,8 +9,9 @@ three times as long.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,8 +42,6 @@ FAR_OFF = 10.0
 ROUGH_GAIN = 1e-3  # chosen: of chi-square: what is little, 0.05 % of the rms that is left
 # chosen: of a descent; then it also stops if the last two gains, repeated, would not reach `known`
 MIN_STEPS = 4
-
-Run = Callable[[Sequence[Array] | Array], Array]  # thetas to residuals (H, M)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +81,11 @@ class Fit:
         """The ids of the causes."""
         return tuple(c.kind for c in self.causes)
 
+    @property
+    def keys(self) -> frozenset[tuple]:
+        """The hypotheses, in whatever order."""
+        return keys_of(self.causes)
+
     def effects(self) -> list[Effect]:
         """The causes with their parameters."""
         return effects_at(self.causes, self.theta)
@@ -111,21 +115,19 @@ class Fit:
 
     def _columns(self, causes: Sequence[Candidate]) -> list[int]:
         """Place in theta of each parameter of the same ``causes`` in another order."""
-        start = dict(
-            zip(
-                [c.key for c in self.causes],
-                np.cumsum([0, *(len(c.names) for c in self.causes)]).tolist(),
-                strict=False,
-            )
-        )
+        start = {c.key: self.place(i).start for i, c in enumerate(self.causes)}
         return [start[c.key] + j for c in causes for j in range(len(c.names))]
 
     def without(self, index: int) -> tuple[tuple[Candidate, ...], Array]:
         """The other causes, and their theta."""
-        rest = [i for i in range(len(self.causes)) if i != index]
-        return tuple(self.causes[i] for i in rest), np.concatenate(
-            [self.part(i) for i in rest]
-        ) if rest else np.zeros(0)
+        own = self.place(index)
+        theta = np.concatenate([self.theta[: own.start], self.theta[own.stop :]])
+        return (*self.causes[:index], *self.causes[index + 1 :]), theta
+
+
+def keys_of(causes: Sequence[Candidate]) -> frozenset[tuple]:
+    """The keys of ``causes``, in whatever order."""
+    return frozenset(c.key for c in causes)
 
 
 def effects_at(causes: Sequence[Candidate], theta: Array) -> list[Effect]:
@@ -143,17 +145,62 @@ def null_fit(residual: Residual) -> Fit:
     return Fit((), np.zeros(0), square(r), r, np.zeros((len(r), 0)))
 
 
-def bounds_of(causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:
-    """Lower and upper bounds, and whether the scale is logarithmic, of all parameters,
-    concatenated.
-    """
-    if not causes:
-        return np.zeros(0), np.zeros(0), np.zeros(0, bool)
-    return (
-        np.concatenate([c.low for c in causes]),
-        np.concatenate([c.high for c in causes]),
-        np.concatenate([c.log for c in causes]),
-    )
+class Bounds(NamedTuple):
+    """(P,) lower and upper bounds of parameters, and whether their scale is logarithmic."""
+
+    low: Array
+    high: Array
+    log: np.ndarray
+
+    @classmethod
+    def of(cls, causes: Sequence[Candidate]) -> Bounds:
+        """Those of all parameters of ``causes``, concatenated."""
+        return cls(
+            np.concatenate([np.zeros(0), *(c.low for c in causes)]),
+            np.concatenate([np.zeros(0), *(c.high for c in causes)]),
+            np.concatenate([np.zeros(0, bool), *(c.log for c in causes)]),
+        )
+
+    def clip(self, theta: Sequence[float] | Array) -> Array:
+        """Theta within the bounds."""
+        return np.clip(np.asarray(theta, dtype=float), self.low, self.high)
+
+    def scales(self, theta: Array) -> Array:
+        """d theta / d scaled parameter: theta itself on a logarithmic scale, else the larger of
+        theta and a hundredth of the range.
+        """
+        width = np.where(np.isfinite(self.high - self.low), self.high - self.low, 1.0)
+        return np.where(self.log, np.abs(theta), np.maximum(np.abs(theta), 0.01 * width))
+
+
+class Trials:
+    """The replays of a residual under causes with any parameters, beside ``known`` effects."""
+
+    def __init__(
+        self, residual: Residual, causes: Sequence[Candidate], known: Effects = ()
+    ) -> None:
+        self.residual, self.causes, self.known = residual, tuple(causes), known
+        self.bounds = Bounds.of(causes)
+
+    def __call__(self, thetas: Sequence[Array] | Array) -> Array:
+        """(H, M) residuals at each theta, in one replay."""
+        return self.residual.many([[*self.known, *effects_at(self.causes, t)] for t in thetas])
+
+    def slopes(self, theta: Array, r: Array, step: float = DIFFERENCE_STEP) -> Array:
+        """(M, P) derivative of the residual, ``r`` at theta, by the scaled parameters; a step
+        beyond the bounds is reversed.
+        """
+        if len(theta) == 0:
+            return np.zeros((len(r), 0))
+        scale, moved, widths = self.bounds.scales(theta), [], []
+        for j in range(len(theta)):
+            d = step * scale[j]
+            d = -d if theta[j] + d > self.bounds.high[j] else d
+            there = theta.copy()
+            there[j] += d
+            moved.append(there)
+            widths.append(d / scale[j])
+        return ((self(moved) - r) / np.array(widths)[:, None]).T
 
 
 def at_bound(cause: Candidate, theta: Array) -> bool:
@@ -176,56 +223,31 @@ def fit(
     known: chi-square that another hypothesis has reached; a descent that will not come near it is
         stopped.
     """
-    causes = tuple(causes)
-    low, high, log = bounds_of(causes)
-    thetas = [np.clip(np.array(s, dtype=float), low, high) for s in starts]
-
-    def run(thetas: Sequence[Array] | Array) -> Array:
-        return residual.many([effects_at(causes, theta) for theta in thetas])
-
+    causes, costly = tuple(causes), residual.link.costly
+    trials = Trials(residual, causes)
+    thetas = [trials.bounds.clip(s) for s in starts]
     if (
         tries > 1
-        and len(low)
-        and residual.link.costly
-        and len(few := telling(residual, run(thetas[:1])[0])) < len(residual.runs)
+        and len(trials.bounds.low)
+        and costly
+        and len(few := telling(residual, trials(thetas[:1])[0])) < len(residual.runs)
     ):
         first = fit(residual.on(few), causes, thetas, tries, known)
         if first.chi2 > known:  # as all the more on all runs
-            r = run([first.theta])[0]
-            slopes = differences(
-                run, first.theta, r, scales(first.theta, low, high, log), low, high
-            )
-            return replace(
-                first,
-                chi2=square(r),
-                residual=r,
-                jacobian=slopes,
-                elsewhere=residual.smoothed_away(first.effects()),
-            )
+            r = trials([first.theta])[0]
+            away = residual.smoothed_away(first.effects())
+            return Fit(causes, first.theta, square(r), r, trials.slopes(first.theta, r), away)
         thetas, tries = [first.theta], 1
-    found = run(thetas)
+    found = trials(thetas)
     rated = sorted(((square(r), i) for i, r in enumerate(found)), key=lambda item: item[0])
-    if len(low) == 0:
+    if not len(trials.bounds.low):
         chi2, i = rated[0]
         return Fit(causes, thetas[i], chi2, found[i], np.zeros((found.shape[1], 0)))
     descents: list[Fit] = []
-    for chi2, i in rated[:tries]:
+    for _, i in rated[:tries]:
         reached = min([known, *(f.chi2 for f in descents)])
-        descents.append(
-            _descend(
-                run,
-                causes,
-                thetas[i],
-                found[i],
-                chi2,
-                low,
-                high,
-                log,
-                reached,
-                residual.link.costly,
-            )
-        )
-    best = _polish(run, min(descents, key=lambda f: f.chi2), low, high)
+        descents.append(_descend(trials, thetas[i], found[i], reached, costly))
+    best = _polish(trials, min(descents, key=lambda f: f.chi2))
     return replace(best, elsewhere=residual.smoothed_away(best.effects()))
 
 
@@ -242,83 +264,30 @@ def telling(residual: Residual, r: Array) -> list[int]:
 
 
 def refit(residual: Residual, found: Fit, known: float = np.inf) -> Fit:
-    """The same hypothesis fitted again from its last estimate, with other weights or runs; known:
-    as of :func:`fit`.
-    """
-    return (
-        fit(residual, found.causes, [found.theta], tries=1, known=known)
-        if found.causes
-        else null_fit(residual)
-    )
+    """The same hypothesis fitted again from its last estimate; known: as of :func:`fit`."""
+    if found.causes:
+        return fit(residual, found.causes, [found.theta], tries=1, known=known)
+    return null_fit(residual)
 
 
 def refit_without(residual: Residual, found: Fit, index: int, known: float = np.inf) -> Fit:
-    """The other causes of a hypothesis, fitted again from where they stand beside that one; known:
-    as of :func:`fit`.
-    """
+    """The other causes of a hypothesis, fitted again; known: as of :func:`fit`."""
     causes, theta = found.without(index)
     return fit(residual, causes, [theta], tries=1, known=known) if causes else null_fit(residual)
 
 
-def scales(theta: Array, low: Array, high: Array, log: np.ndarray) -> Array:
-    """d theta / d scaled parameter: theta itself on a logarithmic scale, else the larger of theta
-    and a hundredth of the range.
-    """
-    width = np.where(np.isfinite(high - low), high - low, 1.0)
-    return np.where(log, np.abs(theta), np.maximum(np.abs(theta), 0.01 * width))
-
-
-def differences(
-    run: Run,
-    theta: Array,
-    r: Array,
-    scale: Array,
-    low: Array,
-    high: Array,
-    step: float = DIFFERENCE_STEP,
-) -> Array:
-    """(M, P) derivative of the residual by the scaled parameters; a step that would leave the
-    bounds is reversed.
-    """
-    if len(theta) == 0:
-        return np.zeros((len(r), 0))
-    moved, widths = [], []
-    for j in range(len(theta)):
-        d = step * scale[j]
-        d = -d if theta[j] + d > high[j] else d
-        there = theta.copy()
-        there[j] += d
-        moved.append(there)
-        widths.append(d / scale[j])
-    return ((run(moved) - r) / np.array(widths)[:, None]).T
-
-
-def _descend(
-    run: Run,
-    causes: tuple[Candidate, ...],
-    theta: Array,
-    r: Array,
-    chi2: float,
-    low: Array,
-    high: Array,
-    log: np.ndarray,
-    known: float,
-    rough: bool,
-) -> Fit:
+def _descend(trials: Trials, theta: Array, r: Array, known: float, rough: bool) -> Fit:
     """rough: whether a descent also stops where it is far off and two steps have gained little."""
-    damping, jacobian, before = 1e-3, np.zeros((len(r), len(theta))), np.inf
+    chi2, damping, before = square(r), 1e-3, np.inf
+    jacobian = np.zeros((len(r), len(theta)))
     far = FAR_OFF * np.count_nonzero(r)
     for step in range(MAX_ITERATIONS):
-        scale = scales(theta, low, high, log)
-        jacobian = differences(run, theta, r, scale, low, high)
-        gradient, normal = (
-            np.einsum("mi,m->i", jacobian, r),
-            np.einsum("mi,mj->ij", jacobian, jacobian),
-        )
-        better = _step(run, theta, chi2, damping, gradient, normal, scale, low, high, log)
+        jacobian = trials.slopes(theta, r)
+        better = _step(trials, theta, r, jacobian, damping)
         if better is None:
             break
-        gain, theta, r, chi2, damping = chi2 - better[2], *better
+        theta, r, damping = better
+        gain, chi2 = chi2 - square(r), square(r)
         if gain < max(_resolution(chi2, r), 1e-7 * chi2):
             break
         if rough and chi2 > far and max(gain, before) < ROUGH_GAIN * chi2:
@@ -331,52 +300,40 @@ def _descend(
         ):
             break
         before = gain
-    return Fit(causes, theta, chi2, r, jacobian)
+    return Fit(trials.causes, theta, chi2, r, jacobian)
 
 
 def _step(
-    run: Run,
-    theta: Array,
-    chi2: float,
-    damping: float,
-    gradient: Array,
-    normal: Array,
-    scale: Array,
-    low: Array,
-    high: Array,
-    log: np.ndarray,
-) -> tuple[Array, Array, float, float] | None:
-    """The first of increasingly damped steps that lowers chi-square: theta, residual, chi-square,
-    next damping; None where none does.
+    trials: Trials, theta: Array, r: Array, jacobian: Array, damping: float
+) -> tuple[Array, Array, float] | None:
+    """The first of increasingly damped steps that lowers chi-square: theta, residual, and the next
+    damping; None where none does.
     """
+    chi2, scale = square(r), trials.bounds.scales(theta)
+    gradient = np.einsum("mi,m->i", jacobian, r)
+    normal = np.einsum("mi,mj->ij", jacobian, jacobian)
     for attempt in range(3):
         tried, dampings = [], []
         for _ in range(1 if attempt == 0 else DAMPINGS_AT_ONCE):
             step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), gradient)
             step = np.clip(step, -1.0, 1.0)
-            tried.append(
-                np.clip(np.where(log, theta * np.exp(step), theta + step * scale), low, high)
-            )
+            there = np.where(trials.bounds.log, theta * np.exp(step), theta + step * scale)
+            tried.append(trials.bounds.clip(there))
             dampings.append(damping)
             damping = max(damping, 1e-4) * 8.0
-        for moved, r, used in zip(tried, run(tried), dampings, strict=True):
-            new = square(r)
-            if new < chi2:
-                return moved, r, new, max(used / 10.0, 1e-9)
+        for moved, left, used in zip(tried, trials(tried), dampings, strict=True):
+            if square(left) < chi2:
+                return moved, left, max(used / 10.0, 1e-9)
     return None
 
 
 def _resolution(chi2: float, r: Array) -> float:
-    """Change of chi-square below which a fit has converged; it scales with the misfit, like the
-    thresholds on differences of chi-square.
-    """
+    """Change of chi-square below which a fit has converged; it scales with the misfit."""
     return CONVERGED_CHI2 * max(1.0, chi2 / len(r))
 
 
-def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
-    """Scan and pattern search on the parameters in which chi-square has jumps, where a gradient is
-    no guide.
-    """
+def _polish(trials: Trials, found: Fit) -> Fit:
+    """Scan and pattern search on the parameters in which chi-square has jumps."""
     jumpy = [c.effect.jumps == name for c in found.causes for name in c.names]
     theta, chi2, r = found.theta, found.chi2, found.residual
     for j in np.flatnonzero(jumpy):
@@ -385,8 +342,9 @@ def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
         parts = list(np.linspace(-step, step, SCAN_POINTS))
         while step > MIN_SCAN_STEP:
             tried = np.tile(theta, (len(parts), 1))
-            tried[:, j] = np.clip(theta[j] * (1.0 + np.array(parts)), low[j], high[j])
-            results = run(tried)
+            tried[:, j] = theta[j] * (1.0 + np.array(parts))
+            tried = trials.bounds.clip(tried)
+            results = trials(tried)
             costs = [square(row) for row in results]
             best = int(np.argmin(costs))
             if costs[best] < chi2 - _resolution(chi2, r):
@@ -394,16 +352,9 @@ def _polish(run: Run, found: Fit, low: Array, high: Array) -> Fit:
             else:
                 step *= 0.4
             parts = [step, -step]
-    return replace(found, theta=theta, residual=r, chi2=chi2) if theta is not found.theta else found
+    return replace(found, theta=theta, residual=r, chi2=chi2)
 
 
 def inflation(found: Fit) -> float:
-    """Chi-square per sample of a hypothesis, at least 1: thresholds on differences of chi-square
-    scale with it.
-    """
+    """Chi-square per sample, at least 1, with which thresholds on its differences scale."""
     return max(1.0, square(found.residual) / max(1, np.count_nonzero(found.residual)))
-
-
-def predicted(residual: Residual, effects: Effects) -> list[Array]:
-    """(N, C) prediction of each run of the residual."""
-    return residual.link.predict([(i, effects) for i in residual.runs])

@@ -13,6 +13,7 @@ from scipy.stats import theilslopes
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
+from hiltestbed.measured.noise import MAD_TO_SIGMA
 
 TOUCH_MARGIN_ROWS = 2  # chosen: before the first touch, that are not counted as free
 # chosen: robust standard deviations of free flight, from which a force that rises before a contact
@@ -39,9 +40,7 @@ def first_touch(run: MeasuredRun) -> int:
 
 
 def _risen(forces: Array) -> list[int]:
-    """Of each channel of (n, C) the number of last rows that depart from the line of the others,
-    and reach :data:`RISEN_SIGMA`.
-    """
+    """Of each channel, the last rows that depart from the line of the others, if far enough."""
     out, rows = [], np.arange(len(forces), dtype=float)
     for x in forces.T:
         known = np.flatnonzero(np.isfinite(x))
@@ -51,7 +50,7 @@ def _risen(forces: Array) -> list[int]:
             continue
         line: Any = theilslopes(x[few], rows[few])  # a quarter of the rows may depart from it
         far = np.abs(x - line.intercept - line.slope * rows)
-        sigma = 1.4826 * float(np.median(far[known]))
+        sigma = MAD_TO_SIGMA * float(np.median(far[known]))
         risen = far > RISING_SIGMA * sigma
         count = int(np.argmin(risen[::-1]))
         out.append(
@@ -63,9 +62,7 @@ def _risen(forces: Array) -> list[int]:
 
 
 def free_readings(run: MeasuredRun) -> Array:
-    """(n, 6) readings before the first touch, without rows in which a measured channel is
-    missing.
-    """
+    """(n, 6) readings before the first touch, in rows where no measured channel is missing."""
     record = run.record
     if not record.has("wrench_meas"):
         return np.zeros((0, 6))
@@ -94,9 +91,7 @@ def readings_apart(run: MeasuredRun, columns: Sequence[int]) -> tuple[Array, Arr
 
 
 def straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[Array], Array]:
-    """Readings less a straight line for each run and channel, of one slope in all runs; and the
-    values of the lines at the start (R, C).
-    """
+    """Readings less straight lines of one slope in all runs; their values at the start (R, C)."""
     rows = [np.arange(len(x), dtype=float) for x in free]
     above = sum(float(np.sum((t - t.mean()) ** 2)) for t in rows if len(t))
     slope = (
@@ -119,7 +114,5 @@ def straightened(free: Sequence[Array], columns: Sequence[int]) -> tuple[list[Ar
 
 
 def shows_noise(free: Sequence[Array], j: int) -> bool:
-    """Whether a channel shows any noise: not if it was not measured, or reads zero below a
-    threshold.
-    """
+    """Whether a channel was measured, and does not read zero below a threshold."""
     return all(np.median(np.abs(np.diff(x[:, j]))) > 0.0 for x in free if len(x) > 10)

@@ -14,13 +14,12 @@ from hiltestbed.diagnosis.fit import Fit, fit
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Heldout
-from hiltestbed.diagnosis.settings import RESAMPLES
+
+RESAMPLES = 2000  # chosen: draws of the bootstrap over runs
 
 
 def heldout(residual: Residual, found: Fit, placebo: Fit | None, seed: int = 0) -> Heldout | None:
-    """The residual of a link, rms in units of the noise in contact: with no effects, and with
-    `found` fitted to the other runs.
-    """
+    """The gain of ``found`` fitted to the other runs; None with one run, or without a cause."""
     runs = residual.runs
     if len(runs) < 2 or not found.causes:
         return None
@@ -42,22 +41,15 @@ def resampled(
     wrong: Mapping[int, float],
     seed: int = 0,
 ) -> Heldout:
-    """The gain from the mean square of each run before, after, and after a placebo; its interval by
-    bootstrap over runs.
-    """
+    """The gain from the mean squares of each run; its interval by bootstrap over runs."""
     a, b, w = (np.array([x[i] for i in runs]) for x in (before, after, wrong))
     draws = np.random.default_rng(seed).integers(0, len(runs), (RESAMPLES, len(runs)))
     gains = 1.0 - np.sqrt(b[draws].sum(axis=1) / a[draws].sum(axis=1))
     low, high = np.percentile(gains, [2.5, 97.5])
-    return Heldout(
-        tuple(runs),
-        _rms(a),
-        _rms(b),
-        1.0 - _rms(b) / _rms(a),
-        (float(low), float(high)),
-        1.0 - _rms(w) / _rms(a),
-        {i: (math.sqrt(before[i]), math.sqrt(after[i])) for i in runs},
-    )
+    reduction, placebo = (1.0 - _rms(x) / _rms(a) for x in (b, w))
+    per_run = {i: (math.sqrt(before[i]), math.sqrt(after[i])) for i in runs}
+    ends = (float(low), float(high))
+    return Heldout(tuple(runs), _rms(a), _rms(b), reduction, ends, placebo, per_run)
 
 
 def _rms(squares: np.ndarray) -> float:
@@ -65,9 +57,7 @@ def _rms(squares: np.ndarray) -> float:
 
 
 def left_out(residual: Residual, i: int, found: Fit, judged: Residual | None = None) -> float:
-    """Mean square on run i, in units of the noise, of `found` fitted to the other runs; as
-    ``judged``, else in the form that was fitted.
-    """
+    """Mean square on run i of ``found`` fitted to the other runs; judged: in place of that form."""
     judged = judged or residual
     others = residual.on([j for j in residual.runs if j != i])
     # jitter changes the variance, not the mean
@@ -88,9 +78,7 @@ def mean_square(residual: Residual, i: int, effects: Effects) -> float:
 
 
 def placebo_of(fits: Sequence[Fit], found: Fit) -> Fit | None:
-    """A wrong effect with as nearly as many parameters as possible: the worst that was fitted, not
-    the next best.
-    """
+    """A wrong effect with about as many parameters: the worst fitted, not the next best."""
     own = set(found.kinds)
     count = sum(len(c.names) for c in found.causes)
     wrong = [

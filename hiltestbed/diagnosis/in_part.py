@@ -3,45 +3,60 @@
 A stand-in for an effect outside the vocabulary fits only the runs that it was fitted to: its size
 differs from run to run, it does not carry over to left-out runs, it varies with the duration of a
 run or with the force, it ends at a bound of its search, or other effects do as well in its place.
-None of this is true of a cause.
+None of this is true of a cause, whose size is a constant of the rig: a mass that stands in for drag
+is larger in longer runs.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, at_bound, fit, inflation, refit_without
+from hiltestbed.diagnosis.fit import Bounds, Fit, at_bound, fit, inflation, refit_without
 from hiltestbed.diagnosis.grow import log_heldout_rms
-from hiltestbed.diagnosis.invariance import varies
+from hiltestbed.diagnosis.intervals import derivatives_by_run
+from hiltestbed.diagnosis.links import LinkRun
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation, Search, first_of_each
 from hiltestbed.diagnosis.settings import (
     AMBIGUITY,
     MAX_PARTNERS,
-    MAX_SIZE_SPREAD,
     MIN_EXPLAINED,
     MIN_HELDOUT_GAIN_IN_PART,
     MIN_RUN_SHARE,
-    RIVAL_MARGIN,
+    SMOOTHING_ROWS,
 )
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
+
+# chosen: share of a cause's size by which it may differ from run to run where something else acts
+# as well
+MAX_SIZE_SPREAD = 0.15
+# chosen: share of a cause's gain in chi-square, within which another effect is a rival
+RIVAL_MARGIN = 0.1
 
 MIN_RUNS = 3
 MIN_LONG_RUNS = 2  # of which each holds many independent stretches
 # chosen: of a cause, at which its fit to a run alone starts: well beyond what may differ from run
 # to run
 START_SIZES = (1.0, 0.7, 1.4)
+# chosen: relative change of a size per unit of a condition; of a stand-in about 1, the share of it
+# in a size
+MIN_VARIATION = 0.25
+# calibrated: of what is left, that a varying size explains: 16 causes up to 19 %, five stand-ins 27
+# to 90 %, others less
+MIN_SHARE = 0.25
+# chosen: standard deviation of a condition between rows, below which it does not vary
+MIN_CONDITION_SPREAD = 0.03
 
 
 def holding(found: Explanation) -> tuple[int, ...]:
-    """Indices of the causes of the chosen fit that hold; none where there are too few runs to
-    decide.
-    """
+    """Indices of the causes of the chosen fit that hold; none where there are too few runs."""
     if not _enough_evidence(found):
         return ()
     alone = in_each_run(found)
@@ -147,9 +162,7 @@ def _least(found: Explanation) -> int:
 
 
 def explained(found: Explanation) -> float:
-    """Share of the departure that the chosen fit explains on left-out runs, in mean square beyond
-    the noise.
-    """
+    """Share of the departure that the chosen fit explains on left-out runs, in mean square."""
     before, after = (
         math.exp(2.0 * log_heldout_rms(found.residual, f)) - 1.0 for f in (found.null, found.chosen)
     )
@@ -168,22 +181,18 @@ def same_in_each(chosen: Fit, alone: list[list[Fit]], index: int, least: int) ->
     scale = float(np.linalg.norm(size))
     if not leading or scale == 0.0:
         return False
-    off = [
-        [
-            float(np.linalg.norm(f.part(index)[leading] - neutral - size))
-            <= MAX_SIZE_SPREAD * scale
-            for f in fits
-        ]
-        for fits in alone
-    ]
-    same, other = sum(all(near) for near in off), sum(not any(near) for near in off)
+
+    def near(f: Fit) -> bool:
+        off = float(np.linalg.norm(f.part(index)[leading] - neutral - size))
+        return off <= MAX_SIZE_SPREAD * scale
+
+    off = [[near(f) for f in fits] for fits in alone]
+    same, other = sum(map(all, off)), sum(not any(each) for each in off)
     return same >= max(least, MIN_RUN_SHARE * (same + other))
 
 
 def _worthwhile_without_rival(found: Explanation, index: int) -> bool:
-    """Whether a cause carries over to left-out runs beside the others, and no other effect does as
-    well in its place.
-    """
+    """Whether a cause carries over to left-out runs, and no other effect does as well."""
     residual, chosen = found.residual, found.chosen
     fewer = refit_without(residual, chosen, index)
     if not _improves_heldout(found, fewer):
@@ -196,9 +205,7 @@ def _worthwhile_without_rival(found: Explanation, index: int) -> bool:
 
 
 def _improves_heldout(found: Explanation, fewer: Fit) -> bool:
-    """Whether the chosen fit leaves enough less on left-out runs than that with ``fewer``
-    causes.
-    """
+    """Whether the chosen fit leaves enough less on left-out runs than with ``fewer`` causes."""
     return (
         log_heldout_rms(found.residual, fewer) - log_heldout_rms(found.residual, found.chosen)
         >= MIN_HELDOUT_GAIN_IN_PART
@@ -208,3 +215,71 @@ def _improves_heldout(found: Explanation, fewer: Fit) -> bool:
 def _replacements(found: Explanation, residual: Residual, fewer: Fit, kind: str) -> list[Fit]:
     others = tuple(c for c in found.candidates if c.kind != kind)
     return Search(others).extend(residual, fewer, MAX_PARTNERS)
+
+
+def varies(residual: Residual, chosen: Fit, index: int, sizes: list[int], neutral: float) -> bool:
+    """Whether the size of a cause depends on a condition: a size in proportion to it, beside all
+    parameters, explains much of what is left.
+
+    Args:
+        chosen: the fit. index: of the cause. sizes: its parameters in `Fit.part` that are its size.
+            neutral: their value without it.
+    """
+    by_run = derivatives_by_run(residual, chosen)
+    left, jacobian = (np.concatenate(parts) for parts in zip(*by_run, strict=True))
+    place, scale = chosen.place(index), Bounds.of(chosen.causes).scales(chosen.theta)
+    relative = ((chosen.part(index)[sizes] - neutral) / scale[place][sizes])[:, None]
+    # of the misfits, by the size relative to itself
+    by_size = (jacobian[:, place][:, sizes] @ relative)[:, 0]
+    weight = by_size**2
+    if not weight.any():
+        return False
+    basis = np.linalg.qr(jacobian)[0]
+    rest = _beside(basis, left)
+    for condition in conditions(
+        [residual.link.runs[i] for i in residual.runs], [len(r) for r, _ in by_run]
+    ):
+        offset = condition - np.average(condition, weights=weight)
+        if np.sqrt(np.average(offset**2, weights=weight)) < MIN_CONDITION_SPREAD:
+            continue
+        varied = _beside(basis, by_size * offset)
+        square = float(varied @ varied)
+        # least squares beside all parameters
+        change = -float(varied @ rest) / square if square > 0.0 else 0.0
+        if change**2 * square > MIN_SHARE * float(left @ left) and abs(change) > MIN_VARIATION:
+            return True
+    return False
+
+
+def conditions(runs: Sequence[LinkRun], rows: Sequence[int]) -> list[Array]:
+    """(M,) of each condition at the misfits of runs, of which each has so many as ``rows`` says:
+    the logarithms of the duration of the run, of that of its contacts and of its largest reading; 1
+    in contact, 0 outside; the time, from 0 to 1; the way of the motion, 1 or -1.
+    """
+    of_run = [
+        [float(np.log(len(r.measured))) for r in runs],
+        [float(np.log(max(1, np.count_nonzero(r.touching)))) for r in runs],
+        [float(np.log(max(np.abs(r.measured).max(initial=0.0), 1e-300))) for r in runs],
+    ]
+    of_row = [
+        [r.touching.astype(float) for r in runs],
+        [np.linspace(0.0, 1.0, len(r.measured)) for r in runs],
+        [_way(r.measured) for r in runs],
+    ]
+    channels = [r.measured.shape[1] for r in runs]
+    expanded = [
+        np.concatenate([np.repeat(x, c) for x, c in zip(parts, channels, strict=True)])
+        for parts in of_row
+    ]
+    return [np.repeat(values, rows) for values in of_run] + expanded
+
+
+def _way(measured: Array) -> Array:
+    """(N,) sign of the change of the channel that changes most."""
+    most = measured[:, int(np.argmax(np.ptp(measured, axis=0)))]
+    return np.sign(np.gradient(uniform_filter1d(most, SMOOTHING_ROWS)))
+
+
+def _beside(basis: Array, column: Array) -> Array:
+    """(M,) the part of a column (M,) that is orthogonal to a basis (M, P)."""
+    return np.asarray(column - basis @ (basis.T @ column), dtype=np.float64)

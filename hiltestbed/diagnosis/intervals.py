@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from hiltestbed.diagnosis.fit import Fit, bounds_of, differences, effects_at, scales
+from hiltestbed.diagnosis.fit import Bounds, Fit, Trials, effects_at
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.frames import Array
 
@@ -49,9 +49,7 @@ class Spread:
 
     @property
     def correlation(self) -> Array:
-        """(P, P) correlation of the estimates, by the inverse of `normal`; NaN for an undetermined
-        parameter.
-        """
+        """(P, P) correlation of the estimates; NaN for an undetermined parameter."""
         covariance = inverted(self.normal)
         root = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         out = np.clip(covariance / np.outer(root, root), -1.0, 1.0)
@@ -72,9 +70,7 @@ def intervals(residual: Residual, found: Fit) -> Spread:
     causes, theta = found.causes, found.theta
     if len(theta) == 0:
         return Spread(np.zeros((0, 2)), np.zeros((0, 0)), np.zeros(0, bool), 1.0)
-    low, high, log = bounds_of(causes)
-    scale = scales(theta, low, high, log)
-    count = len(theta)
+    bounds, count = Bounds.of(causes), len(theta)
     normal, middle = np.zeros((count, count)), np.zeros((count, count))
     squares, samples = 0.0, 0
     jacobians = derivatives_by_run(residual, found)
@@ -108,13 +104,13 @@ def intervals(residual: Residual, found: Fit) -> Spread:
             spread,
             np.sqrt(np.maximum(between, 0.0)) * min(2.2, float(student.ppf(0.975, runs - 1))),
         )
-    half = spread * scale + MIN_RELATIVE_WIDTH * np.abs(theta)
-    ends = np.column_stack([np.clip(theta - half, low, high), np.clip(theta + half, low, high)])
+    half = spread * bounds.scales(theta) + MIN_RELATIVE_WIDTH * np.abs(theta)
+    ends = np.column_stack([bounds.clip(theta - half), bounds.clip(theta + half)])
     rough = [c.effect.jumps == name for c in causes for name in c.names]
     for j in np.flatnonzero(np.array(rough) | ~determined):
         profile = [
             _crossing(residual, found, int(j), sign, squares + CHI2_95 * misfit, bound)
-            for sign, bound in ((-1.0, low[j]), (1.0, high[j]))
+            for sign, bound in ((-1.0, bounds.low[j]), (1.0, bounds.high[j]))
         ]
         ends[j] = (
             (profile[0], profile[1])
@@ -126,17 +122,11 @@ def intervals(residual: Residual, found: Fit) -> Spread:
 
 def derivatives_by_run(residual: Residual, found: Fit) -> list[tuple[Array, Array]]:
     """Of each run, the misfits (M,) and their derivatives by the scaled parameters (M, P)."""
-    low, high, log = bounds_of(found.causes)
-    scale = scales(found.theta, low, high, log)
     out = []
     for i in residual.runs:
-        one = residual.on([i])
-        r = one(found.effects())
-
-        def moved(thetas: Sequence[Array] | Array, one: Residual = one) -> Array:
-            return one.many([effects_at(found.causes, theta) for theta in thetas])
-
-        out.append((r, differences(moved, found.theta, r, scale, low, high, WIDE_STEP)))
+        trials = Trials(residual.on([i]), found.causes)
+        r = trials([found.theta])[0]
+        out.append((r, trials.slopes(found.theta, r, WIDE_STEP)))
     return out
 
 
@@ -147,9 +137,8 @@ def stretch_variance(
     each row is an independent sample.
 
     The sandwich of the stretches' gradients; of the link's stretch lengths, the one that gives the
-    most. A few stretches give a poor
-    estimate of their own scatter: the variance is that of the normal distribution whose 95 %
-        interval equals Student's.
+    most. A few stretches give a poor estimate of their own scatter: the variance is that of the
+    normal distribution whose 95 % interval equals Student's.
     """
     count = len(inverse)
     out = np.zeros(count)
@@ -171,9 +160,7 @@ def stretch_variance(
 def _crossing(
     residual: Residual, found: Fit, j: int, sign: float, most: float, bound: float
 ) -> float:
-    """Where chi-square exceeds `most` as parameter j moves off its estimate, for one in which
-    chi-square has steps, such as a dead zone.
-    """
+    """Where chi-square exceeds `most` as parameter j moves, for one in which it has steps."""
     step = MIN_RELATIVE_WIDTH
     theta = found.theta.copy()
     while step < 1.0:

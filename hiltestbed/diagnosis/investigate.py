@@ -7,14 +7,18 @@ The order of the links is that in which one link's explanation helps the next.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hiltestbed.diagnosis import judges
-from hiltestbed.diagnosis.adequacy import noise_alone
-from hiltestbed.diagnosis.all_rows import refit_on_all_rows
+from hiltestbed.diagnosis.adequacy import (
+    judge_of_axis,
+    judge_of_compensation,
+    judge_of_dynamics,
+    noise_alone,
+)
+from hiltestbed.diagnosis.decimation import refit_on_all_rows
 from hiltestbed.diagnosis.driven import (
     AXIS_EFFECTS,
     DISPLACEMENT_SPAN,
@@ -23,24 +27,19 @@ from hiltestbed.diagnosis.driven import (
     simplest_force,
 )
 from hiltestbed.diagnosis.fit import Fit, null_fit, refit
-from hiltestbed.diagnosis.jitter import jitter_beside
+from hiltestbed.diagnosis.grow import Richer
+from hiltestbed.diagnosis.jitter_and_hum import hum_beside, jitter_beside, lines
 from hiltestbed.diagnosis.lacking import too_little
-from hiltestbed.diagnosis.late_record import (
-    other_reading_betters,
-    stamped_late,
-    used_readings,
-    without_end,
-)
 from hiltestbed.diagnosis.layout import (
     Layout,
     compensation_link,
     dynamics_link,
     lay_out,
+    levels,
     platform_link,
     with_noise_beside,
     with_readings,
 )
-from hiltestbed.diagnosis.lines import hum_beside, lines
 from hiltestbed.diagnosis.links import (
     AxisLink,
     CompensationLink,
@@ -53,10 +52,10 @@ from hiltestbed.diagnosis.links import (
 from hiltestbed.diagnosis.paths import (
     BestPath,
     best_path,
-    compared_share,
     make_wrench_link,
     path_under,
     path_without_delay,
+    too_divergent,
     with_clocks_off,
     with_filter_error,
 )
@@ -74,15 +73,18 @@ from hiltestbed.diagnosis.readings import (
     wrench_link_of,
 )
 from hiltestbed.diagnosis.residual import Residual, square
-from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
-from hiltestbed.diagnosis.settings import DETECTION, MIN_COMPARED
+from hiltestbed.diagnosis.settings import DETECTION
 from hiltestbed.diagnosis.stamps import (
     exactly_stamped,
     least_left,
     only_late_record,
+    other_reading_betters,
     rows_in_common,
+    stamped_late,
     stamps_known,
+    used_readings,
+    without_end,
 )
 from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.diagnosis.timing import (
@@ -98,7 +100,6 @@ from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.replay import follows_exactly
-from hiltestbed.signals import GROUPS
 
 # chosen: of chi-square, below which another estimate of the initial state is taken
 MAX_RESTART_CHI2 = 0.9
@@ -140,28 +141,22 @@ class Findings:
 def investigate(
     dataset: MeasuredDataset, progress: Progress | None = None, stamps: bool = True
 ) -> Findings:
-    """Explain every link that the dataset's channels allow; stamps: whether a late record may be a
-    matter of its stamps.
-    """
+    """Explain every link that the data allow; stamps: whether a late record may be its stamps."""
     layout = lay_out(dataset)
     found: dict[str, Explanation] = {}
     whole: dict[str, Link] = {}
     if "compensation" not in layout.missing:
-        candidates = _candidates(layout.scales, ("compensation", "log"))
+        candidates = candidates_of(layout.scales, ("compensation", "log"))
         found["compensation"] = _explain_compensation(
             layout, compensation_link(layout, layout.rows), candidates, progress, stamps
         )
     if "dynamics" not in layout.missing:
         found["dynamics"], whole["dynamics"] = _explain_dynamics(layout, found, progress)
     if "compensation" in found:  # whose stamps the numerical model may have shown
-        whole["compensation"] = compensation_link(layout, layout.whole).with_timing(
-            found["compensation"].residual.link.timing
-        )
+        whole["compensation"] = _whole(compensation_link, layout, found["compensation"])
     if "platform" not in layout.missing:
-        link = _stamped_platform(layout, found)
-        found["platform"] = _explain_platform(layout, link, _begin(progress, layout, "platform"))
-        whole["platform"] = platform_link(layout, layout.whole).with_timing(
-            found["platform"].residual.link.timing
+        found["platform"], whole["platform"] = _explain_platform(
+            layout, _stamped_platform(layout, found), _begin(progress, layout, "platform")
         )
     missing = dict(layout.missing)
     if "wrench" not in missing:
@@ -183,24 +178,27 @@ def investigate(
     )
 
 
-def _candidates(scales: Scales, links: Sequence[str], rich: bool = False) -> tuple[Candidate, ...]:
-    """The hypotheses of every effect that acts on one of ``links``: of the ``rich`` effects, or of
-    all others.
+def _whole(
+    make: Callable[[Layout, Sequence[int]], Link], layout: Layout, explanation: Explanation
+) -> Link:
+    """A link on whole runs, with the timing of its explanation."""
+    return make(layout, layout.whole).with_timing(explanation.residual.link.timing)
+
+
+def candidates_of(
+    scales: Scales, links: Sequence[str], rich: bool | None = False
+) -> tuple[Candidate, ...]:
+    """The hypotheses of each effect that acts on one of ``links``: of ``rich`` ones, of the others,
+    or (None) of all.
     """
-    return tuple(
-        c
-        for effect in EFFECTS.values()
-        if effect.link in links and effect.rich == rich
-        for c in effect.candidates(scales)
-    )
+    effects = [e for e in EFFECTS.values() if e.link in links and rich in (None, e.rich)]
+    return tuple(c for e in effects for c in e.candidates(scales))
 
 
 def _begin(
     progress: Progress | None, layout: Layout, link: str, words: str = ""
 ) -> Progress | None:
-    """Tell that a link is begun, with its number among those that are judged; the callback for what
-    is done on it.
-    """
+    """Tell that a link is begun; the callback for what is done on it."""
     judged = [name for name in ORDER if name not in layout.missing]
     told = labelled(
         progress, f"link {judged.index(link) + 1} of {len(judged)}, {words or LINK_NAMES[link]}"
@@ -210,22 +208,28 @@ def _begin(
     return told
 
 
-def _explain_platform(layout: Layout, link: PlatformLink, progress: Progress | None) -> Explanation:
-    """The explanation of the platform, with starts for stiction from the data."""
+def with_stiction(layout: Layout, link: PlatformLink) -> tuple[Scales, Timing | None]:
+    """Scales with starts for stiction from the data, and the timing that its jumps show, if any."""
     noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
     sticks = sticking(link, noise, layout.scales.substeps)
-    scales = replace(layout.scales, sticks=sticks.starts)
-    if sticks.timing is not None:
-        link = link.with_timing(sticks.timing)
-    search = Search(_candidates(scales, ("platform",)), progress=progress, reread=timing_under)
+    return replace(layout.scales, sticks=sticks.starts), sticks.timing
+
+
+def _explain_platform(
+    layout: Layout, link: PlatformLink, progress: Progress | None
+) -> tuple[Explanation, Link]:
+    """The explanation of the platform, and that link on whole runs."""
+    scales, timing = with_stiction(layout, link)
+    link = link if timing is None else link.with_timing(timing)
+    search = Search(candidates_of(scales, ("platform",)), progress=progress, reread=timing_under)
     found = explain_with_timing(Residual(link), search)
-    richer = Richer(search, _candidates(scales, ("platform",), rich=True))
-    other = richer.in_place_of(found)
-    there = found.residual if other is found else timing_under(other.residual, other.chosen)
-    if there is other.residual:
-        return other
-    placed = replace(richer, search=search.after(other)).in_place_of(found, there)
-    return other if placed is found else placed
+    richer = Richer(search, candidates_of(scales, ("platform",), rich=True))
+    best = richer.in_place_of(found)
+    there = found.residual if best is found else timing_under(best.residual, best.chosen)
+    if there is not best.residual:
+        placed = replace(richer, search=search.after(best)).in_place_of(found, there)
+        best = best if placed is found else placed
+    return best, _whole(platform_link, layout, best)
 
 
 def _explain_dynamics(
@@ -239,20 +243,18 @@ def _explain_dynamics(
     if layout.scales.driven is not None:
         return _explain_axis(layout, _begin(progress, layout, "dynamics", "driven axis"))
     link = _stamped_dynamics(layout, found)
-    judge = judges.of_dynamics(Residual(link))
+    judge = judge_of_dynamics(Residual(link))
     if not noise_alone(judge(Residual(link), ())):
         link = _with_unknown_start(layout, link)
     search = Search(
-        _candidates(layout.scales, ("dynamics",)),
+        candidates_of(layout.scales, ("dynamics",)),
         judge,
         (),
         _begin(progress, layout, "dynamics"),
         bounded=timing_departs(found),
     )
     explanation = explain_with_timing(Residual(link), search)
-    return explanation, dynamics_link(layout, layout.whole).with_timing(
-        explanation.residual.link.timing
-    )
+    return explanation, _whole(dynamics_link, layout, explanation)
 
 
 def _stamped_dynamics(layout: Layout, found: dict[str, Explanation]) -> DynamicsLink:
@@ -266,9 +268,8 @@ def _stamped_dynamics(layout: Layout, found: dict[str, Explanation]) -> Dynamics
         return link
     common = rows_in_common(stamps, tick)
     links = [link.stamped(before=-stamps["wrench_comp"] - n * tick) for n in common]
-    best = (
-        least_left([_with_unknown_start(layout, other) for other in links]) if len(links) > 1 else 0
-    )
+    several = [_with_unknown_start(layout, other) for other in links] if len(links) > 1 else []
+    best = least_left(several) if several else 0
     if common[best]:
         found["compensation"] = found["compensation"].stamped(
             delay=common[best] * tick, before=-common[best] * tick
@@ -278,23 +279,18 @@ def _stamped_dynamics(layout: Layout, found: dict[str, Explanation]) -> Dynamics
 
 def _with_unknown_start(layout: Layout, link: DynamicsLink) -> DynamicsLink:
     """The numerical model where the wrench that acted first may not be on record."""
-    return link.with_unknown_start(
-        LOST_START
-        * np.array([layout.noise.get(name, 0.0) for name in GROUPS["wrench_comp"].columns])
-    )
+    return link.with_unknown_start(LOST_START * levels(layout, "wrench_comp"))
 
 
 def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:
-    """The explanation of a driven axis: its mass and what resists it, sought together from the
-    estimates of a regression.
-    """
+    """A driven axis: its mass and what resists it, sought from the estimates of a regression."""
     link = axis_link(layout.runs)
     candidates = tuple(
-        c for c in _candidates(layout.scales, ("dynamics",)) if c.kind in AXIS_EFFECTS
+        c for c in candidates_of(layout.scales, ("dynamics",)) if c.kind in AXIS_EFFECTS
     )
     search = Search(
         simplest_force(candidates),
-        judges.of_axis(link),
+        judge_of_axis(link),
         (mass_and_force(candidates),),
         progress,
         beside=math.inf,
@@ -302,11 +298,9 @@ def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanatio
     explanation = search.explain(Residual(link.over(DISPLACEMENT_SPAN)))
     if explanation.chosen.causes:
         again = link.restarted(explanation.chosen.effects())
-        if (
-            refit(Residual(again.over(DISPLACEMENT_SPAN)), explanation.chosen).chi2
-            < MAX_RESTART_CHI2 * explanation.chosen.chi2
-        ):
-            return search.after(explanation).explain(Residual(again.over(DISPLACEMENT_SPAN))), again
+        there = Residual(again.over(DISPLACEMENT_SPAN))
+        if refit(there, explanation.chosen).chi2 < MAX_RESTART_CHI2 * explanation.chosen.chi2:
+            return search.after(explanation).explain(there), again
     return explanation, link
 
 
@@ -317,7 +311,7 @@ def _explain_compensation(
     progress: Progress | None,
     stamps: bool = False,
 ) -> Explanation:
-    judge = judges.of_compensation(link, layout.noise)
+    judge = judge_of_compensation(link, layout.noise)
     approximate = layout.logged is not None or any(
         "wrench_meas" in run.record.bends for run in layout.runs
     )
@@ -339,13 +333,11 @@ def _explain_compensation(
 
 
 def _with_noise_of_residual(layout: Layout, path: BestPath) -> Layout:
-    """The layout with the noise of a latched mechanism's force from what the believed contact on
-    its path leaves of the readings.
-    """
+    """The layout with the noise of a latched mechanism's force beside its believed contact."""
     if not any(r.scenario.mechanism.captured for r in layout.runs):
         return layout
     link = choose_steps(choose_ring(choose_lever(make_wrench_link(layout, path, layout.whole))))
-    shown = link.predict([(i, ()) for i in range(len(link.runs))])
+    shown = link.shown_in_all()
     known = [np.asarray(np.isfinite(run.sigma).any(axis=1)) for run in link.runs]
     return with_noise_beside(
         layout, [np.where(k[:, None], s, np.nan) for k, s in zip(known, shown, strict=True)]
@@ -364,16 +356,13 @@ def _investigate_wrench(
 
     Returns the reason why the data do not allow it; None where they do.
     """
-    if (part := compared_share(layout, path)) < MIN_COMPARED:
-        return (
-            f"the smallest difference decides how the mechanism moves after the touch: "
-            f"{part:.0%} of the rows in contact could be replayed"
-        )
+    if why := too_divergent(layout, path):
+        return why
     link = make_wrench_link(layout, path, layout.rows, decimate="compensation" not in found)
     link = choose_steps(choose_ring(choose_lever(_as_stamped(link, found))))
     scales = replace(layout.scales, lines=lines(link), jumps=link.jumps is not None)
     unseen = ("platform",) if link.commands else ()  # its response then is in the path
-    candidates = _candidates(
+    candidates = candidates_of(
         scales,
         (*WRENCH_LINKS, *unseen) if "compensation" in found else (*WRENCH_LINKS, *unseen, "log"),
     )
@@ -442,9 +431,7 @@ def _as_stamped(link: WrenchLink, found: Mapping[str, Explanation]) -> WrenchLin
 def _choose_path(
     layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
 ) -> BestPath:
-    """The path that fits contact and sensor best, of those that the platform leaves open; and the
-    platform explained to match it.
-    """
+    """The path that fits contact and sensor best; and the platform explained to match it."""
     best = best_path(layout, found.get("platform"))
     if other := path_without_delay(layout, found.get("platform"), best):
         links = [
@@ -454,7 +441,7 @@ def _choose_path(
         links = [choose_lever(_as_stamped(link, found)) for link in links]
         resembling = [
             c
-            for c in _candidates(layout.scales, WRENCH_LINKS)
+            for c in candidates_of(layout.scales, WRENCH_LINKS)
             if c.kind in SHIFT_LOOK_ALIKES and not c.variant
         ]
         if best_placed(links, resembling):
@@ -479,12 +466,8 @@ def _stamped_elsewhere(
     for effect in platform.chosen.effects():
         if may_be_stamp(effect, platform.residual.link):
             timing = timing.plus(Timing(delay=effect.parameters()["delay"]))
-    again = _explain_platform(
-        layout,
-        _stamped_platform(layout, found).with_timing(timing),
-        _begin(progress, layout, "platform"),
-    )
-    return again, platform_link(layout, layout.whole).with_timing(again.residual.link.timing)
+    link = _stamped_platform(layout, found).with_timing(timing)
+    return _explain_platform(layout, link, _begin(progress, layout, "platform"))
 
 
 def _by_its_stamp(
@@ -511,11 +494,9 @@ def _by_its_stamp(
         return False
     early = compensation_link(layout, layout.rows).with_timing(Timing(delay=-skew))
     found["compensation"] = _explain_compensation(
-        layout, early, _candidates(layout.scales, ("compensation",)), progress
+        layout, early, candidates_of(layout.scales, ("compensation",)), progress
     )
-    whole["compensation"] = compensation_link(layout, layout.whole).with_timing(
-        found["compensation"].residual.link.timing
-    )
+    whole["compensation"] = _whole(compensation_link, layout, found["compensation"])
     return True
 
 
@@ -526,9 +507,7 @@ def _settle_compensation(
     whole: dict[str, Link],
     progress: Progress | None,
 ) -> None:
-    """The compensation explained again with the readings that the loop used, if contact and sensor
-    show how late the record is.
-    """
+    """The compensation under the readings that the loop used, if the contact shows these late."""
     explanation = found["wrench"]
     effects = explanation.chosen.effects()
     skew = log_parameters(effects).skew
@@ -539,11 +518,7 @@ def _settle_compensation(
     links = []
     for rows in (layout.rows, layout.whole):
         wrench = make_wrench_link(layout, path, rows).as_interpreted(chosen)
-        everything = range(len(wrench.runs))
-        late, prompt = (
-            wrench.predict([(i, effects) for i in everything]),
-            wrench.predict([(i, in_time) for i in everything]),
-        )
+        late, prompt = wrench.shown_in_all(effects), wrench.shown_in_all(in_time)
         used = [
             used_readings(run, a, b, ticks)
             for run, a, b in zip(wrench.runs, late, prompt, strict=True)
@@ -553,7 +528,7 @@ def _settle_compensation(
     late_record = Candidate(
         EFFECTS["log.skew"], (), np.zeros(0), np.zeros(0), np.zeros(0, bool), ((),), {"delay": skew}
     )  # as found on the contact
-    candidates = (*_candidates(layout.scales, ("compensation",)), late_record)
+    candidates = (*candidates_of(layout.scales, ("compensation",)), late_record)
     found["compensation"] = _explain_compensation(layout, links[0], candidates, progress)
     whole["compensation"] = links[1].with_timing(found["compensation"].residual.link.timing)
 
@@ -575,16 +550,11 @@ def _settle_platform(
         or not platform.departs
         or not explanation.adequate
         or len(in_truth) == len(effects)
+        or all(follows_exactly(r.scenario) for r in layout.runs)
     ):
         return layout
-    if all(follows_exactly(r.scenario) for r in layout.runs):
-        return layout
     wrench = whole["wrench"]
-    everything = range(len(layout.runs))
-    shown, borne = (
-        wrench.predict([(i, effects) for i in everything]),
-        wrench.predict([(i, in_truth) for i in everything]),
-    )
+    shown, borne = wrench.shown_in_all(effects), wrench.shown_in_all(in_truth)
     readings = [
         r.record.filled("wrench_meas") + b - s
         for r, b, s in zip(layout.runs, borne, shown, strict=True)
@@ -592,12 +562,8 @@ def _settle_platform(
     again = with_readings(layout, readings)
     if again is None:
         return layout
-    found["platform"] = _explain_platform(
-        again,
-        _stamped_platform(again, found),
-        _begin(progress, again, "platform", "platform under the force found"),
-    )
-    whole["platform"] = platform_link(again, again.whole).with_timing(
-        found["platform"].residual.link.timing
+    begun = _begin(progress, again, "platform", "platform under the force found")
+    found["platform"], whole["platform"] = _explain_platform(
+        again, _stamped_platform(again, found), begun
     )
     return again

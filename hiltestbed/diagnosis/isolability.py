@@ -2,9 +2,8 @@
 which effects would look the same.
 
 The idea of structural fault isolation (E. Frisk, M. Krysander, fault isolability of over-determined
-systems), with sensitivities from
-replays of the links in place of structure: two effects with parallel residuals cannot be told apart
-at small size.
+systems), with sensitivities from replays of the links in place of structure: two effects with
+parallel residuals cannot be told apart at small size.
 """
 
 from __future__ import annotations
@@ -111,9 +110,7 @@ def detectable(
 
 
 def _clearest(residual: Residual, candidates: Sequence[Candidate]) -> dict[str, Candidate]:
-    """Of each effect, in reverse order, the hypothesis that changes the residual most at the
-    largest size that is searched.
-    """
+    """Of each effect, in reverse order, the hypothesis that changes the residual most."""
     changes = _changes(
         residual, residual(()), candidates, np.array([1.0 if c.names else 0.0 for c in candidates])
     )
@@ -192,9 +189,7 @@ def _at(c: Candidate, size: float) -> Array:
 
 
 def _value(c: Candidate, size: float) -> float:
-    """The leading parameter for a size from 0 (next to nothing) to 1 (the largest that is
-    searched).
-    """
+    """The leading parameter for a size from 0 (next to nothing) to 1 (the largest searched)."""
     a, b = float(c.low[0]), float(c.high[0])
     if c.names[0] == "factor":
         return 1.0 + (min(b, 1.5) - 1.0) * 10.0 ** (-5.0 * (1.0 - size))

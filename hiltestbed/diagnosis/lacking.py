@@ -85,12 +85,12 @@ def too_little(link: Link) -> str | None:
     share = float(np.mean(counted)) if len(counted) else 1.0
     if share >= LEAST_SHARE:
         return None
-    return (
-        f"{share:.0%} of the rows in which its effects show could be compared: only effects "
-        f"{share**-0.5:.2g} times as large as in a whole record would show"
-        if share > 0.0
-        else "no row in which its effects show could be compared"
-    )
+    if share > 0.0:
+        return (
+            f"{share:.0%} of the rows in which its effects show could be compared: only effects "
+            f"{share**-0.5:.2g} times as large as in a whole record would show"
+        )
+    return "no row in which its effects show could be compared"
 
 
 def _lacking_of_wrench(runs: Sequence[MeasuredRun]) -> dict[str, str]:
@@ -143,9 +143,7 @@ def all_axes(run: MeasuredRun, *groups: str) -> bool:
 
 
 def on_record(run: MeasuredRun, *groups: str) -> bool:
-    """Whether each axis that the rig can move is on record in one of the ``groups``, which have the
-    same axes.
-    """
+    """Whether each axis that the rig can move is on record in one of the ``groups``."""
     moving = [
         part for part in GROUPS[groups[0]].parts if part not in run.scenario.rig.platform.still
     ]

@@ -21,7 +21,7 @@ from hiltestbed.diagnosis.bridged import (
     rms_differences,
 )
 from hiltestbed.diagnosis.driven import regression
-from hiltestbed.diagnosis.floors import floors
+from hiltestbed.diagnosis.floors import floors, repetition_factor
 from hiltestbed.diagnosis.lacking import every_run_has, lacking, on_record
 from hiltestbed.diagnosis.links import (
     CompensationLink,
@@ -33,17 +33,8 @@ from hiltestbed.diagnosis.links import (
 )
 from hiltestbed.diagnosis.low_pass import LowPass, low_pass_between
 from hiltestbed.diagnosis.noise import FEW_STEPS, POSE_PARTS, ForceNoise, few_levels, force_noise
-from hiltestbed.diagnosis.quantised import repetition_factor
 from hiltestbed.diagnosis.scales import scales_of
-from hiltestbed.diagnosis.settings import (
-    COMPENSATION_FLOOR,
-    CORRELATED_ROWS,
-    DYNAMICS_FLOOR,
-    FORCE_ARM_ERROR,
-    MIN_FORCE_NOISE,
-    MIN_POSE_NOISE,
-    TAIL_TIME,
-)
+from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, DYNAMICS_FLOOR, MIN_POSE_NOISE
 from hiltestbed.diagnosis.yielding import Deflection, deflection, engagement
 from hiltestbed.effects.search import Scales
 from hiltestbed.frames import Array
@@ -53,6 +44,13 @@ from hiltestbed.replay import Engaged
 from hiltestbed.replay.compensation import needs
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
+
+MIN_FORCE_NOISE = 1e-6  # chosen: share of the peak force: floor of a force without noise
+# chosen: [m] uncertainty of the point of application; times the peak force it is the floor of a
+# torque
+FORCE_ARM_ERROR = 2e-6
+# chosen: [s] after the last contact that the search includes, where charge leakage and ringing show
+TAIL_TIME = 0.15
 
 # chosen: [s] for which a missing sample is taken to affect platform, contact and compensation
 GAP_MEMORY = 0.05
@@ -159,46 +157,33 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
 
 
 def _share_of_rates(link: CompensationLink) -> float:
-    """Error of the computed force where twist_act is differentiated pose_act, as a share of that
-    force; 0 where twist_act is not needed.
-    """
+    """Share of the computed force that differentiating pose_act is off by; 0: it is not needed."""
     other = link.with_central_rates()
     if other is None:
         return 0.0
-    computed = np.concatenate([link.predict([(i, ())])[0] for i in range(len(link.runs))])[:, :3]
+    computed = np.concatenate([link.shown(i) for i in range(len(link.runs))])[:, :3]
     missed = np.concatenate(rms_differences(link, other))[:, :3]
     return float(np.linalg.norm(missed) / max(np.linalg.norm(computed), 1e-12))
 
 
 def _logger_filter(link: CompensationLink) -> LowPass | None:
-    """The filter through which the force went to the log but not to the loop; None where
-    wrench_comp shows none.
-    """
-    behind = link.predict([(i, ()) for i in range(len(link.runs))])
+    """The filter through which the force went to the log but not to the loop, if any."""
+    behind = link.shown_in_all()
     known = [np.asarray(np.isfinite(run.sigma).all(axis=1)) for run in link.runs]
     return low_pass_between([run.measured for run in link.runs], behind, known)
 
 
 def with_readings(layout: Layout, readings: Sequence[Array]) -> Layout | None:
-    """The same if the believed sensor had shown ``readings`` (N, 6) in each run; None where the rig
-    then cannot follow its command.
-    """
+    """The same if the sensor had shown ``readings`` (N, 6); None: the rig cannot follow then."""
     given, lost = _deflections(layout.runs, layout.noise, layout.engaged, readings)
     return replace(layout, deflection=given) if lost is None else None
 
 
 def with_noise_beside(layout: Layout, shown: Sequence[Array]) -> Layout:
-    """The same with the noise of a latched mechanism's force beside the readings ``shown`` (N, 6)
-    by the believed contact in each run.
-    """
-    force = force_noise(layout.runs, layout.logged, shown)
-    before = layout.force.levels()
-    noise = (
-        floors(layout.runs)
-        | {c: v for c, v in layout.noise.items() if c not in before}
-        | force.levels()
-    )
-    return replace(layout, force=force, noise=noise)
+    """The same with a latched mechanism's noise beside readings ``shown`` (N, 6) by the contact."""
+    force, before = force_noise(layout.runs, layout.logged, shown), layout.force.levels()
+    others = {c: v for c, v in layout.noise.items() if c not in before}
+    return replace(layout, force=force, noise=floors(layout.runs) | others | force.levels())
 
 
 def _deflections(
@@ -207,17 +192,11 @@ def _deflections(
     engaged: Sequence[Engaged | None],
     readings: Sequence[Array] | None = None,
 ) -> tuple[tuple[Deflection, ...] | None, MeasuredRun | None]:
-    """The believed rig's departure from its command in each run, or the first run in which it
-    cannot follow the command.
-    """
+    """The believed rig's departure from its command in each run, or a run it cannot follow."""
     found = []
     for i, run in enumerate(runs):
-        one = deflection(
-            run,
-            noise.get("wrench_meas.fz", 0.0),
-            readings[i] if readings is not None else None,
-            engaged[i],
-        )
+        reading = None if readings is None else readings[i]
+        one = deflection(run, noise.get("wrench_meas.fz", 0.0), reading, engaged[i])
         if one is None:
             return None, run
         found.append(one)
@@ -263,11 +242,8 @@ def _from_where_it_stood(run: MeasuredRun) -> Scenario:
 
 def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     """The compensation on the first ``rows`` of each run."""
-    level = (
-        COMPENSATION_FLOOR
-        * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6)
-        * math.sqrt(CORRELATED_ROWS)
-    )
+    level = COMPENSATION_FLOOR * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6)
+    level *= CORRELATION_FACTOR
     groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
     twists = {
         g.replace("pose", "twist")
@@ -275,77 +251,63 @@ def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
         if every_run_has(layout.runs, g.replace("pose", "twist"))
     }
     pairs = list(zip(layout.runs, rows, strict=True))
-    records = {
-        g: [np.ascontiguousarray(r.record.filled(g)[:n]) for r, n in pairs] for g in groups | twists
-    }
-    runs = [
-        _computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", GAP_MEMORY)
-        for r, n in pairs
-    ]
-    wrenches = [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs]
-    link = CompensationLink(runs, wrenches, records)
-    memory, gain = link.memory() or GAP_MEMORY, link.noise_gain()
-    runs = [
-        _computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory)
-        for r, n in pairs
-    ]
+    records = {g: _filled(layout, g, rows) for g in groups | twists}
+    wrenches = _filled(layout, "wrench_meas", rows)
+
+    def computed(memory: float) -> list[LinkRun]:
+        return [
+            _computed_run(r, r.record.data["wrench_comp"], level, n, "wrench_meas", memory)
+            for r, n in pairs
+        ]
+
+    link = CompensationLink(computed(GAP_MEMORY), wrenches, records)
+    gain, runs = link.noise_gain(), computed(link.memory() or GAP_MEMORY)
     written = [
         np.hypot(r.record.rounding("wrench_comp"), gain * r.record.rounding("wrench_meas"))[:n]
         for r, n in pairs
     ]
-    runs = [
-        replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * w))
-        for run, w in zip(runs, written, strict=True)
-    ]
+    runs = _less_certain(runs, written)
     bends = interpolation_errors(layout.runs, "wrench_meas", rows)
     if any(b.any() for b in bends):
         straight = [w - b for w, b in zip(wrenches, bends, strict=True)]
         missed = rms_differences(
             CompensationLink(runs, wrenches, records), CompensationLink(runs, straight, records)
         )
-        out = [
-            np.hypot(m, b)
-            for m, b in zip(
-                missed, interpolation_errors(layout.runs, "wrench_comp", rows), strict=True
-            )
-        ]
-        runs = [
-            replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m))
-            for run, m in zip(runs, out, strict=True)
-        ]
+        own = interpolation_errors(layout.runs, "wrench_comp", rows)
+        runs = _less_certain(runs, [np.hypot(m, b) for m, b in zip(missed, own, strict=True)])
     if layout.logged:
         runs = [_filtered(run, layout.logged) for run in runs]
     link = CompensationLink(runs, wrenches, records)
     if (other := link.with_central_rates()) is not None:
-        missed = rms_differences(link, other)
-        runs = [
-            replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * m))
-            for run, m in zip(runs, missed, strict=True)
-        ]
+        runs = _less_certain(runs, rms_differences(link, other))
     return CompensationLink(runs, wrenches, records)
+
+
+def _less_certain(
+    runs: Sequence[LinkRun], errors: Sequence[Array], factor: float = CORRELATION_FACTOR
+) -> list[LinkRun]:
+    """The runs with further ``errors`` (N, C), which are correlated over rows."""
+    pairs = zip(runs, errors, strict=True)
+    return [replace(run, sigma=np.hypot(run.sigma, factor * e)) for run, e in pairs]
 
 
 def _filtered(run: LinkRun, logged: LowPass) -> LinkRun:
     """The computed force filtered like the recorded one it is compared with."""
-    sigma, filtered = (
-        np.hypot(run.sigma, CORRELATION_FACTOR * logged.missed(run.measured)),
-        logged(run.measured),
-    )
+    sigma = np.hypot(run.sigma, CORRELATION_FACTOR * logged.missed(run.measured))
+    filtered = logged(run.measured)
     return replace(
         run, measured=filtered, sigma=sigma, nuisances=_late(filtered, logged)[:, :, None]
     )
 
 
 def _late(force: Array, logged: LowPass) -> Array:
-    """(N, C) change of a force (N, C) by the uncertainty of the filter's delay, at one standard
-    deviation.
-    """
+    """(N, C) change of a force by the filter's uncertain delay, at one standard deviation."""
     return np.asarray(logged.delay_error * np.gradient(force, axis=0))
 
 
 def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
     """The numerical model on the first ``rows`` of each run."""
-    level = DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS)
+    level = DYNAMICS_FLOOR * CORRELATION_FACTOR
     pairs = list(zip(layout.runs, rows, strict=True))
     # [s] for which a lost sample matters: to the end of the run, unless its bridge has a known
     # error
@@ -355,18 +317,15 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
         _computed_run(r, flat_pose(r.record.data["pose_cmd"]), level, n, "wrench_comp", gone[s])
         for (r, n), s in zip(pairs, short, strict=True)
     ]
-    wrenches = [np.ascontiguousarray(r.record.filled("wrench_comp")[:n]) for r, n in pairs]
+    wrenches = _filled(layout, "wrench_comp", rows)
     missing = [r.record.lost("wrench_comp")[:n] & s for (r, n), s in zip(pairs, short, strict=True)]
     bends = interpolation_errors(layout.runs, "wrench_comp", rows)
     # at most
     half_digits = [
-        math.sqrt(3.0) * np.hypot(_pose_rounding(r, "pose_cmd"), _pose_steps(r, "pose_cmd"))[:n]
+        math.sqrt(3.0) * np.hypot(pose_rounding(r, "pose_cmd"), pose_steps(r, "pose_cmd"))[:n]
         for r, n in pairs
     ]
-    runs = [
-        replace(run, sigma=np.hypot(run.sigma, CORRELATION_FACTOR * d))
-        for run, d in zip(runs, half_digits, strict=True)
-    ]
+    runs = _less_certain(runs, half_digits)
     level = levels(layout, "wrench_comp")
     runs = bridged(runs, lambda given: DynamicsLink(runs, given), wrenches, missing, bends, level)
     if any(b.any() for b in bends):
@@ -375,9 +334,7 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
         missed = rms_differences(DynamicsLink(runs, wrenches), DynamicsLink(runs, coherent))
         # one error a run, in however many rows
         lasting = [math.sqrt(len(m)) * np.maximum.accumulate(m, axis=0) for m in missed]
-        runs = [
-            replace(run, sigma=np.hypot(run.sigma, s)) for run, s in zip(runs, lasting, strict=True)
-        ]
+        runs = _less_certain(runs, lasting, 1.0)
     return DynamicsLink(runs, wrenches)
 
 
@@ -395,14 +352,10 @@ def wrench_link(
         caused by the path's own noise [N, N m].
     """
     least = layout.scales.force * np.array([MIN_FORCE_NOISE] * 3 + [FORCE_ARM_ERROR] * 3)
-    runs = []
-    for i, (run, n) in enumerate(zip(layout.runs, rows, strict=True)):
-        link_run = _force_run(run, layout, i, n, least)
-        runs.append(
-            link_run
-            if extra is None
-            else replace(link_run, sigma=np.hypot(link_run.sigma, extra[i][:n]))
-        )
+    pairs = enumerate(zip(layout.runs, rows, strict=True))
+    runs = [_force_run(run, layout, i, n, least) for i, (run, n) in pairs]
+    if extra is not None:
+        runs = _less_certain(runs, _cut(extra, rows), 1.0)
     return WrenchLink(
         runs,
         _cut(paths, rows),
@@ -414,6 +367,11 @@ def wrench_link(
 def levels(layout: Layout, group: str) -> Array:
     """(6,) noise of the wrench of a group."""
     return np.array([layout.noise.get(name, 0.0) for name in GROUPS[group].columns])
+
+
+def _filled(layout: Layout, group: str, rows: Sequence[int]) -> list[Array]:
+    """The first ``rows`` of a group in each run, with gaps bridged."""
+    return _cut([r.record.filled(group) for r in layout.runs], rows)
 
 
 def _cut(arrays: Sequence[Array], rows: Sequence[int]) -> list[Array]:
@@ -430,21 +388,12 @@ def _rows(run: MeasuredRun) -> int:
 
 
 def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array) -> LinkRun:
-    """A measured force less the offset of this run, with a noise level that includes its colour and
-    its share of the reading.
-    """
-    level = (
-        np.maximum([layout.noise.get(name, 0.0) for name in GROUPS["wrench_meas"].columns], least)
-        * layout.force.colour
-    )
+    """A measured force less the offset of this run, with its noise."""
+    level = np.maximum(levels(layout, "wrench_meas"), least) * layout.force.colour
     reading = np.nan_to_num(run.record.data["wrench_meas"][:rows]) - layout.force.offset[i]
-    level = np.hypot(
-        np.hypot(level, layout.force.share * reading), run.record.rounding("wrench_meas")[:rows]
-    )
-    level = np.hypot(
-        level * repetition_factor(run, "wrench_meas", rows),
-        kink_errors(run.record, "wrench_meas")[:rows],
-    )
+    written, kinks = run.record.rounding("wrench_meas"), kink_errors(run.record, "wrench_meas")
+    level = np.hypot(np.hypot(level, layout.force.share * reading), written[:rows])
+    level = np.hypot(level * repetition_factor(run, "wrench_meas", rows), kinks[:rows])
     sigma = np.where(run.record.valid["wrench_meas"][:rows], level, np.inf)
     sigma[:, [few_levels(run, name) for name in GROUPS["wrench_meas"].columns]] = np.inf
     path = next((g for g in ("pose_act", "pose_cmd") if run.record.has(g)), None)
@@ -454,10 +403,8 @@ def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array
     force = layout.force
     nuisances = force.nuisances(rows, run.record.ticks, np.min(level, axis=0))
     if layout.logged:
-        nuisances = np.concatenate(
-            [nuisances, _late(run.record.filled("wrench_meas")[:rows], layout.logged)[:, :, None]],
-            axis=2,
-        )
+        late = _late(run.record.filled("wrench_meas")[:rows], layout.logged)
+        nuisances = np.concatenate([nuisances, late[:, :, None]], axis=2)
     terms = nuisances if nuisances.shape[2] else None
     return LinkRun(
         run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, terms
@@ -481,10 +428,10 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
         [valid[:, :3], np.repeat(np.all(valid[:, 3:], axis=1)[:, None], 3, axis=1)], axis=1
     )
     level = (
-        np.hypot(level, _pose_rounding(run, "pose_act")[:rows])
+        np.hypot(level, pose_rounding(run, "pose_act")[:rows])
         * repetition_factor(run, "pose_act", rows)[:, :6]
     )
-    told = _pose_rounding(run, "pose_cmd")[:rows] * repetition_factor(run, "pose_cmd", rows)[:, :6]
+    told = pose_rounding(run, "pose_cmd")[:rows] * repetition_factor(run, "pose_cmd", rows)[:, :6]
     sigma = np.where(counted, np.sqrt(level**2 + told**2 + doubt**2), np.inf)
     sigma[
         :, [few_levels(run, f"pose_act.{part}") and _told_to_stay(run, part) for part in POSE_PARTS]
@@ -504,24 +451,20 @@ def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: 
 
 
 def _told_to_stay(run: MeasuredRun, part: str) -> bool:
-    """Whether the command of a pose's part varies by less than what a quantised measurement shows
-    the size of.
-    """
+    """Whether a command varies by less than what a quantised measurement shows the size of."""
     return (
         float(np.ptp(run.record.filled("pose_cmd")[:, POSE_PARTS.index(part)]))
         < FEW_STEPS * run.record.steps[f"pose_act.{part}"]
     )
 
 
-def _pose_rounding(run: MeasuredRun, group: str) -> Array:
-    """(ticks, 6) 1 sigma of the rounding error of a written pose, as position and small rotation
-    vector.
-    """
+def pose_rounding(run: MeasuredRun, group: str) -> Array:
+    """(ticks, 6) 1 sigma of the rounding error of a written pose, as of :func:`flat_pose`."""
     rounding = run.record.rounding(group)
     return np.column_stack([rounding[:, :3], 2.0 * rounding[:, 3:6]])
 
 
-def _pose_steps(run: MeasuredRun, group: str) -> Array:
+def pose_steps(run: MeasuredRun, group: str) -> Array:
     """(6,) 1 sigma of the quantisation error of a pose, as position and small rotation vector."""
     steps = [run.record.steps.get(f"{group}.{part}", 0.0) for part in POSE_PARTS]
     return np.array(steps) * np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]) / math.sqrt(12.0)
@@ -530,9 +473,7 @@ def _pose_steps(run: MeasuredRun, group: str) -> Array:
 def _computed_run(
     run: MeasuredRun, values: Array, level: float, rows: int, given: str, memory: float | None
 ) -> LinkRun:
-    """The run of a computed channel; given: the group from which it is computed; memory: [s], see
-    `Record.unknown`.
-    """
+    """The run of a channel computed from the group ``given``; memory: as of `Record.unknown`."""
     sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
     sigma[run.record.unknown(given, memory)[:rows]] = np.inf
     if given == "wrench_meas":  # axis by axis: an axis that was not measured gives nothing

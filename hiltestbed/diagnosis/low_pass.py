@@ -25,8 +25,8 @@ from hiltestbed.replay.wrench import shifted
 ORDERS = (1, 2, 3, 4, 5, 6, 8)
 CUTOFFS = (0.01, 0.02, 0.05, 0.12, 0.3)  # chosen: [1/row] at which a search starts
 MIN_CUTOFF, MAX_CUTOFF = 0.004, 0.45  # chosen: [1/row]
-MAX_STAMP_SHIFT_ROWS = 40.0  # chosen: [rows] by which stamps may be off as well
-MAX_STAMP_ROWS = 3  # chosen: of two channels together, by which interpolation may shift one
+MAX_LATE_ROWS = 40.0  # chosen: [rows] by which stamps may be off as well
+MAX_INTERPOLATED_ROWS = 3  # chosen: of two channels together, by which interpolation may shift one
 # chosen: of the variances of second differences, filtered over unfiltered, for a search to begin
 MAX_ROUGHNESS_RATIO = 0.5
 # chosen: of the rms difference, with the filter over without it: 1 % of the variance
@@ -79,9 +79,7 @@ class LowPass:
 
     @property
     def delay(self) -> float:
-        """[rows] at low frequency: half the sum of 1/Q of its poles over the tangent of half its
-        cut-off.
-        """
+        """[rows] at low frequency: half the sum of 1/Q of its poles, over tan(pi cutoff)."""
         angles = math.pi * (2.0 * np.arange(self.order) + 1.0) / (2.0 * self.order)
         return float(np.sum(np.sin(angles))) / (2.0 * math.tan(math.pi * self.cutoff))
 
@@ -92,9 +90,7 @@ class LowPass:
 
     @property
     def colour(self) -> float:
-        """Root of the spectral density at low frequency of filtered white noise, over that of white
-        noise of the same variance.
-        """
+        """Root of the spectral density of unit filtered white noise at low frequency."""
         frequency = np.linspace(0.0, 0.5, 4096, endpoint=False)
         power = 1.0 / (
             1.0
@@ -125,10 +121,8 @@ class LowPass:
         next order, rms over its response time. Infinite at the end, where the record would have to
         go on.
         """
-        width, other = (
-            round(RESPONSE_PERIODS / self.cutoff) | 1,
-            replace(self, order=self.order + 1),
-        )
+        width = round(RESPONSE_PERIODS / self.cutoff) | 1
+        other = replace(self, order=self.order + 1)
         out = np.sqrt(
             np.maximum(uniform_filter1d((other(values) - self(values)) ** 2, width, axis=0), 0.0)
         )
@@ -172,9 +166,7 @@ def low_pass_between(
 
     def misfit(order: int, x: Array) -> float:
         one = LowPass(
-            order,
-            _cutoff(x[0]),
-            part=float(np.clip(x[1], -MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS)),
+            order, _cutoff(x[0]), part=float(np.clip(x[1], -MAX_LATE_ROWS, MAX_LATE_ROWS))
         )
         return left([one(b) for b in before])
 
@@ -200,16 +192,14 @@ def low_pass_between(
 
 
 def _interpolated(values: Sequence[Array], left: Callable[[Sequence[Array]], float]) -> list[float]:
-    """What is ``left`` by the ``values`` (N, C) where stamps lie between rows, for each whole
-    number of rows by which they may be off.
-    """
+    """What is ``left`` where stamps lie between rows, for each whole number of rows."""
 
     def misfit(late: float) -> float:
         return left([shifted(v, -late, held=False) for v in values])
 
     each: list[Any] = [
         minimize_scalar(misfit, bounds=(n, n + 1.0), method="bounded")
-        for n in range(-MAX_STAMP_ROWS, MAX_STAMP_ROWS)
+        for n in range(-MAX_INTERPOLATED_ROWS, MAX_INTERPOLATED_ROWS)
     ]
     return [float(found.fun) for found in each]
 

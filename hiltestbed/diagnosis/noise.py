@@ -2,13 +2,12 @@
 noise in proportion to the reading.
 
 The noise is taken for white, of one level, unless free flight, where a sensor reads nothing else,
-contradicts that beyond chance. A hum,
-a drift and a bias that all runs share stay in the record: they are effects, not noise. A mechanism
-that is latched from the start never
-flies freely: there the axes that do not move take the place of free flight, less what they share
-with the axes that do, and less what the believed contact makes of their path. In the loop a drift
-of the sensor moves the numerical model until the springs of the latch balance
-it: the reading then shows no drift, and the path does.
+contradicts that beyond chance. A hum, a drift and a bias that all runs share stay in the record:
+they are effects, not noise. A mechanism that is latched from the start never flies freely: there
+the axes that do not move take the place of free flight, less what they share with the axes that do,
+and less what the believed contact makes of their path. In the loop a drift of the sensor moves the
+numerical model until the springs of the latch balance it: the reading then shows no drift, and the
+path does.
 """
 
 from __future__ import annotations
@@ -24,13 +23,6 @@ from scipy.optimize import brentq, nnls
 from scipy.stats import chi2 as chi_square
 from scipy.stats import f as fisher
 
-from hiltestbed.diagnosis.aside import (
-    BASELINE_DEGREE,
-    MIN_BASELINE_ROWS,
-    UNKNOWN,
-    baseline_terms,
-    wander_between,
-)
 from hiltestbed.diagnosis.free_flight import (
     free_readings,
     readings_apart,
@@ -38,19 +30,29 @@ from hiltestbed.diagnosis.free_flight import (
     straightened,
 )
 from hiltestbed.diagnosis.low_pass import LowPass
-from hiltestbed.diagnosis.settings import (
-    MIN_NOISE_ROWS,
-    MIN_OUTLIERS,
-    MIN_SHARE_VARIANCE,
-    OUTLIER_KNEE,
-    SIGNIFICANCE_LEVEL,
-    SIGNIFICANCE_SIGMA,
+from hiltestbed.diagnosis.nuisances import (
+    BASELINE_DEGREE,
+    MIN_BASELINE_ROWS,
+    UNKNOWN,
+    baseline_terms,
+    phases_differ,
+    tones_of,
+    wander_between,
+    without_tones,
 )
-from hiltestbed.diagnosis.tones import phases_differ, tones_of, without_tones
+from hiltestbed.diagnosis.settings import MIN_NOISE_ROWS, SIGNIFICANCE_LEVEL, SIGNIFICANCE_SIGMA
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
-from hiltestbed.measured.noise import white_noise
+from hiltestbed.measured.noise import MAD_TO_SIGMA, white_noise
 from hiltestbed.signals import GROUPS
+
+# chosen: samples beyond four standard deviations, in excess of those of normal noise
+MIN_OUTLIERS = 3
+# chosen: [sigma] beyond which a sample of noise with outliers counts by its logarithm
+OUTLIER_KNEE = 3.0
+# chosen: share of the noise variance that noise in proportion to the reading must add at the
+# largest readings
+MIN_SHARE_VARIANCE = 0.3
 
 CHANNELS = GROUPS["wrench_meas"].columns
 POSE_PARTS = ("px", "py", "pz", "qx", "qy", "qz")  # of the axes of CHANNELS
@@ -58,8 +60,6 @@ POSE_PARTS = ("px", "py", "pz", "qx", "qy", "qz")  # of the axes of CHANNELS
 CONTACT_MARGIN_ROWS = 6
 MAX_LAG = 64  # chosen: rows over which a correlation is summed
 SMOOTHED_ROWS = 9  # chosen: of the running mean of a reading in contact
-# chosen: robust standard deviations at which a sample is clipped before it is correlated
-CLIP_SIGMA = 4.0
 # chosen: range of a channel in steps of its converter, below which it shows the presence of a force
 # and not its size
 FEW_STEPS = 2.5
@@ -96,7 +96,7 @@ class ForceNoise:
         wander: (D, 6) standard deviation [N, N m] between runs of each coefficient of the baseline,
             a Legendre polynomial over the run; infinite where it is not known, D = 0 where there is
             none. tones: [rad] a row, whose phase differs between runs. For both see
-            :mod:`hiltestbed.diagnosis.aside`.
+            :mod:`hiltestbed.diagnosis.nuisances`.
         step: [N] quantisation of the force, where the scenario states a smaller one or none; 0
             otherwise, and where noise dithers it.
     """
@@ -116,9 +116,7 @@ class ForceNoise:
         return {c: float(v) for c, v in zip(CHANNELS, self.level, strict=True) if v > 0.0}
 
     def nuisances(self, rows: int, ticks: int, level: Array) -> Array:
-        """(rows, 6, D) nuisance terms of a run of ``ticks``, each at one standard deviation; level:
-        (6,) of the noise.
-        """
+        """(rows, 6, D) nuisance terms of a run of ``ticks`` at one sigma; level: (6,) of noise."""
         unknown = UNKNOWN * level
         at = np.arange(rows, dtype=float)
         baseline = (
@@ -168,9 +166,7 @@ class ForceNoise:
 
 
 def softened(z: Array, heavy: bool) -> Array:
-    """Residuals in units of the noise; for noise with outliers their squares grow logarithmically
-    beyond :data:`OUTLIER_KNEE`.
-    """
+    """Residuals in units of the noise; with outliers, squares grow by their logarithm."""
     return np.sign(z) * OUTLIER_KNEE * np.sqrt(np.log1p((z / OUTLIER_KNEE) ** 2)) if heavy else z
 
 
@@ -233,12 +229,8 @@ def _noise(
     tones = [] if logged else tones_of(flat)  # filtered noise is not flat about a tone
     aside = phases_differ(flat, tones, apart)
     flat = without_tones(flat, tones)
-    scale = np.array(
-        [
-            1.4826 * np.median(np.abs(np.concatenate([x[:, i] for x in flat])))
-            for i in range(len(columns))
-        ]
-    )
+    each = np.ascontiguousarray(np.concatenate(flat).T)  # (C, rows)
+    scale = MAD_TO_SIGMA * np.median(np.abs(each), axis=1)
     z = [x / np.where(scale > 0.0, scale, 1.0) for x in flat]
     heavy = (
         _heavy([x[:: logged.stride] for x in z])
@@ -251,10 +243,7 @@ def _noise(
     lost = math.sqrt(rows / max(rows - fitted, 1))
     level, tail = np.zeros(6), NORMAL_SQUARE_VARIANCE
     if heavy or colour > 1.0:
-        level[columns] = [
-            lost * _level(np.concatenate([x[:, i] for x in flat]), heavy)
-            for i in range(len(columns))
-        ]
+        level[columns] = [lost * _level(x, heavy) for x in each]
     elif aside:
         level[columns] = _white_levels(
             without_tones([x for _, x in apart], aside, [r for r, _ in apart])
@@ -273,33 +262,23 @@ def _noise(
         pressed = [j for j in moved if j in measured]
         scale = white[pressed]
     share = _share(runs, pressed, scale)
-    spread = (
-        lost
-        * np.array(
-            [float(np.std(np.concatenate([x[:, i] for x in flat]))) for i in range(len(columns))]
-        )
-        * colour
-    )
+    spread = np.array([lost * float(np.std(x)) * colour for x in each])
     wander = wander_between(
         [(_places(r, run.record.ticks), x) for run, (r, x) in zip(runs, apart, strict=True)], spread
     )
+    offset = still.offset
     if wander is not None:
         known = np.full((len(wander), 6), np.inf)
         known[:, columns] = wander
-        return ForceNoise(level, colour, heavy, still.offset, share, tail, known, aside)
-    offset, (found, unknown) = (
-        [np.zeros(6) for _ in runs],
-        _offsets([len(x) for x in flat], start, spread),
-    )
-    if latched and any(f.any() for f in found):  # the offset of an axis that moves is not known
-        return ForceNoise(
-            level, colour, heavy, still.offset, share, tail, np.full((1, 6), np.inf), aside
-        )
-    for o, f in zip(offset, found, strict=True):
-        o[columns] = f
-    return ForceNoise(
-        level, colour, heavy, tuple(offset), share, tail, np.full((int(unknown), 6), np.inf), aside
-    )
+    else:
+        found, unknown = _offsets([len(x) for x in flat], start, spread)
+        if latched and found.any():  # the offset of an axis that moves is not known
+            unknown = True
+        else:
+            for o, f in zip(offset, found, strict=True):
+                o[columns] = f
+        known = np.full((int(unknown), 6), np.inf)
+    return ForceNoise(level, colour, heavy, offset, share, tail, known, aside)
 
 
 def _white_levels(readings: Sequence[Array]) -> Array:
@@ -363,17 +342,13 @@ def _places(rows: Array, ticks: int) -> Array:
 
 
 def undithered(run: MeasuredRun, name: str) -> bool:
-    """Whether noise does not dither the quantisation of a channel, so that the noise cannot be
-    estimated from it.
-    """
+    """Whether noise does not dither a channel's quantisation, and cannot be estimated from it."""
     step = run.record.steps.get(name, 0.0)
     return step > 0.0 and run.survey.noise[name].white < MIN_DITHER * step
 
 
 def few_levels(run: MeasuredRun, name: str) -> bool:
-    """Whether an undithered channel shows three levels at most: the quantisation hides the size of
-    the force.
-    """
+    """Whether an undithered channel shows at most three levels, which hide the force's size."""
     if not run.record.has(name) or not undithered(run, name):
         return False
     values = run.record.column(name)
@@ -396,20 +371,18 @@ def _heavy(z: Sequence[Array]) -> bool:
 
 
 def _sudden(x: Array) -> int:
-    """Readings (n, C) that are far from a running median, four times as far as those beside them:
-    what rings is no outlier.
-    """
+    """Readings (n, C) far from a running median, and four times as far as their neighbours."""
     left = np.abs(x - median_filter(x, (SUDDEN_ROWS, 1)))
     beside = np.pad(left, ((1, 1), (0, 0)))
     alone = 4.0 * np.maximum(beside[:-2], beside[2:]) < left
-    return int(np.sum(alone & (left > SUDDEN_SIGMA * 1.4826 * np.median(left, axis=0))))
+    return int(np.sum(alone & (left > SUDDEN_SIGMA * MAD_TO_SIGMA * np.median(left, axis=0))))
 
 
 def _colour(z: Sequence[Array], fitted: int) -> float:
     """`colour` of :class:`ForceNoise`; 1 unless neighbours are correlated beyond chance. fitted:
     numbers that were fitted to a channel of a run, which biases each of its correlations.
     """
-    clipped = [np.clip(x, -CLIP_SIGMA, CLIP_SIGMA) for x in z]
+    clipped = [np.clip(x, -OUTLIER_SIGMA, OUTLIER_SIGMA) for x in z]
     square, samples = sum(float(np.sum(x * x)) for x in clipped), sum(x.size for x in clipped)
     chance = 1.0 / math.sqrt(samples)
     taken = fitted * len(z) / max(1, sum(len(x) for x in z))
@@ -426,9 +399,7 @@ def _colour(z: Sequence[Array], fitted: int) -> float:
 
 
 def _level(x: Array, heavy: bool) -> float:
-    """Standard deviation; with outliers, the unit in which the softened samples have a mean square
-    of 1.
-    """
+    """Standard deviation; with outliers, the unit of softened samples of mean square 1."""
     rms = float(np.std(x))
     if not heavy or rms == 0.0:
         return rms
@@ -462,9 +433,7 @@ def _offsets(counts: Sequence[int], start: Array, spread: Array) -> tuple[Array,
 
 
 def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) -> float:
-    """Noise in contact in proportion to the reading, by third differences, beside a term in
-    proportion to its rate (jitter).
-    """
+    """Noise in proportion to the reading, by third differences, beside one to its rate."""
     squares, readings, rates = [], [], []
     for run in runs:
         values = (
@@ -484,29 +453,18 @@ def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) ->
             rates.append(((smooth[2:-1] - smooth[1:-2]) ** 2).ravel())
     if not squares or sum(map(len, squares)) < 200:
         return 0.0
-    y, basis = (
-        np.concatenate(squares),
-        np.column_stack(
-            [
-                np.concatenate([np.ones_like(r) for r in readings]),
-                *map(np.concatenate, (readings, rates)),
-            ]
-        ),
-    )
+    y, *rest = (np.concatenate(x) for x in (squares, readings, rates))
+    basis = np.column_stack([np.ones_like(y), *rest])
     found = np.array([1.0, 0.0, 0.0])
     for _ in range(6):
         expected = np.maximum(basis @ found, 0.1)
         y_used = np.minimum(y, 9.0 * expected)
         found, _ = nnls(basis / expected[:, None], y_used / expected)
-    expected = np.maximum(basis @ found, 0.1)
+    weighted = basis / np.maximum(basis @ found, 0.1)[:, None]
     # variance of a square: 2
-    information = (
-        (basis / expected[:, None]).T @ (basis / expected[:, None]) / (2.0 * CORRELATED_SQUARES)
-    )
+    information = weighted.T @ weighted / (2.0 * CORRELATED_SQUARES)
     error = math.sqrt(float(np.linalg.pinv(information)[1, 1]))
     grown = found[1] * float(np.percentile(basis[:, 1], 95.0))
-    return (
-        math.sqrt(found[1])
-        if found[1] > SIGNIFICANCE_SIGMA * error and grown > MIN_SHARE_VARIANCE * max(found[0], 0.1)
-        else 0.0
-    )
+    if found[1] > SIGNIFICANCE_SIGMA * error and grown > MIN_SHARE_VARIANCE * max(found[0], 0.1):
+        return math.sqrt(found[1])
+    return 0.0

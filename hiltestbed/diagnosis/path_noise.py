@@ -21,9 +21,6 @@ from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.settings import (
     BLOCK_ROWS,
-    COPY_PERTURBATION,
-    DIVERGED_TIME,
-    DIVERGENCE_THRESHOLD,
     LEVER_ARM,
     PERTURBED_COPIES,
     SIGNIFICANCE_SIGMA,
@@ -37,6 +34,12 @@ from hiltestbed.replay import moves_linearly
 from hiltestbed.replay.compensation import central_rates
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import Scenario
+
+# chosen: share of the change of a rate, or of a pose's slope, in a tick: perturbation of the copies
+COPY_PERTURBATION = 2e-3
+# derived: of the force noise, above which copies have diverged; less adds 4 % to the noise
+DIVERGENCE_THRESHOLD = 0.3
+DIVERGED_TIME = 0.25  # chosen: [s] for which copies are not used after they have diverged
 
 
 @dataclass(frozen=True)
@@ -105,24 +108,20 @@ def rate_noise(layout: Layout, path: Path) -> list[Array] | None:
 
 
 def differentiated(path: Path) -> bool:
-    """Whether the rates of a path are differences of its poses, though A does not move uniformly
-    within a tick.
-    """
+    """Whether rates are differences of poses, though A does not move uniformly in a tick."""
     return path.rates is not None and not path.rates_measured
 
 
 def _reacts_sharply(scenario: Scenario) -> bool:
-    """Whether a force depends on the rate other than in proportion: by dry friction, or by parts
-    that move.
-    """
+    """Whether a force depends on the rate by dry friction, or by parts that move."""
     return not sides_of(scenario.mechanism).rigid or scenario.mechanism.contact.friction > 0.0
 
 
-def both(noise: list[Array], other: list[Array] | None) -> list[Array]:
-    """Root of the sum of squares of two noises (N, 6) of each run; the first alone where there is
-    no other.
-    """
-    return noise if other is None else [np.hypot(a, b) for a, b in zip(noise, other, strict=True)]
+def both(noise: Sequence[Array], other: Sequence[Array] | None) -> list[Array]:
+    """Root of the sum of squares of two noises (N, 6) of each run; the second may be None."""
+    if other is None:
+        return list(noise)
+    return [np.hypot(a, b) for a, b in zip(noise, other, strict=True)]
 
 
 def _lasting_rms(away: Sequence[Sequence[Array]]) -> list[Array]:
@@ -151,10 +150,7 @@ def _perturbed(
         None,
         rates or None,
     )
-    shown, found = (
-        link.predict([(i, ()) for i in runs]),
-        many.predict([(i, ()) for i in range(len(copies))]),
-    )
+    shown, found = link.shown_in_all(), many.shown_in_all()
     return link, [
         [found[n] - shown[i] for n in range(i, len(copies), len(layout.runs))] for i in runs
     ]
@@ -210,9 +206,7 @@ def command_noise(layout: Layout, path: Path) -> list[Array] | None:
 
 
 def _interpolated(layout: Layout, path: Path) -> bool:
-    """Whether a path was interpolated between the rows of a log whose rows are not the ticks of the
-    loop.
-    """
+    """Whether a path lies between the rows of a log whose rows are not the ticks of the loop."""
     return any(b.any() for b in interpolation_errors(layout.runs, path.source, layout.whole))
 
 
@@ -229,9 +223,7 @@ def _between_samples(layout: Layout, path: Path) -> list[Array]:
 def _apart(
     layout: Layout, path: Path, poses: Sequence[Array], rates: Sequence[Array] | None
 ) -> list[Array]:
-    """(N, 6) difference of the readings of each run on a path and on other ``poses`` and ``rates``,
-    rms about each row.
-    """
+    """(N, 6) difference of the readings on a path and another, rms about each row."""
     links = [
         wrench_link(layout, p, layout.whole, None, r)
         for p, r in ((path.poses, path.rates), (poses, rates))
@@ -240,9 +232,7 @@ def _apart(
 
 
 def smoothed(values: Array) -> Array:
-    """(N, ...) values as a noisy pose is smoothed: by cubics (A. Savitzky, M. J. E. Golay, Anal.
-    Chem. 36, 1964).
-    """
+    """(N, ...) values, smoothed by cubics (A. Savitzky, M. J. E. Golay, Anal. Chem. 36, 1964)."""
     return np.asarray(savgol_filter(values, SMOOTHING_ROWS, 3, axis=0))
 
 
@@ -284,9 +274,7 @@ def _displaced(values: Array, error: Array) -> Array:
 
 
 def _cut_off(run: MeasuredRun, smooth: Array) -> Array:
-    """(N, 3) what smoothing cut off the measured positions, in rows near which its mean over a
-    block exceeds noise; 0 elsewhere.
-    """
+    """(N, 3) what smoothing cut off the positions, near rows where its block mean exceeds noise."""
     off = uniform_filter1d(run.record.filled("pose_act")[:, :3] - smooth[:, :3], BLOCK_ROWS, axis=0)
     bends = np.abs(off) > SIGNIFICANCE_SIGMA * MAD_TO_SIGMA * np.median(np.abs(off), axis=0)
     return np.where(maximum_filter1d(bends, SMOOTHING_ROWS, axis=0), off, 0.0)
@@ -318,9 +306,7 @@ def misread(yielded: Sequence[Array], tick: float) -> list[list[Array]]:
 
 
 def not_where_unsettled(layout: Layout, noise: Sequence[Array]) -> list[Array]:
-    """The ``noise`` (N, 6) of each run; a contact before the drives' initial state has decayed is
-    not compared.
-    """
+    """The ``noise`` (N, 6) of each run; infinite in contact before the drives have settled."""
     assert layout.deflection is not None  # else the link is missing
     settled = [np.isfinite(found.doubt).all(axis=1) for found in layout.deflection]
     return [
@@ -330,9 +316,7 @@ def not_where_unsettled(layout: Layout, noise: Sequence[Array]) -> list[Array]:
 
 
 def central_rates_of(layout: Layout, paths: Sequence[Array]) -> list[Array] | None:
-    """(N, 6) twists at t_k, the mean of the slopes before and after; None where A moves uniformly
-    within a tick.
-    """
+    """(N, 6) twists at t_k by central differences; None where A moves uniformly within a tick."""
     if moves_uniformly(layout):
         return None
     return [central_rates(run.scenario, path) for run, path in zip(layout.runs, paths, strict=True)]

@@ -40,13 +40,7 @@ from hiltestbed.diagnosis.path_noise import (
 from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import (
-    BLOCK_ROWS,
-    DETECTION,
-    LEVER_ARM,
-    MAX_PATH_NOISE,
-    MODEL_ERROR,
-)
+from hiltestbed.diagnosis.settings import BLOCK_ROWS, DETECTION, LEVER_ARM, MODEL_ERROR
 from hiltestbed.diagnosis.timing import may_be_stamp
 from hiltestbed.diagnosis.yielding import told_pose, yielded_under
 from hiltestbed.frames import Array
@@ -55,9 +49,14 @@ from hiltestbed.measured.noise import finest_noise
 from hiltestbed.replay import follows_exactly
 from hiltestbed.signals import GROUPS
 
+# derived: share of the force noise that a measured path may add: half a percent of the noise
+MAX_PATH_NOISE = 0.1
+
 # chosen: of force and yielding in turn: with drives ten times as stiff as the contact, the noise
 # falls by 1000
 CONTACT_ROUNDS = 4
+# chosen: share of the rows in contact, on which perturbed copies of a path have to agree
+MIN_COMPARED = 0.05
 
 
 @dataclass(frozen=True)
@@ -79,10 +78,8 @@ class BestPath:
 
 def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     """The path with the least noise that the data allow, with the poses as they are stamped."""
-    explained, follows = (
-        platform is not None and platform.adequate,
-        all(follows_exactly(r.scenario) for r in layout.runs),
-    )
+    explained = platform is not None and platform.adequate
+    follows = all(follows_exactly(r.scenario) for r in layout.runs)
     measured, path_noise = _least_noisy(layout, _measured(layout))
     if (
         measured is not None
@@ -91,11 +88,7 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     ):
         path, extra = measured, path_noise
     elif platform is not None and platform.adequate:
-        poses = (
-            platform_link(layout, layout.whole)
-            .with_timing(platform.residual.link.timing)
-            .paths(platform.chosen.effects())
-        )
+        poses = _explained(layout, platform)
         rounding = [r.record.unsmoothed() for r in layout.runs]
         path = Path(poses, central_rates_of(layout, poses), source="pose_cmd", rounding=rounding)
         extra = command_noise(layout, path)
@@ -127,15 +120,27 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     return BestPath(path, extra, _jumped(platform, path))
 
 
-def compared_share(layout: Layout, best: BestPath) -> float:
-    """Share of the rows in contact whose replay on a path can be compared."""
+def _explained(layout: Layout, platform: Explanation) -> list[Array]:
+    """(N, 7) the poses of each run that the explained platform reaches."""
+    link = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing)
+    return link.paths(platform.chosen.effects())
+
+
+def too_divergent(layout: Layout, best: BestPath) -> str | None:
+    """Why contact and sensor are not judged, where too few rows in contact can be compared."""
     if best.path_noise is None:
-        return 1.0
+        return None
     inside = [
         np.asarray(np.isfinite(b).all(axis=1))[r.touching(len(b))]
         for r, b in zip(layout.runs, best.path_noise, strict=True)
     ]
-    return float(np.mean(np.concatenate(inside)))
+    part = float(np.mean(np.concatenate(inside)))
+    if part >= MIN_COMPARED:
+        return None
+    return (
+        f"the smallest difference decides how the mechanism moves after the touch: "
+        f"{part:.0%} of the rows in contact could be replayed"
+    )
 
 
 def path_without_delay(
@@ -172,29 +177,18 @@ def with_clocks_off(layout: Layout, best: BestPath) -> BestPath:
         math.sqrt(BLOCK_ROWS) * MODEL_ERROR * np.abs(np.nan_to_num(r.record.data["wrench_meas"]))
         for r in layout.runs
     ]
-    noise = [
-        np.hypot(e, b) for e, b in zip(error, best.path_noise or [0.0] * len(error), strict=True)
-    ]
-    return replace(best, path_noise=noise, clocks_off=True)
+    return replace(best, path_noise=both(error, best.path_noise), clocks_off=True)
 
 
 def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
-    """The same path with added noise for a logger's filter, which is known to about one order: as
-    smooth as filtered noise.
-    """
+    """The same path with added noise for a logger's filter, which is known to about one order."""
     if layout.logged is None:
         return best
     missed = [
         layout.logged.colour * layout.logged.missed(r.record.filled("wrench_meas"))
         for r in layout.runs
     ]
-    return replace(
-        best,
-        path_noise=[
-            np.hypot(m, b)
-            for m, b in zip(missed, best.path_noise or [0.0] * len(missed), strict=True)
-        ],
-    )
+    return replace(best, path_noise=both(missed, best.path_noise))
 
 
 def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
@@ -208,9 +202,7 @@ def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
 def make_wrench_link(
     layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False
 ) -> WrenchLink:
-    """Contact and sensor on a path; ``decimate``: in fewer rows, where that loses nothing and no
-    other link continues from them.
-    """
+    """Contact and sensor on a path; decimate: where no other link continues from its rows."""
     link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise)
     link = link.through(layout.logged).with_rounding(best.path.rounding)
     if best.clocks_off or (differentiated(best.path) and best.jumps is None):
@@ -263,7 +255,7 @@ def _under_the_contact(
             _followed(layout), tried.yielded
         )
         link = link.as_interpreted(like) if like else choose_steps(choose_ring(choose_lever(link)))
-        shown = [link.shown(i, borne) for i in range(len(layout.runs))]
+        shown = link.shown_in_all(borne)
         again = [
             yielded_under(*each, level)
             for each in zip(layout.runs, layout.deflection, shown, strict=True)
@@ -299,9 +291,7 @@ def _followed(layout: Layout) -> list[Array]:
 
 
 def _measured(layout: Layout) -> list[Path]:
-    """The measured poses with measured rates, and with rates by differentiation; none where a pose,
-    or an axis that moves, is missing.
-    """
+    """The measured poses with measured rates, and with differences; none if an axis is missing."""
     runs, tick = layout.runs, layout.scales.tick
     if not all(r.record.whole("pose_act") and all_axes(r, "pose_act") for r in runs):
         return []
@@ -312,23 +302,13 @@ def _measured(layout: Layout) -> list[Path]:
     out = [Path(poses, central_rates_of(layout, poses), place, math.sqrt(0.5) * place / tick)]
     if all(r.record.whole("twist_act") and all_axes(r, "twist_act") for r in runs):
         twists = [r.record.filled("twist_act") for r in runs]
-        out.insert(
-            0,
-            Path(
-                poses,
-                twists,
-                place,
-                max(_finest(r, "twist_act") for r in runs),
-                rates_measured=True,
-            ),
-        )
+        rate = max(_finest(r, "twist_act") for r in runs)
+        out.insert(0, Path(poses, twists, place, rate, rates_measured=True))
     return out
 
 
 def _least_noisy(layout: Layout, paths: Sequence[Path]) -> tuple[Path | None, list[Array] | None]:
-    """The first path whose noise is small, or else the one with the least; and its noise. None
-    where there is no path.
-    """
+    """The first path whose noise is small, or else the one with the least; and its noise."""
     best, least, noise = None, math.inf, None
     for path in paths:
         found = noise_of(layout, path)
@@ -343,9 +323,7 @@ def _least_noisy(layout: Layout, paths: Sequence[Path]) -> tuple[Path | None, li
 def _replay_is_better(
     layout: Layout, measured: Path, path_noise: Sequence[Array], explained: bool
 ) -> bool:
-    """Whether the replayed platform has less noise than the measured pose or, where it is not
-    explained, the smoothed pose has.
-    """
+    """Whether the replayed platform, or the smoothed pose, has less noise than the measured."""
     share = _noise_ratio(layout, path_noise)
     if share < MAX_PATH_NOISE:
         return False
@@ -356,9 +334,7 @@ def _replay_is_better(
 
 
 def _noise_ratio(layout: Layout, path_noise: Sequence[Array]) -> float:
-    """Noise of the reading due to the path over that of the force, rms in contact, on the force
-    axis where it is largest.
-    """
+    """Noise due to the path over that of the force, rms in contact, on its largest force axis."""
     inside = [b[r.touching(len(b)), :3] for r, b in zip(layout.runs, path_noise, strict=True)]
     squares = np.mean(np.concatenate(inside) ** 2, axis=0)
     own = max(layout.noise.get("wrench_meas.fz", 0.0), layout.least_force)
@@ -366,9 +342,7 @@ def _noise_ratio(layout: Layout, path_noise: Sequence[Array]) -> float:
 
 
 def _finest(run: MeasuredRun, group: str) -> float:
-    """Noise of a pose [m] or of a twist [m/s]: the largest of its axes, of an attitude times its
-    lever arm.
-    """
+    """Noise of a pose [m] or twist [m/s]: the largest of its axes, attitude times lever arm."""
     values = run.record.filled(group)
     levels = [finest_noise(values[:, j]) for j in range(values.shape[1])]
     turned = 2.0 if group.startswith("pose") else 1.0
@@ -376,27 +350,20 @@ def _finest(run: MeasuredRun, group: str) -> float:
 
 
 def _jumps(path: Array) -> Array:
-    """(N,) distance [m] that a tip with stiction moved along path (N, 7) in the tick that ends at
-    each row.
-    """
+    """(N,) distance [m] that a tip moved along path (N, 7) in the tick that ends at each row."""
     return np.linalg.norm(np.diff(path[:, :3], axis=0, prepend=path[:1, :3]), axis=1)
 
 
 def _smooth_paths(layout: Layout, platform: Explanation | None) -> tuple[list[Array], list[Array]]:
     """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform
-    where there is one; and (N, 6) what that
-    cut off, roughly: what it cuts off once more (J. W. Tukey, Exploratory Data Analysis, 1977,
-        "twicing").
+    where there is one; and (N, 6) what that cut off, roughly: what it cuts off once more (J. W.
+    Tukey, Exploratory Data Analysis, 1977, "twicing").
 
     Axes that were not measured are those of the explanation, or were commanded.
     """
     near = None
     if platform is not None:
-        near = (
-            platform_link(layout, layout.whole)
-            .with_timing(platform.residual.link.timing)
-            .paths(platform.chosen.effects())
-        )
+        near = _explained(layout, platform)
     out, flattened = [], []
     for i, run in enumerate(layout.runs):
         told = told_pose(run) if run.record.has("pose_cmd") else None

@@ -20,9 +20,7 @@ LINK_NAMES = {
 
 
 def finite(value: Any) -> Any:
-    """Plain data for JSON: tuples and arrays as lists, NumPy numbers as Python's, non-finite
-    numbers as None.
-    """
+    """Plain data for JSON: lists, Python's numbers, and None for a number that is not finite."""
     if isinstance(value, Mapping):
         return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

@@ -12,15 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hiltestbed.diagnosis.fit import (
-    Fit,
-    bounds_of,
-    differences,
-    effects_at,
-    inflation,
-    scales,
-    telling,
-)
+from hiltestbed.diagnosis.fit import Bounds, Fit, Trials, inflation, telling
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.settings import MIN_LINEAR_GAIN
@@ -43,9 +35,7 @@ def rate(residual: Residual, base: Fit, candidates: Sequence[Candidate], most: i
     explains there counts for all runs, since many are fitted; beside other causes they decide which
     candidates are rated on all, ``most`` being fitted.
     """
-    tried = [
-        (c, [np.clip(np.array(s, dtype=float), c.low, c.high) for s in c.grid]) for c in candidates
-    ]
+    tried = [(c, [Bounds.of((c,)).clip(s) for s in c.grid]) for c in candidates]
     runs = telling(residual, base.residual) if residual.link.costly else residual.runs
     if len(runs) < len(residual.runs) and (base.causes or inflation(base) > LARGE_DEPARTURE):
         few = _on(residual, base, runs)
@@ -121,15 +111,9 @@ def _scored(
 def _by_slopes(
     residual: Residual, known: Effects, basis: Array, r: Array, c: Candidate, theta: Array
 ) -> float:
-    """Reduction of chi-square by all parameters of `c` together, from the slopes of the residual at
-    theta.
-    """
-    low, high, log = bounds_of([c])
-
-    def run(thetas: Sequence[Array] | Array) -> Array:
-        return residual.many([[*known, *effects_at((c,), x)] for x in thetas])
-
-    columns = differences(run, theta, run([theta])[0], scales(theta, low, high, log), low, high)
+    """Reduction of chi-square by all parameters of `c` together, from the slopes at theta."""
+    trials = Trials(residual, (c,), known)
+    columns = trials.slopes(theta, trials([theta])[0])
     q = _orthonormal(np.column_stack([_without(basis, column) for column in columns.T]))
     return float(np.sum(np.einsum("mi,m->i", q, r) ** 2))
 

@@ -9,6 +9,7 @@ departures that are not there.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import DETECTION, INTERPRETATION_PENALTY
+from hiltestbed.effects.search import Candidate
 
 LEVERS = (0.5, 0.0, 1.0)  # chosen: that are tried first: the middle, the surface, the tip
 
@@ -36,9 +38,7 @@ def wrench_link_of(residual: Residual) -> WrenchLink:
 
 
 def choose_lever(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
-    """The link with the lever (where between tip and surface the force acts) that fits the torques
-    best under ``effects``.
-    """
+    """The link with the lever that fits the torques best under ``effects``."""
     if _lever_has_no_effect(link):
         return link
 
@@ -71,17 +71,13 @@ def choose_ring(link: WrenchLink) -> WrenchLink:
     if not any(r.scenario.mechanism.captured for r in link.runs):
         return link
     free = link.interpreted(ring=0.0)
-    return (
-        free
-        if square(Residual(free)(())) < square(Residual(link)(())) - INTERPRETATION_PENALTY
-        else link
-    )
+    if square(Residual(free)(())) < square(Residual(link)(())) - INTERPRETATION_PENALTY:
+        return free
+    return link
 
 
 def choose_steps(link: WrenchLink) -> WrenchLink:
-    """The link with a mount stepped as by MuJoCo, or integrated exactly with the lever that fits
-    best there, whichever leaves less.
-    """
+    """The link with a mount stepped as by MuJoCo, or integrated exactly, whichever leaves less."""
     if not link.stepped:
         return link
     exact = choose_lever(link.interpreted(exact=True))
@@ -90,19 +86,15 @@ def choose_steps(link: WrenchLink) -> WrenchLink:
 
 
 def other_steps(explanation: Explanation) -> WrenchLink | None:
-    """The link with a mount integrated in the other way, if the chosen causes fit better there;
-    None otherwise.
-    """
+    """The link with a mount integrated in the other way, if the chosen causes fit better there."""
     link, chosen = wrench_link_of(explanation.residual), explanation.chosen
     if not link.stepped or not explanation.departs or not chosen.causes or JITTER in chosen.kinds:
         return None
     other = link.interpreted(exact=not link.exact)
     there = explanation.residual.through(other)
-    return (
-        other.with_unknown_steps()
-        if refit(there, chosen).score < chosen.score - DETECTION * inflation(chosen)
-        else None
-    )
+    if refit(there, chosen).score < chosen.score - DETECTION * inflation(chosen):
+        return other.with_unknown_steps()
+    return None
 
 
 def lever_under(residual: Residual, found: Fit) -> Residual:
@@ -135,28 +127,22 @@ def ring_under(residual: Residual, found: Fit) -> Residual:
     if JITTER in found.kinds or not any(r.scenario.mechanism.captured for r in link.runs):
         return residual
     other = residual.through(link.interpreted(ring=1.0 - link.ring))
-    return (
-        other
-        if refit(other, found).chi2 < refit(residual, found).chi2 - DETECTION * inflation(found)
-        else residual
-    )
+    if refit(other, found).chi2 < refit(residual, found).chi2 - DETECTION * inflation(found):
+        return other
+    return residual
 
 
 def reinterpreted(residual: Residual, found: Fit) -> Residual:
-    """The residual with the lever, the latch and the steps of a mount that fit best with ``found``;
-    itself where nothing changes.
-    """
+    """The residual with the lever, the latch and the steps of a mount that suit ``found`` best."""
     levered = ring_under(lever_under(residual, found), found)
     link = wrench_link_of(levered)
     if not link.stepped or JITTER in found.kinds:
         return levered
     here = refit(levered, found)
     other = link.interpreted(exact=not link.exact)
-    return (
-        Residual(other.with_unknown_steps())
-        if refit(Residual(other), here).chi2 < here.chi2 - DETECTION * inflation(here)
-        else levered
-    )
+    if refit(Residual(other), here).chi2 < here.chi2 - DETECTION * inflation(here):
+        return Residual(other.with_unknown_steps())
+    return levered
 
 
 def other_lever(explanation: Explanation) -> WrenchLink | None:
@@ -189,7 +175,7 @@ def with_point_contact(explanation: Explanation) -> WrenchLink | None:
     better there; None otherwise.
 
     In the MJCF a ball meets a plane: where the bodies turn, or the port is tilted, it is met beside
-        the foremost point. A facility may compute the contact at that point.
+    the foremost point. A facility may compute the contact at that point.
     """
     link = wrench_link_of(explanation.residual)
     if (
@@ -199,32 +185,25 @@ def with_point_contact(explanation: Explanation) -> WrenchLink | None:
     ):
         return None
     other = link.interpreted(blunt=0.0)
-    there = explanation.residual.through(other)
     tilts = [c for c in explanation.candidates if c.kind == "contact.misalignment"]
-    fits = [
-        null_fit(there),
-        *([refit(there, explanation.chosen)] if explanation.chosen.causes else []),
-    ]
-    fits += [fit(there, (c,), c.grid) for c in tilts]
-    return (
-        other
-        if min(f.score for f in fits) < explanation.chosen.score - INTERPRETATION_PENALTY
-        else None
-    )
+    least = _least_score(explanation, other, tilts)
+    return other if least < explanation.chosen.score - INTERPRETATION_PENALTY else None
+
+
+def _least_score(
+    explanation: Explanation, other: WrenchLink, alone: Sequence[Candidate] = ()
+) -> float:
+    """Of the chosen causes, of none and of some ``alone``, on another form of the link."""
+    there, chosen = explanation.residual.through(other), explanation.chosen
+    fits = [null_fit(there), *(fit(there, (c,), c.grid) for c in alone)]
+    return min(f.score for f in (*fits, *([refit(there, chosen)] if chosen.causes else [])))
 
 
 def with_time_grid(explanation: Explanation) -> WrenchLink | None:
-    """The link with readings between the instants of the believed physics, if the chosen causes or
-    none fit better there; else None.
-    """
+    """The link with readings between the instants of the physics, if that fits better."""
     link = wrench_link_of(explanation.residual)
     if not explanation.departs or JITTER in explanation.chosen.kinds:
         return None
     other = link.interpreted(grid=link.runs[0].scenario.substeps)
-    there = explanation.residual.through(other)
-    fits = [
-        null_fit(there),
-        *([refit(there, explanation.chosen)] if explanation.chosen.causes else []),
-    ]
     need = INTERPRETATION_PENALTY * inflation(explanation.chosen)
-    return other if min(f.score for f in fits) < explanation.chosen.score - need else None
+    return other if _least_score(explanation, other) < explanation.chosen.score - need else None

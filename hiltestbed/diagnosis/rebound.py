@@ -1,10 +1,10 @@
 """Stage "decide": the rebound as evidence between rivals.
 
 A link is replayed alone, on measured inputs, so that what the closed loop made of a departure does
-not enter. Rivals that leave the same
-residual may differ in just that: a sensor that is late makes the vehicles part faster, a record
-that is stamped late does not. The scenario extended by each rival is simulated up to the rebound,
-and its coefficient of restitution compared with that on record.
+not enter. Rivals that leave the same residual may differ in just that: a sensor that is late makes
+the vehicles part faster, a record that is stamped late does not. The scenario extended by each
+rival is simulated up to the rebound, and its coefficient of restitution compared with that on
+record.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from hiltestbed.diagnosis.closed_loop import (
     restitution,
     trace_motion,
     traces_of,
+    with_entries,
 )
 from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
-from hiltestbed.diagnosis.jitter import jitter_beside
+from hiltestbed.diagnosis.jitter_and_hum import hum_beside, jitter_beside
 from hiltestbed.diagnosis.layout import Layout
-from hiltestbed.diagnosis.lines import hum_beside
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.plain import entry
 from hiltestbed.diagnosis.readings import reinterpreted
@@ -42,7 +42,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.momentum import mobility
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.scenario import Scenario
 
 # chosen: of the approach speed, beyond which the motion on record is not that of the scenario's
 # loop
@@ -54,9 +54,7 @@ LONGER = 0.25  # chosen: of a bounce, by which it may last longer in a simulatio
 
 @dataclass(frozen=True)
 class Rebound:
-    """The first bounce of a run on record: coefficient of restitution, its standard error, and the
-    rows to simulate.
-    """
+    """First bounce on record: coefficient of restitution, standard error, rows to simulate."""
 
     cor: float
     error: float
@@ -73,14 +71,8 @@ def _with_rivals_weighed(findings: Findings) -> Findings:
     layout, explanations = findings.layout, dict(findings.explanations)
     # what is attributed to the timing of the facility needs no decision
     shifts = delays_not_causes(explanations)
-    open_ = [
-        name
-        for name, e in explanations.items()
-        if e.departs
-        and e.adequate
-        and any(e.rivals)
-        and not set(e.chosen.kinds) & {*shifts.get(name, ())}
-    ]
+    rivals = {n: e for n, e in explanations.items() if e.departs and e.adequate and any(e.rivals)}
+    open_ = [n for n, e in rivals.items() if not set(e.chosen.kinds) & {*shifts.get(n, ())}]
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))] if open_ else []
     if not any(rebounds):
         return findings
@@ -96,10 +88,10 @@ def _uncontradicted(findings: Findings) -> Findings:
     and in a sentence what it contradicts.
 
     It contradicts causes if it departs by more than :data:`AMBIGUITY` in chi-square from the loop
-    without them and with them, and is not nearer to the latter by as much. Stamps that
-    are off do not act in the loop: where the link has such, it is explained again as stamped. Else
-    the best of the fits that leave only noise and that the rebound does not contradict is chosen;
-    where there is none, the link is not explained.
+    without them and with them, and is not nearer to the latter by as much. Stamps that are off do
+    not act in the loop: where the link has such, it is explained again as stamped. Else the best of
+    the fits that leave only noise and that the rebound does not contradict is chosen; where there
+    is none, the link is not explained.
     """
     layout, explanations = findings.layout, dict(findings.explanations)
     found = explanations.get("wrench")
@@ -221,21 +213,14 @@ def _others(explanations: Mapping[str, Explanation], name: str) -> list[Effect]:
 def _weighed(
     found: Explanation, beside: Sequence[Effect], layout: Layout, rebounds: Sequence[Rebound | None]
 ) -> tuple[Explanation, list[str]]:
-    """The explanation with the rebound in the scores of the chosen fit and its rivals; and in a
-    sentence what that decided.
-    """
+    """The explanation with the rebound in its scores, and in a sentence what that decided."""
     fits = [found.chosen, *(f for rivals in found.rivals for f in rivals)]
     shown = _simulated(fits, beside, layout.runs, rebounds)
-    pairs = [
-        (i, r) for i, r in enumerate(rebounds) if r is not None and np.isfinite(shown[:, i]).all()
-    ]
+    there = [i for i in range(len(rebounds)) if np.isfinite(shown[:, i]).all()]
+    pairs = [(i, r.cor, r.error) for i in there if (r := rebounds[i]) is not None]
     if not pairs:
         return found, []
-    known, cor, error = (
-        [i for i, _ in pairs],
-        np.array([r.cor for _, r in pairs]),
-        np.array([r.error for _, r in pairs]),
-    )
+    known, cor, error = (np.array(x) for x in zip(*pairs, strict=True))
     chi2 = np.sum(((shown[:, known] - cor) / error) ** 2, axis=1)
     # something else in the loop spoils the comparison
     scale = max(1.0, float(chi2.min()) / len(known)) / inflation(found.chosen)
@@ -262,9 +247,7 @@ def _weighed(
 
 
 def _rechosen(found: Explanation, chosen: Fit, rivals: Sequence[Sequence[Fit]]) -> Explanation:
-    """The explanation with the best of the fits as the chosen one; its rivals are those of the
-    others that remain.
-    """
+    """The explanation with the best of the fits as the chosen one, and the rivals that remain."""
     i, best = min(
         ((i, f) for i, others in enumerate(rivals) for f in (chosen, *others)),
         key=lambda item: item[1].score,
@@ -272,10 +255,8 @@ def _rechosen(found: Explanation, chosen: Fit, rivals: Sequence[Sequence[Fit]]) 
     losers: list[list[Fit]] = [list(others) for others in rivals]
     if best is not chosen:
         own = next(c for c in best.causes if c.key not in {c.key for c in chosen.causes})
-        winner, best = (
-            best,
-            best.ordered([own if j == i else c for j, c in enumerate(chosen.causes)]),
-        )
+        winner = best
+        best = best.ordered([own if j == i else c for j, c in enumerate(chosen.causes)])
         losers = [
             [chosen, *(f for f in others if f is not winner)]
             if j == i
@@ -284,15 +265,10 @@ def _rechosen(found: Explanation, chosen: Fit, rivals: Sequence[Sequence[Fit]]) 
         ]
     most = AMBIGUITY * inflation(best)
     kept = tuple(tuple(f for f in others if f.score - best.score < most) for others in losers)
-    known = {
-        frozenset(c.key for c in f.causes): f.elsewhere
-        for f in (chosen, best, *(f for others in rivals for f in others))
-    }
+    fits = (chosen, best, *(f for others in rivals for f in others))
+    known = {f.keys: f.elsewhere for f in fits}
     singles, more = (
-        tuple(
-            replace(f, elsewhere=known.get(frozenset(c.key for c in f.causes), f.elsewhere))
-            for f in fits
-        )
+        tuple(replace(f, elsewhere=known.get(f.keys, f.elsewhere)) for f in fits)
         for fits in (found.singles, found.more)
     )
     return replace(found, chosen=best, rivals=kept, singles=singles, more=more)
@@ -333,13 +309,8 @@ def _simulated(
 def _extended(
     scenario: Scenario, entries: Sequence[Mapping[str, Any]], rows: int
 ) -> Scenario | None:
-    """The scenario with more effects, for so many rows; None where the estimate of an effect is
-    outside what a scenario may have.
-    """
-    data = resolved(scenario)
-    data["effects"] = [*data["effects"], *entries]
-    data["duration"] = min(data["duration"], rows * scenario.tick)
+    """The scenario with more effects for so many rows; None where it may not have these."""
     try:
-        return scenario_from(data)
+        return with_entries(scenario, entries, rows)
     except InputError:
         return None

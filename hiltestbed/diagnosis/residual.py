@@ -8,12 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.aside import Aside
 from hiltestbed.diagnosis.links import Link
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.noise import softened
-from hiltestbed.diagnosis.settings import MAX_RESIDUAL
+from hiltestbed.diagnosis.nuisances import Aside
 from hiltestbed.frames import Array
+
+MAX_RESIDUAL = 1e6  # chosen: [sigma] stands for a prediction that is not finite
 
 
 class Residual:
@@ -30,20 +31,11 @@ class Residual:
     ) -> None:
         self.link = link
         self.runs = tuple(range(len(link.runs)) if runs is None else runs)
-        if weight is None:
-            weight = [
-                np.where(
-                    np.isfinite(r.sigma), 1.0 / np.where(np.isfinite(r.sigma), r.sigma, 1.0), 0.0
-                )
-                for r in link.runs
-            ]
-        self.weight = tuple(weight)
+        self.weight = tuple([r.weight for r in link.runs] if weight is None else weight)
         self._aside: dict[int, Aside] = {}
 
     def downweighted(self, effects: Effects) -> Residual:
-        """With less weight on samples that depend on how the facility divides its tick under
-        ``effects``; itself where none does.
-        """
+        """With less weight on what the prediction under ``effects`` leaves open; or itself."""
         doubts = {i: self.link.doubt(i, effects) for i in self.runs}
         scaled = {i: d * self.weight[i] for i, d in doubts.items() if d is not None}
         if not any(np.any(u > 1.0) for u in scaled.values()):
@@ -108,18 +100,14 @@ class Residual:
         """
         out = 0.0
         for i in self.runs if effects else ():
-            believed, found = (
-                self.link.passed_from_input(i, ()),
-                self.link.passed_from_input(i, effects),
-            )
+            believed = self.link.passed_from_input(i, ())
+            found = self.link.passed_from_input(i, effects)
             if believed is not None and found is not None:
                 out += float(np.sum(self.weight[i] ** 2 * (believed - found)))
         return out
 
     def left(self, i: int, shown: Array) -> Array:
-        """(N, C) of run i: measured less ``shown`` (N, C), whitened against the nuisance terms of
-        the run.
-        """
+        """(N, C) of run i: measured less ``shown`` (N, C), whitened against its nuisance terms."""
         run = self.link.runs[i]
         left = run.measured - shown
         if run.nuisances is None and run.shared is None:

@@ -205,8 +205,8 @@ class Figures:
     cannot be estimated.
 
     Attributes:
-        cor: rebound speed / approach speed. peak_force [N]: largest reading along z.
-        stiffness [N/m], damping [N s/m]: least squares of the reading on pose and rate in contact.
+        cor: rebound speed / approach speed. peak_force [N]: largest reading along z. stiffness
+            [N/m], damping [N s/m]: least squares of the reading on pose and rate in contact.
     """
 
     cor: float | None = None
@@ -236,9 +236,7 @@ class ClosedLoop:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A run that would settle what is open: in words, the effects it separates, and the keys to set
-    in each of its runs.
-    """
+    """A run that would settle what is open: the effects it separates, and the keys of each run."""
 
     text: str
     separates: tuple[str, ...] = ()
@@ -339,9 +337,7 @@ class Finding:
 
     @property
     def names(self) -> bool:
-        """Whether causes extend the model: something is named, and its gain on left-out runs is
-        significant, if it was measured.
-        """
+        """Whether causes extend the model: their gain on left-out runs is significant."""
         named = self.verdict in ("named", "ambiguous", "named_in_part") and bool(self.causes)
         return named and (self.heldout is None or self.heldout.significant)
 

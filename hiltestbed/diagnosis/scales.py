@@ -51,9 +51,7 @@ def scales_of(runs: Sequence[MeasuredRun], noise: Mapping[str, float]) -> Scales
 
 
 def _depth(runs: Sequence[MeasuredRun], pressed: float) -> float:
-    """Largest penetration [m]: measured where the passive surface is flat, else derived from the
-    peak force.
-    """
+    """Largest penetration [m]: measured on a flat surface, else derived from the peak force."""
     contacts = [c for r in runs for c in r.survey.contacts]
     if runs[0].scenario.mechanism.flat or runs[0].scenario.mechanism.captured or not pressed:
         return max([c.penetration or 0.0 for c in contacts], default=1e-3) or 1e-3

@@ -10,37 +10,45 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from hiltestbed.diagnosis.adequacy import JITTER, Leftover, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, fit, inflation, null_fit, refit, refit_without
-from hiltestbed.diagnosis.jitter import again
-from hiltestbed.diagnosis.links.base import Effects
+from hiltestbed.diagnosis.adequacy import JITTER, Judge, Leftover, contact_leftovers, noise_alone
+from hiltestbed.diagnosis.fit import Fit, fit, inflation, keys_of, null_fit, refit, refit_without
+from hiltestbed.diagnosis.jitter_and_hum import again
 from hiltestbed.diagnosis.rating import rate
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import (
     AMBIGUITY,
-    BEAM_WIDTH,
     CLOSE_CHI2,
-    COSTLY_BEAM_WIDTH,
     DETECTION,
-    LINEAR_GAIN_MARGIN,
     MAX_CAUSES,
-    MAX_FITS_PER_EFFECT,
     MAX_PARTNERS,
-    MAX_SINGLES,
     MIN_EXCESS_TO_GROW,
-    MIN_VARIANT_GAIN,
-    NEAR_BOUND,
-    SELECTION,
     SELECTION_INADEQUATE,
 )
 from hiltestbed.effects.search import Candidate
 from hiltestbed.process.progress import Pace, time_left_text
 
-Judge = Callable[[Residual, Effects], dict[str, Leftover]]
+# calibrated: selection threshold of a further cause where the causes so far already leave only
+# noise
+SELECTION = 100.0
+BEAM_WIDTH = 5  # chosen: first causes for which a second one is sought
+# chosen: pairs of causes for which a third one is sought, on a link whose replay is costly
+COSTLY_BEAM_WIDTH = 2
+MAX_FITS_PER_EFFECT = 3  # chosen: hypotheses of one effect (axes, variants) that are fitted
+MAX_SINGLES = 40  # chosen: single causes that are fitted
+# calibrated: most that a fit may gain over its linearised gain; 3.5 was the most of 553 fits on 18
+# rig sets
+LINEAR_GAIN_MARGIN = 10.0
+# chosen: share of the best gain in chi-square; a variant of an effect that gains less rules out its
+# other variants
+MIN_VARIANT_GAIN = 0.3
+# chosen: share of a parameter's range; a value closer to a bound is compared with the bound itself
+NEAR_BOUND = 0.1
+
 # a hypothesis from the residual of a fit; chi-square that another has reached
 Special = Callable[[Residual, Fit, float], Fit | None]
 # the interpretation of a link that fits better; the residual itself where none does
@@ -90,9 +98,7 @@ class Explanation:
         return max((left.excess for left in self.leftovers.values()), default=0.0)
 
     def stamped(self, **shifts: float) -> Explanation:
-        """The same explanation of a link with further ``shifts`` [s], see :meth:`Link.stamped`,
-        that do not show on it.
-        """
+        """The same with ``shifts`` [s] of :meth:`Link.stamped` that do not show on the link."""
         return replace(self, residual=self.residual.through(self.residual.link.stamped(**shifts)))
 
     def with_the_other_clock(self, judge: Judge) -> Explanation:
@@ -142,31 +148,23 @@ class Search:
     earlier: Explanation | None = None  # under that timing or interpretation
 
     def after(self, found: Explanation) -> Search:
-        """The same search of a link with another timing or interpretation than in ``found``: from
-        its estimates, where there are any.
-        """
-        fits = {frozenset(c.key for c in f.causes): f for f in (*found.more, *found.singles)}
+        """The same search of a link otherwise timed or interpreted, from those estimates."""
+        fits = {f.keys: f for f in (*found.more, *found.singles)}
         return replace(self, before={**self.before, **fits}, earlier=found)
 
     def _as_far_off(self, residual: Residual) -> Explanation | None:
         """The earlier explanation of a costly link, fitted again with another timing or
-        interpretation, where each of its fits is far off
-        with that as well: no others are sought then, which would take as long as the first search.
-            None where one comes near.
+        interpretation, where each of its fits is far off with that as well: no others are sought
+        then, which would take as long as the first search. None where one comes near.
         """
         found = self.earlier
         if found is None or found.adequate or not residual.link.costly:
             return None
-        pool = [
-            found.chosen,
-            *first_of_each(found.singles, "kinds"),
-            *first_of_each(found.more, "kinds")[:MAX_PARTNERS],
-        ]
+        several = first_of_each(found.more, "kinds")[:MAX_PARTNERS]
+        pool = [found.chosen, *first_of_each(found.singles, "kinds"), *several]
+        pool = [f for f in pool if f.causes and JITTER not in f.kinds]
         there = residual.downweighted(found.chosen.effects())
-        fits = [
-            null_fit(there),
-            *_reweighted(there, [f for f in pool if f.causes and JITTER not in f.kinds]),
-        ]
+        fits = [null_fit(there), *_reweighted(there, pool)]
         best = min(fits, key=lambda f: f.score)
         leftovers = self.judge(there, best.effects())
         if max(left.excess for left in leftovers.values()) <= MIN_EXCESS_TO_GROW:
@@ -175,24 +173,11 @@ class Search:
             [f for f in sorted(fits, key=_order) if len(f.causes) in counts]
             for counts in ((1,), (2, 3))
         )
-        before = self.judge(residual, ())
-        return Explanation(
-            there,
-            self.candidates,
-            fits[0],
-            best,
-            False,
-            True,
-            leftovers,
-            before,
-            tuple(singles),
-            tuple(more),
-        )
+        explained = partial(Explanation, there, self.candidates, fits[0], best, False, True)
+        return explained(leftovers, self.judge(residual, ()), tuple(singles), tuple(more))
 
     def explain(self, residual: Residual, given: Fit | None = None) -> Explanation:
-        """The explanation of a link; given: a fit with the cause that another link has shown, which
-        then is one of its causes.
-        """
+        """The explanation of a link; given: a fit with a cause that another link has shown."""
         if given is None and (same := self._as_far_off(residual)):
             return same
         residual = residual.downweighted(given.effects() if given else ())
@@ -204,26 +189,19 @@ class Search:
         # threshold of a cause, in units of the misfit
         least = SELECTION if given and adequate_null else DETECTION
         singles = self.extend(residual, null, worth=least if adequate_null else 0.0)
-        if (
-            singles
-            and (downweighted := residual.downweighted(singles[0].effects())) is not residual
-        ):
-            residual = downweighted
-            null = refit(residual, null)
-            singles = _reweighted(
-                residual, _beam(singles, BEAM_WIDTH, variants=not residual.link.costly)
-            )
+        there = residual.downweighted(singles[0].effects()) if singles else residual
+        if there is not residual:
+            residual, null = there, refit(there, null)
+            beam = _beam(singles, BEAM_WIDTH, variants=not residual.link.costly)
+            singles = _reweighted(residual, beam)
             before = self.judge(residual, null.effects())
         counts = singles and (
             not adequate_null or null.score - singles[0].score > least * inflation(singles[0])
         )
-        if (
-            counts
-            and not given
-            and self.reread
-            and (other := self.reread(residual, singles[0])) is not residual
-        ):
-            return replace(self, reread=None, earlier=None).explain(other)
+        if counts and not given and self.reread:
+            other = self.reread(residual, singles[0])
+            if other is not residual:
+                return replace(self, reread=None, earlier=None).explain(other)
         # under the weights of the best model
         singles += [f for make in self.special if (f := make(residual, null, math.inf)) is not None]
         singles.sort(key=_order)
@@ -232,17 +210,8 @@ class Search:
         departs = null.score - best.score > need or not adequate_null
         known = (null,) if given else ()
         if not departs:
-            return Explanation(
-                residual,
-                self.candidates,
-                null_fit(residual),
-                null,
-                True,
-                given is not None,
-                before,
-                before,
-                (*singles, *known),
-            )
+            explained = partial(Explanation, residual, self.candidates, null_fit(residual), null)
+            return explained(True, given is not None, before, before, (*singles, *known))
         chosen = best if null.score - best.score > need else null
         return self._several(residual, chosen, singles, before, known, given is not None)
 
@@ -269,14 +238,8 @@ class Search:
             width = 1 if adequate else COSTLY_BEAM_WIDTH if count > 1 and costly else BEAM_WIDTH
             for base in _beam(level, width, variants=not (adequate or costly)):
                 search = self._near(residual, base, found) if count > 1 else self
-                found += search.extend(
-                    residual,
-                    base,
-                    MAX_PARTNERS,
-                    self.special,
-                    beside=found,
-                    worth=self.beside if adequate else 0.0,
-                )
+                worth = self.beside if adequate else 0.0
+                found += search.extend(residual, base, MAX_PARTNERS, self.special, found, worth)
             found = first_of_each(sorted(found, key=lambda f: f.score), "key")
             if not found:
                 break
@@ -294,19 +257,8 @@ class Search:
         if level is not singles and (fewer := self.needed(residual, chosen)) is not chosen:
             chosen, more, leftovers = fewer, [fewer, *more], self.judge(residual, fewer.effects())
             adequate = noise_alone(leftovers)
-        null = null_fit(residual)
-        result = Explanation(
-            residual,
-            self.candidates,
-            null,
-            chosen,
-            adequate,
-            True,
-            leftovers,
-            before,
-            (*singles, *known),
-            tuple(more),
-        )
+        explained = partial(Explanation, residual, self.candidates, null_fit(residual), chosen)
+        result = explained(adequate, True, leftovers, before, (*singles, *known), tuple(more))
         return result if not (adequate and chosen.causes) else with_rivals(result, self.judge)
 
     def needed(self, residual: Residual, chosen: Fit) -> Fit:
@@ -323,19 +275,14 @@ class Search:
             fewer = refit_without(residual, chosen, index, known=chosen.score + most)
             if fewer.score - chosen.score > most:
                 continue
-            need = (
-                self.beside
-                if noise_alone(self.judge(residual, fewer.effects()))
-                else SELECTION_INADEQUATE
-            )
+            noise = noise_alone(self.judge(residual, fewer.effects()))
+            need = self.beside if noise else SELECTION_INADEQUATE
             if fewer.score - chosen.score <= need * share:
                 return self.needed(residual, fewer)
         return chosen
 
     def _near(self, residual: Residual, base: Fit, found: Sequence[Fit]) -> Search:
-        """The same search; where the best fit so far leaves only noise, only for causes that make a
-        rival of it out of ``base``.
-        """
+        """The same search; beside a fit that leaves only noise, only for rivals of it."""
         best = min(found, key=lambda f: f.score, default=base)
         foreign = set(base.kinds) - set(best.kinds)
         if not foreign:
@@ -391,23 +338,18 @@ class Search:
                     f"{' + '.join([*base.kinds, c.kind])}"
                 )
             causes, together = (*base.causes, c), [np.concatenate([base.theta, s]) for s in starts]
-            earlier = self.before.get(frozenset(cause.key for cause in causes))
+            tries, earlier = 2 if base.causes else 3, self.before.get(keys_of(causes))
             # simple effects alone are sought anew: it takes little
             if earlier is not None and (base.causes or c.effect.rich):
-                fits.append(
-                    fit(residual, causes, [earlier.of(causes), *together], tries=1, known=near)
-                )
-                continue
-            fits.append(fit(residual, causes, together, tries=2 if base.causes else 3, known=near))
+                tries, together = 1, [earlier.of(causes), *together]
+            fits.append(fit(residual, causes, together, tries, near))
         near, _ = _near_best(base, (*fits, *beside), worth)
         fits += [f for make in special if (f := make(residual, base, near)) is not None]
         return sorted(fits, key=_order)
 
 
 def _reweighted(residual: Residual, fits: Sequence[Fit]) -> list[Fit]:
-    """The fits, best first, fitted again under other weights; on a costly link those that will not
-    come near the best are left early.
-    """
+    """The fits, best first, fitted again under other weights; costly ones if they come near."""
     out: list[Fit] = []
     for f in fits:
         best = min(out, key=lambda other: other.chi2, default=None)
@@ -419,25 +361,19 @@ def _reweighted(residual: Residual, fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _near_best(base: Fit, fits: Sequence[Fit], worth: float) -> tuple[float, Fit]:
-    """Chi-square that a further fit has to reach, and the best fit; ``worth``: least gain on
-    ``base``.
-    """
+    """Chi-square that a further fit has to reach, and the best; worth: least gain on ``base``."""
     best = min(fits, key=lambda f: f.chi2, default=base)
     return min(best.chi2 + CLOSE_CHI2 * inflation(best), base.chi2 - worth), best
 
 
 def _overlap(c: Candidate, other: Candidate) -> bool:
-    """Whether two hypotheses are of one effect, or one of them of an effect rich in numbers, of
-    which the other would be a part.
-    """
+    """Whether two hypotheses are of one effect, or one of a rich effect like the other's."""
     parts = [a.kind in b.effect.resembles for a, b in ((c, other), (other, c)) if b.effect.rich]
     return c.kind == other.kind or any(parts)
 
 
 def _beaten(c: Candidate, base: Fit, fits: Sequence[Fit]) -> bool:
-    """Whether another variant of a hypothesis gains so little, compared with the best, that this
-    one need not be tried.
-    """
+    """Whether another variant gains so little that this one need not be tried."""
     best = max((base.chi2 - f.chi2 for f in fits), default=0.0)
     twins = [f for f in fits if f.causes[-1].kind == c.kind and f.causes[-1].fixed == c.fixed]
     return any(base.chi2 - f.chi2 < MIN_VARIANT_GAIN * best for f in twins)
@@ -448,9 +384,7 @@ def _order(f: Fit) -> tuple[float, float]:
 
 
 def _boldness(f: Fit) -> float:
-    """Distance of the factors from one: of two equal fits (the mass of either body) the one nearer
-    to the believed model goes first.
-    """
+    """Distance of the factors from one: of two equal fits the less bold one goes first."""
     return sum(
         abs(math.log(max(e.parameters()["factor"], 1e-9)))
         for e in f.effects()
@@ -477,11 +411,8 @@ def _beam(fits: Sequence[Fit], width: int, variants: bool) -> list[Fit]:
 
 
 def _causes(f: Fit, by: Identity) -> tuple[str, ...]:
-    return tuple(
-        sorted(
-            str({"kinds": c.kind, "places": (c.kind, *c.place), "key": c.key}[by]) for c in f.causes
-        )
-    )
+    each = ({"kinds": c.kind, "places": (c.kind, *c.place), "key": c.key} for c in f.causes)
+    return tuple(sorted(str(c[by]) for c in each))
 
 
 def first_of_each(fits: Sequence[Fit], by: Identity) -> list[Fit]:
@@ -514,19 +445,9 @@ def _limit_of(residual: Residual, chosen: Fit, index: int, other: Fit) -> bool:
     ends = np.where(theta - richer.low < richer.high - theta, richer.low, richer.high)
     close = np.flatnonzero(np.abs(theta - ends) < NEAR_BOUND * (richer.high - richer.low))
     for j in close:
-        rest = np.delete(np.arange(len(theta)), j)
-        causes = (
-            *other.causes[:own],
-            richer.held(int(j), float(ends[j])),
-            *other.causes[own + 1 :],
-        )
-        start = np.concatenate(
-            [
-                *(other.part(i) for i in range(own)),
-                theta[rest],
-                *(other.part(i) for i in range(own + 1, len(causes))),
-            ]
-        )
+        held = richer.held(int(j), float(ends[j]))
+        causes = (*other.causes[:own], held, *other.causes[own + 1 :])
+        start = np.delete(other.theta, other.place(own).start + j)
         if fit(residual, causes, [start], tries=1).chi2 - other.chi2 < AMBIGUITY * inflation(other):
             return True
     return False
@@ -554,14 +475,11 @@ def with_rivals(found: Explanation, judge: Judge) -> Explanation:
     """
     chosen = found.chosen
     pool = [f for f in (*found.singles, *found.more) if len(f.causes) == len(chosen.causes)]
-    close = [
-        f
-        for f in pool
-        if f is not chosen and f.score - chosen.score < AMBIGUITY * inflation(chosen)
-    ]
-    of_same = [sorted(f.kinds) == sorted(chosen.kinds) for f in close]
-    elsewhere = first_of_each([f for f, same in zip(close, of_same, strict=True) if same], "places")
-    others = first_of_each([f for f, same in zip(close, of_same, strict=True) if not same], "kinds")
+    most = chosen.score + AMBIGUITY * inflation(chosen)
+    close = [f for f in pool if f is not chosen and f.score < most]
+    same = [f for f in close if sorted(f.kinds) == sorted(chosen.kinds)]
+    elsewhere = first_of_each(same, "places")
+    others = first_of_each([f for f in close if f not in same], "kinds")
     rivals: list[list[Fit]] = [[] for _ in chosen.causes]
     for f in (*elsewhere, *others):
         index = _only_difference(chosen, f)

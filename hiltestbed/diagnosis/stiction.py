@@ -1,11 +1,11 @@
 """Stage "select": starts for the fit of a platform with stiction.
 
 Each jump begins where the last one ended, so that some hundred jumps in a row end in the right
-place only for a stick that is right to 1e-5
-and for the right instants within a tick: chi-square is rugged. But it has few values: the path
-changes only where the stick passes the length of a jump, and each replay tells how far the next
-such place is. So all paths are compared for every number of instants a tick, first on the beginning
-of the slowest run, which jumps least; those that fit are followed over more and more rows.
+place only for a stick that is right to 1e-5 and for the right instants within a tick: chi-square is
+rugged. But it has few values: the path changes only where the stick passes the length of a jump,
+and each replay tells how far the next such place is. So all paths are compared for every number of
+instants a tick, first on the beginning of the slowest run, which jumps least; those that fit are
+followed over more and more rows.
 
 Where clocks are off, the jumps tell it: each shows between which rows the command was obeyed that
 the axis is held at from then on.
@@ -165,9 +165,7 @@ def _starts(found: Paths, believed: int) -> dict[tuple[int, float], list[float]]
 
 
 def _stretches(found: Paths, margin: float) -> Paths:
-    """The stretches of sticks in which paths with the same instants are no worse than the best of
-    these by more than a ``margin``.
-    """
+    """The stretches of sticks whose paths are no worse than the best by more than a ``margin``."""
     if not len(found.chi2):
         return found
     best = np.full(len(found.instants), np.inf)
@@ -200,9 +198,8 @@ class Data:
         order: indices of the runs in the link. tick: [s]. noise: of the pose [m]. commands, goal,
             sigma: (R, N, 3) [m]; goal: the measured
         positions, sigma: infinite where none was measured. rows: (R,). start, velocity: (R, 3) of
-            the approach. moves: (R, 3) axes that
-        are commanded to move. whole: rows of the last scan. speed: mean travel of all axes in a row
-            [m].
+            the approach. moves: (R, 3) axes that are commanded to move. whole: rows of the last
+            scan. speed: mean travel of all axes in a row [m].
     """
 
     def __init__(self, link: PlatformLink, noise: float) -> None:
@@ -269,9 +266,7 @@ class Data:
         return float(tried[agree >= AGREEING * agree.max()].mean())
 
     def _jumps(self, r: int, axis: int) -> Iterable[tuple[float, float]]:
-        """The least and the most by which an axis is late [ticks] according to each of its
-        jumps.
-        """
+        """The least and the most by which an axis is late [ticks], by each of its jumps."""
         goal = self.goal[r, : self.rows[r], axis]
         command = np.concatenate(
             [self.start[r, axis, None], self.commands[r, : self.rows[r] - 1, axis]]
@@ -297,9 +292,7 @@ class Data:
             yield last[before] - at, first[after] - at
 
     def phases(self, late: float) -> list[Instants]:
-        """Every number of instants, with phases between which the command moves by
-        :data:`PHASE_SIGMA`; no more than MAX_PHASES.
-        """
+        """Numbers of instants with phases a command moves by :data:`PHASE_SIGMA` between."""
         fastest = float(np.abs(np.diff(self.commands, axis=1)).max())
         count = {
             m: min(math.ceil(fastest / (m * PHASE_SIGMA * self.noise)), MAX_PHASES)
@@ -322,9 +315,7 @@ class Data:
         return self._followed(found, self.whole)
 
     def _unstuck(self, obeyed: Array, rows: int) -> float:
-        """Chi-square of a platform without stiction, which is where its command is that is
-        ``obeyed``, on the first ``rows``.
-        """
+        """Chi-square of a platform that is where the ``obeyed`` command is, on ``rows``."""
         compared = np.arange(self.goal.shape[1])[:, None] < self._compared(rows)[:, None, None]
         z = (self.goal - obeyed) / self.sigma
         return float(np.minimum(z * z, MAX_SAMPLE_CHI2)[compared & self.moves[:, None]].sum())
@@ -351,43 +342,21 @@ class Data:
         away = np.where(known, np.abs(self.goal - obeyed)[0, :rows], 0.0)
         largest = float(np.quantile(away, LARGEST, axis=0).max())
         travel = _speed(self.commands[0])
-        return max(
-            largest - travel - 4.0 * noise, 0.5 * largest, noise
-        ), largest / LARGEST + travel + noise
+        least = max(largest - travel - 4.0 * noise, 0.5 * largest, noise)
+        return least, largest / LARGEST + travel + noise
 
     def _followed(self, found: Paths, rows: int, limit: float = math.inf) -> Paths:
-        """The paths with the sticks of ``found`` that fit the first ``rows`` best, best first;
-        limit: chi-square at most.
-        """
-        followed = Followed(
-            self.commands,
-            self.goal,
-            self.sigma,
-            self._compared(rows),
-            self.start,
-            self.velocity,
-            self.moves,
-        )
-        margin, out, buffer, budget = (
-            PATH_MARGIN + ROW_MARGIN * rows,
-            [],
-            np.empty((MAX_PATHS, 3)),
-            SCAN_BUDGET,
-        )
-        for h, low, high in zip(
-            found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True
-        ):
+        """The paths of ``found`` that fit the first ``rows`` best; limit: chi-square at most."""
+        runs, compared = (self.commands, self.goal, self.sigma), self._compared(rows)
+        followed = Followed(*runs, compared, self.start, self.velocity, self.moves)
+        margin, budget = PATH_MARGIN + ROW_MARGIN * rows, SCAN_BUDGET
+        out, buffer = [], np.empty((MAX_PATHS, 3))
+        ends = zip(found.of.tolist(), found.low.tolist(), found.high.tolist(), strict=True)
+        for h, low, high in ends:
             m, phase, late = found.instants[h]
+            obeying, within = Obeying(self.tick, late, m, phase), (MAX_SAMPLE_CHI2, limit, margin)
             count, budget = all_paths(
-                followed,
-                Obeying(self.tick, late, m, phase),
-                (low, high),
-                MAX_SAMPLE_CHI2,
-                limit,
-                margin,
-                self.speed,
-                budget,
-                buffer,
+                followed, obeying, (low, high), *within, self.speed, budget, buffer
             )
             if count:
                 out.append(np.column_stack([np.full(count, float(h)), buffer[:count]]))

@@ -46,11 +46,9 @@ HIDDEN_ROWS = 0.05
 CONVERGED_ROWS = 0.02  # chosen: change of the timing below which a link is not explained again
 # links whose output is interpolated between rows where their input lies there
 INTERPOLATED_LINKS = ("platform", "compensation")
-EARLY, EITHER, LATE = (
-    (-MAX_STAMP_SHIFT_ROWS, 0.0),
-    (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS),
-    (0.0, MAX_STAMP_SHIFT_ROWS),
-)
+EARLY = (-MAX_STAMP_SHIFT_ROWS, 0.0)
+EITHER = (-MAX_STAMP_SHIFT_ROWS, MAX_STAMP_SHIFT_ROWS)
+LATE = (0.0, MAX_STAMP_SHIFT_ROWS)
 # rows, ticks; a longer delay is a platform.delay
 ENCODER, OBEYED = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), (0.0, 0.5)
 # rows: its stamp, half a tick of its instant, and the error due to noise
@@ -59,17 +57,13 @@ OLD_TWIST_RANGE = (0.0, 1.0)  # chosen: share of the old twist, instead of rows
 # channels that are shifted together, each with its range [rows]
 SHIFTS: Mapping[str, tuple[Mapping[str, tuple[float, float]], ...]] = {
     "platform": (
-        {"delay": ENCODER},
-        {"before": EITHER},
-        {"obeyed": OBEYED},
+        *({"delay": ENCODER}, {"before": EITHER}, {"obeyed": OBEYED}),
         {"obeyed": OBEYED, "delay": STAMPED_ENCODER},
     ),
     "wrench": ({"delay": EARLY}, {"before": (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS)}),
     "compensation": ({"delay": LATE}, {"before": LATE}),
     "dynamics": (
-        {"delay": EITHER},
-        {"before": EITHER},
-        {"old": OLD_TWIST_RANGE},
+        *({"delay": EITHER}, {"before": EITHER}, {"old": OLD_TWIST_RANGE}),
         {"delay": EITHER, "before": EITHER, "old": OLD_TWIST_RANGE},
     ),
 }
@@ -232,25 +226,19 @@ def _better_timing(
 
 
 def _comparable_score(link: Link) -> Callable[[Fit], float]:
-    """The score of a fit on ``link``, corrected for the noise that interpolation between rows
-    removes.
-    """
+    """The score of a fit on ``link``, corrected for the noise that interpolation removes."""
 
     def cost(f: Fit) -> float:
         last = f.effects()[-1:]
         timing = link.timing.plus(last[0]) if last and isinstance(last[0], Timing) else link.timing
-        part = (
-            timing.before / link.runs[0].scenario.tick % 1.0
-            if link.name in INTERPOLATED_LINKS
-            else 0.0
-        )
+        part = timing.before / link.tick % 1.0 if link.name in INTERPOLATED_LINKS else 0.0
         return f.chi2 / (part * part + (1.0 - part) ** 2) + f.penalty
 
     return cost
 
 
 def _in_rows(place: Timing, link: Link) -> Array:
-    tick = link.runs[0].scenario.tick
+    tick = link.tick
     return np.array([place.delay / tick, place.before / tick, place.obeyed / tick, place.old])
 
 
@@ -263,7 +251,7 @@ def timing_candidates(link: Link) -> list[Candidate]:
 
 def shift_candidate(link: Link, way: Mapping[str, tuple[float, float]]) -> Candidate:
     """The shifts named in ``way`` together, each within its range, as a hypothesis."""
-    tick, now = link.runs[0].scenario.tick, link.timing.parameters()
+    tick, now = link.tick, link.timing.parameters()
     names, ends = tuple(way), tuple(way.values())
     units = np.array([1.0 if name == "old" else tick for name in names])
     here = np.array([now[name] for name in names])
@@ -275,9 +263,7 @@ def shift_candidate(link: Link, way: Mapping[str, tuple[float, float]]) -> Candi
 
 
 def _bases(found: Explanation) -> list[Fit]:
-    """The fits beside which the timing is sought: none, the chosen one, and the best single
-    causes.
-    """
+    """The fits beside which timing is sought: none, the chosen one, the best single causes."""
     no_clock = next((f for f in found.singles if not set(f.kinds) & {*DELAY_EFFECTS, JITTER}), None)
     near = (
         found.chosen,
@@ -290,9 +276,7 @@ def _bases(found: Explanation) -> list[Fit]:
 
 
 def timing_found(link: Link) -> Candidate | None:
-    """What of the timing of a link was estimated from its own record, as a hypothesis; None where
-    it is as believed or as stamped.
-    """
+    """What of a link's timing its own record shows, as a hypothesis; None: nothing."""
     off = {
         name for name, value in link.timing.parameters().items() if value and name not in link.known
     }
@@ -309,40 +293,26 @@ def fit_with_timing(
     known: float = math.inf,
     starts: Sequence[Array] | None = None,
 ) -> Fit:
-    """``base`` with the timing ``later`` fitted as well, from ``starts``, by default its grid;
-    ``known``: see :func:`fit`.
-    """
-    begun = later.grid if starts is None else starts
-    return fit(
-        residual,
-        (*base.causes, later),
-        [np.concatenate([base.theta, s]) for s in begun],
-        tries=2,
-        known=known,
-    )
+    """``base`` with the timing ``later``, from ``starts`` or its grid; known: see :func:`fit`."""
+    begun = [np.concatenate([base.theta, s]) for s in (later.grid if starts is None else starts)]
+    return fit(residual, (*base.causes, later), begun, tries=2, known=known)
 
 
 def within_range(link: Link, found: Fit) -> bool:
-    """Whether the stamps and instants are off by less than the largest shifts: one that would have
-    to be larger is none.
-    """
-    shift, timing, theta = (
-        found.causes[-1],
-        link.timing.plus(_fitted_timing(found)),
-        found.part(len(found.causes) - 1),
-    )
+    """Whether stamps and instants are off by less than the largest shifts."""
+    shift = found.causes[-1]
+    timing = link.timing.plus(_fitted_timing(found))
+    theta = found.part(len(found.causes) - 1)
     if "old" in shift.names:  # all of an old twist is explicit Euler
         old = shift.names.index("old")
         shift, theta = shift.held(old, theta[old]), np.delete(theta, old)
     at_an_end = at_bound(shift, theta)
-    largest = (1.0 - BOUND_TOLERANCE) * MAX_STAMP_SHIFT_ROWS * link.runs[0].scenario.tick
+    largest = (1.0 - BOUND_TOLERANCE) * MAX_STAMP_SHIFT_ROWS * link.tick
     return not at_an_end and abs(timing.delay + timing.before) < largest
 
 
 def without_ends(residual: Residual, memory: int = 0) -> Residual:
-    """Without the first and the last rows, for which a shifted channel has no data; memory: more of
-    the first rows.
-    """
+    """Without the rows for which a shifted channel has no data; memory: more of the first."""
     ends = math.ceil(MAX_STAMP_SHIFT_ROWS)
     weight = [w.copy() for w in residual.weight]
     for w in weight:
@@ -356,9 +326,7 @@ def output_shift_rows(explanation: Explanation) -> float:
 
 
 def _stamp_shift_rows(link: Link) -> float:
-    """Rows by which the output of a link is stamped late relative to its input, without what the
-    numerical model's steps add.
-    """
+    """Rows by which the output is stamped later than the input, without those of old twists."""
     return float(_in_rows(link.timing, link)[:-1].sum())
 
 
@@ -368,72 +336,46 @@ def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict
     as for a channel that is stamped late. Neither is what cannot be told from one.
     """
     departing = {name: e for name, e in explanations.items() if e.departs}
-    places = [output_shift_rows(e) for e in explanations.values()]
-    departures = sum(
-        max(len(e.chosen.causes), int(not e.adequate)) for e in departing.values()
-    ) + sum(rows != 0.0 for rows in places)
+    departures = sum(max(len(e.chosen.causes), int(not e.adequate)) for e in departing.values())
+    departures += sum(output_shift_rows(e) != 0.0 for e in explanations.values())
     if departures < 2:
         return {}
     # stamps cancel around the loop
     taken_back = max(-sum(_stamp_shift_rows(e.residual.link) for e in explanations.values()), 0.0)
+    # whole rows, of which the instants of the platform hide a part
+    whole = max(taken_back + 0.5, math.ceil(taken_back)) if taken_back > HIDDEN_ROWS else 0.0
     out: dict[str, dict[str, float]] = {}
     for name, e in departing.items():
         for i, effect in enumerate(e.chosen.effects()):
-            tick, rivals = (
-                e.residual.link.runs[0].scenario.tick,
-                e.rivals[i] if e.rivals and effect.kind not in DELAY_EFFECTS else (),
-            )
-            for delay in (
-                effect,
-                *(
-                    other
-                    for f in rivals
-                    for other in f.effects()
-                    if other.kind not in e.chosen.kinds
-                ),
-            ):
-                rows = _delay_rows(delay, tick)
-                most = taken_back + MAX_UNNAMED_DELAY_ROWS
-                # whole rows, of which the instants of the platform hide a part
-                if delay.kind in TICK_EFFECTS:
-                    most = (
-                        max(taken_back + 0.5, math.ceil(taken_back))
-                        if taken_back > HIDDEN_ROWS
-                        else 0.0
-                    )
-                if rows is not None and rows <= most:
+            rivals = e.rivals[i] if e.rivals and effect.kind not in DELAY_EFFECTS else ()
+            alike = [o for f in rivals for o in f.effects() if o.kind not in e.chosen.kinds]
+            for delay in (effect, *alike):
+                rows = _delay_rows(delay, e.residual.link.tick)
+                ticks = delay.kind in TICK_EFFECTS
+                if rows is not None and rows <= (
+                    whole if ticks else taken_back + MAX_UNNAMED_DELAY_ROWS
+                ):
                     out.setdefault(name, {})[effect.kind] = rows
     return out
 
 
 def instants_off(explanations: Mapping[str, Explanation]) -> float:
-    """[s] by which a delay may be off because stamps and instants are; 0 where none is seen to be
-    off the believed ones.
-    """
+    """[s] by which a delay may be off because instants are; 0 where none is seen to be."""
     links = [e.residual.link for e in explanations.values()]
     off = any(link.timing != NO_SHIFT for link in links) or bool(delays_not_causes(explanations))
     return MAX_UNNAMED_DELAY_ROWS * links[0].runs[0].scenario.tick if off else 0.0
 
 
-def part_of_a_tick(effect: Effect, tick: float) -> bool:
-    """Whether an effect is a delay that the timing of a facility can explain."""
+def part_of_a_tick(effect: Effect, tick: float, most: float = MAX_UNNAMED_DELAY_ROWS) -> bool:
+    """Whether an effect is a delay, of ``most`` rows, that the timing of a facility can explain."""
     rows = _delay_rows(effect, tick)
-    return (
-        effect.kind not in TICK_EFFECTS
-        and rows is not None
-        and 0.0 < rows <= MAX_UNNAMED_DELAY_ROWS
-    )
+    return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
 
 
 def may_be_stamp(effect: Effect, link: Link) -> bool:
-    """Whether an effect is a delay that may be the stamp's, of a row more where other links show
-    that stamps are off by rows.
-    """
-    rows, most = (
-        _delay_rows(effect, link.runs[0].scenario.tick),
-        MAX_UNNAMED_DELAY_ROWS + (MAX_STAMP_ROWS if link.known else 0.0),
-    )
-    return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
+    """Whether a delay may be the stamp's: by a row more where other links show stamps off."""
+    more = MAX_STAMP_ROWS if link.known else 0.0
+    return part_of_a_tick(effect, link.tick, MAX_UNNAMED_DELAY_ROWS + more)
 
 
 def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
@@ -456,11 +398,9 @@ def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
     kinds, fits = {c.kind for c in candidates}, [best(link) for link in links]
     costs = [f.score for f in fits]
     least = int(np.argmin(costs))
-    return (
-        least
-        if costs[least] < costs[0] - INTERPRETATION_PENALTY and not kinds & set(fits[least].kinds)
-        else 0
-    )
+    if costs[least] < costs[0] - INTERPRETATION_PENALTY and not kinds & set(fits[least].kinds):
+        return least
+    return 0
 
 
 def _delay_rows(effect: Effect, tick: float) -> float | None:
@@ -468,11 +408,9 @@ def _delay_rows(effect: Effect, tick: float) -> float | None:
     if effect.kind not in DELAY_EFFECTS:
         return None
     given = effect.parameters()
-    return (
-        float(given.get("ticks", 1.0))
-        if effect.kind in TICK_EFFECTS
-        else float(given["delay"]) / tick
-    )
+    if effect.kind in TICK_EFFECTS:
+        return float(given.get("ticks", 1.0))
+    return float(given["delay"]) / tick
 
 
 @dataclass(frozen=True)
@@ -538,12 +476,9 @@ def _off(e: Explanation) -> bool:
 
 
 def timing_departs(explanations: Mapping[str, Explanation]) -> bool:
-    """Whether a link shows that channels are stamped, or instants lie, fractions of a row from
-    where they are believed to be.
-    """
+    """Whether a link shows channels stamped, or instants, off by fractions of a row."""
     return any(
-        _off(e)
-        or any(part_of_a_tick(c, e.residual.link.runs[0].scenario.tick) for c in e.chosen.effects())
+        _off(e) or any(part_of_a_tick(c, e.residual.link.tick) for c in e.chosen.effects())
         for e in explanations.values()
         if e.departs or _off(e)
     )

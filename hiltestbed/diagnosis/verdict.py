@@ -1,6 +1,4 @@
-"""Stage "decide": from the explanations of the links (`Findings`) to one `Verdict` and its
-causes.
-"""
+"""Stage "decide": from the explanations of the links to one `Verdict` and its causes."""
 
 from __future__ import annotations
 
@@ -11,12 +9,13 @@ import numpy as np
 
 from hiltestbed.diagnosis.fit import Fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
+from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import MAX_RIVALS
 from hiltestbed.diagnosis.timing import delays_not_causes
 from hiltestbed.effects.table import EFFECTS
 
-LINK_ORDER = ("platform", "wrench", "compensation", "dynamics")
+MAX_RIVALS = 2  # chosen: that are listed for a cause; a larger set identifies nothing
+
 # chosen: of the noise variance: mean square of a residual outside contact, from which a departure
 # shows there
 MIN_FREE_VARIANCE = 1.5
@@ -43,9 +42,7 @@ class Named:
 
     @property
     def indistinguishable_from(self) -> list[str]:
-        """Effects that explain the data as well; the effect itself where it may be on another axis
-        or body.
-        """
+        """Effects that explain the data as well; itself where on another axis or body."""
         return [
             next((kind for kind in f.kinds if kind not in self.fit.kinds), self.effect)
             for f in self.rivals
@@ -73,7 +70,7 @@ def decide(findings: Findings) -> Verdict:
     causes: list[Named] = []
     unexplained: list[tuple[float, str]] = []
     timing = delays_not_causes(findings.explanations)
-    for name in LINK_ORDER:
+    for name in LINK_NAMES:
         e = findings.explanations.get(name)
         if e is None or not e.departs:
             continue
@@ -90,18 +87,12 @@ def decide(findings: Findings) -> Verdict:
     if not causes:
         return Verdict("inconclusive" if missing else "no_discrepancy", None, (), missing)
     ambiguous = any(c.rivals for c in causes)
-    return Verdict(
-        "ambiguous" if ambiguous else "named",
-        EFFECTS[causes[0].effect].link,
-        tuple(causes),
-        missing,
-    )
+    link = EFFECTS[causes[0].effect].link
+    return Verdict("ambiguous" if ambiguous else "named", link, tuple(causes), missing)
 
 
 def _record_alone(findings: Findings) -> str | None:
-    """`log` where both links of the measured force depart, and a stamp delay was found on one: the
-    record departs, not the loop.
-    """
+    """`log` where both links of the measured force depart, one of them by a stamp delay."""
     both = [findings.explanations.get(name) for name in ("wrench", "compensation")]
     stamped = any(e is not None and "log.skew" in e.chosen.kinds for e in both)
     return "log" if stamped and all(e is not None and e.departs for e in both) else None
@@ -113,17 +104,8 @@ def _causes(name: str, e: Explanation) -> list[Named]:
     for index, kind in enumerate(e.chosen.kinds):
         rivals = (e.rivals[index] if e.rivals else ())[:MAX_RIVALS]
         odds = [math.exp(-0.5 * max(-50.0, (f.score - e.chosen.score) / share)) for f in rivals]
-        out.append(
-            Named(
-                kind,
-                name,
-                e.chosen,
-                index,
-                1.0 / (1.0 + sum(odds)),
-                _weight(e, index) / share,
-                tuple(rivals),
-            )
-        )
+        probability, weight = 1.0 / (1.0 + sum(odds)), _weight(e, index) / share
+        out.append(Named(kind, name, e.chosen, index, probability, weight, tuple(rivals)))
     return out
 
 
@@ -137,16 +119,12 @@ def _weight(e: Explanation, index: int) -> float:
 
 
 def _without_repeats(causes: list[Named]) -> list[Named]:
-    """Each effect once: a stamp delay shows on two links; contact and sensor, which come first,
-    determine it more exactly.
-    """
+    """Each effect once: contact and sensor, which come first, determine a stamp delay better."""
     return [c for i, c in enumerate(causes) if c.effect not in {o.effect for o in causes[:i]}]
 
 
 def _contact_or_sensor(e: Explanation) -> str:
-    """`sensor` where only sensor effects were chosen and the departure shows outside contact too;
-    else `contact`.
-    """
+    """`sensor` where only its effects were chosen and show outside contact too; else `contact`."""
     links = {c.effect.link for c in e.chosen.causes}
     return "sensor" if links == {"sensor"} and _shows_free(e) else "contact"
 

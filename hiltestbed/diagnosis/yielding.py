@@ -64,33 +64,27 @@ def deflection(
     command.
 
     Its error has one sign over whole blocks of rows, and counts like white noise that is larger by
-    the root of a block. noise: [N] of the
-    force. reading: (N, 6) of the believed sensor; None: the record. It is shifted earlier by the
-        believed delay of the sensor; where an axis of it that acts was not measured, the pose is
-        not compared once A has reached P. engaged: see :func:`engagement`.
+    the root of a block. noise: [N] of the force. reading: (N, 6) of the believed sensor; None: the
+    record. It is shifted earlier by the believed delay of the sensor; where an axis of it that acts
+    was not measured, the pose is not compared once A has reached P. engaged: see
+    :func:`engagement`.
     """
-    scenario, command = run.scenario, np.ascontiguousarray(run.record.filled("pose_cmd"))
+    scenario = run.scenario
     if follows_exactly(scenario):
-        nothing = np.zeros((len(command), 6))
+        nothing = np.zeros((run.record.ticks, 6))
         return Deflection(nothing, nothing, nothing)
-    recorded = _recorded(run)
-    reading = recorded if reading is None else reading
-    touching, wrench = _load(run, reading, noise, engaged)
-    rates, told = _told_rates(run), flat_pose(told_pose(run))
-    reached = _noiseless_pose(run)
-    taken = 0.0 if engaged is None else engaged.taken
-    path = replay_rig(scenario, command, rates, borne(scenario, wrench) + taken, recorded, reached)
+    touching, wrench = _load(run, _recorded(run) if reading is None else reading, noise, engaged)
+    told, taken = flat_pose(told_pose(run)), 0.0 if engaged is None else engaged.taken
+    path = _replayed(run, borne(scenario, wrench) + taken)
     if path is None:
         return None
-    away = flat_pose(path) - told
+    away = path - told
     shown = flat_pose(run.record.data["pose_act"]) - told if run.record.has("pose_act") else away
     departure = np.nanmax(np.abs(shown - away), axis=0, initial=0.0)
     departure[:3], departure[3:] = departure[:3].max(), departure[3:].max()
-    unloaded = replay_rig(
-        scenario, command, rates, borne(scenario, np.zeros_like(wrench)), recorded, reached
-    )
+    unloaded = _replayed(run, borne(scenario, np.zeros_like(wrench)))
     # the rest is the response to the command, which is known
-    yielded = away if unloaded is None else flat_pose(path) - flat_pose(unloaded)
+    yielded = away if unloaded is None else path - unloaded
     off = [
         np.abs(shifted(yielded, way * MAX_READING_SHIFT / scenario.tick) - yielded)
         for way in (-1.0, 1.0)
@@ -105,17 +99,9 @@ def deflection(
         doubt[np.maximum.accumulate(told[:, 2] > -departure[2])] = np.inf
     # sliding parts reverse within a tick; stiction of the drives retains the effect
     if engaged is not None:
-        chattering = replay_rig(
-            scenario,
-            command,
-            rates,
-            borne(scenario, wrench) + taken,
-            recorded,
-            reached,
-            engaged.between,
-        )
+        chattering = _replayed(run, borne(scenario, wrench) + taken, engaged.between)
         if chattering is not None:
-            kept = np.maximum.accumulate(np.abs(flat_pose(chattering) - flat_pose(path)), axis=0)
+            kept = np.maximum.accumulate(np.abs(chattering - path), axis=0)
             doubt = np.hypot(doubt, math.sqrt(BLOCK_ROWS) * kept)
     passed = np.zeros(6)
     if noise > 0.0:
@@ -123,33 +109,31 @@ def deflection(
         shaken[:, :3] += np.where(
             touching, noise * np.random.default_rng(0).standard_normal((len(wrench), 3)), 0.0
         )
-        noisy = replay_rig(
-            scenario, command, rates, borne(scenario, shaken) + taken, recorded, reached
-        )
-        passed = np.std(flat_pose(noisy) - flat_pose(path), axis=0) if noisy is not None else passed
+        noisy = _replayed(run, borne(scenario, shaken) + taken)
+        passed = np.std(noisy - path, axis=0) if noisy is not None else passed
         doubt = np.hypot(doubt, passed * math.sqrt(max(1.0, _memory(scenario) / scenario.tick)))
     return Deflection(away, yielded, doubt, float(passed[:3].max()))
 
 
 def yielded_under(run: MeasuredRun, found: Deflection, reading: Array, noise: float) -> Array:
-    """`yielded` of a deflection that was ``found``, under another ``reading`` (N, 6); unchanged
-    where the rig could not follow.
-    """
+    """`yielded` of a deflection that was ``found``, under another ``reading`` (N, 6)."""
     _, wrench = _load(run, reading, noise)
-    command, recorded = np.ascontiguousarray(run.record.filled("pose_cmd")), _recorded(run)
-    path = replay_rig(
-        run.scenario,
-        command,
-        _told_rates(run),
-        borne(run.scenario, wrench),
-        recorded,
-        _noiseless_pose(run),
-    )
-    return (
-        found.yielded
-        if path is None
-        else flat_pose(path) - flat_pose(told_pose(run)) - (found.away - found.yielded)
-    )
+    path = _replayed(run, borne(run.scenario, wrench))
+    if path is None:
+        return found.yielded
+    return path - flat_pose(told_pose(run)) - (found.away - found.yielded)
+
+
+def _replayed(run: MeasuredRun, load: Array, between: Array | None = None) -> Array | None:
+    """(N, 6) flat pose of the believed rig on its command under a ``load`` (N, 6), and one
+    ``between`` rows; None where it cannot follow.
+    """
+    record = run.record
+    command = np.ascontiguousarray(record.filled("pose_cmd"))
+    rates = record.filled("twist_cmd") if record.has("twist_cmd") else None
+    reached = _noiseless_pose(run)
+    path = replay_rig(run.scenario, command, rates, load, _recorded(run), reached, between)
+    return None if path is None else flat_pose(path)
 
 
 def _load(
@@ -173,16 +157,9 @@ def _load(
 
 def _recorded(run: MeasuredRun) -> Array:
     """(N, 6) the measured wrench; zero where none was measured."""
-    return (
-        run.record.filled("wrench_meas")
-        if run.record.has("wrench_meas")
-        else np.zeros((run.record.ticks, 6))
-    )
-
-
-def _told_rates(run: MeasuredRun) -> Array | None:
-    """(N, 6) the commanded twist; None where it is not on record."""
-    return run.record.filled("twist_cmd") if run.record.has("twist_cmd") else None
+    if run.record.has("wrench_meas"):
+        return run.record.filled("wrench_meas")
+    return np.zeros((run.record.ticks, 6))
 
 
 def told_pose(run: MeasuredRun) -> Array:
@@ -211,9 +188,7 @@ def engagement(run: MeasuredRun) -> Engaged | None:
 
 
 def _noiseless_pose(run: MeasuredRun) -> Array | None:
-    """(N, 7) the pose that a motion compensation was given, where the record holds it without the
-    noise that a log may have added.
-    """
+    """(N, 7) the pose that a motion compensation was given, where the record has no noise."""
     record = run.record
     if "pose" not in run.scenario.compensation.motion.reads or not record.whole("pose_act"):
         return None
@@ -226,9 +201,7 @@ def _noiseless_pose(run: MeasuredRun) -> Array | None:
 
 
 def _memory(scenario: Scenario) -> float:
-    """[s] correlation time of a deflection's noise, which is that of the force, filtered by the
-    drives.
-    """
+    """[s] correlation time of a deflection's noise."""
     return 1.0 / scenario.rig.platform.nearest_bandwidth(scenario)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from hiltestbed import diagnose, write_run
 from hiltestbed.campaign.sweep import sweep
-from hiltestbed.diagnosis import investigate
+from hiltestbed.diagnosis import investigate, paths
 from hiltestbed.diagnosis.find import judge
 from hiltestbed.diagnosis.verdict import Verdict
 from hiltestbed.errors import InputError
@@ -278,7 +278,7 @@ def test_where_copies_agree_on_too_little_contact_and_sensor_are_not_judged(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # more than there is, in place of a mechanism that does what it likes
-    monkeypatch.setattr(investigate, "MIN_COMPARED", 1.01)
+    monkeypatch.setattr(paths, "MIN_COMPARED", 1.01)
     found = verdict_on(recorded(folder, **{"rig.platform.tracking": "servo"}))
     assert found.verdict == "inconclusive"
     assert any("the smallest difference decides" in why for why in found.not_judged.values())

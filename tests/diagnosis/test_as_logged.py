@@ -6,14 +6,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.find import judge
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.measured import load_dataset
-from tests.equipment.independent_rig import draw_set, write_set
 from tests.slow import slow
+
+from .recorded import drawn
 
 
 @pytest.mark.parametrize(
@@ -34,11 +33,8 @@ from tests.slow import slow
 def test_what_a_logger_does_is_no_departure(
     tmp_path: Path, noise: tuple[str, float], seed: int
 ) -> None:
-    write_set(tmp_path, draw_set(np.random.default_rng(seed), "healthy", noise=noise))
-    assert (
-        judge(investigate(load_dataset(tmp_path / "dataset.yaml"))).verdict.verdict
-        == "no_discrepancy"
-    )
+    verdict = judge(investigate(drawn(tmp_path, seed, noise=noise))).verdict
+    assert verdict.verdict == "no_discrepancy"
 
 
 @pytest.mark.parametrize(
@@ -52,9 +48,6 @@ def test_what_a_logger_does_is_no_departure(
 def test_what_departs_is_named_alone_whatever_the_logger_does(
     tmp_path: Path, noise: tuple[str, float], effect: str, seed: int
 ) -> None:
-    write_set(
-        tmp_path, draw_set(np.random.default_rng(seed), "single", names=(effect,), noise=noise)
-    )
-    verdict = judge(investigate(load_dataset(tmp_path / "dataset.yaml"))).verdict
+    verdict = judge(investigate(drawn(tmp_path, seed, effect, noise=noise))).verdict
     assert verdict.verdict == "named"
     assert [c.effect for c in verdict.causes] == [effect]

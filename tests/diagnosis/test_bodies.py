@@ -18,9 +18,7 @@ CHASER, TARGET = (NOMINAL["spacecraft"][body]["mass"] for body in ("chaser", "ta
 
 
 def alike(factor: float) -> float:
-    """The factor on the chaser's mass with the reduced mass that ``factor`` on the target's
-    gives.
-    """
+    """The factor on the chaser's mass with the reduced mass that ``factor`` on the target's gives."""
     return 1.0 / (CHASER * (1.0 / CHASER + (1.0 / factor - 1.0) / TARGET))
 
 

@@ -81,9 +81,7 @@ def test_an_explanation_that_leaves_the_rebound_where_it_was_is_not_one(
     )
     cor = dict(zip(("null", "chosen", "first", "second"), shown, strict=True))
     monkeypatch.setattr(
-        rebound,
-        "_simulated",
-        lambda fits, *rest: np.array([[cor[f.name]] * 4 for f in fits]),
+        rebound, "_simulated", lambda fits, *rest: np.array([[cor[f.name]] * 4 for f in fits])
     )
     monkeypatch.setattr(rebound, "_rebound", lambda layout, i: Rebound(1.03, 1e-3, 100))
     monkeypatch.setattr(rebound, "_as_stamped", lambda found: None)

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.adequacy import contact_leftovers
 from hiltestbed.diagnosis.fit import fit, null_fit
 from hiltestbed.diagnosis.grow import far_off, grow
-from hiltestbed.diagnosis.links import LinkRun, PlatformLink
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Scales
-from hiltestbed.scenario import scenario_from
 
-from .made import effect
+from .made import effect, sweeps
 
-H, ROWS, NOISE = 0.01, 1500, 1e-6
+H, ROWS = 0.01, 1500
 TRUTH = [
     effect("platform.lag", bandwidth=3.0),
     effect("platform.backlash", width=2e-4),
@@ -27,45 +24,9 @@ TRUTH = [
 ]
 
 
-def link() -> PlatformLink:
-    """Two runs of a platform with three effects: sweeps of 2 mm, from 0.2 Hz up, on x."""
-    body = {"mass": 500.0, "inertia": [200.0, 180.0, 150.0]}
-    s = scenario_from(
-        {
-            "name": "grow",
-            "duration": ROWS * H,
-            "rate": 1 / H,
-            "physics_rate": 4 / H,
-            "spacecraft": {"chaser": body, "target": body},
-            "approach": {"velocity": [0, 0, 0], "gap": 0.1},
-            "mechanism": {"contact": {"stiffness": 1e5, "damping": 0.0}},
-            "rig": {"platform": {"tracking": "ideal"}},
-        }
-    )
-    rng, t, commands, runs = np.random.default_rng(4), (np.arange(ROWS) + 1) * H, [], []
-    for fastest in (1.0, 1.6):
-        command = np.zeros((ROWS, 7))
-        command[:, 6] = 1.0
-        command[:, 0] = 2e-3 * np.sin(2 * np.pi * (0.2 + 0.5 * (fastest - 0.2) * t / t[-1]) * t)
-        sigma = np.full((ROWS, 6), np.inf)
-        sigma[1:, 0] = NOISE
-        commands.append(command)
-        runs.append(LinkRun(s, np.zeros((ROWS, 6)), sigma, np.zeros(ROWS, dtype=bool)))
-    still = [np.zeros((ROWS, 6))] * 2
-    shown = PlatformLink(runs, commands, still).predict([(i, TRUTH) for i in range(2)])
-    return PlatformLink(
-        [
-            replace(r, measured=m + NOISE * rng.standard_normal(m.shape))
-            for r, m in zip(runs, shown, strict=True)
-        ],
-        commands,
-        still,
-    )
-
-
 def one_of_three() -> Explanation:
     """The explanation that a lag alone gives."""
-    residual = Residual(link())
+    residual = Residual(sweeps(TRUTH, (1.0, 1.6), ROWS, 1e-6, seed=4))
     scales = Scales(1.0, 1e-3, 1e5, H, 1.0, 0.01, 0.02, ROWS * H, travel=4e-3, substeps=4)
     candidates = tuple(
         c for e in EFFECTS.values() if e.link == "platform" for c in e.candidates(scales)

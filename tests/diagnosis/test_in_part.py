@@ -12,8 +12,14 @@ import pytest
 
 from hiltestbed.diagnosis.adequacy import contact_leftovers
 from hiltestbed.diagnosis.fit import fit, null_fit
-from hiltestbed.diagnosis.in_part import at_bound, explained, holding, in_each_run, same_in_each
-from hiltestbed.diagnosis.invariance import varies
+from hiltestbed.diagnosis.in_part import (
+    at_bound,
+    explained,
+    holding,
+    in_each_run,
+    same_in_each,
+    varies,
+)
 from hiltestbed.diagnosis.report.page import TITLES
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import VERDICTS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.judges import of_compensation
+from hiltestbed.diagnosis.adequacy import judge_of_compensation
 from hiltestbed.diagnosis.links import CompensationLink, LinkRun
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.scenario import scenario_from
@@ -34,7 +34,9 @@ def left_over(rng: np.random.Generator, mixed: bool, louder: float = 1.0) -> boo
     run = LinkRun(scenario_from(plain), measured, np.full((ROWS, 6), 1e-3), touching)
     link = CompensationLink([run], [np.zeros((ROWS, 6))], {})
     noise = {f"wrench_meas.{axis}": 10.0 * NOISE for axis in ("fx", "fy", "fz", "tx", "ty", "tz")}
-    return all(left.noise for left in of_compensation(link, noise)(Residual(link), ()).values())
+    return all(
+        left.noise for left in judge_of_compensation(link, noise)(Residual(link), ()).values()
+    )
 
 
 @pytest.mark.parametrize("mixed", [False, True])

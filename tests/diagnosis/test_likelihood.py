@@ -15,9 +15,12 @@ from scipy.stats import norm
 
 from hiltestbed.diagnosis.find import Judged, judge
 from hiltestbed.diagnosis.layout import lay_out
-from hiltestbed.diagnosis.likelihood.explain import candidates_of
-from hiltestbed.diagnosis.likelihood.investigate import investigate_by_likelihood, log_has_errors
-from hiltestbed.diagnosis.likelihood.links import dynamics
+from hiltestbed.diagnosis.likelihood.investigate import (
+    dynamics,
+    investigate_by_likelihood,
+    likely_candidates,
+    log_has_errors,
+)
 from hiltestbed.diagnosis.likelihood.model import LinkModel, leftover
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
 from hiltestbed.inference.likelihood import Likelihood, independent
@@ -113,7 +116,9 @@ def test_errors_of_a_recorded_force_leave_the_motion_white(healthy: MeasuredData
 def test_a_delay_that_varies_has_the_likelihood_of_its_variance(healthy: MeasuredDataset) -> None:
     layout = lay_out(healthy)
     model = LinkModel(make_wrench_link(layout, best_path(layout, None), layout.rows))
-    jitter = next(c for c in candidates_of(layout.scales, ("sensor",)) if c.kind == "sensor.jitter")
+    jitter = next(
+        c for c in likely_candidates(layout.scales, ("sensor",)) if c.kind == "sensor.jitter"
+    )
     counts = independent(model.residuals(NOTHING), noise_known=True)
     likelihood = Likelihood(model, counts)
     of = Hypothesis((jitter,), np.array([layout.scales.tick]), np.zeros(0))

@@ -11,7 +11,6 @@ import pytest
 from hiltestbed.diagnosis.links import (
     CompensationLink,
     DynamicsLink,
-    LinkRun,
     PlatformLink,
     Timing,
     WrenchLink,
@@ -21,13 +20,19 @@ from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.replay.wrench import shifted
-from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.scenario import scenario_from
 
-from .made import POSE_NOISE, STIFFNESS, H, bounce, contact_link, effect, platform_link, scenario
-
-
-def free_run(s: Scenario, rows: int) -> LinkRun:
-    return LinkRun(s, np.zeros((rows, 6)), np.ones((rows, 6)), np.ones(rows, dtype=bool))
+from .made import (
+    POSE_NOISE,
+    STIFFNESS,
+    H,
+    bounce,
+    contact_link,
+    effect,
+    link_run,
+    platform_link,
+    scenario,
+)
 
 
 def compensated(method: dict) -> CompensationLink:
@@ -35,7 +40,7 @@ def compensated(method: dict) -> CompensationLink:
         scenario().model_dump(mode="json")
         | {"compensation": {"force": method, "motion": {"kind": "none"}}}
     )
-    return CompensationLink([free_run(s, 10)], [np.zeros((10, 6))], {})
+    return CompensationLink([link_run(s, 10)], [np.zeros((10, 6))], {})
 
 
 def test_what_nothing_departs_in_is_the_block_as_believed() -> None:
@@ -45,14 +50,14 @@ def test_what_nothing_departs_in_is_the_block_as_believed() -> None:
     for w in wrench:
         model.advance(w[None])
         poses.append(model.pose[0].copy())
-    link = DynamicsLink([free_run(s, 300)], [wrench])
+    link = DynamicsLink([link_run(s, 300)], [wrench])
     np.testing.assert_allclose(link.shown(0), flat_pose(np.array(poses)), rtol=0, atol=1e-12)
 
 
 def test_a_body_with_an_appendage_keeps_the_momentum_of_the_whole() -> None:
     wrench = np.zeros((4000, 6))
     wrench[:100, 2] = 50.0
-    link = DynamicsLink([free_run(scenario(), 4000)], [wrench])
+    link = DynamicsLink([link_run(scenario(), 4000)], [wrench])
     swing = effect(
         "dynamics.appendage", mass_ratio=0.2, frequency=2.0, damping_ratio=0.3, body="chaser"
     )
@@ -72,7 +77,7 @@ def test_runs_of_different_length_are_each_replayed_to_their_end() -> None:
     link = platform_link()
     commands = [link.commands[0], link.commands[1][:200]]
     short = type(link)(
-        [link.runs[0], free_run(scenario(), 200)],
+        [link.runs[0], link_run(scenario(), 200)],
         commands,
         [np.zeros((len(c), 6)) for c in commands],
     )
@@ -118,8 +123,8 @@ def test_a_reading_that_is_stamped_before_its_contact_is_one_read_later_but_not_
     grid: int | None,
 ) -> None:
     """Of the step of c v = 12 N at the touch, 0.7 ms before a row, interpolation between rows would
-    give a part. The sensor is late by
-    5 rows: a shift of -5.3 reads 0.3 ms after the row's contact, as one of -0.3 does 5 rows later.
+    give a part. The sensor is late by 5 rows: a shift of -5.3 reads 0.3 ms after the row's contact,
+    as one of -0.3 does 5 rows later.
     """
     link = contact_link(seed=None).interpreted(grid=grid)
     before, after = (link.with_timing(Timing(delay=-rows * H)) for rows in (5.3, 0.3))
@@ -183,10 +188,7 @@ def test_where_nobody_measured_the_pose_the_platforms_effects_are_felt_in_the_fo
     effects = [effect("platform.lag", bandwidth=20.0)]
     platform = platform_link(speeds=(0.03,))
     commands, s = platform.commands, platform.runs[0].scenario
-    runs = [
-        LinkRun(s, np.zeros((len(c), 6)), np.ones((len(c), 6)), np.ones(len(c), dtype=bool))
-        for c in commands
-    ]
+    runs = [link_run(s, len(c)) for c in commands]
     reached, believed = platform.paths(effects), platform.paths([])
     delay = effect("sensor.delay", delay=0.002)
     link = WrenchLink(runs, believed).commanded(commands, [np.zeros((len(c), 6)) for c in commands])
@@ -240,7 +242,7 @@ def test_a_command_stamped_late_begins_with_the_approach() -> None:
     t, mode = np.arange(1, 301) * H, [effect("platform.mode", frequency=40.0, damping_ratio=0.02)]
     command = np.zeros((300, 7))
     command[:, 2], command[:, 6] = -0.003 + 0.03 * (t - 0.5 * np.maximum(t - 0.15, 0.0)), 1.0
-    link = PlatformLink([free_run(scenario(), 300)], [command], [np.zeros((300, 6))])
+    link = PlatformLink([link_run(scenario(), 300)], [command], [np.zeros((300, 6))])
     late = np.concatenate([command[:1], command[:-1]])
     other = PlatformLink(link.runs, [late], link.deflection)
     # as it is stamped: a row before the command
@@ -271,7 +273,7 @@ def test_a_wrench_that_is_not_on_record_makes_the_bodies_drift() -> None:
     """A force f in the first tick gives two bodies of 500 kg each the relative velocity f h (1/500
     + 1/500).
     """
-    link = DynamicsLink([free_run(scenario(), 200)], [np.zeros((200, 6))]).with_unknown_start(
+    link = DynamicsLink([link_run(scenario(), 200)], [np.zeros((200, 6))]).with_unknown_start(
         np.full(6, 2.0)
     )
     terms = link.runs[0].nuisances

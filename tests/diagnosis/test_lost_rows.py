@@ -15,20 +15,16 @@ from hiltestbed.diagnosis.bridged import GAP_SIGMA, bridged
 from hiltestbed.diagnosis.find import judge
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.lacking import too_little
-from hiltestbed.diagnosis.links.base import Lane, Link, LinkRun
+from hiltestbed.diagnosis.links.base import Lane, Link
 from hiltestbed.frames import Array
-from hiltestbed.measured import load_dataset
 from hiltestbed.measured.record import MAX_BRIDGED, Record
-from tests.equipment.independent_rig import draw_set, write_set
 from tests.slow import slow
 
+from .made import link_run
+from .recorded import drawn
+
 H, ROWS = 1e-3, 1200
-NOMINAL = LinkRun(
-    load_scenario("02-bumper"),
-    np.zeros((ROWS, 6)),
-    np.full((ROWS, 6), 1e-6),
-    np.ones(ROWS, dtype=bool),
-)
+NOMINAL = link_run(load_scenario("02-bumper"), ROWS, 1e-6)
 
 
 def record(pose: Array, lost: np.ndarray) -> Record:
@@ -103,8 +99,7 @@ class Seen:
 
     def __init__(self, share: float) -> None:
         sigma = np.where(np.arange(100)[:, None] < 100 * share, 0.1, np.inf)
-        here = np.ones(100, dtype=bool)
-        self.runs = [LinkRun(load_scenario("02-bumper"), np.zeros((100, 1)), sigma, here)]
+        self.runs = [link_run(load_scenario("02-bumper"), np.zeros((100, 1)), sigma)]
 
 
 @pytest.mark.parametrize(
@@ -132,14 +127,8 @@ def test_a_quarter_of_the_information_shows_effects_twice_as_large(
 def test_what_departs_is_named_or_said_to_be_unseen(
     tmp_path: Path, share: float, effect: str | None, scale: float, verdicts: set[str]
 ) -> None:
-    hidden = draw_set(
-        np.random.default_rng(910_012),
-        "single" if effect else "healthy",
-        names=(effect,) if effect else (),
-        scale=scale,
-        noise=("lost_rows", share),
-    )
-    write_set(tmp_path, hidden)
-    found = judge(investigate(load_dataset(tmp_path / "dataset.yaml"))).verdict
+    hidden = (effect,) if effect else ()
+    dataset = drawn(tmp_path, 910_012, *hidden, scale=scale, noise=("lost_rows", share))
+    found = judge(investigate(dataset)).verdict
     assert found.verdict in verdicts
     assert [c.effect for c in found.causes] == ([effect] if found.verdict == "named" else [])

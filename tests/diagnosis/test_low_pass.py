@@ -26,10 +26,7 @@ def forces(seed: int, finer: int = 1) -> Array:
     )
 
 
-@pytest.mark.parametrize(
-    ("order", "cutoff"),
-    [(2, 0.02), slow(4, 0.02), (6, 0.1)],
-)
+@pytest.mark.parametrize(("order", "cutoff"), [(2, 0.02), slow(4, 0.02), (6, 0.1)])
 @pytest.mark.parametrize("prompt", [True, False])
 def test_an_analogue_filter_is_found(order: int, cutoff: float, prompt: bool) -> None:
     """Sixteen samples a row stand for a filter before the converter: near half the rate a digital

@@ -14,12 +14,11 @@ from scipy.signal import lfilter
 from scipy.stats import f as fisher
 
 from hiltestbed.contact.mount_dynamics import MountDynamics
-from hiltestbed.diagnosis.aside import Aside, wander_between
 from hiltestbed.diagnosis.floors import floors, white_outside
 from hiltestbed.diagnosis.free_flight import TOUCH_MARGIN_ROWS, first_touch, readings_apart
 from hiltestbed.diagnosis.noise import ForceNoise, force_noise, softened
+from hiltestbed.diagnosis.nuisances import Aside, tones_of, wander_between
 from hiltestbed.diagnosis.settings import DETECTION, SIGNIFICANCE_LEVEL
-from hiltestbed.diagnosis.tones import tones_of
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun, load_dataset
 from tests.measured.bounce import columns, write_dataset

@@ -18,14 +18,7 @@ from hiltestbed.diagnosis.report.conclude import conclude
 from hiltestbed.diagnosis.report.diagnosis import Diagnosis
 from hiltestbed.diagnosis.report.evidence import channel_residuals, link_series
 from hiltestbed.diagnosis.report.extend import in_words
-from hiltestbed.diagnosis.result import (
-    Cause,
-    Finding,
-    Heldout,
-    Isolable,
-    Parameter,
-    Ranked,
-)
+from hiltestbed.diagnosis.result import Cause, Finding, Heldout, Isolable, Parameter, Ranked
 from hiltestbed.effects import EFFECTS
 from hiltestbed.errors import InputError
 from hiltestbed.measured import MeasuredDataset, load_dataset

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.quantised import alike_rows
+from hiltestbed.diagnosis.floors import alike_rows
 from hiltestbed.frames import Array
 
 ROWS, PHASES = 120, 400

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.fit import Fit, fit, null_fit
-from hiltestbed.diagnosis.links import LinkRun, Timing, WrenchLink
+from hiltestbed.diagnosis.links import Timing, WrenchLink
 from hiltestbed.diagnosis.readings import (
     choose_lever,
     choose_ring,
@@ -28,7 +28,7 @@ from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.scenario import scenario_from
 
-from .made import NOISE, STIFFNESS, H, bounce, contact_link, effect, reread, scenario
+from .made import NOISE, STIFFNESS, H, bounce, contact_link, effect, link_run, reread, scenario
 
 # of 3 mm of depth and 29 N of friction: 0.09 N m between surface and tip
 FRICTION, ACTS_AT = 0.1, 0.0
@@ -49,7 +49,7 @@ def sliding(lever: float) -> WrenchLink:
     path = bounce()
     path[:, 0] = 0.02 * np.sin(7.0 * H * np.arange(len(path)))
     sigma = np.tile([NOISE] * 3 + [TORQUE_NOISE] * 3, (len(path), 1))
-    link = WrenchLink([LinkRun(s, np.zeros((len(path), 6)), sigma, path[:, 2] > 0.0)], [path])
+    link = WrenchLink([link_run(s, len(path), sigma, path[:, 2] > 0.0)], [path])
     shown = link.interpreted(ACTS_AT).shown(0, [effect("sensor.delay", delay=LATE)])
     return reread(
         link, [shown + sigma * np.random.default_rng(3).standard_normal(shown.shape)]
@@ -131,14 +131,7 @@ def test_whether_a_latch_resists_turning_is_what_the_torques_bear_out(ring: floa
     path = bounce()
     path[:, 3], path[:, 6] = 1e-4 * np.sin(7.0 * H * np.arange(len(path))), 1.0
     sigma = np.tile([NOISE] * 3 + [TORQUE_NOISE] * 3, (len(path), 1))
-    link = WrenchLink(
-        [
-            LinkRun(
-                scenario_from(told), np.zeros((len(path), 6)), sigma, np.ones(len(path), dtype=bool)
-            )
-        ],
-        [path],
-    )
+    link = WrenchLink([link_run(scenario_from(told), len(path), sigma)], [path])
     shown = link.interpreted(ring=ring).shown(0)
     data = reread(link, [shown + sigma * np.random.default_rng(3).standard_normal(shown.shape)])
     assert choose_ring(data).ring == ring
@@ -160,17 +153,8 @@ def mounted(instants: int, damping: float | None = None) -> WrenchLink:
     }
     told["physics_rate"] = instants * told["rate"]
     path = bounce()
-    return WrenchLink(
-        [
-            LinkRun(
-                scenario_from(told),
-                np.zeros((len(path), 6)),
-                np.full((len(path), 6), NOISE),
-                path[:, 2] > 0.0,
-            )
-        ],
-        [path],
-    )
+    run = link_run(scenario_from(told), len(path), NOISE, path[:, 2] > 0.0)
+    return WrenchLink([run], [path])
 
 
 def test_a_mount_is_right_whatever_its_steps_where_the_data_bear_that_out() -> None:
@@ -232,15 +216,8 @@ def test_what_a_refit_gains_far_from_noise_is_no_reason_to_read_between_instants
     """
     link = contact_link()
     swing = 50.0 * NOISE * math.sqrt(2.0) * np.sin(0.37 * np.arange(link.runs[0].rows))
-    residual = Residual(
-        reread(
-            link,
-            [
-                link.shown(i) + swing[: r.rows, None] * [0, 0, 1, 0, 0, 0]
-                for i, r in enumerate(link.runs)
-            ],
-        )
-    )
+    along = swing[:, None] * [0, 0, 1, 0, 0, 0]
+    residual = Residual(reread(link, [link.shown(0) + along]))
     (c,) = [c for c in candidates("contact.stiffness") if not c.variant]
     best = fit(residual, (c,), c.grid)
     width = float(best.theta[0]) / math.sqrt(square(best.jacobian[:, 0]))

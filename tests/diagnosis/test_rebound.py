@@ -28,10 +28,7 @@ FORCES = {
 
 @pytest.mark.parametrize(
     ("kind", "delay", "force"),
-    [
-        ("sensor.delay", 0.0021, "phase_lead"),
-        slow("log.skew", 0.0047, "resynchronised"),
-    ],
+    [("sensor.delay", 0.0021, "phase_lead"), slow("log.skew", 0.0047, "resynchronised")],
 )
 def test_a_late_sensor_and_a_late_record_are_told_apart_without_what_the_loop_was_driven_with(
     tmp_path: Path, kind: str, delay: float, force: str

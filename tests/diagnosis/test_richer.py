@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -10,18 +9,17 @@ import numpy as np
 
 from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import fit, null_fit
+from hiltestbed.diagnosis.grow import Richer
 from hiltestbed.diagnosis.intervals import intervals
-from hiltestbed.diagnosis.links import LinkRun, PlatformLink
+from hiltestbed.diagnosis.links import PlatformLink
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.richer import Richer
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.effects.search import Candidate, Scales
-from hiltestbed.scenario import scenario_from
 
-from .made import effect
+from .made import effect, sweeps
 
-H, ROWS, NOISE = 0.01, 1000, 2e-6
+H, ROWS = 0.01, 1000
 DRIVE = {"bandwidth": 3.0, "damping_ratio": 0.5, "friction": 6e-5, "offset": -1.2e-4}
 SCALES = Scales(1.0, 1e-3, 1e5, H, 1.0, 0.01, 0.02, ROWS * H, travel=4e-3, substeps=4)
 
@@ -35,42 +33,8 @@ def candidates(rich: bool = False) -> tuple[Candidate, ...]:
     )
 
 
-def link(hidden: Sequence[Effect]) -> PlatformLink:
-    """Three runs of a platform that departs: sweeps of 2 mm from 0.2 Hz up on x, of which nothing
-    else is measured.
-    """
-    body = {"mass": 500.0, "inertia": [200.0, 180.0, 150.0]}
-    s = scenario_from(
-        {
-            "name": "driven",
-            "duration": ROWS * H,
-            "rate": 1 / H,
-            "physics_rate": 4 / H,
-            "spacecraft": {"chaser": body, "target": body},
-            "approach": {"velocity": [0, 0, 0], "gap": 0.1},
-            "mechanism": {"contact": {"stiffness": 1e5, "damping": 0.0}},
-            "rig": {"platform": {"tracking": "ideal"}},
-        }
-    )
-    rng, t, commands, runs = np.random.default_rng(7), (np.arange(ROWS) + 1) * H, [], []
-    for fastest in (0.6, 1.0, 1.6):
-        command = np.zeros((ROWS, 7))
-        command[:, 2], command[:, 6] = -0.1, 1.0
-        command[:, 0] = 2e-3 * np.sin(2 * np.pi * (0.2 + 0.5 * (fastest - 0.2) * t / t[-1]) * t)
-        sigma = np.full((ROWS, 6), np.inf)
-        sigma[1:, 0] = NOISE
-        commands.append(command)
-        runs.append(LinkRun(s, np.zeros((ROWS, 6)), sigma, np.zeros(ROWS, dtype=bool)))
-    still = [np.zeros((ROWS, 6))] * len(runs)
-    shown = PlatformLink(runs, commands, still).predict([(i, hidden) for i in range(len(runs))])
-    return PlatformLink(
-        [
-            replace(r, measured=m + NOISE * rng.standard_normal(m.shape))
-            for r, m in zip(runs, shown, strict=True)
-        ],
-        commands,
-        still,
-    )
+def link(*hidden: Effect) -> PlatformLink:
+    return sweeps(hidden, (0.6, 1.0, 1.6), ROWS, 2e-6, seed=7)
 
 
 def explained_by(residual: Residual, *kinds: str) -> Explanation:
@@ -82,17 +46,8 @@ def explained_by(residual: Residual, *kinds: str) -> Explanation:
     ]
     found = fit(residual, chosen, starts)
     before, left = (contact_leftovers(residual, effects) for effects in ((), found.effects()))
-    return Explanation(
-        residual,
-        candidates(),
-        null_fit(residual),
-        found,
-        noise_alone(left),
-        True,
-        left,
-        before,
-        (found,),
-    )
+    null, adequate = null_fit(residual), noise_alone(left)
+    return Explanation(residual, candidates(), null, found, adequate, True, left, before, (found,))
 
 
 @cache
@@ -101,9 +56,7 @@ def richer() -> Richer:
 
 
 def test_a_drive_is_found_with_its_numbers_where_a_lag_stood_in_for_it() -> None:
-    stood_in = explained_by(
-        Residual(link([effect("platform.drive", None, **DRIVE)])), "platform.lag"
-    )
+    stood_in = explained_by(Residual(link(effect("platform.drive", None, **DRIVE))), "platform.lag")
     assert not stood_in.adequate
     found = richer().in_place_of(stood_in)
     assert found.adequate
@@ -120,7 +73,7 @@ def test_a_drive_beside_a_limit_of_the_speed_leaves_the_limit_and_takes_the_plac
 ):
     hidden = [effect("platform.drive", None, **DRIVE), effect("platform.speed_limit", speed=6e-3)]
     stood_in = explained_by(
-        Residual(link(hidden)), "platform.speed_limit", "platform.lag", "platform.backlash"
+        Residual(link(*hidden)), "platform.speed_limit", "platform.lag", "platform.backlash"
     )
     assert not stood_in.adequate
     found = richer().in_place_of(stood_in)
@@ -130,18 +83,18 @@ def test_a_drive_beside_a_limit_of_the_speed_leaves_the_limit_and_takes_the_plac
 
 def test_what_a_lag_explains_stays_a_lag() -> None:
     """Alone, and beside a limit of the speed."""
-    one = explained_by(Residual(link([effect("platform.lag", bandwidth=3.0)])), "platform.lag")
+    one = explained_by(Residual(link(effect("platform.lag", bandwidth=3.0))), "platform.lag")
     assert one.adequate
     assert richer().in_place_of(one) is one
     together = [effect("platform.lag", bandwidth=3.0), effect("platform.speed_limit", speed=6e-3)]
-    two = explained_by(Residual(link(together)), "platform.speed_limit", "platform.lag")
+    two = explained_by(Residual(link(*together)), "platform.speed_limit", "platform.lag")
     assert two.adequate
     assert richer().in_place_of(two) is two
 
 
 def test_what_it_resembles_is_not_sought_beside_it() -> None:
     residual = Residual(
-        link([effect("platform.drive", None, **DRIVE), effect("platform.backlash", width=2e-4)])
+        link(effect("platform.drive", None, **DRIVE), effect("platform.backlash", width=2e-4))
     )
     cause = next(c for c in candidates(rich=True) if "offset" in c.names)
     drive = fit(residual, (cause,), cause.grid)
@@ -157,7 +110,7 @@ def test_a_lag_beside_something_without_a_name_is_not_taken_for_a_drive() -> Non
     """A chirp of 20 um that no effect makes bends the numbers of a drive, and what is bent does not
     carry over.
     """
-    clean, t = link([effect("platform.lag", bandwidth=3.0)]), np.arange(ROWS) * H
+    clean, t = link(effect("platform.lag", bandwidth=3.0)), np.arange(ROWS) * H
     runs = [
         replace(run, measured=run.measured + 2e-5 * np.sin(2 * np.pi * 4.0 * t**1.3 + i)[:, None])
         for i, run in enumerate(clean.runs)

@@ -14,33 +14,20 @@ from scipy.optimize import brentq
 from hiltestbed.diagnosis import search
 from hiltestbed.diagnosis.adequacy import Leftover
 from hiltestbed.diagnosis.fit import fit, null_fit
-from hiltestbed.diagnosis.jitter import jitter_beside
-from hiltestbed.diagnosis.late_record import used_readings
-from hiltestbed.diagnosis.lines import hum_beside, lines
-from hiltestbed.diagnosis.links import Link, LinkRun, WrenchLink
+from hiltestbed.diagnosis.jitter_and_hum import hum_beside, jitter_beside, lines
+from hiltestbed.diagnosis.links import Link, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects, Lane
 from hiltestbed.diagnosis.rating import rate
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.search import Search
 from hiltestbed.diagnosis.settings import MIN_EXCESS_TO_GROW
+from hiltestbed.diagnosis.stamps import used_readings
 from hiltestbed.effects import EFFECTS
-from hiltestbed.effects.search import Scales, candidate
+from hiltestbed.effects.search import candidate
 from hiltestbed.frames import Array
 from tests.slow import SLOW
 
-from .made import NOISE, H, bounce, contact_link, effect, reread, scenario
-
-SCALES = Scales(
-    force=300.0,
-    depth=3e-3,
-    stiffness=1e5,
-    tick=H,
-    noise=0.1,
-    slow=0.02,
-    fast=0.1,
-    duration=0.5,
-    substeps=4,
-)
+from .made import NOISE, SCALES, H, bounce, contact_link, effect, link_run, reread, scenario
 
 
 class Along(Link):
@@ -51,23 +38,12 @@ class Along(Link):
     name, channels = "dynamics", ("x", "y", "z")
 
     def __init__(self, measured: Array) -> None:
-        self.runs = [
-            LinkRun(
-                scenario(), measured, np.ones_like(measured), np.ones(len(measured), dtype=bool)
-            )
-        ]
+        self.runs = [link_run(scenario(), measured)]
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
-        rows = len(self.runs[0].measured)
-        return [
-            np.tile(
-                np.sum([e.parameters()["offset"] for e in effects], axis=0) * 1e3
-                if effects
-                else np.zeros(3),
-                (rows, 1),
-            )
-            for _, effects in lanes
-        ]
+        each = [[e.parameters()["offset"] for e in effects] for _, effects in lanes]
+        sums = [1e3 * np.sum(offsets, axis=0) if offsets else np.zeros(3) for offsets in each]
+        return [np.tile(one, (self.runs[0].rows, 1)) for one in sums]
 
 
 @pytest.mark.parametrize("direction", [(1, 1, 1), (1, -1, 0), (-1, -1, 2), (0, 1, -1)])

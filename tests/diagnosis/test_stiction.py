@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.links import LinkRun, PlatformLink, Timing
+from hiltestbed.diagnosis.links import PlatformLink, Timing
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.stiction import Sticking, sticking
 from tests.slow import slow
 
-from .made import POSE_NOISE, H, bounce, effect, platform_link, scenario
+from .made import POSE_NOISE, H, bounce, effect, link_run, noisy, platform_link, scenario
 
 
 def sticks(instants: int, stick: float, phase: float = 0.0) -> list:
@@ -26,28 +26,17 @@ def approaching(effects: list, speeds: tuple[float, ...]) -> PlatformLink:
     """Poses of a platform with `effects` and noise, in runs that each begin where, and as fast as,
     their scenario says.
     """
-    paths, rng, runs = [bounce(speed=v) for v in speeds], np.random.default_rng(2), []
+    paths, runs = [bounce(speed=v) for v in speeds], []
     for path, v in zip(paths, speeds, strict=True):
         believed = scenario()
         approach = believed.approach.model_copy(
             update={"gap": -float(path[0, 2]), "velocity": (0.0, 0.0, v)}
         )
-        sigma = np.full((len(path) - 1, 6), POSE_NOISE)
-        runs.append(
-            LinkRun(
-                believed.model_copy(update={"approach": approach}),
-                0.0 * sigma,
-                sigma,
-                np.ones(len(sigma), dtype=bool),
-            )
-        )
+        s = believed.model_copy(update={"approach": approach})
+        runs.append(link_run(s, len(path) - 1, POSE_NOISE))
     commands, still = [p[1:] for p in paths], [np.zeros((len(p) - 1, 6)) for p in paths]
-    shown = PlatformLink(runs, commands, still).predict([(i, effects) for i in range(len(runs))])
-    runs = [
-        replace(run, measured=m + POSE_NOISE * rng.standard_normal(m.shape))
-        for run, m in zip(runs, shown, strict=True)
-    ]
-    return PlatformLink(runs, commands, still)
+    shown = PlatformLink(runs, commands, still).shown_in_all(effects)
+    return PlatformLink(noisy(runs, shown, POSE_NOISE, 2), commands, still)
 
 
 def left_by(link: PlatformLink, found: Sticking) -> tuple[float, float]:
@@ -76,23 +65,13 @@ def test_a_stick_is_found_to_where_the_last_jump_ends() -> None:
     assert left_by(link, found)[0] < allowed(link)
 
 
-@pytest.mark.parametrize(
-    ("instants", "stick"),
-    [
-        (2, 1.1e-4),
-        (7, 9.1e-5),
-        (57, 8.46e-5),
-    ],
-)
+@pytest.mark.parametrize(("instants", "stick"), [(2, 1.1e-4), (7, 9.1e-5), (57, 8.46e-5)])
 def test_a_stick_is_found_however_finely_a_tick_is_divided(instants: int, stick: float) -> None:
     link = platform_link(sticks(instants, stick))
     assert left_by(link, sticking(link, POSE_NOISE, 4))[0] < allowed(link)
 
 
-@pytest.mark.parametrize(
-    ("instants", "phase", "late"),
-    [(5, 0.3, 0.62), slow(31, 0.5, -1.2)],
-)
+@pytest.mark.parametrize(("instants", "phase", "late"), [(5, 0.3, 0.62), slow(31, 0.5, -1.2)])
 def test_a_stick_is_found_whenever_the_platform_obeys_and_the_pose_is_stamped(
     instants: int, phase: float, late: float
 ) -> None:

@@ -15,25 +15,25 @@ import pytest
 
 from hiltestbed.config.yaml_source import dump_yaml, read_source
 from hiltestbed.diagnosis import stamps, timing
+from hiltestbed.diagnosis.adequacy import judge_of_compensation
 from hiltestbed.diagnosis.certainty import certainty
 from hiltestbed.diagnosis.find import Judged, judge
 from hiltestbed.diagnosis.fit import Fit, fit, null_fit
+from hiltestbed.diagnosis.floors import smooth_levels
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.judges import of_compensation
-from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, LinkRun, Timing
+from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Timing
 from hiltestbed.diagnosis.links.base import Link, moved
-from hiltestbed.diagnosis.pose_noise import smooth_levels
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS
 from hiltestbed.effects import EFFECTS
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.measured import load_dataset
-from hiltestbed.scenario import scenario_from
+from hiltestbed.scenario import Scenario, scenario_from
 from tests.equipment.independent_rig import Nuisances, draw_set, write_set
 from tests.slow import SLOW, slow
 
-from .made import H, contact_link, effect, platform_link, scenario
+from .made import H, contact_link, effect, link_run, platform_link, scenario
 from .test_verdict import candidates
 
 
@@ -125,14 +125,9 @@ def test_what_is_made_of_readings_between_rows_lies_between_its_own_rows() -> No
     """A linear compensation of ``(1 - p) w_k + p w_(k+1)`` gives ``(1 - p) u_k + p u_(k+1)``, noise
     and all.
     """
-    told = scenario().model_dump(mode="json") | {
-        "compensation": {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}}
-    }
-    s, noise = scenario_from(told), np.random.default_rng(1).normal(0, 0.5, (300, 6))
-    run = LinkRun(s, np.zeros((300, 6)), np.ones((300, 6)), np.ones(300, dtype=bool))
-    given = CompensationLink([run], [noise], {}).shown(0)
-    early = LinkRun(s, given, np.ones((300, 6)), np.ones(300, dtype=bool))
-    link = CompensationLink([early], [moved(noise, -0.3)], {})
+    s, noise = phase_lead(), np.random.default_rng(1).normal(0, 0.5, (300, 6))
+    given = CompensationLink([link_run(s, 300)], [noise], {}).shown(0)
+    link = CompensationLink([link_run(s, given)], [moved(noise, -0.3)], {})
     left = [
         np.abs(link.runs[0].measured - at.shown(0))[20:-20].max()
         for at in (link, link.with_timing(Timing(before=0.3 * H)))
@@ -141,28 +136,28 @@ def test_what_is_made_of_readings_between_rows_lies_between_its_own_rows() -> No
     assert left[1] < 1e-9
 
 
+def phase_lead() -> Scenario:
+    method = {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}}
+    return scenario_from(scenario().model_dump(mode="json") | {"compensation": method})
+
+
 def stamped_compensation(output: float, given: float, seed: int = 1) -> CompensationLink:
     """A phase lead on noise and a bump, with its output and its input stamped so many rows late,
     both interpolated between rows.
     """
-    told = scenario().model_dump(mode="json") | {
-        "compensation": {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}}
-    }
-    s, readings = scenario_from(told), np.random.default_rng(seed).normal(0, 0.5, (2000, 6))
+    s, readings = phase_lead(), np.random.default_rng(seed).normal(0, 0.5, (2000, 6))
     readings[150:250, 2] += 40.0 * np.sin(np.pi * np.arange(100) / 100)
     touching = np.zeros(2000, dtype=bool)
     touching[150:250] = True
-    made = CompensationLink(
-        [LinkRun(s, np.zeros((2000, 6)), np.ones((2000, 6)), touching)], [readings], {}
-    ).shown(0)
-    sigma = np.full((2000, 6), COMPENSATION_FLOOR * 0.5 * math.sqrt(CORRELATED_ROWS))  # as laid out
-    run = LinkRun(s, moved(made, output), sigma, touching)
+    made = CompensationLink([link_run(s, 2000)], [readings], {}).shown(0)
+    sigma = COMPENSATION_FLOOR * 0.5 * math.sqrt(CORRELATED_ROWS)  # as laid out
+    run = link_run(s, moved(made, output), sigma, touching)
     return CompensationLink([run], [moved(readings, given)], {})
 
 
 def exactly(link: CompensationLink) -> Timing | None:
     noise = {name.replace("comp", "meas"): 0.5 for name in link.channels}
-    found = stamps.exactly_stamped(Residual(link), Search((), of_compensation(link, noise)))
+    found = stamps.exactly_stamped(Residual(link), Search((), judge_of_compensation(link, noise)))
     return found and found.link.timing
 
 
@@ -193,8 +188,7 @@ def test_readings_taken_again_between_two_rows_follow_from_no_stamp() -> None:
 def test_an_old_twist_in_the_new_pose_lies_between_both_integrators() -> None:
     wrench = np.zeros((200, 6))
     wrench[50:100] = [3.0, -2.0, 40.0, 0.5, 1.0, -0.3]
-    run = LinkRun(scenario(), np.zeros((200, 6)), np.ones((200, 6)), np.ones(200, dtype=bool))
-    link = DynamicsLink([run], [wrench])
+    link = DynamicsLink([link_run(scenario(), 200)], [wrench])
     implicit, explicit = (
         link.shown(0),
         link.shown(0, [EFFECTS["dynamics.integrator"].hypothesis({}, scheme="explicit_euler")]),
@@ -205,16 +199,9 @@ def test_an_old_twist_in_the_new_pose_lies_between_both_integrators() -> None:
 
 
 def test_a_late_output_and_a_late_input_of_the_numerical_model_differ_by_the_approach() -> None:
-    run = LinkRun(scenario(), np.zeros((100, 6)), np.ones((100, 6)), np.ones(100, dtype=bool))
-    link = DynamicsLink([run], [np.zeros((100, 6))])
-    prompt, late, before = (
-        at.shown(0)[:, 2]
-        for at in (
-            link,
-            link.with_timing(Timing(delay=0.4 * H)),
-            link.with_timing(Timing(before=0.4 * H)),
-        )
-    )
+    link = DynamicsLink([link_run(scenario(), 100)], [np.zeros((100, 6))])
+    timings = (Timing(), Timing(delay=0.4 * H), Timing(before=0.4 * H))
+    prompt, late, before = (link.with_timing(at).shown(0)[:, 2] for at in timings)
     np.testing.assert_allclose(prompt - late, 0.03 * 0.4 * H, rtol=1e-6)
     np.testing.assert_array_equal(before, prompt)
 
@@ -223,13 +210,9 @@ def test_a_late_output_and_a_late_input_of_the_numerical_model_differ_by_the_app
 def test_the_numerical_model_shows_whole_rows_that_the_compensation_does_not(rows: int) -> None:
     wrench = 0.5 * np.random.default_rng(4).standard_normal((400, 6))
     wrench[150:250, 2] += 40.0
-    run = LinkRun(
-        scenario(), np.zeros((400, 6)), np.full((400, 6), 1e-12), np.ones(400, dtype=bool)
-    )
-    shown = DynamicsLink([run], [wrench]).shown(0)
-    link = DynamicsLink(
-        [LinkRun(run.scenario, shown, run.sigma, run.touching)], [moved(wrench, float(rows))]
-    )
+    shown = DynamicsLink([link_run(scenario(), 400)], [wrench]).shown(0)
+    run = link_run(scenario(), shown, 1e-12)
+    link = DynamicsLink([run], [moved(wrench, float(rows))])
     choices = stamps.rows_in_common({"wrench_meas": 0.0, "wrench_comp": 0.0}, H)
     assert choices == [0, 1, -1]
     links = [link.stamped(before=-n * H).with_unknown_start(np.ones(6)) for n in choices]
@@ -255,9 +238,7 @@ def explained(
 
 
 def test_a_stamp_and_the_instants_of_encoder_and_platform_are_told_from_a_mode() -> None:
-    """A row and 0.22 of a row late, and 0.4 of a tick: together more than a single instant can
-    be.
-    """
+    """A row and 0.22 of a row late, and 0.4 of a tick: together more than a single instant can be."""
     hidden = effect("platform.mode", frequency=9.3, damping_ratio=0.1)
     link = platform_link([hidden, Timing(delay=1.22 * H, obeyed=0.4 * H)])
     scales = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=0.1, slow=0.03, fast=0.06)
@@ -391,11 +372,8 @@ def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples
 ) -> None:
     levels = {}
     for rows in (0.0, 0.4):
-        made = draw_set(
-            np.random.default_rng(seed),
-            "healthy",
-            nuisances=Nuisances(stamps={"pose_act": rows} if rows else {}),
-        )
+        nuisances = Nuisances(stamps={"pose_act": rows} if rows else {})
+        made = draw_set(np.random.default_rng(seed), "healthy", nuisances=nuisances)
         write_set(tmp_path / str(rows), made)
         levels[rows] = smooth_levels(load_dataset(tmp_path / str(rows) / "dataset.yaml").runs)
     assert made.facility.scenario["mechanism"]["kind"] == ("latched" if latched else "bumper")
@@ -408,9 +386,7 @@ def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples
 def test_a_shift_that_would_have_to_be_larger_than_the_largest_is_none(
     rows: float, stamp: bool
 ) -> None:
-    """Beside a scale, the platform is late by three rows, which no stamp is; or by a part of a
-    row.
-    """
+    """Beside a scale, the platform is late by three rows, which no stamp is; or by a part of a row."""
     residual = Residual(
         platform_link(
             [

@@ -21,22 +21,11 @@ from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.diagnosis.settings import AMBIGUITY
 from hiltestbed.diagnosis.verdict import Named, decide
 from hiltestbed.effects import EFFECTS
-from hiltestbed.effects.search import Candidate, Scales
+from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 
-from .made import NOISE, H, contact_link, effect, reread
+from .made import SCALES, H, contact_link, effect, reread
 
-SCALES = Scales(
-    force=300.0,
-    depth=3e-3,
-    stiffness=1e5,
-    tick=H,
-    noise=NOISE,
-    slow=0.02,
-    fast=0.1,
-    duration=0.5,
-    substeps=4,
-)
 WEIGHED = (
     "contact.stiffness",
     "contact.damping",
@@ -150,17 +139,11 @@ def test_what_no_cause_explains_is_unknown_and_what_is_known_elsewhere_is_kept()
 
 def test_stages_leave_what_they_are_given_as_it_is() -> None:
     residual = Residual(contact_link([effect("contact.preload", force=6.0)], speeds=SPEEDS))
-    before = (
-        [run.measured.copy() for run in residual.link.runs],
-        [w.copy() for w in residual.weight],
-    )
+    before = [x.copy() for x in (*(r.measured for r in residual.link.runs), *residual.weight)]
     found = MappingProxyType({"wrench": Search(candidates(*WEIGHED)).explain(residual)})
     decide(Findings(None, found, {}, {}))  # type: ignore[arg-type]
-    for was, now in zip(
-        before[0] + before[1],
-        [r.measured for r in residual.link.runs] + list(residual.weight),
-        strict=True,
-    ):
+    after = (*(r.measured for r in residual.link.runs), *residual.weight)
+    for was, now in zip(before, after, strict=True):
         np.testing.assert_array_equal(was, now)
 
 

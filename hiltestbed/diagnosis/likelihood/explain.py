@@ -5,43 +5,28 @@ that were not fitted, and whether they leave only noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from hiltestbed.diagnosis.jitter_and_hum import MIN_FREQUENCY, MIN_SPECTRUM_ROWS, strongest_lines
 from hiltestbed.diagnosis.likelihood.model import LinkModel
 from hiltestbed.diagnosis.links import Link, Timing, WrenchLink
 from hiltestbed.diagnosis.links.base import NO_SHIFT
+from hiltestbed.diagnosis.search import Progress
 from hiltestbed.effects.base import Effect
-from hiltestbed.effects.search import Candidate, Scales, candidate
-from hiltestbed.effects.table import EFFECTS
+from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Conclusion, conclude
 from hiltestbed.inference.likelihood import Fit, Likelihood, independent
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.inference.search import search
-from hiltestbed.sensor.effects import SensorHum, SensorJitter
+from hiltestbed.sensor.effects import SensorHum
 
-Progress = Callable[[str], None]
-JITTERS = (0.3, 1.0, 3.0)  # [rows] from which a jitter is sought
 ROUNDS = 4  # explanations of a link, each under the interpretation that suits the last
 # half of chi-square by which another interpretation of a facility has to be better: odds of 1000
 READ_OTHERWISE = math.log(1000.0)
-# of a line over the noise, from which it is tried as a hum: the odds are 1e-13 a frequency
-MIN_LINE_POWER = 30.0
-SPECTRUM_ROWS = 1 << 15  # length of the transform: 0.06 Hz at 2 kHz
-SLOWEST = 0.7  # [Hz] of a line; slower ones are drifts
-
-
-def candidates_of(scales: Scales, links: Sequence[str]) -> tuple[Candidate, ...]:
-    """The hypotheses of every effect that acts on one of ``links``."""
-    found = [c for e in EFFECTS.values() if e.link in links for c in e.candidates(scales)]
-    if SensorJitter.link in links:
-        # it changes the variance of a reading more than its mean
-        sigmas = [x * scales.tick for x in JITTERS]
-        found.append(candidate(SensorJitter, {"sigma": sigmas}))
-    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +123,7 @@ def explain(
 
 
 def with_noise_of_the_log(model: LinkModel, best: Fit) -> LinkModel:
-    """The model with noise of the colour, or of the input, that a hypothesis leaves; itself where
-    what is left then is no noise either.
-    """
+    """The model with the noise that a hypothesis leaves; itself where what is left is no noise."""
     if isinstance(model.link, WrenchLink) or model.link.computed:
         return model
     shown = model.link.predict([(i, best.of.each()) for i in model.members])
@@ -151,9 +134,7 @@ def with_noise_of_the_log(model: LinkModel, best: Fit) -> LinkModel:
 
 
 def interpreted(model: LinkModel, found: Fit) -> LinkModel:
-    """The model with the interpretation of what the facility leaves open that suits a hypothesis
-    best; itself where none is clearly better.
-    """
+    """The model with the interpretation of the facility that suits a hypothesis best."""
     if not isinstance(model.link, WrenchLink):
         return model
     for others in model.link.interpretations():
@@ -174,7 +155,7 @@ def interpreted(model: LinkModel, found: Fit) -> LinkModel:
 def hums(model: LinkModel, left: Sequence[Array]) -> tuple[Candidate, ...]:
     """Tones of one phase in all runs in what is left of the forces."""
     link, rows = model.link, max(r.rows for r in model.link.runs)
-    size = max(SPECTRUM_ROWS, 1 << (rows - 1).bit_length())
+    size = max(MIN_SPECTRUM_ROWS, 1 << (rows - 1).bit_length())
     total, count, level = np.zeros((3, size // 2 + 1), complex), np.zeros(3), np.zeros(3)
     for (n, c, inside), at, z in zip(model.groups, model.rows, left, strict=False):
         if c > 2 or (inside and not link.runs[model.members[n]].touching.all()):
@@ -185,15 +166,7 @@ def hums(model: LinkModel, left: Sequence[Array]) -> tuple[Candidate, ...]:
         total[c] += np.fft.rfft(x)
         count[c] += len(at)
         level[c] = max(level[c], float(np.median(sigma)))
-    frequencies = np.fft.rfftfreq(size, link.runs[0].scenario.tick)
-    total[:, frequencies < SLOWEST] = 0.0
-    out = []
-    for c, axis in enumerate("xyz"):
-        at = int(np.argmax(np.abs(total[c])))
-        line = total[c, at]
-        if count[c] and abs(line) ** 2 > MIN_LINE_POWER * count[c] * level[c] ** 2:
-            phase = float(np.angle(line) + math.pi / 2.0)
-            out.append(
-                SensorHum.near(axis, float(frequencies[at]), 2.0 * abs(line) / count[c], phase)
-            )
-    return tuple(out)
+    frequencies = np.fft.rfftfreq(size, link.tick)
+    total[:, frequencies < MIN_FREQUENCY] = 0.0
+    found = strongest_lines(total, frequencies, count, level)
+    return tuple(SensorHum.near(axis, *line) for axis, line in found.items())

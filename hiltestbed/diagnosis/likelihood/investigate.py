@@ -4,6 +4,7 @@ record that is stamped late shows in the compensation, and where A went in the p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -12,31 +13,55 @@ import numpy as np
 
 from hiltestbed.diagnosis.adequacy import Leftover
 from hiltestbed.diagnosis.fit import Fit, fit, null_fit
-from hiltestbed.diagnosis.investigate import ORDER, Findings
+from hiltestbed.diagnosis.investigate import ORDER, Findings, candidates_of, with_stiction
 from hiltestbed.diagnosis.lacking import too_little
-from hiltestbed.diagnosis.layout import Layout, lay_out, platform_link, with_noise_beside
-from hiltestbed.diagnosis.likelihood.explain import Explained, candidates_of, explain
-from hiltestbed.diagnosis.likelihood.links import compensation, dynamics
+from hiltestbed.diagnosis.layout import (
+    Layout,
+    compensation_link,
+    lay_out,
+    levels,
+    platform_link,
+    pose_rounding,
+    pose_steps,
+    with_noise_beside,
+)
+from hiltestbed.diagnosis.likelihood.explain import Explained, explain
 from hiltestbed.diagnosis.likelihood.model import LinkModel
-from hiltestbed.diagnosis.links import Link, PlatformLink, WrenchLink
-from hiltestbed.diagnosis.paths import BestPath, best_path, compared_share, make_wrench_link
+from hiltestbed.diagnosis.links import (
+    CompensationLink,
+    DynamicsLink,
+    Link,
+    LinkRun,
+    WrenchLink,
+    flat_pose,
+)
+from hiltestbed.diagnosis.paths import BestPath, best_path, make_wrench_link, too_divergent
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.search import Explanation, Progress
-from hiltestbed.diagnosis.settings import MIN_COMPARED
-from hiltestbed.diagnosis.stiction import sticking
-from hiltestbed.effects.search import Candidate, Scales
+from hiltestbed.diagnosis.search import Explanation, Progress, labelled
+from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS, DYNAMICS_FLOOR
+from hiltestbed.effects.search import Candidate, Scales, candidate
+from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Fit as LikelyFit
 from hiltestbed.inference.model import Hypothesis
-from hiltestbed.measured import MeasuredDataset
+from hiltestbed.measured import MeasuredDataset, MeasuredRun, Record
+from hiltestbed.replay.compensation import needs
+from hiltestbed.sensor.effects import SensorJitter
+from hiltestbed.signals import GROUPS
 
+JITTERS = (0.3, 1.0, 3.0)  # [rows] from which a jitter is sought
 MANY_LOST = 0.02  # share of the rows
 # mean square over that of the floor, from which a computed force is not what the record gives: one
 # that is, leaves 1e-20; written digits of which four are right leave 0.02, which the rules know
 INEXACT = 0.05
 SAME_RATE = 1e-3  # of the loop's rate, by which that of a log may be off
 LISTED = 8  # hypotheses of one cause, and of several, that an explanation lists
+# of the variance of the noise: what lies between two rows has its own, and a quarter of that of
+# each of the two beside
+LOST_NOISE = 1.5
+FORGOTTEN = 0.01  # of the variance of a reading, below which a compensation has forgotten it
+STEP_SIGMA = 1.0 / math.sqrt(12.0)  # of a step, standard deviation of the error by rounding to it
 
 
 def investigate_by_likelihood(
@@ -51,31 +76,30 @@ def investigate_by_likelihood(
 
     def told(name: str) -> Progress | None:
         words = f"link {judged.index(name) + 1} of {len(judged)}, {LINK_NAMES[name]}"
-        return partial(_told, progress, words) if progress else None
+        return labelled(progress, words)
 
     scales = layout.scales
     if "compensation" in judged:
         # of a late record each row is tried: a delay that is a row off fits no better than none
-        candidates = candidates_of(replace(scales, jumps=True), ("compensation", "log"))
+        candidates = likely_candidates(replace(scales, jumps=True), ("compensation", "log"))
         model = LinkModel(compensation(layout, layout.rows))
         found["compensation"] = explain(model, candidates, told("compensation"))
         whole["compensation"] = compensation(layout, layout.whole)
     if "dynamics" in judged:
         model = LinkModel(dynamics(layout, layout.rows))
-        found["dynamics"] = explain(model, candidates_of(scales, ("dynamics",)), told("dynamics"))
+        found["dynamics"] = explain(
+            model, likely_candidates(scales, ("dynamics",)), told("dynamics")
+        )
         whole["dynamics"] = dynamics(layout, layout.whole)
     if "platform" in judged:
         link = platform_link(layout, layout.rows)
-        candidates = _platform_candidates(layout, link)
+        candidates = likely_candidates(with_stiction(layout, link)[0], ("platform",))
         found["platform"] = explain(LinkModel(link), candidates, told("platform"))
         whole["platform"] = platform_link(layout, layout.whole)
     if "wrench" in judged:
         layout, path = _path(layout, found)
-        if (part := compared_share(layout, path)) < MIN_COMPARED:
-            missing["wrench"] = (
-                f"the smallest difference decides how the mechanism moves after the touch: "
-                f"{part:.0%} of the rows in contact could be replayed"
-            )
+        if why := too_divergent(layout, path):
+            missing["wrench"] = why
         else:
             contact = make_wrench_link(layout, path, layout.rows)
             contact = choose_steps(choose_ring(choose_lever(contact)))
@@ -131,19 +155,11 @@ def explanation(e: Explained) -> Explanation:
     )
     listed = [f for f in e.conclusion.visited if f.causes and np.isfinite(f.evidence)]
     fits = [_as_fit(residual, f) for f in listed[: 2 * LISTED]]
-    return Explanation(
-        residual,
-        e.candidates,
-        null,
-        chosen,
-        e.adequate,
-        e.departs,
-        _leftovers(e, e.fit),
-        _leftovers(e, e.conclusion.null),
-        tuple(f for f in fits if len(f.causes) == 1)[:LISTED],
-        tuple(f for f in fits if len(f.causes) > 1)[:LISTED],
-        rivals,
-    )
+    singles = tuple(f for f in fits if len(f.causes) == 1)[:LISTED]
+    more = tuple(f for f in fits if len(f.causes) > 1)[:LISTED]
+    left, before = (_leftovers(e, f) for f in (e.fit, e.conclusion.null))
+    explained = partial(Explanation, residual, e.candidates, null, chosen, e.adequate, e.departs)
+    return explained(left, before, singles, more, rivals)
 
 
 def _as_fit(residual: Residual, found: LikelyFit, again: bool = False) -> Fit:
@@ -174,15 +190,14 @@ def _leftovers(e: Explained, found: LikelyFit) -> dict[str, Leftover]:
     return out
 
 
-def _told(progress: Progress, words: str, text: str) -> None:
-    progress(f"{words}: {text}")
-
-
-def _platform_candidates(layout: Layout, link: PlatformLink) -> Sequence[Candidate]:
-    """Those of the platform, with starts for stiction from the data."""
-    noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
-    sticks = sticking(link, noise, layout.scales.substeps)
-    return candidates_of(replace(layout.scales, sticks=sticks.starts), ("platform",))
+def likely_candidates(scales: Scales, links: Sequence[str]) -> tuple[Candidate, ...]:
+    """The hypotheses of every effect on ``links``; of a jitter as well, which changes the variance
+    of a reading more than its mean.
+    """
+    found = candidates_of(scales, links, rich=None)
+    if SensorJitter.link not in links:
+        return found
+    return (*found, candidate(SensorJitter, {"sigma": [x * scales.tick for x in JITTERS]}))
 
 
 def _wrench_candidates(
@@ -196,7 +211,7 @@ def _wrench_candidates(
     late = late_record is not None and "log.skew" in late_record.kinds
     if late or late_record is None:
         links.append("log")
-    found = candidates_of(scales, links)
+    found = likely_candidates(scales, links)
     return [c for c in found if not (late and c.kind == "sensor.delay")]
 
 
@@ -209,5 +224,75 @@ def _path(layout: Layout, found: Mapping[str, Explained]) -> tuple[Layout, BestP
     if not any(r.scenario.mechanism.captured for r in layout.runs):
         return layout, path
     link = choose_ring(choose_lever(make_wrench_link(layout, path, layout.whole)))
-    shown = [link.shown(i) for i in range(len(link.runs))]
+    shown = link.shown_in_all()
     return with_noise_beside(layout, shown), path
+
+
+def compensation(layout: Layout, rows: Sequence[int]) -> CompensationLink:
+    """The compensation on the first ``rows`` of each run; that of the rules where it does not
+    respond linearly to the readings. Rows do not count that depend on readings which are not on
+    record: one wrong reading shows in many rows of the output.
+    """
+    noise = levels(layout, "wrench_meas")
+    level = COMPENSATION_FLOOR * max(noise[2], 1e-6) * math.sqrt(CORRELATED_ROWS)
+    pairs = list(zip(layout.runs, rows, strict=True))
+    groups = {g for r in layout.runs for g in needs(r.scenario)} - {"wrench_meas"}
+    if groups or layout.logged:
+        return compensation_link(layout, rows)
+    wrenches = [np.ascontiguousarray(r.record.filled("wrench_meas")[:n]) for r, n in pairs]
+    first = [_computed(r, r.record.data["wrench_comp"], level, n) for r, n in pairs]
+    link, runs = CompensationLink(first, wrenches, {}), []
+    for (r, n), run in zip(pairs, first, strict=True):
+        own = r.record.rounding("wrench_comp")[:n]
+        passed = link.passed(input_variance(r.record, "wrench_meas", noise)[:n])
+        sigma = np.sqrt(run.sigma**2 + own**2 + passed)
+        bridged = np.where(r.record.lost("wrench_meas")[:n, None], noise**2, 0.0)
+        sigma[link.passed(bridged) > FORGOTTEN * noise**2] = np.inf
+        sigma[:, [name in r.record.absent for name in GROUPS["wrench_meas"].columns]] = np.inf
+        runs.append(replace(run, sigma=sigma))
+    return CompensationLink(runs, wrenches, {})
+
+
+def dynamics(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
+    """The numerical model on the first ``rows`` of each run."""
+    level = DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS)
+    noise, runs, wrenches, variance = levels(layout, "wrench_comp"), [], [], []
+    for r, n in zip(layout.runs, rows, strict=True):
+        run = _computed(r, flat_pose(r.record.data["pose_cmd"]), level, n)
+        written, quantised = pose_rounding(r, "pose_cmd")[:n], pose_steps(r, "pose_cmd")
+        runs.append(replace(run, sigma=np.sqrt(run.sigma**2 + written**2 + quantised**2)))
+        wrenches.append(np.ascontiguousarray(r.record.filled("wrench_comp")[:n]))
+        variance.append(input_variance(r.record, "wrench_comp", noise)[:n])
+    link = DynamicsLink(runs, wrenches)
+    return link.with_input_errors(variance) if any(v.any() for v in variance) else link
+
+
+def input_variance(record: Record, group: str, noise: Array) -> Array:
+    """(ticks, 6) variance of the errors of recorded wrenches, where they are the input of a link:
+    of written digits, of converter steps, and of what bridges lost rows: noise, and the difference
+    of the rows beside, by as much as which a reading jumps at a touch. ``noise``: (6,) of it.
+    """
+    out = record.rounding(group) ** 2
+    for j, name in enumerate(GROUPS[group].columns):
+        if name in record.absent:
+            continue
+        out[:, j] += (STEP_SIGMA * record.steps.get(name, 0.0)) ** 2
+        known = np.flatnonzero(record.measured(name))
+        lost = record.lost(group) & ~record.measured(name)
+        if not lost.any() or not len(known):
+            continue
+        values = record.column(name)[known]
+        at = np.searchsorted(known, np.flatnonzero(lost))
+        before, after = values[np.maximum(at - 1, 0)], values[np.minimum(at, len(known) - 1)]
+        inside = (at > 0) & (at < len(known))
+        error = np.where(inside, np.abs(after - before), np.maximum(abs(before), abs(after)))
+        # the errors of one stretch are alike
+        edges = np.flatnonzero(np.diff(np.r_[False, lost, False])).reshape(-1, 2)
+        length = np.repeat(edges[:, 1] - edges[:, 0], edges[:, 1] - edges[:, 0])
+        out[lost, j] += length * error**2 + LOST_NOISE * noise[j] ** 2
+    return out
+
+
+def _computed(run: MeasuredRun, values: Array, level: float, rows: int) -> LinkRun:
+    sigma = np.where(np.isfinite(values[:rows]), level, np.inf)
+    return LinkRun(run.scenario, np.nan_to_num(values[:rows]), sigma, run.touching(rows))

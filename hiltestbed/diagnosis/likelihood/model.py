@@ -14,34 +14,33 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.linalg import solve_toeplitz
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 from scipy.stats import chi2, gamma
 
-from hiltestbed.diagnosis.aside import Aside
+from hiltestbed.diagnosis.layout import UNUSED_END_ROWS
 from hiltestbed.diagnosis.links import Link, LinkRun, Timing, WrenchLink
+from hiltestbed.diagnosis.links.base import whitening_filter
 from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
-from hiltestbed.diagnosis.noise import softened
+from hiltestbed.diagnosis.noise import OUTLIER_SIGMA, softened
+from hiltestbed.diagnosis.nuisances import Aside
+from hiltestbed.diagnosis.residual import MAX_RESIDUAL
 from hiltestbed.diagnosis.settings import BLOCK_ROWS, MODEL_ERROR
+from hiltestbed.diagnosis.timing import MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Fit
 from hiltestbed.inference.model import Hypothesis, Model
+from hiltestbed.measured.noise import MAD_TO_SIGMA
 from hiltestbed.sensor.effects import SensorDelay, SensorJitter
 
 SLOW_SHAPES = 3  # degree of the polynomials by which a model's error varies along a contact
 TIME_ERROR = 0.05  # [rows] error in time of an integration in steps
 # of the whole force, or torque: an engine's constraints give by a ten-thousandth
 SOFTNESS = 1e-4
-FAR = 1e6  # [standard deviations] stands for a prediction that is not finite
 # [rows] standard deviation of a time-stamp offset: loggers stamp up to a row early or late
 STAMP_SIGMA = 1.0 / math.sqrt(3.0)
-# [rows] by which the output of a link may be early and late: stamps of two channels, and for the
-# late side one and the instant of a sample: more is a delay, which has a name
-MOST_EARLY, MOST_LATE = 2.25, 1.05
-END_ROWS = 3  # that a shift of the stamps leaves without data
 # [rows] of an instant within a tick at which a facility samples or obeys
 INSTANT_SIGMA, LATEST_INSTANT = 0.5 / math.sqrt(3.0), 0.5
 # share of what is left of a computed channel that follows its output, from which it departs
@@ -52,14 +51,13 @@ COLOUR_ORDER = 16  # of the filter that makes noise white
 # another colour: a neighbour correlation of 0.9 and as much white noise have 1.4
 COLOURED_LEVEL = 2.0
 OUTSIDE, INSIDE = "outside", "in"
-OUTLYING = 4.0  # robust standard deviations at which a sample is clipped: one normal one in 16,000
-# the same of a sample in a fit, in rms: one normal one in 5e8
+# the same of a sample in a fit, of those that exceed as many rms: one normal one in 5e8
 CLIPPED = 6.0
 # probability with which white noise exceeds a limit: of some 50 limits of a set one in 3000 sets
 ALLOWED = 7e-6
 
 
-class Leftover(NamedTuple):
+class Whiteness(NamedTuple):
     """Whether the residual of a channel is white noise, of whatever level.
 
     Attributes:
@@ -84,15 +82,15 @@ class Leftover(NamedTuple):
         return max(self.blocks / self.allowed[0], self.line / self.allowed[1])
 
 
-def leftover(parts: Sequence[Array]) -> Leftover:
+def leftover(parts: Sequence[Array]) -> Whiteness:
     """Of one channel: residuals (M,) of each run, in units of the noise.
 
     Outliers are clipped. The sum of B squares of means is chi-square of B, a line of the sum of the
     spectra of R runs a gamma variable of shape R.
     """
     rows, longest = sum(map(len, parts)), max(map(len, parts))
-    size = max(1.4826 * float(np.median(np.abs(np.concatenate(parts)))), 1.0)
-    parts = [np.clip(x, -OUTLYING * size, OUTLYING * size) for x in parts]
+    size = max(MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(parts)))), 1.0)
+    parts = [np.clip(x, -OUTLIER_SIGMA * size, OUTLIER_SIGMA * size) for x in parts]
     level = max(sum(float(x @ x) for x in parts) / rows, 1.0)
     means = [
         x[: len(x) // BLOCK_ROWS * BLOCK_ROWS].reshape(-1, BLOCK_ROWS).sum(axis=1) for x in parts
@@ -101,7 +99,7 @@ def leftover(parts: Sequence[Array]) -> Leftover:
     squares = sum(float(m @ m) for m in means) / (BLOCK_ROWS * max(count, 1) * level)
     power = sum(np.abs(np.fft.rfft(x, longest))[1:] ** 2 for x in parts) / (rows * level)
     lines = max(longest // 2, 1)
-    return Leftover(
+    return Whiteness(
         math.sqrt(level),
         squares,
         float(np.max(power, initial=0.0)),
@@ -131,8 +129,8 @@ class LinkModel(Model):
         colour: Sequence[Array] | None = None,
     ) -> None:
         """doubt: (N, C) of each run of the link: further uncertainty of its prediction, in the unit
-        of the output. colour: (C, P + 1) of each run, prediction-error filters that make the
-        noise white; None: those of the link.
+        of the output. colour: (C, P + 1) of each run, prediction-error filters that make the noise
+        white; None: those of the link.
         """
         self.link, self.doubt = link, doubt
         self.members = tuple(range(len(link.runs)) if members is None else members)
@@ -188,11 +186,9 @@ class LinkModel(Model):
             self.link.doubt(i, effects) if i in self.members else None
             for i in range(len(self.link.runs))
         ]
-        return (
-            self
-            if not any(d is not None for d in doubt)
-            else LinkModel(self.link, self.members, doubt, self._colour)
-        )
+        if not any(d is not None for d in doubt):
+            return self
+        return LinkModel(self.link, self.members, doubt, self._colour)
 
     def coloured(self, left: Sequence[Array]) -> LinkModel:
         """The same with noise of the colour that residuals have outside contact, channel by channel
@@ -207,7 +203,7 @@ class LinkModel(Model):
             if float(x @ x) / len(x) > COLOURED_LEVEL**2:
                 return self
             lags = np.array([float(x[k:] @ x[: len(x) - k]) for k in range(COLOUR_ORDER + 1)])
-            colour[self.members[n]][c, 1:] = -solve_toeplitz(lags[:-1], lags[1:])
+            colour[self.members[n]][c] = whitening_filter(lags)
         return LinkModel(self.link, self.members, self.doubt, colour)
 
     def folds(self) -> list[tuple[str, Model, Model]]:
@@ -261,13 +257,13 @@ class LinkModel(Model):
         return mean, np.sqrt(1.0 + square * self.weight[i] ** 2)
 
     def in_sigma(self, i: int, shown: Array, smoothing: float = 1.0) -> Array:
-        """(N, C) of run i: measured less ``shown`` (N, C), whitened, in units of the noise
-        that is left of that of the input, ``smoothing``.
+        """(N, C) of run i: measured less ``shown`` (N, C), whitened, in units of the noise that is
+        left of that of the input, ``smoothing``.
         """
         run, weight = self.link.runs[i], self.weight[i]
         left = run.measured - shown
-        if (white := self.link.whitened(i, np.nan_to_num(left, nan=FAR))) is not None:
-            return np.clip(white, -FAR, FAR)
+        if (white := self.link.whitened(i, np.nan_to_num(left, nan=MAX_RESIDUAL))) is not None:
+            return np.clip(white, -MAX_RESIDUAL, MAX_RESIDUAL)
         if (aside := self._aside_of(i)) is not None:
             left = left - aside.of(left)
         z = left * (weight / smoothing)
@@ -277,7 +273,7 @@ class LinkModel(Model):
             white = [lfilter(f, 1.0, x) for f, x in zip(filters, z.T, strict=True)]
             z = np.where(weight > 0.0, np.column_stack(white), 0.0)
         if not np.isfinite(z).all():
-            z = np.clip(np.nan_to_num(z, nan=FAR), -FAR, FAR)
+            z = np.clip(np.nan_to_num(z, nan=MAX_RESIDUAL), -MAX_RESIDUAL, MAX_RESIDUAL)
         return z
 
     def _aside_of(self, i: int) -> Aside | None:
@@ -298,7 +294,7 @@ class LinkModel(Model):
         inside = [x for x, (_, _, within) in zip(left, self.groups, strict=True) if within]
         return inside or left
 
-    def leftovers(self, left: Sequence[Array]) -> dict[tuple[int, bool], Leftover]:
+    def leftovers(self, left: Sequence[Array]) -> dict[tuple[int, bool], Whiteness]:
         """What is left of each channel, in contact and outside it."""
         out = {}
         for key in dict.fromkeys((c, inside) for _, c, inside in self.groups):
@@ -327,21 +323,17 @@ class LinkModel(Model):
             pairs = []
             for x, rows, (n, d, inside) in zip(left, self.rows, self.groups, strict=False):
                 if d == c and inside:
-                    y = self.link.runs[self.members[n]].measured[:, c]
-                    y = uniform_filter1d(y, BLOCK_ROWS)
+                    y = uniform_filter1d(self.link.runs[self.members[n]].measured[:, c], BLOCK_ROWS)
                     rate = np.gradient(y)
-                    basis = np.column_stack(
-                        [y, rate, np.gradient(rate), y * np.abs(y), np.abs(rate)]
-                    )
-                    pairs.append(
-                        (np.clip(x, -FAR, FAR), basis[rows] / (np.std(basis, axis=0) + TINY))
-                    )
-            if len(pairs) < 2 or sum(float(x @ x) for x, _ in pairs) <= sum(
-                len(x) for x, _ in pairs
-            ):
+                    terms = (y, rate, np.gradient(rate), y * np.abs(y), np.abs(rate))
+                    basis = np.column_stack(terms)
+                    basis = basis[rows] / (np.std(basis, axis=0) + TINY)
+                    pairs.append((np.clip(x, -MAX_RESIDUAL, MAX_RESIDUAL), basis))
+            square, count = sum(float(x @ x) for x, _ in pairs), sum(len(x) for x, _ in pairs)
+            if len(pairs) < 2 or square <= count:
                 continue
             sizes = np.abs(np.concatenate([x for x, _ in pairs]))
-            size = OUTLYING * max(1.4826 * float(np.median(sizes)), 1.0)
+            size = OUTLIER_SIGMA * max(MAD_TO_SIGMA * float(np.median(sizes)), 1.0)
             pairs = [(np.clip(x, -size, size), b) for x, b in pairs]
             after = 0.0
             for n, (x, b) in enumerate(pairs):
@@ -371,13 +363,10 @@ class LinkModel(Model):
 
     def timings(self) -> tuple[Candidate, ...]:
         """When the facility samples, obeys and stamps, as nuisances."""
-        tick = self.link.runs[0].scenario.tick
-        stamp, ends = STAMP_SIGMA * tick, (-MOST_EARLY * tick, MOST_LATE * tick)
-        grid = tuple((x * tick,) for x in (-0.8, -0.3, 0.3, 0.8))
-        out = [_nuisance("delay", stamp, *ends, grid)]
+        ends, tick = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), self.link.tick
+        out = [_nuisance("delay", STAMP_SIGMA, ends, (-0.8, -0.3, 0.3, 0.8), tick)]
         if self.link.name == "platform":
-            grid = ((0.25 * tick,),)
-            out.append(_nuisance("obeyed", INSTANT_SIGMA * tick, 0.0, LATEST_INSTANT * tick, grid))
+            out.append(_nuisance("obeyed", INSTANT_SIGMA, (0.0, LATEST_INSTANT), (0.25,), tick))
         return tuple(out)
 
 
@@ -385,14 +374,14 @@ def _without_outliers(z: Array) -> Array:
     """Residuals (M,) clipped at :data:`CLIPPED` robust standard deviations."""
     if not len(z) or float(np.max(np.abs(z))) <= CLIPPED * math.sqrt(float(z @ z) / len(z)):
         return z
-    size = CLIPPED * max(1.4826 * float(np.median(np.abs(z))), 1.0)
+    size = CLIPPED * max(MAD_TO_SIGMA * float(np.median(np.abs(z))), 1.0)
     return np.clip(z, -size, size)
 
 
 def _without_ends(counted: np.ndarray) -> np.ndarray:
     """Without the first and last rows, for which a channel that is stamped off has no data."""
     out = counted.copy()
-    out[:END_ROWS] = out[len(out) - END_ROWS :] = False
+    out[:UNUSED_END_ROWS] = out[len(out) - UNUSED_END_ROWS :] = False
     return out
 
 
@@ -410,13 +399,10 @@ def _model_terms(run: LinkRun) -> Array:
     return np.concatenate([terms, late[:, :, None]], axis=2)
 
 
-def _nuisance(name: str, sigma: float, low: float, high: float, grid: tuple) -> Candidate:
-    return Candidate(
-        Timing,
-        (name,),
-        np.array([low]),
-        np.array([high]),
-        np.zeros(1, bool),
-        grid,
-        sigma=np.array([sigma]),
-    )
+def _nuisance(
+    name: str, sigma: float, ends: tuple[float, float], starts: Sequence[float], tick: float
+) -> Candidate:
+    """A shift of the timing; all numbers in rows."""
+    low, high, sigmas = (np.array([x * tick]) for x in (*ends, sigma))
+    grid = tuple((x * tick,) for x in starts)
+    return Candidate(Timing, (name,), low, high, np.zeros(1, bool), grid, sigma=sigmas)

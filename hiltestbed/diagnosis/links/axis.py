@@ -53,9 +53,7 @@ class AxisLink(Link):
         return self._places
 
     def over(self, span: float) -> AxisLink:
-        """The same link on the displacements between a row and the one ``span`` [s] before it, or
-        the start.
-        """
+        """The same link on the displacements over a ``span`` [s], or from the start."""
         out = copy(self)
         out._places, out._from, runs = self, [], []
         for run in self.runs:
@@ -76,9 +74,7 @@ class AxisLink(Link):
         return out
 
     def restarted(self, effects: Effects) -> AxisLink:
-        """The same link from the position and speed that the model with ``effects`` fits to the
-        first half second of each run.
-        """
+        """The same link from the start that the model with ``effects`` fits to the first rows."""
         nudged = AxisLink(self.runs, self.forces, self.place, [v + SPEED_STEP for v in self.speed])
         place, speed = [], []
         for i, run in enumerate(self.runs):
@@ -109,8 +105,6 @@ class AxisLink(Link):
             np.ascontiguousarray(place[: rows[i], None])
             for place, i in zip(found, run, strict=True)
         ]
-        return (
-            places
-            if self._from is None
-            else [p - p[self._from[i]] for p, i in zip(places, run, strict=True)]
-        )
+        if self._from is None:
+            return places
+        return [p - p[self._from[i]] for p, i in zip(places, run, strict=True)]

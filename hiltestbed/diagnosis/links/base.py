@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 
 from hiltestbed.diagnosis.settings import PERTURBED_COPIES
 from hiltestbed.effects.base import Effect
@@ -67,13 +68,12 @@ class LinkRun:
     Attributes:
         scenario: as believed. measured: (N, C) at the output, 0 where it was not measured.
         sigma: (N, C) its noise, infinite where not measured. touching: (N,) bool, the nominal or
-            the measured contact, with its tail
-        through the sensor. heavy: whether the noise has outliers, see
-            :func:`hiltestbed.diagnosis.noise.softened`. tail: variance of the
-        square of a noise sample. nuisances: (N, C, D) nuisance terms, each at one standard
-            deviation, see
-        :mod:`hiltestbed.diagnosis.aside`; None: there are none. shared: (N, C, D') further ones,
-            each with one amplitude in all channels.
+            the measured contact, with its tail through the sensor.
+        heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`.
+            tail: variance of the square of a noise sample.
+        nuisances: (N, C, D) nuisance terms, each at one standard deviation, see
+            :mod:`hiltestbed.diagnosis.nuisances`; None: there are none. shared: (N, C, D') further
+            ones, each with one amplitude in all channels.
     """
 
     scenario: Scenario
@@ -89,6 +89,12 @@ class LinkRun:
     def rows(self) -> int:
         """N."""
         return len(self.measured)
+
+    @property
+    def weight(self) -> Array:
+        """(N, C) one over the noise, 0 where not measured."""
+        known = np.isfinite(self.sigma)
+        return np.where(known, 1.0 / np.where(known, self.sigma, 1.0), 0.0)
 
     def with_nuisances(self, terms: Array) -> LinkRun:
         """The same run with further nuisance ``terms`` (N, C, D)."""
@@ -163,17 +169,18 @@ class Link(ABC):
         return given - (moved(given, -timing.before / tick) - out) if timing.before else out
 
     @property
+    def tick(self) -> float:
+        """[s] of the runs."""
+        return self.runs[0].scenario.tick
+
+    @property
     def costly(self) -> bool:
-        """Whether a replay takes so long that a search is better spent on some of the runs
-        first.
-        """
+        """Whether a replay takes so long that a search begins on some of the runs."""
         return False
 
     @property
     def whole(self) -> Link:
-        """The form of the link on which adequacy is judged, where another one is fitted; itself as
-        a rule.
-        """
+        """The form of the link on which adequacy is judged; itself as a rule."""
         return self
 
     def predict(self, lanes: Sequence[Lane]) -> list[Array]:
@@ -193,10 +200,12 @@ class Link(ABC):
         """(N, C) predicted output of run i."""
         return self.predict([(i, effects)])[0]
 
+    def shown_in_all(self, effects: Effects = ()) -> list[Array]:
+        """(N, C) predicted output of each run."""
+        return self.predict([(i, effects) for i in range(len(self.runs))])
+
     def passed_from_input(self, i: int, effects: Effects) -> Array | None:
-        """(N, C) variance of the output of run i that comes from the rounding of the input on
-        record; None: that has none.
-        """
+        """(N, C) variance of run i due to rounding of its input; None: that has none."""
         if not self.rounding or not self.rounding[i].any():
             return None
         return variance_among(self._with_errors(i), effects)
@@ -217,9 +226,7 @@ class Link(ABC):
         return 1.0
 
     def noisier(self, left: Sequence[tuple[int, Array]]) -> Link:
-        """The same link with as much noise of its input as departures (N, C) of its runs show that
-        are noise; itself where it knows none.
-        """
+        """The same link with as much noise of its input as departures (N, C) of its runs show."""
         return self
 
     def whitened(self, i: int, left: Array) -> Array | None:
@@ -229,15 +236,11 @@ class Link(ABC):
         return None
 
     def colour(self) -> Array | None:
-        """(P + 1,) prediction-error filter that makes the noise of the output white; None: it is
-        white.
-        """
+        """(P + 1,) prediction-error filter that whitens the output's noise; None: it is white."""
         return None
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
-        """(N, C) uncertainty of the prediction due to how finely the facility divides its tick;
-        None: none.
-        """
+        """(N, C) uncertainty of the prediction by how a facility divides its tick; None: none."""
         return None
 
 
@@ -254,8 +257,15 @@ def perturbed(poses: Array, sigma: Array) -> list[Array]:
 
 def variance_among(copies: Link, effects: Effects) -> Array:
     """(N, C) variance of the output of the runs of ``copies`` about that of the first."""
-    exact, *others = copies.predict([(k, effects) for k in range(len(copies.runs))])
+    exact, *others = copies.shown_in_all(effects)
     return np.asarray(np.mean([np.square(other - exact) for other in others], axis=0))
+
+
+def whitening_filter(lags: Array) -> Array:
+    """(P + 1,) prediction-error filter of noise with these autocorrelations (P + 1,), by the
+    Yule-Walker equations.
+    """
+    return np.concatenate([[1.0], -solve_toeplitz(lags[:-1], lags[1:])])
 
 
 def padded(arrays: Sequence[Array]) -> Array:
@@ -267,15 +277,16 @@ def padded(arrays: Sequence[Array]) -> Array:
 
 
 def moved(values: Array, rows: float) -> Array:
-    """``values`` (N, C) as they were ``rows`` before, by linear interpolation, and extrapolation
-    beyond both ends.
-    """
+    """``values`` (N, C) as they were ``rows`` before, interpolated or extrapolated linearly."""
     return shifted(values, -rows, held=False) if rows else values
 
 
+def flat_channels(group: str) -> tuple[str, ...]:
+    """The names of the columns of :func:`flat_pose` for a pose of a group."""
+    return tuple(f"{group}.{part}" for part in ("px", "py", "pz", "rx", "ry", "rz"))
+
+
 def flat_pose(pose: Array) -> Array:
-    """(N, 6) position [m] and rotation vector [rad] (for small angles twice the vector part) of
-    poses (N, 7).
-    """
+    """(N, 6) position [m] and rotation vector [rad], for small angles, of poses (N, 7)."""
     sign = np.where(pose[..., 6:] < 0, -1.0, 1.0)
     return np.concatenate([pose[..., :3], 2.0 * sign * pose[..., 3:6]], axis=-1)

@@ -6,16 +6,16 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
 from hiltestbed.compensation.input import InputParameters
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded
+from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded, whitening_filter
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array
 from hiltestbed.replay import moves_linearly, replay_compensation
 from hiltestbed.replay.compensation import central_rates, reads_rates
 from hiltestbed.replay.wrench import shifted
+from hiltestbed.signals import GROUPS
 
 IMPULSE = 1e9  # [N] that exceeds any dead zone
 MEMORY_TOLERANCE = 1e-6  # chosen: of the largest response, below which it has decayed
@@ -28,14 +28,7 @@ class CompensationLink(Link):
 
     name = "compensation"
     computed = True
-    channels = (
-        "wrench_comp.fx",
-        "wrench_comp.fy",
-        "wrench_comp.fz",
-        "wrench_comp.tx",
-        "wrench_comp.ty",
-        "wrench_comp.tz",
-    )
+    channels = GROUPS["wrench_comp"].columns
 
     def __init__(
         self,
@@ -45,17 +38,15 @@ class CompensationLink(Link):
         used: Sequence[Array] | None = None,
     ) -> None:
         """wrenches: (N, 6) wrench_meas of each run. records: pose_act, pose_cmd and their twists,
-        as far as the method reads them.
-        used: the wrench that the loop used, where the record is known to be stamped late.
+        as far as the method reads them. used: the wrench that the loop used, where the record is
+        known to be stamped late.
         """
         self.runs, self.wrenches, self.used = runs, wrenches, used
         self._sources = records
         self._records = {name: padded(values) for name, values in records.items()}
 
     def on_used(self, used: Sequence[Array], runs: Sequence[LinkRun]) -> CompensationLink:
-        """The same link with the wrench that the loop used, in place of a record that is stamped
-        late.
-        """
+        """The same link with the wrench that the loop used, where the record is stamped late."""
         return CompensationLink(runs, self.wrenches, self._sources, used).with_timing(self.timing)
 
     def with_central_rates(self) -> CompensationLink | None:
@@ -93,22 +84,16 @@ class CompensationLink(Link):
         ]
 
     def _reading(self, i: int, effects: Effects) -> Array:
-        """(N, 6) the wrench that the loop used: the record, or later rows of it where it is stamped
-        late.
-        """
+        """(N, 6) the wrench that the loop used: later rows of a record that is stamped late."""
         skew = log_parameters(effects).skew
         if not skew:
             return self.wrenches[i]
-        return (
-            self.used[i]
-            if self.used is not None
-            else shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
-        )
+        if self.used is not None:
+            return self.used[i]
+        return shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
 
     def noise_gain(self) -> float:
-        """Factor on white noise of the readings by the compensation of the first run; 1 where it is
-        not linear.
-        """
+        """Factor on white noise of the readings in the first run; 1 where not linear."""
         answer = self._answer()
         return 1.0 if answer is None else float(np.linalg.norm(answer))
 
@@ -121,10 +106,10 @@ class CompensationLink(Link):
             return None
         n = len(answer)
         lags = np.correlate(answer, answer, "full")[n - 1 : n + COLOUR_ORDER]
-        return np.concatenate([[1.0], -solve_toeplitz(lags[:-1], lags[1:])])
+        return whitening_filter(lags)
 
     def smoothing(self, effects: Effects) -> float:
-        tick = self.runs[0].scenario.tick
+        tick = self.tick
         shifts = (log_parameters(effects).skew, self.timing_with(effects).delay)
         parts = (abs(s / tick) % 1.0 for s in shifts)
         return math.prod(math.hypot(p, 1.0 - p) for p in parts)
@@ -137,21 +122,17 @@ class CompensationLink(Link):
         return np.asarray(lfilter(answer[RESPONSE_ROWS // 4 :] ** 2, 1.0, variance, axis=0))
 
     def memory(self) -> float | None:
-        """[s] after which the compensation of the first run has forgotten a reading; None where it
-        is not linear.
-        """
+        """[s] after which the first run has forgotten a reading; None where not linear."""
         answer = self._answer()
         if answer is None:
             return None
         lasting = np.flatnonzero(
             np.abs(answer[RESPONSE_ROWS // 4 :]) > MEMORY_TOLERANCE * np.abs(answer).max()
         )
-        return float(lasting[-1] + 1) * self.runs[0].scenario.tick
+        return float(lasting[-1] + 1) * self.tick
 
     def _answer(self) -> Array | None:
-        """(RESPONSE_ROWS,) response to a unit impulse in the first run; None where the compensation
-        is not linear.
-        """
+        """(RESPONSE_ROWS,) response of the first run to an impulse; None where not linear."""
         scenario = self.runs[0].scenario
         if scenario.compensation.force.reads != {"wrench"}:
             return None

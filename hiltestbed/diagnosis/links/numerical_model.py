@@ -11,7 +11,15 @@ import numpy as np
 from scipy.optimize import minimize
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.diagnosis.links.base import Lane, Link, LinkRun, flat_pose, moved, padded
+from hiltestbed.diagnosis.links.base import (
+    Lane,
+    Link,
+    LinkRun,
+    flat_channels,
+    flat_pose,
+    moved,
+    padded,
+)
 from hiltestbed.diagnosis.settings import LEVER_ARM
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
@@ -29,19 +37,10 @@ class DynamicsLink(Link):
     """The numerical model: position, and attitude as a small rotation vector."""
 
     name = "dynamics"
-    channels = (
-        "pose_cmd.px",
-        "pose_cmd.py",
-        "pose_cmd.pz",
-        "pose_cmd.rx",
-        "pose_cmd.ry",
-        "pose_cmd.rz",
-    )
+    channels = flat_channels("pose_cmd")
 
     def __init__(self, runs: Sequence[LinkRun], wrenches: Sequence[Array]) -> None:
-        """wrenches: (N, 6) wrench_comp of each run. The runs' `measured` is (N, 6), see
-        `flat_pose`.
-        """
+        """wrenches: (N, 6) wrench_comp of each run, whose `measured` is as of `flat_pose`."""
         self.runs = runs
         self._wrenches = padded(wrenches)
         self._errors = [np.zeros((r.rows, 6)) for r in runs]
@@ -52,16 +51,14 @@ class DynamicsLink(Link):
         each run, which go on for its length.
 
         Of a wrench whose stamps are shifted, the record lacks up to a row at one end, of which only
-        the noise, ``level`` (6,) [N, N m], is
-        known: it makes the bodies drift.
+        the noise, ``level`` (6,) [N, N m], is known: it makes the bodies drift.
         """
         out, terms = copy(self), [np.empty((r.rows, 6, 6)) for r in self.runs]
-        everything = [(i, ()) for i in range(len(self.runs))]
-        believed = self.predict(everything)
+        believed = self.shown_in_all()
         for axis in range(6):
             first = self._wrenches.copy()
             first[:, 0, axis] += level[axis]
-            shown = DynamicsLink(self.runs, list(first)).predict(everything)
+            shown = DynamicsLink(self.runs, list(first)).shown_in_all()
             for t, a, b in zip(terms, believed, shown, strict=True):
                 t[:, :, axis] = b - a
         out.runs = [r.with_nuisances(t) for r, t in zip(self.runs, terms, strict=True)]
@@ -84,9 +81,7 @@ class DynamicsLink(Link):
         return out
 
     def noisier(self, left: Sequence[tuple[int, Array]]) -> DynamicsLink:
-        """With noise of the wrenches' record, of one level and in proportion to the reading, that
-        makes the departures most likely.
-        """
+        """With noise of the recorded wrenches that makes the departures most likely."""
         sizes = [self._wrenches[i, : self.runs[i].rows] ** 2 for i, _ in left]
         gains = self._gains() ** 2
         floor = np.sqrt(max(float(s.mean()) for s in sizes))
@@ -135,10 +130,8 @@ class DynamicsLink(Link):
             [self.runs[i].scenario for i in run],
             stack([DynamicsParameters.of(effects) for _, effects in lanes]),
         )
-        places, tick = (
-            [self.timing_with(effects) for _, effects in lanes],
-            self.runs[0].scenario.tick,
-        )
+        places = [self.timing_with(effects) for _, effects in lanes]
+        tick = self.tick
         wrenches, driven = self._wrenches, run
         if any(place.before for place in places):
             wrenches = np.stack(

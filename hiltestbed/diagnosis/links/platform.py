@@ -13,6 +13,7 @@ from hiltestbed.diagnosis.links.base import (
     Link,
     LinkRun,
     Timing,
+    flat_channels,
     flat_pose,
     moved,
     padded,
@@ -34,26 +35,15 @@ JUMP_READING_ERROR = 0.5
 
 
 class PlatformLink(Link):
-    """The motion platform: its response to the command, and the deflection of the believed
-    drives.
-    """
+    """The motion platform: its response to the command, and the believed deflection."""
 
     name = "platform"
-    channels = (
-        "pose_act.px",
-        "pose_act.py",
-        "pose_act.pz",
-        "pose_act.rx",
-        "pose_act.ry",
-        "pose_act.rz",
-    )
+    channels = flat_channels("pose_act")
 
     def __init__(
         self, runs: Sequence[LinkRun], commands: Sequence[Array], deflection: Sequence[Array]
     ) -> None:
-        """commands: (N, 7) pose_cmd of each run. deflection: (N, 6) of the believed drives from it
-        [m, rad].
-        """
+        """commands: (N, 7) of each run. deflection: (N, 6) of the believed drives [m, rad]."""
         self.runs, self.commands, self.deflection = runs, commands, deflection
         self._padded = padded(commands)
         starts = [approach_state(r.scenario)[None, :7] for r in runs]
@@ -79,9 +69,7 @@ class PlatformLink(Link):
         return out
 
     def places(self, lanes: Sequence[Lane]) -> Array:
-        """(L, N, 3) positions [m] that the platform reaches in each lane, without the deflection of
-        its drives.
-        """
+        """(L, N, 3) positions [m] that are reached in each lane, without the deflection."""
         run = np.array([i for i, _ in lanes])
         scenarios = [self.runs[i].scenario for i in run]
         parameters = [
@@ -100,14 +88,8 @@ class PlatformLink(Link):
                 for c, n in zip(self._padded[run], lost, strict=True)
             ]
         )
-        found = replay_platform(
-            scenarios,
-            parameters,
-            commands,
-            np.arange(len(lanes)),
-            obeyed,
-            early + lost * scenarios[0].tick,
-        )
+        early, lane = early + lost * scenarios[0].tick, np.arange(len(lanes))
+        found = replay_platform(scenarios, parameters, commands, lane, obeyed, early)
         return np.stack(
             [
                 np.concatenate([np.repeat(p[:1], n, axis=0), p[: len(p) - n]])
@@ -117,18 +99,15 @@ class PlatformLink(Link):
 
     def _with_errors(self, i: int) -> PlatformLink:
         commands = perturbed(self.commands[i], self.rounding[i])
-        count = len(commands)
-        return PlatformLink(
-            [self.runs[i]] * count, commands, [self.deflection[i]] * count
-        ).with_timing(self.timing)
+        runs, still = [self.runs[i]] * len(commands), [self.deflection[i]] * len(commands)
+        return PlatformLink(runs, commands, still).with_timing(self.timing)
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) uncertainty of where a platform jumps, bends or stops.
 
         With stiction: its change in rows whose jump may have come a row sooner or later. Where
-            other links show that stamps lie between
-        rows: its bend within half a tick, which interpolation between rows cuts off. None
-            otherwise.
+        other links show that stamps lie between rows: its bend within half a tick, which
+        interpolation between rows cuts off. None otherwise.
         """
         tick = self.runs[i].scenario.tick
         if any(e.kind == PlatformFriction.model_fields["kind"].default for e in effects):
@@ -147,13 +126,9 @@ class PlatformLink(Link):
         return np.abs(early + late - 2.0 * now)
 
     def paths(self, effects: Effects) -> list[Array]:
-        """(N, 7) poses that the platform reaches in each run, with the commanded attitude, as they
-        are stamped.
-        """
-        reached, late = (
-            self._reached([(i, effects) for i in range(len(self.runs))]),
-            self.timing.delay + self.timing.before,
-        )
+        """(N, 7) poses reached in each run, with the commanded attitude, as stamped."""
+        reached = self._reached([(i, effects) for i in range(len(self.runs))])
+        late = self.timing.delay + self.timing.before
         return [
             poses_of(moved(r, late / run.scenario.tick))
             for r, run in zip(reached, self.runs, strict=True)
@@ -161,9 +136,7 @@ class PlatformLink(Link):
 
 
 def poses_of(flat: Array) -> Array:
-    """(N, 7) poses of positions and small rotation vectors (N, 6), the inverse of
-    :func:`flat_pose`.
-    """
+    """(N, 7) poses of positions and small rotations (N, 6), the inverse of :func:`flat_pose`."""
     half = 0.5 * flat[:, 3:]
     w = np.sqrt(np.maximum(1.0 - np.sum(half * half, axis=1, keepdims=True), 0.0))
     return np.concatenate([flat[:, :3], half, w], axis=1)

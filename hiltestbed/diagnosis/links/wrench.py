@@ -39,6 +39,7 @@ from hiltestbed.replay.wrench import WHOLE, shifted
 from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
+from hiltestbed.signals import GROUPS
 
 MANY_ROWS = 8_000  # chosen: of all runs, from which a search of a docking takes minutes
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal distribution
@@ -55,9 +56,7 @@ _NO_LOG_EFFECT = log_parameters(())
 
 
 class _Numbers(NamedTuple):
-    """Contacts and sensor as a scenario describes them: the contacts of the rules, which of them
-    each pair has, and their rows.
-    """
+    """Contacts and sensor of a scenario: contacts of the rules, those of each pair, their rows."""
 
     contacts: list[ContactParameters]
     rules: Sequence[int]
@@ -89,12 +88,11 @@ class WrenchLink(Link):
 
     Attributes:
         lever: where between the undeformed surface (0) and the tip (1) the force acts. blunt: 1
-            where the ball of the tip touches, 0 where
-        its foremost point does. ring: 1 where a latch resists turning, 0 where it does not. grid:
-            instants a tick between which a late reading is interpolated linearly, as by a facility
-            that computes its contact step by step; None: it is the reading at the instant at which
-            it left the contact. The rate of a contact jumps from one tick to the next, so that the
-            two differ.
+            where the ball of the tip touches, 0 where its foremost point does. ring: 1 where a
+            latch resists turning, 0 where it does not. grid: instants a tick between which a late
+            reading is interpolated linearly, as by a facility that computes its contact step by
+            step; None: it is the reading at the instant at which it left the contact. The rate of a
+            contact jumps from one tick to the next, so that the two differ.
         logged: the filter through which readings went to the record; None: none.
         of_rows: of the record, whose mean each row is. exact: whether a mount is integrated to
             second order, and corrected to the exact integral by what that misses of the believed
@@ -102,14 +100,7 @@ class WrenchLink(Link):
     """
 
     name = "wrench"
-    channels = (
-        "wrench_meas.fx",
-        "wrench_meas.fy",
-        "wrench_meas.fz",
-        "wrench_meas.tx",
-        "wrench_meas.ty",
-        "wrench_meas.tz",
-    )
+    channels = GROUPS["wrench_meas"].columns
 
     def __init__(
         self,
@@ -119,8 +110,8 @@ class WrenchLink(Link):
         rates: Sequence[Array] | None = None,
     ) -> None:
         """paths: (N, 7) of A in P at t_k. jumps: (N,) distance [m] by which A jumped in the tick
-        that ends at t_k, at an unknown instant.
-        rates: (N, 6) its twist at t_k; None: the slope over the tick that ends there.
+        that ends at t_k, at an unknown instant. rates: (N, 6) its twist at t_k; None: the slope
+        over the tick that ends there.
         """
         self.runs, self.paths, self.jumps, self.rates = runs, paths, jumps, rates
         self.lever, self.blunt, self.ring, self.grid = 0.5, 1.0, 1.0, None
@@ -169,27 +160,19 @@ class WrenchLink(Link):
     ) -> WrenchLink:
         """The same link with another interpretation of what the facility leaves open."""
         out = copy(self)
-        lever, blunt = (
-            self.lever if lever is None else lever,
-            self.blunt if blunt is None else blunt,
-        )
-        ring = self.ring if ring is None else ring
-        if isinstance(self._felt, Felt) and (lever, blunt, ring) != (
-            self.lever,
-            self.blunt,
-            self.ring,
-        ):
-            out.lever, out.blunt, out.ring, out._felt = (
-                lever,
-                blunt,
-                ring,
-                replace(self._felt, lever=lever, blunt=blunt),
-            )
-            out._believed = [_numbers(r.scenario, lever, blunt, ring) for r in self.runs]
         out.grid = self.grid if grid is None else grid
         out.exact = self.exact if exact is None else exact
-        if isinstance(out._felt, Felt) and out.exact != out._felt.leapfrog:
-            out._felt = replace(out._felt, leapfrog=out.exact)
+        if isinstance(felt := self._felt, Felt):
+            out.lever = self.lever if lever is None else lever
+            out.blunt = self.blunt if blunt is None else blunt
+            out.ring = self.ring if ring is None else ring
+            read = (out.lever, out.blunt, out.ring)
+            if read != (self.lever, self.blunt, self.ring):
+                felt = replace(felt, lever=out.lever, blunt=out.blunt)
+                out._believed = [_numbers(r.scenario, *read) for r in self.runs]
+            if out.exact != self.exact:
+                felt = replace(felt, leapfrog=out.exact)
+            out._felt = felt
         out._step_error = out._missed_by_steps() if out.exact else None
         return out
 
@@ -214,9 +197,7 @@ class WrenchLink(Link):
         return out
 
     def as_interpreted(self, other: WrenchLink) -> WrenchLink:
-        """The same link with the interpretation and timing of another one, which may have fewer
-        rows.
-        """
+        """The same link with interpretation and timing of another, perhaps of fewer rows."""
         grid = (
             None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
         )
@@ -227,16 +208,12 @@ class WrenchLink(Link):
 
     @property
     def simulated(self) -> bool:
-        """Whether the contact force along a path is computed by simulating the mechanism's
-        physics.
-        """
+        """Whether the force along a path is computed by simulating the mechanism."""
         return isinstance(self._felt, Simulated)
 
     @property
     def costly(self) -> bool:
-        """Whether parts that move are integrated, or there are many rows of a surface that is
-        neither flat nor latched from the start.
-        """
+        """Whether parts that move are integrated, or many rows of a surface that is not flat."""
         simple = all(
             run.scenario.mechanism.flat or run.scenario.mechanism.captured for run in self.runs
         )
@@ -298,9 +275,7 @@ class WrenchLink(Link):
         return out
 
     def with_unknown_paths(self, changes: Sequence[Sequence[Array]]) -> WrenchLink:
-        """The same link whose paths may be off by any sum of ``changes`` (N, 6) [m, rad], those of
-        each run: a nuisance term for each.
-        """
+        """The same link, each of whose ``changes`` (N, 6) of the path is a nuisance."""
         out = copy(self)
         for change in zip(*changes, strict=True):
             paths = [
@@ -321,18 +296,13 @@ class WrenchLink(Link):
         rates: Sequence[Array] | None,
         times: float = 1.0,
     ) -> list[LinkRun]:
-        """The ``runs`` with a further nuisance term: ``times`` the change of the readings on other
-        paths (N, 7) and rates (N, 6).
-        """
-        everything = [(i, ()) for i in range(len(self.runs))]
+        """The ``runs`` with a nuisance term: the change of readings on other paths and rates."""
         other = (
             WrenchLink(self.runs, paths, self.jumps, rates)
             .as_interpreted(self)
             .through(self.logged)
         )
-        changes = [
-            b - a for a, b in zip(self.predict(everything), other.predict(everything), strict=True)
-        ]
+        changes = [b - a for a, b in zip(self.shown_in_all(), other.shown_in_all(), strict=True)]
         return [r.with_nuisances(times * c[:, :, None]) for r, c in zip(runs, changes, strict=True)]
 
     def with_unknown_rate(self) -> WrenchLink:
@@ -340,10 +310,10 @@ class WrenchLink(Link):
         known: a nuisance term of each run.
 
         Its standard deviation is a tick: the rate may be the slope of a tick or of its last half,
-            and pose, command and reading may each be up to half a tick from where they are stamped.
-            A latch that waits for A to be slow may then close a row later, a term of its own: what
-            it holds A with afterwards depends on where it closed. Where A jumps, these decide row
-            by row whether a reading shows the jump: readings beside a jump then do not count.
+        and pose, command and reading may each be up to half a tick from where they are stamped. A
+        latch that waits for A to be slow may then close a row later, a term of its own: what it
+        holds A with afterwards depends on where it closed. Where A jumps, these decide row by row
+        whether a reading shows the jump: readings beside a jump then do not count.
         """
         out = copy(self)
         out.unknown_rate = True
@@ -361,16 +331,12 @@ class WrenchLink(Link):
         return out
 
     def _closing_later(self, rates: Sequence[Array]) -> list[Array] | None:
-        """The rates with which each latch closes a row later, where it waits for A to be slow; None
-        where none does.
-        """
+        """The rates with which each latch that waits closes a row later; None: none does."""
         out, waits = [], False
         for run, path, rate in zip(self.runs, self.paths, rates, strict=True):
-            mechanism, limits, held = (
-                run.scenario.mechanism,
-                latch_limits([run.scenario])[0],
-                rate.copy(),
-            )
+            mechanism = run.scenario.mechanism
+            limits = latch_limits([run.scenario])[0]
+            held = rate.copy()
             out.append(held)
             if mechanism.latch is None or mechanism.captured:
                 continue
@@ -395,21 +361,16 @@ class WrenchLink(Link):
         )
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
-        moved = (
-            [
-                n
-                for n, (_, effects) in enumerate(lanes)
-                if any(e.link == "platform" for e in effects)
-            ]
-            if self.commands
-            else []
-        )
-        if not moved:
+        moves = [
+            bool(self.commands) and any(e.link == "platform" for e in effects)
+            for _, effects in lanes
+        ]
+        if not any(moves):
             return self._felt_by(lanes)
-        rest = [n for n in range(len(lanes)) if n not in set(moved)]
-        out = dict(zip(rest, self._felt_by([lanes[n] for n in rest]) if rest else [], strict=True))
-        out |= dict(zip(moved, self._moved([lanes[n] for n in moved]), strict=True))
-        return [out[n] for n in range(len(lanes))]
+        rest = [lane for lane, m in zip(lanes, moves, strict=True) if not m]
+        others = iter(self._felt_by(rest) if rest else [])
+        moved = iter(self._moved([lane for lane, m in zip(lanes, moves, strict=True) if m]))
+        return [next(moved if m else others) for m in moves]
 
     def _moved(self, lanes: Sequence[Lane]) -> list[Array]:
         """Predictions on the paths of a platform with effects, with the commanded attitude."""
@@ -423,49 +384,34 @@ class WrenchLink(Link):
             scenarios, parameters, padded(self.commands or ()), np.array([i for i, _ in lanes])
         )
         paths = [
-            np.concatenate(
-                [p[: r.rows] + self.deflection[i][: r.rows, :3], self.paths[i][: r.rows, 3:]],
-                axis=1,
+            np.column_stack(
+                [p[: r.rows] + self.deflection[i][: r.rows, :3], self.paths[i][: r.rows, 3:]]
             )
             for p, r, (i, _) in zip(places, runs, lanes, strict=True)
         ]
-        rates = (
-            None
-            if self.rates is None
-            else [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
-        )
+        rates = None
+        if self.rates is not None:
+            rates = [central_rates(r.scenario, p) for r, p in zip(runs, paths, strict=True)]
         link = WrenchLink(runs, paths, None, rates).interpreted(
             self.lever, self.grid, self.blunt, self.exact, self.ring
         )
         link = link.with_timing(self.timing)
-        return link.through(self.logged).predict(
-            [
-                (n, [e for e in effects if e.link != "platform"])
-                for n, (_, effects) in enumerate(lanes)
-            ]
-        )
+        rest = [[e for e in effects if e.link != "platform"] for _, effects in lanes]
+        return link.through(self.logged).predict(list(enumerate(rest)))
 
     def _felt_by(self, lanes: Sequence[Lane]) -> list[Array]:
         shown = self._read(self._felt, lanes)
-        if self._step_error is not None:
-            shown = [
-                reading + self._step_error[i] for reading, (i, _) in zip(shown, lanes, strict=True)
-            ]
+        if (error := self._step_error) is not None:
+            shown = [reading + error[i] for reading, (i, _) in zip(shown, lanes, strict=True)]
         return [self.logged(reading) for reading in shown] if self.logged else shown
 
     def _read(self, felt: Felt | Simulated, lanes: Sequence[Lane]) -> list[Array]:
         """(N, 6) reading of each lane as it is stamped, on the paths of ``felt``."""
-        read, tick = [self._lane(i, effects) for i, effects in lanes], self.runs[0].scenario.tick
+        read, tick = [self._lane(i, effects) for i, effects in lanes], self.tick
         # stamped before its contact: read later, by whole rows
         ahead = [max(math.ceil(-_lateness(lane) / tick), 0) for lane in read]
-        found = replay_wrench(
-            felt,
-            [
-                lane._replace(later=lane.later + n * tick)
-                for lane, n in zip(read, ahead, strict=True)
-            ],
-            self.grid,
-        )
+        later = [x._replace(later=x.later + n * tick) for x, n in zip(read, ahead, strict=True)]
+        found = replay_wrench(felt, later, self.grid)
         late = [
             self.timing_with(effects).before / tick - n
             for n, (_, effects) in zip(ahead, lanes, strict=True)
@@ -491,9 +437,7 @@ class WrenchLink(Link):
         return FeltLane(i, rows, sensor, log, self.timing_with(effects).delay, acting)
 
     def penetration(self, i: int) -> Array:
-        """(N,) penetration in run i by geometry [m]: the deepest contact, negative while apart; for
-        a latched mechanism along z.
-        """
+        """(N,) [m] of run i by geometry: the deepest contact; if latched, along z."""
         if self.runs[i].scenario.mechanism.captured:
             return self.paths[i][:, 2]
         if isinstance(self._felt, Simulated):
@@ -501,25 +445,18 @@ class WrenchLink(Link):
         return np.asarray(self._felt.met[0][i, : self.runs[i].rows].max(axis=1, initial=-1.0))
 
     def lateness(self, i: int, effects: Effects) -> float:
-        """[s] by which the reading of run i is later than the contact; negative: it is stamped
-        before it.
-        """
+        """[s] by which the reading of run i is later than the contact."""
         return _lateness(self._lane(i, effects))
 
     def slopes(self, effects: Effects) -> list[Array]:
-        """(N, 6) rate of the reading in each run [N/s, N m/s], which a delay of the sample
-        multiplies.
-        """
-        everything = range(len(self.runs))
-        step = self.runs[0].scenario.tick / 2.0
-        early = self.predict([(i, [*effects, Timing(delay=-step)]) for i in everything])
-        late = self.predict([(i, [*effects, Timing(delay=step)]) for i in everything])
+        """(N, 6) rate of the reading in each run [N/s, N m/s], which a late sample multiplies."""
+        step = self.tick / 2.0
+        early = self.shown_in_all([*effects, Timing(delay=-step)])
+        late = self.shown_in_all([*effects, Timing(delay=step)])
         return [(a - b) / (2.0 * step) for a, b in zip(early, late, strict=True)]
 
     def shaken(self, i: int, effects: Effects, sigma: float) -> tuple[Array, Array]:
-        """(N, 6) mean and standard deviation of the reading [N, N m] for a delay that varies by
-        sigma [s] from sample to sample.
-        """
+        """(N, 6) mean and deviation of the reading, for a delay that varies by sigma [s]."""
         nominal = max(self.lateness(i, effects), 0.0)
         found = self.predict(
             [(i, [*effects, Timing(delay=float(max(sigma * node, -nominal)))]) for node in NODES]
@@ -534,9 +471,9 @@ class WrenchLink(Link):
         """(N, 6) uncertainty of a reading due to what a replay does not know.
 
         It has three parts: what happens between two instants of the physics, which is large at a
-            touch or a jump; noise that decides whether a force at the edge of a dead zone is read;
-            and the correction for the steps of a mount, which is that of the believed motion, errs
-            alike over many rows and counts like noise that is larger by the root of a block.
+        touch or a jump; noise that decides whether a force at the edge of a dead zone is read; and
+        the correction for the steps of a mount, which is that of the believed motion, errs alike
+        over many rows and counts like noise that is larger by the root of a block.
         """
         of_steps = (
             0.0 if self._step_error is None else math.sqrt(BLOCK_ROWS) * np.abs(self._step_error[i])
@@ -570,9 +507,7 @@ class WrenchLink(Link):
         return out
 
     def beside_jumps(self, i: int, effects: Effects = ()) -> np.ndarray:
-        """(N,) bool: rows whose reading may be of a tick in which A jumps, or of one beside it,
-        where instants are not known.
-        """
+        """(N,) bool: rows whose reading may be of a tick in which A jumps, or beside it."""
         if self.jumps is None or not self.unknown_rate:
             return np.zeros(self.runs[i].rows, dtype=bool)
         jumps, late, tick = self.jumps[i], self.lateness(i, effects), self.runs[i].scenario.tick

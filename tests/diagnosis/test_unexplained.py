@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.contradiction import contradiction, range_of_half
-from hiltestbed.diagnosis.describe import describe
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
+from hiltestbed.diagnosis.unexplained import contradiction, describe, range_of_half
 from hiltestbed.effects import Effect
 from hiltestbed.frames import Array
 

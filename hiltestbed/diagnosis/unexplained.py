@@ -1,0 +1,175 @@
+"""Stage "decide": what can be said of a departure that no effect explains: what its residual
+correlates with, where in position it sits, and whether the runs contradict each other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
+from hiltestbed.diagnosis.fit import Fit, fit
+from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
+from hiltestbed.diagnosis.links.base import Effects
+from hiltestbed.diagnosis.plain import listed
+from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.search import Explanation, first_of_each
+from hiltestbed.diagnosis.settings import DETECTION, PENALTY
+from hiltestbed.frames import Array
+
+BINS = 100  # of the travel; a range is then known to 1 % of it
+HALF = 0.5  # of the sum of squares of a residual
+SHAPE_ROWS = 9  # chosen: of the running mean before the correlation
+MIN_CORRELATION = 0.6  # chosen: from which a quantity is named
+
+
+def describe(explanation: Explanation, name: str) -> str:
+    """A sentence on the residual of the chosen explanation."""
+    residual, effects = explanation.residual, explanation.chosen.effects()
+    link = residual.link
+    channel = max(explanation.leftovers, key=lambda c: explanation.leftovers[c].excess)
+    column = link.channels.index(channel)
+    phases, shape = _phases(residual, effects, column), _shape(residual, effects, column)
+    worst = max(phases, key=lambda p: phases[p])
+    figures = ", ".join(f"{phase} {value:.2g}" for phase, value in phases.items())
+    along = shape or "none of penetration, rate, their product, force or time"
+    contrary = contradiction(explanation)
+    contradicted = f"; {contrary}" if contrary else ""
+    words = " and ".join(explanation.chosen.kinds)
+    taken = f"with {words} removed, " if words else ""
+    return (
+        f"{name}: {taken}the largest residual is on {channel}, {worst} (times the noise: "
+        f"{figures}); it correlates with {along}{_where(residual, effects, column)}"
+        f"{contradicted}"
+    )
+
+
+def _where(residual: Residual, effects: Effects, column: int) -> str:
+    """Where along the insertion half of the residual in contact sits, in words; empty on links
+    without a path.
+    """
+    link = residual.link
+    if not isinstance(link, WrenchLink):
+        return ""
+    parts = [
+        (link.paths[i][inside, 2], residual.of_run(i, effects)[inside, column])
+        for i in residual.runs
+        if (inside := link.runs[i].touching).any()
+    ]
+    if not parts:
+        return ""
+    position, left = (np.concatenate(p) for p in zip(*parts, strict=True))
+    low, high = (1e3 * x for x in range_of_half(position, left))
+    first, last = 1e3 * position.min(), 1e3 * position.max()
+    return (
+        f"; half of it sits between {low:.3g} and {high:.3g} mm of pz, of {first:.3g} to "
+        f"{last:.3g} mm in contact"
+    )
+
+
+def _phases(residual: Residual, effects: Effects, column: int) -> dict[str, float]:
+    names = ("before the touch", "while loading", "while unloading", "after the contact")
+    parts: dict[str, list[Array]] = {name: [] for name in names}
+    for i in residual.runs:
+        z, run = residual.of_run(i, effects)[:, column], residual.link.runs[i]
+        touched = np.logical_or.accumulate(run.touching)
+        parts["before the touch"].append(z[~touched])
+        parts["after the contact"].append(z[touched & ~run.touching])
+        inside = np.flatnonzero(run.touching)
+        if len(inside):
+            force = np.abs(run.measured[:, min(2, run.measured.shape[1] - 1)])
+            top = inside[int(np.argmax(force[inside]))]
+            parts["while loading"].append(z[inside[inside <= top]])
+            parts["while unloading"].append(z[inside[inside > top]])
+    joined = {phase: np.concatenate(z) for phase, z in parts.items() if z}
+    return {phase: float(np.sqrt(np.mean(z * z))) for phase, z in joined.items() if len(z)}
+
+
+def _shape(residual: Residual, effects: Effects, column: int) -> str:
+    link = residual.link
+    paths = link.paths if isinstance(link, WrenchLink) else None
+    paths = link.commands if isinstance(link, PlatformLink) else paths
+    left, columns, quantities = [], [], {}
+    for i in residual.runs:
+        run = link.runs[i]
+        z = np.convolve(
+            residual.of_run(i, effects)[:, column], np.ones(SHAPE_ROWS) / SHAPE_ROWS, "same"
+        )
+        depth = paths[i][:, 2] if paths is not None else np.zeros(len(z))
+        rate = np.gradient(depth, run.scenario.tick)
+        force = link.shown(i, effects)[:, min(2, len(link.channels) - 1)]
+        t = np.arange(len(z)) * run.scenario.tick
+        inside = run.touching if run.touching.any() else np.ones(len(z), dtype=bool)
+        start = t[inside][0]
+        left.append(z[inside])
+        quantities = {
+            "the penetration": depth,
+            "its rate": rate,
+            "penetration times rate": depth * rate,
+            "penetration, with the sign of the rate": np.abs(depth) * np.sign(rate),
+            "the sign of the rate": np.sign(rate),
+            "the cube of the penetration": depth**3,
+            "the force": force,
+            "the time in contact": t - start,
+        }
+        columns.append(np.column_stack(list(quantities.values()))[inside])
+    y, x, names = np.concatenate(left), np.concatenate(columns), list(quantities)
+    if len(y) < 20 or np.std(y) == 0:
+        return ""
+    match = [abs(float(np.corrcoef(y, c)[0, 1])) if np.std(c) > 0 else 0.0 for c in x.T]
+    best = int(np.argmax(match))
+    return f"{names[best]} (correlation {match[best]:.2f})" if match[best] > MIN_CORRELATION else ""
+
+
+def contradiction(found: Explanation) -> str:
+    """One effect that leaves only noise in each run alone, with sizes that differ, in words; empty
+    where no single effect does, or where there is one run.
+
+    Sizes differ where those of their own take more off chi-square than so many more parameters of
+    any effect have to: the threshold of a further effect, and the penalty of each parameter.
+    """
+    if len(found.residual.runs) < 2:
+        return ""
+    for known in first_of_each([f for f in found.singles if f.causes], "kinds"):
+        alone = _in_each_run(found, known)
+        if not alone:
+            continue
+        joint = fit(found.residual, known.causes, [known.theta], tries=1)
+        if joint.chi2 - sum(f.chi2 for f in alone) > DETECTION + PENALTY * len(known.theta) * (
+            len(alone) - 1
+        ):
+            sizes = ", ".join(
+                f"{listed(f.effects()[0].parameters())} in run {i}"
+                for i, f in zip(found.residual.runs, alone, strict=True)
+            )
+            return (
+                f"the runs contradict each other: {known.kinds[0]} explains each of them alone, "
+                f"with a size that changes from run to run, or with what differs between them "
+                f"({sizes})"
+            )
+    return ""
+
+
+def _in_each_run(found: Explanation, known: Fit) -> list[Fit] | None:
+    """The fits of one cause to each run alone; None where one of them leaves more than noise."""
+    if JITTER in known.kinds:
+        return None
+    out = []
+    for i in found.residual.runs:
+        run = found.residual.on([i])
+        alone = fit(run, known.causes, [known.theta], tries=1)
+        if not noise_alone(contact_leftovers(run, alone.effects())):
+            return None
+        out.append(alone)
+    return out
+
+
+def range_of_half(position: Array, residual: Array) -> tuple[float, float]:
+    """The shortest range of ``position`` (N,) that holds half of the sum of squares of a
+    ``residual`` (N,).
+    """
+    squares, edges = np.histogram(position, bins=BINS, weights=residual**2)
+    total = np.concatenate([[0.0], np.cumsum(squares)])
+    ends = np.searchsorted(total, total[:-1] + HALF * total[-1])
+    widths = np.where(ends <= BINS, ends - np.arange(BINS), BINS + 1)
+    first = int(np.argmin(widths))
+    return float(edges[first]), float(edges[min(int(ends[first]), BINS)])
