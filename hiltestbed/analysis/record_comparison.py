@@ -16,7 +16,6 @@ from hiltestbed.analysis.alignment import Shift, shift_between
 from hiltestbed.config.dataset import Channel, load_dataset
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
-from hiltestbed.measured.columns import near
 from hiltestbed.measured.formats import read_columns
 from hiltestbed.measured.values import SAME, signal
 from hiltestbed.run_folder.store import SUMMARY, read_run
@@ -209,7 +208,7 @@ def _read(path: Path, channels: Mapping[str, Channel], tick: float | None) -> Re
                         None,
                         None,
                         "t",
-                        f"no column {time!r} of times; {near([time], columns.names)}; name it in "
+                        f"no column {time!r} of times; {columns.nearest([time])}; name it in "
                         f"--channels DATASET, channels: {{t: {{column: ...}}}}",
                     )
                 )
@@ -228,7 +227,7 @@ def _read(path: Path, channels: Mapping[str, Channel], tick: float | None) -> Re
                 None,
                 "channels",
                 f"holds none of the columns {', '.join(f'{g}.*' for g in GROUPS_READ)} "
-                f"({near(['pose_act'], columns.names)}); map them with --channels DATASET",
+                f"({columns.nearest(['pose_act'])}); map them with --channels DATASET",
             )
         )
     return _ends(found, tick)

@@ -92,6 +92,7 @@ def _answer(answer: dict, file: Path) -> Columns:
         answer["missing"],
         answer["others"],
         tuple(answer["notes"]),
+        answer["topics"],
     )
 
 

@@ -12,7 +12,7 @@ from hiltestbed.config.dataset import Channel
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array, quat_from_attitude_deg
 from hiltestbed.measured.clock import Clock, bend, check_clock, start_of_run, to_ticks
-from hiltestbed.measured.columns import Columns, is_under, near
+from hiltestbed.measured.columns import Columns
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.measured.formats import read_columns
 from hiltestbed.measured.held import without_held
@@ -73,7 +73,7 @@ def read_record(
                 None,
                 None,
                 "channels",
-                f"{what} ({near(['pose_act'], columns.names)}); name its columns there",
+                f"{what} ({columns.nearest(['pose_act'])}); name its columns there",
             )
         )
     values, source = _attitudes(file, values, source)
@@ -114,14 +114,7 @@ def _refuse_missing(
     """Raises InputError, one fault for all columns that the channel map names and the file lacks,
     and one for each thing in the file whose name is that of wanted columns but is none.
     """
-    others = [
-        Fault(str(file), None, None, name, what)
-        for name, what in columns.others.items()
-        if any(is_under(column, name) for column in source.values())
-        and not any(is_under(column, name) for column in columns.data)
-    ]
-    if others:
-        raise InputError(others)
+    columns.refuse_others(file, source.values())
     missing = [
         name
         for name in channels
@@ -131,7 +124,7 @@ def _refuse_missing(
         wanted = [source[name] for name in missing]
         what = (
             f"names no column of the file (got {', '.join(map(repr, wanted))}); "
-            f"{near(wanted, columns.names)}"
+            f"{columns.nearest(wanted)}"
         )
         raise InputError(
             Fault(str(file), None, None, ", ".join(f"channels.{name}" for name in missing), what)
@@ -181,7 +174,7 @@ def _stamps(
     """
     shared = columns.data.get(source["t"])
     if shared is None and not all(source[name] in columns.clock for name in values):
-        what = f"has no time column {source['t']!r}; {near([source['t']], columns.names)}"
+        what = f"has no time column {source['t']!r}; {columns.nearest([source['t']])}"
         raise InputError(
             Fault(
                 str(file),
