@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from hiltestbed.frames import Array
 
 DAY = 86400.0  # [s]
-_STAMP = re.compile(
+STAMP = re.compile(
     r"(?:(\d{1,4})[-./](\d{1,2})[-./](\d{1,4})[T ]+)?"
     r"(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?\s*([AaPp][Mm])?\s*(?:Z|UTC|[+-]\d{2}:?\d{2})?"
 )
@@ -36,7 +36,7 @@ def seconds(values: np.ndarray) -> Array | None:
         text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
         if text is None or text == "":
             continue
-        found = _STAMP.fullmatch(text.strip()) if isinstance(text, str) else None
+        found = STAMP.fullmatch(text.strip()) if isinstance(text, str) else None
         if found is None:
             return None
         *day, hour, minute, second, half = found.groups()
