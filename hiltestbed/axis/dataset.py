@@ -158,9 +158,13 @@ class LoadedAxis:
     def model(self) -> AxisModel:
         """The nominal model of the records."""
         spec = self.spec
-        given = spec.nominal.model_dump()
-        nominal = {k: given[k] for k in NUMBERS[spec.axis] if given[k] is not None}
-        return model_of(spec.axis, self.records, nominal, spec.rotates, spec.effects)
+        return model_of(spec.axis, self.records, nominal_of(spec), spec.rotates, spec.effects)
+
+
+def nominal_of(spec: AxisDataset) -> dict[str, float]:
+    """The numbers that its owner believes, by name."""
+    given = spec.nominal.model_dump()
+    return {k: given[k] for k in NUMBERS[spec.axis] if given[k] is not None}
 
 
 def is_axis(source: Source) -> bool:
