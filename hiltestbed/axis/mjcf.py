@@ -69,7 +69,7 @@ class Model:
     def option(self) -> str:
         return (
             f'<option timestep="{number(self.step)}" integrator="implicitfast" '
-            f'gravity="0 0 {number(-self.gravity)}"/>'
+            f'gravity="0 0 {number(-self.gravity or 0.0)}"/>'
         )
 
     def sensor(self) -> str:
