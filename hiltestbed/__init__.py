@@ -63,29 +63,23 @@ __all__ = [
     "write_run",
 ]
 
-_HOME = {
-    "Comparison": "analysis.comparison",
-    "Diagnosis": "diagnosis.report.diagnosis",
-    "Run": "run_folder.result",
-    "RunTrace": "signals",
-    "Scenario": "scenario",
-    "Sweep": "campaign.sweep",
-    "compare": "analysis.comparison",
-    "diagnose": "diagnosis.diagnose",
-    "dump_scenario": "scenario",
-    "load_campaign": "campaign.schema",
-    "load_dataset": "config.dataset",
-    "load_plugins": "plugins",
-    "load_scenario": "scenario",
-    "read_run": "run_folder.store",
-    "read_sweep": "campaign.sweep",
-    "replay_failure": "supervision.failure",
-    "run": "simulation",
-    "run_batch": "simulation",
-    "shipped": "config.gallery",
-    "sweep": "campaign.sweep",
-    "write_run": "run_folder.store",
+_HOMES = {  # module, to the public names in it
+    "analysis.comparison": ("Comparison", "compare"),
+    "campaign.schema": ("load_campaign",),
+    "campaign.sweep": ("Sweep", "read_sweep", "sweep"),
+    "config.dataset": ("load_dataset",),
+    "config.gallery": ("shipped",),
+    "diagnosis.diagnose": ("diagnose",),
+    "diagnosis.report.diagnosis": ("Diagnosis",),
+    "plugins": ("load_plugins",),
+    "run_folder.result": ("Run",),
+    "run_folder.store": ("read_run", "write_run"),
+    "scenario": ("Scenario", "dump_scenario", "load_scenario"),
+    "signals": ("RunTrace",),
+    "simulation": ("run", "run_batch"),
+    "supervision.failure": ("replay_failure",),
 }
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

@@ -52,9 +52,7 @@ class Fault:
 
 
 class InputError(HiltestbedError):
-    """The input cannot be used; `faults` contains every fault that was found, each with one line in
-    the message.
-    """
+    """The input cannot be used; `faults` has every fault found, a line each in the message."""
 
     exit_status = 2
 

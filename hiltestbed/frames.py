@@ -165,9 +165,7 @@ def pose_compose(pose_WP, pose_PA, out):
 
 @njit(cache=True)
 def wrench_moved(pose_PS, wrench_S, out):
-    """``out``: ``wrench_S``, expressed in S at S's origin, in P at P's origin; ``pose_PS`` is the
-    pose of S in P.
-    """
+    """``out``: ``wrench_S`` in S at S's origin, in P at P's origin; ``pose_PS``: of S in P."""
     rotate(pose_PS[3:7], wrench_S[0:3], out[0:3])
     rotate(pose_PS[3:7], wrench_S[3:6], out[3:6])
     arm = np.empty(3)
@@ -193,9 +191,7 @@ def pose_step(pose, twist, h, out):
 
 @njit(cache=True)
 def twist_between(pose_0, pose_1, h, out):
-    """``out``: the constant twist that takes ``pose_0`` to ``pose_1`` in ``h`` [s], linear and
-    angular separately.
-    """
+    """``out``: the constant twist from ``pose_0`` to ``pose_1`` in ``h`` [s], as in pose_step."""
     q = np.empty(4)
     inverse = np.empty(4)
     for i in range(3):

@@ -34,21 +34,6 @@ from hiltestbed.signals import Trace
 from hiltestbed.supervision.monitoring import ProcessMonitor
 from hiltestbed.supervision.safety import Safety
 
-ROW = (
-    "pose_cmd",
-    "pose_act",
-    "twist_cmd",
-    "twist_act",
-    "wrench_true",
-    "wrench_meas",
-    "wrench_comp",
-    "slider_cmd",
-    "slider_act",
-    "upper_cmd",
-    "upper_act",
-    "stiffness_est",
-    "damping_est",
-)
 # [m] a larger commanded position counts as divergence: forty times the platform's reach
 POSE_LIMIT = 10.0
 
@@ -79,9 +64,7 @@ class RigSide(Protocol):
 
 
 class SensorSide(Protocol):
-    """The force sensor as seen by the loop; implemented by
-    :class:`~hiltestbed.sensor.sensor.Sensor`.
-    """
+    """The force sensor, :class:`~hiltestbed.sensor.sensor.Sensor`, as seen by the loop."""
 
     reading: Array
 
@@ -189,9 +172,7 @@ class Loop:
         self.k = k + 1
 
     def _kept(self, trace: Trace | None) -> Callable[[int], bool]:
-        """The call that updates figures, contacts and the row of a tick, and returns whether a run
-        is lost.
-        """
+        """The call that updates figures, contacts and row; returns whether a run is lost."""
         drive, (traced, pose, twist, wrench) = self.drive, self._keeping
         if (
             trace is not traced
@@ -212,45 +193,33 @@ class Loop:
         return self._keep
 
     def row_of(self, trace: Trace) -> Callable[[int], None]:
-        """The call that writes row k of a trace: the readings at t_k and the commands computed from
-        them.
-        """
+        """The call that writes row k: the readings at t_k and the commands from them."""
         drive, plant, known = self.drive, self.plant, self.measurement
-        now = (
-            drive.pose,
-            plant.pose_act,
-            drive.twist,
-            plant.twist_act,
-            self._wrench,
-            self.sensor.reading,
-            drive.wrench,
-            plant.slider_cmd,
-            plant.slider_act,
-            plant.upper_cmd,
-            plant.upper_act,
-            known.stiffness,
-            known.damping,
-        )
-        return bound(
-            _write, ..., *now, *(trace.data[name] for name in ROW), plant.contact, trace.contact
+        now = {
+            "pose_cmd": drive.pose,
+            "pose_act": plant.pose_act,
+            "twist_cmd": drive.twist,
+            "twist_act": plant.twist_act,
+            "wrench_true": self._wrench,
+            "wrench_meas": self.sensor.reading,
+            "wrench_comp": drive.wrench,
+            "slider_cmd": plant.slider_cmd,
+            "slider_act": plant.slider_act,
+            "upper_cmd": plant.upper_cmd,
+            "upper_act": plant.upper_act,
+            "stiffness_est": known.stiffness,
+            "damping_est": known.damping,
+        }
+        return together(
+            *(bound(_write, ..., values, trace.data[name]) for name, values in now.items()),
+            bound(_write_flags, ..., plant.contact, trace.contact),
         )
 
     @property
     def blocks(self) -> dict[str, Any]:
         """The blocks whose arrays form the state of the loop between two ticks."""
-        names = (
-            "sensor",
-            "plant",
-            "identification",
-            "monitor",
-            "dead_zone",
-            "drive",
-            "motion",
-            "tally",
-            "outcomes",
-            "safety",
-        )
-        return {name: getattr(self, name) for name in names}
+        names = "sensor plant identification monitor dead_zone drive motion tally outcomes safety"
+        return {name: getattr(self, name) for name in names.split()}
 
     def _end_runs(self) -> None:
         """End the runs that diverged or passed a safety limit at this tick."""
@@ -273,71 +242,27 @@ class Loop:
 
 
 @njit(cache=True)
-def _write(
-    k,
-    a0,
-    a1,
-    a2,
-    a3,
-    a4,
-    a5,
-    a6,
-    a7,
-    a8,
-    a9,
-    a10,
-    a11,
-    a12,
-    b0,
-    b1,
-    b2,
-    b3,
-    b4,
-    b5,
-    b6,
-    b7,
-    b8,
-    b9,
-    b10,
-    b11,
-    b12,
-    touching,
-    touched,
-):
-    """Copies each ``a`` (n, parts) to row ``k`` of its ``b`` (rows, n, parts); modulo the number of
-    rows.
+def _write(k, now, rows):
+    """Copies ``now`` (n, parts) to row ``k`` of ``rows``, modulo their number: in loops, since the
+    general assignment of slices takes seconds to compile.
     """
-    k = k % b0.shape[0]
-    _copy(k, a0, b0)
-    _copy(k, a1, b1)
-    _copy(k, a2, b2)
-    _copy(k, a3, b3)
-    _copy(k, a4, b4)
-    _copy(k, a5, b5)
-    _copy(k, a6, b6)
-    _copy(k, a7, b7)
-    _copy(k, a8, b8)
-    _copy(k, a9, b9)
-    _copy(k, a10, b10)
-    _copy(k, a11, b11)
-    _copy(k, a12, b12)
-    for i in range(touching.shape[0]):
-        touched[k, i] = touching[i]
+    k = k % rows.shape[0]
+    for i in range(now.shape[0]):
+        for j in range(now.shape[1]):
+            rows[k, i, j] = now[i, j]
 
 
 @njit(cache=True)
-def _copy(k, a, b):
-    """``b[k] = a``, without the general assignment of slices, which takes seconds to compile."""
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            b[k, i, j] = a[i, j]
+def _write_flags(k, now, rows):
+    """Copies the flags ``now`` (n,) to row ``k`` of ``rows``, modulo their number."""
+    k = k % rows.shape[0]
+    for i in range(now.shape[0]):
+        rows[k, i] = now[i]
 
 
 @njit(cache=True)
 def _lost(pose, limit, alive, diverged):
-    """Whether a run that was alive has exceeded ``limit`` or become non-finite, in the numerical
-    model or in the rig.
-    """
+    """Whether a live run has left ``limit`` or the finite numbers, in the model or the rig."""
     for i in range(pose.shape[0]):
         if alive[i]:
             if diverged[i]:

@@ -44,9 +44,7 @@ class Registry(Mapping[str, type[T]], Generic[T]):
     """
 
     def __init__(self, what: str, base: type[T], homes: Sequence[str]) -> None:
-        """``homes``: modules, or packages of modules, with the built-in classes; imported when the
-        table is first read.
-        """
+        """``homes``: modules or packages of built-in classes, imported at first use."""
         self.what, self.base = what, base
         self._homes = homes
         self._found: dict[str, type[T]] = {}
@@ -54,9 +52,7 @@ class Registry(Mapping[str, type[T]], Generic[T]):
         _REGISTRIES.append(self)
 
     def add(self, cls: type[T]) -> type[T]:
-        """Add a class under its kind. Raises InputError if a part is missing or the kind is already
-        in use.
-        """
+        """Add a class. Raises InputError if a part is missing or the kind is in use."""
         kind = kind_of(cls)
         where = _place(cls)
         if kind is None:
@@ -91,9 +87,7 @@ class Registry(Mapping[str, type[T]], Generic[T]):
         return cls
 
     def _load(self) -> None:
-        """Import the built-in classes. Raises the ImportError of a module that cannot be imported,
-        at each access until it can.
-        """
+        """Import the built-in classes. Raises ImportError at each access until it can."""
         # the modules imported here read the table while it is being filled
         if self._whole or self._loading:
             return
@@ -142,9 +136,7 @@ def _place(cls: type) -> str:
 
 
 def _has(cls: type, part: str) -> bool:
-    """Whether a class defines a part itself: a docstring, or an attribute that is not the
-    placeholder of the base class.
-    """
+    """Whether a class defines a part itself: a docstring, or not the base's placeholder."""
     if part == "docstring":
         return bool((cls.__dict__.get("__doc__") or "").strip())
     value = inspect.getattr_static(cls, part, None)
@@ -162,9 +154,7 @@ def placeholder(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def register(cls: type[T]) -> type[T]:
-    """Class decorator: add a class to the registry of its base class. Raises InputError if a part
-    is missing.
-    """
+    """Class decorator: add a class to its base's registry. Raises InputError if it lacks a part."""
     for registry in _REGISTRIES:
         if issubclass(cls, registry.base):
             registry.add(cls)
@@ -179,9 +169,7 @@ def register(cls: type[T]) -> type[T]:
 
 
 def depends(refresh: Callable[[], None]) -> Callable[[], None]:
-    """Call ``refresh`` whenever a class has been added: for models whose schema lists a
-    registry.
-    """
+    """Call ``refresh`` after each addition: for models whose schema lists a registry."""
     _DEPENDENTS.append(refresh)
     return refresh
 
@@ -216,9 +204,7 @@ load_plugins = load  # its public name in the package
 
 
 def _absolute(name: str) -> str:
-    """A .py file with its absolute path, so that it is found from any folder and loaded only
-    once.
-    """
+    """A .py file with its absolute path: found from any folder, and loaded only once."""
     return str(Path(name).resolve()) if name.endswith(".py") else name
 
 
@@ -264,9 +250,7 @@ def _import(name: str, where: str) -> str:
 
 
 def loaded() -> dict[str, str]:
-    """The user's modules, as named by the user, with the SHA-256 of their source, on which a result
-    depends.
-    """
+    """The user's modules, as the user names them, with the SHA-256 of their source."""
     out = {}
     for asked, name in _LOADED.items():
         file = getattr(sys.modules.get(name), "__file__", None)
@@ -304,9 +288,7 @@ class OneOf:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """The union as JSON Schema: ``kind`` is the discriminator of its members, with a
-        description of each.
-        """
+        """The union as JSON Schema: ``kind`` tells its members, described each."""
         found = handler(schema)
         for member in found["oneOf"]:
             own = handler.resolve_ref_schema(member)

@@ -1,6 +1,4 @@
-"""Named signals on a time base: the columns of a trace, with unit and frame, and the arrays behind
-them.
-"""
+"""Named signals on a time base: a trace's columns, with unit and frame, and their arrays."""
 
 from __future__ import annotations
 
@@ -28,6 +26,9 @@ _SLIDERS = ("0", "1", "2", "3", "4", "5")
 _POSE_UNITS = ("m",) * 3 + ("1",) * 4
 _TWIST_UNITS = ("m/s",) * 3 + ("rad/s",) * 3
 _WRENCH_UNITS = ("N",) * 3 + ("N m",) * 3
+_STIFFNESS_UNITS = ("N/m",) * 3 + ("N m/rad",) * 3
+_DAMPING_UNITS = ("N s/m",) * 3 + ("N m s/rad",) * 3
+SIX_SLIDERS = ("m",) * 6
 
 
 @dataclass(frozen=True)
@@ -45,97 +46,39 @@ class Group:
         return tuple(f"{self.name}.{part}" for part in self.parts)
 
 
+_A_IN_P, _OF_A, _AT_P = "A in P", "A relative to P, in P", "in P at P's origin"
+_DRIVEN = "driven joints of the platform {}: its sliders; 0 at home"
+_UPPER = "slider positions of the upper platform {}; 0 at home"
 GROUPS = {
-    g.name: g
-    for g in (
-        Group(
+    name: Group(name, parts, units, frame, meaning)
+    for name, parts, units, frame, meaning in (
+        (
             "pose_cmd",
             _POSE,
             _POSE_UNITS,
-            "A in P",
+            _A_IN_P,
             "relative pose that the numerical model computed",
         ),
-        Group("pose_act", _POSE, _POSE_UNITS, "A in P", "relative pose that the rig reached"),
-        Group(
-            "twist_cmd",
-            _TWIST,
-            _TWIST_UNITS,
-            "A relative to P, in P",
-            "velocity of the numerical model",
-        ),
-        Group(
-            "twist_act",
-            _TWIST,
-            _TWIST_UNITS,
-            "A relative to P, in P",
-            "velocity that the rig reached",
-        ),
-        Group(
+        ("pose_act", _POSE, _POSE_UNITS, _A_IN_P, "relative pose that the rig reached"),
+        ("twist_cmd", _TWIST, _TWIST_UNITS, _OF_A, "velocity of the numerical model"),
+        ("twist_act", _TWIST, _TWIST_UNITS, _OF_A, "velocity that the rig reached"),
+        (
             "wrench_true",
             _WRENCH,
             _WRENCH_UNITS,
-            "in P at P's origin",
+            _AT_P,
             "physical contact wrench, active on passive",
         ),
-        Group(
-            "wrench_meas",
-            _WRENCH,
-            _WRENCH_UNITS,
-            "in P at P's origin",
-            "wrench that the sensor gave",
-        ),
-        Group(
-            "wrench_comp",
-            _WRENCH,
-            _WRENCH_UNITS,
-            "in P at P's origin",
-            "wrench that drove the numerical model",
-        ),
-        Group(
-            "stiffness_est",
-            AXES,
-            ("N/m",) * 3 + ("N m/rad",) * 3,
-            "in P at P's origin",
-            "running estimate of stiffness",
-        ),
-        Group(
-            "damping_est",
-            AXES,
-            ("N s/m",) * 3 + ("N m s/rad",) * 3,
-            "in P at P's origin",
-            "running estimate of damping",
-        ),
-        Group(
-            "slider_cmd",
-            _SLIDERS,
-            ("m",) * 6,
-            "platform",
-            "driven joints of the platform commanded: its sliders; 0 at home",
-        ),
-        Group(
-            "slider_act",
-            _SLIDERS,
-            ("m",) * 6,
-            "platform",
-            "driven joints of the platform reached: its sliders; 0 at home",
-        ),
-        Group(
-            "upper_cmd",
-            _SLIDERS[:3],
-            ("m",) * 3,
-            "upper platform",
-            "slider positions of the upper platform commanded; 0 at home",
-        ),
-        Group(
-            "upper_act",
-            _SLIDERS[:3],
-            ("m",) * 3,
-            "upper platform",
-            "slider positions of the upper platform reached; 0 at home",
-        ),
+        ("wrench_meas", _WRENCH, _WRENCH_UNITS, _AT_P, "wrench that the sensor gave"),
+        ("wrench_comp", _WRENCH, _WRENCH_UNITS, _AT_P, "wrench that drove the numerical model"),
+        ("stiffness_est", AXES, _STIFFNESS_UNITS, _AT_P, "running estimate of stiffness"),
+        ("damping_est", AXES, _DAMPING_UNITS, _AT_P, "running estimate of damping"),
+        ("slider_cmd", _SLIDERS, SIX_SLIDERS, "platform", _DRIVEN.format("commanded")),
+        ("slider_act", _SLIDERS, SIX_SLIDERS, "platform", _DRIVEN.format("reached")),
+        ("upper_cmd", _SLIDERS[:3], ("m",) * 3, "upper platform", _UPPER.format("commanded")),
+        ("upper_act", _SLIDERS[:3], ("m",) * 3, "upper platform", _UPPER.format("reached")),
     )
 }
-
 CYCLE = Group(
     "cycle",
     ("period", "busy", "sensor_age", "missed"),
@@ -144,21 +87,10 @@ CYCLE = Group(
     "of a run against devices: from the start of the cycle before, from its start to the command, "
     "age of the reading, ticks missed",
 )
-JOINT = Group(
-    "joint",
-    (),
-    (),
-    "mechanism",
-    "joint of the mechanism's moving parts, as in its MJCF",
-)
+JOINT = Group("joint", (), (), "mechanism", "joint of the mechanism's moving parts, as in its MJCF")
 # all groups that a trace may have; the simulation has no cycles
 RECORDED = GROUPS | {CYCLE.name: CYCLE}
-
-
-SIX_SLIDERS = ("m",) * 6
 _JOINTS = ("slider_cmd", "slider_act")
-
-
 MovingParts = tuple[tuple[str, str], ...]  # name and unit of each joint of a mechanism
 
 
@@ -238,9 +170,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         joints: tuple[str, ...] = SIX_SLIDERS,
         moving: MovingParts = (),
     ) -> None:
-        """``joints``: units of the platform's driven joints; ``moving``: joints of the
-        mechanism.
-        """
+        """``joints``: units of the driven joints; ``moving``: joints of the mechanism."""
         self.t, self.data, self.contact, self.joints = t, data, contact, joints
         self.moving = moving
         super().__init__(t=t)
@@ -288,9 +218,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         return {name: about_column(name, self.joints, self.moving) for name in self}
 
     def to_pandas(self):
-        """A pandas DataFrame, time [s] as its index; ``attrs`` holds unit, frame and meaning of
-        each column.
-        """
+        """A pandas DataFrame over time [s]; ``attrs``: unit, frame, meaning of each column."""
         try:
             import pandas as pd
         except ImportError:
@@ -336,9 +264,7 @@ class RunTrace(dict[str, NDArray[np.float64]]):
         return xr.Dataset(variables, coordinates)
 
     def plot(self, *names: str, axes: Axes | None = None) -> Axes:
-        """Columns or groups over time, with contacts shaded; returns the Matplotlib axes. Raises
-        UnknownColumn.
-        """
+        """Columns or groups over time, contacts shaded; the axes. Raises UnknownColumn."""
         from hiltestbed.report.curves import PALETTE, shade_contacts
 
         names = names or ("wrench_meas.fz",)

@@ -1,6 +1,4 @@
-"""Runs and batches of runs: the loop from the first tick to the last, the reference run, and the
-results.
-"""
+"""Runs and batches: the loop from the first tick to the last, the reference, the results."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ from hiltestbed.config.sense import warnings
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.resolution import unconverged, with_half_the_step
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.contact.truth import axis_truth, normal_truth
+from hiltestbed.contact.touch import axis_truth, normal_truth
 from hiltestbed.effects.log import stamp_late
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
@@ -37,6 +35,7 @@ Progress = Callable[[int, int], None]
 # makes an object that takes the rows of a loop instead of a Trace
 MakeTrace = Callable[[Loop], Any]
 PROGRESS_TICKS = 500
+ESTIMATED = ("stiffness", "damping", "stiffness_sd", "damping_sd")
 
 
 @dataclass
@@ -56,9 +55,7 @@ class Batch:
 
 
 def run(scenario: Scenario, progress: Progress | None = None, nthread: int = 1) -> Run:
-    """Run one scenario, with its trace, its reference, and the stability of its loop in a
-    contact.
-    """
+    """Run one scenario, with its trace, its reference, and its stability in a contact."""
     done = run_batch([scenario], trace=True, progress=progress, nthread=nthread)[0]
     done.summary["stability"] = stability(scenario)
     return done
@@ -146,11 +143,8 @@ def simulate(
                 raise HiltestbedError(
                     "a run of the batch divided by zero; run each alone to find out which"
                 ) from None
-            loop.trouble[0] = (
-                max(loop.k - 1, 0),
-                "diverged",
-                "a denominator reached zero or overflowed",
-            )
+            why = "a denominator reached zero or overflowed"
+            loop.trouble[0] = (max(loop.k - 1, 0), "diverged", why)
             loop.alive[:] = False
         if rows is not None:
             rows.filled(loop.k)
@@ -180,19 +174,17 @@ def simulate(
 def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot]) -> Batch:
     """The raw results of ``loop``, with ``rows`` and the wall time ``wall`` [s]."""
     scenarios = loop.scenarios
+    outcomes, runs = loop.outcomes, range(len(scenarios))
     return Batch(
         scenarios=scenarios,
-        figures=[loop.tally.figures(i) for i in range(len(scenarios))],
+        figures=[loop.tally.figures(i) for i in runs],
         trouble=loop.trouble,
-        identification=[_identified(loop, i) for i in range(len(scenarios))],
+        identification=[_identified(loop, i) for i in runs],
         outcomes=[
-            loop.outcomes.summary(i)
-            | _capture(loop, i)
-            | _along_normal(loop, i)
-            | _monitored(loop, i)
-            for i in range(len(scenarios))
+            outcomes.summary(i) | _capture(loop, i) | _along_normal(loop, i) | _monitored(loop, i)
+            for i in runs
         ],
-        payload=[loop.plant.payload_left(i) for i in range(len(scenarios))],
+        payload=[loop.plant.payload_left(i) for i in runs],
         ticks=loop.k,
         wall=wall,
         trace=rows,
@@ -242,23 +234,21 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
     """Per axis: identified stiffness and damping with their standard deviations (None without an
     estimate, or of an estimator that gives none), and the true values if they are defined.
     """
-    truth = _truth(loop, i)
-    estimate = loop.identification
+    truth, estimate, identifiable = (
+        _truth(loop, i),
+        loop.identification,
+        _identifiable_axes(loop, i),
+    )
     # not every method states how sure it is
-    sds = {name: getattr(estimate, name, None) for name in ("stiffness_sd", "damping_sd")}
+    values = {name: getattr(estimate, name, None) for name in ESTIMATED}
     out = {}
-    identifiable = _identifiable_axes(loop, i)
     for j, axis in enumerate(AXES):
+        known = {
+            name: None if value is None or j >= identifiable else _number(value[i, j])
+            for name, value in values.items()
+        }
         pair = truth[j] or (None, None)
-        out[axis] = {
-            "stiffness": _number(estimate.stiffness[i, j])
-            if estimate and j < identifiable
-            else None,
-            "damping": _number(estimate.damping[i, j]) if estimate and j < identifiable else None,
-            **{
-                name: None if sd is None or j >= identifiable else _number(sd[i, j])
-                for name, sd in sds.items()
-            },
+        out[axis] = known | {
             "stiffness_true": pair[0],
             "damping_true": pair[1],
             "samples": int(estimate.samples[i, j]) if estimate else 0,
@@ -292,59 +282,35 @@ def _identifiable_axes(loop: Loop, i: int) -> int:
 
 
 def _along_normal(loop: Loop, i: int) -> dict[str, Any]:
-    """The values identified along the contact normal before latching, for a mechanism whose
-    surfaces are not one plane.
-    """
+    """The values along the contact normal before latching, for surfaces that are no plane."""
     estimate, mechanism = loop.identification, loop.scenarios[i].mechanism
     if not isinstance(estimate, RecursiveLeastSquares) or mechanism.flat or mechanism.captured:
         return {}
-    k, c, k_sd, c_sd, samples = (_number(v) for v in estimate.along_normal[i])
+    *known, samples = (_number(v) for v in estimate.along_normal[i])
     truth = normal_truth(loop.scenarios[i], int(estimate.source.at_once[i])) or (None, None)
-    found = {
-        "stiffness": k,
-        "damping": c,
-        "stiffness_sd": k_sd,
-        "damping_sd": c_sd,
-        "samples": int(samples or 0),
-    }
+    found = dict(zip(ESTIMATED, known, strict=True)) | {"samples": int(samples or 0)}
     return {"identification_normal": found | {"stiffness_true": truth[0], "damping_true": truth[1]}}
 
 
 def _capture(loop: Loop, i: int) -> dict[str, Any]:
-    """The phases of a mechanism with phases, each with the time at which it began [s], None if it
-    has not begun.
-    """
-    phases = loop.plant.phases
+    """The phases of a mechanism that has them, each with its beginning [s], or None."""
+    phases, rate = loop.plant.phases, loop.scenarios[i].rate
     if phases is None:
         return {}
-    ticks = [int(k) for k in phases.since[i]]
-    return {
-        "phases": [
-            {"name": name, "at": k / loop.scenarios[i].rate if k >= 0 else None}
-            for name, k in zip(phases.names, ticks, strict=True)
-        ]
-    }
+    since = zip(phases.names, map(int, phases.since[i]), strict=True)
+    return {"phases": [{"name": name, "at": k / rate if k >= 0 else None} for name, k in since]}
 
 
 def _monitored(loop: Loop, i: int) -> dict[str, Any]:
-    """Result of process monitoring for a run that requests it; wear is judged by the values
-    identified along z.
-    """
+    """Result of process monitoring, if requested; wear by what was identified along z."""
     if loop.monitor is None or loop.scenarios[i].monitoring is None:
         return {}
     estimate, contact = loop.identification, None
     if isinstance(estimate, RecursiveLeastSquares):
-        k, c, k_sd, c_sd = (
-            getattr(estimate, name)[i, 2]
-            for name in ("stiffness", "damping", "stiffness_sd", "damping_sd")
-        )
-        if k > 0.0 and c >= 0.0 and k_sd > 0.0 and c_sd > 0.0:
-            contact = ContactEstimate(
-                stiffness=float(k),
-                damping=float(c),
-                stiffness_sd=float(k_sd),
-                damping_sd=float(c_sd),
-            )
+        found = {name: float(getattr(estimate, name)[i, 2]) for name in ESTIMATED}
+        damping = found.pop("damping")
+        if damping >= 0.0 and all(value > 0.0 for value in found.values()):
+            contact = ContactEstimate(damping=damping, **found)
     return {"monitoring": loop.monitor.summary(i, contact)}
 
 
@@ -364,9 +330,8 @@ def concluded(
     """
     scenario, figures = batch.scenarios[i], batch.figures[i]
     cor, along = figures.cor, figures.cor_normal
-    cor_reference, along_reference = (
-        (None, None) if reference is None else (reference.cor, reference.cor_normal)
-    )
+    cor_reference = reference.cor if reference else None
+    along_reference = reference.cor_normal if reference else None
     ledger = delay_ledger(scenario, figures)
     status, stop_reason = "completed", None
     if (trouble := batch.trouble.get(i)) is not None:
@@ -374,7 +339,8 @@ def concluded(
         stop_reason = f"tick {trouble[0]}, t = {trouble[0] / scenario.rate:.6f} s: {trouble[2]}"
     elif reference_fault is not None:
         status, stop_reason = "no_reference", reference_fault
-    wall = batch.wall
+    wall, speed, mass = batch.wall, figures.approach_speed, effective_mass(scenario)
+    simulated = (batch.ticks - 1) / scenario.rate * len(batch.scenarios)
     summary = {
         "name": scenario.name,
         "scenario_sha256": scenario_sha256(scenario),
@@ -390,10 +356,8 @@ def concluded(
         "cor_normal_reference": along_reference,
         "cor_normal_log_error": log_error(along, along_reference),
         "cor_log_error_predicted": predicted_log_error(scenario, ledger),
-        "approach_speed": figures.approach_speed,
-        "approach_energy": None
-        if figures.approach_speed is None
-        else 0.5 * effective_mass(scenario) * figures.approach_speed**2,
+        "approach_speed": speed,
+        "approach_energy": None if speed is None else 0.5 * mass * speed**2,
         "rebound_speed": figures.rebound_speed,
         "energy_generated": figures.energy_generated,
         "energy_reference": _energy_reference(scenario, figures),
@@ -417,9 +381,7 @@ def concluded(
         "timing": {
             "ticks": batch.ticks,
             "wall": wall,
-            "real_time_factor": (batch.ticks - 1) / scenario.rate * len(batch.scenarios) / wall
-            if wall > 0.0 and batch.ticks > 1
-            else None,
+            "real_time_factor": simulated / wall if wall > 0.0 and simulated > 0.0 else None,
         },
     }
     trace = batch.trace.run(i) if batch.trace is not None else None
@@ -438,12 +400,11 @@ def _energy_reference(scenario: Scenario, figures: ContactFigures) -> float | No
     """
     if not figures.contact_duration:
         return None
+    mass, speed = effective_mass(scenario), _speed(scenario)
     if scenario.mechanism.captured:
         stored = figures.peak_force**2 / (2.0 * acting_along_z(scenario)[0])
-        return max(stored, 0.5 * effective_mass(scenario) * _speed(scenario) ** 2)
-    return (
-        0.5 * effective_mass(scenario) * max(_speed(scenario), figures.approach_speed or 0.0) ** 2
-    )
+        return max(stored, 0.5 * mass * speed**2)
+    return 0.5 * mass * max(speed, figures.approach_speed or 0.0) ** 2
 
 
 def log_error(cor: float | None, reference: float | None) -> float | None:

@@ -4,12 +4,14 @@ they need.
 
 import gc
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numba import njit
+from numba import njit, typeof
 
 from hiltestbed.compiled.bound import GIVEN, Bound, Call, Joined, bound, together
+from hiltestbed.compiled.jit import _by_fields
 from hiltestbed.compiled.state import arrays_of
 
 
@@ -71,6 +73,45 @@ def test_a_bound_kernel_gives_what_the_kernel_gives(kind: str) -> None:
     _mix(4, 0.7, True, 2, a, b, mask, empty, expected)
     call(4)
     assert np.array_equal(out, expected)
+
+
+class _Scale(NamedTuple):
+    factor: float
+    on: bool
+    total: np.ndarray
+
+
+class _Swapped(NamedTuple):
+    factor: float
+    total: np.ndarray
+    on: bool
+
+
+class _Outer(NamedTuple):
+    scale: _Scale
+    count: int
+
+
+@njit(cache=True)
+def _scaled(outer, pair):
+    if outer.scale.on:
+        outer.scale.total[0] += outer.scale.factor * outer.count * pair[0][0] + pair[1]
+
+
+def test_tuples_are_bound_with_their_parts() -> None:
+    total, one = np.zeros(1), np.ones(1)
+    bound(_scaled, _Outer(_Scale(0.5, True, total), 3), (2.0 * one, 1.0))()
+    bound(_scaled, _Outer(_Scale(9.0, False, total), 3), (one, 1.0))()
+    assert total[0] == 0.5 * 3 * 2.0 + 1.0
+
+
+def test_a_kernel_is_cached_by_the_fields_of_its_tuples() -> None:
+    """A field that moves within a class of the same name would be read from its old place."""
+    key = _by_fields(lambda signature, codegen: ())
+    given = [typeof(c(factor=1.0, on=True, total=np.ones(1))) for c in (_Scale, _Swapped)]
+    first, second = (key((kind,), None) for kind in given)
+    assert first != second
+    assert first != key((typeof(np.ones(1)),), None)
 
 
 def test_what_is_bound_lives_as_long_as_the_call() -> None:

@@ -177,15 +177,13 @@ def test_a_folder_that_cannot_be_written_is_said(folder: Path, call) -> None:
 
 def test_check_knows_the_kind_of_a_file_by_its_keys(folder: Path, call) -> None:
     status, out, _ = call("check", "s.yaml", "c.yaml", "d.yaml")
-    told = {
-        name: [line for line in out.splitlines() if line.startswith(name)]
-        for name in ("s.yaml", "c.yaml")
-    }
+    lines, names = out.splitlines(), ("s.yaml", "c.yaml")
+    told = {name: [line for line in lines if line.startswith(name)] for name in names}
     assert status == 2  # the data of the dataset are opened, and hold one row
     assert told["s.yaml"][0] == "s.yaml: scenario: no faults"
     assert any(line.startswith("s.yaml: stable: net damping") for line in told["s.yaml"])
     assert told["c.yaml"][0] == "c.yaml: campaign: no faults"
-    assert all(any(" of memory, " in line for line in told[name]) for name in ("s.yaml", "c.yaml"))
+    assert all(any(" of memory, " in line for line in told[name]) for name in names)
     assert "run.csv" in out
 
 
@@ -212,13 +210,8 @@ def test_sweep_fills_a_folder_and_one_case_repeats_in_full(folder: Path, call) -
 
 
 def test_shipped_scenarios_and_campaigns_are_found_by_name(folder: Path, call) -> None:
-    names = (
-        "02-bumper",
-        "scenarios/02-bumper.yaml",
-        "delay-stiffness",
-        "scenarios/campaigns/delay-stiffness.yaml",
-    )
-    assert call("check", *names)[0] == 0
+    for folder_of, name in (("scenarios", "02-bumper"), ("scenarios/campaigns", "delay-stiffness")):
+        assert call("check", name, f"{folder_of}/{name}.yaml")[0] == 0
     assert call("check", "scenarios/../../../etc/passwd")[0] == 2
 
 
@@ -255,18 +248,8 @@ def command(*arguments: str, **options) -> subprocess.Popen:
 
 def test_help_imports_nothing_heavy_and_version_is_told() -> None:
     """What --help costs is what it imports; the simulation's packages take a second."""
-    heavy = (
-        "mujoco",
-        "pinocchio",
-        "numba",
-        "scipy",
-        "rerun",
-        "pyarrow",
-        "numpy",
-        "pydantic",
-        "matplotlib",
-        "distributed",
-    )
+    heavy = ["mujoco", "pinocchio", "numba", "scipy", "rerun", "pyarrow", "numpy"]
+    heavy += ["pydantic", "matplotlib", "distributed"]
     code = (
         "import sys; sys.argv[1:] = ['--help']\nimport hiltestbed.cli\ntry: "
         "hiltestbed.cli.main()\nexcept SystemExit: pass\n"
@@ -292,17 +275,8 @@ def test_a_reader_that_hangs_up_gets_no_traceback(folder: Path) -> None:
 
 
 def test_interrupted_leaves_no_folder_and_no_traceback(folder: Path) -> None:
-    process = command(
-        "run",
-        "s.yaml",
-        "--set",
-        "duration=200",
-        "--set",
-        "approach.velocity=[0,0,0]",
-        "--no-rerun",
-        "--out",
-        "r",
-    )
+    long = "--set duration=200 --set approach.velocity=[0,0,0]"
+    process = command(*f"run s.yaml --no-rerun --out r {long}".split())
     end = time.monotonic() + 60.0
     # past the command's own imports
     while "libmujoco" not in Path(f"/proc/{process.pid}/maps").read_text():
@@ -339,10 +313,8 @@ def test_an_unknown_name_is_answered_with_those_that_are_shipped(folder: Path, c
 
 def test_compare_puts_runs_side_by_side(folder: Path, call) -> None:
     for name, delay in (("a", 0.0), ("b", 0.01)):
-        assert (
-            call("run", "s.yaml", "--no-rerun", "--out", name, "--set", f"sensor.delay={delay}")[0]
-            == 0
-        )
+        line = f"run s.yaml --no-rerun --out {name} --set sensor.delay={delay}"
+        assert call(*line.split())[0] == 0
     status, out, _ = call("compare", "a", "b", "--json", "--out", "both.html")
     told = json.loads(out)
     assert status == 0
@@ -385,21 +357,10 @@ def test_a_shell_completes_shipped_names_and_files(folder: Path) -> None:
 def test_a_run_that_gains_energy_is_warned_of_and_one_that_does_not_is_not(
     folder: Path, call
 ) -> None:
-    assert (
-        "faster than the approach"
-        in call(
-            "run",
-            "s.yaml",
-            "--no-rerun",
-            "--out",
-            "late",
-            "--set",
-            "sensor.delay=0.01",
-            "--set",
-            "compensation.force={kind: none}",
-        )[1]
-    )
-    assert "warning" not in call("run", "s.yaml", "--no-rerun", "--out", "right")[1]
+    plain = ("run", "s.yaml", "--no-rerun", "--out")
+    late = ("--set", "sensor.delay=0.01", "--set", "compensation.force={kind: none}")
+    assert "faster than the approach" in call(*plain, "late", *late)[1]
+    assert "warning" not in call(*plain, "right")[1]
 
 
 def test_check_takes_the_overrides_of_run(folder: Path, call) -> None:
@@ -408,15 +369,8 @@ def test_check_takes_the_overrides_of_run(folder: Path, call) -> None:
     status, out, _ = call("check", "s.yaml", "--set", "sensor.delay=-1.0")
     assert status == 2
     assert "sensor.delay: is out of range (got -1.0)" in out
-    status, out, _ = call(
-        "check",
-        "s.yaml",
-        "--json",
-        "--set",
-        "mechanism.contact.stiffness=2e5",
-        "--set",
-        "rig.platform.bandwidth=20.0",
-    )
+    changes = "--set mechanism.contact.stiffness=2e5 --set rig.platform.bandwidth=20.0"
+    status, out, _ = call(*f"check s.yaml --json {changes}".split())
     found = json.loads(out)["files"][0]
     assert found["stability"]["stiffness"] == 2e5
     assert any("rig.platform.bandwidth: has no effect" in remark for remark in found["remarks"])

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.analysis.alignment import shift_between
+from hiltestbed.analysis.record_comparison import shift_between
 
 STIFFNESS, SPEED, W = 1.0e5, 0.03, 2.0 * np.pi * 2.5  # [N/m], [m/s], [rad/s] of a half sine
 

@@ -61,9 +61,7 @@ def test_a_capture_pulls_as_well_as_pushes_and_comes_to_rest() -> None:
 
 @pytest.mark.parametrize("turn_deg", [37.0, -151.0])
 def test_a_docking_turned_about_the_axis_is_the_same_docking(turn_deg: float) -> None:
-    """Bodies of revolution, ideal tracking, no noise: the axial history within 1e-6 of its
-    scale.
-    """
+    """Bodies of revolution, ideal tracking, no noise: within 1e-6 of the axial history."""
     still = {
         "rig__platform__tracking": "ideal",
         "sensor__noise": 0.0,

@@ -1,6 +1,4 @@
-"""The algebra of rotations and poses, against an independent implementation (scipy) and its own
-axioms.
-"""
+"""The algebra of rotations and poses, against scipy and its own axioms."""
 
 from __future__ import annotations
 

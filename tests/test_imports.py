@@ -20,9 +20,6 @@ ROOT = Path(hiltestbed.__file__).parent
 PAIRS = [
     ("contact.settings", "contact.sides"),
     ("effects.base", "effects.search"),
-    ("devices.rdt", "devices.rdt_page"),
-    ("devices.rsi", "devices.rsi_controller"),
-    ("devices.rtde", "devices.rtde_controller"),
     ("measured.apart", "measured.formats"),
     ("numerical_model.fmu", "numerical_model.kinds"),
     *(
@@ -44,9 +41,7 @@ def modules() -> dict[str, Path]:
 
 
 def loaded_at_import(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
-    """The imports that run when the module is loaded: not those of functions, not those for type
-    checkers alone.
-    """
+    """Imports that run at load: not those of functions, nor for type checkers alone."""
     waiting: list[ast.AST] = list(tree.body)
     while waiting:
         node = waiting.pop()

@@ -1,6 +1,4 @@
-"""A kernel on disk is good for as long as all that it is made of is the same, wherever that is
-written.
-"""
+"""A kernel on disk is good while all that it is made of is the same, wherever written."""
 
 from __future__ import annotations
 

@@ -67,9 +67,7 @@ def undelayed(rate: float, physics_rate: float) -> float:
     ids=lambda c: " ".join(str(v) for v in c.values()),
 )
 def test_every_delay_is_in_the_ledger(changes: dict[str, Any]) -> None:
-    """ln(e/e_ref) within 0.01 while w tau <= 0.25; a first-order lag leaves 3 % of it by its
-    gain.
-    """
+    """ln(e/e_ref) within 0.01 while w tau <= 0.25; a lag leaves 3 % of it by its gain."""
     scenario = load_scenario(SCENARIO, set=changes)
     reference, figures = (
         undelayed(scenario.rate, scenario.physics_rate),

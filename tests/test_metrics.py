@@ -1,6 +1,4 @@
-"""The rebound speed is that with which the vehicles part, whatever the compensation still does
-after the contact.
-"""
+"""The rebound speed is that of parting, whatever the compensation does afterwards."""
 
 from __future__ import annotations
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hiltestbed import load_scenario
 from hiltestbed.analysis.assessment import monitored
 from hiltestbed.bench.contacts import Contact, bounce
 from hiltestbed.loop import Loop
@@ -16,8 +14,8 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.monitoring import ContactEstimate
 from hiltestbed.simulation import simulate
 from hiltestbed.supervision.monitoring import ProcessMonitor, wear
+from tests.running import shipped
 
-SCENARIOS = Path(__file__).parents[1] / "scenarios"
 FORCE = {"kind": "resynchronised"}
 
 
@@ -44,18 +42,15 @@ def test_a_bounce_is_a_touch_and_no_more() -> None:
 
 
 def test_noise_alone_is_no_touch() -> None:
-    scenario = load_scenario(
-        SCENARIOS / "01-free-flight.yaml",
-        set={"rig.platform.tracking": "ideal", "sensor.noise": 1.0, "duration": 1.0},
+    scenario = shipped(
+        "01-free-flight", {"rig.platform.tracking": "ideal", "sensor.noise": 1.0, "duration": 1.0}
     )
     monitor, _ = _watch([scenario.model_copy(update={"seed": seed}) for seed in range(32)])
     assert np.isnan(monitor.touch).all()
 
 
 def test_a_stop_behind_a_spring_is_a_seat() -> None:
-    """A second spring, five times as stiff, 0.5 mm in: the stiffness over 20 ms rises from k to 6
-    k.
-    """
+    """A second spring, 5 k, 0.5 mm in: the stiffness over 20 ms rises from k to 6 k."""
     contact = Contact(2.0, 0.005, 0.05)
     stop = {"kind": "contact.hard_stop", "position": 1.2e-3, "stiffness": 5.0 * contact.stiffness}
     scenario = replace(contact, changes={"effects": [stop]}).scenario(FORCE)
@@ -68,9 +63,7 @@ def test_a_stop_behind_a_spring_is_a_seat() -> None:
 
 
 def test_a_mechanism_that_pulls_has_captured() -> None:
-    scenario = load_scenario(
-        SCENARIOS / "13-ring-down.yaml", set={"duration": 0.5, "rig.platform.tracking": "ideal"}
-    )
+    scenario = shipped("13-ring-down", {"duration": 0.5, "rig.platform.tracking": "ideal"})
     monitor, _ = _watch([scenario])
     assert monitor.touch[0] < monitor.capture[0] < 0.3
 
@@ -87,10 +80,8 @@ def _estimates(contact: Contact, seeds: range) -> list[ContactEstimate]:
 
 
 def test_a_scenario_asks_for_it() -> None:
-    """The shipped one: 2 % softer than three contacts of which each is known to 0.04 %: 40
-    sigma.
-    """
-    batch = simulate([load_scenario(SCENARIOS / "24-worn-buffer.yaml")])
+    """The shipped one: 2 % softer than three contacts known to 0.04 % each: 40 sigma."""
+    batch = simulate([shipped("24-worn-buffer")])
     found = batch.outcomes[0]["monitoring"]
     figures = batch.figures[0]
     assert figures.first_contact is not None
@@ -104,14 +95,12 @@ def test_a_scenario_asks_for_it() -> None:
     assert found["wear"]["alarm"]
     assert found["wear"]["stiffness_change"] == pytest.approx(-0.02, abs=0.002)
     assert batch.identification[0]["z"]["stiffness_true"] == pytest.approx(98000.0)
-    healthy = simulate(
-        [load_scenario(SCENARIOS / "24-worn-buffer.yaml", set={"effects": []})]
-    ).outcomes[0]["monitoring"]
+    healthy = simulate([shipped("24-worn-buffer", {"effects": []})]).outcomes[0]["monitoring"]
     assert not healthy["wear"]["alarm"]
 
 
 def test_one_that_does_not_ask_is_not_watched() -> None:
-    loop = Loop([load_scenario(SCENARIOS / "02-bumper.yaml")])
+    loop = Loop([shipped("02-bumper")])
     assert loop.monitor is None
 
 

@@ -1,6 +1,4 @@
-"""The time left is that of the work: neither what came before the first part nor one slow part
-counts.
-"""
+"""The time left is that of the work: neither what came before nor one slow part counts."""
 
 from __future__ import annotations
 

@@ -182,9 +182,7 @@ def test_the_package_tells_version_and_types() -> None:
 
 
 def test_no_module_hides_a_public_name() -> None:
-    """A submodule of the same name would take the place of the function as soon as it is
-    imported.
-    """
+    """A submodule of that name would replace the function once it is imported."""
     taken = {
         path.stem
         for path in Path(hiltestbed.__file__).parent.iterdir()

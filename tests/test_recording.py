@@ -8,21 +8,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from hiltestbed import load_scenario, read_run, replay_failure, run, write_run
+from hiltestbed import read_run, replay_failure, run, write_run
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.run_folder import store as recording_module
 from hiltestbed.signals import GROUPS
-
-SCENARIOS = Path(__file__).parents[1] / "scenarios"
+from tests.running import shipped
 
 
 @pytest.fixture(scope="module")
 def short_run():
     return run(
-        load_scenario(
-            SCENARIOS / "04-bumper-delay-compensated.yaml",
-            set={"duration": 0.45, "rig.platform.tracking": "ideal"},
-        )
+        shipped("04-bumper-delay-compensated", {"duration": 0.45, "rig.platform.tracking": "ideal"})
     )
 
 
@@ -94,9 +90,9 @@ def test_a_divergence_says_when_and_why_and_can_be_replayed(tmp_path: Path) -> N
     """A spring of 1e12 N/m felt 5 ms late throws the bodies apart at some 1e6 m/s: the model leaves
     the room in the next tick.
     """
-    scenario = load_scenario(
-        SCENARIOS / "04-bumper-delay-compensated.yaml",
-        set={
+    scenario = shipped(
+        "04-bumper-delay-compensated",
+        {
             "rig.platform.tracking": "ideal",
             "mechanism.contact.stiffness": 1e12,
             "compensation.force": {"kind": "none"},
@@ -117,13 +113,12 @@ def test_a_divergence_says_when_and_why_and_can_be_replayed(tmp_path: Path) -> N
 def test_a_run_that_diverges_leaves_the_others_of_its_batch_alone() -> None:
     from hiltestbed.simulation import simulate
 
-    base = load_scenario(
-        SCENARIOS / "04-bumper-delay-compensated.yaml",
-        set={"rig.platform.tracking": "ideal", "duration": 0.6},
+    base = shipped(
+        "04-bumper-delay-compensated", {"rig.platform.tracking": "ideal", "duration": 0.6}
     )
-    wild = load_scenario(
-        SCENARIOS / "04-bumper-delay-compensated.yaml",
-        set={
+    wild = shipped(
+        "04-bumper-delay-compensated",
+        {
             "rig.platform.tracking": "ideal",
             "duration": 0.6,
             "mechanism.contact.stiffness": 1e12,

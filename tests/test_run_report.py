@@ -11,7 +11,7 @@ import pytest
 
 import hiltestbed
 from hiltestbed.analysis.assessment import ACTIVE, NEUTRAL, assess, is_active
-from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.numerical_model.bodies import effective_mass, mobility
 from hiltestbed.report.run import run_report
 
@@ -127,9 +127,7 @@ def test_the_page_of_a_cone_says_what_was_identified_along_the_normal(
 
 
 def _made(share: float, **figures: object) -> dict:
-    """The summary of a run in which the rig made that part of the energy, with nothing else to warn
-    of.
-    """
+    """Of a run in which the rig made that share of the energy, with no other warning."""
     run = {
         "status": "completed",
         "outcome": "rebound",

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hiltestbed import load_scenario
 from hiltestbed.platform.pss33.kinematics import inverse, shipped_limbs
 from hiltestbed.scenario import Scenario
 from hiltestbed.supervision.safety import LIMITS
-from tests.running import run
+from tests.running import run, shipped
 
-SCENARIOS = Path(__file__).parents[1] / "scenarios"
 UNWATCHED: dict[str, Any] = {f"safety.{limit}": None for limit in LIMITS}
 
 
 def _bumper(**changes: Any) -> Scenario:
     changes = {key.replace("__", "."): value for key, value in changes.items()}
-    return load_scenario(
-        SCENARIOS / "03-bumper-delay-uncompensated.yaml",
-        set=UNWATCHED | {"sensor.noise": 0.0} | changes,
-    )
+    return shipped("03-bumper-delay-uncompensated", UNWATCHED | {"sensor.noise": 0.0} | changes)
 
 
 def _stopped_at(scenario: Scenario, quantity: str) -> int:
@@ -90,9 +84,7 @@ def test_tracking_error() -> None:
 
 
 def test_limb_angle() -> None:
-    """A sideways drift x leans the vertical links, which keep their length L = 1.1 m: sin(angle) =
-    x/L.
-    """
+    """A sideways drift x leans vertical links of L = 1.1 m: sin(angle) = x/L."""
     scenario = _bumper(
         approach__gap=0.01, approach__velocity=[0.2, 0.0, 0.0], safety__limb_angle_deg=8.0
     )

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import fsolve
 
-from hiltestbed import load_scenario, run
+from hiltestbed import run
 from hiltestbed.analysis.stability import (
     EXACT,
     RigResponse,
@@ -26,9 +25,9 @@ from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.signals import Trace
+from tests.running import judged, shipped
 from tests.slow import SLOW, slow
 
-SCENARIOS = Path(__file__).parents[1] / "scenarios"
 # of the platform: natural frequency [Hz], damping ratio, delay [s]
 BAND, ZETA, LATE = 10.0, 0.7, 0.006
 K = 2.0e4
@@ -54,16 +53,14 @@ def critical_damping(mass: float, stiffness: float) -> float:
 
 
 def latched(damping: float):
-    """A contact that pulls, too, so that the loop is linear, behind a platform that is a second
-    order with a delay.
-    """
+    """A contact that pulls, too: a linear loop, behind a second order with a delay."""
     effects = [
         {"kind": "platform.delay", "delay": LATE},
         {"kind": "platform.lag", "bandwidth": BAND},
     ]
-    return load_scenario(
-        SCENARIOS / "02-bumper.yaml",
-        set={
+    return shipped(
+        "02-bumper",
+        {
             "mechanism": {"kind": "latched", "contact": {"stiffness": K, "damping": damping}},
             "effects": effects,
             "rate": 2000.0,
@@ -121,9 +118,7 @@ def test_the_measured_response_is_the_drives_second_order() -> None:
     """Without feed-forward the shipped platform is w^2/(s + w)^2, within 1 dB and 5 degrees up to
     1.5 times its bandwidth.
     """
-    s = load_scenario(
-        SCENARIOS / "03-bumper-delay-uncompensated.yaml", set={"compensation.motion.kind": "none"}
-    )
+    s = shipped("03-bumper-delay-uncompensated", {"compensation.motion.kind": "none"})
     assert isinstance(s.rig.platform, Pss33)
     found = measured_response(s)
     reach = found.frequency <= 1.5 * s.rig.platform.bandwidth
@@ -138,9 +133,7 @@ def test_what_is_said_before_the_run_is_what_the_run_does(kind) -> None:
     """ln e = -pi c_net/(2 m w): the net damping that was foretold is the one that the bounce shows,
     and the verdict its sign.
     """
-    s = load_scenario(
-        SCENARIOS / "03-bumper-delay-uncompensated.yaml", set={"rig.platform": {"kind": kind}}
-    )
+    s = shipped("03-bumper-delay-uncompensated", {"rig.platform": {"kind": kind}})
     done = run(s).summary
     said = done["stability"]
     foretold = (
@@ -164,11 +157,8 @@ def test_a_slower_controller_of_the_sliders_is_as_late_as_its_cycles() -> None:
         "rate": 2000.0,
         "physics_rate": 4000.0,
     }
-    s = load_scenario(SCENARIOS / "03-bumper-delay-uncompensated.yaml", set=keys)
-    direct = load_scenario(
-        SCENARIOS / "03-bumper-delay-uncompensated.yaml",
-        set=keys | {"rig.platform": {"kind": "pss33"}},
-    )
+    s = shipped("03-bumper-delay-uncompensated", keys)
+    direct = shipped("03-bumper-delay-uncompensated", keys | {"rig.platform": {"kind": "pss33"}})
     found, none = measured_response(s), measured_response(direct)
     low = (found.frequency > 0.0) & (found.frequency <= 4.0)
     late = -np.angle(found.follows[low] / none.follows[low]) / (
@@ -176,40 +166,32 @@ def test_a_slower_controller_of_the_sliders_is_as_late_as_its_cycles() -> None:
     )
     assert late == pytest.approx(7 / 2000.0, rel=0.02)
     with pytest.raises(InputError, match=r"controller_rate: does not divide the loop's rate"):
-        load_scenario(
-            SCENARIOS / "03-bumper-delay-uncompensated.yaml",
-            set=keys | {"rig.platform.command.controller_rate": 900.0},
+        shipped(
+            "03-bumper-delay-uncompensated", keys | {"rig.platform.command.controller_rate": 900.0}
         )
 
 
 def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
-    s = load_scenario(
-        SCENARIOS / "18-stewart.yaml",
-        set={"sensor.delay": 0.001, "compensation.force.kind": "none"},
-    )
-    said = stability(s)
-    assert said is not None
+    s = shipped("18-stewart", {"sensor.delay": 0.001, "compensation.force.kind": "none"})
+    said = judged(s)
     assert said["stable"]
     for key, limit in (
         ("mechanism.contact.stiffness", said["largest_stiffness"]),
         ("sensor.delay", said["largest_delay"]),
     ):
         for factor, stable in ((0.99, True), (1.01, False)):
-            again = stability(
-                load_scenario(
-                    SCENARIOS / "18-stewart.yaml",
-                    set={"sensor.delay": 0.001, "compensation.force.kind": "none"}
+            again = judged(
+                shipped(
+                    "18-stewart",
+                    {"sensor.delay": 0.001, "compensation.force.kind": "none"}
                     | {key: factor * limit},
                 )
             )
-            assert again is not None
             assert again["stable"] is stable, (key, factor)
 
 
 def slow_across(damping: float):
-    """A latch behind a platform that is slow along x alone, ports at the centres of mass: each axis
-    for itself.
-    """
+    """A latch behind a platform that is slow along x alone, ports at the centres of mass."""
     answer = {
         "bandwidth": [4.0, 30.0, 30.0, 30.0, 30.0, 30.0],
         "damping_ratio": 0.7,
@@ -219,9 +201,9 @@ def slow_across(damping: float):
         "spacecraft.chaser.port.position": [0.0, 0.0, 0.0],
         "spacecraft.target.port.position": [0.0, 0.0, 0.0],
     }
-    return load_scenario(
-        SCENARIOS / "02-bumper.yaml",
-        set={
+    return shipped(
+        "02-bumper",
+        {
             "mechanism": {"kind": "latched", "contact": {"stiffness": K, "damping": damping}},
             "sensor": {},
             "duration": 3.0,
@@ -241,8 +223,7 @@ def test_the_worst_axis_is_what_the_verdict_says() -> None:
     -c_net/(2 m).
     """
     s = slow_across(700.0)
-    said = stability(s)
-    assert said is not None
+    said = judged(s)
     assert said["verdict"].startswith("unstable along x: net damping -")
     by = {d["direction"]: d for d in said["directions"]}
     assert by["along z"]["stable"]
@@ -264,9 +245,8 @@ def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
     """J of the ball's contact is the cone's normal and its moment about A, 30 mm before the centre;
     its mass has both bodies' levers.
     """
-    s = load_scenario(
-        SCENARIOS / "09-docking.yaml",
-        set={"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0]},
+    s = shipped(
+        "09-docking", {"approach.offset": [0.06, 0.0], "approach.attitude_deg": [0.0, 0.0, 0.0]}
     )
     touch = first_touch(s)
     assert touch is not None
@@ -301,10 +281,7 @@ def test_a_command_through_the_inverse_of_the_platform_is_judged_as_it_runs() ->
         "inverse": inverse,
     }.items():
         summary = run(
-            load_scenario(
-                SCENARIOS / "02-bumper.yaml",
-                {"compensation.force": {"kind": "phase_lead"}} | rig | changes,
-            )
+            shipped("02-bumper", {"compensation.force": {"kind": "phase_lead"}} | rig | changes)
         ).summary
         found[name] = summary["stability"]
         assert found[name]["rebound"] == pytest.approx(summary["cor"], rel=1e-3)
@@ -317,8 +294,7 @@ def test_what_changes_the_command_by_measurements_is_not_judged() -> None:
         "compensation.motion": {"kind": "adaptive_time_series"},
         "compensation.force": {"kind": "phase_lead"},
     }
-    found = stability(load_scenario(SCENARIOS / "02-bumper.yaml", changes))
-    assert found is not None
+    found = judged(shipped("02-bumper", changes))
     assert found["stable"] is None
     assert found["verdict"].startswith(
         "not judged with adaptive_time_series, which changes the command by measurements; without "
@@ -328,15 +304,14 @@ def test_what_changes_the_command_by_measurements_is_not_judged() -> None:
 
 @SLOW
 def test_what_adds_a_force_of_its_own_is_not_judged() -> None:
-    said = stability(load_scenario(SCENARIOS / "20-facing-arms.yaml"))
-    assert said is not None
+    said = judged(shipped("20-facing-arms"))
     assert said["stable"] is None
     assert "not judged with cor_designed" in said["verdict"]
     assert said["uncompensated"]["stable"] is False
 
 
 def test_bodies_that_move_by_themselves_have_no_loop() -> None:
-    assert stability(load_scenario(SCENARIOS / "22-air-bearing.yaml")) is None
+    assert stability(shipped("22-air-bearing")) is None
 
 
 def test_a_contact_faster_than_what_was_measured_is_not_judged() -> None:

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import hiltestbed
-from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.diagnosis.report.pictures import residuals_over_time
 from hiltestbed.report.curves import PALETTE
 from hiltestbed.report.page import new_figure

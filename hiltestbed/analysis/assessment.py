@@ -48,9 +48,7 @@ def assess(summary: dict[str, Any]) -> Assessment:
 
 
 def monitored(summary: dict[str, Any]) -> tuple[str, str] | None:
-    """Result of process monitoring: the events in order, and wear; None if the scenario does not
-    request it.
-    """
+    """Result of process monitoring: events in order, and wear; None if it is not requested."""
     found = summary.get("monitoring")
     if not found:
         return None
@@ -58,16 +56,13 @@ def monitored(summary: dict[str, Any]) -> tuple[str, str] | None:
         (found[name], name) for name in ("touch", "seat", "capture") if found[name] is not None
     )
     wear = found["wear"]
-    if wear is None:
-        note = ""
-    else:
-        note = "worn" if wear["alarm"] else "not worn"
+    note = ""
+    if wear is not None:
         changed = {name: wear[f"{name}_change"] for name in ("stiffness", "damping")}
-        note += ": " + ", ".join(
-            f"{name} {100.0 * change:+.2g} %"
-            for name, change in changed.items()
-            if change is not None
-        )
+        sizes = [
+            f"{n} {100.0 * change:+.2g} %" for n, change in changed.items() if change is not None
+        ]
+        note = f"{'worn' if wear['alarm'] else 'not worn'}: {', '.join(sizes)}"
     return ", ".join(f"{name} at {at:.3f} s" for at, name in events) or "nothing", note
 
 
@@ -103,21 +98,15 @@ def _energy(summary: dict[str, Any]) -> tuple[bool | None, str]:
     if not summary["contact_duration"]:
         return None, "no contact"
     share = energy_share(summary)
+    if share is None and made == 0.0:
+        return None, "neither gained nor lost"
     if share is None:
-        return (
-            (None, "neither gained nor lost")
-            if made == 0.0
-            else (made < 0.0, "gained: active" if made > 0.0 else "lost: passive")
-        )
+        return made < 0.0, "gained: active" if made > 0.0 else "lost: passive"
     size = f"{100.0 * abs(share):.2g} % of the approach energy"
     if abs(share) <= NEUTRAL:
         return None, f"neutral: within {100.0 * NEUTRAL:g} % of the approach energy"
-    if abs(made) <= summary.get("energy_resolution", 0.0):
-        return (
-            None,
-            f"neutral: within {summary['energy_resolution']:.2g} J, the resolution of the sum "
-            f"over ticks",
-        )
+    if abs(made) <= (resolved := summary.get("energy_resolution", 0.0)):
+        return None, f"neutral: within {resolved:.2g} J, the resolution of the sum over ticks"
     return (False, f"gained, {size}: active") if made > 0.0 else (True, f"lost, {size}: passive")
 
 
@@ -125,11 +114,8 @@ def _headline(summary: dict[str, Any]) -> str:
     if summary["status"] == "no_reference":
         return f"The run has no reference: {summary['stop_reason']}."
     if summary["status"] != "completed":
-        return (
-            f"The run "
-            f"{'diverged' if summary['status'] == 'diverged' else 'was stopped'}: "
-            f"{summary['stop_reason']}."
-        )
+        ended = "diverged" if summary["status"] == "diverged" else "was stopped"
+        return f"The run {ended}: {summary['stop_reason']}."
     ended = {
         "captured": "The ports were captured.",
         "rebound": "The ports touched and separated.",
@@ -137,23 +123,17 @@ def _headline(summary: dict[str, Any]) -> str:
         "miss": "The ports did not touch.",
     }
     text = ended.get(summary["outcome"], f"Outcome: {summary['outcome']}.")
-    cor, reference = summary["cor"], summary["cor_reference"]
-    if cor is not None:
+    if (cor := summary["cor"]) is not None:
+        reference = summary["cor_reference"]
         text += f" They separated at {cor:.4g} times the approach speed"
-        text += (
-            "."
-            if reference is None
-            else f"; without delay and with ideal tracking it is {reference:.4g} times."
-        )
     elif (along := summary.get("cor_normal")) is not None:
-        text += f" The first contact ended at {along:.4g} times its speed along its impulse"
         reference = summary.get("cor_normal_reference")
-        text += (
-            "."
-            if reference is None
-            else f"; without delay and with ideal tracking it is {reference:.4g} times."
-        )
-    return text
+        text += f" The first contact ended at {along:.4g} times its speed along its impulse"
+    else:
+        return text
+    if reference is None:
+        return f"{text}."
+    return f"{text}; without delay and with ideal tracking it is {reference:.4g} times."
 
 
 def _warnings(summary: dict[str, Any]) -> list[str]:
@@ -190,9 +170,7 @@ def _warnings(summary: dict[str, Any]) -> list[str]:
 
 
 def identified(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The estimates on each axis that has one, and along the normal of a contact whose surface is
-    not one plane.
-    """
+    """The estimates on each axis that has one, and along the normal of a curved contact."""
     every = summary["identification"] | (
         {"normal": summary["identification_normal"]} if "identification_normal" in summary else {}
     )
@@ -224,9 +202,7 @@ def largest_delay(summary: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def _lags_later(summary: dict[str, Any]) -> bool:
-    """Whether the rig makes energy in a later touch, whose line a compensation of the platform does
-    not know in advance.
-    """
+    """Whether the rig makes energy in a later touch, whose line the compensation does not know."""
     ways = (summary.get("stability") or {}).get("directions", ())
     return any(
         way["direction"].endswith("later touch") and (way.get("rig_energy") or 0.0) > NEUTRAL

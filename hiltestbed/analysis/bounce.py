@@ -44,9 +44,7 @@ HALF_PERIODS, LAGS = 1.3, 3.0
 
 @dataclass(frozen=True)
 class Bounce:
-    """rebound: speed after the bounce over that before it. energy: made by the rig, over the
-    kinetic energy before it.
-    """
+    """rebound: speed after over before. energy: made by the rig, over the kinetic energy before."""
 
     rebound: float
     energy: float
@@ -55,9 +53,7 @@ class Bounce:
 def bounce(
     response: RigResponse, mass: float, stiffness: float, damping: float, delay: float
 ) -> Bounce:
-    """A bounce of ``mass`` [kg] on a contact [N/m], [N s/m] through a rig, with a force that is
-    delayed by ``delay`` [s].
-    """
+    """A bounce of ``mass`` [kg] on [N/m], [N s/m] through a rig; the force ``delay`` [s] late."""
     lag = lag_of(response)
     span = HALF_PERIODS * math.pi * math.sqrt(mass / stiffness) + LAGS * max(delay + lag, 0.0)
     t = np.linspace(0.0, span, STEPS + 1)

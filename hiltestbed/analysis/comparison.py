@@ -84,9 +84,7 @@ class Comparison:
         return pd.DataFrame(self.differences | self.figures, index=pd.Index(self.names, name="run"))
 
     def plot(self, column: str = "wrench_true.fz", axes: Axes | None = None) -> Axes:
-        """One column of every run's trace over time. Raises UnknownColumn; ValueError if a run has
-        no trace.
-        """
+        """A column of every run's trace. Raises UnknownColumn; ValueError without a trace."""
         for i, (name, run) in enumerate(zip(self.names, self.runs, strict=True)):
             axes = run.plot(column, axes=axes)
             line = axes.lines[-1]

@@ -30,9 +30,7 @@ class Delay:
 
 
 def delay_ledger(scenario: Scenario, figures: ContactFigures) -> list[Delay]:
-    """Every delay between the contact and the numerical model's motion (leads are negative), and
-    their sum last.
-    """
+    """Every delay from the contact to the model's motion (leads are negative), and their sum."""
     # The force is read at t_k, the model steps, the rig moves linearly to its pose until t_(k+1):
     # the semi-implicit step makes up for the tick.
     compensation, w = scenario.compensation, contact_frequency(scenario)
@@ -89,9 +87,7 @@ def _corrected(scenario: Scenario, force: float, platform: float) -> float:
 
 
 def force_path_delay(scenario: Scenario, compensated: bool) -> float:
-    """Delay [s] of the force that drives the numerical model: sensor and effects, minus what the
-    compensation removes.
-    """
+    """Delay [s] of the force that drives the model: sensor and effects, minus compensation."""
     w = contact_frequency(scenario)
     parts = [
         *_sensor(scenario, w),
@@ -119,9 +115,7 @@ def _effects(scenario: Scenario, w: float, link: str) -> Iterator[tuple[str, flo
 
 
 def _compensation(scenario: Scenario) -> Iterator[tuple[str, float]]:
-    """What the method removes at low frequency, once it knows the contact parameters that it
-    needs.
-    """
+    """What the method removes at low frequency, once it knows the contact that it needs."""
     return (
         (f"compensation.{name}", -delay)
         for name, delay in scenario.compensation.force.removes(scenario).items()

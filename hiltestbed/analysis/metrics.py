@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, twist_between
+from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.scenario import Scenario
+from hiltestbed.signals import RunTrace
 
 # of the low-pass, after which the rebound speed is taken: exp(-5) = 0.7 % of the last force remains
 SETTLE_TIME_CONSTANTS = 5.0
@@ -136,14 +138,13 @@ class Tally:
         """The numerical model's twist ``(n, 6)`` before the first tick."""
         self._twist[:] = twist
 
-    def update(
+    def taking(
         self,
-        k: int,
         rig: tuple[Array, Array, Array, NDArray[np.bool_]],
         pose_before: Array,
         drive: tuple[Array, Array],
-    ) -> None:
-        """Update the figures with tick k.
+    ) -> Callable[[int], None]:
+        """The update with tick k: a call with k, bound to arrays with fixed memory.
 
         Args:
             rig: physical wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)`` and contact ``(n,)``
@@ -151,15 +152,6 @@ class Tally:
             pose_before: ``(n, 7)`` pose that had been commanded for t_k.
             drive: used wrench and new twist of the numerical model, ``(n, 6)`` each.
         """
-        self.taking(rig, pose_before, drive)(k)
-
-    def taking(
-        self,
-        rig: tuple[Array, Array, Array, NDArray[np.bool_]],
-        pose_before: Array,
-        drive: tuple[Array, Array],
-    ) -> Callable[[int], None]:
-        """:meth:`update` bound to arrays with fixed memory; it is called with k."""
         return self._update.on(*rig, pose_before, *drive)
 
     def parted(self, alive: NDArray[np.bool_]) -> bool:
@@ -172,9 +164,7 @@ class Tally:
         return self._settled
 
     def first_contact(self, i: int) -> tuple[Array, Array, Array]:
-        """Of run ``i``: impulse (6,) about A of the wrench used in the first contact; twists (6,)
-        before and after it, or NaN.
-        """
+        """Of run ``i``: impulse (6,) about A of the first contact; twists before, after; or NaN."""
         return self._first_impulse[i], self._speeds[i, 0], self._speeds[i, 1]
 
     def figures(self, i: int) -> ContactFigures:
@@ -270,6 +260,39 @@ def tracking_fit(sums: Array) -> tuple[float | None, float | None]:
     if det <= 1e-9 * vv * ff or vv == 0.0:
         return None, None
     return float((ff * ev - vf * ef) / det), float((vv * ef - vf * ev) / det)
+
+
+def energy_generated(trace: RunTrace, scenario: Scenario) -> Array:
+    """``(ticks,)`` [J] made by the rig so far: the integral of F v_act - F_used v_cmd, as
+    :class:`Tally` adds it up.
+    """
+    tick = 1.0 / scenario.rate
+    slope = np.zeros_like(trace["twist_act"])
+    _slopes(trace["pose_act"], tick, slope)
+    # for t_k, when the wrench is used
+    commanded = np.concatenate([approach_state(scenario)[None, :7], trace["pose_cmd"][:-1]])
+    force, used = (
+        _about_A(trace["wrench_true"], trace["pose_act"]),
+        _about_A(trace["wrench_comp"], commanded),
+    )
+    rate = trace["twist_cmd"]
+    before = np.concatenate([approach_state(scenario)[None, 7:], rate[:-1]])
+    taken = np.zeros(len(trace.t))
+    taken[1:] = np.einsum("ij,ij->i", force[1:] + force[:-1], slope[1:])
+    return 0.5 * tick * np.cumsum(taken - np.einsum("ij,ij->i", used, rate + before))
+
+
+def _about_A(wrench: Array, pose: Array) -> Array:
+    """``(ticks, 6)`` wrenches at P's origin, with their moments about A's origin, so that they are
+    conjugate to A's twist.
+    """
+    return np.hstack([wrench[:, :3], wrench[:, 3:] - np.cross(pose[:, :3], wrench[:, :3])])
+
+
+@njit(cache=True)
+def _slopes(pose, tick, out):
+    for k in range(1, pose.shape[0]):
+        twist_between(pose[k - 1], pose[k], tick, out[k])
 
 
 @njit(cache=True)

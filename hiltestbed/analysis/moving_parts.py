@@ -1,6 +1,4 @@
-"""The joints of a mechanism's moving parts (a probe's stroke, a ring, jaws) and of its mount, for
-the trace.
-"""
+"""The joints of a mechanism's moving parts (stroke, ring, jaws) and of its mount, for the trace."""
 
 from __future__ import annotations
 

@@ -35,6 +35,7 @@ GAP = 1e-6  # [m] between the geoms before the drop
 # [m] radius of gyration: the drop is one of masses. A contact 0.1 m off the centre of mass then
 # sees 1e-4 less of them; much larger ratios of inertia to mass spoil the solver's convergence
 GYRATION = 10.0
+OF_A_CONTACT = ("solref", "solimp", "margin", "gap")  # of a geom and of a pair alike
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,7 @@ def mujoco_parameters(contact: SpringDamper) -> PairParameters:
 
 
 def positive_solref(contact: SpringDamper) -> tuple[float, float] | None:
-    """(timeconst [s], dampratio [-]) of the same contact; None without damping, which that form
-    cannot say.
-    """
+    """(timeconst [s], dampratio [-]) of the same contact; None without damping."""
     if contact.damping == 0.0:
         return None
     return 2.0 * contact.mass / contact.damping, contact.damping_ratio
@@ -105,29 +104,17 @@ def spring_damper_of(solref: tuple[float, float], mass: float) -> SpringDamper:
 
 
 def bounce_in_mujoco(
-    parameters: PairParameters,
-    masses: tuple[float, float],
-    speed: float,
-    step: float | None = None,
+    parameters: PairParameters, masses: tuple[float, float], speed: float, step: float | None = None
 ) -> Drop:
-    """The bounce of a ball on a plate with these parameters, in steps of ``step`` [s]; None: as
-    small as the contact needs.
-    """
+    """A ball's bounce on a plate in steps of ``step`` [s]; None: as small as the contact needs."""
     spec = _bodies(masses)
     first, second = spec.body("a"), spec.body("b")
     first.add_geom(name="a", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0, 0])
     second.add_geom(
         name="b", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.5, 0.1], pos=[0, 0, -0.1]
     )
-    spec.add_pair(
-        geomname1="a",
-        geomname2="b",
-        solref=parameters.solref,
-        solimp=parameters.solimp,
-        condim=1,
-        margin=0.0,
-        gap=0.0,
-    )
+    pair = {"geomname1": "a", "geomname2": "b", "condim": 1, "margin": 0.0, "gap": 0.0}
+    spec.add_pair(**pair, solref=parameters.solref, solimp=parameters.solimp)
     if step is None:
         return _dropped(spec, 0.05, masses, speed)
     spec.option.timestep = step
@@ -175,9 +162,7 @@ def pair_in_mjcf(
 
 
 def _bodies(masses: tuple[float, float]) -> mujoco.MjSpec:
-    """A model of two bodies, ``a`` above ``b``, without gravity; a mass that is infinite stands
-    still.
-    """
+    """Two bodies, ``a`` above ``b``, without gravity; an infinite mass stands still."""
     spec = mujoco.MjSpec()
     spec.option.gravity = [0.0, 0.0, 0.0]
     for name, mass in zip("ab", masses, strict=True):
@@ -313,21 +298,14 @@ def _copy_geom(
     """The geom of a compiled ``model`` in the middle of a ``body``, with its contact parameters."""
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(turn).ravel())
+    names = ("size", "condim", "priority", "friction", "solmix", *OF_A_CONTACT)
     copied = spec.body(body).add_geom(
         name=body,
         type=mujoco.mjtGeom(int(model.geom_type[geom])),
-        size=model.geom_size[geom],
         quat=quaternion,
         contype=1,
         conaffinity=1,
-        condim=int(model.geom_condim[geom]),
-        priority=int(model.geom_priority[geom]),
-        friction=model.geom_friction[geom],
-        solmix=float(model.geom_solmix[geom]),
-        solref=model.geom_solref[geom],
-        solimp=model.geom_solimp[geom],
-        margin=float(model.geom_margin[geom]),
-        gap=float(model.geom_gap[geom]),
+        **{name: getattr(model, f"geom_{name}")[geom].tolist() for name in names},
     )
     if copied.type == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
@@ -345,15 +323,12 @@ def _copy_pair(spec: mujoco.MjSpec, model: mujoco.MjModel, a: int, b: int) -> No
     """The explicit pair of both geoms, if the ``model`` has one: it overrides their parameters."""
     for k in range(model.npair):
         if {int(model.pair_geom1[k]), int(model.pair_geom2[k])} == {a, b}:
+            names = ("friction", *OF_A_CONTACT)
             spec.add_pair(
                 geomname1="a",
                 geomname2="b",
                 condim=int(model.pair_dim[k]),
-                solref=model.pair_solref[k],
-                solimp=model.pair_solimp[k],
-                friction=model.pair_friction[k],
-                margin=float(model.pair_margin[k]),
-                gap=float(model.pair_gap[k]),
+                **{name: getattr(model, f"pair_{name}")[k].tolist() for name in names},
             )
 
 

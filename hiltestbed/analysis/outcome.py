@@ -48,18 +48,15 @@ class Outcomes:
             self.touching,
         )
 
-    def update(
-        self, k: int, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]
-    ) -> None:
-        """Update with tick k: physical wrench ``(n, 6)``, whether the mechanisms touch and are
-        latched, ``(n,)`` each.
-        """
-        self.taking(wrench, contact, captured)(k)
-
     def taking(
         self, wrench: Array, contact: NDArray[np.bool_], captured: NDArray[np.bool_]
     ) -> Callable[[int], None]:
-        """:meth:`update` bound to arrays with fixed memory; it is called with k."""
+        """The update with tick k: a call with k, bound to arrays with fixed memory.
+
+        Args:
+            wrench: ``(n, 6)`` physical. contact, captured: ``(n,)`` whether the mechanisms touch
+                and are latched.
+        """
         return self._update.on(wrench, contact, captured)
 
     def summary(self, i: int) -> dict[str, Any]:

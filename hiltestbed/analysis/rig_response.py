@@ -89,9 +89,7 @@ class SixAxisResponse:
 
 
 def measured_response(scenario: Scenario) -> RigResponse:
-    """The response of a scenario's rig along the insertion; each rig is measured once per
-    process.
-    """
+    """The response of a scenario's rig along the insertion; measured once per process."""
     if _exact(scenario):
         return EXACT
     found = _measured(_quiet(scenario), (ALONG,))
@@ -130,9 +128,7 @@ def _exact(scenario: Scenario) -> bool:
 
 
 def _quiet(scenario: Scenario) -> str:
-    """The rig of a scenario as text, isolated: vehicles and contact have no influence and are set
-    to standard values.
-    """
+    """The rig of a scenario as text: vehicles and contact, without influence, are standard."""
     data, body = resolved(scenario), {"mass": 1000.0, "inertia": [500.0, 500.0, 500.0]}
     quiet = {
         "name": "response",

@@ -35,9 +35,7 @@ LARGEST_RATIO = 1.6e4
 
 @dataclass(frozen=True)
 class SpringDamper:
-    """A contact of ``stiffness`` [N/m] and ``damping`` [N s/m] between bodies of a reduced ``mass``
-    [kg].
-    """
+    """A contact ``stiffness`` [N/m], ``damping`` [N s/m] of bodies of a reduced ``mass`` [kg]."""
 
     stiffness: float
     damping: float
@@ -85,9 +83,7 @@ class SpringDamper:
 
     @property
     def neutral_delay(self) -> float:
-        """[s] of the force, beyond which a bounce is faster than its approach (CoR = 1); 0 without
-        damping.
-        """
+        """[s] of the force, beyond which a bounce gains speed (CoR = 1); 0 without damping."""
         if self.damping == 0.0:
             return 0.0
 
@@ -132,9 +128,7 @@ class SpringDamper:
         return np.abs(-v / self.cor - 1.0)
 
     def largest_step(self, error: float) -> float:
-        """[s] the largest step of a simulation whose CoR is off by at most ``error``, wherever
-        within a step the touch falls.
-        """
+        """[s] the largest step whose CoR is off by at most ``error``, wherever the touch falls."""
         high = self.contact_time
         low = high
         while self.stepped_errors(low).max() > error:

@@ -38,12 +38,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.analysis.ledger import (
-    contact_frequency,
-    corrects_platform,
-    force_path_delay,
-)
-from hiltestbed.analysis.rebounds import Rebounds
+from hiltestbed.analysis.ledger import contact_frequency, corrects_platform, force_path_delay
 from hiltestbed.analysis.rig_response import (
     EXACT,
     Complex,
@@ -52,7 +47,7 @@ from hiltestbed.analysis.rig_response import (
     measured_response,
     six_axis_response,
 )
-from hiltestbed.analysis.trial import FirstContact, first_contact
+from hiltestbed.analysis.trial import FirstContact, Rebounds, first_contact
 from hiltestbed.contact.directions import Direction, directions, insertion
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import by_link
@@ -340,9 +335,7 @@ def _bears(rebounds: Rebounds, fine: RigResponse, contact: Direction) -> float |
 def net_damping(
     fine: RigResponse, mass: float, stiffness: float, damping: float, delay: float
 ) -> tuple[float, float] | None:
-    """Frequency of the contact [Hz] and its net damping [N s/m]; None beyond the measured
-    frequencies.
-    """
+    """Frequency of the contact [Hz], its net damping [N s/m]; None beyond those measured."""
     w = 2.0 * math.pi * fine.frequency
     dynamic = _dynamic(fine, stiffness, damping) * np.exp(-1j * w * delay)
     balance = dynamic.real - mass * w * w
@@ -356,9 +349,7 @@ def net_damping(
 
 
 def largest_delay(fine: RigResponse, mass: float, stiffness: float, damping: float) -> float | None:
-    """Delay of the force [s] at which the net damping is zero; None beyond the measured
-    frequencies.
-    """
+    """Delay of the force [s] at which the net damping is zero; None beyond those measured."""
     w = 2.0 * math.pi * fine.frequency
     dynamic = _dynamic(fine, stiffness, damping)
     balance = np.abs(dynamic) - mass * w * w
@@ -389,9 +380,7 @@ def _between(balance: Array, k: int) -> float:
 def _largest_stiffness(
     rebounds: Rebounds, fine: RigResponse, contact: Direction, delay: float, stable: bool
 ) -> float | None:
-    """Stiffness [N/m] from which a contact gains energy: above its own stiffness if it is stable,
-    otherwise below.
-    """
+    """Stiffness [N/m] from which a contact gains energy: above its own if stable, else below."""
 
     def left(factor: float) -> bool | None:
         found = net_damping(fine, contact.mass, contact.stiffness * factor, contact.damping, delay)

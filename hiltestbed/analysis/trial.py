@@ -19,14 +19,15 @@ before the touch, within the times
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from hiltestbed.analysis.bounce import HALF_PERIODS, LAGS, Bounce
+from hiltestbed.analysis.bounce import HALF_PERIODS, LAGS, Bounce, bounce, lag_of
 from hiltestbed.analysis.metrics import along_impulse
-from hiltestbed.contact.directions import acting_along_z, time_of_touch
+from hiltestbed.analysis.rig_response import RigResponse
+from hiltestbed.contact.directions import Direction, acting_along_z, time_of_touch
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.errors import InputError
 from hiltestbed.frames import attitude_deg_from_quat, pose_step
@@ -41,15 +42,10 @@ APPROACH = 5e-3  # [m] of uniform motion before the touch
 LONGEST = 20.0
 SLIDING_FACTOR = 2.0  # simulated duration, in durations of a head-on bounce, for a sliding tip
 BELOW_ANY_BOUNCE = 1e-12  # [m/s] limit for a latch to close, below the speed of any bounce
+ROUNDS = 4  # searches for a limit, at most
+# relative change at which a limit has converged; relative resolution of a computed rebound
+SAME = 2e-3
 CHECK_INTERVAL = 10  # ticks between two checks of whether the bodies have separated
-
-
-@dataclass(frozen=True)
-class Case:
-    """A force with a ``delay`` [s], in a contact ``factor`` times as stiff as the scenario's."""
-
-    delay: float
-    factor: float = 1.0
 
 
 class FirstContact:
@@ -94,12 +90,13 @@ class FirstContact:
         """[s] upper bound of the duration of a head-on bounce."""
         return HALF_PERIODS * math.pi * math.sqrt(self._mass / stiffness) + LAGS * late
 
-    def bounce(self, case: Case, lag: float) -> Bounce | None:
-        """The bounce of a case, on a rig with that lag [s]; None if it does not end in time,
+    def bounce(self, delay: float, factor: float = 1.0, lag: float = 0.0) -> Bounce | None:
+        """The bounce with a force that is ``delay`` [s] late, in a contact ``factor`` times as
+        stiff as the scenario's, on a rig with that ``lag`` [s]; None if it does not end in time,
         diverges, or its scenario is invalid.
         """
         try:
-            loop = Loop([self._scenario(case, lag)])
+            loop = Loop([self._scenario(delay, factor, lag)])
         # in the search for a limit, a stiffness may be invalid with the effects of the contact
         except InputError:
             return None
@@ -121,12 +118,12 @@ class FirstContact:
         energy = 0.5 * float(impulse @ before) ** 2 / float(impulse @ self._inverse @ impulse)
         return Bounce(rebound, float(loop.tally.energy[0]) / energy)
 
-    def _scenario(self, case: Case, lag: float) -> Scenario:
+    def _scenario(self, delay: float, factor: float, lag: float) -> Scenario:
         data = self._data
-        lasts = self._lasts(case.factor * self._stiffness, max(case.delay + lag, 0.0))
+        lasts = self._lasts(factor * self._stiffness, max(delay + lag, 0.0))
         contact = data["mechanism"]["contact"]
         mechanism: dict[str, Any] = data["mechanism"] | {
-            "contact": contact | {"stiffness": case.factor * contact["stiffness"]}
+            "contact": contact | {"stiffness": factor * contact["stiffness"]}
         }
         if mechanism.get("latch"):
             mechanism["latch"] = mechanism["latch"] | {"speed": BELOW_ANY_BOUNCE}
@@ -135,7 +132,7 @@ class FirstContact:
             "description": "",
             "seed": 0,
             "mechanism": mechanism,
-            "sensor": {"delay": case.delay},
+            "sensor": {"delay": delay},
             "numerical_model": {"kind": "free_flyers"},
             "duration": self._lead + SLIDING_FACTOR * min(lasts, max(self._own, data["duration"])),
             "identification": self._identification,
@@ -175,7 +172,7 @@ def corrected_log_error(scenario: Scenario, delay: float) -> float | None:
     corrected. None if it cannot be simulated.
     """
     found = [
-        contact.bounce(Case(late), 0.0)
+        contact.bounce(late)
         for contact, late in (
             (first_contact(scenario, corrected=True), max(delay, 0.0)),
             (first_contact(scenario, ideal=True), 0.0),
@@ -186,3 +183,72 @@ def corrected_log_error(scenario: Scenario, delay: float) -> float | None:
         return None
     corrected, reference = (b.rebound for b in found if b is not None)
     return math.log(corrected / reference)
+
+
+class Rebounds:
+    """Bounces of a contact ``way`` on a rig, over delay and stiffness; ``simulated`` simulates
+    them, None: only computed.
+
+    Computed bounces are cheap and depend on delay and stiffness like simulated ones, except for a
+    factor of the rebound that changes slowly with either; the factor of the last simulated bounce
+    is used for its neighbours. A limit that is found with computed bounces is simulated, and the
+    search is repeated until the limit does not change. If the first simulated bounce equals the
+    computed one, the rig is linear, and no further bounce is simulated.
+    """
+
+    def __init__(
+        self, response: RigResponse, way: Direction, simulated: FirstContact | None = None
+    ) -> None:
+        self._response, self._way, self._simulated = response, way, simulated
+        self._factor = 1.0
+        self.lag = lag_of(response)
+
+    def first(self, delay: float, stiffness: float) -> Bounce:
+        """The contact's own bounce; if it equals the computed one, no further one is simulated."""
+        found = self.at(delay, stiffness)
+        if abs(self._factor - 1.0) < SAME:
+            self._simulated, self._factor = None, 1.0
+        return found
+
+    def at(self, delay: float, stiffness: float) -> Bounce:
+        """The simulated bounce, or the computed one if none is simulated or the bodies do not
+        separate. A negative delay (a lead) is simulated as zero delay, times the ratio of the
+        computed bounces.
+        """
+        through = self._computed(delay, stiffness)
+        found = (
+            self._simulated.bounce(max(delay, 0.0), stiffness / self._way.stiffness, self.lag)
+            if self._simulated
+            else None
+        )
+        if found is None:
+            return through
+        beside = through if delay >= 0.0 else self._computed(0.0, stiffness)
+        if not (found.rebound > 0.0 and beside.rebound > 0.0):
+            return found
+        self._factor = found.rebound / beside.rebound
+        return Bounce(through.rebound * self._factor, through.energy + found.energy - beside.energy)
+
+    def slower(self, delay: float, stiffness: float) -> bool:
+        """Whether a bounce ends slower than it began: computed, times the last one's factor."""
+        return self._computed(delay, stiffness).rebound * self._factor < 1.0
+
+    def settled(
+        self, seek: Callable[[], float | None], case: Callable[[float], tuple[float, float]]
+    ) -> float | None:
+        """The converged limit that ``seek`` finds with :meth:`slower`; ``case`` gives (delay,
+        stiffness) of the bounce at a limit.
+        """
+        limit = seek()
+        for _ in range(ROUNDS):
+            if limit is None or self._simulated is None:
+                break
+            before, factor = limit, self._factor
+            self.at(*case(limit))
+            limit = seek() if self._factor != factor else limit
+            if limit is None or abs(limit - before) <= SAME * abs(limit):
+                break
+        return limit
+
+    def _computed(self, delay: float, stiffness: float) -> Bounce:
+        return bounce(self._response, self._way.mass, stiffness, self._way.damping, delay)

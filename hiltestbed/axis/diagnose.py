@@ -65,21 +65,13 @@ def diagnose_axis(path: str | Path | LoadedAxis, progress: Progress | None = Non
     loaded = path if isinstance(path, LoadedAxis) else load_axis(path)
     model = loaded.model()
     found = diagnosed(model, progress)
-    return AxisDiagnosis(
-        loaded,
-        model,
-        found.verdict,
-        found.causes,
-        found.conclusion,
-        found.constant,
-        found.floors,
-        (*loaded.remarks, *found.remarks),
-        time.monotonic() - start,
-    )
+    remarks = (*loaded.remarks, *found.remarks)
+    elapsed = time.monotonic() - start
+    return AxisDiagnosis(loaded, model, *found[:5], remarks, elapsed)
 
 
 class Diagnosed(NamedTuple):
-    """What is found on the records of a model; the parts are those of an :class:`AxisFinding`."""
+    """What is found on the records of a model; the parts are those of an :class:`AxisDiagnosis`."""
 
     verdict: str
     causes: tuple[AxisCause, ...]

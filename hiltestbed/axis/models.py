@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -115,11 +115,14 @@ class AxisModel(Model):
         return [r.y for r in self.records]
 
     def departure(self, of: Hypothesis) -> list[Array]:
-        return [y - p for y, p in zip(self.measured(), self.predicted(of), strict=True)]
+        return self.scored(of)
+
+    def residuals(self, of: Hypothesis) -> list[Array]:
+        return self._less_zeros(of, self._compared(of))
 
     def _compared(self, of: Hypothesis) -> list[Array]:
         """(N,) measured less predicted of each record, with its zero."""
-        return self.departure(of)
+        return [y - p for y, p in zip(self.measured(), self.predicted(of), strict=True)]
 
     def _less_zeros(self, of: Hypothesis, left: Sequence[Array]) -> list[Array]:
         """Residuals less their means, and the priors of what was taken off."""
@@ -134,6 +137,19 @@ class AxisModel(Model):
     def scored(self, of: Hypothesis) -> list[Array]:
         pairs = zip(self._compared(of), self._zeros(), strict=True)
         return [_tared(x, 2.0 * zero) for x, zero in pairs]
+
+    def _reach(self, places: Sequence[Array], motions: Sequence[Motion], **more: Any) -> Reach:
+        """Of recorded places and the motions through them."""
+        speed = _largest([m.v for m in motions])
+        return Reach(
+            travel=_span(places),
+            speed=speed,
+            slow=0.1 * speed,
+            acceleration=_largest([m.a for m in motions]),
+            tick=float(np.median(self.ticks)),
+            rotates=self.rotates,
+            **more,
+        )
 
 
 def _tared(left: Array, most: float) -> Array:
@@ -195,16 +211,11 @@ class DamperModel(AxisModel):
     @property
     def reach(self) -> Reach:
         m = self._motions
-        speed = _largest([x.v for x in m])
-        return Reach(
-            travel=_span([x.x for x in m]),
-            speed=speed,
-            slow=0.1 * speed,
-            acceleration=_largest([x.a for x in m]),
+        return self._reach(
+            [x.x for x in m],
+            m,
             force=_largest([y for _, _, y in self._even]),
-            tick=float(np.median(self.ticks)),
             duration=max(float(x.t[-1] - x.t[0]) for x in m),
-            rotates=self.rotates,
             stiffness=self.nominal.get("stiffness", 0.0),
             damping=self.nominal.get("damping", 0.0),
         )
@@ -223,12 +234,6 @@ class DamperModel(AxisModel):
             force = force_along(m.t, m.x, m.v, m.a, n, law.sliders, law.branches)
             out.append(_shifted(m.t, force, late))
         return out
-
-    def residuals(self, of: Hypothesis) -> list[Array]:
-        return self._less_zeros(of, self._compared(of))
-
-    def departure(self, of: Hypothesis) -> list[Array]:
-        return self.scored(of)
 
     def _compared(self, of: Hypothesis) -> list[Array]:
         return [y - f for (_, _, y), f in zip(self._even, self._force(of), strict=True)]
@@ -271,16 +276,11 @@ class DriveModel(AxisModel):
     @property
     def reach(self) -> Reach:
         m = self._motions
-        speed = _largest([x.v for x in m])
-        return Reach(
-            travel=_span([x.x for x in m]),
-            speed=speed,
-            slow=0.1 * speed,
-            acceleration=_largest([x.a for x in m]),
+        return self._reach(
+            [x.x for x in m],
+            m,
             force=_largest([u * self.nominal.get("gain", 1.0) for u in self._inputs]),
-            tick=float(np.median(self.ticks)),
             duration=max(float(x.t[-1] - x.t[0]) for x in m),
-            rotates=self.rotates,
             resists=any(self.nominal.get(k, 0.0) for k in RESISTANCES) or bool(self.believed),
         )
 
@@ -301,6 +301,9 @@ class DriveModel(AxisModel):
 
     def scored(self, of: Hypothesis) -> list[Array]:
         return self.residuals(of)[:-1]
+
+    def departure(self, of: Hypothesis) -> list[Array]:
+        return self._compared(of)
 
     def in_time(self) -> MovedModel | None:
         return MovedModel(self.records, self.nominal, self.rotates, self.believed)
@@ -342,17 +345,11 @@ class ServoModel(AxisModel):
 
     @property
     def reach(self) -> Reach:
-        motions: list[Motion] = [motion_of(*even(r.t, r.y)) for r in self.records]
-        speed = _largest([m.v for m in motions])
-        return Reach(
-            travel=_span([r.y for r in self.records]),
-            speed=speed,
-            slow=0.1 * speed,
-            acceleration=_largest([m.a for m in motions]),
+        return self._reach(
+            [r.y for r in self.records],
+            [motion_of(*even(r.t, r.y)) for r in self.records],
             force=0.0,
-            tick=float(np.median(self.ticks)),
             duration=max(float(r.t[-1] - r.t[0]) for r in self.records),
-            rotates=self.rotates,
         )
 
     def numbers(self, effects: Sequence[Departure]) -> Array:
@@ -365,15 +362,6 @@ class ServoModel(AxisModel):
         fastest = max(p[servo.BANDWIDTH] * max(1.0, p[servo.ZETA]), 1e-9)
         step = min(LONGEST_RESPONSE, 1.0 / (STEPS_A_RADIAN * fastest))
         return [servo.response(r.t, r.u, float(r.y[0]), p, step) for r in self.records]
-
-    def residuals(self, of: Hypothesis) -> list[Array]:
-        return self._less_zeros(of, self._compared(of))
-
-    def departure(self, of: Hypothesis) -> list[Array]:
-        return self.scored(of)
-
-    def _compared(self, of: Hypothesis) -> list[Array]:
-        return [r.y - p for r, p in zip(self.records, self.predicted(of), strict=True)]
 
 
 def started(t: Array, y: Array) -> tuple[float, float]:

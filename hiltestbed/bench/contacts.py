@@ -1,6 +1,4 @@
-"""The contacts of the benchmarks: frequency, delay and damping ratio of one head-on bounce, or
-random rigs.
-"""
+"""Contacts of the benchmarks: frequency, delay and damping ratio of a bounce; random rigs."""
 
 from __future__ import annotations
 
@@ -142,9 +140,7 @@ def grid(
 
 
 def random_rigs(count: int, seed: int) -> list[Contact]:
-    """Random rigs: masses, contact, delay, speed, and off-axis hits with tilt, sliding and
-    friction.
-    """
+    """Random rigs: masses, contact, delay, speed, off-axis hits with tilt, sliding and friction."""
     rng = np.random.default_rng(seed)
     rigs = []
     for i in range(count):

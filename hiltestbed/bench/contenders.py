@@ -13,9 +13,7 @@ BEST = "resynchronised"
 
 
 class Contact(Protocol):
-    """What a method may be told: k [N/m], c [N s/m], the peak force [N] and the nominal delay
-    [s].
-    """
+    """What a method may be told: k [N/m], c [N s/m], peak force [N] and nominal delay [s]."""
 
     @property
     def stiffness(self) -> float: ...

@@ -14,6 +14,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -51,27 +52,25 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     """All methods on the whole grid; ``quick``: on its corners."""
     contacts = grid((2.0, 8.0), (0.005, 0.020), damping_ratios=(0.05,)) if quick else grid()
     methods = contenders()
-    jobs = [
-        (t, k, m) for t, k in _conditions(quick) for m in methods if _takes_part(m, t, k, quick)
-    ]
+    jobs = [(c, m) for c in _conditions(quick) for m in methods if _takes_part(m, c, quick)]
     rigs, points = random_rigs(8 if quick else 64, seed=11), 6 if quick else 12
     random_methods = [
         m for m in methods if m.own or (m.name in RANDOM_METHODS and m.contact == "first")
     ]
-    efforts = [
-        effort([_under(c, tracking, knowledge) for c in contacts])
-        for tracking, knowledge, _ in jobs
-    ]
-    ideal_rigs = [_under(rig, "ideal", "exact") for rig in rigs]
-    random_effort, boundary_effort = (
-        effort(rigs) + effort(ideal_rigs),
-        len(BOUNDARY) * effort(_boundary(points)),
-    )
+    under = {
+        condition: [
+            replace(c, tracking=condition[0], delay_knowledge=condition[1]) for c in contacts
+        ]
+        for condition in _conditions(quick)
+    }
+    ideal_rigs = [replace(rig, tracking="ideal") for rig in rigs]
+    random_effort = effort(rigs) + effort(ideal_rigs)
+    boundary_effort = len(BOUNDARY) * effort(_boundary(points))
     ticks = COST_TICKS // (2 if quick else 1)
     cost_effort = effort(_costly(), ticks)
     whole = (
         effort(contacts)
-        + sum(efforts)
+        + sum(effort(under[condition]) for condition, _ in jobs)
         + len(random_methods) * random_effort
         + boundary_effort
         + len(methods) * cost_effort
@@ -84,17 +83,14 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     step(effort(contacts))
     records: list[dict[str, Any]] = []
     failed: dict[str, str] = {}
-    for (tracking, knowledge, contender), share in zip(jobs, efforts, strict=True):
-        same = [_under(c, tracking, knowledge) for c in contacts]
-        records += (
-            _unless_failed(contender, failed, partial(measure, contender, same, reference)) or []
-        )
-        step(share)
+    for condition, contender in jobs:
+        measured = partial(measure, contender, under[condition], reference)
+        records += _unless_failed(contender, failed, measured) or []
+        step(effort(under[condition]))
     random_records = []
     for contender in random_methods:
-        random_records += (
-            _unless_failed(contender, failed, partial(measure_random, contender, rigs)) or []
-        )
+        measured = partial(measure_random, contender, rigs)
+        random_records += _unless_failed(contender, failed, measured) or []
         step(random_effort)
     boundary = stability_boundary(points)
     step(boundary_effort)
@@ -102,9 +98,8 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     for m in methods:
         costs[m.name, m.contact] = _unless_failed(m, failed, partial(cost, m, ticks))
         step(cost_effort)
-    records, random_records = (
-        [r for r in some if r["method"] not in failed] for some in (records, random_records)
-    )
+    records = [r for r in records if r["method"] not in failed]
+    random_records = [r for r in random_records if r["method"] not in failed]
     board = leaderboard(records, costs)
     summary = {
         "leaderboard": board,
@@ -114,12 +109,9 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
         "failed": failed,
     }
     lines = [
-        (
-            f"{row['method']} ({row['contact']} contact)",
-            f"|ln e/e_ref| <= {_number(row['largest_log_error'])}",
-        )
+        (f"{row['method']} ({row['contact']} contact)", f"|ln e/e_ref| <= {error:.4f}")
         for row in board
-        if row["largest_log_error"] is not None
+        if (error := row["largest_log_error"]) is not None
     ]
     report = cor_report(records, summary)
     step(REPORT)
@@ -129,9 +121,7 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
 def _unless_failed(
     contender: Contender, failed: dict[str, str], measured: Callable[[], T]
 ) -> T | None:
-    """Result of ``measured``. If a method of the user raises, None, with the reason in ``failed``:
-    the other methods are still measured.
-    """
+    """Result of ``measured``; None if a user's method raises, with the reason in ``failed``."""
     if contender.name in failed:
         return None
     try:
@@ -150,16 +140,10 @@ def _conditions(quick: bool) -> list[tuple[str, str]]:
     )
 
 
-def _takes_part(contender: Contender, tracking: str, knowledge: str, quick: bool) -> bool:
-    """A quick run includes every method under ideal conditions, and the leading and the user's
-    methods under other conditions.
-    """
+def _takes_part(contender: Contender, condition: tuple[str, str], quick: bool) -> bool:
+    """Quick: every method under ideal conditions, the leading and the user's under others too."""
     leads = contender.own or contender.name.startswith((BEST, "phase_lead"))
-    return not quick or leads or (tracking, knowledge) == ("ideal", "exact")
-
-
-def _under(contact: Contact, tracking: str, knowledge: str) -> Contact:
-    return Contact(contact.frequency, contact.delay, contact.damping_ratio, knowledge, tracking)
+    return not quick or leads or condition == ("ideal", "exact")
 
 
 def measure(
@@ -211,13 +195,9 @@ def _tracking(result: BenchRuns, i: int) -> dict[str, float]:
     wanted = trace["pose_cmd"][first - 1 : last - 1, i, 2]  # commanded at t_k for t_(k+1)
     reached = trace["pose_act"][first:last, i, 2]
     lags = range(-2, min(60, len(wanted) // 3))
+    size = len(wanted)
     products = [
-        float(
-            np.dot(
-                wanted[max(0, -n) : len(wanted) - max(0, n)],
-                reached[max(0, n) : len(reached) + min(0, n)],
-            )
-        )
+        float(np.dot(wanted[max(0, -n) : size - max(0, n)], reached[max(0, n) : size + min(0, n)]))
         for n in lags
     ]
     error = wanted - reached
@@ -237,18 +217,22 @@ def measure_random(contender: Contender, rigs: Sequence[Contact]) -> list[dict[s
     reference = bounce([reference_scenario(s) for s in scenarios], THREADS)
     records = []
     for i, rig in enumerate(rigs):
-        record = _record(contender, rig, result, reference, i) | {
-            "random_rig": i,
-            "w_tau": effective_contact(rig),
-        }
-        change = np.linalg.norm(
-            (reference.velocity[i] - reference.start[i]).reshape(2, 2, 3), axis=2
-        )
-        error = np.linalg.norm(
-            (result.velocity[i] - reference.velocity[i]).reshape(2, 2, 3), axis=2
+        change, error = (
+            np.linalg.norm(difference.reshape(2, 2, 3), axis=2)
+            for difference in (
+                reference.velocity[i] - reference.start[i],
+                result.velocity[i] - reference.velocity[i],
+            )
         )
         worst = float((error / change).max())
-        records.append(record | {"twist_error": worst if np.isfinite(worst) else None})
+        records.append(
+            _record(contender, rig, result, reference, i)
+            | {
+                "random_rig": i,
+                "w_tau": effective_contact(rig),
+                "twist_error": worst if np.isfinite(worst) else None,
+            }
+        )
     return records
 
 
@@ -307,9 +291,7 @@ def _costly() -> list[Contact]:
 
 
 def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
-    """Microseconds per sim-tick of the method, in addition to the numerical model, in a batch of 64
-    runs in contact.
-    """
+    """Microseconds per sim-tick beyond the numerical model's, in a batch of 64 runs in contact."""
     loop = Loop([c.scenario(contender.force(c)) for c in _costly()])
     craft, plant = loop.model, loop.plant
     assert isinstance(plant, Plant)  # the simulated side
@@ -336,9 +318,7 @@ def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
 def leaderboard(
     records: Sequence[dict[str, Any]], costs: dict[tuple[str, str], float | None]
 ) -> list[dict[str, Any]]:
-    """One row per method and knowledge of the contact, best first; a method with a run that never
-    rebounded ranks last.
-    """
+    """A row per method and knowledge of the contact, best first; without a rebound it is last."""
     rows = []
     for name, contact in dict.fromkeys((r["method"], r["contact"]) for r in records):
         mine = [r for r in records if (r["method"], r["contact"]) == (name, contact)]
@@ -370,10 +350,6 @@ def leaderboard(
 def _largest(records: Sequence[dict[str, Any]]) -> float | None:
     errors = [r["cor_log_error"] for r in records]
     return max(abs(e) for e in errors) if errors and None not in errors else None
-
-
-def _number(value: float | None) -> str:
-    return "no rebound" if value is None else f"{value:.4f}"
 
 
 def _counter(progress: Progress | None, total: float) -> Callable[[float], None]:

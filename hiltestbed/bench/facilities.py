@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.analysis.stability import measured_response, stability
-from hiltestbed.bench.facilities_report import facilities_report
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.bench.throughput import side_by_side
 from hiltestbed.config.gallery import shipped
@@ -24,12 +23,14 @@ from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.facilities.hall import facility_of
 from hiltestbed.platform.facilities.measure import workspace
 from hiltestbed.platform.kinds import PLATFORMS
+from hiltestbed.report.page import Report, new_figure
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import log_error, reference_scenario, simulate
 
 DELAY = 0.002  # [s] of the force sensor
 RATIO = 0.05  # damping ratio of the contacts
 STIFFNESS = (1.0e4, 5.0e4, 1.0e5)  # [N/m]: 0.8, 1.8, 2.5 Hz
+LEAST = 1e-4  # smallest |ln(e/e_ref)| that is drawn
 NONE = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
 Progress = Callable[[int, int], None]
 
@@ -54,9 +55,7 @@ def facilities(quick: bool = False, progress: Progress | None = None) -> BenchRe
 
 
 def facilities_entered() -> dict[str, dict[str, Any]]:
-    """Name to `rig.platform` of all that take part: every kind of platform, also of plugins, in its
-    variants.
-    """
+    """Name to `rig.platform`: every kind of platform, also of plugins, in its variants."""
     return {
         name: dict(settings)
         for platform in PLATFORMS.values()
@@ -65,9 +64,7 @@ def facilities_entered() -> dict[str, dict[str, Any]]:
 
 
 def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:
-    """A contact of a bumper with the given stiffness [N/m] between two free bodies, within reach of
-    every facility.
-    """
+    """A bumper of a stiffness [N/m] between two free bodies, within reach of every facility."""
     base = load_scenario(shipped("scenarios") / "18-stewart.yaml")
     damping = 2.0 * RATIO * math.sqrt(stiffness * effective_mass(base))
     keys = {"mechanism.contact.stiffness": stiffness, "mechanism.contact.damping": damping}
@@ -82,9 +79,7 @@ def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:
 
 
 def docking(platform: dict[str, Any]) -> Scenario:
-    """A probe that meets its cone 30 mm off the axis, in a plane in which every facility can
-    move.
-    """
+    """A probe that meets its cone 30 mm off the axis, in a plane in which all facilities move."""
     keys = {
         "rig.platform": platform,
         "approach.offset": [0.03, 0.0],
@@ -110,9 +105,7 @@ def treated(
 
 
 def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
-    """Name to compensation and identification; for freely moving bodies only the uncompensated
-    case.
-    """
+    """Name to compensation and identification; of freely moving bodies only the uncompensated."""
     platform = scenario.rig.platform
     if platform.physical:
         return {"as it is": (NONE, "none")}
@@ -143,6 +136,7 @@ def _bounces(contacts: list[Scenario]) -> list[dict[str, Any]]:
         ):
             judged = stability(run)
             bare = judged and (judged if judged["stable"] is not None else judged["uncompensated"])
+            limits = ("net_damping", "largest_delay", "largest_stiffness")
             out.append(
                 {
                     "case": "bounce",
@@ -153,9 +147,7 @@ def _bounces(contacts: list[Scenario]) -> list[dict[str, Any]]:
                     "cor_log_error": log_error(figures.cor, reference.cor),
                     "peak_force_error": figures.peak_force / reference.peak_force - 1.0,
                     "energy_generated": figures.energy_generated,
-                    "net_damping": bare["net_damping"] if bare else None,
-                    "largest_delay": bare["largest_delay"] if bare else None,
-                    "largest_stiffness": bare["largest_stiffness"] if bare else None,
+                    **{name: bare[name] if bare else None for name in limits},
                     "status": batch.trouble.get(i, (0, "completed"))[1],
                     "passive": figures.cor is not None and figures.cor <= 1.0,
                     "wall": wall / len(runs),
@@ -180,18 +172,13 @@ def tuned(runs: list[Scenario], wanted: list[float | None]) -> list[Scenario]:
             mass = effective_mass(run)
             each = math.pi / (2.0 * mass * math.sqrt(run.mechanism.contact.stiffness / mass))
             settings["damping"] = max(0.0, settings["damping"] + math.log(figures.cor / cor) / each)
-        out.append(
-            treated(
-                run, {"force": settings, "motion": run.compensation.motion.model_dump(mode="json")}
-            )
-        )
+        motion = run.compensation.motion.model_dump(mode="json")
+        out.append(treated(run, {"force": settings, "motion": motion}))
     return out
 
 
 def _dockings(platform: dict[str, Any]) -> list[dict[str, Any]]:
-    """Records of the docking with the default compensation and without, with the capture time of
-    the reference.
-    """
+    """Records of the docking, compensated by default and not, with the reference's capture time."""
     scenario = docking(platform)
     reference = simulate([reference_scenario(scenario)]).outcomes[0]
     out = []
@@ -243,15 +230,12 @@ def _rig(name: str, scenario: Scenario, stretches: int) -> dict[str, Any]:
 
 def _worst(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The largest errors over the contacts, for each facility and compensation."""
-    out: list[dict[str, Any]] = []
-    for facility, treatment in dict.fromkeys(
-        (r["facility"], r["treatment"]) for r in records if r["case"] == "bounce"
-    ):
-        rows = [
-            r
-            for r in records
-            if (r["facility"], r["treatment"], r["case"]) == (facility, treatment, "bounce")
-        ]
+    grouped: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for r in records:
+        if r["case"] == "bounce":
+            grouped.setdefault((r["facility"], r["treatment"]), []).append(r)
+    out = []
+    for (facility, treatment), rows in grouped.items():
         errors = [abs(r["cor_log_error"]) for r in rows if r["cor_log_error"] is not None]
         out.append(
             {
@@ -261,23 +245,123 @@ def _worst(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "cor_log_error": max(errors, default=None),
                 "peak_force_error": max(abs(r["peak_force_error"]) for r in rows),
                 "passive": all(r["passive"] for r in rows),
-                "net_damping": min(
-                    (r["net_damping"] for r in rows if r["net_damping"] is not None), default=None
-                ),
-                "largest_delay": min(
-                    (r["largest_delay"] for r in rows if r["largest_delay"] is not None),
-                    default=None,
-                ),
+                **{
+                    name: min((r[name] for r in rows if r[name] is not None), default=None)
+                    for name in ("net_damping", "largest_delay")
+                },
             }
         )
     return out
 
 
 def _line(w: dict[str, Any]) -> str:
-    error = (
-        "no rebound" if w["cor_log_error"] is None else f"|ln e/e_ref| <= {w['cor_log_error']:.4f}"
+    e = w["cor_log_error"]
+    error = "no rebound" if e is None else f"|ln e/e_ref| <= {e:.4f}"
+    active = "" if w["passive"] else ", active"
+    return f"{error}, peak force error {100.0 * w['peak_force_error']:.1f} %{active}"
+
+
+def facilities_report(records: list[dict[str, Any]], summary: dict[str, Any]) -> Report:
+    """Results of the same contacts on each kind of rig, and characteristics of the rigs."""
+    report = Report("Facilities")
+    worst = summary["worst"]
+    bare = [w for w in worst if w["treatment"] == "uncompensated" and not w["passive"]]
+    report.lead(
+        f"{len(bare)} of {sum(w['treatment'] == 'uncompensated' for w in worst)} driven facilities "
+        "add energy to a contact without compensation; the rows below give the remaining errors "
+        "with the field's usual compensation and with the default."
     )
-    return (
-        f"{error}, peak force error {100.0 * w['peak_force_error']:.1f} "
-        f"%{'' if w['passive'] else ', active'}"
+    rows = [
+        [
+            w["facility"],
+            w["treatment"],
+            _number(w["cor_log_error"], 4),
+            f"{100.0 * w['peak_force_error']:.1f} %",
+            "yes" if w["passive"] else "no",
+            _number(w["net_damping"], 0),
+            _number(w["largest_delay"], 1, 1e3),
+        ]
+        for w in worst
+    ]
+    report.table(
+        ("facility", "compensation", "|ln(e/e_ref)|", "peak force error", "passive",
+         "net damping [N s/m]", "largest delay [ms]"),
+        rows,
+        "Largest values over the contacts; for net damping and largest delay, the smallest. For a "
+        "method that adds a force of its own "
+        "these two are those of the loop without it. A dash: no rebound, or no loop.",
+    )  # fmt: skip
+    report.figure(
+        _errors(worst),
+        "Error of the coefficient of restitution, the largest over the contacts; hatched: active.",
     )
+    report.heading("The rigs")
+    rows = [
+        [
+            r["facility"],
+            _number(r["reach"], 2),
+            _number(r["turn"], 0),
+            _number(r["delay"], 2, 1e3),
+            "-" if r["compliance"] is None else f"{r['compliance']:.2e}",
+            f"{r['cost']:.2f}",
+            f"{r['real_time_factor']:.2f}",
+        ]
+        for r in summary["rigs"]
+    ]
+    report.table(
+        ("facility", "reach [m]", "rotation [deg]", "delay at 2 Hz [ms]", "compliance [m/N]",
+         "tick / bare steps", "times real time"),
+        rows,
+        "Reach and rotation: the smallest over the axes, from home. Delay and compliance: measured "
+        "along the insertion, with feed-forward. Cost of a tick with 16 runs on one thread.",
+    )  # fmt: skip
+    dockings = [r for r in records if r["case"] == "docking"]
+    if dockings:
+        report.heading("The same docking")
+        report.table(
+            ("facility", "compensation", "outcome", "captured at [s]", "without rig [s]",
+             "energy generated [J]"),
+            [
+                [
+                    *(r[key] for key in ("facility", "treatment", "outcome")),
+                    *(_number(r[key], 3) for key in ("captured_at", "captured_at_reference")),
+                    f"{r['energy_generated']:.3g}",
+                ]
+                for r in dockings
+            ],
+            "A probe 30 mm off the axis of its cone. The reference is the contact of the free "
+            "bodies with six degrees of freedom.",
+        )  # fmt: skip
+    report.heading("What each kind distorts")
+    for rig in summary["rigs"]:
+        report.text(f"{rig['facility']}: {rig['distorts']}")
+    return report
+
+
+def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
+    return "-" if value is None else f"{factor * value:.{digits}f}"
+
+
+def _errors(worst: list[dict[str, Any]]):
+    """One group of bars per facility: uncompensated, the field's usual method, the default."""
+    names = list(dict.fromkeys(w["facility"] for w in worst))
+    figure, axes = new_figure(9.0, 3.8)
+    colors = {"uncompensated": "0.55", "default": "C0", "as it is": "C2"}
+    for x, name in enumerate(names):
+        mine = [w for w in worst if w["facility"] == name]
+        for k, w in enumerate(mine):
+            at = x + (k - 0.5 * (len(mine) - 1)) * 0.26
+            height = max(w["cor_log_error"] if w["cor_log_error"] is not None else 1.0, LEAST)
+            color, hatch = colors.get(w["treatment"], "C1"), "" if w["passive"] else "//"
+            axes.bar(at, height, 0.24, color=color, hatch=hatch, edgecolor="white")
+    labels = ("uncompensated", "field's usual compensation", "default", "no loop")
+    for label, color in zip(labels, ("0.55", "C1", "C0", "C2"), strict=True):
+        axes.bar(np.nan, np.nan, color=color, label=label)
+    axes.set_yscale("log")
+    axes.set_ylim(0.6 * LEAST, 5.0)
+    axes.set_xticks(
+        range(len(names)), [n.replace(", ", "\n").replace("_", "\n") for n in names], fontsize=8
+    )
+    axes.set_ylabel("|ln(e/e_ref)|")
+    axes.legend(ncols=4, fontsize=8)
+    return figure

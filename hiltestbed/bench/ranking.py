@@ -95,35 +95,34 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
     methods = [m for m in contenders() if not m.name.endswith("_off")]
     servo = not scenario.rig.platform.prescribed
     motions = [kind for kind in MOTION_METHODS if kind != own["motion"]["kind"]] if servo else []
-    whole, rows = float(len(methods) + len(motions)), []
+    whole = float(len(methods) + len(motions))
+    forces, others = [], []
     for done, method in enumerate(methods):
         needs = "delay, k, c" if method.contact == "known" else "delay"
         if method.estimates_delay or method.name in ("none", "dead_zone"):
             needs = "nothing"
         section = {"force": method.force(known), "motion": own["motion"]}
-        rows.append(_measured(scenario, reference, "force", method.name, needs, section))
+        row = Ranked("force", method.name, needs, section, "completed")
+        forces.append(_measured(scenario, reference, row))
         if progress:
             progress(done + 1.0, whole)
-    rows.sort(key=lambda row: row.order)
-    best = rows[0].section["force"]
+    forces.sort(key=lambda row: row.order)
     for done, kind in enumerate(motions):
-        section = {"force": best, "motion": {"kind": kind}}
-        rows.append(_measured(scenario, reference, "motion", kind, "", section))
+        section = {"force": forces[0].section["force"], "motion": {"kind": kind}}
+        row = Ranked("motion", kind, "", section, "completed")
+        others.append(_measured(scenario, reference, row))
         if progress:
             progress(len(methods) + done + 1.0, whole)
-    forces = [row for row in rows if row.link == "force"]
-    others = sorted((row for row in rows if row.link == "motion"), key=lambda row: row.order)
+    others.sort(key=lambda row: row.order)
     summary = {
         "name": scenario.name,
         "best": forces[0].method,
-        "cor_reference": _rebound(reference, 0),
+        "cor_reference": _rebound(reference),
         "unknown_delay": UNKNOWN * scenario.sensor.delay,
         **asdict(known),
     }
-    ranked = [*forces, *others]
-    return BenchResult(
-        "rank", [asdict(row) for row in ranked], summary, _report(scenario, ranked, summary)
-    )
+    records = [asdict(row) for row in (*forces, *others)]
+    return BenchResult("rank", records, summary, _report(scenario, records, summary))
 
 
 def _knowledge(scenario: Scenario) -> Knowledge:
@@ -134,17 +133,9 @@ def _knowledge(scenario: Scenario) -> Knowledge:
     return Knowledge(stiffness, damping, peak, scenario.sensor.delay)
 
 
-def _measured(
-    scenario: Scenario,
-    reference: Batch,
-    link: str,
-    method: str,
-    needs: str,
-    section: Mapping[str, Any],
-) -> Ranked:
+def _measured(scenario: Scenario, reference: Batch, row: Ranked) -> Ranked:
     """A method on the scenario, with the known delay and with a longer one."""
-    row = Ranked(link, method, needs, dict(section), "completed")
-    data = resolved(scenario) | {"compensation": dict(section)}
+    data = resolved(scenario) | {"compensation": row.section}
     late = {"kind": "sensor.delay", "delay": UNKNOWN * scenario.sensor.delay}
     try:
         scenarios = [scenario_from(data)]
@@ -166,21 +157,17 @@ def _measured(
     )
 
 
-def _rebound(batch: Batch, i: int) -> float | None:
-    figures = batch.figures[i]
+def _rebound(batch: Batch) -> float | None:
+    figures = batch.figures[0]
     return figures.cor_normal if figures.cor is None else figures.cor
 
 
 def _error(batch: Batch, reference: Batch) -> float | None:
-    if 0 in batch.trouble:
-        return None
-    return log_error(_rebound(batch, 0), _rebound(reference, 0))
+    return None if 0 in batch.trouble else log_error(_rebound(batch), _rebound(reference))
 
 
 def table(records: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """The records of :func:`rank` as cells, below :data:`HEADER`, without those that could not
-    run.
-    """
+    """The records of :func:`rank` that could run, as cells below :data:`HEADER`."""
     return [
         (
             ("motion: " if record["link"] == "motion" else "") + record["method"],
@@ -202,32 +189,33 @@ def left_out(records: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"{r['method']}: not here: {r['status']}" for r in records if r["status"] not in RAN]
 
 
-def _report(scenario: Scenario, rows: list[Ranked], summary: Mapping[str, Any]) -> Report:
+def _report(
+    scenario: Scenario, records: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]
+) -> Report:
     report = Report(f"Compensations on {scenario.name}")
-    best = rows[0]
+    best = records[0]
     report.lead(
-        f"{best.method} reproduces the contact best: ln(e/e_ref) {_cell(best.cor_log_error)}, and "
-        f"{_cell(best.late)} with {1e3 * summary['unknown_delay']:.3g} ms of delay that it does "
-        f"not know."
+        f"{best['method']} reproduces the contact best: ln(e/e_ref) "
+        f"{_cell(best['cor_log_error'])}, and {_cell(best['late'])} with "
+        f"{1e3 * summary['unknown_delay']:.3g} ms of delay that it does not know."
     )
     report.table(
         HEADER,
-        table([asdict(row) for row in rows]),
+        table(records),
         "Motion methods: beside the best force method. Reference: no delay, ideal tracking.",
     )
-    for line in left_out([asdict(row) for row in rows]):
+    for line in left_out(records):
         report.text(line)
-    shown = [row for row in rows if row.cor_log_error is not None]
+    shown = [r for r in records if r["cor_log_error"] is not None]
     if shown:
         figure, axis = new_figure(8.0, 1.0 + 0.32 * len(shown))
-        names = [f"{row.method} ({row.link})" for row in shown]
-        for i, row in enumerate(shown):
-            ends = [max(abs(v), 1e-6) for v in (row.cor_log_error, row.late) if v is not None]
+        names = [f"{r['method']} ({r['link']})" for r in shown]
+        for i, r in enumerate(shown):
+            ends = [max(abs(r[name]), 1e-6) for name in ERRORS if r[name] is not None]
+            known, longer = ("known delay", "20 % longer") if not i else (None, None)
             axis.plot(ends, [i] * len(ends), color="0.7", zorder=1)
-            axis.scatter(ends[:1], [i], color="#0072b2", label="known delay" if not i else None)
-            axis.scatter(
-                ends[1:], [i] * len(ends[1:]), color="#d55e00", label=None if i else "20 % longer"
-            )
+            axis.scatter(ends[:1], [i], color="#0072b2", label=known)
+            axis.scatter(ends[1:], [i] * len(ends[1:]), color="#d55e00", label=longer)
         axis.set(xscale="log", xlabel="|ln(e/e_ref)|", yticks=range(len(names)))
         axis.set_yticklabels(names)
         axis.invert_yaxis()

@@ -5,40 +5,31 @@ with a device on the loopback address.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+
+import numpy as np
 
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.devices.bench import Steadiness, measure
 from hiltestbed.report.page import Report, new_figure
 
 RATES = (250.0, 1000.0, 2000.0)  # [Hz]
+MAIN = (1000.0, True)  # [Hz], with a device
 SECONDS, QUICK = 600.0, 2.0  # [s] total time, shared by the measurements
-
-
-@dataclass(frozen=True)
-class LoopLoad:
-    """A measurement to be made."""
-
-    rate: float
-    device: bool
 
 
 def realtime(
     quick: bool = False, progress: Callable[[int, int], None] | None = None
 ) -> BenchResult:
-    """Measure the cycle at several rates; half the time is spent on 1 kHz with a device, the case
-    closest to a real run.
-    """
-    cases = [LoopLoad(rate, device) for rate in RATES for device in (False, True)]
+    """Measure the cycle at several rates, half of the time at 1 kHz with a device."""
+    cases = [(rate, device) for rate in RATES for device in (False, True)]
     total = QUICK if quick else SECONDS
-    main = LoopLoad(1000.0, True)
     measured: list[Steadiness] = []
-    for i, case in enumerate(cases):
-        seconds = total * (0.5 if case == main else 0.5 / (len(cases) - 1))
-        measured.append(measure(case.rate, seconds, device=case.device))
+    for i, (rate, device) in enumerate(cases):
+        seconds = total * (0.5 if (rate, device) == MAIN else 0.5 / (len(cases) - 1))
+        measured.append(measure(rate, seconds, device=device))
         if progress is not None:
             progress(i + 1, len(cases))
-    worst = measured[cases.index(main)]
+    worst = measured[cases.index(MAIN)]
     summary = {
         "missed_rate": worst.missed / max(worst.cycles, 1),
         "worst_wake_up": worst.wake_up.worst,
@@ -49,13 +40,10 @@ def realtime(
         "stolen": worst.stolen,
     }
     lines = [(_label(m), _figures(m)) for m in measured]
-    lines += [
-        ("granted", ", ".join(worst.granted) or "nothing"),
-        *((f"refused: {name}", why) for name, why in worst.refused.items()),
-    ]
-    return BenchResult(
-        "realtime", [m.record() for m in measured], summary, _report(measured, lines), lines
-    )
+    lines.append(("granted", ", ".join(worst.granted) or "nothing"))
+    lines += [(f"refused: {name}", why) for name, why in worst.refused.items()]
+    records, page = [m.record() for m in measured], _report(measured, worst, lines)
+    return BenchResult("realtime", records, summary, page, lines)
 
 
 def _label(m: Steadiness) -> str:
@@ -63,28 +51,21 @@ def _label(m: Steadiness) -> str:
 
 
 def _figures(m: Steadiness) -> str:
-    trip = (
-        f", round trip 99.9 % {1e6 * m.round_trip.percentiles['99.9']:.0f} us"
-        if m.round_trip
-        else ""
+    late, worst = m.wake_up.percentiles, 1e6 * m.wake_up.worst
+    text = (
+        f"{m.missed} of {m.cycles} missed, wake-up median {1e6 * late['50']:.0f}, 99.9 % "
+        f"{1e6 * late['99.9']:.0f}, worst {worst:.0f} us"
     )
-    wake = m.wake_up
-    late = (
-        f"wake-up median {1e6 * wake.percentiles['50']:.0f}, 99.9 % "
-        f"{1e6 * wake.percentiles['99.9']:.0f}, worst {1e6 * wake.worst:.0f} us"
-    )
-    taken = (
-        f", {100.0 * m.stolen:.2g} % of the processors taken by the hypervisor" if m.stolen else ""
-    )
-    return f"{m.missed} of {m.cycles} missed, {late}{trip}{taken}"
+    if m.round_trip:
+        text += f", round trip 99.9 % {1e6 * m.round_trip.percentiles['99.9']:.0f} us"
+    if m.stolen:
+        text += f", {100.0 * m.stolen:.2g} % of the processors taken by the hypervisor"
+    return text
 
 
-def _report(measured: list[Steadiness], lines: list[tuple[str, str]]) -> Report:
+def _report(measured: list[Steadiness], main: Steadiness, lines: list[tuple[str, str]]) -> Report:
     """The measurements, with a histogram of each wake-up latency."""
-    import numpy as np
-
     report = Report("The cycle in real time on this machine")
-    main = max((m for m in measured if m.device and m.rate == 1000.0), key=lambda m: m.cycles)
     report.lead(
         f"At 1 kHz with a device on the loopback address {main.missed} of {main.cycles} cycles "
         f"missed their deadline."
@@ -93,11 +74,8 @@ def _report(measured: list[Steadiness], lines: list[tuple[str, str]]) -> Report:
     figure, axes = new_figure(9.0, 4.5)
     for m in measured:
         counts = np.array(m.wake_up.histogram, dtype=float)
-        axes.step(
-            1e6 * m.wake_up.bin_width * np.arange(len(counts)),
-            np.maximum(counts / counts.sum(), 1e-9),
-            label=_label(m),
-        )
+        late = 1e6 * m.wake_up.bin_width * np.arange(len(counts))
+        axes.step(late, np.maximum(counts / counts.sum(), 1e-9), label=_label(m))
     axes.set(
         xlabel="wake-up latency [us]; the last bin holds all longer ones",
         ylabel="fraction of the cycles",

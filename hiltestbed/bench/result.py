@@ -42,31 +42,18 @@ class BenchResult:
 def write_bench(
     result: BenchResult, path: str | Path, options: Mapping[str, object] | None = None
 ) -> Path:
-    """Write the folder of a benchmark and return its path; ``options``: options of the call, by
-    their command-line names.
-    """
+    """Write the folder of a benchmark, called with ``options`` (as on the command line)."""
     path, options = Path(path), dict(options or {})
     made = {"options": options, "versions": versions(), "plugins": plugins.loaded()}
     content = {"name": result.name, **made, "records": result.records, "summary": result.summary}
     page = deepcopy(result.report)
     page.heading("How it was made")
-    called = " ".join(
-        [
-            "bench",
-            result.name,
-            *(
-                f"--{name}" if value is True else f"--{name} {value}"
-                for name, value in options.items()
-            ),
-        ]
-    )
-    page.table(
-        ("item", "version, or start of the SHA-256"),
-        [("command", called), *provenance(made["versions"], made["plugins"])],
-    )
+    flags = [f"--{n}" if value is True else f"--{n} {value}" for n, value in options.items()]
+    called = " ".join(["bench", result.name, *flags])
+    rows = [("command", called), *provenance(made["versions"], made["plugins"])]
+    page.table(("item", "version, or start of the SHA-256"), rows)
+    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     with whole_folder(path, mark=BENCH) as folder:
-        (folder / BENCH).write_text(
-            json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8"
-        )
+        (folder / BENCH).write_text(text, encoding="utf-8")
         page.write(folder / REPORT)
     return path

@@ -7,17 +7,22 @@ writes its trace while it is timed.
 
 from __future__ import annotations
 
+import math
+import resource
 import runpy
 import shutil
 import statistics
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from hiltestbed.bench.growth import growth, report_growth
 from hiltestbed.bench.result import BenchResult
+from hiltestbed.campaign.chunk import run_chunk
+from hiltestbed.campaign.schema import load_campaign
 from hiltestbed.compiled.state import arrays_of
 from hiltestbed.config.gallery import shipped
 from hiltestbed.contact.surfaces.turned import obj_text, polyline, turn
@@ -31,13 +36,14 @@ from hiltestbed.simulation import run
 
 STRETCH = 0.05  # [s] approximate length of an interval
 DOCKING_TICKS = 1000  # 0.5 s, with contact in the last two thirds
+CHUNK = 64
+CASES = ((64, 250), (128, 250), (256, 250), (512, 250), (1024, 250))  # (cases, ticks)
+TICKS = ((64, 250), (64, 500), (64, 1000), (64, 2000), (64, 4000))
 Progress = Callable[[int, int], None]
 
 
 def throughput(quick: bool = False, progress: Progress | None = None) -> BenchResult:
-    """Loop against bare steps for batches of 1 to 512 runs on one and two threads; recording;
-    scaling with cases and ticks.
-    """
+    """Loop against bare steps, 1 to 512 runs; recording; scaling with cases and ticks."""
     scenario = load_scenario(shipped("scenarios") / "reference-bumper.yaml")
     sizes = (
         [(1, 1), (64, 1), (64, 2)]
@@ -82,9 +88,7 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
 
 
 def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> dict[str, Any]:
-    """The loop and the bare steps of an identical plant, alternating over one scenario; medians
-    over the intervals.
-    """
+    """The loop and bare steps of an identical plant in alternation; medians over the intervals."""
     loop, bare = Loop([scenario] * n, threads), Loop([scenario] * n, threads).plant
     assert isinstance(bare, Plant)  # the simulated side
     trace = Trace(scenario.ticks, n, scenario.rate, loop.plant.units)
@@ -169,9 +173,7 @@ def docking_ratios(n: int, stretches: int) -> dict[str, float]:
 
 
 def _oval_cone(folder: Path) -> dict[str, str]:
-    """The shipped probe, and its cone as a mesh that is not a surface of revolution, written to
-    ``folder``: keys of a scenario.
-    """
+    """Keys of a scenario: the shipped probe, and a cone that is no surface of revolution."""
     models = shipped("models") / "probe_cone"
     shape = runpy.run_path(str(models / "turn_cone.py"))
     vertices, faces = turn(polyline(shape["PROFILE"], shape["ARC_STEP"]), 1024)
@@ -193,10 +195,11 @@ def per_block(scenario: Scenario, n: int) -> dict[str, float]:
     assert isinstance(plant, Plant)  # the simulated side
     wrench = plant.wrench_sub[:, -1]
     rig = (wrench, plant.pose_act, plant.twist_act, plant.contact)
+    figures = loop.tally.taking(rig, drive.pose, (drive.wrench, drive.twist))
     calls: dict[str, Callable[[], Any]] = {
         "sensor": lambda: loop.sensor.read(loop.k, plant.wrench_sub),
         "compensation and numerical model": lambda: drive.advance(loop.measurement),
-        "figures": lambda: loop.tally.update(loop.k, rig, drive.pose, (drive.wrench, drive.twist)),
+        "figures": lambda: figures(loop.k),
         "trace": lambda: row(loop.k),
         "platform, mechanisms, contact": lambda: plant.advance(
             drive.pose, loop.motion.twist, loop.motion.acceleration
@@ -280,3 +283,54 @@ def _report(
         [[name, *(f"{blocks[n][name]:.1f}" for n in blocks)] for name in names],
     )
     return report
+
+
+def growth(quick: bool = False) -> list[dict[str, Any]]:
+    """Records of `cases`, `ticks`, `wall` [s] without the process's start, peak `memory` [MB]."""
+    points = [CASES[0], CASES[2], TICKS[2]] if quick else list(dict.fromkeys((*CASES, *TICKS)))
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), max_tasks_per_child=1) as pool:
+        return [pool.submit(measured, cases, ticks).result() for cases, ticks in points]
+
+
+def measured(cases: int, ticks: int) -> dict[str, Any]:
+    """One point: a campaign with the reference bumper, ended after `ticks`, in chunks."""
+    file = shipped("scenarios") / "campaigns" / "delay-stiffness.yaml"
+    campaign = load_campaign(
+        file, {"set.duration": ticks / 2000.0, "set.identification": {"kind": "none"}}
+    )
+    run_chunk(campaign, range(2))  # not timed: compiles and loads what every process needs
+    start = time.perf_counter()
+    for first in range(0, cases, CHUNK):
+        run_chunk(campaign, range(first, min(first + CHUNK, cases)))
+    wall = time.perf_counter() - start
+    return {"cases": cases, "ticks": ticks, "wall": wall, "memory": peak_memory()}
+
+
+def peak_memory() -> float:
+    """Peak memory of this process [MB]; on Linux `ru_maxrss` would include its parent's."""
+    status = Path("/proc/self/status")
+    if status.is_file():
+        lines = dict(line.split(":", 1) for line in status.read_text().splitlines())
+        return int(lines["VmHWM"].split()[0]) / 1024.0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2.0**20  # macOS counts bytes
+
+
+def order(records: list[dict[str, Any]], key: str, other: str) -> float:
+    """Exponent p of wall ~ key^p from the smallest to the largest record with equal `other`."""
+    line = sorted((r for r in records if r[other] == records[0][other]), key=lambda r: r[key])
+    first, last = line[0], line[-1]
+    if last[key] == first[key]:
+        return math.nan
+    return math.log(last["wall"] / first["wall"]) / math.log(last[key] / first[key])
+
+
+def report_growth(report: Report, records: list[dict[str, Any]]) -> None:
+    """Add a table of the points, and the growth exponents of the time with cases and ticks."""
+    report.heading("Scaling of a campaign")
+    by_cases, by_ticks = order(records, "cases", "ticks"), order(records, "ticks", "cases")
+    report.text(
+        f"Time grows as cases^{by_cases:.2f} and as ticks^{by_ticks:.2f}; each point in a fresh "
+        f"process, in chunks of {CHUNK}."
+    )
+    rows = [[r["cases"], r["ticks"], f"{r['wall']:.2f}", f"{r['memory']:.0f}"] for r in records]
+    report.table(["cases", "ticks each", "time [s]", "peak memory [MB]"], rows)

@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.analysis.ledger import effective_mass
+from hiltestbed.analysis.spring_damper import SpringDamper
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.frames import Array
+from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
 
@@ -33,21 +34,8 @@ _STEPS = 61
 HIGHEST_DAMPING = 0.6
 
 
-def closed_contact_delay(stiffness: float, damping: float, mass: float) -> float:
-    """The delay [s] beyond which a closed contact oscillates with growing amplitude.
-
-    For stiffness [N/m], damping [N s/m], reduced mass [kg]: tau = atan(c w/k)/w with w^2 = (c^2 +
-    sqrt(c^4 + 4 mu^2 k^2))/(2 mu^2). atan(c w/k) is the phase lead of the damper, which the delay
-    uses up.
-    """
-    w = math.sqrt((damping**2 + math.sqrt(damping**4 + 4 * mass**2 * stiffness**2)) / (2 * mass**2))
-    return math.atan(damping * w / stiffness) / w
-
-
 def bounce_delay(stiffness: float, damping: float, mass: float) -> float:
-    """The delay [s] at which one bounce of a contact that cannot pull rebounds with its approach
-    speed, e = 1.
-    """
+    """The delay [s] at which a contact that cannot pull rebounds with its approach speed, e = 1."""
     zeta = damping / (2 * math.sqrt(stiffness * mass))
     if zeta > HIGHEST_DAMPING:
         raise ValueError(f"damping ratio {zeta:g}; known up to {HIGHEST_DAMPING:g}")
@@ -96,9 +84,7 @@ def bounce_cor(zeta: float, w_tau: float, pulls: bool = False) -> float:
 
 
 def motion(times: Array, zeta: float, w_tau: float) -> tuple[Array, Array, Array]:
-    """Position, speed and integral of the position at `times` (units of 1/w) during the contact;
-    each with the shape of `times`.
-    """
+    """Position, speed and integral of the position in contact at `times` (units of 1/w)."""
     position, speed, integral = (np.zeros_like(times) for _ in range(3))
     for n in range(TERMS):
         late = np.maximum(times - n * w_tau, 0.0)
@@ -115,9 +101,7 @@ def motion(times: Array, zeta: float, w_tau: float) -> tuple[Array, Array, Array
 
 
 def applies(scenario: Scenario) -> bool:
-    """Whether the closed forms describe the scenario: a linear contact, a pure delay, no
-    compensation, ideal tracking.
-    """
+    """Whether the closed forms hold: linear contact, pure delay, bare loop, ideal tracking."""
     sensor = scenario.sensor
     return (
         scenario.mechanism.flat
@@ -134,9 +118,7 @@ def applies(scenario: Scenario) -> bool:
 
 
 def margin(scenario: Scenario) -> tuple[float, float]:
-    """The scenario's delay minus the limits of the closed contact and of the bounce [s]; positive:
-    the rig adds energy.
-    """
+    """The delay beyond the limits of closed contact and bounce [s]; positive: energy is added."""
     delay = SensorParameters.believed(scenario.sensor).with_effects(scenario.effects).delay
     law = (*acting_along_z(scenario), effective_mass(scenario))
-    return delay - closed_contact_delay(*law), delay - bounce_delay(*law)
+    return delay - SpringDamper(*law).critical_delay, delay - bounce_delay(*law)

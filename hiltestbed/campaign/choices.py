@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,9 +51,7 @@ class Result:
 
 
 def choices_of(campaign: LoadedCampaign, table: Any) -> list[CaseGroup]:
-    """Every combination of the campaign's choices that occurs in its cases; a single one without a
-    label if there are no choices.
-    """
+    """Every combination of the campaign's choices in its cases; one without a label if none."""
     keys = [key for key, variation in campaign.spec.vary.items() if not is_numeric(variation)]
     if not keys:
         return [CaseGroup("", np.ones(table.num_rows, dtype=bool))]
@@ -68,9 +66,7 @@ def choices_of(campaign: LoadedCampaign, table: Any) -> list[CaseGroup]:
 
 
 def in_words(cell: str) -> str:
-    """A value from the table as text without JSON syntax: `{"kind": "phase_lead", "lag": 0.001}` as
-    `phase_lead (lag 0.001)`.
-    """
+    """A value without JSON syntax: `{"kind": "lead", "lag": 0.001}` is `lead (lag 0.001)`."""
     try:
         value = json.loads(cell)
     except (json.JSONDecodeError, TypeError):
@@ -93,17 +89,9 @@ def results(
             (float(v) for v in np.quantile(size, [0.5, 0.95])) if size.size else (None, None)
         )
         completed = int((choice.cases & (statuses == "completed")).sum())
-        out.append(
-            Result(
-                choice.label,
-                int(choice.cases.sum()),
-                completed,
-                int((cor[choice.cases] > 1.0).sum()),
-                median,
-                worst,
-            )
-        )
+        counts = (int(choice.cases.sum()), completed, int((cor[choice.cases] > 1.0).sum()))
+        out.append(Result(choice.label, *counts, median, worst))
     out.sort(key=lambda r: (-r.completed / r.cases, np.inf if r.worst is None else r.worst))
     if out[0].worst is not None and len(out) > 1:
-        out[0] = Result(**(vars(out[0]) | {"best": True}))
+        out[0] = replace(out[0], best=True)
     return out

@@ -1,31 +1,35 @@
-"""One chunk of cases: from case numbers to table rows. A worker runs this, on this machine or on
-another.
-"""
+"""One chunk of cases, from case numbers to table rows: what a worker runs, here or elsewhere."""
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from hiltestbed.campaign.cases import case_values, lockstep_groups
 from hiltestbed.campaign.columns import row
-from hiltestbed.campaign.designs import case_values
 from hiltestbed.campaign.schema import LoadedCampaign
-from hiltestbed.campaign.structure import lockstep_groups
 from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario, scenario_from
+from hiltestbed.signals import GROUPS, RunTrace, groups
 
+if TYPE_CHECKING:
+    from hiltestbed.loop import Loop
+
+BLOCK = 128  # rows between two updates of the hashes: 64 runs take 5 MB
 ROWS_LIMIT = 400_000  # rows of trace in memory at a time (0.25 GB), if traces are kept
 
 
 @dataclass
 class ChunkResult:
-    """Result of a chunk: one row per case, the files that are kept (path below `cases/`, to bytes),
-    the wall time [s].
-    """
+    """One row per case, the files that are kept (path below `cases/` to bytes), wall time [s]."""
 
     cases: tuple[int, ...]
     rows: list[dict[str, Any]]
@@ -34,9 +38,7 @@ class ChunkResult:
 
 
 def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
-    """Runs the cases, those of the same structure in lockstep. The row of a case that cannot be run
-    has the reason.
-    """
+    """Runs the cases, those of one structure in lockstep; a case that cannot run has the reason."""
     start = time.perf_counter()
     result = ChunkResult(tuple(cases), [])
     values = dict(zip(cases, case_values(campaign.spec, cases), strict=True))
@@ -53,9 +55,7 @@ def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
 
 
 def _has_rows(campaign: LoadedCampaign, scenario: Scenario) -> bool:
-    """Whether the rows of the trace are needed: to keep them, or because `log.*` effects act on the
-    complete record.
-    """
+    """Whether rows of the trace are needed: kept, or because `log.*` effects act on the record."""
     return campaign.spec.keep != "summary" or any(
         effect.link == "log" for effect in scenario.effects
     )
@@ -74,7 +74,6 @@ def _run_group(
     values: dict[int, dict],
     result: ChunkResult,
 ) -> None:
-    from hiltestbed.campaign.digest import TraceDigest, trace_sha256
     from hiltestbed.simulation import run_batch
 
     digests: list[TraceDigest] = []
@@ -126,3 +125,57 @@ def _kept_files(case: int, run: Any, recording: bool) -> dict[str, bytes]:
             for file in sorted(folder.rglob("*"))
             if file.is_file()
         }
+
+
+class TraceDigest:
+    """Replaces a Trace without holding more than a block of its rows: takes the same rows, and
+    gives `sha256(i)` of run i instead of them.
+
+    The hash covers every column except `t`, row by row in the order of the trace file, as
+    little-endian float64. A run that ended early is hashed up to its last row.
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        n = len(loop.scenarios)
+        self._trouble = loop.trouble  # not the loop itself: this would keep its models in memory
+        self._hashes = [hashlib.sha256() for _ in range(n)]
+        self._done = 0
+        self.length = np.zeros(n, dtype=int)  # set by the simulation when it ends
+        self.data = {
+            group.name: np.zeros((BLOCK, n, len(group.parts)))
+            for group in groups(loop.plant.units).values()
+        }
+        self.contact = np.zeros((BLOCK, n), dtype=bool)
+
+    def filled(self, ticks: int) -> None:
+        """Hash a full block; the first ``ticks`` rows are written."""
+        if ticks - self._done == BLOCK:
+            self._take(ticks)
+
+    def _take(self, end: int) -> None:
+        """Hash the rows from the last block's end to `end`."""
+        count = end - self._done
+        for i, digest in enumerate(self._hashes):
+            rows = min(count, self._trouble[i][0] + 1 - self._done) if i in self._trouble else count
+            if rows > 0:
+                parts = [self.data[name][:rows, i] for name in GROUPS]
+                digest.update(_matrix(parts, self.contact[:rows, i]))
+        self._done = end
+
+    def run(self, i: int) -> None:
+        """None: the rows are not kept."""
+
+    def sha256(self, i: int) -> str:
+        """The hash of run i, in hexadecimal; valid once the loop has ended."""
+        if self._done < self.length.max():
+            self._take(int(self.length.max()))
+        return self._hashes[i].hexdigest()
+
+
+def _matrix(parts: list[Array], contact: Array) -> bytes:
+    return np.column_stack([*parts, contact.astype(float)]).astype("<f8", copy=False).tobytes()
+
+
+def trace_sha256(trace: RunTrace) -> str:
+    """The same hash, of a stored trace."""
+    return hashlib.sha256(_matrix([trace.data[name] for name in GROUPS], trace.contact)).hexdigest()

@@ -41,9 +41,7 @@ ESTIMATES = tuple(
 
 
 def schema(campaign: Campaign):
-    """The pyarrow schema: the case, each varied key, the scalars of the summary, the error, the
-    hash of the trace.
-    """
+    """The pyarrow schema: case, varied keys, scalars of the summary, error, hash of the trace."""
     import pyarrow as pa
 
     fields = [pa.field("case", pa.int64())]

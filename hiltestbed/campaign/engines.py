@@ -60,9 +60,7 @@ def processes(workers: int) -> Engine:
 def _until_broken(
     campaign: LoadedCampaign, waiting: Iterator[Chunk], again: list[Chunk], workers: int
 ):
-    """Yields results until all chunks are done or a worker dies; returns the chunks that were in
-    progress then.
-    """
+    """Yields results until all is done or a worker dies; returns the chunks in progress then."""
     pool = Workers(workers)
     running: dict[Future[ChunkResult], Chunk] = {}
     next_up = list(again)
@@ -172,9 +170,7 @@ def _on_cluster(
 
 
 def run_chunk_of(campaign: LoadedCampaign, chunk: Chunk, expected: dict[str, str]) -> ChunkResult:
-    """`run_chunk` on a remote worker, which must have the package versions and the code with which
-    the campaign was started.
-    """
+    """`run_chunk` on a remote worker, which must have the campaign's package versions and code."""
     from hiltestbed.run_folder.versions import differences
 
     if differ := differences(expected):

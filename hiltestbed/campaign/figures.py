@@ -1,6 +1,4 @@
-"""Figures of a campaign: the response over two keys with the stability boundary, and
-distributions.
-"""
+"""Figures of a campaign: the response over two keys, the stability boundary, distributions."""
 
 from __future__ import annotations
 
@@ -31,14 +29,12 @@ HARMLESS = (
     "duration",
     "name",
 )
+UNITS = {"energy_generated": "J", "peak_force": "N", "contact_duration": "s", "tracking_error": "m"}
 # |ln(e/e_ref)| up to which the colour scale is linear: 1 % of the rebound speed
 LINEAR_BELOW = 0.01
 MESH = 24  # points per side at which the boundary is evaluated
 BANDS = 16  # parts of a key over which a band is drawn
 MARGINAL_CHOICES = 6  # lines that can be distinguished in one figure
-
-
-UNITS = {"energy_generated": "J", "peak_force": "N", "contact_duration": "s", "tracking_error": "m"}
 
 
 def heat_maps(
@@ -67,10 +63,12 @@ def heat_maps(
     ]
     (x_edges, x_log), (y_edges, y_log) = spans
     edges = (x_edges, y_edges)
-    cells = [
-        _cells((inputs[0][c.cases], inputs[1][c.cases]), edges, figures[name][c.cases], worst)
-        for c in choices
-    ]
+
+    def cells_of(choice: CaseGroup, name: str, worst: bool) -> Any:
+        mine = choice.cases
+        return _cells((inputs[0][mine], inputs[1][mine]), edges, figures[name][mine], worst)
+
+    cells = [cells_of(choice, name, worst) for choice in choices]
     filled = np.concatenate([np.abs(cell.compressed()) for cell in cells])
     limit = (float(np.quantile(filled, 0.98)) if filled.size else 0.0) or 1.0
     lowest = min((float(cell.min()) for cell in cells if cell.count()), default=0.0)
@@ -79,10 +77,8 @@ def heat_maps(
         from matplotlib.colors import SymLogNorm
 
         limit = max(limit, 2.0 * LINEAR_BELOW)
-        scale = {
-            "norm": SymLogNorm(LINEAR_BELOW, vmin=-limit, vmax=limit, base=10),
-            "cmap": "RdBu_r",
-        }
+        norm = SymLogNorm(LINEAR_BELOW, vmin=-limit, vmax=limit, base=10)
+        scale = {"norm": norm, "cmap": "RdBu_r"}
     boundary = _boundary(campaign, keys, edges, (x_log, y_log))
     for axis, choice, cell in zip(axes.flat, choices, cells, strict=False):
         mesh = axis.pcolormesh(x_edges, y_edges, cell.T, **scale)
@@ -92,18 +88,8 @@ def heat_maps(
         axis.set_title(textwrap.fill(choice.label, 34), fontsize=9)
         if boundary is not None:
             _draw_boundary(axis, *boundary)
-            _draw_neutral(
-                axis,
-                edges,
-                _cells(
-                    (inputs[0][choice.cases], inputs[1][choice.cases]),
-                    edges,
-                    figures["cor"][choice.cases],
-                    False,
-                ),
-            )
-    for axis in list(axes.flat)[len(choices) :]:
-        axis.set_visible(False)
+            _draw_neutral(axis, edges, cells_of(choice, "cor", worst=False))
+    _hide(axes, len(choices))
     # the lowest map of each column
     for axis in list(axes.flat)[max(0, len(choices) - columns) : len(choices)]:
         axis.set_xlabel(with_unit(keys[0], campaign))
@@ -112,12 +98,8 @@ def heat_maps(
         axis.set_ylabel(with_unit(keys[1], campaign))
     if boundary is not None:
         axes[0, 0].legend(loc="upper right", title="the rig adds energy beyond", fontsize=8)
-    picture.colorbar(
-        mesh,
-        ax=axes,
-        label=with_unit(name),
-        extend="both" if filled.size and filled.max() > limit else "neither",
-    )
+    extend = "both" if filled.size and filled.max() > limit else "neither"
+    picture.colorbar(mesh, ax=axes, label=with_unit(name), extend=extend)
     return picture, boundary is not None
 
 
@@ -138,33 +120,21 @@ def marginals(
         edges, log = _edges(campaign.spec.vary[key], values, BANDS)
         for i, choice in enumerate(choices):
             good = choice.cases & np.isfinite(figure)
-            cell = np.clip(
-                np.searchsorted(edges, values[good], side="right") - 1, 0, len(edges) - 2
-            )
-            parts = [(k, figure[good][cell == k]) for k in range(len(edges) - 1)]
+            x, y, cell = values[good], figure[good], _cell(edges, values[good])
             filled = [
-                (float(np.median(values[good][cell == k])), *np.quantile(part, [0.05, 0.5, 0.95]))
-                for k, part in parts
-                if part.size
+                (float(np.median(x[cell == k])), *np.quantile(y[cell == k], [0.05, 0.5, 0.95]))
+                for k in np.unique(cell)
             ]
             if filled:
                 at, low, middle, high = np.array(filled).T
-                axis.fill_between(
-                    at, low, high, color=PALETTE[i % len(PALETTE)], alpha=0.15, linewidth=0
-                )
-                axis.plot(
-                    at,
-                    middle,
-                    color=PALETTE[i % len(PALETTE)],
-                    marker="o",
-                    markersize=2.5,
-                    label=choice.label,
-                )
+                color = PALETTE[i % len(PALETTE)]
+                axis.fill_between(at, low, high, color=color, alpha=0.15, linewidth=0)
+                axis.plot(at, middle, "o-", color=color, markersize=2.5, label=choice.label)
         _scale(axis.xaxis, log, edges)
         axis.set(xlabel=with_unit(key, campaign))
-        axis.axhline(0.0, color="#8894a0", linewidth=0.8) if name == "cor_log_error" else None
-    for axis in list(axes.flat)[len(inputs) :]:
-        axis.set_visible(False)
+        if name == "cor_log_error":
+            axis.axhline(0.0, color="#8894a0", linewidth=0.8)
+    _hide(axes, len(inputs))
     for axis in axes[:, 0]:
         axis.set_ylabel(with_unit(name))
     if len(choices) > 1:
@@ -174,40 +144,42 @@ def marginals(
     return picture
 
 
+def _hide(axes: np.ndarray, used: int) -> None:
+    """Hide the panels beyond the first ``used``."""
+    for axis in list(axes.flat)[used:]:
+        axis.set_visible(False)
+
+
+def _cell(edges: Array, values: Array) -> np.ndarray:
+    """Index of the cell between two ``edges`` for each value."""
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+
+
 def _scale(axis: Any, log: bool, edges: Array) -> None:
-    """A linear scale with few ticks, or a logarithmic one with denser ticks if it spans less than a
-    decade.
-    """
+    """A linear scale with few ticks, or a logarithmic one, denser for less than a decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     if not log:
         axis.set_major_locator(MaxNLocator(6))
         return
     getattr(axis.axes, f"set_{axis.axis_name}scale")("log")
-    axis.set_major_locator(
-        LogLocator(
-            subs=(1.0, 2.0, 5.0) if edges[-1] > 8.0 * edges[0] else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-        )
-    )
+    wide = edges[-1] > 8.0 * edges[0]
+    subs = (1.0, 2.0, 5.0) if wide else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+
+    def text(value: float, _: int) -> str:
+        return f"{value:g}" if 1e-3 <= value < 1e4 else f"{value:.0e}".replace("e+0", "e")
+
+    axis.set_major_locator(LogLocator(subs=subs))
     axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(
-        FuncFormatter(
-            lambda value, _: (
-                f"{value:g}" if 1e-3 <= value < 1e4 else f"{value:.0e}".replace("e+0", "e")
-            )
-        )
-    )
+    axis.set_major_formatter(FuncFormatter(text))
 
 
 def with_unit(name: str, campaign: LoadedCampaign | None = None) -> str:
     """A figure, or a scenario key of a campaign, with its unit, if any, in brackets."""
     unit = UNITS.get(name, "")
     if not unit and campaign is not None:
-        unit = (
-            description_of(Scenario, resolved(campaign.nominal), key_path(name))
-            .partition("[")[2]
-            .partition("]")[0]
-        )
+        described = description_of(Scenario, resolved(campaign.nominal), key_path(name))
+        unit = described.partition("[")[2].partition("]")[0]
     return f"{name} [{unit}]" if unit and unit != "-" else name
 
 
@@ -216,10 +188,7 @@ def _cells(inputs: tuple[Array, Array], edges: tuple[Array, Array], figure: Arra
     good = np.isfinite(figure)
     places = [values[good] for values in inputs]
     if worst:
-        at = [
-            np.clip(np.searchsorted(e, p, side="right") - 1, 0, len(e) - 2)
-            for e, p in zip(edges, places, strict=True)
-        ]
+        at = [_cell(e, p) for e, p in zip(edges, places, strict=True)]
         cells = np.full((len(edges[0]) - 1, len(edges[1]) - 1), np.nan)
         order = np.argsort(np.abs(figure[good]), kind="stable")
         # of several in one cell the last assignment wins: the largest
@@ -241,9 +210,7 @@ def _draw_neutral(axes: Any, edges: tuple[Array, Array], cor: Any) -> None:
 
 
 def _edges(variation: Variation, values: Array, most: int = 64) -> tuple[Array, bool]:
-    """Edges of the cells along a key, from its lowest to its highest value, and whether they are
-    spaced logarithmically.
-    """
+    """Edges of the cells along a key, from its lowest to its highest value; whether logarithmic."""
     levels = np.unique(values)
     log = variation.log_uniform is not None or bool(
         levels[0] > 0 and levels.size > 2 and np.ptp(np.diff(np.log(levels))) < 1e-6
@@ -301,20 +268,14 @@ def _draw_boundary(axes: Any, x: Array, y: Array, margins: Array) -> None:
 
 def distributions(figures: dict[str, Array]):
     """Histograms of the named figures, each `(n,)`, the middle 99 % of each."""
-    picture, axes = new_figure(
-        9.0, 2.6 * ((len(figures) + 2) // 3), nrows=(len(figures) + 2) // 3, ncols=3, squeeze=False
-    )
+    lines = (len(figures) + 2) // 3
+    picture, axes = new_figure(9.0, 2.6 * lines, nrows=lines, ncols=3, squeeze=False)
     for axis, (name, values) in zip(axes.flat, figures.items(), strict=False):
         good = values[np.isfinite(values)]
         if good.size:
             low, high = np.quantile(good, [0.005, 0.995])
-            axis.hist(
-                good,
-                bins=40,
-                range=(low, high if high > low else low + 1e-9 + abs(low)),
-                color="#0b6e99",
-            )
+            span = (low, high if high > low else low + 1e-9 + abs(low))
+            axis.hist(good, bins=40, range=span, color="#0b6e99")
         axis.set(xlabel=with_unit(name), yticks=[])
-    for axis in list(axes.flat)[len(figures) :]:
-        axis.set_visible(False)
+    _hide(axes, len(figures))
     return picture

@@ -1,6 +1,4 @@
-"""The schema of a campaign: its scenario, the varied keys and their ranges, the design, and what is
-kept of each case.
-"""
+"""The schema of a campaign: its scenario, how keys vary, the design, what is kept of each case."""
 
 from __future__ import annotations
 
@@ -29,6 +27,12 @@ FIGURES = (
 # a day on a thousand cores; a larger number is assumed to be a typing error
 CASE_LIMIT = 10_000_000
 
+WAYS = ("values", "uniform", "log_uniform", "normal")  # in which a key can vary
+Count = Annotated[int, Field(ge=1, description="Number of cases")]
+PointSeed = Annotated[
+    int, Field(ge=0, description="Seed of the points; the same seed, the same points")
+]
+
 
 class Variation(Strictly):
     """How one key varies: exactly one of values, uniform, log_uniform and normal."""
@@ -48,11 +52,7 @@ class Variation(Strictly):
     @property
     def kind(self) -> str:
         """Which of the four is given."""
-        return next(
-            name
-            for name in ("values", "uniform", "log_uniform", "normal")
-            if getattr(self, name) is not None
-        )
+        return next(name for name in WAYS if getattr(self, name) is not None)
 
     @model_validator(mode="after")
     def _is_one(self) -> Variation:
@@ -75,9 +75,7 @@ class Variation(Strictly):
         return NormalDist(mean, sigma).inv_cdf(min(max(u, 1e-12), 1.0 - 1e-12))
 
     def grid(self) -> list[Any]:
-        """The values of a grid along this key: those listed, or `points` values of the range
-        including both ends.
-        """
+        """The values of a grid: those listed, or `points` of the range including both ends."""
         if self.values is not None:
             return list(self.values)
         low, high = self.uniform or self.log_uniform or (0.0, 0.0)
@@ -87,17 +85,12 @@ class Variation(Strictly):
 
 
 def _variation_problems(variation: Variation) -> Iterator[Problem]:
-    given = [
-        name
-        for name in ("values", "uniform", "log_uniform", "normal")
-        if getattr(variation, name) is not None
-    ]
+    given = [name for name in WAYS if getattr(variation, name) is not None]
     if len(given) != 1:
         got = ", ".join(given) or "none"
         yield (
             (),
-            f"needs one way to vary (got {got}); allowed is exactly one of values, uniform, "
-            f"log_uniform, normal",
+            f"needs one way to vary (got {got}); allowed is exactly one of {', '.join(WAYS)}",
         )
         return
     kind, limits = given[0], getattr(variation, given[0])
@@ -130,10 +123,8 @@ class Sobol(Strictly):
     kind: Literal["sobol"] = Field(
         default="sobol", description="Design. sobol: scrambled Sobol points"
     )
-    cases: Annotated[int, Field(ge=1)] = Field(description="Number of cases")
-    seed: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="Seed of the points; the same seed, the same points"
-    )
+    cases: Count
+    seed: PointSeed = 0
 
 
 class Random(Strictly):
@@ -142,10 +133,8 @@ class Random(Strictly):
     kind: Literal["random"] = Field(
         default="random", description="Design. random: independent random points"
     )
-    cases: Annotated[int, Field(ge=1)] = Field(description="Number of cases")
-    seed: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="Seed of the points; the same seed, the same points"
-    )
+    cases: Count
+    seed: PointSeed = 0
 
 
 class Campaign(Strictly):
@@ -243,9 +232,7 @@ def _overlap_problems(campaign: Campaign) -> Iterator[Problem]:
 
 @dataclass(frozen=True)
 class LoadedCampaign:
-    """A campaign whose scenario and keys are valid. `source` is the scenario's data with the
-    campaign's `set` applied.
-    """
+    """A valid campaign; `source` is the scenario's data with the campaign's `set` applied."""
 
     spec: Campaign
     path: Path
@@ -254,9 +241,7 @@ class LoadedCampaign:
 
 
 def load_campaign(path: str | Path, set: Mapping[str, Any] | None = None) -> LoadedCampaign:
-    """The campaign in a YAML file; `set` overrides keys of the campaign. Raises InputError with
-    every fault.
-    """
+    """The campaign in a YAML file, with keys set. Raises InputError with every fault."""
     return campaign_from(read_source(path).with_set(set))
 
 
@@ -288,9 +273,7 @@ def campaign_from(source: Source) -> LoadedCampaign:
 
 
 def _key_faults(source: Source, base: Source, key: str, variation: Variation) -> Iterator[Fault]:
-    """Tests every listed value, or both ends of a range, alone in the scenario. Combinations are
-    validated per case, when they run.
-    """
+    """Tests every listed value, or the ends of a range, alone; combinations when they run."""
     for index, value in enumerate(_probes(variation)):
         try:
             scenario_from(base, {key: value})

@@ -27,9 +27,7 @@ CASES_A_TERM = 3  # cases per coefficient, at least: with fewer the fit follows 
 
 @dataclass(frozen=True)
 class Index:
-    """A key's share of a figure's variance: alone (first order), and with all interactions that it
-    takes part in (total).
-    """
+    """A key's share of a figure's variance: alone, and with all its interactions (total)."""
 
     key: str
     first_order: float
@@ -38,9 +36,7 @@ class Index:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Indices of every key, in their order, and the share of the variance of left-out cases that
-    the expansion explains.
-    """
+    """Indices of every key, and the share of left-out cases' variance that is explained."""
 
     indices: tuple[Index, ...]
     explained: float
@@ -77,9 +73,7 @@ def sensitivity(
 
 
 def _basis(values: Array, degree: int, choice: bool) -> list[tuple[int, Array]]:
-    """Functions of one key with mean 0 and variance 1 over the cases, orthogonal to each other:
-    (degree, ``(n,)``).
-    """
+    """Functions of one key, orthonormal over the cases, with mean 0: (degree, ``(n,)``)."""
     levels = np.unique(values)
     if levels.size < 2:
         return []
@@ -103,9 +97,7 @@ def _basis(values: Array, degree: int, choice: bool) -> list[tuple[int, Array]]:
 def _terms(
     bases: Sequence[Sequence[tuple[int, Array]]], degree: int
 ) -> tuple[list[tuple[int, ...]], list[Array]]:
-    """Products of one or two keys up to a total degree: the keys of each product, and its column
-    ``(n,)``.
-    """
+    """Products of one or two keys up to a total degree: keys of each, and its column ``(n,)``."""
     owners: list[tuple[int, ...]] = []
     columns = []
     for j, basis in enumerate(bases):
@@ -144,9 +136,7 @@ def _fit(
 
 
 def explained_share(values: Array, figure: Array, bins: int = 16) -> float:
-    """Variance of the figure's conditional mean over the values of a key (in at most ``bins``
-    bins), divided by its total variance.
-    """
+    """Variance of the figure's mean over at most ``bins`` bins of a key, over its own."""
     good = np.isfinite(figure)
     if good.sum() < 2 * bins or np.ptp(figure[good]) == 0.0:
         return 0.0

@@ -43,18 +43,14 @@ _WALL = b"wall"
 
 
 def campaign_sha256(campaign: LoadedCampaign) -> str:
-    """Hash of everything that determines the results: the resolved scenario, how it varies, and
-    what is kept.
-    """
+    """Hash of all that determines the results: resolved scenario, how it varies, what is kept."""
     spec = campaign.spec.model_dump(mode="json")
-    whole = {"scenario": identity(campaign.nominal)} | {
-        key: spec[key] for key in ("vary", "design", "keep")
-    }
+    whole = {"scenario": identity(campaign.nominal)}
+    whole |= {key: spec[key] for key in ("vary", "design", "keep")}
     for (key, k), (file, kind) in varied_files(campaign).items():
         whole["vary"][key]["values"][k] = file_sha256(file, kind)
-    return hashlib.sha256(
-        json.dumps(whole, sort_keys=True, separators=(",", ":")).encode()
-    ).hexdigest()
+    text = json.dumps(whole, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def varied_files(campaign: LoadedCampaign) -> dict[tuple[str, int], tuple[Path, UserFile]]:
@@ -117,9 +113,7 @@ class Store:
             yield store
 
     def write_files(self) -> None:
-        """campaign.yaml and scenario.yaml with every override included, so that `--case` works
-        wherever the folder is copied.
-        """
+        """campaign.yaml and scenario.yaml with every override, so that `--case` works anywhere."""
         spec = self.campaign.spec.model_dump(mode="json", exclude_none=True)
         spec |= {"name": self.name, "scenario": SCENARIO, "set": {}}
         shutil.rmtree(self.folder / MODELS, ignore_errors=True)
@@ -146,14 +140,11 @@ class Store:
 
     def is_complete(self) -> bool:
         """Whether every case is in cases.parquet and nothing is left to do."""
-        return (self.folder / CASES).is_file() and read_about(self.folder).get(
-            "status"
-        ) == "complete"
+        whole = (self.folder / CASES).is_file()
+        return whole and read_about(self.folder).get("status") == "complete"
 
     def done(self) -> np.ndarray:
-        """For each case, whether it is on disk. A chunk that cannot be read (corrupted by the disk)
-        is removed and does not count.
-        """
+        """For each case, whether it is on disk. A chunk that cannot be read is removed."""
         flags = np.zeros(self.campaign.spec.cases, dtype=bool)
         for file in self.chunks.glob("*.parquet"):
             try:
@@ -168,14 +159,12 @@ class Store:
             path = self.folder / KEPT / name
             path.parent.mkdir(parents=True, exist_ok=True)
             write_whole(path, content)
-        rows = table(self.campaign.spec, result.rows).replace_schema_metadata(
-            {_WALL: repr(result.wall).encode()}
-        )
+        about = {_WALL: repr(result.wall).encode()}
+        rows = table(self.campaign.spec, result.rows).replace_schema_metadata(about)
         buffer = pa.BufferOutputStream()
         pq.write_table(rows, buffer, compression="zstd")
-        write_whole(
-            self.chunks / f"{min(result.cases):08d}.parquet", buffer.getvalue().to_pybytes()
-        )
+        file = self.chunks / f"{min(result.cases):08d}.parquet"
+        write_whole(file, buffer.getvalue().to_pybytes())
 
     def walls(self) -> list[dict[str, Any]]:
         """First case, number of cases and wall time [s] of every chunk on disk."""
@@ -183,13 +172,8 @@ class Store:
         for file in sorted(self.chunks.glob("*.parquet")):
             with file.open("rb") as opened:
                 metadata = pq.read_metadata(opened)
-            found.append(
-                {
-                    "first": int(file.stem),
-                    "cases": metadata.num_rows,
-                    "wall": float((metadata.metadata or {}).get(_WALL, b"0")),
-                }
-            )
+            wall = float((metadata.metadata or {}).get(_WALL, b"0"))
+            found.append({"first": int(file.stem), "cases": metadata.num_rows, "wall": wall})
         return found
 
     def merge(self) -> None:
@@ -229,9 +213,7 @@ def _window(files: list[tuple[Path, np.ndarray]], start: int, end: int) -> pa.Ta
 
 
 def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
-    """Raises InputError if `folder` contains anything other than this campaign with these versions;
-    the folder is not changed.
-    """
+    """Raises InputError if `folder` holds anything but this campaign; the folder is not changed."""
     if not folder.exists() and not folder.is_symlink():
         return
     if not folder.is_dir():
@@ -248,12 +230,8 @@ def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
         return
     about = read_about(folder)
     if about.get("campaign_sha256") != campaign_sha256(campaign):
-        before = about.get("files") or {}
-        changed = [
-            name
-            for name, digest in files_sha256(campaign).items()
-            if before.get(name, digest) != digest
-        ]
+        before, now = about.get("files") or {}, files_sha256(campaign)
+        changed = [name for name, digest in now.items() if before.get(name, digest) != digest]
         if changed:
             raise InputError(
                 f"{folder}: was begun with another content of {', '.join(changed)}; undo the "
@@ -265,14 +243,11 @@ def refuse_another(folder: Path, campaign: LoadedCampaign) -> None:
             "design or keep); allowed is a new folder or this campaign's own; choose another --out"
         )
     if about.get("versions") != provenance():
-        before = about.get("versions") or {}
-        changed = (
-            ", ".join(name for name, version in provenance().items() if before.get(name) != version)
-            or "its packages"
-        )
+        before, now = about.get("versions") or {}, provenance()
+        changed = [name for name, version in now.items() if before.get(name) != version]
         raise InputError(
-            f"{folder}: was begun with other versions of {changed}, whose numbers may differ; "
-            f"choose another --out"
+            f"{folder}: was begun with other versions of {', '.join(changed) or 'its packages'}, "
+            f"whose numbers may differ; choose another --out"
         )
 
 

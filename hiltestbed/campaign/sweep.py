@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiltestbed.campaign import engines
-from hiltestbed.campaign.designs import case_values
+from hiltestbed.campaign.cases import case_values, structural_keys
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
 from hiltestbed.campaign.store import CASES, Store, read_about, refuse_another
-from hiltestbed.campaign.structure import structural_keys
 from hiltestbed.config.validation import nearest
 from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError, MissingExtra
@@ -86,23 +85,12 @@ class Sweep:
         if values is not None and isinstance(values[0], str):
             for i, value in enumerate(dict.fromkeys(values)):
                 mine = [j for j, other in enumerate(values) if other == value]
-                axes.plot(
-                    table[x].take(mine),
-                    table[y].take(mine),
-                    "o",
-                    color=PALETTE[i % len(PALETTE)],
-                    markersize=3.5,
-                    label=value,
-                )
+                places, color_of = [table[c].take(mine) for c in (x, y)], PALETTE[i % len(PALETTE)]
+                axes.plot(*places, "o", color=color_of, markersize=3.5, label=value)
             axes.legend(fontsize=8)
         else:
-            drawn = axes.scatter(
-                table[x],
-                table[y],
-                c=values if values is not None else PALETTE[0],
-                s=12,
-                cmap="cividis",
-            )
+            shade = values if values is not None else PALETTE[0]
+            drawn = axes.scatter(table[x], table[y], c=shade, s=12, cmap="cividis")
             if values is not None:
                 axes.figure.colorbar(drawn, ax=axes, label=color)
         axes.set(xlabel=x, ylabel=y)
@@ -138,14 +126,11 @@ def sweep(
     refuse_another(folder, campaign)
     if Store(folder, campaign).is_complete():
         return read_sweep(folder)
+    engine, name = engines.serial, "this process"
     if scheduler:
         engine, name = engines.dask(scheduler), scheduler
-    else:
-        engine, name = (
-            (engines.processes(workers), f"{workers} processes")
-            if workers > 1
-            else (engines.serial, "this process")
-        )
+    elif workers > 1:
+        engine, name = engines.processes(workers), f"{workers} processes"
     with Store.opened(folder, campaign) as store:
         counts = _run(store, engine, chunk, progress)
         _finish(store, name, chunk, *counts)
@@ -166,9 +151,8 @@ def _run(
     start = time.perf_counter()
     statuses: Counter[str] = Counter()
     finished = 0
-    with closing(
-        engine(store.campaign, planned_chunks(store.campaign, np.flatnonzero(~done), chunk))
-    ) as results:
+    chunks = planned_chunks(store.campaign, np.flatnonzero(~done), chunk)
+    with closing(engine(store.campaign, chunks)) as results:
         for result in results:
             store.add(result)
             finished += len(result.cases)
@@ -240,22 +224,19 @@ def case_scenario(
 
 def varied_in_vain(campaign: LoadedCampaign) -> tuple[str, ...]:
     """A sentence for each varied key that has no effect in any of up to :data:`LOOKED_AT` cases."""
-    cases = sorted(
-        {round(i * (campaign.spec.cases - 1) / (LOOKED_AT - 1)) for i in range(LOOKED_AT)}
-    )
-    found: dict[str, str] = {}
-    for n, case in enumerate(cases):
-        idle = [
-            (tuple(map(str, path)), why) for path, why in idle_keys(case_scenario(campaign, case))
-        ]
+    last = campaign.spec.cases - 1
+    paths = {key: tuple(map(str, key_path(key))) for key in campaign.spec.vary}
+    found: dict[str, str] | None = None
+    for case in sorted({round(i * last / (LOOKED_AT - 1)) for i in range(LOOKED_AT)}):
+        idle = [(tuple(map(str, p)), why) for p, why in idle_keys(case_scenario(campaign, case))]
         here = {
             key: why
-            for key in campaign.spec.vary
-            for path, why in idle
-            if tuple(map(str, key_path(key)))[: len(path)] == path
+            for key, path in paths.items()
+            for above, why in idle
+            if path[: len(above)] == above
         }
-        found = here if n == 0 else {key: why for key, why in found.items() if key in here}
-    return tuple(f"vary.{key}: has no effect: {why}" for key, why in found.items())
+        found = here if found is None else {k: why for k, why in found.items() if k in here}
+    return tuple(f"vary.{key}: has no effect: {why}" for key, why in (found or {}).items())
 
 
 def read_sweep(folder: str | Path) -> Sweep:

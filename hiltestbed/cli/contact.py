@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hiltestbed.cli.options import Json, Out
+from hiltestbed.cli.options import Json, Out, print_json
 from hiltestbed.errors import InputError
 
 if TYPE_CHECKING:
@@ -96,9 +95,7 @@ def contact(
     if out is not None:
         write_contact(figures, out)
     if as_json:
-        print(
-            json.dumps(figures.to_json() | ({"folder": str(out)} if out else {}), allow_nan=False)
-        )
+        print_json(figures.to_json(), out)
         return
     from hiltestbed.report.table import print_lines
 

@@ -1,6 +1,4 @@
-"""The commands against real devices and other simulators: `hiltestbed live | emulate | commission |
-fmu`.
-"""
+"""The commands against real devices and other simulators: `live | emulate | commission | fmu`."""
 
 from __future__ import annotations
 
@@ -11,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hiltestbed.cli.options import Json, Sets, read_scenario
+from hiltestbed.cli.options import (
+    Json,
+    ScenarioFile,
+    Sets,
+    print_json,
+    read_scenario,
+    result_folder,
+)
 from hiltestbed.errors import InputError
 from hiltestbed.process import interrupt
 
@@ -19,9 +24,6 @@ if TYPE_CHECKING:
     from hiltestbed.devices.session import Observed
     from hiltestbed.scenario import Scenario
 
-File = Annotated[
-    Path, typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one.")
-]
 Sensor = Annotated[
     str,
     typer.Option(
@@ -58,7 +60,7 @@ app = typer.Typer()
 
 @app.command()
 def live(
-    scenario: File,
+    scenario: ScenarioFile,
     sensor: Sensor,
     platform: Platform,
     arm: Arm = False,
@@ -77,11 +79,11 @@ def live(
     from hiltestbed.devices.live import Observed, Options
     from hiltestbed.devices.live import live as run_live
     from hiltestbed.devices.recorder import discard
-    from hiltestbed.run_folder.folders import free_folder, safe_name
+    from hiltestbed.run_folder.folders import safe_name
     from hiltestbed.run_folder.store import refuse_foreign, write_run
 
     spec = _for_seconds(scenario, sets, seconds)
-    folder = out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-live"))
+    folder = result_folder(out, safe_name(f"{spec.name}-live"))
     refuse_foreign(folder)
     interrupt.track_shared_memory()
     # remains if the process dies; deleted once the run is written
@@ -105,7 +107,7 @@ def live(
 
 @app.command()
 def emulate(
-    scenario: File,
+    scenario: ScenarioFile,
     sensor: Sensor,
     platform: Platform,
     seconds: Annotated[
@@ -138,7 +140,7 @@ def emulate(
 
 @app.command()
 def commission(
-    scenario: File,
+    scenario: ScenarioFile,
     sensor: Sensor,
     platform: Platform,
     arm: Arm = False,
@@ -162,13 +164,11 @@ def commission(
     from hiltestbed.devices.commission.procedure import commission as run_commission
     from hiltestbed.devices.session import Options
     from hiltestbed.process.progress import step_line
-    from hiltestbed.run_folder.folders import free_folder, safe_name
+    from hiltestbed.run_folder.folders import safe_name
     from hiltestbed.run_folder.store import refuse_foreign
 
     spec = read_scenario(scenario, sets)
-    folder = (
-        out if out is not None else free_folder(Path("runs") / safe_name(f"{spec.name}-commission"))
-    )
+    folder = result_folder(out, safe_name(f"{spec.name}-commission"))
     refuse_foreign(folder, RESULT)
     interrupt.track_shared_memory()
     with step_line(spec.name) as progress:
@@ -185,7 +185,7 @@ def commission(
 
 @app.command()
 def fmu(
-    scenario: File,
+    scenario: ScenarioFile,
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder to write the FMU into.")
     ] = Path(),
@@ -260,17 +260,12 @@ def _say(step: str) -> None:
 
 
 def _print_observed(observed: Observed, scenario: Scenario, as_json: bool) -> None:
-    figures: dict[str, Any] = {
-        "armed": False,
-        "rate": observed.rate,
-        "fault": observed.fault,
-        "pose": [float(v) for v in observed.pose],
-        "wrench": [float(v) for v in observed.wrench],
-        "noise": [float(v) for v in observed.noise],
-        "events": observed.counts,
-    }
+    figures: dict[str, Any] = {"armed": False, "rate": observed.rate, "fault": observed.fault}
+    for name in ("pose", "wrench", "noise"):
+        figures[name] = [float(v) for v in getattr(observed, name)]
+    figures["events"] = observed.counts
     if as_json:
-        print(json.dumps(figures, allow_nan=False))
+        print_json(figures)
         return
     print(
         f"not armed: nothing was commanded; {observed.rate:.1f} ticks a second, the scenario asks "
@@ -279,10 +274,8 @@ def _print_observed(observed: Observed, scenario: Scenario, as_json: bool) -> No
     for name in ("pose", "wrench", "noise"):
         print(f"  {name:7s}" + " ".join(f"{value:11.5g}" for value in figures[name]))
     for name, counts in observed.counts.items():
-        print(
-            f"  {name}: "
-            + ", ".join(f"{event} {count}" for event, count in counts.items() if count)
-        )
+        happened = ", ".join(f"{event} {count}" for event, count in counts.items() if count)
+        print(f"  {name}: {happened}")
     if observed.fault is not None:
         print(f"--arm would be refused: {observed.fault}")
         return
@@ -291,7 +284,7 @@ def _print_observed(observed: Observed, scenario: Scenario, as_json: bool) -> No
 
 def _print_live(summary: dict[str, Any], folder: Path, recording: bool, as_json: bool) -> None:
     if as_json:
-        print(json.dumps(summary | {"folder": str(folder)}, allow_nan=False))
+        print_json(summary, folder)
         return
     from hiltestbed.report.table import print_run
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hiltestbed.errors import InputError
+from hiltestbed.run_folder.folders import free_folder
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -27,9 +29,7 @@ Json = Annotated[
 
 
 def complete(incomplete: str) -> list[str]:
-    """Shell completion: shipped scenarios and campaigns, and files, that begin with
-    ``incomplete``.
-    """
+    """Shell completion: shipped scenarios and campaigns, and files, beginning so."""
     from hiltestbed.config.gallery import campaign_names, scenario_names
 
     files = [str(path) for path in Path().glob("*.yaml")]
@@ -38,6 +38,27 @@ def complete(incomplete: str) -> list[str]:
         for name in (*files, *scenario_names(), *campaign_names())
         if name.startswith(incomplete)
     ]
+
+
+ScenarioFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="Scenario file, or the name of a shipped one.",
+        autocompletion=complete,
+    ),
+]
+
+
+def result_folder(out: Path | None, label: str) -> Path:
+    """``out``, or if left out a folder below `runs` that does not exist yet."""
+    return out if out is not None else free_folder(Path("runs") / label)
+
+
+def print_json(found: dict[str, Any], folder: Path | None = None) -> None:
+    """One JSON object on standard output, with the folder of the result."""
+    about = {"folder": str(folder)} if folder is not None else {}
+    print(json.dumps(found | about, allow_nan=False))
 
 
 def overrides(sets: list[str] | None) -> dict[str, Any]:
@@ -55,9 +76,7 @@ def overrides(sets: list[str] | None) -> dict[str, Any]:
 
 
 def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -> Scenario:
-    """The scenario in a file, or one case of the campaign in it. Raises InputError that names the
-    kind of any other file.
-    """
+    """The scenario in a file, or a campaign's case. Raises InputError naming another kind."""
     from hiltestbed.compiled.warm import tell_of_compiling
     from hiltestbed.config.check import file_kind
     from hiltestbed.config.gallery import (

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hiltestbed.cli import contact, devices, export, scenarios, studies
+from hiltestbed.cli import contact, devices, export, plan, scenarios, studies
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.process import interrupt, memory
 from hiltestbed.run_folder.folders import FIGURES_APART
@@ -59,7 +59,7 @@ def _root(
         plugins.load(plugin)
 
 
-for group in (scenarios, contact, studies, export, devices):
+for group in (scenarios, contact, plan, studies, export, devices):
     for command in group.app.registered_commands:
         command.epilog = (
             "With every command: --plugin MODULE, --figures (explained by hiltestbed --help)."
@@ -68,9 +68,7 @@ for group in (scenarios, contact, studies, export, devices):
 
 
 def _fail(error: BaseException, text: str, status: int) -> int:
-    """Print an error to standard error, and with --json also to standard output, as the only object
-    there; returns ``status``.
-    """
+    """Print an error to standard error, with --json also as the only object on standard output."""
     if "--json" in sys.argv:
         faults = [vars(fault) for fault in error.faults] if isinstance(error, InputError) else []
         print(
@@ -94,9 +92,7 @@ def main() -> None:
 
 
 def _common_first(arguments: list[str]) -> list[str]:
-    """The arguments with ``--figures`` and every ``--plugin MODULE`` moved to the front, where the
-    program expects them.
-    """
+    """The arguments with ``--figures`` and every ``--plugin MODULE`` moved to the front."""
     ahead, rest = [], []
     waiting = iter(arguments)
     for argument in waiting:

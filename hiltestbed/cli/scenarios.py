@@ -12,9 +12,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hiltestbed.cli.options import Json, Out, Sets, complete, overrides, read_scenario
+from hiltestbed.cli.options import (
+    Json,
+    Out,
+    ScenarioFile,
+    Sets,
+    complete,
+    overrides,
+    print_json,
+    read_scenario,
+    result_folder,
+)
 from hiltestbed.errors import InputError
-from hiltestbed.run_folder.folders import free_folder, safe_name
+from hiltestbed.run_folder.folders import safe_name
 
 if TYPE_CHECKING:
     from hiltestbed.analysis.record_comparison import RecordComparison
@@ -24,14 +34,7 @@ app = typer.Typer()
 
 @app.command()
 def run(
-    scenario: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SCENARIO",
-            help="Scenario file, or the name of a shipped one.",
-            autocompletion=complete,
-        ),
-    ],
+    scenario: ScenarioFile,
     out: Out = None,
     sets: Sets = None,
     no_rerun: Annotated[bool, typer.Option("--no-rerun", help="Leave recording.rrd out.")] = False,
@@ -51,7 +54,7 @@ def run(
 
     spec = read_scenario(scenario, sets, case)
     label = spec.name if case is None else f"{scenario.stem}-case-{case}"
-    folder = out if out is not None else free_folder(Path("runs") / safe_name(label))
+    folder = result_folder(out, safe_name(label))
 
     from hiltestbed.run_folder.store import refuse_foreign, write_run
     from hiltestbed.simulation import run as simulate
@@ -73,7 +76,7 @@ def run(
         result = simulate(spec, progress=progress)
     write_run(result, folder, rerun=not no_rerun)
     if as_json:
-        print(json.dumps(result.summary | {"folder": str(folder)}, allow_nan=False))
+        print_json(result.summary, folder)
     else:
         from hiltestbed.report.table import print_run
 
@@ -118,6 +121,7 @@ def check(
         stability_of_file(path, changes) if one.kind == "scenario" and not one.faults else None
         for path, (_, one) in zip(paths, found, strict=True)
     ]  # fmt: skip
+    valid = not any(one.faults for _, one in found)
     if as_json:
         rows = [
             {
@@ -130,27 +134,22 @@ def check(
             | ({"stability": judged} if judged else {})
             for (file, one), judged in zip(found, stable, strict=True)
         ]
-        print(json.dumps({"valid": not any(one.faults for _, one in found), "files": rows}))
+        print(json.dumps({"valid": valid, "files": rows}))
     else:
         for (file, one), judged in zip(found, stable, strict=True):
-            print(
-                "\n".join(str(fault) for fault in one.faults)
-                if one.faults
-                else f"{file}: {one.kind}: no faults"
-            )
-            print("".join(f"{file}: {remark}\n" for remark in one.remarks), end="")
-            print(f"{file}: needs {one.budget}\n" if one.budget and not one.faults else "", end="")
-            print(f"{file}: {judged['verdict']}\n" if judged else "", end="")
-    if any(one.faults for _, one in found):
+            lines = [f"{file}: {remark}" for remark in one.remarks]
+            if one.budget and not one.faults:
+                lines.append(f"{file}: needs {one.budget}")
+            if judged:
+                lines.append(f"{file}: {judged['verdict']}")
+            print(*(one.faults or [f"{file}: {one.kind}: no faults"]), *lines, sep="\n")
+    if not valid:
         raise typer.Exit(2)
 
 
 @app.command()
 def rig(
-    scenario: Annotated[
-        Path,
-        typer.Argument(metavar="SCENARIO", help="Scenario file, or the name of a shipped one."),
-    ],
+    scenario: ScenarioFile,
     out: Out = None,
     sets: Sets = None,
     as_json: Json = False,
@@ -178,13 +177,13 @@ def rig(
     from hiltestbed.run_folder.store import refuse_foreign
 
     spec = read_scenario(scenario, sets)
-    folder = out if out is not None else free_folder(Path("runs") / f"rig-{safe_name(spec.name)}")
+    folder = result_folder(out, f"rig-{safe_name(spec.name)}")
     refuse_foreign(folder, RIG)
     with count_bar(f"rig {spec.name}") as progress:
         figures = measure_rig(spec, progress)
     write_rig(figures, folder)
     if as_json:
-        print(json.dumps(figures.to_json() | {"folder": str(folder)}, allow_nan=False))
+        print_json(figures.to_json(), folder)
     else:
         from hiltestbed.report.table import print_lines
 
@@ -192,19 +191,7 @@ def rig(
 
 
 @app.command()
-def rank(
-    scenario: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SCENARIO",
-            help="Scenario file, or the name of a shipped one.",
-            autocompletion=complete,
-        ),
-    ],
-    out: Out = None,
-    sets: Sets = None,
-    as_json: Json = False,
-) -> None:
+def rank(scenario: ScenarioFile, out: Out = None, sets: Sets = None, as_json: Json = False) -> None:
     """Try every compensation on a scenario, with the delay known and 20 % longer, and rank them.
 
     hiltestbed rank my-rig.yaml --plugin my_method.py
@@ -216,18 +203,13 @@ def rank(
     from hiltestbed.run_folder.store import refuse_foreign
 
     spec = read_scenario(scenario, sets)
-    folder = out if out is not None else free_folder(Path("runs") / f"rank-{safe_name(spec.name)}")
+    folder = result_folder(out, f"rank-{safe_name(spec.name)}")
     refuse_foreign(folder, BENCH)
     with count_bar(f"rank {spec.name}") as progress:
         result = try_all(spec, progress)
     write_bench(result, folder)
     if as_json:
-        print(
-            json.dumps(
-                result.summary | {"methods": result.records, "folder": str(folder)},
-                allow_nan=False,
-            )
-        )
+        print_json(result.summary | {"methods": result.records}, folder)
     else:
         from hiltestbed.report.table import print_table
 
@@ -300,16 +282,8 @@ def compare(
     if out is not None:
         write_comparison(result, out)
     if as_json:
-        print(
-            json.dumps(
-                {
-                    "runs": list(result.names),
-                    "differences": result.differences,
-                    "figures": result.figures,
-                },
-                allow_nan=False,
-            )
-        )
+        about = {"differences": result.differences, "figures": result.figures}
+        print_json({"runs": list(result.names)} | about)
     else:
         from hiltestbed.report.table import print_comparison
 
@@ -328,7 +302,7 @@ def _print_delays(found: RecordComparison, out: Path | None, as_json: bool) -> N
         page.table(HEADER, found.rows())
         page.write(out)
     if as_json:
-        print(json.dumps(found.to_json(), allow_nan=False))
+        print_json(found.to_json())
         return
     print_table("delays of A " + " and B ".join(found.names), HEADER, found.rows(), None)
     print(found.sentence)
@@ -379,20 +353,14 @@ def doctor(as_json: Json = False) -> None:
     from hiltestbed.process.doctor import examine
 
     found = examine()
+    healthy = all(f.good for f in found if f.needed)
     if as_json:
-        print(
-            json.dumps(
-                {
-                    "healthy": all(f.good for f in found if f.needed),
-                    "findings": [vars(f) for f in found],
-                }
-            )
-        )
+        print_json({"healthy": healthy, "findings": [vars(f) for f in found]})
     else:
         from hiltestbed.report.table import print_doctor
 
         print_doctor(found)
-    if not all(f.good for f in found if f.needed):
+    if not healthy:
         raise typer.Exit(1)
 
 

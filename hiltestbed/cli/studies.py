@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hiltestbed.bench import BENCHES, benchmark
-from hiltestbed.cli.options import Json, Out, Sets, overrides
+from hiltestbed.cli.options import Json, Out, Sets, overrides, print_json, result_folder
 from hiltestbed.errors import HiltestbedError, InputError
-from hiltestbed.run_folder.folders import free_folder, safe_name
+from hiltestbed.run_folder.folders import safe_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -74,11 +73,8 @@ def bench(
     """
     if name not in BENCHES:
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
-    chosen = {
-        option: True
-        for option, given in (("noise", noise), ("docking", docking), ("computing", computing))
-        if given
-    }
+    every = {"noise": noise, "docking": docking, "computing": computing}
+    chosen = {option: True for option, given in every.items() if given}
     if chosen and name != "diagnosis":
         raise InputError(
             f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis only; leave it "
@@ -103,19 +99,11 @@ def bench(
     from hiltestbed.process.progress import count_bar
     from hiltestbed.run_folder.store import refuse_foreign
 
-    folder = out if out is not None else free_folder(Path("runs") / f"bench-{name}")
+    folder = result_folder(out, f"bench-{name}")
     refuse_foreign(folder, BENCH)
     tell_of_compiling()
-    more: dict[str, Any] = {
-        k: v
-        for k, v in (
-            ("minutes", minutes),
-            ("workers", workers),
-            ("data", data),
-            ("enter", enter),
-        )
-        if v is not None
-    }
+    options = {"minutes": minutes, "workers": workers, "data": data, "enter": enter}
+    more: dict[str, Any] = {k: v for k, v in options.items() if v is not None}
     keep = {"keep": folder.with_name(folder.name + LASTING[name])} if name in LASTING else {}
     try:
         with count_bar(f"bench {name}") as progress:
@@ -126,23 +114,14 @@ def bench(
         raise HiltestbedError(
             f"interrupted; the same command with --out {folder} goes on from {keep['keep']}"
         ) from None
-    called = {"quick": True} if quick else {}
-    write_bench(
-        result,
-        folder,
-        called
-        | chosen
-        | {
-            "for" if k == "minutes" else k: str(v) if isinstance(v, Path) else v
-            for k, v in more.items()
-        },
-    )
+    called: dict[str, object] = {"quick": True} if quick else {}
+    called |= chosen
+    for option, value in more.items():
+        name_of = "for" if option == "minutes" else option
+        called[name_of] = str(value) if isinstance(value, Path) else value
+    write_bench(result, folder, called)
     if as_json:
-        print(
-            json.dumps(
-                {"name": name, "folder": str(folder), "summary": result.summary}, allow_nan=False
-            )
-        )
+        print_json({"name": name, "folder": str(folder), "summary": result.summary})
     else:
         from hiltestbed.report.table import print_lines
 
@@ -221,7 +200,7 @@ def sweep(
             f"interrupted; finished cases are in {folder}, the same command resumes from there"
         ) from None
     if as_json:
-        print(json.dumps(result.about | {"folder": str(folder)}, allow_nan=False))
+        print_json(result.about, folder)
     else:
         from hiltestbed.report.table import print_sweep
 
@@ -233,8 +212,7 @@ def diagnose(
     dataset: Annotated[
         Path,
         typer.Argument(
-            metavar="DATASET",
-            help="Dataset file: a scenario or an axis, and the measured runs.",
+            metavar="DATASET", help="Dataset file: a scenario or an axis, and the measured runs."
         ),
     ],
     out: Annotated[
@@ -267,9 +245,14 @@ def diagnose(
 
     tell_of_compiling()
     label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
-    folder = out if out is not None else free_folder(Path("runs") / f"diagnosis-{safe_name(label)}")
+    folder = result_folder(out, f"diagnosis-{safe_name(label)}")
     refuse_foreign(folder, DIAGNOSIS)
     source = read_source(dataset)
+    if likelihood is not None and is_axis(source):
+        raise InputError(
+            f"{dataset}: is one axis; --likelihood and --rules are about the links of a rig; leave "
+            f"them out"
+        )
     with step_line(label) as progress:
         found = (
             _of_axis(source, progress)
@@ -280,7 +263,7 @@ def diagnose(
         found.write(folder)
         result = found.to_json()
     if as_json:
-        print(json.dumps(result | {"folder": str(folder)}, allow_nan=False))
+        print_json(result, folder)
     else:
         from hiltestbed.report.table import print_diagnosis
 

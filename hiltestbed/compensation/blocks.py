@@ -26,9 +26,7 @@ class ForceDrive:
     """Corrects the wrench, drives the numerical model with it and commands the model's motion."""
 
     def __init__(self, model: NumericalModel, method: ForceBlock, gate: Gate | None = None) -> None:
-        """``gate``: of the contacts in which the force is corrected for the platform's tracking
-        error; None: it is not.
-        """
+        """``gate``: where the force is corrected for the platform's error; None: nowhere."""
         self.model = model
         self.method = method
         self._gate = gate

@@ -14,6 +14,9 @@ from typing import Protocol, runtime_checkable
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.frames import Array
 
+# ``(n, 6)`` each: velocity at t_(k+1), acceleration and jerk over the tick
+Derivatives = tuple[Array, Array, Array]
+
 
 class ForceBlock(Protocol):
     """A method that corrects the wrench."""
@@ -52,17 +55,12 @@ class PoseBlock(Protocol):
     rate: Array | None
 
     def command(
-        self,
-        pose: Array,
-        derivatives: tuple[Array, Array, Array],
-        measurement: Measurement,
-        out: Array,
+        self, pose: Array, derivatives: Derivatives, measurement: Measurement, out: Array
     ) -> None:
         """Write to ``out`` (n, 7) the pose commanded to the platform.
 
         Args:
             pose: ``(n, 7)`` pose of A in P that is to be reached at t_(k+1).
-            derivatives: ``(n, 6)`` each: velocity at t_(k+1), acceleration and jerk over the tick.
             measurement: the measurements at t_k.
         """
         ...

@@ -40,11 +40,9 @@ class MotionCommand:
         self.acceleration = np.zeros((n, 6))
         self._previous = np.zeros((n, 6))
         self._rate_before, self._still = np.zeros((n, 6)), np.zeros((n, 6))
-        self._velocity, self._accel, self._jerk = (
-            np.zeros((n, 6)),
-            np.zeros((n, 6)),
-            np.zeros((n, 6)),
-        )
+        self._velocity = np.zeros((n, 6))
+        self._accel = np.zeros((n, 6))
+        self._jerk = np.zeros((n, 6))
 
         self._pass_pose = Call(
             _pass_pose,
@@ -65,9 +63,7 @@ class MotionCommand:
         self._previous[:] = twist
 
     def update(self, pose: Array, twist: Array, measurement: Measurement) -> None:
-        """Set the references from the pose ``(n, 7)`` and twist ``(n, 6)`` commanded for the coming
-        tick.
-        """
+        """Set the references from pose ``(n, 7)`` and twist ``(n, 6)`` of the coming tick."""
         if self._method is None:
             self._pass_pose.on(pose, twist)()
             return
@@ -98,9 +94,7 @@ def _pass_pose(pose, twist, commanded, *references):
 
 @njit(cache=True)
 def _refer(twist, yielding, rate, feed, previous, rate_before, velocity, acceleration):
-    """Velocity and acceleration references of the tick; ``yielding`` (n, 6) is the velocity that an
-    admittance adds.
-    """
+    """Velocity and acceleration references; ``yielding`` (n, 6): velocity of an admittance."""
     for i in range(twist.shape[0]):
         for j in range(6):
             change = twist[i, j] - previous[i, j] + yielding[i, j] - rate_before[i, j]

@@ -4,16 +4,19 @@ method.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
-from hiltestbed.config.validation import Strictly
+from pydantic import Field
+
+from hiltestbed.config.validation import Problem, Strictly
 from hiltestbed.plugins import OneOf, Registry, placeholder
 
 if TYPE_CHECKING:
     from hiltestbed.compensation.interfaces import Drive, ForceBlock, PoseBlock
     from hiltestbed.numerical_model.model import NumericalModel
     from hiltestbed.scenario.like import ScenarioLike
+
 
 # What a method may read at t_k: the measured wrench; the pose and twist that the rig reached; the
 # stiffness and damping identified so far; whether the mechanism is captured; the pose and twist of
@@ -39,20 +42,19 @@ class ForceMethod(Strictly):
     # whether it adds a force that is not derived from the measured one
     adds_force: ClassVar[bool] = False
     corrects_platform: ClassVar[bool] = False
+    removes_delay: ClassVar[bool] = False  # whether it removes the sensor's delay, no more, no less
 
     @classmethod
     @placeholder
     def start(cls, scenarios: Sequence[ScenarioLike], model: NumericalModel) -> ForceBlock | Drive:
-        """The method for ``n`` runs: a block that corrects the wrench, or a drive that steps
-        ``model`` itself.
-        """
+        """For ``n`` runs: a block that corrects the wrench, or a drive that steps ``model``."""
         raise NotImplementedError
 
     def removes(self, scenario: ScenarioLike) -> Mapping[str, float]:
         """Name to the delay [s] that it removes from the loop at low frequency, once any contact
         model it needs is identified.
         """
-        return {}
+        return {self.kind: scenario.sensor.delay} if self.removes_delay else {}
 
     def memory(self) -> float:
         """The time constant [s] with which its output decays after a force has ended."""
@@ -92,15 +94,11 @@ class MotionMethod(Strictly):
 
     @property
     def open_loop(self) -> bool:
-        """Whether it changes the command without measurements, so that it is part of the rig's
-        response to that command.
-        """
+        """Whether it changes the command without measurements: a part of the rig's response."""
         return not (self.reads or self.tells_model_pose or self.feeds)
 
     def of_the_rig(self) -> dict[str, Any]:
-        """The section with which the rig is simulated alone: what acts without measurements,
-        feed-forward or the method itself.
-        """
+        """The section for the rig alone: what acts without measurements."""
         return (
             self.model_dump(mode="json")
             if self.open_loop
@@ -109,9 +107,7 @@ class MotionMethod(Strictly):
 
     @property
     def depends_on_measurements(self) -> bool:
-        """Whether it changes the command by measurements, which the rig's response to its command
-        does not contain.
-        """
+        """Whether it changes the command by measurements, unlike the rig's response."""
         return bool(self.reads) and not self.corrects_force
 
     @classmethod
@@ -137,16 +133,12 @@ Motion = TypeVar("Motion", bound=MotionMethod)
 
 
 def force_of(scenarios: Sequence[ScenarioLike], method: type[Force]) -> list[Force]:
-    """``compensation.force`` of each scenario, all of class ``method``. Raises TypeError for
-    another class.
-    """
+    """``compensation.force`` of each, all of class ``method``. Raises TypeError for another."""
     return _all_of(method, [s.compensation.force for s in scenarios])
 
 
 def motion_of(scenarios: Sequence[ScenarioLike], method: type[Motion]) -> list[Motion]:
-    """``compensation.motion`` of each scenario, all of class ``method``. Raises TypeError for
-    another class.
-    """
+    """``compensation.motion`` of each, all of class ``method``. Raises TypeError for another."""
     return _all_of(method, [s.compensation.motion for s in scenarios])
 
 
@@ -155,3 +147,34 @@ def _all_of(method: type, sections: list[Any]) -> list[Any]:
     if other is not None:
         raise TypeError(f"settings of {method.__name__} expected (got {type(other).__name__})")
     return sections
+
+
+class Compensation(Strictly):
+    """Compensation of the delays in the loop."""
+
+    force: AnyForceMethod = Field(
+        default_factory=lambda: FORCE_METHODS["resynchronised"](kind="resynchronised"),
+        description="How the delay of the measured force is compensated",
+    )
+    motion: AnyMotionMethod = Field(
+        default_factory=lambda: MOTION_METHODS["feedforward"](kind="feedforward"),
+        description="How the lag of the platform is compensated",
+    )
+
+    def idle(self, scenario: ScenarioLike) -> Iterator[Problem]:
+        platform = scenario.rig.platform
+        if platform.physical:
+            why = (
+                f"on a platform of kind {platform.kind} the bodies move freely: there is "
+                f"no loop, and nothing to compensate"
+            )
+            yield from (
+                ((name,), why) for name in ("force", "motion") if getattr(self, name).kind != "none"
+            )
+        elif self.motion.feeds and platform.prescribed and platform.tracking != "ideal":
+            yield (
+                ("motion",),
+                f"{self.motion.kind} feeds velocity and acceleration to the drives, and with "
+                f"tracking {platform.tracking} there are none; take tracking servo, or a method "
+                "that changes the command (inverse_model, adaptive_time_series)",
+            )

@@ -52,33 +52,38 @@ class Bound(partial):
 
 
 def bound(kernel: Any, *given: Any) -> Callable[..., Any]:
-    """``kernel`` with its arguments ``given`` in order: arrays, numbers, and ``...`` for those that
-    each call passes.
+    """``kernel`` with its arguments ``given`` in order: arrays, numbers, tuples of these (named or
+    not), and ``...`` for those that each call passes.
 
     Arrays must keep their memory: they may be written, but not replaced. Numbers are bound with
         their current values.
     """
     words: list[int] = []
-    kinds: list[Any] = []
-    for value in given:
-        if value is ...:
-            kinds.append(None)
-        elif isinstance(value, np.ndarray):
-            kinds.append((len(words), _type_of(value)))
-            words += [value.ctypes.data, *value.shape, *value.strides]
-        else:
-            number = (
-                np.float64(value) if isinstance(value, (float, np.floating)) else np.int64(value)
-            )
-            kinds.append(
-                (len(words), types.float64 if isinstance(number, np.float64) else _integer(value))
-            )
-            words.append(int(number.view(np.int64)))
+    kinds = [_entered(value, words) for value in given]
     table = np.array(words, dtype=np.int64)
     key = (kernel, *kinds)
     if key not in _calls:
         _calls[key] = _compiled(kernel, kinds)
     return Bound(_calls[key], table, given)
+
+
+def _entered(value: Any, words: list[int]) -> tuple[Any, ...] | None:
+    """Append a value to the ``words`` of a table. Returns the index of its first word and its type;
+    of a named tuple its class and the same of each of its parts; None if each call passes it.
+    """
+    if value is ...:
+        return None
+    if isinstance(value, tuple):
+        return type(value), *(_entered(part, words) for part in value)
+    at = len(words)
+    if isinstance(value, np.ndarray):
+        words += [value.ctypes.data, *value.shape, *value.strides]
+        return at, _type_of(value)
+    if isinstance(value, (float, np.floating)):
+        words.append(int(np.float64(value).view(np.int64)))
+        return at, types.float64
+    words.append(int(value))
+    return at, types.boolean if isinstance(value, (bool, np.bool_)) else types.int64
 
 
 def together(*calls: Callable[..., Any], telling: int = -1) -> Callable[..., Any]:
@@ -194,14 +199,8 @@ def _type_of(array: Any) -> Any:
     return kind
 
 
-def _integer(value: Any) -> Any:
-    return types.boolean if isinstance(value, (bool, np.bool_)) else types.int64
-
-
 def _compiled(kernel: Any, kinds: list[Any]) -> Any:
-    """A function of the table's address and of the arguments of each call, cached on disk beside
-    its kernel.
-    """
+    """A function of a table's address and a call's arguments, cached on disk beside its kernel."""
     function = kernel.py_func
     brought = [f"given_{i}" for i, kind in enumerate(kinds) if kind is None]
     space: dict[str, Any] = {
@@ -210,21 +209,26 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
         "array": _array,
         "__name__": function.__module__,
     }
-    passed = []
-    for i, kind in enumerate(kinds):
+    named: dict[str, Any] = {}  # types and classes of the arguments
+
+    def read(i: int, kind: tuple[Any, ...] | None) -> str:
+        """The expression for an argument, or for a part of it."""
         if kind is None:
-            passed.append(f"given_{i}")
-            continue
-        space[f"kind_{i}"] = kind[1]
-        passed.append(
-            f"{'array' if isinstance(kind[1], types.Array) else 'number'}(table, {kind[0]}, "
-            f"kind_{i})"
-        )
+            return f"given_{i}"
+        name = f"kind_{len(named)}"
+        if isinstance(kind[0], type):
+            named[name] = kind[0]
+            parts = "".join(f"{read(i, part)}, " for part in kind[1:])
+            return f"({parts})" if kind[0] is tuple else f"{name}({parts})"
+        named[name] = kind[1]
+        how = "array" if isinstance(kind[1], types.Array) else "number"
+        return f"{how}(table, {kind[0]}, {name})"
+
+    passed = [read(i, kind) for i, kind in enumerate(kinds)]
+    space |= named
     # Numba names its cache entries by file, function and line; the time stamp of the file decides
     # whether they are valid.
-    mark = hashlib.sha256(
-        repr([kind and (kind[0], str(kind[1])) for kind in kinds]).encode()
-    ).hexdigest()[:16]
+    mark = hashlib.sha256(repr([passed, *map(str, named.values())]).encode()).hexdigest()[:16]
     name = f"{function.__name__}_bound_{mark}"
     text = (
         f"def {name}({', '.join(['table', *brought])}):\n    return kernel({', '.join(passed)})\n"
@@ -234,9 +238,7 @@ def _compiled(kernel: Any, kinds: list[Any]) -> Any:
 
 
 def _joined(calls: list[Any], telling: int) -> Any:
-    """A function of the address of a table of tables, cached on disk beside the last of the
-    ``calls``.
-    """
+    """A function of the address of a table of tables, cached beside the last of the ``calls``."""
     takes = [call.py_func.__code__.co_argcount - 1 for call in calls]
     brought = [f"given_{i}" for i in range(max(takes))]
     last = calls[-1].py_func

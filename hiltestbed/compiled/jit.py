@@ -11,14 +11,14 @@ constants that any of them reads.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numba
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from numba.core.types import Type
+from numba.core.types import NamedTuple, NamedUniTuple, Type
 
 from hiltestbed.compiled.inner import inlined
 
@@ -27,9 +27,7 @@ _marks: dict[FunctionType, str] = {}
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """``numba.njit`` with its options; a kernel cached on disk is marked by everything that it
-    depends on.
-    """
+    """``numba.njit``; a kernel cached on disk is marked by everything that it depends on."""
 
     def compiled(function: Any) -> Any:
         kernel = _njit(**options)(function)
@@ -40,6 +38,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         try:
             kept = [dispatcher._cache._cache_file for dispatcher in (kernel, inner)]
             [file._source_stamp for file in kept]
+            for dispatcher in (kernel, inner):
+                dispatcher._cache._index_key = _by_fields(dispatcher._cache._index_key)
         # a Numba with another cache: compiling at each start is slow, but never out of date
         except AttributeError:
             kernel = _njit(**options | {"cache": False})(function)
@@ -51,6 +51,25 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return kernel
 
     return compiled
+
+
+def _by_fields(index_key: Callable[..., tuple]) -> Callable[..., tuple]:
+    """A kernel is also cached by the order of the fields of its named tuples: Numba compares their
+    classes and types only.
+    """
+
+    def key(signature: Any, codegen: Any) -> tuple:
+        return (*index_key(signature, codegen), _fields(getattr(signature, "args", signature)))
+
+    return key
+
+
+def _fields(kinds: Iterable[Any]) -> tuple:
+    return tuple(
+        (kind.fields, _fields(kind.types))
+        for kind in kinds
+        if isinstance(kind, (NamedTuple, NamedUniTuple))
+    )
 
 
 def _readable(load_index: Callable[[], dict]) -> Callable[[], dict]:
@@ -91,9 +110,7 @@ class Mark:
 
 
 def mark_of(function: FunctionType) -> str:
-    """Hash of a function's code, of all kernels that it calls, and of the constants that any of
-    them reads.
-    """
+    """Hash of a function's code, its kernels', and of the constants that any of them reads."""
     if function not in _marks:
         reached: dict[FunctionType, str] = {}
         _reach(function, reached)
@@ -158,6 +175,8 @@ def _description(value: Any, called: list[FunctionType]) -> str:
         )
     if isinstance(value, frozenset):
         return f"frozenset({', '.join(sorted(_description(part, called) for part in value))})"
+    if isinstance(value, type) and issubclass(value, tuple):
+        return f"{value.__qualname__}{getattr(value, '_fields', ())}"
     if value is None or isinstance(value, (bool, int, float, complex, str, bytes, np.generic)):
         return repr(value)
     return (

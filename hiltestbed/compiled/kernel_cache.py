@@ -20,9 +20,7 @@ def settle(
     environment: MutableMapping[str, str],
     writable: Callable[[Path], bool] | None = None,
 ) -> None:
-    """Set a folder in ``environment`` for the kernels of ``package`` if Numba's default folders
-    cannot be written.
-    """
+    """Set a folder for the kernels of ``package`` if Numba's default folders are not writable."""
     can = writable or _writable
     given = environment.get(VARIABLE)
     if given:
@@ -38,9 +36,7 @@ def settle(
 
 
 def _writable(folder: Path) -> bool:
-    """Whether a file can be created in ``folder``, or the folder itself below its nearest existing
-    parent.
-    """
+    """Whether a file can be created in ``folder``, or that below its nearest existing parent."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)

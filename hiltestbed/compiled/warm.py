@@ -23,9 +23,7 @@ def cores() -> int:
 
 
 def threads() -> int:
-    """Threads that this process may use at a time: its cores, or one if it is one of several worker
-    processes.
-    """
+    """Threads that this process may use: its cores, or one if it is a worker process."""
     return 1 if multiprocessing.parent_process() is not None else cores()
 
 

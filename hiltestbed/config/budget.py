@@ -37,6 +37,7 @@ BASE = 0.47 * GB  # an interpreter with its packages and compiled blocks
 STATES = 4  # copies of the delay lines: the loop's own and those kept for the replay of a failure
 TICK, INSTANT = 6e-5, 6e-6  # [s] on one core per tick and per physics step, for a single run
 BATCH_FACTOR = 0.25  # part of that for each further run in its batch
+REFERENCE = 0.5  # time of a reference run, relative to that of its run
 STARTUP = 6.0  # [s] to start with compiled kernels, and to write report and recording
 ROW = 700.0  # [byte] per row in trace.parquet and recording.rrd together
 FIXED_FILES = 2.5e6  # [byte] of a recording and a report of even the shortest run
@@ -74,11 +75,9 @@ class Budget:
             ("time", self.time, time_limit(), _duration),
         ):
             if not need <= limit:
-                unit = "h" if name == "time" else "GB"
-                out.append(
-                    f"needs about {show(need)} of {name} (allowed: {show(limit)}); "
-                    f"{VARIABLES[name]} [{unit}] sets the limit"
-                )
+                variable = f"{VARIABLES[name]} [{'h' if name == 'time' else 'GB'}]"
+                need_text = f"needs about {show(need)} of {name} (allowed: {show(limit)})"
+                out.append(f"{need_text}; {variable} sets the limit")
         return out
 
 
@@ -150,36 +149,23 @@ def run_budget(scenarios: Sequence[Scenario], rows: bool = True) -> Budget:
     ticks, n, first = max(s.ticks for s in scenarios), len(scenarios), scenarios[0]
     trace = ticks * n * COLUMNS * 8.0
     lines = sum(delay_line(s) for s in scenarios)
-    core = (
-        ticks * (TICK + INSTANT * first.substeps) * (1 + BATCH_FACTOR * (n - 1)) * (1 + REFERENCE)
-    )
+    one = ticks * (TICK + INSTANT * first.substeps) * (1 + REFERENCE)
+    core = one * (1 + BATCH_FACTOR * (n - 1))
     disk = n * (ticks * ROW + FIXED_FILES) if rows else 2e3 * n
     return Budget(BASE + (COPIES * trace if rows else 0.0) + STATES * lines, STARTUP + core, disk)
 
 
-REFERENCE = 0.5  # time of a reference run, relative to that of its run
-
-
 def delay_line(scenario: Scenario) -> float:
-    """[byte] of the delay lines: the wrench of every physics step until it is read, poses and
-    estimates of every tick.
-    """
-    delays = [scenario.sensor.delay] + [
-        getattr(effect, "delay", 0.0) for effect in scenario.effects
-    ]
-    delays += [8.0 * e.sigma for e in scenario.effects if e.kind == "sensor.jitter"]  # type: ignore[attr-defined]
-    late = sum(getattr(effect, "ticks", 0) for effect in scenario.effects)
-    longest = float(sum(delays))
-    lowpass = scenario.sensor.lowpass
-    constant = max(
-        0.0 if lowpass is None else 1.0 / (2.0 * math.pi * lowpass), scenario.identification.settles
-    )
+    """[byte] of the delay lines: wrenches of physics steps, poses and estimates of ticks."""
+    sensor, effects = scenario.sensor, scenario.effects
+    delays = [sensor.delay, *(getattr(effect, "delay", 0.0) for effect in effects)]
+    delays += [8.0 * e.sigma for e in effects if e.kind == "sensor.jitter"]  # type: ignore[attr-defined]
+    late = sum(getattr(effect, "ticks", 0) for effect in effects)
+    lowpass = 0.0 if sensor.lowpass is None else 1.0 / (2.0 * math.pi * sensor.lowpass)
+    constant = max(lowpass, scenario.identification.settles)
     remembered = FILTER_MEMORY * constant * scenario.rate * 28 * 8.0
-    return (
-        remembered
-        + longest * (scenario.physics_rate * 48.0 + scenario.rate * 8.0 * 80.0)
-        + late * 13 * 8.0
-    )
+    held = sum(delays) * (scenario.physics_rate * 48.0 + scenario.rate * 8.0 * 80.0)
+    return remembered + held + late * 13 * 8.0
 
 
 def campaign_budget(campaign: LoadedCampaign, workers: int = 1, chunk: int = 64) -> Budget:

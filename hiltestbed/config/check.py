@@ -18,9 +18,7 @@ KINDS: tuple[Kind, ...] = ("scenario", "campaign", "dataset", "axis")
 
 
 def file_kind(source: Source) -> Kind:
-    """A campaign varies keys, an axis says what it is, a dataset lists runs, anything else is a
-    scenario.
-    """
+    """A campaign varies keys, an axis names itself, a dataset lists runs; else: a scenario."""
     if "axis" in source.data:
         return "axis"
     if "vary" in source.data or "design" in source.data:
@@ -34,9 +32,8 @@ class FileReport:
 
     Attributes:
         kind: None if it is not a YAML file. faults: errors. remarks: losses and notes on a
-            dataset's files, and numbers of a scenario
-            that are implausible in combination. budget: resources that the task needs, None if it
-            cannot be started.
+            dataset's files, and numbers of a scenario that are implausible in combination.
+        budget: resources that the task needs, None if it cannot be started.
     """
 
     kind: Kind | None
@@ -46,17 +43,13 @@ class FileReport:
 
 
 def check_file(path: str | Path) -> tuple[Kind | None, tuple[Fault, ...]]:
-    """The kind of a file (None if it is not a YAML file) and every fault in it. The data of a
-    dataset are not opened.
-    """
+    """The kind of a file (None: not YAML) and every fault in it; data are not opened."""
     found = _look_at(path, data=False)
     return found.kind, found.faults
 
 
 def look_at(path: str | Path, set: Mapping[str, Any] | None = None) -> FileReport:
-    """All findings on a file, with dotted keys overridden; the data of a dataset are opened and
-    checked against its scenario.
-    """
+    """All findings on a file, with dotted keys overridden; a dataset's data are checked too."""
     return _look_at(path, data=True, set=set)
 
 
@@ -65,13 +58,7 @@ def _look_at(path: str | Path, data: bool, set: Mapping[str, Any] | None = None)
     try:
         source = read_source(path).with_set(set)
         kind = file_kind(source)
-        checks = {
-            "scenario": _scenario,
-            "campaign": _campaign,
-            "dataset": _dataset,
-            "axis": _axis,
-        }
-        return checks[kind](source, data)
+        return _CHECKS[kind](source, data)
     except InputError as error:
         return FileReport(kind, error.faults or (Fault(str(path), None, None, "", str(error)),))
 
@@ -87,12 +74,8 @@ def _scenario(source: Source, data: bool) -> FileReport:
     scenario = scenario_from(source)
     if not data:
         return FileReport("scenario", ())
-    said = (
-        f"{file}: {text}"
-        for file, kind in user_files(scenario).values()
-        if kind.mjcf
-        for text in remarks_on(file)
-    )
+    models = [file for file, kind in user_files(scenario).values() if kind.mjcf]
+    said = (f"{file}: {text}" for file in models for text in remarks_on(file))
     remarked = (*_as_warnings(warnings(scenario)), *remarks(scenario.mechanism), *said)
     return _within(FileReport("scenario", (), remarked, run_budget([scenario])), source)
 
@@ -122,10 +105,8 @@ def _dataset(source: Source, data: bool) -> FileReport:
 
     examined = examine(loaded)
     faults = tuple(as_faults(examined))
-    remarks = tuple(
-        str(remark) for remark in together(r for r in examined.remarks if r.severity != "error")
-    )
-    return _within(FileReport("dataset", faults, remarks, dataset_budget(loaded)), source)
+    remarks = map(str, together(r for r in examined.remarks if r.severity != "error"))
+    return _within(FileReport("dataset", faults, tuple(remarks), dataset_budget(loaded)), source)
 
 
 def _axis(source: Source, data: bool) -> FileReport:
@@ -134,18 +115,17 @@ def _axis(source: Source, data: bool) -> FileReport:
     return FileReport("axis", (), load_axis(source, data).remarks)
 
 
+_CHECKS = {"scenario": _scenario, "campaign": _campaign, "dataset": _dataset, "axis": _axis}
+
+
 def _as_warnings(found: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"warning: {text}" for text in found)
 
 
 def _within(found: FileReport, source: Source) -> FileReport:
     """The findings, with a fault for each limit that the budget exceeds."""
-    over = (
-        ()
-        if found.budget is None
-        else tuple(source.fault((), reason) for reason in found.budget.refused())
-    )
-    return replace(found, faults=(*found.faults, *over))
+    over = found.budget.refused() if found.budget is not None else []
+    return replace(found, faults=(*found.faults, *(source.fault((), why) for why in over)))
 
 
 def json_schema(kind: Kind) -> dict[str, Any]:
@@ -157,11 +137,6 @@ def json_schema(kind: Kind) -> dict[str, Any]:
     from hiltestbed.scenario import Scenario
 
     plugins.load()
-    models = {
-        "scenario": Scenario,
-        "campaign": Campaign,
-        "dataset": Dataset,
-        "axis": AxisDataset,
-    }
-    model = models[kind]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | model.model_json_schema()
+    models = {"scenario": Scenario, "campaign": Campaign, "dataset": Dataset, "axis": AxisDataset}
+    schema = models[kind].model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema

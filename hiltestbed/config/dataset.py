@@ -104,10 +104,9 @@ class Dataset(Strictly):
     accept: Annotated[tuple[Check, ...], Field(strict=False)] = Field(
         default=(),
         description="checks whose errors are overridden, so that the data are used unchanged; a "
-        "list of the words in the error messages: "
-        "unit, sign, axes (exchanged), start (position and speed at the start), attitude, lever "
-        "(torque over force), copy (of another "
-        "channel), constant (where it should move), shift (by whole rows)",
+        "list of the words in the error messages: unit, sign, axes (exchanged), start (position "
+        "and speed at the start), attitude, lever (torque over force), copy (of another channel), "
+        "constant (where it should move), shift (by whole rows)",
     )
 
 
@@ -134,16 +133,16 @@ class LoadedDataset:
 
 
 def load_dataset(path: str | Path, set: Mapping[str, Any] | None = None) -> LoadedDataset:
-    """The dataset in a YAML file; `set` overrides keys of the dataset. Raises InputError with every
-    fault.
-    """
+    """The dataset in a YAML file, keys overridden by `set`. Raises InputError with every fault."""
     return dataset_from(read_source(path).with_set(set))
 
 
-def dataset_from(source: Source) -> LoadedDataset:
-    """The dataset in a source that has been read already. Raises InputError with every fault."""
+def dataset_from(source: Source, on_record: bool = True) -> LoadedDataset:
+    """The dataset in a source that has been read already; ``on_record``: its files must exist.
+    Raises InputError with every fault.
+    """
     spec = validate(Dataset, source)
-    faults = [*_missing_files(spec, source), *_channel_faults(spec, source)]
+    faults = [*(_missing_files(spec, source) if on_record else ()), *_channel_faults(spec, source)]
     nominal_source = referenced_source(source)
     nominal = scenario_from(nominal_source)
     scenarios = []
@@ -166,9 +165,8 @@ def _missing_files(spec: Dataset, source: Source) -> Iterator[Fault]:
     for index, run in enumerate(spec.runs):
         where = _data_file(run, source)
         if not is_file(where):
-            yield source.fault(
-                ("runs", index, "file"), f"names no file (got {run.file!r}); {no_file(where)}"
-            )
+            what = f"names no file (got {run.file!r}); {no_file(where)}"
+            yield source.fault(("runs", index, "file"), what)
 
 
 def _channel_faults(spec: Dataset, source: Source) -> Iterator[Fault]:
@@ -183,36 +181,27 @@ def _map_faults(channels: Mapping[str, Channel], source: Source, where: KeyPath)
 
     known = {"t", "contact"} | {column for group in GROUPS.values() for column in group.columns}
     known |= {name for names in ANGLES.values() for name in names}
+    allowed = f"allowed: t, contact and {', '.join(f'{group}.*' for group in GROUPS)}"
     unknown: dict[str, list[str]] = {}
     for name in channels:
         if name not in known:
             unknown.setdefault(name.rpartition(".")[0] or name, []).append(name)
     for names in unknown.values():
-        allowed = (
-            f"allowed: t, contact and {', '.join(f'{group.name}.*' for group in GROUPS.values())}"
-        )
-        meant = ", ".join(
-            dict.fromkeys(f"{guess!r}" for name in names if (guess := _meant(name, known)))
-        )
+        guesses = dict.fromkeys(repr(guess) for n in names if (guess := _meant(n, known)))
+        hint = f" (did you mean {', '.join(guesses)}?)" if guesses else ""
         several = f"s (got {', '.join(names)})" if len(names) > 1 else ""
-        yield source.fault(
-            (*where, names[0]),
-            f"unknown channel{several}{f' (did you mean {meant}?)' if meant else ''}; {allowed}",
-        )
+        yield source.fault((*where, names[0]), f"unknown channel{several}{hint}; {allowed}")
     for name, channel in channels.items():
         if channel.scale == 0.0:
-            yield source.fault(
-                (*where, name, "scale"), "is out of range (got 0); allowed is any other number"
-            )
+            what = "is out of range (got 0); allowed is any other number"
+            yield source.fault((*where, name, "scale"), what)
         fault = unit_fault(name, channel.unit)
         if fault:
             yield source.fault((*where, name, "unit"), fault)
 
 
 def _meant(name: str, known: Iterable[str]) -> str | None:
-    """The channel that an unknown name may stand for: the nearest by its letters, or a measured one
-    with the same part.
-    """
+    """The channel that is meant: the nearest by its letters, or a measured one with this part."""
     close = difflib.get_close_matches(name, sorted(known), n=1, cutoff=MISSPELT)
     if close:
         return close[0]

@@ -20,7 +20,7 @@ import numpy as np
 from hiltestbed.config.template import free_file, template
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.measured.columns import Columns
+from hiltestbed.measured.columns import STAMP, Columns
 from hiltestbed.measured.formats import read_columns
 from hiltestbed.measured.formats.ros2 import data_file, no_file
 from hiltestbed.measured.roles import (
@@ -32,7 +32,6 @@ from hiltestbed.measured.roles import (
     role_of,
     time_unit,
 )
-from hiltestbed.measured.stamps import STAMP
 from hiltestbed.measured.units import SI_UNIT, UNITS
 
 SHOWN = 12  # columns that a comment lists

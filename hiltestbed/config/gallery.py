@@ -17,9 +17,7 @@ def shipped(kind: str) -> Path:
 
 
 def find_scenario(name: str | Path) -> Path:
-    """`name` itself if such a path exists, otherwise the shipped scenario of that name
-    (`02-bumper`, `scenarios/02-bumper.yaml`).
-    """
+    """`name` itself if such a path exists, else the shipped scenario (`02-bumper`)."""
     path = Path(name)
     if path.exists() or path.is_absolute():
         return path
@@ -47,9 +45,7 @@ def campaign_names() -> list[str]:
 
 
 def refuse_unknown(name: str | Path, names: list[str]) -> None:
-    """Raises InputError with the shipped ``names`` if ``name`` is not a file and does not look like
-    a path.
-    """
+    """Raises InputError with the shipped ``names`` if ``name`` is no file and none of them."""
     if not find_scenario(name).exists():
         close = get_close_matches(str(name), names, n=1, cutoff=0.4)
         hint = f" (did you mean {close[0]!r}?)" if close else ""

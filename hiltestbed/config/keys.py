@@ -22,10 +22,9 @@ class Key:
     """A key of a file.
 
     Attributes:
-        path: its dotted name; items of lists are ``N``, freely chosen names ``NAME``. kinds: the
-            ``kind`` of each section above it that has
-            several, outermost first. takes: values, in words. default: as in JSON, or what stands
-                for it. meaning: one sentence.
+        path: its dotted name; items of lists are ``N``, freely chosen names ``NAME``.
+        kinds: the ``kind`` of each section above it that has several, outermost first.
+        takes: values, in words. default: as in JSON, or what stands for it. meaning: one sentence.
     """
 
     path: str
@@ -45,27 +44,21 @@ class Key:
             *above, _ = kinds[0]
             inner = ", ".join(one[-1] for one in kinds)
             where = f"{self.path} ({', '.join(f'kind: {k}' for k in [*above, inner])})"
-        default = (
-            f"; {self.default}"
-            if self.default == REQUIRED
-            else f"; default {self.default}"
-            if self.default
-            else ""
-        )
+        word = "" if self.default == REQUIRED else "default "
+        default = f"; {word}{self.default}" if self.default else ""
         return f"{where}: {self.takes}{default}\n    {self.meaning}"
 
 
 def text_of(keys: Sequence[Key]) -> str:
     """The keys with their meanings, one that several kinds share in the same words once."""
-    shared: dict[tuple[object, ...], list[tuple[str, ...]]] = {}
-    first: dict[tuple[object, ...], Key] = {}
+    shared: dict[tuple[object, ...], list[Key]] = {}
     for key in keys:
         same = (key.path, key.kinds[:-1], key.takes, key.default, key.meaning)
-        first.setdefault(same, key)
-        kinds = shared.setdefault(same, [])
-        if key.kinds not in kinds:
-            kinds.append(key.kinds)
-    return "\n".join(first[same].written(kinds) for same, kinds in shared.items())
+        shared.setdefault(same, []).append(key)
+    return "\n".join(
+        alike[0].written(list(dict.fromkeys(key.kinds for key in alike)))
+        for alike in shared.values()
+    )
 
 
 def keys_of(schema: Mapping[str, Any]) -> Iterator[Key]:
@@ -74,17 +67,13 @@ def keys_of(schema: Mapping[str, Any]) -> Iterator[Key]:
 
 
 def at(keys: Sequence[Key], path: str) -> list[Key]:
-    """A key and the keys directly below it. Raises InputError with the nearest keys if there is
-    none of that name.
-    """
+    """A key and those directly below it. Raises InputError with the nearest if there is none."""
     parts = path.split(".")
     found = [key for key in keys if _matches(key.path.split("."), parts)]
     if not found:
         known = list(dict.fromkeys(key.path for key in keys))
-        close = (
-            difflib.get_close_matches(path, known, n=3, cutoff=0.5)
-            or [p for p in known if p.rpartition(".")[2] == parts[-1]][:3]
-        )
+        close = difflib.get_close_matches(path, known, n=3, cutoff=0.5)
+        close = close or [p for p in known if p.rpartition(".")[2] == parts[-1]][:3]
         hint = f"nearest: {', '.join(close)}; " if close else ""
         raise InputError(
             f"schema: no such key (got {path!r}); {hint}hiltestbed schema --search WORD finds "
@@ -96,11 +85,8 @@ def at(keys: Sequence[Key], path: str) -> list[Key]:
 def search(keys: Sequence[Key], words: str) -> list[Key]:
     """The keys whose name, kind or meaning contains every one of the words, whatever their case."""
     wanted = words.lower().split()
-    return [
-        key
-        for key in keys
-        if all(word in f"{key.path} {' '.join(key.kinds)} {key.meaning}".lower() for word in wanted)
-    ]
+    texts = [f"{key.path} {' '.join(key.kinds)} {key.meaning}".lower() for key in keys]
+    return [k for k, text in zip(keys, texts, strict=True) if all(word in text for word in wanted)]
 
 
 def takes(about: Mapping[str, Any]) -> str:
@@ -128,13 +114,9 @@ def default_of(about: Mapping[str, Any], required: bool) -> str:
     if required:
         return REQUIRED
     value = about.get("default", "")
-    return (
-        OF_ITS_KEYS
-        if isinstance(value, Mapping) and value
-        else json.dumps(value)
-        if "default" in about
-        else ""
-    )
+    if isinstance(value, Mapping) and value:
+        return OF_ITS_KEYS
+    return json.dumps(value) if "default" in about else ""
 
 
 def _below(
@@ -155,46 +137,27 @@ def _below(
     for name, inner in properties.items():
         here = f"{path}.{name}" if path else name
         words = _section_of(inner, definitions) or takes(inner).replace("`", "")
-        yield Key(
-            here,
-            kinds,
-            words,
-            default_of(inner, name in about.get("required", ())),
-            inner.get("description", "-"),
-        )
+        default = default_of(inner, name in about.get("required", ()))
+        yield Key(here, kinds, words, default, inner.get("description", "-"))
         yield from _below(inner, definitions, here, kinds)
 
 
 def _section_of(about: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """What a section that has several kinds takes, or a list of such sections; empty for anything
-    else.
-    """
-    if isinstance(about.get("items"), Mapping) and (
-        inner := _section_of(about["items"], definitions)
-    ):
+    """What a section with several kinds takes, or a list of them; empty for anything else."""
+    items = about.get("items")
+    if isinstance(items, Mapping) and (inner := _section_of(items, definitions)):
         return f"list of {inner}"
-    members = [
-        definitions[m["$ref"].rpartition("/")[2]] for m in about.get("oneOf", ()) if "$ref" in m
-    ]
-    kinds = [
-        m["properties"]["kind"]["const"]
-        for m in members
-        if "const" in m.get("properties", {}).get("kind", {})
-    ]
-    return (
-        f"section of kind {', '.join(kinds)}" if kinds and len(kinds) == len(about["oneOf"]) else ""
-    )
+    refs = [m["$ref"].rpartition("/")[2] for m in about.get("oneOf", ()) if "$ref" in m]
+    found = [definitions[ref].get("properties", {}).get("kind", {}) for ref in refs]
+    kinds = [kind["const"] for kind in found if "const" in kind]
+    every = kinds and len(kinds) == len(about["oneOf"])
+    return f"section of kind {', '.join(kinds)}" if every else ""
 
 
 def _matches(path: Sequence[str], wanted: Sequence[str]) -> bool:
-    """Whether a key is the wanted one or directly below it, where numbers and names stand for
-    any.
-    """
-    if (
-        not len(wanted)
-        <= len(path)
-        <= len(wanted) + 1 + (path[len(wanted) : len(wanted) + 1] in ([NUMBER], [NAME]))
-    ):
+    """Whether a key is the wanted one or directly below it; numbers and names stand for any."""
+    below = len(path) - len(wanted)
+    if below < 0 or below > 1 + (path[len(wanted)] in (NUMBER, NAME) if below else 0):
         return False
     return all(
         p in (w, NAME) or (p == NUMBER and w.isdigit()) for p, w in zip(path, wanted, strict=False)

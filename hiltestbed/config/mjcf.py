@@ -26,10 +26,7 @@ if TYPE_CHECKING:
     import mujoco
 
 # attributes that name a file; the latter are the sides of a cube texture
-FILES = (
-    "file",
-    *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back")),
-)
+FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 # elements that are named after their file if they have no name
 NAMED_AFTER = ("mesh", "texture", "hfield", "skin")
 SETTINGS = ("option", "size", "visual", "statistic", "keyframe")  # those of a whole model
@@ -75,14 +72,10 @@ class Packed:
     def settings(self) -> list[str]:
         """The settings that :meth:`part` leaves out, as ``element attribute``."""
         root = ElementTree.fromstring(self.text)
-        found = [
-            f"{element.tag} {attribute}"
-            for top in root
-            if top.tag in ("option", "size")
-            for element in top.iter()
-            for attribute in element.attrib
-        ]
-        return list(dict.fromkeys(found))
+        elements = [e for top in root if top.tag in ("option", "size") for e in top.iter()]
+        return list(
+            dict.fromkeys(f"{e.tag} {attribute}" for e in elements for attribute in e.attrib)
+        )
 
     def write(self, folder: Path, name: str) -> Path:
         """Write the model to a new ``folder``, the MJCF as ``name``; returns its path."""
@@ -94,9 +87,7 @@ class Packed:
 
 
 def packed(file: Path) -> Packed:
-    """The model in an MJCF ``file``. Raises InputError if a file that it names is missing, is no
-    regular file, or is no XML.
-    """
+    """The model in an MJCF ``file``. Raises InputError if a file that it needs cannot be read."""
     found = _MEMORY.get(file)
     if found is None or found[0] != _state(found[1].sources):
         reader = _Reader()
@@ -104,10 +95,8 @@ def packed(file: Path) -> Packed:
             text = reader.model(file)
         except RecursionError:
             raise InputError(f"{file}: its elements are nested too deeply") from None
-        found = (
-            _state(tuple(reader.sources)),
-            Packed(text, reader.files, tuple(reader.sources)),
-        )
+        sources = tuple(reader.sources)
+        found = _state(sources), Packed(text, reader.files, sources)
         _MEMORY[file] = found
         while len(_MEMORY) > KEPT:
             _MEMORY.popitem(last=False)
@@ -119,10 +108,8 @@ _MEMORY: OrderedDict[Path, tuple[object, Packed]] = OrderedDict()
 
 def _state(files: tuple[Path, ...]) -> object:
     """What changes if one of the ``files`` does."""
-    return [
-        (s.st_mtime_ns, s.st_size, s.st_ino) if (s := _stat(file)) is not None else None
-        for file in files
-    ]
+    stats = map(_stat, files)
+    return [None if s is None else (s.st_mtime_ns, s.st_size, s.st_ino) for s in stats]
 
 
 def _stat(file: Path) -> os.stat_result | None:

@@ -17,17 +17,14 @@ if TYPE_CHECKING:
 
 @cache
 def models_folder() -> Path:
-    """The folder ``models/``: beside the package in a checkout, ``hiltestbed/_data/models`` in an
-    installed wheel.
-    """
+    """The folder ``models/``: beside the package, or ``_data/models`` in an installed wheel."""
     package = Path(str(files("hiltestbed")))
-    for candidate in (package / "_data" / "models", package.parent / "models"):
+    candidates = (package / "_data" / "models", package.parent / "models")
+    for candidate in candidates:
         if (candidate / "pss33" / "pss33.xml").is_file():
             return candidate
-    raise InputError(
-        f"no models found in {package / '_data' / 'models'} or {package.parent / 'models'}; "
-        f"reinstall hiltestbed"
-    )
+    places = " or ".join(map(str, candidates))
+    raise InputError(f"no models found in {places}; reinstall hiltestbed")
 
 
 def load(name: str) -> mujoco.MjSpec:
@@ -38,18 +35,14 @@ def load(name: str) -> mujoco.MjSpec:
 
 
 def model_of(file: Path) -> Packed:
-    """The model in an MJCF ``file``, the user's own only if it compiles within limits. Raises
-    InputError.
-    """
+    """The model in an MJCF ``file``; raises InputError if a user's does not fit the limits."""
     found = packed(file)
     remarks_on(file)
     return found
 
 
 def remarks_on(file: Path) -> tuple[str, ...]:
-    """MuJoCo's remarks on a user's model; none on a shipped one. Raises InputError if it does not
-    compile within limits.
-    """
+    """MuJoCo's remarks on a user's model. Raises InputError if it does not fit the limits."""
     return () if is_shipped(file) else refuse_unfit(file, packed(file))
 
 
@@ -59,9 +52,7 @@ def is_shipped(file: Path) -> bool:
 
 
 def stamp(file: Path) -> str:
-    """What changes with the content of an MJCF file or of any file that it names; empty if it
-    cannot be read: its fault is reported where it is used.
-    """
+    """What changes with an MJCF file or any file that it names; empty if it cannot be read."""
     try:
         return packed(file).sha256
     except InputError:

@@ -25,9 +25,7 @@ def compiled(file: Path) -> mujoco.MjModel:
 
 
 def named(file: Path) -> mujoco.MjSpec:
-    """The model in an MJCF ``file``, to be attached; geoms and bodies without a name get their
-    number as a name. Raises InputError.
-    """
+    """The model in an MJCF ``file``, to be attached, with all names. Raises InputError."""
     return _resolved(model_of(file).part(), file)[0].copy()
 
 

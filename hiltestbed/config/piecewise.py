@@ -38,9 +38,7 @@ Curve = Annotated[tuple[_Knot, ...], Strict(False), Field(max_length=MOST), Afte
 
 
 def packed(pairs: Sequence[Sequence[float]], most: int = MOST) -> Array:
-    """``(1 + 2 most,)`` of a curve given as pairs; all 0 without pairs, which gives a curve that is
-    0 everywhere.
-    """
+    """``(1 + 2 most,)`` of a curve given as pairs; without any, of one that is 0 everywhere."""
     out = np.zeros(1 + 2 * most)
     out[0] = len(pairs)
     for i, (place, value) in enumerate(pairs):
@@ -50,9 +48,7 @@ def packed(pairs: Sequence[Sequence[float]], most: int = MOST) -> Array:
 
 @njit(cache=True)
 def along(curve, x):
-    """Value at x of a packed ``curve``, extrapolated beyond its ends with the first and last
-    slopes.
-    """
+    """Value at x of a packed ``curve``, extrapolated with its first and last slopes."""
     n, most = int(curve[0]), (len(curve) - 1) // 2
     if n == 0:
         return 0.0

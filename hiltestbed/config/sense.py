@@ -44,15 +44,15 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
         if ticks < FEWEST_TICKS:
             yield (
                 f"the contact lasts {ticks:.2g} ticks of the loop ({lasts:.3g} s at "
-                f"{scenario.rate:g} Hz): the numerical model is driven "
-                f"with another force than the contact's, rebound and energy are meaningless; use "
-                f"a rate above {8.0 / lasts:.3g} Hz"
+                f"{scenario.rate:g} Hz): the numerical model is driven with another force than the "
+                f"contact's, rebound and energy are meaningless; use a rate above "
+                f"{8.0 / lasts:.3g} Hz"
             )
         elif instants < FEWEST_INSTANTS:
             yield (
                 f"the contact lasts {instants:.2g} steps of the physics: its peak and impulse are "
-                f"wrong by some percent; "
-                f"use a physics_rate above {4 * FEWEST_INSTANTS / lasts:.3g} Hz"
+                f"wrong by some percent; use a physics_rate above "
+                f"{4 * FEWEST_INSTANTS / lasts:.3g} Hz"
             )
         yield from _too_far(scenario)
         yield from _drowned(scenario, frequency)
@@ -62,20 +62,20 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
     if late > lasts:
         yield (
             f"the delay of {late:.3g} s is longer than the contact ({lasts:.3g} s): the force "
-            f"arrives when the bodies have separated, no "
-            f"compensation helps; use a delay below {lasts / 10:.2g} s or a softer contact"
+            f"arrives when the bodies have separated, no compensation helps; use a delay below "
+            f"{lasts / 10:.2g} s or a softer contact"
         )
     pair = scenario.spacecraft.chaser.mass, scenario.spacecraft.target.mass
     if max(pair) >= MASS_RATIO * min(pair):
         yield (
             f"one vehicle has {max(pair) / min(pair):.3g} times the mass of the other: the motion "
-            f"of the heavy one is below the "
-            "numerical resolution, so that momentum and energy of the pair are meaningless"
+            "of the heavy one is below the numerical resolution, so that momentum and energy of "
+            "the pair are meaningless"
         )
-    if damping / (mass * scenario.physics_rate) > STIFF_DAMPER:
+    removed = damping / (mass * scenario.physics_rate)
+    if removed > STIFF_DAMPER:
         yield (
-            f"the damper removes {damping / (mass * scenario.physics_rate):.3g} times the "
-            f"relative speed in one physics step: "
+            f"the damper removes {removed:.3g} times the relative speed in one physics step: "
             f"the contact chatters; use a physics_rate above {4 * damping / mass:.3g} Hz "
             f"or less damping"
         )
@@ -87,25 +87,19 @@ def _warnings(scenario: Scenario) -> Iterator[str]:
 def _too_far(scenario: Scenario) -> Iterator[str]:
     """A head-on approach that does not lead to a touch before the run ends."""
     approach = scenario.approach
-    if approach.velocity[2] < 0.0 < approach.gap:
+    speed, gap = approach.velocity[2], 1e3 * approach.gap
+    if speed < 0.0 < approach.gap:
         yield (
-            f"nothing touches: at {approach.velocity[2]:.3g} m/s the sides, "
-            f"{1e3 * approach.gap:.3g} mm apart, move away from each other; "
-            "a positive approach.velocity.2 brings them together"
+            f"nothing touches: at {speed:.3g} m/s the sides, {gap:.3g} mm apart, move away from "
+            "each other; a positive approach.velocity.2 brings them together"
         )
-    if (
-        not scenario.mechanism.flat
-        or any(approach.attitude_deg)
-        or any(approach.rate_deg)
-        or not approach.velocity[2] > 0.0
-    ):
+    if not scenario.mechanism.flat or any((*approach.attitude_deg, *approach.rate_deg)):
         return
-    touch = approach.gap / approach.velocity[2]
-    if touch >= scenario.duration:
+    if speed > 0.0 and approach.gap / speed >= scenario.duration:
         yield (
-            f"nothing touches: the gap of {1e3 * approach.gap:.3g} mm takes {touch:.3g} s at "
-            f"{approach.velocity[2]:.3g} m/s, the run lasts "
-            f"{scenario.duration:.3g} s; use a longer duration or a smaller gap"
+            f"nothing touches: the gap of {gap:.3g} mm takes {approach.gap / speed:.3g} s at "
+            f"{speed:.3g} m/s, the run lasts {scenario.duration:.3g} s; use a longer duration or a "
+            "smaller gap"
         )
 
 
@@ -115,9 +109,8 @@ def _drowned(scenario: Scenario, frequency: float) -> Iterator[str]:
     if 0.0 < peak < scenario.sensor.noise:
         yield (
             f"the sensor's noise, {scenario.sensor.noise:.3g} N, is more than the contact's peak "
-            f"of about {peak:.3g} N: noise drives the "
-            "loop, and rebound and energy are not those of the contact; the verdict on stability "
-            "is that for a sensor without noise"
+            f"of about {peak:.3g} N: noise drives the loop, and rebound and energy are not those "
+            "of the contact; the verdict on stability is that for a sensor without noise"
         )
 
 
@@ -132,8 +125,8 @@ def _too_deep(scenario: Scenario, frequency: float) -> Iterator[str]:
     if tip is not None and deepest > 2 * tip:
         yield (
             f"the contact goes {1e3 * deepest:.3g} mm deep, the tip is {2e3 * tip:.3g} mm across: "
-            f"it is completely inside the other side, "
-            "where there is no contact; use a slower approach or a stiffer contact"
+            "it is completely inside the other side, where there is no contact; use a slower "
+            "approach or a stiffer contact"
         )
 
 

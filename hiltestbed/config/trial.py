@@ -12,6 +12,7 @@ import subprocess
 import sys
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -44,21 +45,40 @@ def refuse_unfit(file: Path, model: Packed) -> tuple[str, ...]:
     return tuple(answer["remarks"])
 
 
+def in_own_process(
+    module: str, order: dict[str, Any], patience: float
+) -> subprocess.CompletedProcess[bytes]:
+    """Run ``python -m module`` with ``order`` as JSON on its standard input, and with the import
+    path of this process. Raises TimeoutExpired after ``patience`` [s].
+    """
+    paths = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    # threads of a linear algebra library reserve address space
+    environment = {"PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.run(
+        [sys.executable, "-m", module], input=json.dumps(order).encode(), capture_output=True,
+        timeout=patience, env=os.environ | environment,
+    )  # fmt: skip
+
+
+def limit_resources(**limits: int) -> None:
+    """Limit resources of this process, by the names of their limits: AS [byte], CPU [s]."""
+    try:
+        import resource
+    except ImportError:  # no such limits on this system
+        return
+    for name, most in limits.items():
+        what = getattr(resource, f"RLIMIT_{name}")
+        hard = resource.getrlimit(what)[1]
+        soft = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(what, (soft, hard))
+
+
 @lru_cache(maxsize=64)
 def _tried(text: str, files: tuple[tuple[str, bytes], ...], file: str) -> dict:
-    order = json.dumps(
-        {"text": text, "files": [[name, content.hex()] for name, content in files], "file": file}
-    )
-    # threads of a linear algebra library reserve address space
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-    environment["PYTHONPATH"] = os.pathsep.join(
-        [str(Path(__file__).parents[2]), *filter(None, [environment.get("PYTHONPATH")])]
-    )
+    hexed = [[name, content.hex()] for name, content in files]
+    order = {"text": text, "files": hexed, "file": file}
     try:
-        ended = subprocess.run(
-            [sys.executable, "-m", "hiltestbed.config.trial"],
-            input=order.encode(), capture_output=True, timeout=PATIENCE, env=environment,
-        )  # fmt: skip
+        ended = in_own_process("hiltestbed.config.trial", order, PATIENCE)
     except subprocess.TimeoutExpired:
         return {"fault": f"MuJoCo does not compile it within {PATIENCE:.0f} s; simplify it"}
     try:
@@ -76,7 +96,7 @@ def _serve() -> None:
 
     order = json.loads(sys.stdin.buffer.read())
     files = {name: bytes.fromhex(content) for name, content in order["files"]}
-    _limit()
+    limit_resources(CPU=TIME, AS=MEMORY)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         answer = _compiled(Packed(order["text"], files), order["file"])
@@ -120,18 +140,6 @@ def _unfit(model: object) -> str:
                 f"below {LARGEST:g}"
             )
     return ""
-
-
-def _limit() -> None:
-    try:
-        import resource
-    except ImportError:  # no such limits on this system
-        return
-    for what, most in ((resource.RLIMIT_CPU, TIME), (resource.RLIMIT_AS, MEMORY)):
-        hard = resource.getrlimit(what)[1]
-        resource.setrlimit(
-            what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard)
-        )
 
 
 if __name__ == "__main__":

@@ -101,19 +101,16 @@ def user_files(model: BaseModel) -> dict[KeyPath, tuple[Path, UserFile]]:
         )
         if mark is not None and Path(value).is_absolute():
             found[key,] = Path(value), mark
-        for below, item in (
-            enumerate(value) if isinstance(value, (list, tuple)) else [(None, value)]
-        ):
+        several = isinstance(value, (list, tuple))
+        items = {(key, i): v for i, v in enumerate(value)} if several else {(key,): value}
+        for head, item in items.items():
             if isinstance(item, BaseModel):
-                head = (key,) if below is None else (key, below)
                 found |= {(*head, *path): entry for path, entry in user_files(item).items()}
     return found
 
 
 def refuse(problems: Iterable[Problem]) -> None:
-    """For validators: raises all `problems` (path below the model, message) together, if there are
-    any.
-    """
+    """For validators: raises all `problems` (path below the model, message), if there are any."""
     found = list(problems)
     if found:
         raise PydanticCustomError(
@@ -127,31 +124,24 @@ def validate(
     """`source.data` as `model`. Raises InputError with every fault.
 
     Checks of several keys together only run if each key is valid by itself. Therefore each rejected
-    value is replaced by that of a valid
-    `specimen` (or removed), and the rest is validated again: a misspelt key does not hide two rates
-    that do not divide.
+    value is replaced by that of a valid `specimen` (or removed), and the rest is validated again: a
+    misspelt key does not hide two rates that do not divide.
     """
     data = source.data
     problems: list[Problem] = []
     while True:
+        new: list[Problem] = []
         try:
             result = model.model_validate(data, context={"folder": source.folder})
-        except ValidationError as error:
-            new = [
-                item for item in _problems(model, data, error) if not _overlaps(item[0], problems)
-            ]
-        else:
-            new = []
             if not problems:
                 return result
+        except ValidationError as error:
+            found = _problems(model, data, error)
+            new = [item for item in found if not _overlaps(item[0], problems)]
         problems += new
         if not new:
-            raise InputError(
-                sorted(
-                    (source.fault(*item) for item in problems if not _is_misspelt(item, problems)),
-                    key=_order,
-                )
-            )
+            said = [source.fault(*item) for item in problems if not _is_misspelt(item, problems)]
+            raise InputError(sorted(said, key=_order))
         data = copy.deepcopy(data)
         for path, _ in new:
             known = not path or path[-1] != "kind" or _holds(specimen or {}, path)
@@ -164,9 +154,7 @@ def _overlaps(path: KeyPath, problems: list[Problem]) -> bool:
 
 
 def _is_misspelt(missing: Problem, problems: list[Problem]) -> bool:
-    """Whether a missing key is present under a misspelt name; then only the misspelling is
-    reported.
-    """
+    """Whether a missing key is there under a misspelt name, which alone is then reported."""
     path, message = missing
     hint = f"unknown key (did you mean {str(path[-1])!r}?)" if path else ""
     return message.startswith("is missing") and any(
@@ -180,21 +168,15 @@ def _order(fault: Fault) -> tuple[bool, int, int]:
 
 def _holds(data: Any, path: KeyPath) -> bool:
     for part in path:
-        inside = (
-            part < len(data)
-            if isinstance(data, list) and isinstance(part, int)
-            else isinstance(data, dict) and part in data
-        )
-        if not inside:
+        item = isinstance(data, list) and isinstance(part, int) and part < len(data)
+        if not item and not (isinstance(data, dict) and part in data):
             return False
         data = data[part]  # type: ignore[index, call-overload]
     return bool(path)
 
 
 def _repair(data: Any, path: KeyPath, specimen: Any) -> None:
-    """Sets `path` to the specimen's value, or removes the key; for a list all items, since its
-    length has a meaning.
-    """
+    """Sets `path` to the specimen's value or removes it; for a list, whose length counts, all."""
     for depth, part in enumerate(path):
         specimen = specimen[part] if _holds(specimen, (part,)) else None
         if not isinstance(data, dict):
@@ -278,9 +260,7 @@ def _items(annotation: Any) -> Any:
 
 
 def description_of(model: type[BaseModel], data: Any, path: KeyPath) -> str:
-    """Description of the key at ``path`` of ``data``, or an empty text; in a union, of the member
-    with the `kind` in the data.
-    """
+    """Description of the key at ``path``, by the `kind` in the data in a union; or empty."""
     owner = _model_at(model, data, path[:-1])
     field = owner.model_fields.get(str(path[-1])) if owner is not None else None
     return (field.description or "") if field is not None else ""
@@ -297,47 +277,31 @@ def _annotation(model: type[BaseModel], key: str) -> Any:
 
 def _pick(annotation: Any, data: Any) -> type[BaseModel] | None:
     """The model of an annotation; among several, the one with the `kind` in the data."""
-    table = (
-        next((m for m in get_args(annotation)[1:] if isinstance(m, OneOf)), None)
-        if get_origin(annotation) is Annotated
-        else None
-    )
+    origin, members = get_origin(annotation), get_args(annotation)
+    marks = members[1:] if origin is Annotated else ()
+    table = next((m for m in marks if isinstance(m, OneOf)), None)
     if table is not None:
-        kind = table.pick(data)
-        return (
-            table.registry[kind]
-            if kind is not None and kind in table.registry
-            else table.registry.base
-        )
+        kind, registry = table.pick(data), table.registry
+        return registry[kind] if kind is not None and kind in registry else registry.base
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    origin, members = get_origin(annotation), get_args(annotation)
-    if origin in (Union, types.UnionType, Annotated):
-        models = [
-            found for found in (_pick(member, data) for member in members) if found is not None
-        ]
-        kind = data.get("kind") if isinstance(data, dict) else None
-        named = [
-            found
-            for found in models
-            if "kind" in found.model_fields
-            and kind in get_args(found.model_fields["kind"].annotation)
-        ]
-        return (named or models or [None])[0]
-    return None
+    if origin not in (Union, types.UnionType, Annotated):
+        return None
+    models = [found for found in (_pick(member, data) for member in members) if found is not None]
+    kind = data.get("kind") if isinstance(data, dict) else None
+    kinds = [get_args(m.model_fields["kind"].annotation) if "kind" in m.model_fields else ()
+             for m in models]  # fmt: skip
+    named = [m for m, own in zip(models, kinds, strict=True) if kind in own]
+    return (named or models or [None])[0]
 
 
 _KINDS = {
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "a mapping (key: value)"),
+    **dict.fromkeys(("int_type", "int_from_float"), "a whole number"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
     "float_type": "a number",
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
     "string_type": "text",
     "bool_type": "true or false",
-    "list_type": "a list",
-    "tuple_type": "a list",
-    "dict_type": "a mapping (key: value)",
-    "model_type": "a mapping (key: value)",
-    "model_attributes_type": "a mapping (key: value)",
     "finite_number": "a finite number",
 }
 _BOUNDS = {
@@ -360,25 +324,18 @@ def _message(detail: ErrorDetails) -> str:
         return f"is out of range (got {got}); allowed is {sign} {context[name]:g}"
     if kind == "literal_error":
         choices = context["expected"].replace("'", "").replace(" or ", ", ").split(", ")
-        return (
-            f"unknown value{nearest(str(detail['input']), choices)} (got {got}); "
-            f"allowed: {', '.join(choices)}"
-        )
+        hint = nearest(str(detail["input"]), choices)
+        return f"unknown value{hint} (got {got}); allowed: {', '.join(choices)}"
     if kind == "union_tag_invalid":
         choices = sorted(context["expected_tags"].replace("'", "").split(", "))
         allowed = f"allowed: {', '.join(choices)}; one of your own needs --plugin"
-        return (
-            f"unknown kind{nearest(str(context['tag']), choices)} (got "
-            f"{context['tag']!r}); {allowed}"
-        )
+        hint = nearest(str(context["tag"]), choices)
+        return f"unknown kind{hint} (got {context['tag']!r}); {allowed}"
     if kind == "union_tag_not_found":
         return f"has no kind (got {got}); give it as {{kind: ...}}"
     if kind in ("too_short", "too_long"):
-        limit = (
-            f"at least {context['min_length']}"
-            if kind == "too_short"
-            else f"at most {context['max_length']}"
-        )
+        low, high = context.get("min_length"), context.get("max_length")
+        limit = f"at least {low}" if kind == "too_short" else f"at most {high}"
         return f"has the wrong length (got {context['actual_length']} items); allowed is {limit}"
     if kind == "string_too_short":
         return "is empty; some text is expected"

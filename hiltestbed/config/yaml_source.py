@@ -71,9 +71,7 @@ class Source:
         return Fault(self.file, *((1, 1) if self.marks else (None, None)), key, message)
 
     def relocated(self, fault: Fault, base: KeyPath) -> Fault:
-        """A fault of an override that is written in this source below `base`, with its place there;
-        any other fault unchanged.
-        """
+        """The place of a fault of an override that stands in this source below `base`."""
         if not fault.file.startswith("--set "):
             return fault
         key = fault.file.removeprefix("--set ")
@@ -81,9 +79,7 @@ class Source:
         return self.fault((*base, key), message)
 
     def with_set(self, overrides: Mapping[str, Any] | None) -> Source:
-        """The same source with dotted keys set; a string value is read as YAML. Raises InputError
-        with every fault.
-        """
+        """The same with dotted keys set, strings read as YAML. Raises InputError."""
         if not overrides:
             return self
         result = Source(self.file, copy.deepcopy(self.data), self.marks, self.overridden)
@@ -94,10 +90,8 @@ class Source:
                 try:
                     value = parse_yaml(value, f"--set {key}")[0]
                 except InputError as error:
-                    faults.extend(
-                        Fault(f"--set {key}", None, None, key, fault.message)
-                        for fault in error.faults
-                    )
+                    said = (fault.message for fault in error.faults)
+                    faults += [Fault(f"--set {key}", None, None, key, text) for text in said]
                     continue
             problem = "is not a key" if not key or "" in path else _assign(result.data, path, value)
             if problem:
@@ -109,16 +103,12 @@ class Source:
 
 
 def key_path(key: str) -> KeyPath:
-    """`approach.velocity.2` as `("approach", "velocity", 2)`: a part with digits only is the index
-    of a list item.
-    """
+    """`approach.velocity.2` as `("approach", "velocity", 2)`: digits are the index of an item."""
     return tuple(int(part) if part.isdecimal() else part for part in key.split("."))
 
 
 def _assign(data: Any, path: KeyPath, value: Any) -> str | None:
-    """Sets `value` at `path` inside `data`, creating mappings as needed; returns a message if that
-    is not possible.
-    """
+    """Sets `value` at `path`, creating mappings as needed; a message if that is impossible."""
     node = data
     for depth, part in enumerate(path):
         last = depth == len(path) - 1
@@ -129,11 +119,9 @@ def _assign(data: Any, path: KeyPath, value: Any) -> str | None:
                     f"{where} is a list (got the key {part!r}); its items are numbered 0 "
                     f"to {max(len(node) - 1, 0)}"
                 )
-            if part > len(node):
-                return (
-                    f"{where} has {len(node)} items (got number {part}); allowed is 0 to "
-                    f"{len(node)}"
-                )
+            size = len(node)
+            if part > size:
+                return f"{where} has {size} items (got number {part}); allowed is 0 to {size}"
             node += [None] * (part == len(node))
         elif isinstance(node, dict):
             part = str(part)
@@ -159,33 +147,21 @@ def describe(value: Any) -> str:
 
 
 def read_source(path: str | Path) -> Source:
-    """Reads one YAML file. Raises InputError for anything else, and for a file that is too large
-    before reading it.
-    """
+    """Reads one YAML file of limited size. Raises InputError for anything else."""
     path = Path(path)
     text = _read_text(path)
     data, marks = parse_yaml(text, str(path))
     if data is None:
-        raise InputError(
-            Fault(str(path), 1, 1, "", "the file is empty; a YAML mapping is expected")
-        )
+        text = "the file is empty; a YAML mapping is expected"
+        raise InputError(Fault(str(path), 1, 1, "", text))
     if not isinstance(data, dict):
-        raise InputError(
-            Fault(
-                str(path),
-                1,
-                1,
-                "",
-                f"the file holds {describe(data)}; a YAML mapping (key: value) is expected",
-            )
-        )
+        text = f"the file holds {describe(data)}; a YAML mapping (key: value) is expected"
+        raise InputError(Fault(str(path), 1, 1, "", text))
     return Source(str(path), data, marks)
 
 
 def referenced_source(source: Source, key: str = "scenario") -> Source:
-    """The file that a source names under `key`, relative to the source's folder, or a shipped
-    scenario. Raises InputError.
-    """
+    """The file beside a source, or the shipped scenario, named under `key`. Raises InputError."""
     name = str(source.data[key])
     target = source.folder / name
     if is_file(target):
@@ -226,10 +202,8 @@ def _read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         column = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
-        message = (
-            f"is not UTF-8 text (got byte 0x{raw[error.start]:02x}); a YAML file in "
-            f"UTF-8 is expected"
-        )
+        byte = raw[error.start]
+        message = f"is not UTF-8 text (got byte 0x{byte:02x}); a YAML file in UTF-8 is expected"
         raise InputError(Fault(str(path), line, column, "", message)) from None
 
 
@@ -240,25 +214,23 @@ def parse_yaml(text: str, file: str) -> tuple[Any, dict[KeyPath, tuple[int, int]
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-    yaml = YAML(typ="safe", pure=True)
+    def refuse(what: object, line: int = 1, column: int = 1) -> InputError:
+        return InputError(Fault(file, line, column, "", f"is {what}"))
+
     try:
-        node = yaml.compose(text)
+        node = YAML(typ="safe", pure=True).compose(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
-        raise InputError(
-            Fault(file, *place, "", f"is not YAML: {error.problem or error.context}")
-        ) from None
+        raise refuse(f"not YAML: {error.problem or error.context}", *place) from None
     except YAMLError as error:
         line = text.count("\n", 0, getattr(error, "position", 0)) + 1
         reason = getattr(error, "reason", None) or str(error).splitlines()[0]
-        raise InputError(Fault(file, line, 1, "", f"is not YAML: {reason}")) from None
+        raise refuse(f"not YAML: {reason}", line) from None
     except RecursionError:
-        raise InputError(
-            Fault(file, 1, 1, "", f"is nested too deeply; at most {DEPTH_LIMIT} levels are read")
-        ) from None
+        raise refuse(f"nested too deeply; at most {DEPTH_LIMIT} levels are read") from None
     except ValueError as error:
-        raise InputError(Fault(file, 1, 1, "", f"is not YAML: {error}")) from None
+        raise refuse(f"not YAML: {error}") from None
     builder = _Builder(file)
     data = None if node is None else builder.build(node, ())
     if builder.faults:
@@ -279,10 +251,13 @@ def dump_yaml(data: Any) -> str:
     return text.getvalue()
 
 
+def _place(node: Any) -> tuple[int, int]:
+    """Line and column of a YAML node, counted from 1."""
+    return node.start_mark.line + 1, node.start_mark.column + 1
+
+
 class _Builder:
-    """Plain data from a tree of YAML nodes; collects duplicate keys and unusable values as
-    faults.
-    """
+    """Plain data from YAML nodes; duplicate keys and unusable values become faults."""
 
     def __init__(self, file: str) -> None:
         self.file = file
@@ -291,15 +266,7 @@ class _Builder:
         self.count = 0
 
     def fault(self, node: Any, path: KeyPath, message: str) -> None:
-        self.faults.append(
-            Fault(
-                self.file,
-                node.start_mark.line + 1,
-                node.start_mark.column + 1,
-                dotted(path),
-                message,
-            )
-        )
+        self.faults.append(Fault(self.file, *_place(node), dotted(path), message))
 
     def build(self, node: Any, path: KeyPath) -> Any:
         self.count += 1
@@ -313,7 +280,7 @@ class _Builder:
         if node.id == "sequence":
             items = []
             for index, item in enumerate(node.value):
-                self.marks[(*path, index)] = (item.start_mark.line + 1, item.start_mark.column + 1)
+                self.marks[(*path, index)] = _place(item)
                 items.append(self.build(item, (*path, index)))
             return items
         return self._scalar(node, path)
@@ -325,29 +292,22 @@ class _Builder:
                 self.fault(key_node, path, "a key is a list or a mapping; a key is a name")
                 continue
             key = str(key_node.value)
-            place = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
+            there = (*path, key)
             if key in result:
-                first = self.marks[(*path, key)][0]
-                self.fault(
-                    key_node,
-                    (*path, key),
-                    f"is given twice (first in line {first}); each key may stand once",
-                )
-                self.build(value_node, (*path, key))
-                continue
-            self.marks[(*path, key)] = place
-            result[key] = self.build(value_node, (*path, key))
-            self.marks[(*path, key)] = place
+                first = self.marks[there][0]
+                text = f"is given twice (first in line {first}); each key may stand once"
+                self.fault(key_node, there, text)
+                self.build(value_node, there)
+            else:
+                self.marks[there] = _place(key_node)
+                result[key] = self.build(value_node, there)
         return result
 
     def _scalar(self, node: Any, path: KeyPath) -> Any:
         tag, text = str(node.tag), node.value
         if tag not in _SCALARS:
-            self.fault(
-                node,
-                path,
-                f"has the tag {tag.removeprefix(_PREFIX)!r}; plain YAML values alone are read",
-            )
+            what = f"has the tag {tag.removeprefix(_PREFIX)!r}; plain YAML values alone are read"
+            self.fault(node, path, what)
             return None
         try:
             if tag == _PREFIX + "null":

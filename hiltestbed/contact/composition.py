@@ -4,16 +4,24 @@ contacts and latches.
 Names in the composed model begin with ``active_`` and ``passive_``. The sites ``active_A`` and
 ``passive_P`` are the ports. Every contact is an explicit pair, ``facet_<k>`` or ``native_<k>``; a
 latch is a weld or ball-joint (``connect``) equality that is switched on.
+
+Stiffness [N/m] and damping [N s/m] are MuJoCo's contact parameters: with a direct ``solref = (-K A,
+-C A)``, a constant impedance d = 1e-4 and elliptic cones, its soft contact gives F = K x + C v,
+never negative, for penetration x and its rate v at the start of the step. A [1/kg] is the sum of
+the inverse weights of the two bodies that carry the geoms, ``body_invweight0``, with a correction
+(:func:`inverse_mass`). This is for contacts that push only along the normal; for friction, other
+laws and other surfaces see :mod:`hiltestbed.contact.engagement`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from hiltestbed.contact import mount
@@ -21,24 +29,26 @@ from hiltestbed.contact.geometry import ACTIVE as A
 from hiltestbed.contact.geometry import FRAMES
 from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.sides import Pair, Sides, sides_of
+from hiltestbed.contact.wrench import LATCH_RADIUS
 from hiltestbed.frames import Array, quat_to_mujoco
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 ACTIVE, PASSIVE = "active_", "passive_"
 PREFIXES = {"A": ACTIVE, "P": PASSIVE}  # by the port of a side
 FLANGE = ACTIVE + "flange"  # the body that carries the active side
 LATCH = "latch"
-# Contact that is a spring and a damper in N/m and N s/m (hiltestbed.contact.solref) needs a small,
-# constant impedance.
-IMPEDANCE = 1e-4
+IMPEDANCE = 1e-4  # d: contact that is a spring and a damper needs a small, constant one
+NO_DAMPING = -1e-12  # [1/s] MuJoCo reads a solref as direct only when both numbers are negative
 INVERSE_WEIGHT = 1.0  # [1/kg], [1/(kg m^2)] of the active side, as used by contacts and latches
 CONTACT_SOLIMP = (IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 1.0)
 # [m] half sizes, so large that the facet's face is nearest even to a ball deeper than its radius
 FACET = (0.2, 0.2, 0.25)
 AWAY = 1e3  # [m] position at which an unused facet is parked
 ORIGIN = np.zeros(3)
+SITE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # pose of coincident sites
 # any position but the body's origin, where MuJoCo would short-cut the geom's kinematics
 PROXY = np.array([0.0, 0.0, -0.1])
 _UNALIGNED = (0.9, 0.1, 0.2, 0.3)  # likewise any attitude but the body's
@@ -88,6 +98,53 @@ class Structure:
         return sides_of(self.mechanism)
 
 
+@dataclass(frozen=True)
+class Closure:
+    """One of a mechanism's closures.
+
+    Attributes:
+        name: of MuJoCo's equality. frames: of the active and of the passive site; places: (2, 7)
+            poses of the sites in them. radius: [m]; stiffness [N/m], damping [N s/m]; None: those
+            of the contact. turns: whether it resists rotation. law: whether the contact's law acts
+            along z. together: whether it makes the sites coincide; otherwise it holds the relative
+            pose at which it closes.
+    """
+
+    name: str
+    frames: tuple[int, int]
+    places: Array
+    radius: float
+    stiffness: float | None = None
+    damping: float | None = None
+    turns: bool = True
+    law: bool = False
+    together: bool = False
+
+
+def closures_of(structure: Structure) -> list[Closure]:
+    """The closures of a mechanism."""
+    found = []
+    if structure.latched:
+        found.append(Closure(LATCH, (A, S), np.array([SITE, SITE]), LATCH_RADIUS, law=True))
+    sites = structure.sides.sites
+    for phase in structure.mechanism.phases():
+        if (close := phase.close) is not None:
+            (a, at_a), (p, at_p) = sites["A", close.active], sites["P", close.passive]
+            found.append(
+                Closure(
+                    phase.name,
+                    (a, p),
+                    np.array([at_a, at_p]),
+                    close.radius or 0.0,
+                    close.stiffness,
+                    close.damping,
+                    turns=close.kind == "weld",
+                    together=close.hold == "together",
+                )
+            )
+    return found
+
+
 def structure_of(mechanism: Mechanism, departs: bool, rubs: bool) -> Structure:
     """The structure of a mechanism's model.
 
@@ -120,9 +177,7 @@ def drawn(mechanism: Mechanism) -> Structure:
 def add_active(
     spec: mujoco.MjSpec, structure: Structure, body: mujoco.MjsBody, plane: Array, height: Array
 ) -> None:
-    """Attach the active side to ``body`` with A at ``plane`` + ``height`` (3,) [m] in it, axes
-    along the body's.
-    """
+    """Attach the active side to ``body``, A at ``plane`` + ``height`` (3,) [m], axes alike."""
     add_side(spec, structure.mechanism, ACTIVE, body, plane, height)
 
 
@@ -175,9 +230,7 @@ def add_side(
     plane: Array = ORIGIN,
     height: Array = ORIGIN,
 ) -> None:
-    """Attach the side given by ``prefix`` to ``body``, with its port at ``plane`` + ``height`` (3,)
-    [m] and axes along the body's.
-    """
+    """Attach a side to ``body``, its port at ``plane`` + ``height`` (3,) [m], axes alike."""
     which = (ACTIVE, PASSIVE).index(prefix)
     port = sides_of(mechanism).ports[which]
     back, offset = quat_to_mujoco(port[3:7] * [-1.0, -1.0, -1.0, 1.0]), np.zeros(3)
@@ -209,9 +262,7 @@ def weigh_contact(model: mujoco.MjModel, carrier: str, held: bool = False) -> No
 
 
 def carried_by(model: mujoco.MjModel, carrier: str) -> tuple[list[int], list[int]]:
-    """Numbers of the bodies that are fixed to the ``carrier``, including itself, and of those that
-    move on it.
-    """
+    """Numbers of the bodies fixed to the ``carrier``, with itself, and of those moving on it."""
     body = model.body(carrier).id
     fixed, parts = [body], []
     for other in range(body + 1, model.nbody):
@@ -310,9 +361,7 @@ def _facet(spec: mujoco.MjSpec, k: int, sides: Sides, rubs: bool) -> None:
 
 
 def _native(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
-    """Add a pair for MuJoCo's own collision detection, and a sensor of its number of points and its
-    deepest point.
-    """
+    """Add a pair for MuJoCo's own collision detection, and a sensor of its deepest point."""
     active, passive = ACTIVE + pair.active, PASSIVE + pair.passive
     _pair(spec, f"native_{k}", active, passive, rubs)
     geom = mujoco.mjtObj.mjOBJ_GEOM
@@ -329,26 +378,25 @@ def _native(spec: mujoco.MjSpec, k: int, pair: Pair, rubs: bool) -> None:
 
 def _latches(spec: mujoco.MjSpec, structure: Structure) -> None:
     """Add an equality between the bodies that carry the sites of each closure; none is active."""
-    sides = structure.sides
-    closures = [(LATCH, "weld", A, S)] if structure.latched else []
-    closures += [
-        (
-            p.name,
-            p.close.kind,
-            sides.sites["A", p.close.active][0],
-            sides.sites["P", p.close.passive][0],
-        )
-        for p in structure.mechanism.phases()
-        if p.close is not None
-    ]
-    for name, kind, active, passive in closures:
-        type_ = mujoco.mjtEq.mjEQ_WELD if kind == "weld" else mujoco.mjtEq.mjEQ_CONNECT
+    for closure in closures_of(structure):
+        active, passive = (body_of(spec, structure.sides, frame) for frame in closure.frames)
         spec.add_equality(
-            name=name,
-            type=type_,
+            name=closure.name,
+            type=mujoco.mjtEq.mjEQ_WELD if closure.turns else mujoco.mjtEq.mjEQ_CONNECT,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=body_of(spec, sides, passive),
-            name2=body_of(spec, sides, active),
+            name1=passive,
+            name2=active,
             active=False,
             solimp=CONTACT_SOLIMP,
         )
+
+
+def set_linear(batch: Batch, scenarios: Sequence[Scenario]) -> None:
+    """Set each run of a batch to its scenario's stiffness and damping."""
+    contacts, m = [s.mechanism.contact for s in scenarios], batch.model
+    gain = inverse_mass(m, m.geom_bodyid[np.stack([m.pair_geom1, m.pair_geom2])])
+    stiffness = np.array([c.stiffness for c in contacts])
+    damping = np.array([c.damping for c in contacts])
+    solref = batch.expand("pair_solref")
+    solref[..., 0] = -stiffness[:, None] * gain
+    solref[..., 1] = np.minimum(-damping[:, None] * gain, NO_DAMPING)

@@ -13,8 +13,7 @@ from mujoco.batch import Batch
 
 from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact import solref
-from hiltestbed.contact.composition import ACTIVE, Structure
+from hiltestbed.contact.composition import ACTIVE, Structure, set_linear
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.mount import Mount
 from hiltestbed.contact.wrench import load_body, to_frame
@@ -29,9 +28,7 @@ class AppliedForce(Protocol):
     """A wrench that replaces the contact."""
 
     def next(self) -> Array:
-        """(6,) wrench at the next physics instant, of active on passive side, in P at P's origin
-        [N, N m].
-        """
+        """(6,) [N, N m] at the next physics instant, active on passive, in P at P's origin."""
         ...
 
 
@@ -55,13 +52,11 @@ class Contacts:
         least_creep: float,
         force: AppliedForce | None,
     ) -> None:
-        """``dt``, ``least_creep``: see :class:`Engagement`. ``force``: applied instead of the
-        contacts.
-        """
+        """``dt``, ``least_creep``: see :class:`Engagement`. ``force``: replaces the contacts."""
         n, model = len(scenarios), batch.model
         self._force, self._engagement = force, None
         if structure.touches and structure.constant:
-            solref.set_linear(batch, scenarios)
+            set_linear(batch, scenarios)
         elif structure.touches:
             self._engagement = Engagement(batch, scenarios, structure, dt, least_creep)
         engagement = self._engagement
@@ -73,11 +68,9 @@ class Contacts:
         self.stage = engagement.stage if engagement else int(mujoco.mjtStage.mjSTAGE_NONE)
         self.touching = engagement.touching if engagement else np.zeros(n, dtype=bool)
         self.latched = engagement.latched if engagement else np.zeros(n, dtype=bool)
-        self._ncon, self._qpos, self._qvel = (
-            batch.bind("ncon"),
-            batch.bind("qpos"),
-            batch.bind("qvel"),
-        )
+        self._ncon = batch.bind("ncon")
+        self._qpos = batch.bind("qpos")
+        self._qvel = batch.bind("qvel")
         self._applied = batch.bind("xfrc_applied").reshape(n, -1, 6)
         self._pulls = force is not None or (engagement is not None and engagement.pulls)
         self._pull = engagement.pull if engagement else np.zeros((n, 6))
@@ -93,9 +86,7 @@ class Contacts:
 
     @property
     def engagement(self) -> Engagement:
-        """The contacts' geometry and forces. Raises InputError if MuJoCo's own collision computes
-        them.
-        """
+        """Geometry and forces. Raises InputError if MuJoCo's own collision computes them."""
         if self._engagement is None:
             raise InputError(
                 "a spring and damper without friction, mount or effects is MuJoCo's own contact: "
@@ -109,9 +100,7 @@ class Contacts:
             self._engagement.reset()
 
     def balance(self) -> None:
-        """Balance the weight on the mount with nothing latched, wherever the sides are; undone by
-        :meth:`reset`.
-        """
+        """Balance the weight on the mount with nothing latched; undone by :meth:`reset`."""
         if self._engagement is not None:
             self._engagement.latches.open(captured=False)
         load_body(1.0, self.mount.balance, self.mount.body, self.mount.centre, self._applied)
@@ -146,9 +135,7 @@ class Contacts:
     def meeting(
         self, pose: Array, twist: Array, place: Array | None = None, motion: Array | None = None
     ) -> list[Callable[[], None]]:
-        """The calls of :meth:`meet`, in order, bound to arrays that are reused; none if they are
-        not all compiled.
-        """
+        """The calls of :meth:`meet` on arrays that are reused; none if not all are compiled."""
         mount = self.mount
         if self._engagement is None or self._pulls or mount.moves:
             return []
@@ -169,9 +156,7 @@ def _count(contacts, touching):
 
 @njit(cache=True)
 def _into_world(place, wrench):
-    """Transform wrenches (n, 6), in place, from P at P's origin to W at W's origin; P at ``place``
-    (n, 7).
-    """
+    """Transform wrenches (n, 6) from P at P's origin to W at W's; P at ``place`` (n, 7)."""
     local = np.empty(6)
     for i in range(wrench.shape[0]):
         local[:] = wrench[i]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.contact.acting import Pair, acting_contacts, acting_law, in_series
+from hiltestbed.contact.law import Pair, acting_contacts, acting_law, in_series
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.touch import BEYOND, INSERTION, STOPS, Meeting, first_touch
 from hiltestbed.contact.wrench import LATCH_RADIUS

@@ -6,7 +6,7 @@ each step, therefore,
 - the box of a facet is re-posed to the tangent plane at the point of the surface that is nearest to
   the ball or the rod;
 - a linear law is written as (-K g, -C g), any other as (-F g/x, -0), g = A for bodies that yield
-  (:mod:`hiltestbed.contact.solref`);
+  (:mod:`hiltestbed.contact.composition`);
 - friction is written as its secant: the pair's ``solreffriction`` is (-0, -mu |F|/sqrt(v^2 + v_0^2)
   g), with a cone ten times as wide, which never acts;
 - a native pair of c points gets 1/c of these per point;
@@ -28,36 +28,22 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import Joined, bound
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.acting import acting_contacts
 from hiltestbed.contact.composition import (
     ACTIVE,
-    AWAY,
-    DIST,
-    FOUND,
     LATCH,
-    LINVEL,
-    NORMAL,
+    NO_DAMPING,
     PASSIVE,
-    POS,
     PREFIXES,
     READ,
     Structure,
     inverse_mass,
 )  # fmt: skip
-from hiltestbed.contact.facets import DRAG, MET, NORM, POINT, PUSH, outwards, pose_facet, spring
+from hiltestbed.contact.facets import MET, Bodies, Felt, Inputs, Laws, touch_facets, touch_natively
 from hiltestbed.contact.geometry import ACTIVE as A
-from hiltestbed.contact.geometry import (
-    FRAMES,
-    RADIUS,
-    ROUND_FRAME,
-    ROW,
-    SIDE,
-    SURFACE_FRAME,
-    VALUES,
-)
+from hiltestbed.contact.geometry import FRAMES
 from hiltestbed.contact.geometry import PASSIVE as S
 from hiltestbed.contact.latches import Latches
-from hiltestbed.contact.law import STATES
+from hiltestbed.contact.law import STATES, acting_contacts
 from hiltestbed.contact.parameters import (
     ADHESION,
     FRICTION,
@@ -67,8 +53,7 @@ from hiltestbed.contact.parameters import (
     ContactParameters,
     contact_rows,
 )  # fmt: skip
-from hiltestbed.contact.solref import NO_DAMPING
-from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all, tilts
+from hiltestbed.contact.wrench import tilts
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_mul, rotate_back
 
@@ -76,7 +61,6 @@ if TYPE_CHECKING:
     from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 WIDE = 10.0  # friction coefficient of MuJoCo's cone, which must not act, over the true one
-LEAST = 1e-9  # [m] penetration that MuJoCo is given if a law pushes without penetration
 
 
 class Engagement:
@@ -119,11 +103,9 @@ class Engagement:
         self._pairs = _Pairs(batch, structure, self.parameters)
         self.state = np.zeros((n, len(pairs) + 1, STATES))
         self.met = np.zeros((n, len(pairs), MET))
-        self.wrench, self.pull, self.touching = (
-            np.zeros((n, 6)),
-            np.zeros((n, 6)),
-            np.zeros(n, dtype=bool),
-        )
+        self.wrench = np.zeros((n, 6))
+        self.pull = np.zeros((n, 6))
+        self.touching = np.zeros(n, dtype=bool)
         self.pulls = bool(
             (self.parameters[:, :-1, ADHESION] > 0.0).any()
             or (self.parameters[:, :-1, MODE] > 0.0).any()
@@ -140,9 +122,7 @@ class Engagement:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the start: unlatched, or latched with A at P for a mechanism captured from the
-        start.
-        """
+        """Return to the start: unlatched, or A latched at P if captured from the start."""
         self.state[:] = 0.0
         self.latched[:] = self._captured
         self._live[:] = True
@@ -152,62 +132,28 @@ class Engagement:
         """The calls that compute the contacts from the poses of the bodies."""
         b, p = self._bodies, self._pairs
         found = [bound(_none, self.wrench, self.pull, self.touching)]
-        rows = (self.parameters, self.linear, self._live, p.gain)
-        felt = (self.met, p.solref, p.friction, self.wrench, self.pull, self.touching)
+        laws = Laws(dt, least_creep, self.parameters, self.linear, self._live, p.gain)
+        felt = Felt(self.state, self.met, self.wrench, self.pull, self.touching)
         if self._facets:
-            found = [
-                bound(
-                    _touch_facets,
-                    *self._geometry,
-                    p.ids,
-                    dt,
-                    least_creep,
-                    *rows,
-                    b.frames,
-                    b.motions,
-                    b.carry,
-                    self.state,
-                    self.met,
-                    p.geom_pos,
-                    p.geom_quat,
-                    *felt[1:],
-                )
-            ]
+            found = [bound(touch_facets, self._geometry, laws, b.bodies, p.inputs, felt)]
         if p.reading.shape[1]:
-            found.append(
-                bound(
-                    _touch_natively,
-                    self._facets,
-                    p.ids,
-                    dt,
-                    least_creep,
-                    *rows,
-                    self.state,
-                    p.reading,
-                    *felt,
-                )
-            )
+            found.append(bound(touch_natively, self._facets, p.reading, laws, p.inputs, felt))
         if self.latches.closures:
-            found += [
-                self.latches.holding(dt, b.frames, b.motions, b.carry),
-                bound(_or, self.touching, self.latched),
-            ]
+            found += [self.latches.holding(dt, b.bodies), bound(_or, self.touching, self.latched)]
         return found
 
     @property
     def frames(self) -> Array:
         """(n, F, 7) poses in W of A, S and moving parts, at the last update."""
-        return self._bodies.frames
+        return self._bodies.bodies.frames
 
     @property
     def motions(self) -> Array:
         """(n, F, 6) their twists."""
-        return self._bodies.motions
+        return self._bodies.bodies.motions
 
     def update(self, pose: Array, twist: Array, place: Array, motion: Array) -> None:
-        """Update MuJoCo's contacts for the state: pose (n, 7) and twist (n, 6) of A in W, and those
-        of S; once per instant.
-        """
+        """Update MuJoCo's contacts, once per instant, for poses and twists in W of A and of S."""
         self._updated.on(pose, twist, place, motion)()
 
     def updating(
@@ -221,23 +167,18 @@ class Engagement:
         ]
 
     def capture(self, which: NDArray[np.bool_]) -> None:
-        """Latch the runs ``which`` (n,) at their present pose and force, from the next instant on;
-        their contacts are switched off.
-        """
+        """Latch the runs ``which`` (n,) as they are, from the next instant on, without contacts."""
         new = which & ~self.latched
         if not new.any():
             return
-        b, k = self._bodies, self.latches.number(LATCH)
-        force = np.zeros((len(new), 3))
+        k, force = self.latches.number(LATCH), np.zeros((len(new), 3))
         for i in np.flatnonzero(new):
-            rotate_back(b.frames[i, S, 3:7], self.wrench[i, :3], force[i])
+            rotate_back(self.frames[i, S, 3:7], self.wrench[i, :3], force[i])
         self.close(k, new, force)
         self._live[new] = False
 
     def close(self, k: int, which: NDArray[np.bool_], force: Array) -> None:
-        """Close closure ``k`` in the runs ``which`` (n,); its springs carry the ``force`` (n, 3),
-        in the passive site's frame.
-        """
+        """Close closure ``k``; its springs carry ``force`` (n, 3), in the passive site's frame."""
         self.latches.close(k, which, force)
         self.latched |= which
 
@@ -246,9 +187,7 @@ class Engagement:
         self._live[np.ix_(which, contacts)] = False
 
     def relative(self) -> tuple[Array, Array]:
-        """Pose (n, 7) and twist (n, 6) of A in S at the last update, for a mechanism with a
-        latch.
-        """
+        """Pose (n, 7) and twist (n, 6) of A in S at the last update; needs a latch."""
         if self._relative is None:
             raise InputError(
                 "this mechanism has no latch between A and S; allowed are mechanisms that have one"
@@ -271,83 +210,58 @@ class _Bodies:
     """The frames to which geoms and sites are fixed.
 
     Attributes:
-        frames, motions: (n, F, 7), (n, F, 6) poses and twists in W of A, S and moving parts. carry:
-            (n, F, 7) pose of each frame in the MuJoCo body that carries it.
+        bodies: their poses and twists.
+        moving: the calls that update those of moving parts.
     """
 
     def __init__(self, batch: Batch, structure: Structure, tilt: Array) -> None:
-        n, m = len(tilt), batch.model
-        names = structure.sides.frames
-        self.frames, self.motions = (
-            np.zeros((n, FRAMES + len(names), 7)),
-            np.zeros((n, FRAMES + len(names), 6)),
-        )
-        self.carry = np.zeros((n, FRAMES + len(names), 7))
-        self.carry[..., 6] = 1.0
+        n, m, names = len(tilt), batch.model, structure.sides.frames
+        count = FRAMES + len(names)
+        carry = np.zeros((n, count, 7))
+        carry[..., 6] = 1.0
         for f, (prefix, port) in enumerate(((ACTIVE, "A"), (PASSIVE, "P"))):
             site = m.site(prefix + port)
-            self.carry[:, f, :3] = site.pos
-            self.carry[:, f, 3:] = site.quat[[1, 2, 3, 0]]
+            carry[:, f, :3], carry[:, f, 3:] = site.pos, site.quat[[1, 2, 3, 0]]
         for i in range(n):
             q = np.empty(4)
-            quat_mul(self.carry[i, S, 3:7], tilt[i, 3:7], q)
-            self.carry[i, S, 3:7] = q
-        self._ids = np.array(
-            [m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64
-        )
+            quat_mul(carry[i, S, 3:7], tilt[i, 3:7], q)
+            carry[i, S, 3:7] = q
+        self.bodies = Bodies(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
+        ids = np.array([m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64)
         self.moving: list[Callable[[], None]] = []
         if names:
-            self._root = m.body_rootid[self._ids].astype(np.int64)
-            bind = batch.bind
-            self._xpos, self._xquat = (
-                bind("xpos").reshape(n, -1, 3),
-                bind("xquat").reshape(n, -1, 4),
-            )
-            self._cvel, self._com = (
-                bind("cvel").reshape(n, -1, 6),
-                bind("subtree_com").reshape(n, -1, 3),
-            )
+            roots = m.body_rootid[ids].astype(np.int64)
+            columns = {"xpos": 3, "xquat": 4, "cvel": 6, "subtree_com": 3}
+            read = [batch.bind(name).reshape(n, -1, size) for name, size in columns.items()]
             self.moving.append(
-                bound(
-                    _parts,
-                    self._ids,
-                    self._root,
-                    self._xpos,
-                    self._xquat,
-                    self._cvel,
-                    self._com,
-                    self.frames,
-                    self.motions,
-                )
+                bound(_parts, ids, roots, *read, self.bodies.frames, self.bodies.motions)
             )
 
     def standing(
         self, pose: Array, twist: Array, place: Array, motion: Array
     ) -> Callable[[], None]:
-        """The call that updates the frames A and S; ``moving`` holds those for moving parts."""
-        return bound(_stand, pose, twist, place, motion, self.frames, self.motions)
+        """The call that updates the frames A and S."""
+        frames, motions = self.bodies.frames, self.bodies.motions
+        return bound(_stand, pose, twist, place, motion, frames, motions)
 
 
 class _Pairs:
     """MuJoCo's pairs and facets.
 
     Attributes:
-        ids: (T, 3) numbers of each contact's pair, facet and ball; -1: none. gain: (n, T) g [1/kg].
-        geom_pos, geom_quat, solref, friction: MuJoCo's arrays, per run. reading: (n, READ native
-            pairs) of their sensors.
+        inputs: MuJoCo's arrays. gain: (n, T) g [1/kg]. reading: (n, READ native pairs) of their
+            sensors.
     """
 
     def __init__(self, batch: Batch, structure: Structure, parameters: Array) -> None:
         m, sides = batch.model, structure.sides
-        names = [f"facet_{k}" for k in range(len(sides.facets))] + [
-            f"native_{k}" for k in range(len(sides.native))
-        ]
+        facets, native = range(len(sides.facets)), range(len(sides.native))
+        names = [*(f"facet_{k}" for k in facets), *(f"native_{k}" for k in native)]
         pairs = [m.pair(name).id for name in names]
-        facets = [
-            (m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in range(len(sides.facets))
-        ] + [(-1, -1)] * len(sides.native)
-        self.ids = np.array(
-            [(p, *f) for p, f in zip(pairs, facets, strict=True)], dtype=np.int64
+        geoms = [(m.geom(f"facet_{k}").id, m.geom(f"ball_{k}").id) for k in facets]
+        geoms += [(-1, -1)] * len(sides.native)
+        ids = np.array(
+            [(pair, *g) for pair, g in zip(pairs, geoms, strict=True)], dtype=np.int64
         ).reshape(len(pairs), 3)
         bodies = (
             m.geom_bodyid[np.stack([m.pair_geom1[pairs], m.pair_geom2[pairs]])]
@@ -355,12 +269,9 @@ class _Pairs:
             else np.zeros((2, 0), dtype=int)
         )
         self.gain = np.tile(inverse_mass(m, bodies), (len(parameters), 1))
-        self.geom_pos, self.geom_quat = batch.expand("geom_pos"), batch.expand("geom_quat")
-        self.solref, self.friction = (
-            batch.expand("pair_solref"),
-            batch.expand("pair_solreffriction"),
-        )
-        self.friction[:, pairs] = 2.0 * NO_DAMPING
+        arrays = ("geom_pos", "geom_quat", "pair_solref", "pair_solreffriction")
+        self.inputs = Inputs(ids, *(batch.expand(name) for name in arrays))
+        self.inputs.friction[:, pairs] = 2.0 * NO_DAMPING
         if structure.rubs:
             batch.expand("pair_friction")[:, pairs, :2] = WIDE * np.maximum(
                 parameters[:, :-1, FRICTION, None], 1e-4
@@ -398,9 +309,7 @@ def _stand(pose, twist, place, motion, frames, motions):
 
 @njit(cache=True)
 def _parts(ids, roots, xpos, xquat, cvel, com, frames, motions):
-    """Poses and twists of MuJoCo's bodies; ``cvel`` is that of the body at the centre of mass of
-    its tree, angular first.
-    """
+    """Poses and twists of bodies; ``cvel`` is at the centre of mass of its tree, angular first."""
     for i in range(frames.shape[0]):
         for k in range(ids.shape[0]):
             b, at = ids[k], com[i, roots[k]]
@@ -414,150 +323,3 @@ def _parts(ids, roots, xpos, xquat, cvel, com, frames, motions):
             twist[0] = cvel[i, b, 3] + twist[4] * rz - twist[5] * ry
             twist[1] = cvel[i, b, 4] + twist[5] * rx - twist[3] * rz
             twist[2] = cvel[i, b, 5] + twist[3] * ry - twist[4] * rx
-
-
-@njit(cache=True)
-def _touch_facets(
-    index,
-    values,
-    ids,
-    dt,
-    least_creep,
-    p,
-    linear,
-    live,
-    gain,
-    frames,
-    motions,
-    carry,
-    state,
-    met,
-    geom_pos,
-    geom_quat,
-    solref,
-    friction,
-    wrench,
-    pull,
-    touching,
-):
-    """Facets, springs and friction of each run from the poses of its sides."""
-    count = index[-1]
-    depth, rate = np.empty(count), np.empty(count)
-    point, normal, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
-    work, f = np.empty((9, 7)), np.empty(6)
-    for i in range(met.shape[0]):
-        wrench[i], pull[i] = 0.0, 0.0
-        touching[i] = False
-        meet_all(index, values, p[i], frames[i], motions[i], work, depth, rate, point, normal, slip)
-        for c in range(count):
-            row, out = p[i, c], met[i, c]
-            out[0], out[1], out[PUSH], out[DRAG] = depth[c], rate[c], 0.0, 0.0
-            if not live[i, c]:
-                geom_pos[i, ids[c, 1], 2] = AWAY
-                continue
-            push, drag = law_of(dt, least_creep, row, state[i, c], depth[c], rate[c], slip[c])
-            if depth[c] <= row[OFFSET] and push == 0.0:
-                geom_pos[i, ids[c, 1], 2] = AWAY
-                continue
-            touching[i] = True
-            out[PUSH], out[DRAG] = push, drag
-            surface, side = index[c * ROW + SURFACE_FRAME], index[c * ROW + SIDE]
-            outwards(point[c], normal[c], slip[c], frames[i, surface], side, out)
-            add_contact(
-                push, drag, point[c], normal[c], slip[c], frames[i, surface], side, f, wrench[i]
-            )
-            if push < 0.0:
-                add_contact(
-                    push, drag, point[c], normal[c], slip[c], frames[i, surface], side, f, pull[i]
-                )
-            if push < 0.0:
-                geom_pos[i, ids[c, 1], 2] = AWAY
-                continue
-            show = max(depth[c] - row[OFFSET], LEAST)
-            pose_facet(
-                point[c],
-                normal[c],
-                show,
-                values[c * VALUES + RADIUS],
-                frames[i],
-                carry[i],
-                surface,
-                index[c * ROW + ROUND_FRAME],
-                ids[c],
-                geom_pos[i],
-                geom_quat[i],
-                work,
-            )
-            spring(
-                linear[i, c],
-                row,
-                push,
-                drag,
-                show,
-                gain[i, c],
-                solref[i, ids[c, 0]],
-                friction[i, ids[c, 0]],
-            )
-
-
-@njit(cache=True)
-def _touch_natively(
-    facets,
-    ids,
-    dt,
-    least_creep,
-    p,
-    linear,
-    live,
-    gain,
-    state,
-    reading,
-    met,
-    solref,
-    friction,
-    wrench,
-    pull,
-    touching,
-):
-    """Springs and friction of native pairs, from their sensors' readings of the deepest points."""
-    f, slip = np.empty(6), np.zeros(3)
-    for i in range(met.shape[0]):
-        for native in range(ids.shape[0] - facets):
-            c, said = facets + native, reading[i, native * READ : (native + 1) * READ]
-            row, out, points = p[i, c], met[i, c], said[FOUND]
-            out[:] = 0.0
-            out[0] = -said[DIST] if points > 0.0 else -1.0
-            if points == 0.0:
-                if linear[i, c]:
-                    continue
-                law_of(dt, least_creep, row, state[i, c], -1.0, 0.0, slip)
-                continue
-            depth, out[1] = out[0], -said[LINVEL]
-            slip[0], slip[1] = said[LINVEL + 1], said[LINVEL + 2]
-            push, drag = (
-                law_of(dt, least_creep, row, state[i, c], depth, out[1], slip)
-                if live[i, c]
-                else (0.0, 0.0)
-            )
-            show = max(depth + max(-row[OFFSET], 0.0), LEAST)
-            share, k = gain[i, c] / points, ids[c, 0]
-            spring(
-                linear[i, c] and live[i, c],
-                row,
-                max(push, 0.0),
-                drag,
-                show,
-                share,
-                solref[i, k],
-                friction[i, k],
-            )
-            if push == 0.0 and depth <= 0.0:
-                continue
-            touching[i] |= live[i, c]
-            out[PUSH], out[DRAG] = push, drag
-            for j in range(3):
-                out[POINT + j], out[NORM + j] = said[POS + j], said[NORMAL + j]
-                f[j] = push * said[NORMAL + j]
-            add_at(out[POINT : POINT + 3], f, wrench[i])
-            if push < 0.0:
-                add_at(out[POINT : POINT + 3], f, pull[i])

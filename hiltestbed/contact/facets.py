@@ -1,20 +1,75 @@
-"""MuJoCo's inputs for one contact: stiffness and damping in ``solref``, and the poses of a facet
-and its ball.
+"""The contacts of `n` runs at an instant: their forces, and MuJoCo's inputs that make it exert them
+(:mod:`hiltestbed.contact.engagement`).
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.composition import FACET
-from hiltestbed.contact.parameters import DAMPING, STIFFNESS
-from hiltestbed.contact.solref import NO_DAMPING
-from hiltestbed.frames import quat_mul, rotate, rotate_back
+from hiltestbed.contact.composition import (
+    AWAY,
+    DIST,
+    FACET,
+    FOUND,
+    LINVEL,
+    NO_DAMPING,
+    NORMAL,
+    POS,
+    READ,
+)  # fmt: skip
+from hiltestbed.contact.geometry import RADIUS, ROUND_FRAME, ROW, SIDE, SURFACE_FRAME, VALUES
+from hiltestbed.contact.parameters import DAMPING, OFFSET, STIFFNESS
+from hiltestbed.contact.wrench import add_at, add_contact, law_of, meet_all
+from hiltestbed.frames import Array, quat_mul, rotate, rotate_back
 
 # columns of a contact's results; the first two are penetration and rate
 POINT, NORM, SLIP, PUSH, DRAG, MET = 2, 5, 8, 11, 12, 13
 NO_FRICTION = -1e-9  # [1/s^2] tangential stiffness over A: practically none
+LEAST = 1e-9  # [m] penetration that MuJoCo is given if a law pushes without penetration
+
+
+class Laws(NamedTuple):
+    """The laws of T contacts; ``dt``, ``least_creep``: see ``Engagement``."""
+
+    dt: float
+    least_creep: float
+    parameters: Array  # (n, T + 1, PARAMETERS)
+    linear: NDArray[np.bool_]  # (n, T)
+    live: NDArray[np.bool_]  # (n, T) whether it is not switched off
+    gain: Array  # (n, T) g [1/kg]
+
+
+class Bodies(NamedTuple):
+    """The frames to which geoms and sites are fixed: A, S and moving parts."""
+
+    frames: Array  # (n, F, 7) poses in W
+    motions: Array  # (n, F, 6) twists in W
+    carry: Array  # (n, F, 7) pose of each in the MuJoCo body that carries it
+
+
+class Inputs(NamedTuple):
+    """MuJoCo's arrays of the same names, per run."""
+
+    ids: NDArray[np.int64]  # (T, 3) numbers of each contact's pair, facet and ball; -1: none
+    geom_pos: Array  # (n, ngeom, 3) [m] in the geom's body
+    geom_quat: Array  # (n, ngeom, 4), w first
+    solref: Array  # pair_solref (n, npair, 2)
+    friction: Array  # pair_solreffriction (n, npair, 2)
+
+
+class Felt(NamedTuple):
+    """State and results, as in :class:`~hiltestbed.contact.engagement.Engagement`."""
+
+    state: Array  # (n, T + 1, STATES) of the laws
+    met: Array
+    wrench: Array
+    pull: Array
+    touching: NDArray[np.bool_]
 
 
 @njit(cache=True)
@@ -47,12 +102,14 @@ def outwards(point, normal, slip, place, side, out):
 
 
 @njit(cache=True)
-def pose_facet(
-    point, normal, show, radius, frames, carry, surface, round_, ids, geom_pos, geom_quat, work
-):
-    """Place the facet in the tangent plane and the ball ``show`` [m] into it, so that MuJoCo's
-    contact is at ``point`` (3,).
+def pose_facet(i, c, show, geometry, bodies, inputs, point, normal, work):
+    """Place the facet of contact ``c`` in the tangent plane and the ball ``show`` [m] into it, so
+    that MuJoCo's contact is at ``point`` (3,).
     """
+    index, values = geometry
+    surface, round_ = index[c * ROW + SURFACE_FRAME], index[c * ROW + ROUND_FRAME]
+    radius, ids = values[c * VALUES + RADIUS], inputs.ids[c]
+    frames, carry, geom_pos = bodies.frames[i], bodies.carry[i], inputs.geom_pos[i]
     at, turn = work[0], work[1]
     for j in range(3):
         at[j] = point[j] + normal[j] * (FACET[2] - 0.5 * show)
@@ -68,7 +125,7 @@ def pose_facet(
         turn[0], turn[1], turn[3] = 1.0, 0.0, 0.0
     whole = work[2]
     quat_mul(carry[surface, 3:7], turn[0:4], whole[0:4])
-    out = geom_quat[ids[1]]
+    out = inputs.geom_quat[i, ids[1]]
     out[0], out[1], out[2], out[3] = whole[3], whole[0], whole[1], whole[2]
     for j in range(3):
         at[j] = point[j] - normal[j] * (radius - 0.5 * show)
@@ -79,3 +136,80 @@ def pose_facet(
     rotate(carry[round_, 3:7], at[0:3], at[0:3])
     for j in range(3):
         geom_pos[ids[2], j] = at[j] + carry[round_, j]
+
+
+@njit(cache=True)
+def touch_facets(geometry, laws, bodies, inputs, felt):
+    """Facets, springs and friction of each run from the poses of its sides."""
+    index, values = geometry
+    dt, least_creep, p, linear, live, gain = laws
+    frames, motions, ids, geom_pos = bodies.frames, bodies.motions, inputs.ids, inputs.geom_pos
+    solref, friction = inputs.solref, inputs.friction
+    state, met, wrench, pull, touching = felt
+    count = index[-1]
+    depth, rate = np.empty(count), np.empty(count)
+    point, normal, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    work, f = np.empty((9, 7)), np.empty(6)
+    for i in range(met.shape[0]):
+        wrench[i], pull[i] = 0.0, 0.0
+        touching[i] = False
+        meet_all(index, values, p[i], frames[i], motions[i], work, depth, rate, point, normal, slip)
+        for c in range(count):
+            row, out, at, n, v = p[i, c], met[i, c], point[c], normal[c], slip[c]
+            out[0], out[1], out[PUSH], out[DRAG] = depth[c], rate[c], 0.0, 0.0
+            if not live[i, c]:
+                geom_pos[i, ids[c, 1], 2] = AWAY
+                continue
+            push, drag = law_of(dt, least_creep, row, state[i, c], depth[c], rate[c], v)
+            if depth[c] <= row[OFFSET] and push == 0.0:
+                geom_pos[i, ids[c, 1], 2] = AWAY
+                continue
+            touching[i] = True
+            out[PUSH], out[DRAG] = push, drag
+            place, side = frames[i, index[c * ROW + SURFACE_FRAME]], index[c * ROW + SIDE]
+            outwards(at, n, v, place, side, out)
+            add_contact(push, drag, at, n, v, place, side, f, wrench[i])
+            if push < 0.0:
+                add_contact(push, drag, at, n, v, place, side, f, pull[i])
+                geom_pos[i, ids[c, 1], 2] = AWAY
+                continue
+            show, k = max(depth[c] - row[OFFSET], LEAST), ids[c, 0]
+            pose_facet(i, c, show, geometry, bodies, inputs, at, n, work)
+            spring(linear[i, c], row, push, drag, show, gain[i, c], solref[i, k], friction[i, k])
+
+
+@njit(cache=True)
+def touch_natively(facets, reading, laws, inputs, felt):
+    """Springs and friction of native pairs, from their sensors' readings of the deepest points."""
+    dt, least_creep, p, linear, live, gain = laws
+    ids, solref, friction = inputs.ids, inputs.solref, inputs.friction
+    state, met, wrench, pull, touching = felt
+    f, slip = np.empty(6), np.zeros(3)
+    for i in range(met.shape[0]):
+        for native in range(ids.shape[0] - facets):
+            c, said = facets + native, reading[i, native * READ : (native + 1) * READ]
+            row, out, points = p[i, c], met[i, c], said[FOUND]
+            out[:] = 0.0
+            out[0] = -said[DIST] if points > 0.0 else -1.0
+            if points == 0.0:
+                if not linear[i, c]:
+                    law_of(dt, least_creep, row, state[i, c], -1.0, 0.0, slip)
+                continue
+            depth, out[1] = out[0], -said[LINVEL]
+            slip[0], slip[1] = said[LINVEL + 1], said[LINVEL + 2]
+            push, drag = 0.0, 0.0
+            if live[i, c]:
+                push, drag = law_of(dt, least_creep, row, state[i, c], depth, out[1], slip)
+            show, k = max(depth + max(-row[OFFSET], 0.0), LEAST), ids[c, 0]
+            plain, g = linear[i, c] and live[i, c], gain[i, c] / points
+            spring(plain, row, max(push, 0.0), drag, show, g, solref[i, k], friction[i, k])
+            if push == 0.0 and depth <= 0.0:
+                continue
+            touching[i] |= live[i, c]
+            out[PUSH], out[DRAG] = push, drag
+            for j in range(3):
+                out[POINT + j], out[NORM + j] = said[POS + j], said[NORMAL + j]
+                f[j] = push * said[NORMAL + j]
+            add_at(out[POINT : POINT + 3], f, wrench[i])
+            if push < 0.0:
+                add_at(out[POINT : POINT + 3], f, pull[i])

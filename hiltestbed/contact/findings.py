@@ -11,10 +11,9 @@ import numpy as np
 
 from hiltestbed.config.models import model_of, stamp
 from hiltestbed.contact.composition import ACTIVE, PASSIVE, PREFIXES, Structure, add_side, drawn
-from hiltestbed.contact.parameters import PARAMETERS
 from hiltestbed.contact.phases import actuators_of, dropped_by, joints_of
 from hiltestbed.contact.sides import Pair, Sides, sides_of
-from hiltestbed.contact.wrench import meet_all
+from hiltestbed.contact.touch import Meeting
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_attitude_deg, quat_to_mujoco
 
@@ -27,9 +26,7 @@ LISTED = 6
 
 
 def faults(scenario: ScenarioLike) -> Iterator[str]:
-    """Reasons why the mechanism cannot run: its files, its phases, geoms that overlap at A's
-    initial pose.
-    """
+    """Why the mechanism cannot run: its files, its phases, geoms that overlap at the start."""
     mechanism = scenario.mechanism
     try:
         sides = sides_of(mechanism)
@@ -72,34 +69,18 @@ def _overlaps(scenario: ScenarioLike, sides: Sides, model: mujoco.MjModel) -> It
 
 
 def _penetrations(sides: Sides, model: mujoco.MjModel, pose: Array) -> Iterator[tuple[float, Pair]]:
-    """Penetration [m] of each pair with A at ``pose`` (7,) in P; moving parts are in the positions
-    of their files.
-    """
+    """Penetration [m] of each pair with A at ``pose`` (7,) in P; parts as in their files."""
     data = mujoco.MjData(model)
     at = int(model.joint("A_joint").qposadr[0])
     data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = pose[:3], quat_to_mujoco(pose[3:7])
     mujoco.mj_kinematics(model, data)
-    count = len(sides.facets)
-    if count:
-        frames = np.zeros((2 + len(sides.frames), 7))
-        frames[0], frames[1, 6] = pose, 1.0
+    if sides.facets:
+        meeting = Meeting(sides)
         for k, (side, name) in enumerate(sides.frames):
             body = data.body(PREFIXES[side] + name)
-            frames[2 + k] = [*body.xpos, *body.xquat[[1, 2, 3, 0]]]
-        depth, rate = np.empty(count), np.empty(count)
-        meet_all(
-            *sides.geometry,
-            np.ones((count, PARAMETERS)),
-            frames,
-            np.zeros((len(frames), 6)),
-            np.empty((9, 7)),
-            depth,
-            rate,
-            np.empty((count, 3)),
-            np.empty((count, 3)),
-            np.empty((count, 3)),
-        )
-        yield from zip(map(float, depth), sides.facets, strict=True)
+            meeting.frames[2 + k] = [*body.xpos, *body.xquat[[1, 2, 3, 0]]]
+        meeting.deepest(pose)
+        yield from zip(map(float, meeting.depth), sides.facets, strict=True)
     for pair in sides.native:
         ends = [
             model.geom(prefix + name).id

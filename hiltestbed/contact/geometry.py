@@ -55,9 +55,7 @@ DEEPEST = 0.1  # [m] depth inside a mesh up to which the nearest point is search
 
 
 class Geometry(NamedTuple):
-    """The candidates of a mechanism as arrays for the kernels: ``index`` int64, ``values`` float64,
-    both flat.
-    """
+    """The candidates of a mechanism as flat arrays for the kernels."""
 
     index: NDArray[np.int64]
     values: Array
@@ -79,9 +77,7 @@ class Round(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A surface at the pose ``place`` (7,) in the frame number ``frame``, on the passive side or on
-    the active one.
-    """
+    """A surface at the pose ``place`` (7,) in the frame number ``frame``, on one of the sides."""
 
     surface: Surface
     place: Array
@@ -234,9 +230,7 @@ def meet(index, values, c, pose, twist, lever, blunt, ahead, work, point, normal
 
 @njit(cache=True)
 def _apart(bound, point, normal, slip):
-    """Return only a bound of the penetration; clear point, normal and slip, which may be left from
-    another run.
-    """
+    """Return a bound of the penetration; clear what may be left from another run."""
     for j in range(3):
         point[j] = normal[j] = slip[j] = 0.0
     return bound, 0.0
@@ -244,9 +238,7 @@ def _apart(bound, point, normal, slip):
 
 @njit(cache=True)
 def _beyond(row, start, end, ball):
-    """Lower bound of the distance [m] of the axis from the surface, from its bounding sphere; 0 or
-    less if that gives no bound.
-    """
+    """Lower bound of the axis's distance [m], from the bounding sphere; 0 or less: no bound."""
     bound = row[BOUND]
     if not bound < math.inf:
         return 0.0

@@ -79,10 +79,8 @@ def pair_at(
     frames = engagement.frames[i]
     axes = rotation_matrix(frames[PASSIVE, 3:7])
     joints = _Joints(batch, structure, i, frames[[ACTIVE, PASSIVE]])
-    stiffness, damping = (
-        np.diag(np.concatenate([np.zeros(6), joints.stiffness])),
-        np.diag(np.concatenate([np.zeros(6), joints.damping])),
-    )
+    stiffness = np.diag(np.concatenate([np.zeros(6), joints.stiffness]))
+    damping = np.diag(np.concatenate([np.zeros(6), joints.damping]))
     for spring in springs:
         stretch = _stretch(spring, place, axes, joints)
         stiffness += spring.stiffness * stretch.T @ stretch
@@ -172,9 +170,7 @@ def _frames_of(
 
 
 def _moving(structure: Structure, model: mujoco.MjModel) -> list[tuple[str, str]]:
-    """Port and body of each frame beyond A and S: those of the sides, and moving parts with geoms
-    in native pairs.
-    """
+    """Port and body of each frame beyond A and S, moving parts with native geoms included."""
     sides = structure.sides
     native = [("A", _carrier("A", pair.active, model)) for pair in sides.native]
     native += [("P", _carrier("P", pair.passive, model)) for pair in sides.native]
@@ -182,9 +178,7 @@ def _moving(structure: Structure, model: mujoco.MjModel) -> list[tuple[str, str]
 
 
 def _carrier(port: str, geom: str, model: mujoco.MjModel) -> str:
-    """Name of the moving body that carries a geom of a side; empty if the geom is fixed to the
-    side.
-    """
+    """Name of the moving body that carries a geom of a side; empty if it is fixed to the side."""
     body = model.body(int(model.geom(PREFIXES[port] + geom).bodyid[0]))
     while body.name.startswith(PREFIXES[port]):
         if body.jntnum[0]:
@@ -194,9 +188,7 @@ def _carrier(port: str, geom: str, model: mujoco.MjModel) -> str:
 
 
 def _stretch(spring: _Spring, place: Array, axes: Array, joints: _Joints) -> Array:
-    """(m, 6 + joints) change of the springs' stretch per displacement of the active side, in P, and
-    per motion of the joints.
-    """
+    """(m, 6 + joints) stretch per displacement of the active side, in P, and of the joints."""
     a, p = spring.frames
     rigid = np.zeros((3, 6))
     if spring.turns:
@@ -254,9 +246,7 @@ class _Joints:
         )
 
     def motion(self, frame: int, place: Array, turns: bool) -> Array:
-        """(3, count) velocity in W of the point ``place`` (3,) of a frame, or its angular velocity,
-        per unit speed of each joint.
-        """
+        """(3, count) velocity in W, or rotation, of a frame's point ``place``, per joint speed."""
         out = np.zeros((3, self.count))
         chain: list[int] = self._chains[frame - FRAMES] if frame >= FRAMES else []
         for k, j in enumerate(self._free):
@@ -272,9 +262,7 @@ class _Joints:
 
 
 def _in_place(batch: Batch, i: int, places: Array) -> tuple[Array, Array]:
-    """(J, 3) anchors and axes in W of all joints, with the port of each side at its pose in
-    ``places`` (2, 7).
-    """
+    """(J, 3) anchors and axes in W of all joints, the sides' ports at ``places`` (2, 7)."""
     m = batch.model
     data = mujoco.MjData(m)
     data.qpos[:] = batch.bind("qpos")[i]
@@ -312,10 +300,8 @@ def _held(batch: Batch, i: int, j: int) -> bool:
 def _driven(batch: Batch, i: int, j: int) -> tuple[float, float]:
     """Stiffness and damping of the actuators of a joint, except those at their force limit."""
     m, spring, damper = batch.model, 0.0, 0.0
-    q, v = (
-        float(batch.bind("qpos")[i, m.jnt_qposadr[j]]),
-        float(batch.bind("qvel")[i, m.jnt_dofadr[j]]),
-    )
+    q = float(batch.bind("qpos")[i, m.jnt_qposadr[j]])
+    v = float(batch.bind("qvel")[i, m.jnt_dofadr[j]])
     for u in range(m.nu):
         if (
             int(m.actuator_trntype[u]) != int(mujoco.mjtTrn.mjTRN_JOINT)

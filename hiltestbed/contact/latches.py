@@ -12,7 +12,7 @@ and any force law can be exerted.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from mujoco.batch import Batch
@@ -20,80 +20,47 @@ from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.composition import LATCH, Structure, inverse_mass
-from hiltestbed.contact.geometry import ACTIVE, PASSIVE
+from hiltestbed.contact.composition import (
+    NO_DAMPING,
+    SITE,
+    Structure,
+    closures_of,
+    inverse_mass,
+)
+from hiltestbed.contact.facets import Bodies
 from hiltestbed.contact.law import STATES, contact_force
 from hiltestbed.contact.parameters import DAMPING, STIFFNESS
-from hiltestbed.contact.solref import NO_DAMPING
-from hiltestbed.contact.wrench import LATCH_RADIUS, relate_one
+from hiltestbed.contact.wrench import relate_one
 from hiltestbed.frames import Array, quat_exp, quat_mul, quat_mul_conj, rotate, rotation_vector
 
 # stiffness of MuJoCo's spring over that of the closure; the distance of the anchors is smaller by
 # the same factor
 STIFFER = 1e4
-SITE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True)
-class Closure:
-    """One of a mechanism's closures.
+class _Fixed(NamedTuple):
+    """The numbers of the closures, for the kernel."""
 
-    Attributes:
-        name: of MuJoCo's equality. turns: whether it resists rotation. law: whether the contact's
-            law acts along z. together: whether it makes the sites coincide; otherwise it holds the
-            relative pose at which it closes. stiffness [N/m], damping [N s/m] and radius [m];
-        None: those of the contact. frames: of the active and of the passive site; places: (2, 7)
-            poses of the sites in them.
-    """
-
-    name: str
-    turns: bool
-    law: bool
-    together: bool
-    stiffness: float | None
-    damping: float | None
-    radius: float
-    frames: tuple[int, int]
-    places: Array
+    rows: Array  # (n, PARAMETERS) of the closure that is the contact itself
+    springs: Array  # (n, K, 3)
+    law: NDArray[np.bool_]  # (K,)
+    turns: NDArray[np.bool_]
+    frames: NDArray[np.int64]  # (K, 2)
+    places: Array  # (K, 2, 7)
+    ids: NDArray[np.int64]  # (K,) of MuJoCo's equalities
 
 
-def closures_of(structure: Structure) -> list[Closure]:
-    """The closures of a mechanism."""
-    found = (
-        [
-            Closure(
-                LATCH,
-                True,
-                True,
-                False,
-                None,
-                None,
-                LATCH_RADIUS,
-                (ACTIVE, PASSIVE),
-                np.array([SITE, SITE]),
-            )
-        ]
-        if structure.latched
-        else []
-    )
-    sites = structure.sides.sites
-    for phase in structure.mechanism.phases():
-        if (close := phase.close) is not None:
-            (a, at_a), (p, at_p) = sites["A", close.active], sites["P", close.passive]
-            found.append(
-                Closure(
-                    phase.name,
-                    close.kind == "weld",
-                    False,
-                    close.hold == "together",
-                    close.stiffness,
-                    close.damping,
-                    close.radius or 0.0,
-                    (a, p),
-                    np.array([at_a, at_p]),
-                )
-            )
-    return found
+class _Now(NamedTuple):
+    """Their state, and MuJoCo's arrays of each run."""
+
+    closed: NDArray[np.bool_]  # (n, K)
+    closing: NDArray[np.bool_]  # (n, K)
+    hold: Array  # (n, K, 7)
+    state: Array  # (n, STATES) of the contact's law
+    pose: Array  # (n, K, 7) of the active site in the passive one
+    twist: Array  # (n, K, 6)
+    active: NDArray[np.bool_]  # eq_active
+    data: Array  # eq_data
 
 
 class Latches:
@@ -117,22 +84,32 @@ class Latches:
             self.springs[:, k, 0] = rows[:, STIFFNESS] if c.stiffness is None else c.stiffness
             self.springs[:, k, 1] = rows[:, DAMPING] if c.damping is None else c.damping
             self.springs[:, k, 2] = c.radius
-        solref, self._data = batch.expand("eq_solref"), batch.expand("eq_data")
+        solref, data = batch.expand("eq_solref"), batch.expand("eq_data")
         solref[:, self._ids, 0] = -STIFFER * self.springs[..., 0] * gain
         solref[:, self._ids, 1] = np.minimum(-self.springs[..., 1] * gain, NO_DAMPING)
         turning = 2.0 * self.springs[..., 2] * np.sqrt(weight[:, 1] / weight[:, 0])
-        self._turns, self._law, self._together = (
+        turns, law, self._together = (
             np.array([getattr(c, name) for c in self.closures], dtype=bool)
             for name in ("turns", "law", "together")
         )
-        self._data[:, self._ids[self._turns], 10] = turning[:, self._turns]
-        self._frames = np.array([c.frames for c in self.closures], dtype=np.int64).reshape(count, 2)
-        self._places = np.array([c.places for c in self.closures]).reshape(count, 2, 7)
-        self._rows, self._active = rows, batch.bind("eq_active")
-        self.state = np.zeros((n, STATES))
-        self.closed, self.hold = np.zeros((n, count), dtype=bool), np.zeros((n, count, 7))
-        self._closing = np.zeros((n, count), dtype=bool)
-        self.pose, self.twist = np.zeros((n, count, 7)), np.zeros((n, count, 6))
+        data[:, self._ids[turns], 10] = turning[:, turns]
+        frames = np.array([c.frames for c in self.closures], dtype=np.int64).reshape(count, 2)
+        places = np.array([c.places for c in self.closures]).reshape(count, 2, 7)
+        self._fixed = _Fixed(rows, self.springs, law, turns, frames, places, self._ids)
+        self.closed, self._closing = (np.zeros((n, count), dtype=bool) for _ in range(2))
+        self.hold, self.pose = (np.zeros((n, count, 7)) for _ in range(2))
+        self.state, self.twist = np.zeros((n, STATES)), np.zeros((n, count, 6))
+        self._active = batch.bind("eq_active")
+        self._now = _Now(
+            self.closed,
+            self._closing,
+            self.hold,
+            self.state,
+            self.pose,
+            self.twist,
+            self._active,
+            data,
+        )
 
     def open(self, captured: bool) -> None:
         """Open all closures; or hold A at P if the mechanism is ``captured`` from the start."""
@@ -157,57 +134,19 @@ class Latches:
             self.hold[which, k, :3] -= force[which] / self.springs[which, k, :1]
         self.closed[which, k] = self._closing[which, k] = True
 
-    def holding(self, dt: float, frames: Array, motions: Array, carry: Array) -> Callable[[], None]:
+    def holding(self, dt: float, bodies: Bodies) -> Callable[[], None]:
         """A call, once per instant, that updates the sites' relative poses and the anchors of
         closed closures; its arrays are reused.
         """
-        return bound(
-            _hold,
-            dt,
-            self._rows,
-            self.springs,
-            self._law,
-            self._turns,
-            self._frames,
-            self._places,
-            self._ids,
-            frames,
-            motions,
-            carry,
-            self.closed,
-            self._closing,
-            self._active,
-            self.hold,
-            self.state,
-            self.pose,
-            self.twist,
-            self._data,
-        )
+        return bound(_hold, dt, self._fixed, self._now, bodies)
 
 
 @njit(cache=True)
-def _hold(
-    dt,
-    rows,
-    spring,
-    law,
-    turns,
-    pairs,
-    places,
-    ids,
-    frames,
-    motions,
-    carry,
-    closed,
-    closing,
-    active,
-    hold,
-    state,
-    pose,
-    twist,
-    data,
-):
+def _hold(dt, fixed, now, bodies):
     """Relative pose and twist of the sites of each closure, and the anchors of closed closures."""
+    rows, spring, law, turns, pairs, places, ids = fixed
+    closed, closing, hold, state, pose, twist, active, data = now
+    frames, motions, carry = bodies
     site = np.empty((2, 7))
     velocity = np.empty((2, 6))
     work, turn, f, q, r = np.empty((1, 3)), np.empty(3), np.empty(3), np.empty(4), np.empty(4)
@@ -277,9 +216,7 @@ def _anchor(carry, place, at, out, scratch):
 
 @njit(cache=True)
 def _less(now, hold, turn, out):
-    """``out`` (4,): the attitude from which ``now`` (4,) is rotated by 1/STIFFER of its rotation
-    from ``hold`` (4,).
-    """
+    """``out`` (4,): ``now`` (4,) turned back by 1/STIFFER of its rotation from ``hold`` (4,)."""
     q = np.empty(4)
     quat_mul_conj(now, hold, q)
     rotation_vector(q, turn)

@@ -50,9 +50,7 @@ class Mount:
     """
 
     def __init__(self, batch: Batch, scenarios: Sequence[Scenario], tilt: Array) -> None:
-        """``tilt``: (n, 7) pose of S in its nominal frame: the identity, except for a misaligned
-        port.
-        """
+        """``tilt``: (n, 7) pose of S in its nominal frame, of a misaligned port."""
         n = len(scenarios)
         model = batch.model
         self.tilt = tilt
@@ -66,40 +64,25 @@ class Mount:
         )
         if not self.moves:
             return
-        self._middle, mass = centre_of(model, self.body)
+        middle, mass = centre_of(model, self.body)
         self.balance[:, :3] = -np.array(model.opt.gravity) * mass
         joints = [model.joint(f"mount_{axis}") for axis in AXES]
-        self._adr = np.array([joints[0].qposadr[0], joints[0].dofadr[0]])
-        self._seen = Call(
-            _observe,
-            GIVEN,
-            GIVEN,
-            self._adr,
-            tilt,
-            self._offset,
-            self._middle,
-            self.place,
-            self.motion,
-            self.centre,
-            self.balance,
-        )
+        adr = np.array([joints[0].qposadr[0], joints[0].dofadr[0]])
+        points, seat = np.array([self._offset, middle]), (self.place, self.motion, self.centre)
+        self._seen = Call(_observe, GIVEN, GIVEN, adr, tilt, points, *seat, self.balance)
         stiffness, damping = batch.expand("jnt_stiffness"), batch.expand("dof_damping")
         for i, s in enumerate(scenarios):
             assert s.mechanism.mount is not None  # one structure
             stiffness[i, [j.id for j in joints]] = s.mechanism.mount.stiffness
-            damping[i, self._adr[1] : self._adr[1] + 6] = s.mechanism.mount.damping
+            damping[i, adr[1] : adr[1] + 6] = s.mechanism.mount.damping
 
     def observe(self, qpos: Array, qvel: Array) -> None:
-        """Set ``place`` and ``motion`` from the joints of the model; on a rigid mount they do not
-        change.
-        """
+        """Set ``place`` and ``motion`` from the joints; on a rigid mount they do not change."""
         if self.moves:
             self._seen.on(qpos, qvel)()
 
     def ride(self, place: Array, motion: Array) -> None:
-        """Set the pose of a rigidly mounted passive side: P at ``place`` (n, 7), moving with
-        ``motion`` (n, 6).
-        """
+        """Set the pose of a rigidly mounted side: P at ``place`` (n, 7), ``motion`` (n, 6)."""
         self.riding(place, motion)()
 
     def riding(self, place: Array, motion: Array) -> Callable[[], None]:
@@ -108,14 +91,13 @@ class Mount:
 
 
 @njit(cache=True)
-def _observe(qpos, qvel, adr, tilt, offset, middle, place, motion, centre, balance):
+def _observe(qpos, qvel, adr, tilt, points, place, motion, centre, balance):
     at = np.empty(3)
     for i in range(place.shape[0]):
-        mount_place(
-            qpos[i, adr[0] : adr[0] + 6], qvel[i, adr[1] : adr[1] + 6], tilt[i], place[i], motion[i]
-        )
-        _centre(qpos[i, adr[0] : adr[0] + 6], offset, centre[i])
-        _centre(qpos[i, adr[0] : adr[0] + 6], middle, at)
+        q, qd = qpos[i, adr[0] : adr[0] + 6], qvel[i, adr[1] : adr[1] + 6]
+        mount_place(q, qd, tilt[i], place[i], motion[i])
+        _centre(q, points[0], centre[i])
+        _centre(q, points[1], at)
         for j in range(3):
             k, l = (j + 1) % 3, (j + 2) % 3
             balance[i, 3 + j] = at[k] * balance[i, l] - at[l] * balance[i, k]
@@ -134,9 +116,7 @@ def _ride(carrier, speed, tilt, offset, place, motion, centre):
 
 @njit(cache=True)
 def _turned(q):
-    """Sines and cosines of half the first two hinges' angles in ``q`` (6,), and the attitude of all
-    three.
-    """
+    """Half-angle sines and cosines of the first two hinges ``q`` (6,), and the attitude of all."""
     (s0, c0), (s1, c1), (s2, c2) = sin_cos(0.5 * q[3]), sin_cos(0.5 * q[4]), sin_cos(0.5 * q[5])
     x, y, z, w = s0 * c1, c0 * s1, s0 * s1, c0 * c1  # of the first two
     return (s0, c0, s1, c1), (x * c2 + y * s2, y * c2 - x * s2, z * c2 + w * s2, w * c2 - z * s2)
@@ -147,14 +127,12 @@ def mount_place(q, qd, tilt, place, motion):
     """One mount: ``place`` (7,) and ``motion`` (6,) of S in W from the joints ``q`` (6,) and their
     rates ``qd`` (6,); ``tilt`` (7,).
     """
-    place[0], place[1], place[2], motion[0], motion[1], motion[2] = (
-        q[0],
-        q[1],
-        q[2],
-        qd[0],
-        qd[1],
-        qd[2],
-    )
+    place[0] = q[0]
+    place[1] = q[1]
+    place[2] = q[2]
+    motion[0] = qd[0]
+    motion[1] = qd[1]
+    motion[2] = qd[2]
     (s0, c0, s1, c1), (x, y, z, w) = _turned(q)
     # Axes of the hinges, rotated by those before: (1, 0, 0), (0, cosine, sine) and the third
     sine, cosine, across = 2.0 * s0 * c0, 1.0 - 2.0 * s0 * s0, 1.0 - 2.0 * s1 * s1
@@ -177,9 +155,7 @@ def _centre(q, offset, centre):
 
 
 def centre_of(model: mujoco.MjModel, body: int) -> tuple[Array, float]:
-    """Centre of mass (3,) of a body and everything that it carries, in its frame [m], and their
-    mass [kg].
-    """
+    """Centre of mass (3,) [m] of a body with all that it carries, in its frame; its mass [kg]."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return data.xmat[body].reshape(3, 3).T @ (data.subtree_com[body] - data.xpos[body]), float(

@@ -53,16 +53,12 @@ class MountDynamics:
 
     @cached_property
     def mobility(self) -> tuple[float, float]:
-        """Upper bound of the acceleration of the body's origin by a force [1/kg], and of its
-        rotation by a moment [1/(kg m^2)].
-        """
+        """Most that a force accelerates the origin [1/kg], and a moment turns it [1/(kg m^2)]."""
         inverse = np.linalg.inv(_inertia(self.body))
         return float(np.linalg.norm(inverse[:3, :3], 2)), float(np.linalg.norm(inverse[3:, 3:], 2))
 
     def slowest(self) -> float:
-        """[s] time constant of the slowest mode of small motion: M q'' + C q' + K q = 0, of all
-        runs; inf without damping.
-        """
+        """[s] of the slowest mode of M q'' + C q' + K q = 0, of all runs; inf without damping."""
         m, out = _inertia(self.body), 0.0
         for stiffness, damping in zip(self.stiffness, self.damping, strict=True):
             rates = np.linalg.solve(m, np.hstack([-np.diag(stiffness), -np.diag(damping)]))
@@ -81,12 +77,10 @@ def borne(scenario: Scenario, reading: Array) -> Array:
     dynamics = MountDynamics.of([scenario])
     if dynamics is None:
         return reading
-    stiffness, damping, body, h = (
-        dynamics.stiffness[0],
-        dynamics.damping[0],
-        dynamics.body,
-        scenario.tick,
-    )
+    stiffness = dynamics.stiffness[0]
+    damping = dynamics.damping[0]
+    body = dynamics.body
+    h = scenario.tick
     rate = np.empty_like(reading)
     for j in range(6):
         if damping[j] > 0.0:  # q' = (r - K q)/C, r linear over a tick
@@ -100,9 +94,7 @@ def borne(scenario: Scenario, reading: Array) -> Array:
 
 
 def _inertia(body: Array) -> Array:
-    """``(6, 6)`` inertia of a body (BODY,) about P's origin: from the rate of a twist (linear, then
-    angular) to force and moment.
-    """
+    """``(6, 6)`` inertia of a body (BODY,) about P's origin; linear first."""
     m, c = body[MASS], body[CENTRE : CENTRE + 3]
     cross = np.array([[0.0, -c[2], c[1]], [c[2], 0.0, -c[0]], [-c[1], c[0], 0.0]])
     return np.block([[m * np.eye(3), -m * cross], [m * cross, body[INERTIA:BODY].reshape(3, 3)]])
@@ -112,9 +104,7 @@ MASS, CENTRE, INERTIA, BODY = 0, 1, 4, 13  # start of each part of a body row, a
 
 
 def carried(model: mujoco.MjModel, body: str) -> Array:
-    """``(BODY,)`` a body and everything that it carries, as one rigid body, about the body's origin
-    in its axes.
-    """
+    """``(BODY,)`` a body and all that it carries as one, about its origin in its axes."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     root = model.body(body).id
@@ -163,120 +153,67 @@ def mount_step(stiffness, damping, body, kick, drift, leapfrog, wrench, q, qd):
     x, y, z = body[CENTRE], body[CENTRE + 1], body[CENTRE + 2]
     # centre of mass from the hinges' point
     cx, cy, cz = t00 * x + t01 * y + zx * z, t10 * x + t11 * y + zy * z, t20 * x + t21 * y + zz * z
-    i00, i01, i02, i10, i11, i12, i20, i21, i22 = (
-        body[INERTIA],
-        body[INERTIA + 1],
-        body[INERTIA + 2],
-        body[INERTIA + 3],
-        body[INERTIA + 4],
-        body[INERTIA + 5],
-        body[INERTIA + 6],
-        body[INERTIA + 7],
-        body[INERTIA + 8],
-    )
-    h00, h01, h02 = (
-        t00 * i00 + t01 * i10 + zx * i20,
-        t00 * i01 + t01 * i11 + zx * i21,
-        t00 * i02 + t01 * i12 + zx * i22,
-    )
-    h10, h11, h12 = (
-        t10 * i00 + t11 * i10 + zy * i20,
-        t10 * i01 + t11 * i11 + zy * i21,
-        t10 * i02 + t11 * i12 + zy * i22,
-    )
-    h20, h21, h22 = (
-        t20 * i00 + t21 * i10 + zz * i20,
-        t20 * i01 + t21 * i11 + zz * i21,
-        t20 * i02 + t21 * i12 + zz * i22,
-    )
-    xx, xy, xz = (
-        h00 * t00 + h01 * t01 + h02 * zx,
-        h00 * t10 + h01 * t11 + h02 * zy,
-        h00 * t20 + h01 * t21 + h02 * zz,
-    )
-    yy, yz, izz = (
-        h10 * t10 + h11 * t11 + h12 * zy,
-        h10 * t20 + h11 * t21 + h12 * zz,
-        h20 * t20 + h21 * t21 + h22 * zz,
-    )
+    i00, i01, i02 = body[INERTIA], body[INERTIA + 1], body[INERTIA + 2]
+    i10, i11, i12 = body[INERTIA + 3], body[INERTIA + 4], body[INERTIA + 5]
+    i20, i21, i22 = body[INERTIA + 6], body[INERTIA + 7], body[INERTIA + 8]
+    h00 = t00 * i00 + t01 * i10 + zx * i20
+    h01 = t00 * i01 + t01 * i11 + zx * i21
+    h02 = t00 * i02 + t01 * i12 + zx * i22
+    h10 = t10 * i00 + t11 * i10 + zy * i20
+    h11 = t10 * i01 + t11 * i11 + zy * i21
+    h12 = t10 * i02 + t11 * i12 + zy * i22
+    h20 = t20 * i00 + t21 * i10 + zz * i20
+    h21 = t20 * i01 + t21 * i11 + zz * i21
+    h22 = t20 * i02 + t21 * i12 + zz * i22
+    xx = h00 * t00 + h01 * t01 + h02 * zx
+    xy = h00 * t10 + h01 * t11 + h02 * zy
+    xz = h00 * t20 + h01 * t21 + h02 * zz
+    yy = h10 * t10 + h11 * t11 + h12 * zy
+    yz = h10 * t20 + h11 * t21 + h12 * zz
+    izz = h20 * t20 + h21 * t21 + h22 * zz
     # Velocity-dependent part of the angular acceleration, from the rotation of the hinges' axes
-    bx, by, bz = (
-        r2 * (uy * zz - uz * zy),
-        r2 * (uz * zx - ux * zz) - r0 * r1 * s0,
-        r2 * (ux * zy - uy * zx) + r0 * r1 * c0,
-    )
-    lx, ly, lz = (
-        xx * wx + xy * wy + xz * wz,
-        xy * wx + yy * wy + yz * wz,
-        xz * wx + yz * wy + izz * wz,
-    )
+    bx = r2 * (uy * zz - uz * zy)
+    by = r2 * (uz * zx - ux * zz) - r0 * r1 * s0
+    bz = r2 * (ux * zy - uy * zx) + r0 * r1 * c0
+    lx = xx * wx + xy * wy + xz * wz
+    ly = xy * wx + yy * wy + yz * wz
+    lz = xz * wx + yz * wy + izz * wz
     w0, w1, w2 = wrench[0], wrench[1], wrench[2]
     tx = wrench[3] - (q1 * w2 - q2 * w1) - (wy * lz - wz * ly) - (xx * bx + xy * by + xz * bz)
     ty = wrench[4] - (q2 * w0 - q0 * w2) - (wz * lx - wx * lz) - (xy * bx + yy * by + yz * bz)
     tz = wrench[5] - (q0 * w1 - q1 * w0) - (wx * ly - wy * lx) - (xz * bx + yz * by + izz * bz)
     along, square = wx * cx + wy * cy + wz * cz, wx * wx + wy * wy + wz * wz
-    fx = (
-        w0
-        - m * (by * cz - bz * cy + wx * along - cx * square)
-        - stiffness[0] * q0
-        - damping[0] * v0
-    )
-    fy = (
-        w1
-        - m * (bz * cx - bx * cz + wy * along - cy * square)
-        - stiffness[1] * q1
-        - damping[1] * v1
-    )
-    fz = (
-        w2
-        - m * (bx * cy - by * cx + wz * along - cz * square)
-        - stiffness[2] * q2
-        - damping[2] * v2
-    )
+    fx = w0 - m * (by * cz - bz * cy + wx * along - cx * square)
+    fy = w1 - m * (bz * cx - bx * cz + wy * along - cy * square)
+    fz = w2 - m * (bx * cy - by * cx + wz * along - cz * square)
+    fx = fx - stiffness[0] * q0 - damping[0] * v0
+    fy = fy - stiffness[1] * q1 - damping[1] * v1
+    fz = fz - stiffness[2] * q2 - damping[2] * v2
     # (M + ahead C)^-1 times force and torque: the slides, of a diagonal block, are eliminated; p:
     # forces that a hinge's acceleration needs
-    ix, iy, iz = (
-        1.0 / (m + ahead * damping[0]),
-        1.0 / (m + ahead * damping[1]),
-        1.0 / (m + ahead * damping[2]),
-    )
+    ix = 1.0 / (m + ahead * damping[0])
+    iy = 1.0 / (m + ahead * damping[1])
+    iz = 1.0 / (m + ahead * damping[2])
     p01, p02 = -m * cz, m * cy
     p10, p11, p12 = m * (c0 * cz - s0 * cy), m * s0 * cx, -m * c0 * cx
     p20, p21, p22 = m * (zy * cz - zz * cy), m * (zz * cx - zx * cz), m * (zx * cy - zy * cx)
     gx, gy, gz = ix * fx, iy * fy, iz * fz
     a0 = tx - stiffness[3] * q[3] - damping[3] * r0 - p01 * gy - p02 * gz
     a1 = c0 * ty + s0 * tz - stiffness[4] * q[4] - damping[4] * r1 - p10 * gx - p11 * gy - p12 * gz
-    a2 = (
-        zx * tx
-        + zy * ty
-        + zz * tz
-        - stiffness[5] * q[5]
-        - damping[5] * r2
-        - p20 * gx
-        - p21 * gy
-        - p22 * gz
-    )
+    a2 = zx * tx + zy * ty + zz * tz - stiffness[5] * q[5] - damping[5] * r2
+    a2 = a2 - p20 * gx - p21 * gy - p22 * gz
     # inertia times the second axis, and the third
     jx, jy, jz = xy * c0 + xz * s0, yy * c0 + yz * s0, yz * c0 + izz * s0
-    kx, ky, kz = (
-        xx * zx + xy * zy + xz * zz,
-        xy * zx + yy * zy + yz * zz,
-        xz * zx + yz * zy + izz * zz,
-    )
+    kx = xx * zx + xy * zy + xz * zz
+    ky = xy * zx + yy * zy + yz * zz
+    kz = xz * zx + yz * zy + izz * zz
     d00 = xx - (p01 * iy * p01 + p02 * iz * p02) + ahead * damping[3]
     d01 = jx - (p01 * iy * p11 + p02 * iz * p12)
     d02 = kx - (p01 * iy * p21 + p02 * iz * p22)
-    d11 = (
-        c0 * jy + s0 * jz - (p10 * ix * p10 + p11 * iy * p11 + p12 * iz * p12) + ahead * damping[4]
-    )
+    d11 = c0 * jy + s0 * jz - (p10 * ix * p10 + p11 * iy * p11 + p12 * iz * p12)
     d12 = c0 * ky + s0 * kz - (p10 * ix * p20 + p11 * iy * p21 + p12 * iz * p22)
-    d22 = (
-        zx * kx
-        + zy * ky
-        + zz * kz
-        - (p20 * ix * p20 + p21 * iy * p21 + p22 * iz * p22)
-        + ahead * damping[5]
-    )
+    d22 = zx * kx + zy * ky + zz * kz - (p20 * ix * p20 + p21 * iy * p21 + p22 * iz * p22)
+    d11, d22 = d11 + ahead * damping[4], d22 + ahead * damping[5]
     a0, a1, a2 = _solved(d00, d01, d02, d11, d12, d22, a0, a1, a2)
     qd[0] = v0 + kick * ix * (fx - (a1 * p10 + a2 * p20))
     qd[1] = v1 + kick * iy * (fy - (a0 * p01 + a1 * p11 + a2 * p21))
@@ -290,9 +227,7 @@ def mount_step(stiffness, damping, body, kick, drift, leapfrog, wrench, q, qd):
 
 @njit(cache=True)
 def _solved(a, b, c, d, e, f, u, v, w):
-    """Solution of a symmetric positive definite matrix (a b c; b d e; c e f) for the right-hand
-    side (u, v, w).
-    """
+    """Solves the positive definite (a b c; b d e; c e f) for the right-hand side (u, v, w)."""
     aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
     dd, de, ff = a * f - c * c, b * c - a * e, a * d - b * b
     scale = 1.0 / (a * aa + b * ab + c * ac)

@@ -91,24 +91,18 @@ class ContactParameters:
         )
 
     def with_effects(self, effects: Iterable[Effect]) -> ContactParameters:
-        """Apply those of ``effects`` that act on the contact, in place, and return the same
-        object.
-        """
+        """Apply those of ``effects`` that act on the contact, in place; returns itself."""
         for effect in effects:
             if effect.link == "contact":
                 effect.apply(self)
         return self
 
     def after_capture(self) -> ContactParameters:
-        """Adapt it, in place, to a latch that closed during a run: no touch offset, preload, hard
-        stop or curve over penetration.
-        """
+        """Without what belongs to a touch, in place, for a latch that closed during a run."""
         self.offset = self.preload = self.stop_stiffness = 0.0
-        self.stop, self.over_penetration, self.spring_over_penetration = (
-            np.inf,
-            packed(()),
-            packed(()),
-        )
+        self.stop = np.inf
+        self.over_penetration = packed(())
+        self.spring_over_penetration = packed(())
         return self
 
     def row(self) -> Array:

@@ -16,6 +16,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import ACTIVE, Structure
 from hiltestbed.contact.description import Phase, matching
@@ -28,9 +29,7 @@ from hiltestbed.frames import Array
 
 
 class _Condition(NamedTuple):
-    """A condition as arrays: frames (Q, 2) and poses (Q, 2, 7) of its pairs of sites, number of
-    pairs needed, and the limits.
-    """
+    """A condition as arrays, of Q pairs of sites: their frames (Q, 2) and poses (Q, 2, 7)."""
 
     frames: NDArray[np.int64]
     places: Array
@@ -50,22 +49,21 @@ class Phases:
     """
 
     def __init__(self, batch: Batch, structure: Structure, tick: float, n: int) -> None:
-        """``tick`` [s] between two evaluations. Raises InputError if a phase names a joint or an
-        actuator that does not exist.
-        """
+        """``tick``: [s] between evaluations. Raises InputError for an unknown joint or actuator."""
         self._phases = structure.mechanism.phases()
         self.names = [p.name for p in self._phases]
-        self._tick, model = tick, batch.model
-        sides = structure.sides
-        self._conditions = [_condition(phase, sides.sites, model) for phase in self._phases]
+        model, sides = batch.model, structure.sides
         self._commands = [actuators_of(phase, model) for phase in self._phases]
         self._dropped = [dropped_by(sides, phase.drop_contacts) for phase in self._phases]
-        self._ctrl, self._qpos = batch.bind("ctrl"), batch.bind("qpos")
-        self.begun, self.since = (
-            np.zeros(n, dtype=np.int64),
-            np.full((n, len(self._phases)), -1, dtype=np.int64),
-        )
+        self._ctrl, qpos = batch.bind("ctrl"), batch.bind("qpos")
+        self.begun = np.zeros(n, dtype=np.int64)
+        self.since = np.full((n, len(self._phases)), -1, dtype=np.int64)
         self._held, self._due = np.zeros(n), np.zeros(n, dtype=bool)
+        now = (self.begun, self._held, self._due)
+        self._looks = [
+            Call(_look, k, tick, _condition(phase, sides.sites, model), qpos, GIVEN, GIVEN, *now)
+            for k, phase in enumerate(self._phases)
+        ]
         self._ticks = np.zeros(1, dtype=np.int64)
 
     def reset(self) -> None:
@@ -80,24 +78,7 @@ class Phases:
         for k in range(len(self._phases) - 1, -1, -1):
             if not (self.begun == k).any():
                 continue
-            c = self._conditions[k]
-            _look(
-                k,
-                self.begun,
-                c.frames,
-                c.places,
-                c.needed,
-                c.limits,
-                c.joints,
-                c.ranges,
-                c.lasting,
-                self._tick,
-                self._qpos,
-                frames,
-                motions,
-                self._held,
-                self._due,
-            )
+            self._looks[k].on(frames, motions)()
             if self._due.any():
                 self._begin(k, engagement)
 
@@ -166,26 +147,9 @@ def _index(name: str, names: list[str], phase: Phase, what: str) -> int:
 
 
 @njit(cache=True)
-def _look(
-    k,
-    begun,
-    pairs,
-    places,
-    needed,
-    limits,
-    joints,
-    ranges,
-    lasting,
-    tick,
-    qpos,
-    frames,
-    motions,
-    held,
-    due,
-):
-    """Mark in ``due`` (n,) the runs in which phase ``k`` begins now; ``held`` (n,) [s]: time for
-    which its condition has held.
-    """
+def _look(k, tick, condition, qpos, frames, motions, begun, held, due):
+    """Mark in ``due`` (n,) where phase ``k`` begins; ``held`` (n,) [s]: how long it has held."""
+    pairs, places, needed, limits, joints, ranges, lasting = condition
     site, velocity = np.empty((2, 7)), np.empty((2, 6))
     at, rate, work = np.empty(7), np.empty(6), np.empty((1, 3))
     for i in range(begun.shape[0]):

@@ -111,9 +111,7 @@ class Mechanism(Strictly):
         return named(active), named(passive)
 
     def rules(self) -> tuple[Rule, ...]:
-        """Which geoms may touch; by default one rule without names: all geoms that MuJoCo would let
-        collide.
-        """
+        """Which geoms may touch; by default all that MuJoCo would let collide."""
         return (Rule(),)
 
     def contacts(self) -> tuple[Contact, ...]:
@@ -129,9 +127,7 @@ class Mechanism(Strictly):
         return ()
 
     def shape(self) -> Hashable:
-        """What its MuJoCo model depends on, apart from numerical parameters: runs of the same shape
-        are simulated in lockstep.
-        """
+        """What its MuJoCo model depends on apart from numbers: equal ones run in lockstep."""
         return (
             self.kind,
             *map(str, self.files()),

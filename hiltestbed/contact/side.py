@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hiltestbed.config.part import compiled
 from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE
 from hiltestbed.contact.surfaces import Finding, Surface, hollow, of_geom, of_mesh
-from hiltestbed.contact.surfaces.shapes import KINDS
+from hiltestbed.contact.surfaces.surface import KINDS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_mujoco
 
@@ -51,10 +51,8 @@ class Side:
                 f"{file}: the site {site!r} is on a part that moves; the port's frame must be "
                 f"fixed to its side"
             )
-        self.origin, self.axes = (
-            self.data.site_xpos[found].copy(),
-            self.data.site_xmat[found].reshape(3, 3).copy(),
-        )
+        self.origin = self.data.site_xpos[found].copy()
+        self.axes = self.data.site_xmat[found].reshape(3, 3).copy()
         self.findings: dict[str, list[Finding]] = {}
         self._surfaces: dict[int, Surface] = {}
 
@@ -63,9 +61,7 @@ class Side:
         return np.concatenate([self.origin, quaternion(self.axes)])
 
     def releases(self) -> bool:
-        """Whether it has actuators, springs of tendons, or joints whose springs are loaded at the
-        start.
-        """
+        """Whether it has actuators, sprung tendons, or joints whose springs start loaded."""
         m = self.model
         loaded = [
             not np.array_equal(m.qpos_spring[a : a + n], m.qpos0[a : a + n])
@@ -89,9 +85,7 @@ class Side:
         return [g for g in range(m.ngeom) if m.geom_contype[g] or m.geom_conaffinity[g]]
 
     def in_frame(self, geom: int, frames: Frames) -> tuple[int, tuple[Array, Array]]:
-        """Number of the frame to which a geom is fixed, and its position (3,) and axes (3, 3) in
-        it.
-        """
+        """Number of a geom's frame, and its position (3,) and axes (3, 3) in it."""
         d = self.data
         return self._in_frame(
             self.model.geom_bodyid[geom], d.geom_xpos[geom], d.geom_xmat[geom].reshape(3, 3), frames
@@ -114,9 +108,7 @@ class Side:
         )
 
     def site(self, name: str, frames: Frames) -> tuple[int, Array]:
-        """Number of the frame to which a site is fixed, and its pose (7,) in it. Raises InputError
-        if there is no such site.
-        """
+        """Number of a site's frame, and its pose (7,) in it. Raises InputError if there is none."""
         m, d = self.model, self.data
         found = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SITE, name)
         if found < 0:
@@ -131,9 +123,7 @@ class Side:
         return frame, np.concatenate([place, quaternion(turn)])
 
     def surface(self, geom: int) -> Surface:
-        """The surface on which a facet is placed. Raises InputError for a mesh that cannot be
-        used.
-        """
+        """The surface of a facet. Raises InputError for a mesh that cannot be used."""
         m = self.model
         if m.geom_type[geom] != MESH:
             return of_geom(int(m.geom_type[geom]), m.geom_size[geom])
@@ -150,9 +140,7 @@ class Side:
         return found
 
     def not_convex(self, geom: int) -> str | None:
-        """Why MuJoCo's own collision detection does not see the true surface of a geom; None: it
-        does.
-        """
+        """Why MuJoCo's own collision does not see the true surface of a geom; None: it does."""
         m, kind = self.model, self.type(geom)
         if kind in KINDS:
             return None
@@ -207,9 +195,7 @@ class Side:
         return vertices, m.mesh_face[m.mesh_faceadr[mesh] :][: m.mesh_facenum[mesh]]
 
     def ends(self, geom: int) -> Array:
-        """``(k, 2)`` lateral positions [m], in the port's axes, of points along a rod, or of the
-        centre of any other geom.
-        """
+        """``(k, 2)`` lateral positions [m], in the port's axes, on a rod, or of a centre."""
         half = self.model.geom_size[geom, 1] if self.type(geom) == CAPSULE else 0.0
         along = self.data.geom_xmat[geom].reshape(3, 3)[:, 2] * half
         points = self.data.geom_xpos[geom] + np.linspace(-1.0, 1.0, 9)[:, None] * along

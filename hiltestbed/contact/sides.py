@@ -39,7 +39,7 @@ from hiltestbed.contact.geometry import (
 )
 from hiltestbed.contact.side import Frames, Side, quaternion
 from hiltestbed.contact.surfaces import Finding
-from hiltestbed.contact.surfaces.shapes import KINDS
+from hiltestbed.contact.surfaces.surface import KINDS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 
@@ -116,17 +116,13 @@ class Sides:
         return tuple(pair.rule for pair in (*self.facets, *self.native))
 
     def candidate(self, k: int) -> tuple[int, int, float]:
-        """Of facet ``k``: the frames of the round and of the surface, and the radius of the round
-        [m].
-        """
+        """Of facet ``k``: frames of the round and of the surface, radius of the round [m]."""
         row, radius = self.geometry.index[k * ROW :], self.geometry.values[k * VALUES + RADIUS]
         return int(row[ROUND_FRAME]), int(row[SURFACE_FRAME]), float(radius)
 
     @property
     def rigid(self) -> bool:
-        """Whether all contacts are facets on geoms fixed to their side: the wrench then follows
-        from the pose of A in S.
-        """
+        """Whether the wrench follows from A's pose in S: facets on geoms fixed to their side."""
         return not self.native and not self.frames and not self.moving
 
 

@@ -11,15 +11,17 @@ angle, J is z and k is 4 k_c sin^2.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiltestbed.contact.acting import acting_contacts, acting_law
+from hiltestbed.contact.geometry import FRAMES
+from hiltestbed.contact.law import Pair, acting_contacts, acting_law, in_series, linear_law
 from hiltestbed.contact.parameters import LEVER, OFFSET, PARAMETERS
 from hiltestbed.contact.sides import Sides, sides_of
-from hiltestbed.contact.wrench import meet_all
+from hiltestbed.contact.wrench import LATCH_RADIUS, meet_all
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state, mobility
 
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hiltestbed.scenario.like import ScenarioLike as Scenario
+
 
 # poses checked on the way to the first touch, and distance searched beyond the nominal touch [m]
 STOPS, BEYOND = 400, 0.05
@@ -145,51 +148,34 @@ def _of_facets(scenario: Scenario, meeting: Meeting) -> tuple[Array, Array]:
 
 
 class Meeting:
-    """Penetration of the surfaces of a rigid mechanism at rest, from the pose of A in P."""
+    """Penetration of the surfaces of a mechanism at rest, from the pose of A in P.
+
+    Attributes:
+        frames: (F, 7) poses of A, P and moving parts in P.
+    """
 
     def __init__(self, sides: Sides) -> None:
-        self._index, self._values = sides.geometry
-        count = sides.geometry.count
-        self._p = np.ones((count, PARAMETERS))
-        self._p[:, LEVER], self._p[:, OFFSET] = 0.5, 0.0
-        self.frames, self._motions, self._work = (
-            np.zeros((2, 7)),
-            np.zeros((2, 6)),
-            np.empty((9, 7)),
-        )
+        count, frames = sides.geometry.count, FRAMES + len(sides.frames)
+        p = np.ones((count, PARAMETERS))
+        p[:, LEVER], p[:, OFFSET] = 0.5, 0.0
+        self.frames = np.zeros((frames, 7))
         self.frames[1, 6] = 1.0
-        self.depth, self._rate = np.empty(count), np.empty(count)
-        self.point, self.normal, self._slip = (
-            np.zeros((count, 3)),
-            np.zeros((count, 3)),
-            np.zeros((count, 3)),
-        )
+        self.depth = np.empty(count)
+        self.point, self.normal, slip = (np.zeros((count, 3)) for _ in range(3))
+        given = (*sides.geometry, p, self.frames, np.zeros((frames, 6)), np.empty((9, 7)))
+        self._met = (*given, self.depth, np.empty(count), self.point, self.normal, slip)
 
     def deepest(self, pose: Array) -> float:
-        """Largest penetration [m] with A at ``pose`` (7,), negative while apart; details in
-        ``depth``, ``point`` and ``normal``.
+        """Largest penetration [m] with A at ``pose`` (7,), negative while apart; that of each pair,
+        with its point and normal in W, is in ``depth``, ``point`` and ``normal``.
         """
         self.frames[0] = pose
-        meet_all(
-            self._index,
-            self._values,
-            self._p,
-            self.frames,
-            self._motions,
-            self._work,
-            self.depth,
-            self._rate,
-            self.point,
-            self.normal,
-            self._slip,
-        )
+        meet_all(*self._met)
         return float(self.depth.max())
 
 
 class _Parts:
-    """The same of a mechanism with moving parts or native pairs, in MuJoCo, with its parts at
-    rest.
-    """
+    """The same with moving parts or native pairs, in MuJoCo, the parts at rest."""
 
     def __init__(self, scenario: Scenario) -> None:
         # the platform's models are made of the mechanism, so that they import its package
@@ -236,3 +222,56 @@ class _Parts:
         from hiltestbed.contact.jacobian import fastest
 
         return fastest(self._engagement, self._batch, self._made_of, 0)
+
+
+def axis_truth(scenario: Scenario, captured: bool = False) -> list[Pair | None]:
+    """Stiffness [N/m], [N m/rad] and damping of x, y, z, rx, ry, rz, effects included; None on axes
+    without a linear law.
+
+    A bumper has one along z; latches act on all six; a mount is in series with them. If a mechanism
+    is captured in phases, springs
+    of its own parts are in series as well: see :mod:`hiltestbed.contact.jacobian`.
+
+    Args:
+        captured: whether latches have closed during the run.
+    """
+    mechanism = scenario.mechanism
+    contact, *_, latch = acting_contacts(scenario)
+    turning = LATCH_RADIUS**2
+    if mechanism.captured or (captured and not mechanism.phases()):
+        # the lateral axes stay linear: no effect changes their law
+        k, c = latch.stiffness, latch.damping
+        held = latch if mechanism.captured else replace(latch).after_capture()
+        front: list[Pair | None] = [
+            *[(k, c)] * 2,
+            linear_law(held),
+            *[(k * turning, c * turning)] * 3,
+        ]
+    else:
+        front = [None, None, linear_law(contact) if mechanism.flat else None, None, None, None]
+    if mechanism.mount is None:
+        return front
+    behind = list(zip(mechanism.mount.stiffness, mechanism.mount.damping, strict=True))
+    return [None if f is None else in_series(f, b) for f, b in zip(front, behind, strict=True)]
+
+
+def normal_truth(scenario: Scenario, at_once: int) -> Pair | None:
+    """Stiffness [N/m] and damping [N s/m] along the normal of a contact, effects included: the
+    contact's own while one at a time touches, otherwise those of the first touch, of all its
+    contacts and of the springs of moving parts in series.
+
+    None if several different laws or a non-linear law act, if the mount is compliant, or if more
+    contacts than in the first touch acted at once.
+
+    Args:
+        at_once: largest number of contacts that touched at the same time; 0 if it is not known.
+    """
+    laws = {linear_law(c) for c in acting_contacts(scenario)[:-1]}
+    if len(laws) != 1 or None in laws or scenario.mechanism.mount is not None:
+        return None
+    if at_once <= 1 and sides_of(scenario.mechanism).rigid:
+        return laws.pop()
+    touch = first_touch(scenario)
+    if touch is None or touch.contacts < at_once:
+        return None
+    return touch.stiffness, touch.damping

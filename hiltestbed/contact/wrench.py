@@ -37,9 +37,7 @@ LATCH_RADIUS = 0.15  # [m] of the ring of latches: the rotational stiffness is k
 
 
 def tilts(parameters: Array) -> Array:
-    """``(n, 7)`` pose of the passive port in its nominal frame, for contacts with the
-    ``parameters`` (n, PARAMETERS): R_y R_x.
-    """
+    """``(n, 7)`` pose of the tilted passive port in its nominal frame, R_y R_x."""
     x, y = 0.5 * parameters[:, TILT_X], 0.5 * parameters[:, TILT_Y]
     out = np.zeros((len(parameters), 7))
     out[:, 3], out[:, 4] = np.sin(x) * np.cos(y), np.cos(x) * np.sin(y)
@@ -49,9 +47,7 @@ def tilts(parameters: Array) -> Array:
 
 @njit(cache=True)
 def relate_one(pose, twist, place, motion, pose_out, twist_out, work):
-    """One run: pose and twist of A relative to the moving frame S, expressed in S. ``work`` (1, 3):
-    scratch.
-    """
+    """Pose and twist of A relative to the moving frame S, in S. ``work`` (1, 3): scratch."""
     v = work[0]
     pose_between(place, pose, pose_out)
     ax, ay, az = pose[0] - place[0], pose[1] - place[1], pose[2] - place[2]
@@ -109,9 +105,7 @@ def meet_all(index, values, p, frames, motions, work, depth, rate, point, normal
 
 @njit(cache=True)
 def law_of(dt, least_creep, p, state, depth, rate, slip):
-    """Normal force [N] of a contact and friction coefficient [N s/m]: the tangential force is that
-    times the ``slip`` (3,).
-    """
+    """Normal force [N], and the tangential force over the ``slip`` (3,) [N s/m]."""
     push = contact_force(depth, rate, dt, p, state, False)
     if push == 0.0 or p[FRICTION] == 0.0:
         return push, 0.0
@@ -194,9 +188,7 @@ def contact_wrench(
 def surface_wrench(
     index, dt, least_creep, p, frames, state, depth, rate, point, normal, slip, f, wrench
 ):
-    """Add to ``wrench`` (6,) the forces of the laws for a contact geometry; returns whether
-    surfaces touch. ``f`` (6,) is scratch.
-    """
+    """Add the laws' forces to ``wrench`` (6,); whether surfaces touch. ``f`` (6,): scratch."""
     touching = False
     for c in range(depth.shape[0]):
         push, drag = law_of(dt, least_creep, p[c], state[c], depth[c], rate[c], slip[c])
@@ -209,9 +201,7 @@ def surface_wrench(
 
 @njit(cache=True)
 def to_frame(place, local, wrench):
-    """Transform a wrench ``local`` (6,), in S at S's origin, to ``wrench`` (6,) in W at W's origin;
-    S at ``place`` (7,) in W.
-    """
+    """``wrench`` (6,) in W at W's origin of ``local`` (6,) in S at S's; S at ``place`` (7,)."""
     rotate(place[3:7], local[0:3], wrench[0:3])
     rotate(place[3:7], local[3:6], wrench[3:6])
     fx, fy, fz = wrench[0], wrench[1], wrench[2]

@@ -9,10 +9,8 @@ the echo has not arrived by then.
 
 from __future__ import annotations
 
-import argparse
 import os
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -22,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.devices.clock import CycleClock
 from hiltestbed.devices.interface import DeviceError, PlatformClient
-from hiltestbed.devices.realtime import PRIORITY, ordinary, prepared
+from hiltestbed.devices.pace import CycleClock
+from hiltestbed.devices.realtime import PATIENCE, PRIORITY, ended, ordinary, prepared, started
 from hiltestbed.devices.table import platform_client, platform_server
 from hiltestbed.devices.url import LOOPBACK
 from hiltestbed.errors import InputError
@@ -32,7 +30,6 @@ from hiltestbed.errors import InputError
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99)
 # bin width [s] and number of bins of the histogram: up to 1 ms, plus one bin for longer times
 BIN, BINS = 5e-6, 200
-PATIENCE = 20.0  # [s] to wait for the device's process
 
 
 @dataclass(frozen=True)
@@ -187,15 +184,8 @@ class _Echo:
         here, there = _free_ports(2)
         url = f"udp://{LOOPBACK}:{there}"
         options = f"rate={rate:.6f}&clock=host&connect={PATIENCE:g}"
-        command = [
-            sys.executable,
-            "-m",
-            "hiltestbed.devices.bench",
-            f"{url}?peer={LOOPBACK}:{here}",
-            str(os.getpid()),
-        ]
-        command += [str(priority)] if priority else []
-        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+        here_url = f"{url}?peer={LOOPBACK}:{here}"
+        self._process = started("bench", here_url, os.getpid(), *([priority] if priority else []))
         self.client = platform_client(f"{url}?listen={LOOPBACK}:{here}&{options}")
         try:
             self.client.open()
@@ -206,11 +196,7 @@ class _Echo:
     def close(self) -> None:
         self.client.stop()
         self.client.close()
-        try:
-            self._process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        ended(self._process)
 
 
 def _free_ports(count: int) -> list[int]:
@@ -227,22 +213,16 @@ def _free_ports(count: int) -> list[int]:
 
 def main() -> int:
     """Entry point of the device's process: echoes every pose until it is stopped or its parent
-    dies.
+    dies, at the loop's priority, since a real device does not wait for this machine's other work.
     """
-    parser = argparse.ArgumentParser()
-    parser.add_argument("url")
-    parser.add_argument("parent", type=int)
-    parser.add_argument(
-        "priority",
-        type=int,
-        nargs="?",
-        help="of SCHED_FIFO: a real device does not wait for this machine's other work",
-    )
-    arguments = parser.parse_args()
+    url, parent, *priority = sys.argv[1:]
     ordinary()
-    with prepared(priority=arguments.priority), platform_server(arguments.url) as server:
+    with (
+        prepared(priority=int(priority[0]) if priority else None),
+        platform_server(url) as server,
+    ):
         server.publish(server.command, 0.0)
-        while server.stopped is None and os.getppid() == arguments.parent:
+        while server.stopped is None and os.getppid() == int(parent):
             if server.wait(0.05) or not server.commanded:
                 server.publish(server.command, time.monotonic_ns() * 1e-9)
     return 0

@@ -15,14 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.devices.clock import CycleClock
-from hiltestbed.devices.interface import PlatformServer, SensorServer
 from hiltestbed.devices.mounting import Mounting
+from hiltestbed.devices.pace import CycleClock
 from hiltestbed.devices.physical import SimulatedRig
 from hiltestbed.devices.realtime import prepared
 from hiltestbed.devices.table import find, platform_server, sensor_server
+from hiltestbed.devices.url import parse, refused
 from hiltestbed.devices.watch import said
-from hiltestbed.errors import Fault, InputError
 from hiltestbed.scenario import Scenario
 
 WARM_UP = 32  # ticks of a discarded rig, which compile kernels that are not compiled yet
@@ -31,9 +30,7 @@ RATE_ERROR = 1e-6
 
 @dataclass
 class Emulated:
-    """Result of an emulation: cycles, those without a command in time, why it ended, and the events
-    of both connections.
-    """
+    """Result of an emulation: cycles, those without a command in time, why it ended, events."""
 
     cycles: int
     missed: int
@@ -53,12 +50,8 @@ class Emulator:
     def __init__(self, scenario: Scenario, sensor_url: str, platform_url: str) -> None:
         """Raises InputError if a URL is wrong or its rate is not the scenario's."""
         self.scenario = scenario
-        self.sensor: SensorServer = sensor_server(
-            with_rate(sensor_url, scenario, "--sensor"), "--sensor"
-        )
-        self.platform: PlatformServer = platform_server(
-            with_rate(platform_url, scenario, "--platform"), "--platform"
-        )
+        self.sensor = sensor_server(with_rate(sensor_url, scenario, "--sensor"))
+        self.platform = platform_server(with_rate(platform_url, scenario, "--platform"))
         self.mounting = Mounting(scenario.devices)
         warm = SimulatedRig(scenario)
         for _ in range(WARM_UP):
@@ -104,9 +97,8 @@ class Emulator:
 
     def result(self, ended: str, skipped: int = 0) -> Emulated:
         """The result so far."""
-        return Emulated(
-            self.cycles, self.missed, skipped, ended, said(self.sensor), said(self.platform)
-        )
+        events = said(self.sensor), said(self.platform)
+        return Emulated(self.cycles, self.missed, skipped, ended, *events)
 
 
 def emulate(
@@ -117,11 +109,7 @@ def emulate(
     cpu: int | None = None,
     ready: Callable[[], None] | None = None,
 ) -> Emulated:
-    """Emulate the devices for ``seconds``, or until the controller stops the platform, or until
-    Ctrl-C.
-
-    Args:
-        ready: called when both devices are open.
+    """Emulate the devices for ``seconds``, or until Ctrl-C; ``ready`` is called when both are open.
 
     Raises:
         InputError: a URL is wrong. HiltestbedError: the rig diverged.
@@ -151,18 +139,15 @@ def with_rate(url: str, scenario: Scenario, place: str) -> str:
     Raises:
         InputError: another rate is given, or the protocol has a different period.
     """
-    options = find(url, place).settings.model_fields
     settings = find(url, place).settings
-    if "rate" in options and "rate=" not in url:
+    if "rate" in settings.model_fields and "rate=" not in url:
         return f"{url}{'&' if '?' in url else '?'}rate={scenario.rate:g}"
-    if "period_ms" in options:
-        from hiltestbed.devices.url import parse
-
+    if "period_ms" in settings.model_fields:
         period = 1e-3 * parse(url, settings, place).period_ms  # type: ignore[attr-defined]
         if abs(period * scenario.rate - 1.0) > RATE_ERROR:
             message = (
                 f"is {1e3 * period:g} ms, the scenario's tick {1e3 * scenario.tick:g} "
                 f"ms; set rate to {1.0 / period:g} (--set rate=...)"
             )
-            raise InputError(Fault(f"{place} {url}", None, None, "period_ms", message))
+            raise refused(f"{place} {url}", message, "period_ms")
     return url

@@ -30,6 +30,7 @@ import numpy as np
 from hiltestbed.config.validation import nearest
 from hiltestbed.devices.interface import Array, DeviceError
 from hiltestbed.devices.layout import UNIT_LENGTH
+from hiltestbed.devices.url import refused
 from hiltestbed.errors import Fault, HiltestbedError, InputError, MissingExtra
 from hiltestbed.measured.units import UNITS
 from hiltestbed.run_folder.folders import is_file
@@ -106,17 +107,6 @@ class PhysicalSide(Protocol):
 
     def step(self, pose_cmd: Array) -> None:
         """Advance by one tick, at whose end ``pose_cmd`` (7,) is to be reached."""
-        ...
-
-
-class MeasuringSensor(Protocol):
-    """A force sensor to be packed; :class:`hiltestbed.sensor.ForceSensor` is one. ``rate``: of its
-    readings [Hz].
-    """
-
-    rate: float
-
-    def __call__(self, wrench: Array) -> Array: ...
 
 
 Variables = Sequence[tuple[str, Sequence[str], Callable[[], Array], bool]]
@@ -131,30 +121,25 @@ class Packed:
     """
 
     def __init__(self, slave: Any, period: float, variables: Variables) -> None:
-        """``variables``: name, parts and present values of each group, and whether it is an
-        input.
-        """
-        from pythonfmu3 import Float64, Fmi3Causality
+        """``variables``: name, parts and present values of each group, whether it is an input."""
+        from pythonfmu3 import Float64
+        from pythonfmu3 import Fmi3Causality as Causality
 
         self.time, self.period = 0.0, period
         slave.register_variable(
-            Float64("time", causality=Fmi3Causality.independent, getter=lambda: self.time)
+            Float64("time", causality=Causality.independent, getter=lambda: self.time)
         )
         for group, names, values, settable in variables:
             for i, name in enumerate(names):
-                slave.register_variable(
-                    Float64(
-                        f"{group}.{name}",
-                        causality=Fmi3Causality.input if settable else Fmi3Causality.output,
-                        getter=_getter(values, i),
-                        setter=_setter(values, i) if settable else None,
-                    ),
-                    nested=False,
-                )
+                causality = Causality.input if settable else Causality.output
+                get, put = _access(values, i)
+                ports = {"getter": get, "setter": put if settable else None}
+                variable = Float64(f"{group}.{name}", causality=causality, **ports)
+                slave.register_variable(variable, nested=False)
 
     def advance(self, current: float, step: float) -> str:
-        """Advance from ``current`` by a communication step [s]; returns an error message or "",
-        since an exception would end the tool that steps the FMU.
+        """Advance from ``current`` by a communication step [s]; an error message or "": an
+        exception would end the tool that steps the FMU.
         """
         ratio = step / self.period
         ticks = round(ratio) if math.isfinite(ratio) else 0
@@ -182,15 +167,12 @@ class PackedSide(Packed):
     def __init__(self, slave: Any, factory: str, scenario: Path) -> None:
         self.side: PhysicalSide = _made(factory)(scenario)
         self._command: Array = np.array(self.side.pose, dtype=float)
-        super().__init__(
-            slave,
-            self.side.period,
-            [
-                ("pose_cmd", POSE, lambda: self._command, True),
-                ("pose_act", POSE, lambda: self.side.pose, False),
-                ("wrench_meas", WRENCH, lambda: self.side.wrench, False),
-            ],
-        )
+        variables: Variables = [
+            ("pose_cmd", POSE, lambda: self._command, True),
+            ("pose_act", POSE, lambda: self.side.pose, False),
+            ("wrench_meas", WRENCH, lambda: self.side.wrench, False),
+        ]
+        super().__init__(slave, self.side.period, variables)
 
     def _run(self, ticks: int) -> str:
         length = math.hypot(*self._command[3:])
@@ -207,19 +189,16 @@ class PackedSide(Packed):
 
 
 class PackedSensor(Packed):
-    """A force sensor alone inside an FMU: wrench in, wrench_meas out."""
+    """A :class:`hiltestbed.sensor.ForceSensor` inside an FMU: wrench in, wrench_meas out."""
 
     def __init__(self, slave: Any, factory: str, scenario: Path) -> None:
-        self.sensor: MeasuringSensor = _made(factory)(scenario)
+        self.sensor = _made(factory)(scenario)
         self._wrench, self._reading = np.zeros(6), np.zeros(6)
-        super().__init__(
-            slave,
-            1.0 / self.sensor.rate,
-            [
-                ("wrench", WRENCH, lambda: self._wrench, True),
-                ("wrench_meas", WRENCH, lambda: self._reading, False),
-            ],
-        )
+        variables: Variables = [
+            ("wrench", WRENCH, lambda: self._wrench, True),
+            ("wrench_meas", WRENCH, lambda: self._reading, False),
+        ]
+        super().__init__(slave, 1.0 / self.sensor.rate, variables)
 
     def _run(self, ticks: int) -> str:
         if not np.isfinite(self._wrench).all():
@@ -230,12 +209,9 @@ class PackedSensor(Packed):
         return ""
 
 
-def _getter(values: Callable[[], Array], i: int) -> Callable[[], float]:
-    return lambda: float(values()[i])
-
-
-def _setter(values: Callable[[], Array], i: int) -> Callable[[float], None]:
-    return lambda value: values().__setitem__(i, value)
+def _access(values: Callable[[], Array], i: int) -> tuple[Callable, Callable]:
+    """What reads the ``i``-th value, and what sets it."""
+    return lambda: float(values()[i]), lambda value: values().__setitem__(i, value)
 
 
 def _made(factory: str) -> Callable[[Path], Any]:
@@ -261,8 +237,7 @@ def pack(
 
     Args:
         factory: ``module:function``, called inside the FMU with the path of its copy of the
-            scenario; returns what ``packed`` packs, a :class:`PhysicalSide` or a
-            :class:`MeasuringSensor`.
+            scenario; returns what ``packed`` packs, a :class:`PhysicalSide` or a force sensor.
 
     Raises:
         MissingExtra, InputError.
@@ -278,16 +253,10 @@ def pack(
         )
     _made(factory)
     with tempfile.TemporaryDirectory() as work:
-        script = Path(work) / f"{name.lower()}_slave.py"
-        text = _SCRIPT.format(
-            name=name,
-            factory=factory,
-            scenario=SCENARIO,
-            description=description.replace('"', "'"),
-            packed=packed.__name__,
-        )
+        script, copied = Path(work) / f"{name.lower()}_slave.py", Path(work) / SCENARIO
+        named = {"name": name, "factory": factory, "scenario": SCENARIO, "packed": packed.__name__}
+        text = _SCRIPT.format(**named, description=description.replace('"', "'"))
         script.write_text(text, encoding="utf-8")
-        copied = Path(work) / SCENARIO
         shutil.copyfile(scenario, copied)
         return FmuBuilder.build_FMU(script, folder, [copied])
 
@@ -301,9 +270,9 @@ class CoSimulation:
     """
 
     def __init__(self, path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """``inputs`` and ``outputs``: names of Float64 variables of the FMU, whose last part tells
-        the quantity (:data:`SI`); they are set and returned in SI. Raises MissingExtra; InputError
-        with every fault.
+        """``inputs`` and ``outputs``: names of Float64 variables, whose last part tells the
+        quantity (:data:`SI`), set and returned in SI. Raises MissingExtra; InputError with every
+        fault.
         """
         if find_spec("fmpy") is None:
             raise MissingExtra("stepping an FMU", "fmi")
@@ -321,7 +290,7 @@ class CoSimulation:
         import fmpy
         from fmpy.fmi3 import FMU3Slave
 
-        path, said = self.path, set()
+        simulation, said = self, set()
 
         class Slave(FMU3Slave):
             """Logs what the FMU warns of, once each."""
@@ -331,16 +300,11 @@ class CoSimulation:
                 if status == WARNING and fname in STATUS_CALLS and fname not in said:
                     said.add(fname)
                     _LOG.warning(
-                        "%s: %s returned a warning at t = %.6f s; its results are used, further "
-                        "warnings of this call are not reported",
-                        path,
-                        fname,
-                        clock(),
+                        f"{simulation.path}: {fname} returned a warning at t = "
+                        f"{simulation.time:.6f} s; its results are used, further warnings of this "
+                        f"call are not reported"
                     )
                 return status
-
-        def clock() -> float:
-            return self.time
 
         self._unpacked = fmpy.extract(str(self.path))
         identifier = self._description.coSimulation.modelIdentifier
@@ -365,13 +329,10 @@ class CoSimulation:
 
     def step(self, values: Array, period: float) -> Array:
         """Set the inputs, step by ``period`` [s], and return the outputs at its end, or where the
-        FMU has ended the simulation: :attr:`ended`. Raises DeviceError if the FMU fails, or has
-        ended the simulation before.
+        FMU has ended the simulation. Raises DeviceError if it fails, or has ended it before.
         """
         if self.ended is not None:
-            raise DeviceError(
-                f"{self.path}: the FMU has ended the simulation at t = {self.ended:.6f} s"
-            )
+            raise self._failure(f"has ended the simulation at t = {self.ended:.6f} s")
         with self._obeyed() as slave:
             factor, offset = self._in_unit
             slave.setFloat64(self._inputs, ((values - offset) / factor).tolist())
@@ -388,9 +349,9 @@ class CoSimulation:
                 self.time = until if self.ended is None else self.ended
                 return
             if not last > self.time:
-                raise DeviceError(
-                    f"{self.path}: the FMU returned early at t = {self.time:.6f} s without having "
-                    f"advanced; it cannot be stepped to {until:.6f} s"
+                raise self._failure(
+                    f"returned early at t = {self.time:.6f} s without having advanced; it cannot "
+                    f"be stepped to {until:.6f} s"
                 )
             self.time = last
 
@@ -400,10 +361,11 @@ class CoSimulation:
             factor, offset = self._out_unit
             outputs = np.array(slave.getFloat64(self._outputs)) * factor + offset
         if not np.isfinite(outputs).all():
-            raise DeviceError(
-                f"{self.path}: the FMU gave a value that is not finite at t = {self.time:.6f} s"
-            )
+            raise self._failure(f"gave a value that is not finite at t = {self.time:.6f} s")
         return outputs
+
+    def _failure(self, what: str) -> DeviceError:
+        return DeviceError(f"{self.path}: the FMU {what}")
 
     @contextmanager
     def _obeyed(self) -> Iterator[Any]:
@@ -417,9 +379,7 @@ class CoSimulation:
         except FMICallException as error:
             # after an error the FMU must not be called again, not even to terminate it
             self._slave = None
-            raise DeviceError(
-                f"{self.path}: the FMU failed at t = {self.time:.6f} s ({error})"
-            ) from None
+            raise self._failure(f"failed at t = {self.time:.6f} s ({error})") from None
 
     def close(self) -> None:
         """Terminate the FMU and remove the unpacked files; may be called twice."""
@@ -443,28 +403,22 @@ class CoSimulation:
         self, names: Sequence[str], causality: str
     ) -> tuple[list[int], tuple[Array, Array]]:
         """Value references, and factors and offsets (n,) from the FMU's units to SI."""
-        known = {
-            v.name: v
-            for v in self._description.modelVariables
-            if v.causality == causality and v.type == "Float64"
-        }
-        faults = []
+        variables = self._description.modelVariables
+        known = {v.name: v for v in variables if v.causality == causality and v.type == "Float64"}
+        faults, units = [], {}
         for name in names:
-            if name not in known:
-                message = (
-                    f"is no {causality} of type Float64{nearest(name, known)}; "
-                    f"allowed: {', '.join(known) or 'none'}"
-                )
-                faults.append(Fault(str(self.path), None, None, name, message))
-        units = []
-        for name in set(names) & set(known):
             try:
-                units.append((name, self._unit(known[name])))
+                if name not in known:
+                    raise ValueError(
+                        f"is no {causality} of type Float64{nearest(name, known)}; allowed: "
+                        f"{', '.join(known) or 'none'}"
+                    )
+                units[name] = self._unit(known[name])
             except ValueError as error:
                 faults.append(Fault(str(self.path), None, None, name, str(error)))
         if faults:
             raise InputError(faults)
-        to_si = np.array([dict(units)[name] for name in names]).reshape(-1, 2)
+        to_si = np.array([units[name] for name in names]).reshape(-1, 2)
         return [known[name].valueReference for name in names], (to_si[:, 0], to_si[:, 1])
 
     def _unit(self, variable: Any) -> tuple[float, float]:
@@ -476,8 +430,7 @@ class CoSimulation:
         si = SI.get(variable.name.rpartition(".")[2])
         if unit is None or si is None:
             return 1.0, 0.0
-        defined = {d.name: d.baseUnit for d in self._description.unitDefinitions}
-        base = defined.get(unit)
+        base = {d.name: d.baseUnit for d in self._description.unitDefinitions}.get(unit)
         if base is None:  # defined by its name only
             factor = UNITS.get(si, {}).get(unit.replace(".", " "))
             if factor is None:
@@ -503,43 +456,27 @@ def _silent(*_: object) -> None:
 
 
 def _described(path: Path) -> Any:
-    """The description of an FMU that can be stepped here. Raises InputError with every problem that
-    FMPy finds.
-    """
+    """The description of an FMU that can be stepped here. Raises InputError with every problem."""
     import fmpy
     from fmpy.validation import validate_fmu
 
     if not is_file(path) or not zipfile.is_zipfile(path):
-        raise InputError(
-            Fault(
-                str(path),
-                None,
-                None,
-                "",
-                "is not an FMU; give a file that a simulation tool has exported",
-            )
-        )
+        message = "is not an FMU; give a file that a simulation tool has exported"
+        raise refused(str(path), message)
     problems = validate_fmu(str(path))
     if problems:
-        raise InputError(
-            [Fault(str(path), None, None, "modelDescription", str(problem)) for problem in problems]
-        )
+        name = "modelDescription"
+        raise InputError(Fault(str(path), None, None, name, str(p)) for p in problems)
     description: Any = fmpy.read_model_description(str(path), validate=False)
     if description.fmiVersion != "3.0" or description.coSimulation is None:
         message = (
             f"is not an FMU of FMI 3.0 for co-simulation (got FMI "
             f"{description.fmiVersion}); export it as one"
         )
-        raise InputError(Fault(str(path), None, None, "", message))
-    if fmpy.platform not in fmpy.supported_platforms(str(path)):
-        have = ", ".join(fmpy.supported_platforms(str(path))) or "none"
-        raise InputError(
-            Fault(
-                str(path),
-                None,
-                None,
-                "",
-                f"has no binary for {fmpy.platform} (got {have}); export it for this platform",
-            )
-        )
+        raise refused(str(path), message)
+    have = fmpy.supported_platforms(str(path))
+    if fmpy.platform not in have:
+        given = ", ".join(have) or "none"
+        message = f"has no binary for {fmpy.platform} (got {given}); export it for this platform"
+        raise refused(str(path), message)
     return description

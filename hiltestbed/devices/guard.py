@@ -22,9 +22,7 @@ _SAID = (
 
 
 class Guard:
-    """Checks each commanded pose (7,) of A in P against the limits, one per tick of ``tick``
-    [s].
-    """
+    """Checks each commanded pose (7,) of A in P against the limits, one per ``tick`` [s]."""
 
     def __init__(self, limits: MotionLimits, tick: float) -> None:
         self._tick = tick

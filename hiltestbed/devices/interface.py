@@ -1,15 +1,13 @@
 """The interface of a device: sensor and platform, client and server side.
 
-A *client* is the loop's side of the connection to a real device; a *server* is the device's side of
-the same protocol, for an emulated
-one. All values are SI: wrench (6,) [N, N m] in the sensor's own frame at its own origin, pose (7,)
-[m, quaternion x y z w] in the platform's own base frame. The caller knows the poses of these frames
-in the rig.
+A *client* is the loop's side of the connection to a real device, a *server* the device's side of
+the same protocol, for an emulated one. All values are SI: wrench (6,) [N, N m] in the sensor's own
+frame at its own origin, pose (7,) [m, quaternion x y z w] in the platform's own base frame. The
+caller knows the poses of these frames in the rig.
 
 A client processes what has arrived with :meth:`Link.poll` or :meth:`Link.wait` and keeps the newest
-good sample. A datagram that is malformed, from an unexpected sender, repeated or older than the
-newest does not change the sample; it is counted in ``counts``, by
-:class:`Event`, as are gaps in the sequence numbers.
+good sample. A record that is malformed, from an unexpected sender, repeated or older than the
+newest does not change the sample; it is counted by :class:`Event`, as are gaps in the numbers.
 """
 
 from __future__ import annotations
@@ -38,9 +36,7 @@ LONGEST_DRAIN = 256  # datagrams processed per poll: a flood must not stall the 
 # [N], [N m] and [m] beyond which no value is physical, whatever the scenario: some hundred times
 # the range of the largest force sensors, and more than any hall
 LARGEST_LOAD, FARTHEST = 1.0e7, 1.0e3
-LARGEST_COMPONENT = (
-    1.01  # largest component of a quaternion, with the rounding of short number formats
-)
+LARGEST_COMPONENT = 1.01  # of a quaternion, with the rounding of short number formats
 
 
 class DeviceError(HiltestbedError):
@@ -63,9 +59,7 @@ class Event(IntEnum):
 
 
 class Clock(StrEnum):
-    """Who paces the cycle: ``device`` sends at its own rate and expects the answer within the
-    period; ``host`` is paced by the loop.
-    """
+    """Who paces the cycle: the device, which expects an answer within its period, or the loop."""
 
     DEVICE = "device"
     HOST = "host"
@@ -99,8 +93,8 @@ class Sample:
         device_time: float,
         status: int = 0,
     ) -> bool:
-        """Take in a record that is news, unless its status is an error or a value is not physical
-        (or NaN): that is counted, nothing else changes, and False is returned.
+        """Take in a record that is news; False, and only counted, if its status is an error or a
+        value is not physical.
         """
         self.status = status
         if status:
@@ -161,9 +155,7 @@ class Link(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Connect. Raises InputError if the address cannot be used, DeviceError if the device does
-        not answer.
-        """
+        """Connect. Raises InputError for the address, DeviceError if the device does not answer."""
 
     @abstractmethod
     def close(self) -> None:
@@ -180,11 +172,8 @@ class Link(ABC):
         sleeping thread wakes up late.
         """
         begin = time.monotonic()
-        until, busy_from, busy_to = (
-            begin + timeout,
-            begin + expected - SPIN,
-            begin + expected + SPIN,
-        )
+        until = begin + timeout
+        busy_from, busy_to = begin + expected - SPIN, begin + expected + SPIN
         while not self.poll():
             now = time.monotonic()
             if now >= until or self.fileno() < 0:
@@ -206,56 +195,51 @@ class Link(ABC):
         self.close()
 
 
-class SensorClient(Link):
-    """The loop's side of a force sensor; ``reading`` is its newest good record.
+class Client(Link):
+    """The loop's side of a device.
 
     Attributes:
-        clock: who paces the cycle if the platform does not.
+        sample: the newest good record.
+        clock: who paces the cycle; that of the platform precedes that of the sensor.
     """
+
+    sample: Sample
+    clock: Clock
+
+
+class SensorClient(Client):
+    """The loop's side of a force sensor; ``reading`` is its newest good record."""
 
     def __init__(self, where: str) -> None:
         super().__init__(where)
         self.clock = Clock.DEVICE
-        self.reading = Reading()
-
-    @property
-    def sample(self) -> Sample:
-        return self.reading
+        self.sample = self.reading = Reading()
 
     def bias(self) -> None:
-        """Tare the sensor at its present load. Raises DeviceError if the protocol has no such
-        request.
-        """
+        """Tare the sensor at its present load. Raises DeviceError if the protocol cannot."""
         raise DeviceError(
             f"{self.where}: this protocol cannot tare the sensor; tare in the loop instead"
         )
 
 
-class PlatformClient(Link):
+class PlatformClient(Client):
     """The loop's side of a motion platform; ``state`` is the newest pose that it reports.
 
     :meth:`open` commands nothing but the pose that the platform reports.
 
     Attributes:
-        clock: who paces the cycle.
         held: (8,) the last command in the form that the protocol's :class:`Keeper` repeats.
     """
 
     def __init__(self, where: str) -> None:
         super().__init__(where)
         self.clock = Clock.HOST
-        self.state = PoseState()
+        self.sample = self.state = PoseState()
         self.held: Array = np.zeros(8)
-
-    @property
-    def sample(self) -> Sample:
-        return self.state
 
     @abstractmethod
     def command(self, pose: Array) -> None:
-        """Send the pose (7,) to be reached by the end of the cycle. If it is not finite, hold and
-        raise DeviceError.
-        """
+        """Send the pose (7,) for the end of the cycle; hold, raise DeviceError if not finite."""
 
     @abstractmethod
     def hold(self) -> None:
@@ -279,9 +263,7 @@ class SensorServer(Link):
 
     @abstractmethod
     def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
-        """Send the wrench (6,) of this instant with the device's time [s] and status (0: no
-        error).
-        """
+        """Send the wrench (6,) of this instant with the device's time [s] and status (0: good)."""
 
 
 class PlatformServer(Link):
@@ -308,19 +290,14 @@ class PlatformServer(Link):
 
     @abstractmethod
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        """Begin a cycle: send the pose (7,) reached at this instant with the device's time [s] and
-        status (0: no error).
-        """
+        """Begin a cycle: send the pose (7,) reached now, the device's time [s] and its status."""
 
 
 class Keeper(ABC):
-    """Holds or stops a platform from the watchdog's process when the loop's process no longer
-    responds.
-    """
+    """Holds or stops a platform from the watchdog's process."""
 
     def __init__(self, settings: DeviceSettings, fileno: int) -> None:
         self.settings = settings
-        self.fileno = fileno
 
     @abstractmethod
     def hold(self, held: Array) -> None:
@@ -328,9 +305,7 @@ class Keeper(ABC):
 
     @abstractmethod
     def stop(self, held: Array) -> None:
-        """Send one stop message, or nothing if silence stops the platform; called once per
-        period.
-        """
+        """Send one stop message, or nothing if silence stops the platform; once per period."""
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,9 @@ import binascii
 import math
 import struct
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -35,21 +36,15 @@ from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.devices import poses
 from hiltestbed.devices.interface import Array
 
-CODES = {
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
-CRC = {"crc16": "H", "crc32": "I"}
+Whole = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"]
+Real = Literal["float32", "float64"]
+Check = Literal["crc16", "crc32"]
+REALS = get_args(Real)
+CODES = dict(zip((*get_args(Whole), *REALS), "bBhHiIqQfd", strict=True))  # of struct
+CRC = dict(zip(get_args(Check), "HI", strict=True))
 FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 POSITION, QUATERNION, ROTATION = ("px", "py", "pz"), ("qx", "qy", "qz", "qw"), ("rx", "ry", "rz")
+COUNTED = ("sequence", "status", "stop")  # sent as they are, without a scale
 # tolerance of a quaternion's length: 32-bit numbers deviate by 1e-7, wrong bytes by more
 UNIT_LENGTH = 1e-2
 LARGEST = 1472  # [byte] of a record: the payload of one Ethernet frame
@@ -58,27 +53,14 @@ Name = Literal[
     "const", "pad", "crc", "sequence", "time", "status", "stop",
     "fx", "fy", "fz", "tx", "ty", "tz", "px", "py", "pz", "qx", "qy", "qz", "qw", "rx", "ry", "rz",
 ]  # fmt: skip
-Type = Literal[
-    "int8",
-    "uint8",
-    "int16",
-    "uint16",
-    "int32",
-    "uint32",
-    "int64",
-    "uint64",
-    "float32",
-    "float64",
-    "crc16",
-    "crc32",
-]
+RecordKind = Literal["sensor", "state", "command"]
 
 
 class FieldOfRecord(Strictly):
     """One field of a record."""
 
     name: Name
-    type: Type
+    type: Literal[Whole, Real, Check]
     scale: float = Field(default=1.0, description="SI value of 1 on the wire")
     value: int | None = Field(default=None, description="value of a const field")
     size: int = Field(
@@ -97,98 +79,67 @@ class Layout(Strictly):
     @model_validator(mode="after")
     def _whole(self) -> Self:
         refuse(
-            [
-                ((record, *path), message)
-                for record in ("sensor", "state", "command")
-                for path, message in _faults(self, record)
-            ]
+            ((record, *path), message)
+            for record in get_args(RecordKind)
+            for path, message in _faults(self, record)
         )
         return self
 
 
-def _faults(layout: Layout, record: str) -> list[tuple[tuple, str]]:
+def _faults(layout: Layout, record: RecordKind) -> Iterator[tuple[tuple, str]]:
     """Faults of a record as a whole: (path below it, message)."""
     fields: list[FieldOfRecord] = getattr(layout, record)
     names = [field.name for field in fields]
     needed = [FORCE] if record == "sensor" else [(*POSITION, *QUATERNION), (*POSITION, *ROTATION)]
-    allowed = {
-        "const",
-        "pad",
-        "crc",
-        "sequence",
-        "time",
-        *(("stop",) if record == "command" else ("status",)),
-    }.union(*needed)
-    found: list[tuple[tuple, str]] = []
+    flag = "stop" if record == "command" else "status"
+    allowed = {"const", "pad", "crc", "sequence", "time", flag}.union(*needed)
     for i, field in enumerate(fields):
-        if field.name not in allowed:
-            found.append(
-                (
-                    (i, "name"),
-                    f"does not belong in a {record} record (got {field.name!r}); allowed: "
-                    f"{', '.join(sorted(allowed))}",
-                )
+        name, kind, crc, const = field.name, field.type, field.name == "crc", field.name == "const"
+        if name not in allowed:
+            yield (
+                (i, "name"),
+                f"does not belong in a {record} record (got {name!r}); allowed: "
+                f"{', '.join(sorted(allowed))}",
             )
-        if field.name not in ("const", "pad") and names.index(field.name) != i:
-            found.append(
-                ((i, "name"), f"is given twice (got {field.name!r}); each value may stand once")
+        if name not in ("const", "pad") and names.index(name) != i:
+            yield (i, "name"), f"is given twice (got {name!r}); each value may stand once"
+        if crc != (kind in CRC) or (crc and i != len(fields) - 1):
+            yield (
+                (i, "type"),
+                f"does not fit (got {name!r} of type {kind!r}); a crc is the last field, of crc16 "
+                f"or crc32",
             )
-        if (field.name == "crc") != (field.type in CRC) or (
-            field.name == "crc" and i != len(fields) - 1
-        ):
-            found.append(
-                (
-                    (i, "type"),
-                    f"does not fit (got {field.name!r} of type {field.type!r}); a crc is the last "
-                    f"field, of crc16 or crc32",
-                )
+        if const != (field.value is not None) or (const and not _fits(field)):
+            yield (
+                (i,),
+                "a const field needs a whole number as value that fits its type, and no other "
+                "field has a value",
             )
-        if (field.name == "const") != (field.value is not None) or (
-            field.name == "const" and not _fits(field)
-        ):
-            found.append(
-                (
-                    (i,),
-                    "a const field needs a whole number as value that fits its type, and no other "
-                    "field has a value",
-                )
-            )
-        if field.name in ("sequence", "status", "stop") and not field.type.startswith("uint"):
-            found.append(
-                (
-                    (i, "type"),
-                    f"does not fit {field.name} (got {field.type!r}); allowed: uint8, uint16, "
-                    f"uint32, uint64",
-                )
-            )
+        if name in COUNTED and not kind.startswith("uint"):
+            allowed_types = ", ".join(t for t in CODES if t.startswith("uint"))
+            yield (i, "type"), f"does not fit {name} (got {kind!r}); allowed: {allowed_types}"
         if field.scale == 0.0:
-            found.append(((i, "scale"), "is 0; the value would be lost"))
-        if field.size != 1 and field.name != "pad":
-            found.append(
-                (
-                    (i, "size"),
-                    f"is only for padding (got {field.size}); give each value its own field",
-                )
+            yield (i, "scale"), "is 0; the value would be lost"
+        if field.size != 1 and name != "pad":
+            yield (
+                (i, "size"),
+                f"is only for padding (got {field.size}); give each value its own field",
             )
     if fields and not any(set(group) <= set(names) for group in needed):
-        found.append(
-            (
-                (),
-                f"is incomplete (got {', '.join(names)}); needed: "
-                f"{' or '.join(' '.join(group) for group in needed)}",
-            )
-        )
-    return found
+        groups = " or ".join(" ".join(group) for group in needed)
+        yield (), f"is incomplete (got {', '.join(names)}); needed: {groups}"
 
 
 def _fits(field: FieldOfRecord) -> bool:
-    if field.value is None or field.type in ("float32", "float64") or field.type in CRC:
-        return False
-    try:
-        struct.pack("<" + CODES[field.type], field.value)
-    except struct.error:
-        return False
-    return True
+    """Whether the value of a const field can be sent as a whole number of its type."""
+    low, high = _range(field.type) if field.type in get_args(Whole) else (0, -1)
+    return field.value is not None and low <= field.value <= high
+
+
+def _range(kind: str) -> tuple[int, int]:
+    """Smallest and largest number of a type of whole numbers."""
+    bits = 8 * struct.calcsize(CODES[kind])
+    return (-(1 << bits - 1), (1 << bits - 1) - 1) if kind[0] == "i" else (0, (1 << bits) - 1)
 
 
 def read_layout(path: str | Path) -> Layout:
@@ -196,27 +147,23 @@ def read_layout(path: str | Path) -> Layout:
     return validate(Layout, read_source(path))
 
 
-def _default() -> dict[str, Any]:
-    head = [{"name": "sequence", "type": "uint32"}, {"name": "time", "type": "float64"}]
-    tail = [{"name": "crc", "type": "crc32"}]
-    values = {"sensor": FORCE, "state": POSITION + QUATERNION, "command": POSITION + QUATERNION}
-    flags = {"sensor": "status", "state": "status", "command": "stop"}
-    return {
-        record: [
-            *head,
-            {"name": flags[record], "type": "uint32"},
-            *({"name": n, "type": "float64"} for n in names),
-            *tail,
-        ]
-        for record, names in values.items()
-    }
-
-
 def default_layout() -> Layout:
     """Little endian: sequence uint32, time float64 [s], status (command: stop) uint32, the values
     float64, crc32.
     """
-    return validate(Layout, Source("the default layout", _default()))
+
+    def record(flag: str, names: tuple[str, ...]) -> list[dict[str, str]]:
+        types = {"sequence": "uint32", "time": "float64", flag: "uint32"}
+        types |= dict.fromkeys(names, "float64") | {"crc": "crc32"}
+        return [{"name": name, "type": kind} for name, kind in types.items()]
+
+    pose = POSITION + QUATERNION
+    data = {
+        "sensor": record("status", FORCE),
+        "state": record("status", pose),
+        "command": record("stop", pose),
+    }
+    return validate(Layout, Source("the default layout", data))
 
 
 class Record:
@@ -233,7 +180,7 @@ class Record:
             pack.
     """
 
-    def __init__(self, layout: Layout, kind: Literal["sensor", "state", "command"]) -> None:
+    def __init__(self, layout: Layout, kind: RecordKind) -> None:
         fields: list[FieldOfRecord] = getattr(layout, kind)
         crc = CRC.get(fields[-1].type, "") if fields else ""
         body = [field for field in fields if field.name != "crc"]
@@ -255,25 +202,22 @@ class Record:
             )
             for name in ("sequence", "time")
         )
-        self._names = (
-            FORCE
-            if kind == "sensor"
-            else POSITION + (QUATERNION if "qw" in {f.name for f in body} else ROTATION)
-        )
-        self._turned = self._names[-1] == "rz" and kind != "sensor"
+        attitude = QUATERNION if any(f.name == "qw" for f in body) else ROTATION
+        self._names = FORCE if kind == "sensor" else POSITION + attitude
+        self._turned = self._names[-1] == "rz"
         self._flag = "stop" if kind == "command" else "status"
         self.sequence, self.time, self.flag = 0, math.nan, 0
         self.clock: float | None = None
         self.values: Array = np.zeros(6 if kind == "sensor" else 7)
 
-    def unpack(self, data: bytes | bytearray | memoryview) -> bool:
+    def unpack(self, data: bytes | bytearray) -> bool:
         """Unpack a record; for anything else return False and change nothing."""
         if len(data) != self.size:
             return False
-        if self._crc is not None and self._crc.unpack_from(data, self._body.size)[0] != self._check(
-            data[: self._body.size]
-        ):
-            return False
+        if self._crc is not None:
+            (given,) = self._crc.unpack_from(data, self._body.size)
+            if given != self._check(data[: self._body.size]):
+                return False
         wire = self._body.unpack_from(data)
         found, clock = {}, None
         for field, raw in zip(self._fields, wire, strict=True):
@@ -281,9 +225,7 @@ class Record:
                 if raw != field.value:
                     return False
                 continue
-            found[field.name] = (
-                raw if field.name in ("sequence", "status", "stop") else raw * field.scale
-            )
+            found[field.name] = raw if field.name in COUNTED else raw * field.scale
             clock = raw if field.name == "time" else clock
         values = np.array([found[name] for name in self._names])
         time = found.get("time", math.nan)
@@ -297,42 +239,29 @@ class Record:
                 return False
             values[3:] /= length
         self.values[:], self.clock = values, clock
-        self.sequence, self.time, self.flag = (
-            found.get("sequence", self.sequence + 1),
-            time,
-            found.get(self._flag, 0),
-        )
+        self.sequence = found.get("sequence", self.sequence + 1)
+        self.time, self.flag = time, found.get(self._flag, 0)
         return True
 
     def pack(self, values: Array, sequence: int, time: float, flag: int = 0) -> bytes:
-        """The record of a wrench (6,) or a pose (7,); an integer field is rounded, and clipped at
-        its limits.
-        """
+        """The record of a wrench (6,) or pose (7,); integers are rounded and clipped."""
         values = poses.rotation_vector_from_pose(values) if self._turned else values
-        known = dict(zip(self._names, values.tolist(), strict=True)) | {
-            "time": time,
-            "sequence": sequence,
-            self._flag: flag,
-        }
+        known = dict(zip(self._names, values.tolist(), strict=True))
+        known |= {"time": time, "sequence": sequence, self._flag: flag}
         body = self._body.pack(*(_on_wire(field, known) for field in self._fields))
         return body + self._crc.pack(self._check(body)) if self._crc else body
 
-    def _check(self, body: bytes | bytearray | memoryview) -> int:
+    def _check(self, body: bytes | bytearray) -> int:
         return zlib.crc32(body) if self._wide else binascii.crc_hqx(body, 0xFFFF)
 
 
 def _on_wire(field: FieldOfRecord, known: dict[str, float]) -> float | int:
     if field.name == "const":
         return field.value or 0
-    if field.name in ("sequence", "status", "stop"):
-        return int(known[field.name]) & ((1 << 8 * struct.calcsize(CODES[field.type])) - 1)
+    if field.name in COUNTED:
+        return int(known[field.name]) & _range(field.type)[1]
     value = known[field.name] / field.scale
-    if field.type.startswith("float"):
+    if field.type in REALS:
         return value
-    bits = 8 * struct.calcsize(CODES[field.type])
-    low, high = (
-        (-(1 << bits - 1), (1 << bits - 1) - 1)
-        if field.type.startswith("int")
-        else (0, (1 << bits) - 1)
-    )
+    low, high = _range(field.type)
     return min(max(round(value), low), high) if math.isfinite(value) else 0

@@ -55,9 +55,7 @@ class Mounting:
         out *= self._sign
 
     def wrench_shown(self, wrench_P: Array, out: Array) -> None:
-        """Convert a wrench in P at P's origin to the sensor's reading (6,); the inverse of
-        :meth:`wrench_in_P`.
-        """
+        """The inverse of :meth:`wrench_in_P`: the sensor's reading (6,) of ``wrench_P``."""
         wrench_moved(self._pose_SP, wrench_P, out)
         out *= self._sign
 
@@ -67,8 +65,6 @@ class Mounting:
         pose_compose(self._pose, self._pose_TA, out)
 
     def command_of(self, pose_PA: Array, out: Array) -> None:
-        """The pose (7,) to command to the platform for A to be at ``pose_PA``; the inverse of
-        :meth:`pose_in_P`.
-        """
+        """The inverse of :meth:`pose_in_P`: the pose (7,) to command for A at ``pose_PA``."""
         pose_compose(self._pose_BP, pose_PA, self._pose)
         pose_compose(self._pose, self._pose_AT, out)

@@ -50,23 +50,18 @@ class NumberedClient(PlatformClient):
         self._pose[:] = pose
         self.hold()
 
-    def hold(self) -> None:
-        self._send(0)
-
-    def stop(self) -> None:
-        """Send the stop flag; a layout without one holds."""
-        self._send(STOP)
-
-    def _send(self, stop: int) -> None:
+    def hold(self, stop: int = 0) -> None:
         self._sent += 1
         self.held[:7], self.held[7] = self._pose, self._sent
         self._post(self._pose, self._sent, time.monotonic_ns() * 1e-9, stop)
 
+    def stop(self) -> None:
+        """Send the stop flag; a layout without one holds."""
+        self.hold(STOP)
+
 
 class NumberedServer(PlatformServer):
-    """Accepts such poses until the stop flag arrives, and numbers the poses that it reports from
-    1.
-    """
+    """Accepts such poses until the stop flag arrives, and numbers the poses that it reports."""
 
     def __init__(self, settings: Paced) -> None:
         super().__init__(settings.where)
@@ -81,9 +76,7 @@ class NumberedServer(PlatformServer):
         """Process a command; returns whether it is followed."""
         if stop:
             self.stopped = "the client asked for a stop"
-        if self.stopped is not None:
-            return False
-        return self._obey(pose)
+        return self.stopped is None and self._obey(pose)
 
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
         if self._number == 0:
@@ -106,13 +99,10 @@ class NumberedKeeper(Keeper):
     def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
         """Send a command; ``now`` [s] by the monotonic clock."""
 
-    def hold(self, held: Array) -> None:
-        self._send(held, 0)
-
-    def stop(self, held: Array) -> None:
-        self._send(held, STOP)
-
-    def _send(self, held: Array, stop: int) -> None:
+    def hold(self, held: Array, stop: int = 0) -> None:
         self._sent += 1
         if math.isfinite(float(held.sum())):
             self._post(held[:7], int(held[7]) + self._sent, time.monotonic_ns() * 1e-9, stop)
+
+    def stop(self, held: Array) -> None:
+        self.hold(held, STOP)

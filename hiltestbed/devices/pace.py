@@ -2,10 +2,10 @@
 loop's own clock.
 
 A tick is assigned to a record by the device's own record number, not by the time of arrival. A lost
-or late record affects only its tick,
-not the time base: half a period after it was due the tick begins without it, and if several records
-have arrived at once, the loop catches up. Whether the device's time base is that of the wall clock
-is the concern of :mod:`~hiltestbed.devices.timekeeping`.
+or late record affects only its tick, not the time base: half a period after it was due the tick
+begins without it, and if several records have arrived at once, the loop catches up. Whether the
+device's time base is that of the wall clock is the concern of
+:mod:`~hiltestbed.devices.timekeeping`.
 """
 
 from __future__ import annotations
@@ -14,36 +14,112 @@ import math
 import time
 from typing import Protocol
 
-from hiltestbed.devices.clock import CycleClock
-from hiltestbed.devices.interface import Clock, DeviceError, PlatformClient, SensorClient
-from hiltestbed.devices.timekeeping import RATE_ERROR
+import numpy as np
+from numpy.typing import NDArray
 
+from hiltestbed.devices.interface import SPIN, Client, Clock, DeviceError
+from hiltestbed.devices.timekeeping import RATE_ERROR
+from hiltestbed.errors import InputError
+
+SECOND = 1_000_000_000  # [ns]
 SLACK = 0.5  # periods after the due time at which a missing record counts as a miss
 
 
-class Pace(Protocol):
-    """Waits for the ticks of a loop.
+class CycleClock:
+    """Paces cycles and records their times in preallocated arrays.
+
+    Cycle k is due at ``start + k period`` on the monotonic clock, however long the cycles before it
+    took: there is no drift. The wait sleeps until shortly before that and then spins. Cycles that
+    an overrun has passed completely are skipped and counted, not caught up with.
 
     Attributes:
-        source: what sets the clock, for the results of a run.
+        cycles: number of cycles begun.
+        skipped: number of cycles skipped because those before took too long.
+        due, began, ended: (capacity,) [ns] on the monotonic clock, of each cycle; ``began - due``
+            is its wake-up latency. Only the last ``capacity`` cycles are kept.
     """
+
+    def __init__(self, rate: float, capacity: int, spin: float = SPIN) -> None:
+        """``rate`` [Hz] of the cycles; ``capacity`` of times; ``spin`` [s] of each wait is busy."""
+        if not 0.1 <= rate <= 1e5 or capacity < 1:
+            raise InputError(
+                f"rate: cannot be paced (got {rate:g} Hz for {capacity} cycles); allowed are 0.1 "
+                f"to 1e5 Hz and at least one cycle"
+            )
+        self.period = 1.0 / rate
+        self.cycles = self.skipped = 0
+        times: NDArray[np.int64] = np.zeros((3, capacity), dtype=np.int64)
+        self.due, self.began, self.ended = times
+        self._rate, self._spin = rate, round(spin * SECOND)
+        self._start = self._next = 0
+
+    def start(self) -> None:
+        """Start the clock: the first cycle is due one period from now."""
+        self.cycles = self.skipped = 0
+        self._start = time.monotonic_ns()
+        self._next = 1
+
+    def wait(self) -> int:
+        """Wait for the next cycle; returns the number of cycles skipped before it."""
+        due = self._next_due()
+        now = time.monotonic_ns()
+        left_out = 0
+        if now - due > SECOND / self._rate:
+            left_out = int((now - due) * self._rate / SECOND)
+            self._next += left_out
+            self.skipped += left_out
+            due = self._next_due()
+        asleep = due - now - self._spin
+        if asleep > 0:
+            time.sleep(asleep / SECOND)
+        now = time.monotonic_ns()
+        while now < due:
+            now = time.monotonic_ns()
+        slot = self.cycles % len(self.due)
+        self.due[slot], self.began[slot] = due, now
+        self.cycles += 1
+        self._next += 1
+        return left_out
+
+    def done(self) -> None:
+        """Mark the end of the cycle's work."""
+        self.ended[(self.cycles - 1) % len(self.due)] = time.monotonic_ns()
+
+    def left(self) -> float:
+        """Time until the next cycle is due [s]; negative if it is overdue."""
+        return (self._next_due() - time.monotonic_ns()) / SECOND
+
+    def _next_due(self) -> int:
+        return self._start + round(self._next * SECOND / self._rate)
+
+    def latency(self) -> NDArray[np.float64]:
+        """(cycles,) wake-up latency of each kept cycle [s], in order."""
+        return self._in_order(self.began - self.due)
+
+    def busy(self) -> NDArray[np.float64]:
+        """(cycles,) run time of each kept cycle [s], in order."""
+        return self._in_order(self.ended - self.began)
+
+    def _in_order(self, times: NDArray[np.int64]) -> NDArray[np.float64]:
+        n = len(times)
+        kept = times[: self.cycles] if self.cycles <= n else np.roll(times, -(self.cycles % n))
+        return kept / SECOND
+
+
+class Pace(Protocol):
+    """Waits for the ticks of a loop; ``source`` sets the clock, for the results of a run."""
 
     source: str
 
     def start(self) -> None:
         """Start counting: the next tick is the first."""
-        ...
 
     def wait(self) -> int:
-        """Wait for the next tick; returns the number of ticks that have begun since the last call,
-        at least 1.
-        """
+        """Wait for the next tick; the number that have begun since the last call, at least 1."""
         ...
 
     def told(self) -> float:
-        """Ticks since :meth:`start` by the clock's own count, which is not the loop's where records
-        are missing.
-        """
+        """Ticks since :meth:`start` by the clock's own count, also where records are missing."""
         ...
 
     def advice(self, factor: float) -> str:
@@ -54,7 +130,7 @@ class Pace(Protocol):
 class DevicePace:
     """Ticks that begin with every ``records``-th record of ``link``."""
 
-    def __init__(self, link: SensorClient | PlatformClient, tick: float, records: int) -> None:
+    def __init__(self, link: Client, tick: float, records: int) -> None:
         self.source = link.where
         self._link, self._tick = link, tick
         self._records, self._numbers = records, records * link.step
@@ -142,7 +218,7 @@ class HostPace(AtOnce):
         return "this machine cannot keep the rate; set a lower one, or relieve it of other work"
 
 
-def pace_of(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace:
+def pace_of(sensor: Client, platform: Client, tick: float) -> Pace:
     """The platform sets the clock if its protocol does so; otherwise a streaming sensor; otherwise
     the loop.
 
@@ -157,9 +233,8 @@ def pace_of(sensor: SensorClient, platform: PlatformClient, tick: float) -> Pace
         if abs(records * link.period / tick - 1.0) > RATE_ERROR:
             raise DeviceError(
                 f"{link.where}: sets the clock at {1.0 / link.period:g} Hz, which is not a whole "
-                f"multiple of the scenario's rate of "
-                f"{1.0 / tick:g} Hz; set rate to {1.0 / link.period:g}, or to that divided by a "
-                f"whole number"
+                f"multiple of the scenario's rate of {1.0 / tick:g} Hz; set rate to "
+                f"{1.0 / link.period:g}, or to that divided by a whole number"
             )
         return DevicePace(link, tick, records)
     return HostPace(tick)

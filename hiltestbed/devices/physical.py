@@ -16,19 +16,16 @@ from hiltestbed.scenario import Scenario, load_scenario
 
 
 class SimulatedRig:
-    """The simulated rig, commanded with poses only: if the scenario uses feed-forward, it derives
-    velocity and acceleration from them.
+    """The simulated rig, commanded with poses only: velocity and acceleration, where the scenario
+    feeds them forward, are derived from them.
 
     Attributes:
         period: of a tick [s].
-        pose: (7,) of A in P, reached at t_k. wrench: (6,) that the sensor reads at t_k, in P at P's
-            origin.
+        pose: (7,) of A in P, reached at t_k. wrench: (6,) read by the sensor at t_k, in P at P.
     """
 
     def __init__(self, scenario: Scenario, moving: bool = False) -> None:
-        """``moving``: start with a uniform approach, as a run does; otherwise at rest in the start
-        pose.
-        """
+        """``moving``: start with a uniform approach, as a run does; otherwise at rest."""
         self.scenario, self.period = scenario, scenario.tick
         self._sensor, self._plant, _ = simulated([scenario], 1)
         state = approach_state(scenario)
@@ -45,10 +42,8 @@ class SimulatedRig:
         self._read()
 
     def step(self, pose_cmd: Array) -> None:
-        """Advance by one tick, at whose end ``pose_cmd`` (7,) of A in P is to be reached.
-
-        Raises:
-            HiltestbedError: the rig has diverged.
+        """Advance by one tick, at whose end ``pose_cmd`` (7,) of A in P is to be reached. Raises
+        HiltestbedError if the rig has diverged.
         """
         twist_between(self._before, pose_cmd, self.period, self._slope)
         self._goal[0] = self._before[:] = pose_cmd

@@ -83,9 +83,7 @@ def add_in_base(start: Array, offset: Array) -> Array:
 
 
 def offset_in_tool(start: Array, pose: Array) -> Array:
-    """The offset (7,) from ``start`` to ``pose``, translation and rotation in the axes of
-    ``start``.
-    """
+    """The offset (7,) from ``start`` to ``pose`` in the axes of ``start``."""
     offset = np.empty(7)
     pose_between(start, pose, offset)
     return offset

@@ -14,7 +14,7 @@ a datagram contains several records, and the client uses the last.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -24,7 +24,6 @@ from pydantic_core import PydanticCustomError
 from hiltestbed.config.validation import Positive
 from hiltestbed.devices import rdt_page, sockets
 from hiltestbed.devices.interface import (
-    LONGEST_DRAIN,
     Array,
     DeviceError,
     Event,
@@ -49,19 +48,19 @@ ERROR = 1 << 31  # of the status word: set with any other bit
 TRIES, PATIENCE = 10, 0.1
 
 
-def _force(unit: str) -> str:
-    return _unit(unit, rdt_page.force_factor(unit), rdt_page.FORCE)
-
-
-def _torque(unit: str) -> str:
-    return _unit(unit, rdt_page.torque_factor(unit), rdt_page.TORQUE)
-
-
-def _unit(unit: str, factor: float | None, known: Iterable[str]) -> str:
-    if factor is None:
-        said = {"got": repr(unit), "known": ", ".join(known)}
+def _known(unit: str, factors: Callable[[str], float | None], names: Iterable[str]) -> str:
+    if factors(unit) is None:
+        said = {"got": repr(unit), "known": ", ".join(names)}
         raise PydanticCustomError("unit", "is no unit (got {got}); allowed: {known}", said)
     return unit
+
+
+ForceUnit = Annotated[
+    str, AfterValidator(lambda unit: _known(unit, rdt_page.force_factor, rdt_page.FORCE))
+]
+TorqueUnit = Annotated[
+    str, AfterValidator(lambda unit: _known(unit, rdt_page.torque_factor, rdt_page.TORQUE))
+]
 
 
 class RdtSettings(DeviceSettings):
@@ -76,10 +75,10 @@ class RdtSettings(DeviceSettings):
     counts_per_torque: Positive | None = Field(
         default=None, description="counts per unit of torque"
     )
-    force_unit: Annotated[str, AfterValidator(_force)] = Field(
+    force_unit: ForceUnit = Field(
         default="N", description="unit of force to which counts_per_force refers"
     )
-    torque_unit: Annotated[str, AfterValidator(_torque)] = Field(
+    torque_unit: TorqueUnit = Field(
         "N-m", description="unit of torque to which counts_per_torque refers"
     )
     rate: Positive | None = Field(default=None, description="rate of the records [Hz]")
@@ -110,37 +109,30 @@ class RdtSettings(DeviceSettings):
     @property
     def device_tells_rate(self) -> bool:
         """Whether the configuration page is read, which gives the rate."""
-        return (
-            self.http is not None or self.counts_per_force is None or self.counts_per_torque is None
-        )
+        scales = self.counts_per_force, self.counts_per_torque
+        return self.http is not None or None in scales
 
 
-class RdtClient(SensorClient):
+class RdtClient(sockets.Datagrams, SensorClient):
     """A sensor that streams; it sets the clock."""
+
+    _largest = RECORD.size * MOST_RECORDS
 
     def __init__(self, settings: RdtSettings) -> None:
         super().__init__(settings.where)
         self.settings = settings
-        self.page = rdt_page.Page()
-        self._scale = np.ones(6)
+        self._scale, self._wrench = np.ones(6), np.zeros(6)
         self._internal_period = float("nan")
-        self._buffer = bytearray(RECORD.size * MOST_RECORDS + 1)
-        self._records = [
-            np.frombuffer(self._buffer, ">i4", 6, i * RECORD.size + 12) for i in range(MOST_RECORDS)
-        ]
         self._sequence = Sequence(self.counts)
-        self._wrench = np.zeros(6)
         self._samples = Advancing(self.counts, 32)  # the sensor's own counter
-        self._socket = None
 
     def open(self) -> None:
         settings = self.settings
         address = sockets.resolve(settings.host, settings.port, self.where)
-        self.page = rdt_page.from_options(settings, 1.0, address[0])
-        self._scale[:3] = self.page.force / self.page.counts_per_force
-        self._scale[3:] = self.page.torque / self.page.counts_per_torque
-        self.period = 1.0 / self.page.rate
-        self._internal_period = 1.0 / self.page.internal_rate
+        page = page_of(settings, 1.0, address[0])
+        scale = page.force / page.counts_per_force, page.torque / page.counts_per_torque
+        self._scale[:] = np.repeat(scale, 3)
+        self.period, self._internal_period = 1.0 / page.rate, 1.0 / page.internal_rate
         self._socket = sockets.connected_udp(address, self.where)
         for _ in range(TRIES):
             self._sequence.restart()
@@ -151,59 +143,38 @@ class RdtClient(SensorClient):
                 return
         self.close()
         raise DeviceError(
-            f"{self.where}: no good record in {TRIES * PATIENCE:g} s after {TRIES} requests; "
-            f"check the address, that RDT is enabled on the "
-            "device's communication page, its status word, and that no other client has taken the "
-            "stream"
+            f"{self.where}: no good record in {TRIES * PATIENCE:g} s after {TRIES} requests; check "
+            "the address, that RDT is enabled on the device's communication page, its status "
+            "word, and that no other client has taken the stream"
         )
 
     def close(self) -> None:
         if self._socket is not None:
             self._request(STOP)
-            self._socket.close()
-            self._socket = None
+        super().close()
 
     def bias(self) -> None:
         """Tare the device at its present load (software bias)."""
         self._request(BIAS)
 
-    def fileno(self) -> int:
-        return self._socket.fileno() if self._socket is not None else -1
-
-    def poll(self) -> bool:
-        if self._socket is None:
-            return False
-        new = False
-        for _ in range(LONGEST_DRAIN):
-            try:
-                size = self._socket.recv_into(self._buffer)
-            except BlockingIOError:
-                break
-            except OSError:  # the device's port is closed: each of our datagrams comes back once
-                self.counts[Event.GONE] += 1
-                break
-            new = self._take(size) or new
-        return new
-
-    def _take(self, size: int) -> bool:
-        """Process the datagram of ``size`` bytes in the buffer."""
-        number, rest = divmod(size, RECORD.size)
+    def _take(self, data: bytes, sender: sockets.Address) -> bool:
+        number, rest = divmod(len(data), RECORD.size)
         if rest or not 1 <= number <= (MOST_RECORDS if self.settings.mode == "buffered" else 1):
             self.counts[Event.MALFORMED] += 1
             return False
         new = False
-        for i in range(number):
-            new = self._record(i) or new
+        for start in range(0, len(data), RECORD.size):
+            new = self._record(data, start) or new
         return new
 
-    def _record(self, i: int) -> bool:
-        rdt, sample, status, *_ = RECORD.unpack_from(self._buffer, i * RECORD.size)
+    def _record(self, data: bytes, start: int) -> bool:
+        rdt, sample, status, *_ = RECORD.unpack_from(data, start)
         if not self._sequence.judge(rdt):
             return False
         status = status if status & ~self.settings.ignore_status else 0
         if not status and not self._samples.judge(sample):  # the sensor itself has no new sample
             return False
-        np.multiply(self._records[i], self._scale, out=self._wrench)
+        np.multiply(np.frombuffer(data, ">i4", 6, start + 12), self._scale, out=self._wrench)
         number, time = self._sequence.newest, sample * self._internal_period
         return self.reading.take(self._wrench, self.counts, number, time, status)
 
@@ -216,66 +187,44 @@ class RdtClient(SensorClient):
             self.counts[Event.GONE] += 1
 
 
-class RdtServer(SensorServer):
-    """An emulated sensor: sends a record for each wrench published, once a client has requested
-    them.
-    """
+class RdtServer(sockets.Datagrams, SensorServer):
+    """An emulated sensor: sends a record for each wrench once a client has requested them."""
+
+    _largest = 63  # [byte] far above a request of 8
 
     def __init__(self, settings: RdtSettings) -> None:
         super().__init__(settings.where)
         self.settings = settings
-        self.page = rdt_page.from_options(settings.model_copy(update={"http": None}), 1.0e6, None)
+        self.page = page = page_of(settings, 1.0e6, None)
         self.address: sockets.Address = (settings.host, settings.port)
         self.http: rdt_page.PageServer | None = None
-        self._scale = np.empty(6)
-        self._scale[:3] = self.page.counts_per_force / self.page.force
-        self._scale[3:] = self.page.counts_per_torque / self.page.torque
+        scale = page.counts_per_force / page.force, page.counts_per_torque / page.torque
+        self._scale = np.repeat(scale, 3)
         self._load, self._bias = np.zeros(6), np.zeros(6)
         self._client: sockets.Address | None = None
         self._left = 0  # records still to send; -1: unlimited
         self._number, self._latch, self._per_datagram = 0, 0, 1
         self._pending = bytearray()
-        self._socket = None
 
     def open(self) -> None:
         address = sockets.resolve(self.settings.host, self.settings.port, self.where)
         self._socket = sockets.bound_udp(address, self.where)
         self.address = self._socket.getsockname()
         if self.settings.http is not None:
+            where = (address[0], self.settings.http)
             try:
-                self.http = rdt_page.PageServer(
-                    (address[0], self.settings.http), self.page, self.where
-                )
+                self.http = rdt_page.PageServer(where, self.page, self.where)
             except InputError:
                 self.close()
                 raise
 
     def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        super().close()
         if self.http is not None:
             self.http.close()
             self.http = None
 
-    def fileno(self) -> int:
-        return self._socket.fileno() if self._socket is not None else -1
-
-    def poll(self) -> bool:
-        if self._socket is None:
-            return False
-        new = False
-        for _ in range(LONGEST_DRAIN):
-            try:
-                data, sender = self._socket.recvfrom(64)
-            except BlockingIOError:
-                break
-            except OSError:  # a client that has gone
-                continue
-            new = self._obey(data, sender) or new
-        return new
-
-    def _obey(self, data: bytes, sender: sockets.Address) -> bool:
+    def _take(self, data: bytes, sender: sockets.Address) -> bool:
         header, command, count = REQUEST.unpack(data) if len(data) == REQUEST.size else (0, 0, 0)
         if header != HEADER or command not in (STOP, SINGLE, REALTIME, BUFFERED, RESET_LATCH, BIAS):
             self.counts[Event.MALFORMED] += 1
@@ -302,17 +251,36 @@ class RdtServer(SensorServer):
             return
         self._number = (self._number + 1) & 0xFFFFFFFF
         sample = round(device_time * self.page.internal_rate) & 0xFFFFFFFF
-        counts = np.clip(np.rint((self._load - self._bias) * self._scale), -(2**31), 2**31 - 1)
-        self._pending += RECORD.pack(
-            self._number, sample, status | ERROR if status else 0, *counts.astype(int).tolist()
-        )
+        counts = np.rint((self._load - self._bias) * self._scale)
+        counts = np.clip(counts, -(2**31), 2**31 - 1).astype(int).tolist()
+        word = status | ERROR if status else 0
+        self._pending += RECORD.pack(self._number, sample, word, *counts)
         self._left -= self._left > 0
         if self._left == 0 or len(self._pending) >= self._per_datagram * RECORD.size:
-            try:
-                self._socket.sendto(self._pending, self._client)
-            except OSError:
-                self.counts[Event.GONE] += 1
+            self._send_to(self._pending, self._client)
             self._pending.clear()
+
+
+def page_of(settings: RdtSettings, counts: float, host: str | None) -> rdt_page.Page:
+    """The page from the URL's options, completed from the device at ``host``, or (None) with
+    ``counts`` per unit. Raises DeviceError.
+    """
+    given = {"force": settings.counts_per_force, "torque": settings.counts_per_torque}
+    by_hand = {name for name, scale in given.items() if scale is not None}
+    whole = settings.http is None or (settings.rate and settings.internal_rate)
+    if host is None or (len(by_hand) == 2 and whole):
+        page = rdt_page.Page(counts, counts, settings.force_unit, settings.torque_unit)
+    else:
+        port = settings.http or rdt_page.HTTP_PORT
+        page = rdt_page.fetch(host, port, settings.where, by_hand)
+    return rdt_page.Page(
+        settings.counts_per_force or page.counts_per_force,
+        settings.counts_per_torque or page.counts_per_torque,
+        settings.force_unit if "force" in by_hand else page.force_unit,
+        settings.torque_unit if "torque" in by_hand else page.torque_unit,
+        settings.rate or page.rate,
+        settings.internal_rate or page.internal_rate,
+    )
 
 
 PROTOCOL = Protocol(

@@ -18,15 +18,11 @@ import time
 from collections.abc import Collection
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import TYPE_CHECKING
 
 from hiltestbed.devices import plain_xml
 from hiltestbed.devices.interface import DeviceError
-from hiltestbed.errors import Fault, InputError
+from hiltestbed.devices.url import refused
 from hiltestbed.measured.units import KILOGRAM_FORCE, UNITS
-
-if TYPE_CHECKING:
-    from hiltestbed.devices.rdt import RdtSettings
 
 FORCE = UNITS["N"] | {"klbf": UNITS["N"]["kip"], "gf": 1e-3 * KILOGRAM_FORCE}  # [N]
 # the units of torque that ATI's manual names; any other product of a force and a length is read too
@@ -54,16 +50,14 @@ def force_factor(unit: str) -> float | None:
 
 
 def torque_factor(unit: str) -> float | None:
-    """A unit of torque in N m, a force and a length with any separator (N-m, Nm, N m); None for
-    none.
-    """
+    """A unit of torque in N m, a force and a length (N-m, Nm, N m); None for none."""
     return _TORQUES.get(SEPARATOR.sub("", unit))
 
 
 @dataclass(frozen=True)
 class Page:
-    """Counts per unit of force and torque, these units [N, N m], the rate of records and of the
-    sensor's own samples [Hz].
+    """Counts per unit of force and torque, these units, and the rates [Hz] of the records and of
+    the sensor's own samples.
     """
 
     counts_per_force: float = 1.0e6
@@ -80,29 +74,6 @@ class Page:
     @property
     def torque(self) -> float:
         return torque_factor(self.torque_unit) or math.nan
-
-
-def from_options(settings: RdtSettings, counts: float, host: str | None) -> Page:
-    """The page from the URL's options, completed from the device at ``host``, or (None) with
-    ``counts`` per unit. Raises DeviceError.
-    """
-    by_hand = {
-        name for name in ("force", "torque") if getattr(settings, f"counts_per_{name}") is not None
-    }
-    scaled = len(by_hand) == 2
-    whole = scaled and settings.rate is not None and settings.internal_rate is not None
-    if host is None or whole or (scaled and settings.http is None):
-        page = Page(counts, counts, settings.force_unit, settings.torque_unit)
-    else:
-        page = fetch(host, settings.http or HTTP_PORT, settings.where, by_hand)
-    return Page(
-        settings.counts_per_force or page.counts_per_force,
-        settings.counts_per_torque or page.counts_per_torque,
-        settings.force_unit if "force" in by_hand else page.force_unit,
-        settings.torque_unit if "torque" in by_hand else page.torque_unit,
-        settings.rate or page.rate,
-        settings.internal_rate or page.internal_rate,
-    )
 
 
 def fetch(host: str, port: int, where: str, by_hand: Collection[str] = ()) -> Page:
@@ -197,11 +168,7 @@ def _understand(data: bytes, where: str, hint: str, by_hand: Collection[str]) ->
 
 
 class PageServer:
-    """The page of an emulated sensor, served from a separate thread.
-
-    Attributes:
-        port: at which it is served.
-    """
+    """The page of an emulated sensor, served at ``port`` from a separate thread."""
 
     def __init__(self, address: tuple[str, int], page: Page, where: str) -> None:
         body = _render(page)
@@ -228,12 +195,10 @@ class PageServer:
                 f"TCP {address[0]}:{address[1]} of the configuration page cannot be "
                 f"opened ({error.strerror}); give another http port"
             )
-            raise InputError(Fault(where, None, None, "http", message)) from None
+            raise refused(where, message, "http") from None
         self._server.daemon_threads = True
         self.port = self._server.server_address[1]
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, name="rdt-page", daemon=True
-        )
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()
 
     def close(self) -> None:

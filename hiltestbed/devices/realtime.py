@@ -11,10 +11,12 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 from hiltestbed.errors import InputError
 
@@ -24,6 +26,7 @@ _SET_TIMER_SLACK = 29  # prctl: PR_SET_TIMERSLACK
 _GET_TIMER_SLACK = 30
 _LOCK_ALL = 1 | 2  # mlockall: MCL_CURRENT | MCL_FUTURE
 SWITCH = 1e-4  # [s] after which a waiting thread may take the interpreter lock
+PATIENCE = 20.0  # [s] to wait for another process to start, and to end
 
 
 @dataclass
@@ -64,12 +67,29 @@ def prepared(cpu: int | None = None, priority: int | None = PRIORITY) -> Iterato
 
 
 def ordinary() -> None:
-    """Undo the settings that a child process inherits from a prepared parent: use all processors
-    and ordinary scheduling.
-    """
+    """Undo what a process inherits from a prepared parent: its processor and its scheduling."""
     if sys.platform == "linux":
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def started(module: str, *arguments: object, **options: Any) -> subprocess.Popen[str]:
+    """A process that runs ``module`` of this package, in a session of its own: Ctrl-C in the loop's
+    terminal must reach only the loop. ``options`` of Popen.
+    """
+    command = [sys.executable, "-m", f"hiltestbed.devices.{module}", *map(str, arguments)]
+    return subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, text=True, start_new_session=True, **options
+    )
+
+
+def ended(process: subprocess.Popen[str]) -> int:
+    """The status of a process that is to end by itself; it is killed if it does not."""
+    try:
+        return process.wait(PATIENCE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
 
 
 def _quiet_interpreter(result: Granted, undo: ExitStack) -> None:

@@ -11,7 +11,6 @@ still written.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -22,44 +21,24 @@ from typing import BinaryIO
 
 import numpy as np
 
-from hiltestbed.devices.realtime import ordinary
+from hiltestbed.devices.realtime import ended, ordinary, started
 from hiltestbed.devices.ring import READY, Array, Ring, attached
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.signals import Trace, groups
 
 NAP = 0.005  # [s] between two reads of the ring
-PATIENCE = 20.0  # [s] to wait for the process to start, and to write the remaining rows
 BACKLOG = 4000  # rows by which the recording may lag: two seconds at 2 kHz
 
 
 class Recorder:
-    """The loop's end of the recording.
-
-    Attributes:
-        ring: of the rows; ``ring.dropped`` counts the rows lost because the recording fell behind.
-    """
+    """The loop's end of the recording; ``ring.dropped`` counts the rows that it fell behind by."""
 
     def __init__(self, columns: int, rows: int, path: Path) -> None:
-        """Start the process and wait until it is ready. Raises HiltestbedError if it does not
-        start.
-        """
+        """Start the process; HiltestbedError if it does not start."""
         self.path = path
         self.ring = Ring(columns, rows)
-        command = [
-            sys.executable,
-            "-m",
-            "hiltestbed.devices.recorder",
-            self.ring.name,
-            str(path),
-            str(os.getpid()),
-        ]
-        # Ctrl-C must reach only the loop: its rows still have to be written
-        self._process = subprocess.Popen(
-            command,
-            stdout=subprocess.PIPE,
-            stdin=subprocess.DEVNULL,
-            text=True,
-            start_new_session=True,
+        self._process = started(
+            "recorder", self.ring.name, path, os.getpid(), stdout=subprocess.PIPE
         )
         try:
             line = self._process.stdout.readline() if self._process.stdout else ""
@@ -69,7 +48,7 @@ class Recorder:
             self.ring.close()
             raise
         if line.strip() != READY:
-            self._process.wait(PATIENCE)
+            ended(self._process)
             self.ring.close()
             raise HiltestbedError(
                 f"{path}: the process that records did not start; check that the folder can be "
@@ -81,16 +60,9 @@ class Recorder:
         return self.ring.push(row)
 
     def finish(self) -> Array:
-        """End the recording and return all rows (k, columns), mapped from the file. Raises
-        HiltestbedError if the process has failed.
-        """
+        """End the recording; all rows (k, columns), as mapped from the file, or HiltestbedError."""
         self.ring.finish()
-        columns = self.ring.columns
-        try:
-            status = self._process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            status = self._process.wait()
+        status, columns = ended(self._process), self.ring.columns
         if self._process.stdout:
             self._process.stdout.close()
         self.ring.close()
@@ -145,23 +117,17 @@ def discard(path: Path) -> None:
 
 
 def main() -> int:
-    """Entry point of the process: runs until the ring is finished and empty, or the parent has
-    died.
-    """
-    parser = argparse.ArgumentParser()
-    parser.add_argument("ring")
-    parser.add_argument("path")
-    parser.add_argument("parent", type=int)
-    arguments = parser.parse_args()
+    """Entry point of the process."""
+    name, path, parent = sys.argv[1:]
     ordinary()
     try:
-        file = open(arguments.path, "wb")  # noqa: SIM115 (closed below: the ring is announced in between)
+        file = open(path, "wb")  # noqa: SIM115 (closed below: the ring is announced in between)
     except OSError:
         return 1
-    with file, attached(arguments.ring) as rings:
+    with file, attached(name) as rings:
         if not rings:
             return 1
-        _record(rings[0], file, arguments.parent)
+        _record(rings[0], file, int(parent))
     return 0
 
 

@@ -26,6 +26,16 @@ READY = "ready"  # printed by a process once it has attached
 Array = NDArray[np.float64]
 
 
+def shared(name: str, own: bool = False) -> shared_memory.SharedMemory:
+    """Memory that another process has created, or this one (``own``). Raises OSError."""
+    if sys.version_info >= (3, 13):
+        return shared_memory.SharedMemory(name, track=False)
+    memory = shared_memory.SharedMemory(name)
+    if not own:  # up to Python 3.12 the attaching process, too, would remove it at its exit
+        resource_tracker.unregister(f"/{name}", "shared_memory")
+    return memory
+
+
 class Ring:
     """Rows of ``columns`` numbers.
 
@@ -51,12 +61,7 @@ class Ring:
     def attach(cls, name: str) -> Ring:
         """Attach to a ring that another process has created. Raises FileNotFoundError."""
         ring = cls.__new__(cls)
-        if sys.version_info >= (3, 13):
-            ring._memory = shared_memory.SharedMemory(name, track=False)
-        else:  # up to Python 3.12 the attaching process, too, would remove it at its exit
-            ring._memory = shared_memory.SharedMemory(name)
-            resource_tracker.unregister(f"/{name}", "shared_memory")
-        ring._owner = False
+        ring._memory, ring._owner = shared(name), False
         about = np.ndarray(3, np.int64, ring._memory.buf, 2 * LINE)
         columns, rows = int(about[0]), int(about[1])
         del about
@@ -121,18 +126,14 @@ def attached(*names: str) -> Iterator[list[Ring]]:
     Empty if the parent has died while this process started: its rings, or its end of the pipe, no
     longer exist.
     """
-    rings: list[Ring] = []
-    try:
-        rings += [Ring.attach(name) for name in names]
-        sys.stdout.write(READY + "\n")
-        sys.stdout.flush()
-    except (FileNotFoundError, BrokenPipeError):
-        sys.stdout = None  # closing it at exit would try to write the buffer again
-        gone = True
-    else:
-        gone = False
-    try:
-        yield [] if gone else rings
-    finally:
-        for ring in rings:
-            ring.close()
+    with contextlib.ExitStack() as stack:
+        try:
+            rings = [Ring.attach(name) for name in names]
+            for ring in rings:
+                stack.callback(ring.close)
+            sys.stdout.write(READY + "\n")
+            sys.stdout.flush()
+        except (FileNotFoundError, BrokenPipeError):
+            sys.stdout = None  # closing it at exit would try to write the buffer again
+            rings = []
+        yield rings

@@ -5,8 +5,7 @@ V1), objects ETHERNET and POSCORR; "KUKA.Ethernet RSI XML 1.1" (KST Ethernet RSI
 older controllers. The robot's controller initiates: each cycle (4 ms in IPO_FAST, 12 ms in IPO) it
 sends, to the address in its configuration file,
 
-    <Rob Type="KUKA"><RIst X="" Y="" Z="" A="" B="" C=""/><RSol .../><Delay
-    D=""/><IPOC>123</IPOC></Rob>
+    <Rob Type="KUKA"><RIst X="" Y="" Z="" A="" B="" C=""/> ... <Delay D=""/><IPOC>123</IPOC></Rob>
 
 and expects, before the next cycle and with the same IPOC,
 
@@ -44,10 +43,17 @@ from hiltestbed.devices.interface import (
     Event,
     Keeper,
     PlatformClient,
+    PlatformServer,
     Protocol,
 )
-from hiltestbed.devices.rsi_controller import RsiServer
-from hiltestbed.devices.rsi_telegram import LARGEST, answer, oddity, read_count, read_telegram
+from hiltestbed.devices.rsi_telegram import (
+    LARGEST,
+    answer,
+    frame_element,
+    oddity,
+    read_count,
+    read_telegram,
+)
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
 
@@ -102,7 +108,7 @@ class RsiSettings(DeviceSettings):
     )
 
 
-class RsiClient(PlatformClient):
+class RsiClient(sockets.Datagrams, PlatformClient):
     """Answers the controller's telegrams; the controller sets the clock, and every telegram from
     the first on requires an answer.
 
@@ -111,25 +117,25 @@ class RsiClient(PlatformClient):
         delay: number of late answers that the controller has counted; -1 if it does not report it.
     """
 
+    _largest = LARGEST
+
     def __init__(self, settings: RsiSettings) -> None:
         super().__init__(settings.where)
         self.settings = settings
-        self.period = settings.period_ms * MILLISECOND
-        self.step = settings.period_ms
+        self.period, self.step = settings.period_ms * MILLISECOND, settings.period_ms
         self.clock = Clock.DEVICE
-        self.start: Array = self.state.pose.copy()
         self.delay = -1
-        self._from: Array = self.state.pose.copy()  # reference pose of the next correction
+        self.start: Array = self.state.pose.copy()
+        self._from: Array = self.start.copy()  # reference pose of the next correction
+        self._relative = settings.correction == "relative"
         self._correction: Array = np.zeros(6)
         self._sequence = Sequence(self.counts, bits=64, step=settings.period_ms)
         self._robot: sockets.Address | None = None
         self._only: str | None = None
         self._answered, self._unanswered = True, 0
-        self._offset = (
-            poses.offset_in_base if settings.reference == "base" else poses.offset_in_tool
-        )
+        base = settings.reference == "base"
+        self._offset = poses.offset_in_base if base else poses.offset_in_tool
         self._odd: tuple[bytes, sockets.Address] | None = None  # the last malformed telegram
-        self._socket: socket.socket | None = None
         # compile now, not in the first cycle
         poses.pose_from_kuka(poses.kuka_from_pose(self._offset(self.start, self.start)))
 
@@ -137,9 +143,8 @@ class RsiClient(PlatformClient):
         settings = self.settings
         if settings.robot is not None:
             self._only = sockets.resolve(settings.robot, 0, self.where)[0]
-        self._socket = sockets.bound_udp(
-            sockets.resolve(settings.host, settings.port, self.where), self.where
-        )
+        own = sockets.resolve(settings.host, settings.port, self.where)
+        self._socket = sockets.bound_udp(own, self.where)
         self._robot, self._answered, self._unanswered, self.delay = None, True, 0, -1
         self._odd = None
         self._sequence.restart()
@@ -151,46 +156,21 @@ class RsiClient(PlatformClient):
         self.counts[:] = 0  # telegrams queued before the connection was open do not count
         self.hold()
 
-    def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-    def fileno(self) -> int:
-        return self._socket.fileno() if self._socket is not None else -1
-
-    def poll(self) -> bool:
-        if self._socket is None:
-            return False
-        new = False
-        for _ in range(LONGEST_DRAIN):
-            try:
-                data, sender = self._socket.recvfrom(LARGEST + 1)
-            except BlockingIOError:
-                break
-            except OSError:
-                self.counts[Event.GONE] += 1
-                break
-            new = self._take(data, sender) or new
-        return new
-
     def _silence(self) -> str:
         """Why there was no telegram of a robot."""
-        if self._odd is None:
-            others = int(self.counts[Event.SENDER])
-            seen = f" ({others} datagrams of other senders than robot={self._only})" * (others > 0)
-            return (
-                f"no telegram of a robot in {self.settings.connect:g} s{seen}; check IP_NUMBER and "
-                f"PORT in the controller's configuration file, and that its program has begun the "
-                f"correction"
-            )
-        data, (address, port) = self._odd
-        return f"telegrams arrive from {address}:{port}, but {oddity(data, 'Rob', 'RIst')}"
+        if self._odd is not None:
+            data, (address, port) = self._odd
+            return f"telegrams arrive from {address}:{port}, but {oddity(data, 'Rob', 'RIst')}"
+        others = int(self.counts[Event.SENDER])
+        seen = f" ({others} datagrams of other senders than robot={self._only})" * (others > 0)
+        return (
+            f"no telegram of a robot in {self.settings.connect:g} s{seen}; check IP_NUMBER and "
+            f"PORT in the controller's configuration file, and that its program has begun the "
+            f"correction"
+        )
 
     def _take(self, data: bytes, sender: sockets.Address) -> bool:
-        if (self._only is not None and sender[0] != self._only) or (
-            self._robot is not None and sender != self._robot
-        ):
+        if self._only not in (None, sender[0]) or self._robot not in (None, sender):
             self.counts[Event.SENDER] += 1
             return False
         read = read_telegram(data, "Rob", "RIst")
@@ -212,9 +192,7 @@ class RsiClient(PlatformClient):
         return self.state.take(pose, self.counts, ipoc, ipoc * MILLISECOND)
 
     def _compare(self, delay: int | None) -> None:
-        """Count the answers that the controller reports as late, beyond the telegrams known to be
-        unanswered.
-        """
+        """Count the answers that the controller reports as late, beyond those known to be late."""
         if delay is None:
             return
         if self.delay < 0:  # what was late before this connection
@@ -227,38 +205,117 @@ class RsiClient(PlatformClient):
     def command(self, pose: Array) -> None:
         self._check(pose)
         self._correction[:] = poses.kuka_from_pose(self._offset(self._from, pose))
-        if self.settings.correction == "relative":
+        if self._relative:
             self._from[:] = pose
-        self._send()
+        self._answer()
 
     def hold(self) -> None:
-        if self.settings.correction == "relative":
+        if self._relative:
             self._correction[:] = 0.0
-        self._send()
+        self._answer()
 
     def stop(self) -> None:
         """Stop answering: after its Timeout the controller ends the correction and brakes."""
         self.close()
 
-    def _send(self) -> None:
-        self.held[:6] = self._correction if self.settings.correction == "absolute" else 0.0
+    def _answer(self) -> None:
+        self.held[:6] = 0.0 if self._relative else self._correction
         if self._socket is None or self._robot is None:
             raise DeviceError(f"{self.where}: is not open")
-        if self._answered:  # one answer per telegram
-            return
-        try:
-            self._socket.sendto(
-                answer(
-                    self.settings.sentype,
-                    self._correction,
-                    self.state.sequence,
-                    self.settings.decimals,
-                ),
-                self._robot,
+        if not self._answered:  # one answer per telegram
+            self._send_to(
+                _answer_to(self.state.sequence, self._correction, self.settings), self._robot
             )
-        except OSError:
-            self.counts[Event.GONE] += 1
-        self._answered = True
+            self._answered = True
+
+
+def _answer_to(ipoc: int, correction: Array, settings: RsiSettings) -> bytes:
+    return answer(settings.sentype, correction, ipoc, settings.decimals)
+
+
+class RsiServer(sockets.Datagrams, PlatformServer):
+    """An emulated controller: :meth:`publish` begins a cycle, :meth:`poll` receives its answer
+    until the next cycle.
+
+    Attributes:
+        late: number of late or missing answers.
+    """
+
+    FIRST_IPOC = 1_000_000
+    _largest = LARGEST
+
+    def __init__(self, settings: RsiSettings) -> None:
+        super().__init__(settings.where)
+        self.settings = settings
+        self.period = settings.period_ms * MILLISECOND
+        self.late = 0
+        self._absolute = settings.correction == "absolute"
+        self._towards: sockets.Address = (settings.host, settings.port)
+        self._ipoc = self.FIRST_IPOC
+        self._started, self._answered = False, True
+        self._start: Array = self.command.copy()
+        self._step: Array = self.command.copy()
+        self._add = poses.add_in_base if settings.reference == "base" else poses.add_in_tool
+        # compile now, not in the first cycle
+        poses.pose_from_kuka(poses.kuka_from_pose(self._add(self._start, self._step)))
+
+    def open(self) -> None:
+        self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)
+        self._socket = sockets.sending_udp(self._towards, self.where)
+
+    def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
+        if self._socket is None or self.stopped is not None:
+            return
+        self.poll()
+        if not self._started:
+            self.command[:] = self._start[:] = pose
+            self._started = True
+        elif not self._answered and self.commanded:
+            self._missed()
+        if status:
+            self.stopped = f"the controller reports {status:#x}"
+            return
+        self._ipoc += self.settings.period_ms
+        self._answered = False
+        reached, wanted = (
+            frame_element(name, poses.kuka_from_pose(value), self.settings.decimals)
+            for name, value in (("RIst", pose), ("RSol", self.command))
+        )
+        clock = f'<Delay D="{self.late}"/><IPOC>{self._ipoc}</IPOC>'
+        text = f'<Rob Type="KUKA">{reached}{wanted}{clock}</Rob>'
+        self._send_to(text.encode("ascii"), self._towards)
+
+    def _missed(self) -> None:
+        """Handle a cycle without an answer."""
+        self.late += 1
+        self.counts[Event.LATE] += 1
+        if self.settings.hold and not self._absolute:
+            self.command[:] = self._add(self.command, self._step)
+        elif self._absolute and not self.settings.hold:
+            self.command[:] = self._start
+        if self.late > self.settings.late_limit:
+            self.stopped = (
+                f"{self.late} answers came late or not at all (Timeout "
+                f"{self.settings.late_limit}); the controller ends the correction"
+            )
+
+    def _take(self, data: bytes, sender: sockets.Address) -> bool:
+        if sender != self._towards:
+            self.counts[Event.SENDER] += 1
+            return False
+        read = read_telegram(data, "Sen", "RKorr")
+        if read is None or read[2] > self._ipoc:
+            self.counts[Event.MALFORMED] += 1
+            return False
+        _, frame, ipoc = read
+        if ipoc < self._ipoc or self._answered:
+            self.counts[Event.REORDERED if ipoc < self._ipoc else Event.REPEATED] += 1
+            return False
+        self.counts[Event.RECEIVED] += 1
+        self._answered = self.commanded = True
+        self._step[:] = poses.pose_from_kuka(frame)
+        self.command[:] = self._add(self._start if self._absolute else self.command, self._step)
+        return True
 
 
 class RsiKeeper(Keeper):
@@ -267,7 +324,7 @@ class RsiKeeper(Keeper):
     def __init__(self, settings: RsiSettings, fileno: int) -> None:
         super().__init__(settings, fileno)
         self._settings = settings
-        self._socket = sockets.adopted(fileno)
+        self._socket = socket.socket(fileno=fileno)
 
     def hold(self, held: Array) -> None:
         if not sockets.readable(self._socket, self._settings.period_ms * MILLISECOND):
@@ -282,10 +339,7 @@ class RsiKeeper(Keeper):
             if read is not None:
                 newest = max(newest or (-1, sender), (read[2], sender))
         if newest is not None and math.isfinite(float(held.sum())):
-            self._socket.sendto(
-                answer(self._settings.sentype, held[:6], newest[0], self._settings.decimals),
-                newest[1],
-            )
+            self._socket.sendto(_answer_to(newest[0], held[:6], self._settings), newest[1])
 
     def stop(self, held: Array) -> None:
         """Send nothing: after its Timeout the controller ends the correction."""

@@ -1,7 +1,5 @@
 """The telegrams of KUKA's RobotSensorInterface: a frame as six attributes, and the controller's
-clock.
-
-Sources: :mod:`hiltestbed.devices.rsi`.
+clock. Sources: :mod:`hiltestbed.devices.rsi`.
 """
 
 from __future__ import annotations
@@ -17,16 +15,10 @@ FARTHEST, LARGEST_ANGLE = 1.0e6, 1.0e3  # [mm], [deg] largest plausible values i
 LONGEST_IPOC = 18  # digits
 
 
-def number(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}"
-
-
 def frame_element(name: str, frame: Array, decimals: int) -> str:
     """``<name X="" ... C=""/>``."""
-    inside = " ".join(
-        f'{axis}="{number(value, decimals)}"'
-        for axis, value in zip(AXES, frame.tolist(), strict=True)
-    )
+    values = zip(AXES, frame.tolist(), strict=True)
+    inside = " ".join(f'{axis}="{value:.{decimals}f}"' for axis, value in values)
     return f"<{name} {inside}/>"
 
 
@@ -38,20 +30,12 @@ def answer(sentype: str, correction: Array, ipoc: int, decimals: int) -> bytes:
 
 def read_frame(message: plain_xml.Message, name: str) -> Array | None:
     """The six numbers of an element; None if they are not six plausible numbers."""
-    attributes = message.attributes.get(name)
-    if attributes is None:
-        return None
     try:
-        frame = np.array([float(attributes[axis]) for axis in AXES])
+        frame = np.array([float(message.attributes[name][axis]) for axis in AXES])
     except (KeyError, ValueError):
         return None
-    limits = (FARTHEST,) * 3 + (LARGEST_ANGLE,) * 3
-    # NaN fails too
-    return (
-        frame
-        if all(abs(value) <= limit for value, limit in zip(frame.tolist(), limits, strict=True))
-        else None
-    )
+    plausible = np.abs(frame) <= np.repeat([FARTHEST, LARGEST_ANGLE], 3)  # false for NaN as well
+    return frame if plausible.all() else None
 
 
 def read_count(text: str | None) -> int | None:
@@ -61,9 +45,7 @@ def read_count(text: str | None) -> int | None:
 
 
 def oddity(data: bytes, root: str, element: str) -> str:
-    """Why :func:`read_telegram` does not take a telegram, and what to set in the controller's
-    configuration file.
-    """
+    """Why :func:`read_telegram` does not take a telegram, and what to do about it."""
     try:
         message = plain_xml.read(data, LARGEST)
     except plain_xml.NotPlain:

@@ -25,57 +25,37 @@ implemented here.
 from __future__ import annotations
 
 import math
+import socket
 import struct
 import time
-from collections.abc import Callable
-from typing import ClassVar, Literal
+from abc import abstractmethod
+from collections.abc import Sequence as Values
+from contextlib import suppress
+from typing import NoReturn
 
 import numpy as np
-from pydantic import Field
 
-from hiltestbed.config.validation import Positive
 from hiltestbed.devices import poses, rtde_wire, sockets
 from hiltestbed.devices.interface import (
     Array,
+    Client,
     Clock,
     DeviceError,
     Event,
     Keeper,
     PlatformClient,
     Protocol,
-    Sample,
     SensorClient,
 )
 from hiltestbed.devices.rtde_controller import RtdePlatformServer, RtdeSensorServer
+from hiltestbed.devices.rtde_wire import RtdeSettings, register_names
 from hiltestbed.devices.sequence import Sequence
-from hiltestbed.devices.url import DeviceSettings
 
 # safety_status_bits: normal or reduced mode; a stop, violation or fault of any kind
 SAFETY_GOOD, SAFETY_STOPPED = 0b11, 0x7FC
 PROGRAM_RUNNING = 0b10  # of robot_status_bits
 NO_SAFE_MODE, NO_PROGRAM = 1 << 30, 1 << 31  # bits of the status word defined here
 STOPPED = -1  # in the counter of commands
-
-
-class RtdeSettings(DeviceSettings):
-    """Options of ``rtde://``."""
-
-    default_port: ClassVar[int] = 30004
-
-    kind: Literal["rtde"] = "rtde"
-    rate: Positive = Field(default=500.0, le=500, description="rate of the data packages [Hz]")
-    wrench: Literal["actual_TCP_force", "ft_raw_wrench"] = Field(
-        default="actual_TCP_force", description="field that a sensor reads"
-    )
-    first_register: int = Field(
-        default=24, ge=0, le=42, description="first input register of the commanded pose"
-    )
-    need_program: bool = Field(
-        default=True, description="whether a robot without a running program is an error"
-    )
-    connect: Positive = Field(
-        default=2.0, description="time to wait for each answer while connecting [s]"
-    )
 
 
 def status_of(safety: int, robot: int | None) -> int:
@@ -90,68 +70,55 @@ def status_of(safety: int, robot: int | None) -> int:
     return status
 
 
-class _Session:
+class _RtdeClient(Client):
     """The set-up of a connection and its data packages, for either client."""
 
-    def __init__(
-        self,
-        settings: RtdeSettings,
-        counts,
-        outputs: list[str],
-        inputs: list[str],
-        take: Callable[[tuple], bool],
+    def _prepare(
+        self, settings: RtdeSettings, outputs: list[str], inputs: Values[str] = ()
     ) -> None:
-        """``take`` is called with the values of each good new data package, without the recipe's
-        number.
-        """
-        self.settings, self.counts, self.take = settings, counts, take
-        self.outputs, self.inputs = outputs, inputs
-        self.stream: rtde_wire.Stream | None = None
-        self.said = ""
-        self._layout = struct.Struct(">B")
-        self._input_layout = struct.Struct(">B")
+        """``outputs``, the time stamp first, are received, ``inputs`` sent."""
+        self.settings = settings
+        self.period = 1.0 / settings.rate
+        self._outputs, self._inputs = outputs, inputs
+        self._stream: rtde_wire.Stream | None = None
+        self._said = ""
+        self._layout = self._input_layout = struct.Struct(">B")
         self._output_id = self._input_id = 0
         self._first_time = math.nan
-        self._sequence = Sequence(counts, bits=62)
+        self._sequence = Sequence(self.counts, bits=62)
 
     def open(self) -> None:
         settings = self.settings
-        address = sockets.resolve(settings.host, settings.port, settings.where)
-        self.stream = rtde_wire.Stream(
-            sockets.connected_tcp(address, settings.where, settings.connect)
-        )
+        address = sockets.resolve(settings.host, settings.port, self.where)
+        connection = sockets.connected_tcp(address, self.where, settings.connect)
+        self._stream = rtde_wire.Stream(connection)
         self._first_time = math.nan
         self._sequence.restart()
-        self._accepted(
-            rtde_wire.REQUEST_PROTOCOL_VERSION,
-            struct.pack(">H", rtde_wire.PROTOCOL_VERSION),
-            "protocol version 2",
-        )
-        names = ",".join(self.outputs).encode()
+        version = struct.pack(">H", rtde_wire.PROTOCOL_VERSION)
+        self._accepted(rtde_wire.REQUEST_PROTOCOL_VERSION, version, "protocol version 2")
         self._output_id, self._layout = self._recipe(
-            rtde_wire.SETUP_OUTPUTS, struct.pack(">d", settings.rate) + names, self.outputs
+            rtde_wire.SETUP_OUTPUTS, struct.pack(">d", settings.rate), self._outputs
         )
-        if self.inputs:
+        if self._inputs:
             self._input_id, self._input_layout = self._recipe(
-                rtde_wire.SETUP_INPUTS, ",".join(self.inputs).encode(), self.inputs
+                rtde_wire.SETUP_INPUTS, b"", self._inputs
             )
         self._accepted(rtde_wire.START, b"", "the start of the exchange")
 
     def close(self) -> None:
-        if self.stream is not None:
-            self.stream.connection.close()
-            self.stream = None
+        if self._stream is not None:
+            self._stream.connection.close()
+            self._stream = None
 
     def fileno(self) -> int:
-        return self.stream.connection.fileno() if self.stream is not None else -1
+        return self._stream.connection.fileno() if self._stream is not None else -1
 
     def poll(self) -> bool:
-        """Process what has arrived; True if a new data package was accepted."""
         new = False
-        if self.stream is None:
+        if self._stream is None:
             return False
         try:
-            for kind, payload in self.stream.receive():
+            for kind, payload in self._stream.receive():
                 new = self._data(kind, payload) or new
         except rtde_wire.Broken:
             self.counts[Event.MALFORMED] += 1
@@ -160,13 +127,13 @@ class _Session:
             self._lose()
         return new
 
-    def send(self, values: list[float | int]) -> None:
-        if self.stream is None:
+    def _write(self, values: Values[float | int]) -> None:
+        """Send the inputs."""
+        if self._stream is None:
             return
+        payload = self._input_layout.pack(self._input_id, *values)
         try:
-            self.stream.send(
-                rtde_wire.DATA_PACKAGE, self._input_layout.pack(self._input_id, *values)
-            )
+            self._stream.send(rtde_wire.DATA_PACKAGE, payload)
         except OSError:
             self._lose()
 
@@ -176,8 +143,7 @@ class _Session:
 
     def _data(self, kind: int, payload: bytes) -> bool:
         if kind == rtde_wire.TEXT_MESSAGE:
-            self.said = rtde_wire.text_of(payload)
-            return False
+            self._said = rtde_wire.text_of(payload)
         if kind != rtde_wire.DATA_PACKAGE:
             return False
         fits = len(payload) == self._layout.size and payload[0] == self._output_id
@@ -192,16 +158,20 @@ class _Session:
         if elapsed < 0:
             self.counts[Event.REORDERED] += 1
             return False
-        return self._sequence.judge(elapsed) and self.take(values)
+        if not self._sequence.judge(elapsed):
+            return False
+        number = self._sequence.newest
+        taken, status = self._understood(np.array(values[1:7]), *values[7:])
+        return self.sample.take(taken, self.counts, number, values[0], status)
 
-    def note(self, sample: Sample, values: Array, device_time: float, status: int) -> bool:
-        """Take a package into ``sample``."""
-        return sample.take(values, self.counts, self._sequence.newest, device_time, status)
+    @abstractmethod
+    def _understood(self, values: Array, safety: int, *robot: int) -> tuple[Array, int]:
+        """What a package says in SI, from its vector (6,), and the status from its bits."""
 
     def _ask(self, kind: int, payload: bytes, what: str) -> bytes:
-        where, stream = self.settings.where, self.stream
+        stream = self._stream
         if stream is None:
-            raise DeviceError(f"{where}: is not open")
+            raise DeviceError(f"{self.where}: is not open")
         until = time.monotonic() + self.settings.connect
         try:
             stream.send(kind, payload)
@@ -211,129 +181,77 @@ class _Session:
                     if answered == kind:
                         return answer
                     if answered == rtde_wire.TEXT_MESSAGE:
-                        self.said = rtde_wire.text_of(answer)
+                        self._said = rtde_wire.text_of(answer)
         except (OSError, rtde_wire.Broken) as error:
-            self.close()
-            raise DeviceError(
-                f"{where}: the connection broke at {what} ({error or 'not RTDE'}); check the "
-                f"address and port"
-            ) from None
-        self.close()
-        raise DeviceError(
-            f"{where}: no answer to {what} in {self.settings.connect:g} s; check that this is an "
-            f"RTDE interface"
+            reason = str(error) or "not RTDE"
+            self._refuse(f"the connection broke at {what} ({reason}); check the address and port")
+        self._refuse(
+            f"no answer to {what} in {self.settings.connect:g} s; check that this is an RTDE "
+            f"interface"
         )
+
+    def _refuse(self, reason: str) -> NoReturn:
+        self.close()
+        raise DeviceError(f"{self.where}: {reason}") from None
 
     def _accepted(self, kind: int, payload: bytes, what: str) -> None:
         if self._ask(kind, payload, what)[:1] != b"\x01":
-            self.close()
-            raise DeviceError(
-                f"{self.settings.where}: the controller refuses {what} {self.said}".rstrip()
-                + "; check its software version"
-            )
+            said = f"the controller refuses {what} {self._said}".rstrip()
+            self._refuse(f"{said}; check its software version")
 
-    def _recipe(self, kind: int, payload: bytes, names: list[str]) -> tuple[int, struct.Struct]:
-        answer = self._ask(kind, payload, "the set-up of its fields")
+    def _recipe(self, kind: int, head: bytes, names: Values[str]) -> tuple[int, struct.Struct]:
+        answer = self._ask(kind, head + ",".join(names).encode(), "the set-up of its fields")
         types = answer[1:].decode("ascii", "replace").split(",")
-        wrong = [
-            f"{name}: {kind}"
-            for name, kind in zip(names, types, strict=False)
-            if kind not in rtde_wire.TYPES
-        ]
+        given = zip(names, types, strict=False)
+        wrong = [f"{name}: {kind}" for name, kind in given if kind not in rtde_wire.TYPES]
         if wrong or len(types) != len(names):
-            self.close()
-            hint = (
-                f"{rtde_wire.NOT_FOUND}: an older controller; {rtde_wire.IN_USE}: "
-                f"another client has it, give another register"
-            )
-            raise DeviceError(
-                f"{self.settings.where}: the controller does not give {', '.join(wrong) or names} "
-                f"({hint})"
+            self._refuse(
+                f"the controller does not give {', '.join(wrong) or names} "
+                f"({rtde_wire.NOT_FOUND}: an older controller; {rtde_wire.IN_USE}: another client "
+                f"has it, give another register)"
             )
         return answer[0], rtde_wire.recipe(types)
 
 
-class RtdeSensorClient(SensorClient):
+class RtdeSensorClient(_RtdeClient, SensorClient):
     """A sensor that reads the force reported by a robot's controller."""
 
     def __init__(self, settings: RtdeSettings) -> None:
         super().__init__(settings.where)
-        self.period = 1.0 / settings.rate
-        self._session = _Session(
-            settings,
-            self.counts,
-            ["timestamp", settings.wrench, "safety_status_bits"],
-            [],
-            self._take,
-        )
+        self._prepare(settings, ["timestamp", settings.wrench, "safety_status_bits"])
 
-    def open(self) -> None:
-        self._session.open()
-
-    def close(self) -> None:
-        self._session.close()
-
-    def fileno(self) -> int:
-        return self._session.fileno()
-
-    def poll(self) -> bool:
-        return self._session.poll()
-
-    def _take(self, values: tuple) -> bool:
-        wrench = np.array(values[1:7])
-        return self._session.note(self.reading, wrench, values[0], status_of(values[7], None))
+    def _understood(self, values: Array, safety: int, *robot: int) -> tuple[Array, int]:
+        return values, status_of(safety, None)
 
 
-def register_names(first: int) -> list[str]:
-    """The input registers of a commanded pose: six doubles and the counter."""
-    return [f"input_double_register_{first + i}" for i in range(6)] + [
-        f"input_int_register_{first}"
-    ]
-
-
-class RtdePlatformClient(PlatformClient):
+class RtdePlatformClient(_RtdeClient, PlatformClient):
     """A robot that follows the pose in its input registers."""
 
     def __init__(self, settings: RtdeSettings) -> None:
         super().__init__(settings.where)
-        self.settings = settings
         self.clock = Clock.DEVICE
-        self.period = 1.0 / settings.rate
         outputs = ["timestamp", "actual_TCP_pose", "safety_status_bits", "robot_status_bits"]
-        self._session = _Session(
-            settings, self.counts, outputs, register_names(settings.first_register), self._take
-        )
+        self._prepare(settings, outputs, register_names(settings.first_register))
         self._registers: list[float | int] = [0.0] * 6 + [0]
         self._sent = 0
         # compile now, not in the first cycle
         poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.state.pose))
 
     def open(self) -> None:
-        self._session.open()
+        super().open()
         if not self.wait(self.settings.connect):
             seen = f"; its status is {self.state.status:#x}" if self.state.status else ""
-            self.close()
-            raise DeviceError(
-                f"{self.where}: no pose in {self.settings.connect:g} s{seen}; check the robot's "
-                f"mode, and start its program"
+            self._refuse(
+                f"no pose in {self.settings.connect:g} s{seen}; check the robot's mode, and start "
+                f"its program"
             )
         self._sent = 0
         self._registers[:6] = poses.rotation_vector_from_pose(self.state.pose).tolist()
         self.hold()
 
-    def close(self) -> None:
-        self._session.close()
-
-    def fileno(self) -> int:
-        return self._session.fileno()
-
-    def poll(self) -> bool:
-        return self._session.poll()
-
-    def _take(self, values: tuple) -> bool:
-        robot = values[8] if self.settings.need_program else None
-        pose = poses.pose_from_rotation_vector(np.array(values[1:7]))
-        return self._session.note(self.state, pose, values[0], status_of(values[7], robot))
+    def _understood(self, values: Array, safety: int, *robot: int) -> tuple[Array, int]:
+        running = robot[0] if self.settings.need_program else None
+        return poses.pose_from_rotation_vector(values), status_of(safety, running)
 
     def command(self, pose: Array) -> None:
         self._check(pose)
@@ -344,32 +262,28 @@ class RtdePlatformClient(PlatformClient):
         self._sent = (self._sent + 1) & 0x7FFFFFFF
         self._registers[6] = self._sent
         self.held[:7] = self._registers
-        self._session.send(self._registers)
+        self._write(self._registers)
 
     def stop(self) -> None:
         self._registers[6] = STOPPED
-        self._session.send(self._registers)
+        self._write(self._registers)
 
 
 class RtdeKeeper(Keeper):
     """Pauses the exchange on the loop's connection: the controller's own watchdog of its registers
     then stops the robot.
-
-    To hold, nothing is needed: the registers keep their last values.
     """
 
     def __init__(self, settings: RtdeSettings, fileno: int) -> None:
         super().__init__(settings, fileno)
-        self._stream = rtde_wire.Stream(sockets.adopted(fileno))
+        self._stream = rtde_wire.Stream(socket.socket(fileno=fileno))
 
     def hold(self, held: Array) -> None:
         """Send nothing: an input register keeps its value."""
 
     def stop(self, held: Array) -> None:
-        try:
+        with suppress(OSError):
             self._stream.send(rtde_wire.PAUSE)
-        except OSError:
-            return
 
 
 PROTOCOL = Protocol(

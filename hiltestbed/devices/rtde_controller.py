@@ -1,7 +1,6 @@
 """The controller's side of Real-Time Data Exchange, for an emulated robot.
 
-It answers the set-up requests of :mod:`hiltestbed.devices.rtde` and other clients, and has the
-fields that a contact experiment needs:
+It answers the set-up requests of any client, and has the fields that a contact experiment needs:
 others are NOT_FOUND. Framing and sources: :mod:`hiltestbed.devices.rtde_wire`.
 """
 
@@ -13,15 +12,12 @@ import socket
 import struct
 import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiltestbed.devices import poses, rtde_wire, sockets
-from hiltestbed.devices.interface import Array, Event, PlatformServer, SensorServer
-
-if TYPE_CHECKING:
-    from hiltestbed.devices.rtde import RtdeSettings
+from hiltestbed.devices.interface import Array, Event, Link, PlatformServer, SensorServer
+from hiltestbed.devices.rtde_wire import RtdeSettings, register_names
 
 OUTPUTS = {
     "timestamp": "DOUBLE",
@@ -54,19 +50,18 @@ class _Client:
     started: bool = False
 
 
-class Controller:
+class _Controller(Link):
     """Listens, sets up clients, sends them outputs and receives their inputs.
 
     Attributes:
-        fields: the outputs by name.
-        registers: the received inputs, by name.
+        fields: the outputs by name. registers: the received inputs by name.
     """
 
-    def __init__(self, settings: RtdeSettings, counts) -> None:
-        self.settings, self.counts = settings, counts
-        self.fields: dict[str, list[float]] = {
-            name: [0.0] * 6 for name, kind in OUTPUTS.items() if kind == "VECTOR6D"
-        }
+    def _prepare(self, settings: RtdeSettings) -> None:
+        self.settings = settings
+        self.period = 1.0 / settings.rate
+        vectors = [name for name, kind in OUTPUTS.items() if kind == "VECTOR6D"]
+        self.fields: dict[str, list[float]] = {name: [0.0] * 6 for name in vectors}
         self.fields |= {name: [value] for name, value in RUNNING.items()}
         self.registers: dict[str, float | int] = {}
         self.address: sockets.Address = (settings.host, settings.port)
@@ -75,8 +70,9 @@ class Controller:
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
-        address = sockets.resolve(self.settings.host, self.settings.port, self.settings.where)
-        self._socket = sockets.listening_tcp(address, self.settings.where)
+        address = sockets.resolve(self.settings.host, self.settings.port, self.where)
+        self._socket = sockets.bound(socket.SOCK_STREAM, address, self.where)
+        self._socket.listen(4)
         self.address = self._socket.getsockname()
 
     def close(self) -> None:
@@ -90,35 +86,33 @@ class Controller:
         """Serve all clients; True if new inputs have arrived."""
         if self._socket is None:
             return False
-        self._accept()
+        self._accept(self._socket)
         new = False
         for client in self._clients[:]:
             try:
                 for kind, payload in client.stream.receive():
                     new = self._serve(client, kind, payload) or new
             except (OSError, rtde_wire.Broken) as error:
-                self.counts[
-                    Event.MALFORMED if isinstance(error, rtde_wire.Broken) else Event.GONE
-                ] += 1
+                broken = isinstance(error, rtde_wire.Broken)
+                self.counts[Event.MALFORMED if broken else Event.GONE] += 1
                 self._drop(client)
         return new
 
-    def arrived(self, timeout: float) -> bool:
+    def _arrived(self, timeout: float) -> bool:
         """Wait until a client sends something, for at most ``timeout`` [s]."""
         heard = [client.stream.connection for client in self._clients]
         return self._socket is not None and bool(
             select.select([self._socket, *heard], [], [], timeout)[0]
         )
 
-    def publish(self, device_time: float) -> None:
+    def _send(self, device_time: float, status: int) -> None:
         """Send the fields to each client that has started, at the rate that it requested."""
         self.fields["timestamp"] = [device_time]
+        self.fields["safety_status_bits"] = [status or RUNNING["safety_status_bits"]]
+        self.poll()
         for client in self._clients[:]:
-            if (
-                not client.started
-                or client.layout is None
-                or device_time < client.due - 0.25 / client.frequency
-            ):
+            early = device_time < client.due - 0.25 / client.frequency
+            if early or not client.started or client.layout is None:
                 continue
             client.due = max(client.due, device_time) + 1.0 / client.frequency
             values = [value for name in client.outputs for value in self.fields[name]]
@@ -128,9 +122,9 @@ class Controller:
                 self.counts[Event.GONE] += 1
                 self._drop(client)
 
-    def _accept(self) -> None:
+    def _accept(self, listening: socket.socket) -> None:
         try:
-            connection, _ = self._socket.accept()  # type: ignore[union-attr]
+            connection, _ = listening.accept()
         except OSError:
             return
         if len(self._clients) >= MOST_CLIENTS:
@@ -142,9 +136,8 @@ class Controller:
     def _drop(self, client: _Client) -> None:
         client.stream.connection.close()
         self._clients.remove(client)
-        self._claimed = {
-            name: owner for name, owner in self._claimed.items() if owner is not client
-        }
+        claims = self._claimed.items()
+        self._claimed = {name: owner for name, owner in claims if owner is not client}
 
     def _serve(self, client: _Client, kind: int, payload: bytes) -> bool:
         if kind == rtde_wire.DATA_PACKAGE:
@@ -177,11 +170,8 @@ class Controller:
         types = [OUTPUTS.get(name, rtde_wire.NOT_FOUND) for name in names]
         found = rtde_wire.NOT_FOUND not in types and 0.0 < frequency <= 500.0
         if found:
-            client.outputs, client.layout, client.frequency = (
-                names,
-                rtde_wire.recipe(types),
-                frequency,
-            )
+            client.outputs, client.frequency = names, frequency
+            client.layout = rtde_wire.recipe(types)
         return bytes([found]) + ",".join(types).encode()
 
     def _set_inputs(self, client: _Client, payload: bytes) -> bytes:
@@ -200,12 +190,10 @@ class Controller:
         return bytes([number]) + ",".join(types).encode()
 
     def _inputs(self, client: _Client, payload: bytes) -> bool:
-        known = client.inputs.get(payload[0] if payload else 0)
-        if not client.started or known is None or len(payload) != known[1].size:
-            self.counts[Event.MALFORMED] += 1
-            return False
-        values = known[1].unpack(payload)[1:]
-        if not all(map(math.isfinite, values)):
+        known, values = client.inputs.get(payload[0] if payload else 0), (math.nan,)
+        if client.started and known is not None and len(payload) == known[1].size:
+            values = known[1].unpack(payload)[1:]
+        if known is None or not all(map(math.isfinite, values)):
             self.counts[Event.MALFORMED] += 1
             return False
         self.counts[Event.RECEIVED] += 1
@@ -219,79 +207,51 @@ def _names(payload: bytes) -> list[str]:
     return payload.decode("ascii", "replace").split(",")
 
 
-class RtdeSensorServer(SensorServer):
+class RtdeSensorServer(_Controller, SensorServer):
     """An emulated controller that reports a force."""
 
     def __init__(self, settings: RtdeSettings) -> None:
         super().__init__(settings.where)
-        self.period = 1.0 / settings.rate
-        self.controller = Controller(settings, self.counts)
-
-    def open(self) -> None:
-        self.controller.open()
-
-    def close(self) -> None:
-        self.controller.close()
-
-    def poll(self) -> bool:
-        return self.controller.poll()
+        self._prepare(settings)
 
     def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
-        fields = self.controller.fields
-        fields["actual_TCP_force"] = fields["ft_raw_wrench"] = wrench.tolist()
-        fields["safety_status_bits"] = [status or RUNNING["safety_status_bits"]]
-        self.controller.poll()
-        self.controller.publish(device_time)
+        self.fields["actual_TCP_force"] = self.fields["ft_raw_wrench"] = wrench.tolist()
+        self._send(device_time, status)
 
 
-class RtdePlatformServer(PlatformServer):
+class RtdePlatformServer(_Controller, PlatformServer):
     """An emulated robot whose program follows the registers."""
 
     def __init__(self, settings: RtdeSettings) -> None:
         super().__init__(settings.where)
-        self.period = 1.0 / settings.rate
-        self.controller = Controller(settings, self.counts)
-        self._names = [f"input_double_register_{settings.first_register + i}" for i in range(6)]
-        self._counter = f"input_int_register_{settings.first_register}"
+        self._prepare(settings)
+        self._names = register_names(settings.first_register)
         self._started = False
         # compile now, not in the first cycle
         poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.command))
 
-    def open(self) -> None:
-        self.controller.open()
-
-    def close(self) -> None:
-        self.controller.close()
-
     def poll(self) -> bool:
-        registers = self.controller.registers
-        if not self.controller.poll() or any(
-            name not in registers for name in (*self._names, self._counter)
-        ):
+        if not super().poll() or any(name not in self.registers for name in self._names):
             return False
-        if registers[self._counter] < 0:
+        *frame, counter = (self.registers[name] for name in self._names)
+        if counter < 0:
             self.stopped = "the client asked for a stop"
+        if self.stopped is not None:
             return False
-        if self.stopped is None:
-            frame = np.array([registers[name] for name in self._names])
-            return self._obey(poses.pose_from_rotation_vector(frame))
-        return False
+        return self._obey(poses.pose_from_rotation_vector(np.array(frame)))
 
     def wait(self, timeout: float, expected: float = math.inf) -> bool:
         until = time.monotonic() + timeout
         while not self.poll():
             left = until - time.monotonic()
-            if left <= 0.0 or not self.controller.arrived(left):
+            if left <= 0.0 or not self._arrived(left):
                 return False
         return True
 
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        fields = self.controller.fields
         if not self._started:
             self.command[:] = pose
             self._started = True
-        fields["actual_TCP_pose"] = poses.rotation_vector_from_pose(pose).tolist()
-        fields["target_TCP_pose"] = poses.rotation_vector_from_pose(self.command).tolist()
-        fields["safety_status_bits"] = [status or RUNNING["safety_status_bits"]]
-        self.poll()
-        self.controller.publish(device_time)
+        for name, value in (("actual_TCP_pose", pose), ("target_TCP_pose", self.command)):
+            self.fields[name] = poses.rotation_vector_from_pose(value).tolist()
+        self._send(device_time, status)

@@ -1,5 +1,5 @@
-"""The packages of Universal Robots' Real-Time Data Exchange, protocol version 2, and a connection
-that carries them.
+"""The packages of Universal Robots' Real-Time Data Exchange, protocol version 2, a connection that
+carries them, and the settings of both of its sides.
 
 Universal Robots, "Real-Time Data Exchange (RTDE) Guide", sections "Protocol" and "Data types": a
 package is its size (two bytes, this header included), its type (one byte, an ASCII letter) and a
@@ -13,16 +13,17 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Iterator
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from hiltestbed.config.validation import Positive
+from hiltestbed.devices.url import DeviceSettings
 
 HEADER = struct.Struct(">HB")
 PROTOCOL_VERSION = 2
-REQUEST_PROTOCOL_VERSION, GET_CONTROLLER_VERSION, TEXT_MESSAGE, DATA_PACKAGE = (
-    ord("V"),
-    ord("v"),
-    ord("M"),
-    ord("U"),
-)
-SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE = ord("O"), ord("I"), ord("S"), ord("P")
+REQUEST_PROTOCOL_VERSION, GET_CONTROLLER_VERSION, TEXT_MESSAGE, DATA_PACKAGE = b"VvMU"
+SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE = b"OISP"
 NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"
 TYPES = {
     "BOOL": "?",
@@ -40,10 +41,29 @@ LONGEST_NAMES = 2048  # [byte] of the list of fields of a recipe
 AT_ONCE = 65536  # [byte] read from a connection at a time
 
 
+class RtdeSettings(DeviceSettings):
+    """Options of ``rtde://``."""
+
+    default_port: ClassVar[int] = 30004
+
+    kind: Literal["rtde"] = "rtde"
+    rate: Positive = Field(default=500.0, le=500, description="rate of the data packages [Hz]")
+    wrench: Literal["actual_TCP_force", "ft_raw_wrench"] = Field(
+        default="actual_TCP_force", description="field that a sensor reads"
+    )
+    first_register: int = Field(
+        default=24, ge=0, le=42, description="first input register of the commanded pose"
+    )
+    need_program: bool = Field(
+        default=True, description="whether a robot without a running program is an error"
+    )
+    connect: Positive = Field(
+        default=2.0, description="time to wait for each answer while connecting [s]"
+    )
+
+
 class Broken(Exception):
-    """The received data is not a package: the start of the next one is unknown, and the connection
-    is unusable.
-    """
+    """The received data is not a package: where the next one starts is unknown."""
 
 
 def package(kind: int, payload: bytes = b"") -> bytes:
@@ -51,9 +71,7 @@ def package(kind: int, payload: bytes = b"") -> bytes:
 
 
 def recipe(types: list[str]) -> struct.Struct:
-    """The layout of a data package of fields of these types, its recipe's number first. Raises
-    KeyError for an unknown type.
-    """
+    """The layout of a data package: its recipe's number, and fields of these ``TYPES``."""
     return struct.Struct(">B" + "".join(TYPES[name] for name in types))
 
 
@@ -70,9 +88,7 @@ class Stream:
         self.connection.sendall(package(kind, payload))
 
     def receive(self) -> Iterator[tuple[int, bytes]]:
-        """The packages that have arrived completely. Raises Broken, and ConnectionError if the
-        other side has closed.
-        """
+        """The packages that have arrived completely. Raises Broken; ConnectionError if closed."""
         try:
             data = self.connection.recv(AT_ONCE)
         except BlockingIOError:
@@ -91,9 +107,15 @@ class Stream:
             yield kind, payload
 
 
+def register_names(first: int) -> list[str]:
+    """The input registers of a commanded pose: six doubles and the counter."""
+    return [
+        *(f"input_double_register_{first + i}" for i in range(6)),
+        f"input_int_register_{first}",
+    ]
+
+
 def text_of(payload: bytes) -> str:
-    """The text of a text message of protocol version 2: length and message, length and source,
-    level.
-    """
+    """The text of a text message: length and message, length and source, level."""
     length = payload[0] if payload else 0
     return payload[1 : 1 + length].decode("ascii", "replace")

@@ -19,11 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.devices.clock import SECOND
 from hiltestbed.devices.emulate import with_rate
 from hiltestbed.devices.interface import DeviceError, PlatformClient, SensorClient
 from hiltestbed.devices.motion import run_down, run_up, travel
-from hiltestbed.devices.pace import Pace, pace_of
+from hiltestbed.devices.pace import SECOND, Pace, pace_of
 from hiltestbed.devices.realtime import Granted, prepared
 from hiltestbed.devices.recorder import TraceRecorder
 from hiltestbed.devices.side import Connected, DeviceRig, side_of
@@ -49,6 +48,7 @@ from hiltestbed.simulation import (
 # [s] least time for which the devices are observed before the start, and longest, while their rate
 # cannot be told
 OBSERVED, LONGEST = 1.0, 10.0
+RETRACT_RATE = math.radians(5.0)  # [rad/s] that of the default travel; the goal is not turned
 READY = 20.0  # [s] to wait for the watchdog's process
 
 MakePace = Callable[[SensorClient, PlatformClient, float], Pace]
@@ -60,12 +60,11 @@ class Options:
 
     Attributes:
         sensor, platform: URLs. armed: whether anything may move. cpu: processor to run on.
-        say: called with a message when the platform is about to move.
-        record: file to which the rows are written as they are produced, in case the process dies;
-            None: they stay in memory until the end.
+        record: file to which the rows are written as they are produced, in case the process dies.
         pace: creates the :class:`Pace` from sensor, platform and tick; for tests without a clock.
-            clock: the wall clock; None: that of the machine, or with a pace of one's own the time
-            that it tells.
+        clock: the wall clock; None: that of the machine, or with a pace of one's own the time that
+            it tells. say: called with a message when the platform is about to move.
+        connect: makes the devices from these options.
     """
 
     sensor: str
@@ -83,22 +82,22 @@ class Options:
 
 def clients(scenario: Scenario, options: Options) -> tuple[SensorClient, PlatformClient]:
     """The loop's sides of both devices, not yet open. Raises InputError."""
-    told = settings_of(options.sensor, "--sensor").device_tells_rate
-    sensor = sensor_client(
-        options.sensor if told else with_rate(options.sensor, scenario, "--sensor")
-    )
-    return sensor, platform_client(with_rate(options.platform, scenario, "--platform"))
+    sensor = options.sensor
+    if not settings_of(sensor, "--sensor").device_tells_rate:
+        sensor = with_rate(sensor, scenario, "--sensor")
+    platform = with_rate(options.platform, scenario, "--platform")
+    return sensor_client(sensor), platform_client(platform)
 
 
 @dataclass
 class Observed:
-    """Observation of the devices while nothing moves: reading and pose in P, standard deviation of
-    the reading, rate, and events so far.
+    """Observation of the devices while nothing moves.
 
     Attributes:
-        shown, shown_noise: (6,) mean and standard deviation of the reading in the sensor's own
-            frame. rate: ticks a second by the wall clock [Hz]. fault: why nothing may move; None
-            if it may.
+        pose, wrench, noise: pose (7,), reading (6,) and its standard deviation, in P.
+        shown, shown_noise: (6,) the reading and its standard deviation in the sensor's own frame.
+        rate: ticks a second by the wall clock [Hz]. counts: events so far.
+        fault: why nothing may move; None if it may.
     """
 
     pose: Array
@@ -113,7 +112,7 @@ class Observed:
 
 @dataclass
 class Row:
-    """A tick of a known motion: pose (7,) commanded for its end, pose (7,) of A in P reached,
+    """A tick of a known motion: pose (7,) commanded for its end, pose (7,) of A in P reached now,
     reading (6,) in the sensor's own frame.
     """
 
@@ -156,22 +155,17 @@ class Session:
                 stack.callback(self.recorder.finish)
             devices.pace = self.options.pace(devices.sensor, devices.platform, self.scenario.tick)
             if self.armed and watchdog is not None:
+                url = with_rate(self.options.platform, self.scenario, "--platform")
                 devices.watchdog = Watchdog(
-                    with_rate(self.options.platform, self.scenario, "--platform"),
-                    devices.platform,
-                    watchdog.timeout,
-                    watchdog.action,
-                    wait=False,
+                    url, devices.platform, watchdog.timeout, watchdog.action, wait=False
                 )
                 stack.callback(devices.watchdog.close)
             yield
 
     def observe(self) -> Observed:
         """Observe the devices while the platform is held, tare the sensor, wait for the watchdog's
-        process, and compare the rate of the clock with the scenario's.
-
-        Raises:
-            DeviceError: something is to move, and the rate is another one.
+        process, and compare the rate of the clock with the scenario's: armed, another one raises
+        DeviceError.
         """
         rig, tare = self.rig, self.scenario.devices.sensor.tare
         ticks = round(max(OBSERVED, tare) * self.scenario.rate)
@@ -195,14 +189,13 @@ class Session:
             self._hold()
         if watchdog is not None and not watchdog.ready and rig.stop is None:
             rig.stop = f"the watchdog did not start within {READY:g} s"
-        spread = readings.std(axis=0)
         refused = self._other_rate()
         if refused is not None and self.armed and rig.stop is None:
             raise DeviceError(refused)
         return Observed(
             rig.pose_act[0].copy(),
             wrench,
-            spread,
+            readings.std(axis=0),
             shown.mean(axis=0),
             shown.std(axis=0),
             rig.time.rate,
@@ -232,8 +225,8 @@ class Session:
             self.loop.trouble[0] = (0, "stopped", f"before the start: {self.rig.stop}")
 
     def guarded(self, work: Callable[[], None]) -> None:
-        """Arm, do ``work``, and bring the platform to rest whatever happens; ``rig.stop`` holds the
-        reason of a stop.
+        """Arm, do ``work``, and bring the platform to rest whatever happens; ``rig.stop`` says why
+        it was stopped.
         """
         rig = self.rig
         try:
@@ -266,52 +259,36 @@ class Session:
             self.wall = time.perf_counter() - began
 
     def _approach(self) -> bool:
-        """Travel to the start of the run-up, and accelerate to the approach velocity; False if
-        stopped.
-        """
-        tick, settings = self.rig.tick, self.scenario.devices.platform
-        rest = next(run_up(self._pose, self._twist, tick, settings.run_up))
-        way = travel(
-            self.rig.last.copy(),
-            rest,
-            tick,
-            settings.travel_speed,
-            np.radians(settings.travel_rate_deg),
-        )
-        return self.follow(way) and self.follow(
-            run_up(self._pose, self._twist, tick, settings.run_up)
-        )
+        """Travel to the start of the run-up, and accelerate to the approach velocity."""
+        tick, duration = self.rig.tick, self.scenario.devices.platform.run_up
+        rest = next(run_up(self._pose, self._twist, tick, duration))
+        return self.travel(rest) and self.follow(run_up(self._pose, self._twist, tick, duration))
+
+    def travel(self, goal: Array) -> bool:
+        """Travel to rest at ``goal`` (7,); False if stopped."""
+        settings = self.scenario.devices.platform
+        speed, rate = settings.travel_speed, np.radians(settings.travel_rate_deg)
+        return self.follow(travel(self.rig.last.copy(), goal, self.rig.tick, speed, rate))
 
     def _end(self) -> None:
         """Bring the platform to rest: smoothly after a complete run, otherwise as the scenario
         specifies.
         """
-        rig, platform = self.rig, self.devices.platform
+        rig, duration = self.rig, self.scenario.devices.platform.run_up
         try:
-            if rig.stop is None and not self.loop.trouble:
-                down = run_down(
-                    rig.last.copy(),
-                    self._leaving(),
-                    rig.tick,
-                    self.scenario.devices.platform.run_up,
-                )
-                if self.follow(down):
-                    self._hold()
-                else:
-                    platform.hold()
-            else:
+            if rig.stop is not None or self.loop.trouble:
                 self._stop()
+                return
+            twist = self.loop.drive.twist[0].copy() if self.loop.k > 0 else np.zeros(6)
+            if self.follow(run_down(rig.last.copy(), twist, rig.tick, duration)):
+                self._hold()
+            else:
+                self.devices.platform.hold()
         except (HiltestbedError, OSError, KeyboardInterrupt):
             pass  # nothing more can be commanded; the device's own limits and the watchdog remain
         finally:
             if self.devices.watchdog is not None:
                 self.devices.watchdog.disarm()
-
-    def _leaving(self) -> Array:
-        """The twist (6,) from which the platform is brought to rest: zero if no run has moved
-        it.
-        """
-        return self.loop.drive.twist[0].copy() if self.loop.k > 0 else np.zeros(6)
 
     def _stop(self) -> None:
         settings, rig, platform = self.scenario.devices.on_stop, self.rig, self.devices.platform
@@ -323,10 +300,8 @@ class Session:
             goal = rig.last.copy()
             goal[2] -= settings.distance
             rig.guard.start(rig.last)
-            self.follow(
-                travel(rig.last.copy(), goal, rig.tick, settings.speed, np.radians(5.0)),
-                tolerant=True,
-            )
+            way = travel(rig.last.copy(), goal, rig.tick, settings.speed, RETRACT_RATE)
+            self.follow(way, tolerant=True)
         rig.armed = False
         for _ in range(2):
             self._hold()
@@ -337,8 +312,7 @@ class Session:
         """Command ``poses`` (7,), one per tick; False if stopped.
 
         Args:
-            tolerant: only the guard and the wall clock can stop it, for the retraction after a
-                stop.
+            tolerant: only guard and wall clock can stop it, for the retraction after a stop.
             rows: receives the readings of each tick and the command sent from them.
         """
         rig = self.rig
@@ -373,12 +347,8 @@ class Session:
         rows.data["wrench_true"][:] = np.nan  # no device measures it
         rows.data[CYCLE.name] = rig.log.rows[: self.scenario.ticks, None, :]
         reference = simulate([reference_scenario(self.scenario)], until_parted=True)
-        run = concluded(
-            collected(loop, rows, self.wall, {}),
-            reference.figures[0],
-            reference_fault(reference, 0),
-            0,
-        )
+        batch, fault = collected(loop, rows, self.wall, {}), reference_fault(reference, 0)
+        run = concluded(batch, reference.figures[0], fault, 0)
         run.summary["energy_generated"] += rig.late_work
         run.summary["live"] = self._report(observed, int(rows.length[0]))
         run.summary = _written(run.summary)
@@ -395,22 +365,19 @@ class Session:
             "time_offset": self.rig.time.worst,
             "cycles": rows,
             "missed": int(self.rig.missed),
-            "jitter": {
-                "median": float(np.median(late)),
-                "p99": float(np.percentile(late, 99)),
-                "worst": float(late.max()),
-            },
-            "busy": {
-                "median": float(np.median(busy)),
-                "p99": float(np.percentile(busy, 99)),
-                "worst": float(busy.max()),
-            },
-            "tare": [float(v) for v in self.rig.tare],
-            "noise": [float(v) for v in observed.noise],
+            "jitter": _spread(late),
+            "busy": _spread(busy),
+            "tare": self.rig.tare.tolist(),
+            "noise": observed.noise.tolist(),
             "events": self._counts(),
             "granted": self.granted.granted,
             "refused": self.granted.refused,
         }
+
+
+def _spread(times: Array) -> dict[str, float]:
+    p99 = float(np.percentile(times, 99))
+    return {"median": float(np.median(times)), "p99": p99, "worst": float(times.max())}
 
 
 def _written(value: Any) -> Any:

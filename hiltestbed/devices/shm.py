@@ -1,38 +1,149 @@
 """``shm://name``: shared memory between two processes of one machine, without the network stack.
 
-A device writes a mailbox (:mod:`hiltestbed.devices.mailbox`) with its wrench or pose; a platform
-reads a second one with the command. The device creates and removes them.
+A device writes a mailbox with its wrench or pose; a platform reads a second one with the command.
+The device creates and removes them. A mailbox holds the newest message of one process for another,
+complete or not at all: 128 bytes that one process writes and one reads, a magic number, a sequence
+lock (the count is odd while the writer is active; as in the Linux kernel), the number of the
+message, its time, a flag, seven numbers and their CRC-32. The CRC detects incomplete messages on
+machines that reorder stores, and foreign writes.
 """
 
 from __future__ import annotations
 
 import math
 import time
+import zlib
+from multiprocessing.shared_memory import SharedMemory
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from hiltestbed.config.validation import Positive
 from hiltestbed.devices.interface import (
     Array,
+    Client,
     Clock,
     DeviceError,
     Event,
-    PlatformClient,
-    PlatformServer,
+    Link,
     Protocol,
-    Sample,
     SensorClient,
     SensorServer,
 )
-from hiltestbed.devices.mailbox import Mailbox, attach, make
 from hiltestbed.devices.numbered import NumberedClient, NumberedKeeper, NumberedServer
+from hiltestbed.devices.ring import shared
 from hiltestbed.devices.sequence import Sequence
-from hiltestbed.devices.url import DeviceSettings
+from hiltestbed.devices.url import DeviceSettings, refused
 from hiltestbed.errors import InputError
 
+MAGIC = 0x48544D424F580001
+SIZE = 128  # [byte]
+WORDS, NUMBERS = 6, 8  # magic, lock, number of the message, flag, CRC, spare; time and seven values
+TRIES = 8  # reads before the next poll tries again
 NAP = 20e-6  # [s] between two polls while waiting
 Part = Literal["wrench", "state", "command"]
+
+_own: set[str] = set()  # names created by this process
+
+
+class Mailbox:
+    """One writer, one reader.
+
+    Attributes:
+        values: (7,) of the message last read. number, time, flag: of the same.
+    """
+
+    def __init__(self, memory: SharedMemory, owner: bool) -> None:
+        self._memory, self._owner = memory, owner
+        self._words: NDArray[np.uint64] = np.ndarray(WORDS, np.uint64, memory.buf)
+        self._numbers: Array = np.ndarray(NUMBERS, np.float64, memory.buf, 8 * WORDS)
+        self.values: Array = np.zeros(7)
+        self.number, self.time, self.flag = 0, math.nan, 0
+        if owner:
+            _own.add(memory.name)
+            self._words[:] = 0
+            self._words[0] = MAGIC
+
+    @property
+    def valid(self) -> bool:
+        return int(self._words[0]) == MAGIC
+
+    def write(self, values: Array, number: int, time: float, flag: int) -> None:
+        """Write a message of at most seven values."""
+        lock = int(self._words[1])
+        lock = lock + 2 if lock & 1 else lock + 1
+        self._words[1] = lock & 0xFFFFFFFFFFFFFFFF
+        self._words[2], self._words[3] = number, flag
+        self._numbers[0] = time
+        self._numbers[1 : 1 + len(values)] = values
+        self._numbers[1 + len(values) :] = 0.0
+        self._words[4] = self._crc(int(self._words[2]), int(self._words[3]), self._numbers)
+        self._words[1] = (lock + 1) & 0xFFFFFFFFFFFFFFFF
+
+    def read(self) -> bool | None:
+        """True for a new message; False for none, or one being written; None for a damaged one."""
+        if int(self._words[2]) == self.number:
+            return False
+        damaged = False
+        for _ in range(TRIES):
+            before = int(self._words[1])
+            number, flag, crc = int(self._words[2]), int(self._words[3]), int(self._words[4])
+            copy = self._numbers.copy()
+            # no write was active: complete, unless the CRC differs
+            damaged = before & 1 == 0 and int(self._words[1]) == before
+            if not damaged:
+                continue
+            if crc != self._crc(number, flag, copy) or not np.isfinite(copy).all():
+                continue
+            if number == self.number:
+                return False
+            self.number, self.flag, self.time = number, flag, float(copy[0])
+            self.values[:] = copy[1:8]
+            return True
+        return None if damaged else False
+
+    def _crc(self, number: int, flag: int, numbers: Array) -> int:
+        head = number.to_bytes(8, "little") + flag.to_bytes(8, "little")
+        return zlib.crc32(numbers.tobytes(), zlib.crc32(head))
+
+    def close(self) -> None:
+        del self._words, self._numbers
+        self._memory.close()
+        if self._owner:
+            _own.discard(self._memory.name)
+            self._memory.unlink()
+
+
+def make(name: str, where: str) -> Mailbox:
+    """Create a mailbox of the device ``where``. Raises InputError if the name is taken."""
+    try:
+        return Mailbox(SharedMemory(name, create=True, size=SIZE), owner=True)
+    except FileExistsError:
+        message = (
+            f"the shared memory {name} is there already; stop the other device, "
+            f"remove what one has left, or give another name"
+        )
+    except OSError as error:
+        message = f"the shared memory {name} cannot be made ({error.strerror})"
+    raise refused(where, message)
+
+
+def attach(name: str) -> Mailbox | None:
+    """Attach to the mailbox that the device has created; None if there is none."""
+    try:
+        memory = shared(name, name in _own)
+    except OSError:
+        return None
+    if memory.size < SIZE:
+        memory.close()
+        return None
+    box = Mailbox(memory, owner=False)
+    if not box.valid:
+        box.close()
+        return None
+    return box
 
 
 class ShmSettings(DeviceSettings):
@@ -51,74 +162,78 @@ class ShmSettings(DeviceSettings):
     connect: Positive = Field(default=2.0, description="time to wait for the device [s]")
 
 
-def mailbox_name(settings: ShmSettings, part: Part) -> str:
-    return f"{settings.host}.{part}"
+class _Mailboxes(Link):
+    """A link by one mailbox to read, or to write, or both."""
 
-
-def _made(settings: ShmSettings, part: Part) -> Mailbox:
-    return make(mailbox_name(settings, part), settings.where)
-
-
-def _awaited(settings: ShmSettings, part: Part) -> Mailbox:
-    until = time.monotonic() + settings.connect
-    name = mailbox_name(settings, part)
-    while (box := attach(name)) is None:
-        if time.monotonic() > until:
-            raise DeviceError(
-                f"{settings.where}: there is no shared memory {name} after {settings.connect:g} "
-                f"s; start the device first"
-            )
-        time.sleep(0.01)
-    return box
-
-
-class _Inbox:
-    """Reads one mailbox and counts events."""
-
-    def __init__(self, counts) -> None:
-        self.box: Mailbox | None = None
-        self.counts = counts
-        # no limit: a mailbox keeps only the newest message
-        self.sequence = Sequence(counts, bits=63, longest_gap=1 << 61)
-
-    def open(self, box: Mailbox) -> None:
-        self.box = box
-        box.number = 0
-        self.sequence.restart()
+    settings: ShmSettings
+    _inbox: Mailbox | None = None
+    _outbox: Mailbox | None = None
 
     def close(self) -> None:
-        if self.box is not None:
-            self.box.close()
-            self.box = None
+        for box in (self._inbox, self._outbox):
+            if box is not None:
+                box.close()
+        self._inbox = self._outbox = None
 
-    def poll(self) -> bool:
-        if self.box is None:
-            return False
-        found = self.box.read()
+    def wait(self, timeout: float, expected: float = math.inf) -> bool:
+        """Poll until there is a message: shared memory has no wake-up."""
+        until = time.monotonic() + timeout
+        while not self.poll():
+            if time.monotonic() >= until:
+                return False
+            time.sleep(NAP)
+        return True
+
+    def _read_from(self, box: Mailbox) -> None:
+        self._inbox = box
+        # no limit: a mailbox keeps only the newest message
+        self._sequence = Sequence(self.counts, bits=63, longest_gap=1 << 61)
+
+    def _message(self) -> Mailbox | None:
+        """The mailbox if there is a new message in it."""
+        box = self._inbox
+        found = False if box is None else box.read()
         if found is None:
             self.counts[Event.MALFORMED] += 1
-        return bool(found) and self.sequence.judge(self.box.number)
+        return box if box is not None and found and self._sequence.judge(box.number) else None
 
-    def take(self, sample: Sample) -> bool:
-        """Poll, and take a new message into ``sample``."""
-        box = self.box
-        if box is None or not self.poll():
+    def _made(self, part: Part) -> Mailbox:
+        return make(f"{self.settings.host}.{part}", self.where)
+
+    def _write(self, values: Array, number: int, device_time: float, flag: int) -> None:
+        if self._outbox is not None:
+            self._outbox.write(values, number, device_time, flag)
+
+
+class _ShmClient(_Mailboxes, Client):
+    def poll(self) -> bool:
+        box, sample = self._message(), self.sample
+        if box is None:
             return False
         values = box.values[: len(sample.values)]
         return sample.take(values, self.counts, box.number, box.time, box.flag)
 
+    def _awaited(self, part: Part) -> Mailbox:
+        until, name = time.monotonic() + self.settings.connect, f"{self.settings.host}.{part}"
+        while (box := attach(name)) is None:
+            if time.monotonic() > until:
+                raise DeviceError(
+                    f"{self.where}: there is no shared memory {name} after "
+                    f"{self.settings.connect:g} s; start the device first"
+                )
+            time.sleep(0.01)
+        return box
 
-def _wait(link: SensorClient | PlatformClient | PlatformServer, timeout: float) -> bool:
-    """Poll until there is a message: shared memory has no wake-up."""
-    until = time.monotonic() + timeout
-    while not link.poll():
-        if time.monotonic() >= until:
-            return False
-        time.sleep(NAP)
-    return True
+    def _await_first(self) -> None:
+        if not self.wait(self.settings.connect):
+            self.close()
+            raise DeviceError(
+                f"{self.where}: the device is there, but has sent nothing in "
+                f"{self.settings.connect:g} s; start its run"
+            )
 
 
-class ShmSensorClient(SensorClient):
+class ShmSensorClient(_ShmClient, SensorClient):
     """Reads the wrench that another process writes."""
 
     def __init__(self, settings: ShmSettings) -> None:
@@ -126,80 +241,40 @@ class ShmSensorClient(SensorClient):
         self.settings = settings
         self.period = 1.0 / settings.rate
         self.clock = Clock(settings.clock)
-        self._inbox = _Inbox(self.counts)
 
     def open(self) -> None:
-        self._inbox.open(_awaited(self.settings, "wrench"))
-        _first(self, self.settings)
-
-    def close(self) -> None:
-        self._inbox.close()
-
-    def poll(self) -> bool:
-        return self._inbox.take(self.reading)
-
-    def wait(self, timeout: float, expected: float = math.inf) -> bool:
-        return _wait(self, timeout)
+        self._read_from(self._awaited("wrench"))
+        self._await_first()
 
 
-class ShmPlatformClient(NumberedClient):
+class ShmPlatformClient(_ShmClient, NumberedClient):
     """Writes the commanded pose for another process and reads the pose reached."""
 
     def __init__(self, settings: ShmSettings) -> None:
         super().__init__(settings)
         self.settings = settings
-        self._inbox = _Inbox(self.counts)
-        self._outbox: Mailbox | None = None
 
     def open(self) -> None:
-        self._inbox.open(_awaited(self.settings, "state"))
-        self._outbox = _awaited(self.settings, "command")
-        _first(self, self.settings)
+        self._read_from(self._awaited("state"))
+        self._outbox = self._awaited("command")
+        self._await_first()
         self._begin()
 
-    def close(self) -> None:
-        self._inbox.close()
-        if self._outbox is not None:
-            self._outbox.close()
-            self._outbox = None
-
-    def poll(self) -> bool:
-        return self._inbox.take(self.state)
-
-    def wait(self, timeout: float, expected: float = math.inf) -> bool:
-        return _wait(self, timeout)
-
     def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
-        if self._outbox is not None:
-            self._outbox.write(pose, number, now, stop)
+        self._write(pose, number, now, stop)
 
 
-def _first(client: ShmSensorClient | ShmPlatformClient, settings: ShmSettings) -> None:
-    if not client.wait(settings.connect):
-        client.close()
-        raise DeviceError(
-            f"{settings.where}: the device is there, but has sent nothing in {settings.connect:g} "
-            f"s; start its run"
-        )
-
-
-class ShmSensorServer(SensorServer):
+class ShmSensorServer(_Mailboxes, SensorServer):
     """Writes a wrench for another process."""
 
     def __init__(self, settings: ShmSettings) -> None:
         super().__init__(settings.where)
         self.settings = settings
         self.period = 1.0 / settings.rate
-        self._outbox: Mailbox | None = None
         self._number = 0
 
     def open(self) -> None:
-        self._outbox = _made(self.settings, "wrench")
-
-    def close(self) -> None:
-        if self._outbox is not None:
-            self._outbox.close()
-            self._outbox = None
+        self._outbox = self._made("wrench")
 
     def poll(self) -> bool:
         """A sensor receives nothing."""
@@ -207,43 +282,30 @@ class ShmSensorServer(SensorServer):
 
     def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
         self._number += 1
-        if self._outbox is not None:
-            self._outbox.write(wrench, self._number, device_time, status)
+        self._write(wrench, self._number, device_time, status)
 
 
-class ShmPlatformServer(NumberedServer):
+class ShmPlatformServer(_Mailboxes, NumberedServer):
     """A platform for a loop in another process."""
 
     def __init__(self, settings: ShmSettings) -> None:
         super().__init__(settings)
         self.settings = settings
-        self._inbox = _Inbox(self.counts)
-        self._outbox: Mailbox | None = None
 
     def open(self) -> None:
-        self._outbox = _made(self.settings, "state")
+        self._outbox = self._made("state")
         try:
-            self._inbox.open(_made(self.settings, "command"))
+            self._read_from(self._made("command"))
         except InputError:
             self.close()
             raise
 
-    def close(self) -> None:
-        self._inbox.close()
-        if self._outbox is not None:
-            self._outbox.close()
-            self._outbox = None
-
     def poll(self) -> bool:
-        box = self._inbox.box
-        return box is not None and self._inbox.poll() and self._commanded(box.values, box.flag)
-
-    def wait(self, timeout: float, expected: float = math.inf) -> bool:
-        return _wait(self, timeout)
+        box = self._message()
+        return box is not None and self._commanded(box.values, box.flag)
 
     def _report(self, pose: Array, number: int, device_time: float, status: int) -> None:
-        if self._outbox is not None:
-            self._outbox.write(pose, number, device_time, status)
+        self._write(pose, number, device_time, status)
 
 
 class ShmKeeper(NumberedKeeper):
@@ -251,7 +313,7 @@ class ShmKeeper(NumberedKeeper):
 
     def __init__(self, settings: ShmSettings, fileno: int) -> None:
         super().__init__(settings, fileno)
-        self._outbox = attach(mailbox_name(settings, "command"))
+        self._outbox = attach(f"{settings.host}.command")
 
     def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
         if self._outbox is not None:

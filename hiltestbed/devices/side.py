@@ -2,8 +2,8 @@
 
 A tick, at t_k: the wrench and the pose at t_k have arrived; ``begin`` sends the pose for t_(k+1),
 ``finish`` waits for the records of t_(k+1). Every command passes the guard, and after a fault only
-the stop behaviour is sent. Nothing is commanded before
-:meth:`DeviceRig.arm`: until then the platform is held.
+the stop behaviour is sent. Nothing is commanded before :meth:`DeviceRig.arm`: until then the
+platform is held.
 
 None of the protocols transmits the switches of a latch: capture is detected from a pulling force,
 which a contact alone cannot exert.
@@ -52,11 +52,8 @@ class Connected:
 
 
 class CycleLog:
-    """Times of the cycles, in arrays allocated before the first.
-
-    Attributes:
-        rows: ``(capacity, 4)``, one per tick, as in :data:`hiltestbed.signals.CYCLE`. began: start
-            of the last cycle [ns].
+    """Times of the cycles: rows ``(capacity, 4)``, allocated before the first, one per tick, as in
+    :data:`hiltestbed.signals.CYCLE`; and the start of the last cycle, ``began`` [ns].
     """
 
     def __init__(self, capacity: int) -> None:
@@ -65,14 +62,13 @@ class CycleLog:
         self.began = time.monotonic_ns()
 
     def begin(self, ticks: int, age: float) -> None:
-        """Record the start of a cycle, ``ticks`` ticks after the last one, with a reading of age
-        ``age`` [s].
+        """Record the start of a cycle, ``ticks`` after the last, with a reading that is ``age`` [s]
+        old.
         """
         now = time.monotonic_ns()
         self.k += 1
         if self.k < len(self.rows):
-            row = self.rows[self.k]
-            row[0], row[1], row[2], row[3] = (now - self.began) * NANOSECOND, 0.0, age, ticks - 1
+            self.rows[self.k] = (now - self.began) * NANOSECOND, 0.0, age, ticks - 1
         self.began = now
 
     def sent(self) -> None:
@@ -82,9 +78,7 @@ class CycleLog:
 
 
 class DeviceSensor:
-    """The reading as it arrives, in P, less the tare; the signal chain of the scenario is in the
-    device itself.
-    """
+    """The reading as it arrives, in P, less the tare: the signal chain is in the device itself."""
 
     def __init__(self) -> None:
         self.reading = np.zeros((1, 6))
@@ -101,28 +95,21 @@ class DeviceRig:
     """Platform and sensor, with the interface of :class:`hiltestbed.platform.plant.Plant`; one run.
 
     Attributes:
-        units: of the platform's joints: empty, since devices do not report them. physical: False,
-            since the bodies do not move freely.
         stop: why the run has to stop; None while there is no fault. tare: (6,) subtracted from the
             sensor's wrench in P.
         last: (7,) the pose of A in P that was sent last. shown: (6,) the newest reading in the
             sensor's own frame. time: compares model time with wall time.
         late_work: [J] work of the force with each reading paired with the motion at which it acted,
-            by the scenario's sensor.delay, less that with the motion of the tick at which it was
-            read.
+            by the scenario's sensor.delay, less that with the motion of the tick of its reading.
         missed: ticks that began without the record of the device that sets the clock, or too late
             for an answer.
     """
 
-    units: tuple[str, ...] = ()
-    physical = False
+    units: tuple[str, ...] = ()  # of the platform's joints, which devices do not report
+    physical = False  # the bodies do not move freely
 
     def __init__(
-        self,
-        scenario: Scenario,
-        connected: Connected,
-        ticks: int,
-        clock: WallClock | None = None,
+        self, scenario: Scenario, connected: Connected, ticks: int, clock: WallClock | None = None
     ) -> None:
         if scenario.rig.platform.physical:
             kind = scenario.rig.platform.kind
@@ -137,10 +124,10 @@ class DeviceRig:
         self.time = Timekeeper(tick, scenario.devices.limits.time_offset, clock or WallClock())
         self._bound_values()
         communication = scenario.devices.communication
-        self._watches = (
-            CommunicationWatch(connected.sensor, communication, "sensor"),
-            CommunicationWatch(connected.platform, communication, "platform"),
-        )
+        self._watches = [
+            CommunicationWatch(link, communication, name)
+            for name, link in (("sensor", connected.sensor), ("platform", connected.platform))
+        ]
         self._seen = [-1, -1]
         self.log = CycleLog(ticks)
         self.monitor = ProcessMonitor([scenario])
@@ -159,10 +146,9 @@ class DeviceRig:
         self.late_work = 0.0
         self._held_rate = scenario.rig.platform.prescribed
         self._threshold = max(GATE_SIGMA * scenario.sensor.noise, LEAST_FORCE)
-        limit = scenario.safety
-        self._limits = [
-            math.inf if v is None else v for v in (limit.force, limit.torque, limit.tracking_error)
-        ]
+        safety = scenario.safety
+        limits = safety.force, safety.torque, safety.tracking_error
+        self._limits = [math.inf if limit is None else limit for limit in limits]
         self._behind = 0
         self.phases: Phases | None = None  # None: phases of capture are those of the real mechanism
         self.pose_act, self.twist_act = np.zeros((1, 7)), np.zeros((1, 6))
@@ -191,10 +177,7 @@ class DeviceRig:
         safety, devices = self.scenario.safety, self.scenario.devices
         away = math.hypot(*devices.platform.base.position, *devices.platform.tool.position)
         position = devices.limits.position
-        load, place = (
-            self.connected.sensor.reading.largest,
-            self.connected.platform.state.largest,
-        )
+        load, place = (self.connected.sensor.reading.largest, self.connected.platform.state.largest)
         for values, limit in (
             (load[:3], safety.force),
             (load[3:], safety.torque),
@@ -268,17 +251,16 @@ class DeviceRig:
         self.missed += not new
 
     def _take_in(self) -> bool:
-        """Process and check the records that have arrived; returns whether the device that sets the
-        clock had a new one.
-        """
+        """Process and check the records that have arrived; whether both devices had a new one."""
         sensor, platform = self.connected.sensor, self.connected.platform
         sensor.poll()
         platform.poll()
         fresh = True
-        for i, link in enumerate((sensor, platform)):
-            new = link.sample.sequence != self._seen[i]
-            self._seen[i] = link.sample.sequence
-            stop = self._watches[i].check(new)
+        for i, watch in enumerate(self._watches):
+            sequence = watch.link.sample.sequence
+            new = sequence != self._seen[i]
+            self._seen[i] = sequence
+            stop = watch.check(new)
             if stop is not None and self.stop is None:
                 self.stop = stop.reason
             fresh = fresh and new
@@ -289,13 +271,9 @@ class DeviceRig:
         self._slope_before[:] = self._slope
         twist_between(self._before, self.pose_act[0], self.tick, self._slope)
         self._pair()
-        self.twist_act[0] = (
-            self._slope if self._held_rate else 1.5 * self._slope - 0.5 * self._slope_before
-        )
-        self.contact[0] = (
-            math.sqrt(float(self.wrench_sub[0, 0, :3] @ self.wrench_sub[0, 0, :3]))
-            > self._threshold
-        )
+        ahead = 1.5 * self._slope - 0.5 * self._slope_before
+        self.twist_act[0] = self._slope if self._held_rate else ahead
+        self.contact[0] = _length(self.wrench_sub[0, 0, :3]) > self._threshold
         self.monitor.update(self._wrench, self.pose_act, self.twist_act)
         self.captured[0] = not math.isnan(self.monitor.capture[0])
         if self.stop is None:
@@ -306,20 +284,14 @@ class DeviceRig:
         length = len(self._slopes)
         self._slopes[self._taken % length] = self._slope
         newer, older = ((self._taken - self._late - i) % length for i in range(2))
-        work = (
-            self._slopes[newer] * (1.0 - self._part)
-            + self._slopes[older] * self._part
-            - self._slope
-        )
+        acted = self._slopes[newer] * (1.0 - self._part) + self._slopes[older] * self._part
+        work = acted - self._slope
         self.late_work += self.tick * float(self.wrench_sub[0, 0] @ work)
         self._taken += 1
 
     def _overload(self) -> str | None:
-        wrench, tracking = self.wrench_sub[0, 0], math.dist(self.last[:3], self.pose_act[0, :3])
-        force, torque = (
-            math.sqrt(float(wrench[:3] @ wrench[:3])),
-            math.sqrt(float(wrench[3:] @ wrench[3:])),
-        )
+        tracking = math.dist(self.last[:3], self.pose_act[0, :3])
+        force, torque = _length(self.wrench_sub[0, 0, :3]), _length(self.wrench_sub[0, 0, 3:])
         if not force <= self._limits[0]:
             return f"the sensor carries {force:.4g} N; safety.force is {self._limits[0]:g} N"
         if not torque <= self._limits[1]:
@@ -337,10 +309,12 @@ class DeviceRig:
         return None
 
 
+def _length(vector: Array) -> float:
+    return math.sqrt(float(vector @ vector))
+
+
 class DeviceWatch:
-    """Stops a run with devices: on a fault of the rig, or if the rig has generated too much
-    energy.
-    """
+    """Stops a run with devices: on a fault of the rig, or on too much energy made by it."""
 
     def __init__(self, scenario: Scenario, rig: DeviceRig) -> None:
         self._rig = rig

@@ -1,5 +1,5 @@
-"""Sockets, and messages for those that cannot be opened. Each is bound to the given address only,
-never to all interfaces.
+"""Sockets, links over datagrams, and messages for what cannot be opened. Each socket is bound to
+the given address only, never to all interfaces.
 """
 
 from __future__ import annotations
@@ -8,12 +8,61 @@ import errno
 import select
 import socket
 
-from hiltestbed.devices.interface import DeviceError
-from hiltestbed.errors import Fault, InputError
+from hiltestbed.devices.interface import LONGEST_DRAIN, DeviceError, Event, Link
+from hiltestbed.devices.url import refused
 
 RECEIVE_BUFFER = 1 << 18  # [byte] some 0.5 s of records at the highest rate of the sensors
 
 Address = tuple[str, int]
+
+_REASONS = {
+    errno.EADDRINUSE: "is in use by another program; stop it or give another port",
+    errno.EACCES: "may not be opened by this user; give a port from 1024 on",
+    errno.EADDRNOTAVAIL: "is not an address of this machine; give one of its own, or 127.0.0.1",
+}
+
+
+class Datagrams(Link):
+    """A link over UDP: its socket, once it is open, and each datagram to :meth:`_take`."""
+
+    _largest: int  # [byte] of a datagram; longer ones arrive cut off after one more
+    _socket: socket.socket | None = None
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def fileno(self) -> int:
+        return self._socket.fileno() if self._socket is not None else -1
+
+    def poll(self) -> bool:
+        new = False
+        for _ in range(LONGEST_DRAIN):
+            if self._socket is None:
+                break
+            try:
+                data, sender = self._socket.recvfrom(self._largest + 1)
+            except BlockingIOError:
+                break
+            # the other side's port is closed: each of our datagrams comes back once
+            except OSError:
+                self.counts[Event.GONE] += 1
+                break
+            new = self._take(data, sender) or new
+        return new
+
+    def _take(self, data: bytes, sender: Address) -> bool:
+        """Process a datagram; True for a new good record."""
+        raise NotImplementedError
+
+    def _send_to(self, data: bytes | bytearray, towards: Address) -> None:
+        """Send a datagram if the link is open."""
+        if self._socket is not None:
+            try:
+                self._socket.sendto(data, towards)
+            except OSError:
+                self.counts[Event.GONE] += 1
 
 
 def resolve(host: str, port: int, where: str) -> Address:
@@ -26,20 +75,29 @@ def resolve(host: str, port: int, where: str) -> Address:
             f"is not an address (got {host!r}: {reason}); give an IPv4 address or a "
             f"name that this machine can look up"
         )
-        raise InputError(Fault(where, None, None, "host", message)) from None
+        raise refused(where, message, "host") from None
     return found[0][4][0], port  # type: ignore[return-value]
+
+
+def bound(kind: socket.SocketKind, address: Address, where: str) -> socket.socket:
+    """A non-blocking socket bound to ``address``. Raises InputError."""
+    opened = _new(kind)
+    if kind == socket.SOCK_STREAM:
+        # reuse a port whose last connection has just ended
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        opened.bind(address)
+    except OSError as error:
+        opened.close()
+        reason = _REASONS.get(error.errno or 0, f"cannot be opened ({error.strerror})")
+        name = f"{'TCP' if kind == socket.SOCK_STREAM else 'UDP'} {address[0]}:{address[1]}"
+        raise refused(where, f"{name} {reason}") from None
+    return opened
 
 
 def bound_udp(address: Address, where: str) -> socket.socket:
     """A non-blocking UDP socket bound to ``address``. Raises InputError."""
-    return _bound(socket.SOCK_DGRAM, address, where)
-
-
-def listening_tcp(address: Address, where: str) -> socket.socket:
-    """A non-blocking TCP socket that listens at ``address``. Raises InputError."""
-    opened = _bound(socket.SOCK_STREAM, address, where)
-    opened.listen(4)
-    return opened
+    return bound(socket.SOCK_DGRAM, address, where)
 
 
 def connected_udp(address: Address, where: str) -> socket.socket:
@@ -51,23 +109,15 @@ def connected_udp(address: Address, where: str) -> socket.socket:
         opened.connect(address)
     except OSError as error:
         opened.close()
-        raise InputError(
-            Fault(
-                where,
-                None,
-                None,
-                "",
-                f"cannot be reached ({error.strerror}); check the address and the network",
-            )
-        ) from None
+        message = f"cannot be reached ({error.strerror}); check the address and the network"
+        raise refused(where, message) from None
     return opened
 
 
 def sending_udp(towards: Address, where: str) -> socket.socket:
     """A non-blocking UDP socket at an ephemeral port of the interface that leads to ``towards``."""
-    probe = connected_udp(towards, where)
-    own = probe.getsockname()[0]
-    probe.close()
+    with connected_udp(towards, where) as probe:
+        own = probe.getsockname()[0]
     return bound_udp((own, 0), where)
 
 
@@ -76,18 +126,12 @@ def connected_tcp(address: Address, where: str, timeout: float) -> socket.socket
     try:
         opened = socket.create_connection(address, timeout)
     except OSError as error:
-        reason = error.strerror or "no answer"
         raise DeviceError(
-            f"{where}: no connection ({reason}); check that the device is on and that its "
-            f"interface is enabled"
+            f"{where}: no connection ({error.strerror or 'no answer'}); check that the device is "
+            f"on and that its interface is enabled"
         ) from None
     opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return opened
-
-
-def adopted(fileno: int) -> socket.socket:
-    """The inherited socket with this file descriptor."""
-    return socket.socket(fileno=fileno)
 
 
 def readable(opened: socket.socket, timeout: float) -> bool:
@@ -95,31 +139,9 @@ def readable(opened: socket.socket, timeout: float) -> bool:
     return bool(select.select([opened], [], [], max(timeout, 0.0))[0])
 
 
-def _new(kind: int) -> socket.socket:
+def _new(kind: socket.SocketKind) -> socket.socket:
     opened = socket.socket(socket.AF_INET, kind)
     opened.setblocking(False)
     if kind == socket.SOCK_DGRAM:
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-    return opened
-
-
-_REASONS = {
-    errno.EADDRINUSE: "is in use by another program; stop it or give another port",
-    errno.EACCES: "may not be opened by this user; give a port from 1024 on",
-    errno.EADDRNOTAVAIL: "is not an address of this machine; give one of its own, or 127.0.0.1",
-}
-
-
-def _bound(kind: int, address: Address, where: str) -> socket.socket:
-    opened = _new(kind)
-    if kind == socket.SOCK_STREAM:
-        # reuse a port whose last connection has just ended
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        opened.bind(address)
-    except OSError as error:
-        opened.close()
-        reason = _REASONS.get(error.errno or 0, f"cannot be opened ({error.strerror})")
-        name = f"{'TCP' if kind == socket.SOCK_STREAM else 'UDP'} {address[0]}:{address[1]}"
-        raise InputError(Fault(where, None, None, "", f"{name} {reason}")) from None
     return opened

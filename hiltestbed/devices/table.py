@@ -17,10 +17,9 @@ from hiltestbed.devices.interface import (
     SensorClient,
     SensorServer,
 )
-from hiltestbed.devices.url import DeviceSettings, parse, scheme_of
-from hiltestbed.errors import Fault, InputError
+from hiltestbed.devices.url import DeviceSettings, parse, refused, scheme_of
 
-MODULES = {"rdt": "rdt", "rsi": "rsi", "rtde": "rtde", "udp": "udp", "shm": "shm"}
+SCHEMES = ("rdt", "rsi", "rtde", "shm", "udp")  # each the module of its name
 
 _registered: dict[str, Protocol] = {}
 
@@ -32,19 +31,18 @@ def register(protocol: Protocol) -> None:
 
 def protocols() -> dict[str, Protocol]:
     """Every protocol by its scheme."""
-    return {scheme: _load(scheme) for scheme in sorted(MODULES | _registered)}
+    return {scheme: _load(scheme) for scheme in sorted({*SCHEMES, *_registered})}
 
 
 def find(url: str, place: str) -> Protocol:
     """The protocol of a URL. Raises InputError, which lists the known schemes."""
-    scheme = scheme_of(url, place)
-    if scheme not in MODULES and scheme not in _registered:
-        known = sorted(MODULES | _registered)
-        message = (
-            f"unknown protocol{nearest(scheme, known)} (got {scheme!r}); allowed: "
-            f"{', '.join(known)}"
+    scheme, known = scheme_of(url, place), sorted({*SCHEMES, *_registered})
+    if scheme not in known:
+        similar = nearest(scheme, known)
+        raise refused(
+            f"{place} {url}",
+            f"unknown protocol{similar} (got {scheme!r}); allowed: {', '.join(known)}",
         )
-        raise InputError(Fault(f"{place} {url}", None, None, "", message))
     return _load(scheme)
 
 
@@ -74,9 +72,7 @@ def platform_server(url: str, place: str = "--platform") -> PlatformServer:
 
 
 def _load(scheme: str) -> Protocol:
-    if scheme in _registered:
-        return _registered[scheme]
-    return import_module(f"hiltestbed.devices.{MODULES[scheme]}").PROTOCOL
+    return _registered.get(scheme) or import_module(f"hiltestbed.devices.{scheme}").PROTOCOL
 
 
 def _make(url: str, place: str, part: str, what: str):
@@ -84,9 +80,9 @@ def _make(url: str, place: str, part: str, what: str):
     made = getattr(protocol, part)
     if made is None:
         able = [name for name, other in protocols().items() if getattr(other, part) is not None]
-        message = (
+        raise refused(
+            f"{place} {url}",
             f"{protocol.scheme} is not a protocol of {what} ({protocol.summary}); "
-            f"allowed: {', '.join(able)}"
+            f"allowed: {', '.join(able)}",
         )
-        raise InputError(Fault(f"{place} {url}", None, None, "", message))
     return made(parse(url, protocol.settings, place))

@@ -8,7 +8,7 @@ and all faults are reported at once.
 from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, TypeVar
-from urllib.parse import SplitResult, parse_qsl, urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import BaseModel, Field
 
@@ -18,6 +18,7 @@ from hiltestbed.errors import Fault, InputError
 
 LOOPBACK = "127.0.0.1"
 LONGEST = 2000  # characters
+FORM = "give it as scheme://host:port?option=value"
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 Settings = TypeVar("Settings", bound=BaseModel)
@@ -44,19 +45,16 @@ class DeviceSettings(Strictly):
 _FROM_ADDRESS = ("where", "host", "port", "kind")
 
 
+def refused(where: str, message: str, key: str = "") -> InputError:
+    """The error for a device that is wrong as given: the place, and the option if it is one's."""
+    return InputError(Fault(where, None, None, key, message))
+
+
 def scheme_of(url: str, place: str) -> str:
     """The scheme of a URL. Raises InputError if there is none."""
     scheme, separator, _ = url.partition("://")
     if not separator or not scheme or len(url) > LONGEST:
-        raise InputError(
-            Fault(
-                place,
-                None,
-                None,
-                "",
-                f"is not a device (got {url[:80]!r}); give it as scheme://host:port?option=value",
-            )
-        )
+        raise refused(place, f"is not a device (got {url[:80]!r}); {FORM}")
     return scheme.lower()
 
 
@@ -70,55 +68,45 @@ def parse(url: str, model: type[Settings], place: str) -> Settings:
     Raises:
         InputError: every fault of the URL, each with the options that are allowed.
     """
-    data: dict[str, Any] = {}
-    faults: list[Fault] = []
     file = f"{place} {url}"
-    parts = _split(url, file)
-    host = parts.hostname
-    if host:
-        data["host"] = host
+    faults: list[Fault] = []
+
+    def fault(key: str, message: str) -> None:
+        faults.append(Fault(file, None, None, key, message))
+
+    try:
+        parts = urlsplit(url)
+    except ValueError as error:
+        raise refused(file, f"is not a URL ({error}); {FORM}") from None
     try:
         port = parts.port
     except ValueError:
         text = parts.netloc.rpartition(":")[2]
-        raise InputError(
-            Fault(file, None, None, "port", f"is not a port (got {text!r}); allowed is 0 to 65535")
+        raise refused(
+            file, f"is not a port (got {text!r}); allowed is 0 to 65535", "port"
         ) from None
-    data["port"] = port if port is not None else getattr(model, "default_port", 0)
-    data["where"] = url
+    default = getattr(model, "default_port", 0)
+    data: dict[str, Any] = {"port": default if port is None else port, "where": url}
+    if parts.hostname:
+        data["host"] = parts.hostname
     if parts.path.strip("/") or parts.fragment or parts.username is not None:
-        faults.append(
-            Fault(
-                file,
-                None,
-                None,
-                "",
-                "has a path, a user or a fragment; give it as scheme://host:port?option=value",
-            )
-        )
+        fault("", f"has a path, a user or a fragment; {FORM}")
     options = [name for name in model.model_fields if name not in _FROM_ADDRESS]
     for key, value in parse_qsl(parts.query, keep_blank_values=True):
         if key in _FROM_ADDRESS:
-            faults.append(
-                Fault(
-                    file,
-                    None,
-                    None,
-                    key,
-                    "is not an option; the address goes before the question mark",
-                )
-            )
+            fault(key, "is not an option; the address goes before the question mark")
         elif key in data:
-            faults.append(
-                Fault(file, None, None, key, "is given twice; each option may stand once")
-            )
+            fault(key, "is given twice; each option may stand once")
         elif key not in options:
-            message = (
-                f"unknown option{nearest(key, options)}; allowed: {', '.join(options) or 'none'}"
-            )
-            faults.append(Fault(file, None, None, key, message))
+            allowed = ", ".join(options) or "none"
+            fault(key, f"unknown option{nearest(key, options)}; allowed: {allowed}")
         else:
-            data[key] = _value(value, file, key, faults)
+            try:
+                data[key] = parse_yaml(value, file)[0]
+            except InputError as error:
+                data[key] = value
+                for found in error.faults:
+                    fault(key, found.message)
     try:
         settings = validate(model, Source(file, data))
     except InputError as error:
@@ -126,26 +114,3 @@ def parse(url: str, model: type[Settings], place: str) -> Settings:
     if faults:
         raise InputError(faults)
     return settings
-
-
-def _split(url: str, file: str) -> SplitResult:
-    try:
-        return urlsplit(url)
-    except ValueError as error:
-        raise InputError(
-            Fault(
-                file,
-                None,
-                None,
-                "",
-                f"is not a URL ({error}); give it as scheme://host:port?option=value",
-            )
-        ) from None
-
-
-def _value(text: str, file: str, key: str, faults: list[Fault]) -> Any:
-    try:
-        return parse_yaml(text, file)[0]
-    except InputError as error:
-        faults.extend(Fault(file, None, None, key, fault.message) for fault in error.faults)
-        return text

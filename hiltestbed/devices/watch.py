@@ -2,10 +2,10 @@
 limits.
 
 A cycle without a new record is a *miss*; so is each record that the sequence numbers show as lost.
-A rejected record (malformed, from
-another sender, repeated, out of order) is a *disturbance*: it changes nothing, but many of them
-mean that the connection is unreliable. An error status (beyond the allowed number), a closed
-connection, a sample older than allowed and a value that is not physical stop the run at once.
+A rejected record (malformed, from another sender, repeated, out of order) is a *disturbance*: it
+changes nothing, but many of them mean that the connection is unreliable. An error status (beyond
+the allowed number), a closed connection, a sample older than allowed and a value that is not
+physical stop the run at once.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from hiltestbed.config.validation import Positive, Strictly
-from hiltestbed.devices.interface import Event, Link, PlatformClient, SensorClient
+from hiltestbed.devices.interface import Client, Event, Link
 
 DISTURBANCES = (Event.MALFORMED, Event.SENDER, Event.REPEATED, Event.REORDERED)
 
@@ -55,9 +55,7 @@ class CommunicationWatch:
         stop: the first reason to stop; None while all is within the limits.
     """
 
-    def __init__(
-        self, link: SensorClient | PlatformClient, limits: CommunicationLimits, name: str
-    ) -> None:
+    def __init__(self, link: Client, limits: CommunicationLimits, name: str) -> None:
         """``name``: the device's role in the messages (``sensor``, ``platform``)."""
         self.link, self.limits = link, limits
         self.stop: Stop | None = None
@@ -76,15 +74,12 @@ class CommunicationWatch:
         """Ignore everything that has happened so far."""
         self._before[:] = self.link.counts
         self._misses[:] = self._disturbances[:] = 0
-        self._cycle = self._in_a_row = self._errors = self._missed = self._disturbed = (
-            self._waited
-        ) = 0
+        self._cycle = self._in_a_row = self._errors = 0
+        self._missed = self._disturbed = self._waited = 0
         self.stop = self.link.sample.implausible = None
 
     def check(self, new: bool) -> Stop | None:
-        """Call after the reads of a cycle; ``new``: whether there was a new sample. Returns
-        :attr:`stop`.
-        """
+        """Call after the reads of a cycle; ``new``: whether a sample was; returns :attr:`stop`."""
         self.link.counts[Event.LATE] += not new
         age = self.link.sample.age()
         if age > self.limits.stale:
@@ -119,47 +114,33 @@ class CommunicationWatch:
         self._errors = self._errors + errors if errors or not new else 0
 
     def _judge(self, age: float) -> Stop | None:
-        limits, name, status = self.limits, self._name, self.link.sample.status
-        if self.link.sample.implausible is not None:
-            return Stop(Event.MALFORMED, f"{name}: {self.link.sample.implausible}")
-        if self._errors > limits.status_in_a_row:
-            return Stop(
-                Event.STATUS,
-                f"{name}: the device reports an error (status {status:#x}; allowed are "
-                f"{limits.status_in_a_row} in a row)",
-            )
+        limits, sample = self.limits, self.link.sample
+        if sample.implausible is not None:
+            return self._stop(Event.MALFORMED, sample.implausible)
+        if self._errors > (limit := limits.status_in_a_row):
+            status = f"status {sample.status:#x}; allowed are {limit} in a row"
+            return self._stop(Event.STATUS, f"the device reports an error ({status})")
         if self._happened[Event.GONE]:
-            return Stop(
-                Event.GONE,
-                f"{name}: the connection is gone; nothing listens at the device's address any more",
-            )
-        if age > limits.stale:
-            return Stop(
-                Event.STALE,
-                f"{name}: the newest sample is {1e3 * age:.1f} ms old (limit "
-                f"{1e3 * limits.stale:g} ms)",
-            )
-        if self._in_a_row > limits.misses_in_a_row:
-            what = (
-                f"{self._in_a_row} misses in a row, the last "
-                f"{self._last_miss.name.lower()} (limit {limits.misses_in_a_row})"
-            )
-            return Stop(self._last_miss, f"{name}: {what}")
-        if self._missed > limits.misses_in_window:
-            last = f"the last {self._last_miss.name.lower()} (limit {limits.misses_in_window})"
-            return Stop(
-                self._last_miss, f"{name}: {self._missed} misses in {limits.window} cycles, {last}"
-            )
-        if self._disturbed > limits.disturbances_in_window:
-            said = (
-                f"the last {self._last_disturbance.name.lower()} (limit "
-                f"{limits.disturbances_in_window})"
-            )
-            return Stop(
-                self._last_disturbance,
-                f"{name}: {self._disturbed} records rejected in {limits.window} cycles, {said}",
-            )
+            gone = "the connection is gone; nothing listens at the device's address any more"
+            return self._stop(Event.GONE, gone)
+        if age > (limit := limits.stale):
+            old = f"the newest sample is {1e3 * age:.1f} ms old (limit {1e3 * limit:g} ms)"
+            return self._stop(Event.STALE, old)
+        if self._in_a_row > (limit := limits.misses_in_a_row):
+            return self._too_many(self._last_miss, f"{self._in_a_row} misses in a row", limit)
+        if self._missed > (limit := limits.misses_in_window):
+            often = f"{self._missed} misses in {limits.window} cycles"
+            return self._too_many(self._last_miss, often, limit)
+        if self._disturbed > (limit := limits.disturbances_in_window):
+            often = f"{self._disturbed} records rejected in {limits.window} cycles"
+            return self._too_many(self._last_disturbance, often, limit)
         return None
+
+    def _stop(self, event: Event, reason: str) -> Stop:
+        return Stop(event, f"{self._name}: {reason}")
+
+    def _too_many(self, last: Event, often: str, limit: int) -> Stop:
+        return self._stop(last, f"{often}, the last {last.name.lower()} (limit {limit})")
 
 
 def said(link: Link) -> dict[str, int]:

@@ -2,10 +2,9 @@
 longer responds.
 
 The loop sends a heartbeat once per cycle: the time and the last command, written to shared memory.
-After ``timeout`` without one, the
-watchdog trips: through its duplicate of the platform's socket it sends the configured message once
-per period for ``lasting``. A loop that resumes finds :attr:`Watchdog.tripped` set and has to stop
-as well.
+After ``timeout`` without one, the watchdog trips: through its duplicate of the platform's socket it
+sends the configured message once per period for ``lasting``. A loop that resumes finds
+:attr:`Watchdog.tripped` set and has to stop as well.
 
 It covers a loop that hangs or dies, not a failure of the machine or the network. It is not a safety
 device.
@@ -13,25 +12,24 @@ device.
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import select
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 
-from hiltestbed.devices.interface import DeviceError, Keeper, PlatformClient
-from hiltestbed.devices.realtime import PRIORITY, ordinary, prepared
+from hiltestbed.devices.interface import DeviceError, PlatformClient
+from hiltestbed.devices.realtime import PRIORITY, ended, ordinary, prepared, started
 from hiltestbed.devices.ring import READY, Array, Ring, attached
 from hiltestbed.errors import InputError
 
 Action = Literal["hold", "stop"]
 ACTIONS: tuple[Action, ...] = ("hold", "stop")
-PATIENCE = 20.0  # [s] to wait for the process to start and to end
 BEATS = 512  # rows of the ring: unread heartbeats
 COLUMNS = 10  # time [s], armed, held (8,)
 LASTING = 2.0  # [s]
@@ -70,30 +68,19 @@ class Watchdog:
         self._row: Array = np.zeros(COLUMNS)
         self._tripped = False
         fileno = platform.fileno()
-        command = [
-            sys.executable,
-            "-m",
-            "hiltestbed.devices.watchdog",
+        self._process = started(
+            "watchdog",
             self._ring.name,
             self._answer.name,
             url,
             action,
-            repr(timeout),
-        ]
-        command += [
-            repr(lasting),
-            repr(platform.period if math.isfinite(platform.period) else timeout),
-            str(fileno),
-            str(os.getpid()),
-        ]
-        # in a session of its own: Ctrl-C in the loop's terminal must not end it
-        self._process = subprocess.Popen(
-            command,
+            timeout,
+            lasting,
+            platform.period if math.isfinite(platform.period) else timeout,
+            fileno,
+            os.getpid(),
             stdout=subprocess.PIPE,
-            stdin=subprocess.DEVNULL,
-            text=True,
             pass_fds=(fileno,) if fileno >= 0 else (),
-            start_new_session=True,
         )
         self._ready = False
         if wait and not self._heard():
@@ -103,11 +90,8 @@ class Watchdog:
     @property
     def ready(self) -> bool:
         """Whether its process is ready."""
-        if (
-            not self._ready
-            and self._process.stdout
-            and select.select([self._process.stdout], [], [], 0.0)[0]
-        ):
+        out = self._process.stdout
+        if not self._ready and out and select.select([out], [], [], 0.0)[0]:
             self._heard()
         return self._ready
 
@@ -117,16 +101,16 @@ class Watchdog:
         return self._ready
 
     def beat(self) -> None:
-        """Send a heartbeat; call once per cycle, after the command. The first one arms the
-        watchdog.
-        """
-        self._row[0], self._row[1] = time.monotonic_ns() * 1e-9, 1.0
+        """Send a heartbeat; call once per cycle, after the command. The first one arms it."""
         self._row[2:] = self._platform.held
-        self._ring.push(self._row)
+        self._push(armed=True)
 
     def disarm(self) -> None:
         """Disarm the watchdog: the loop ends normally and sends no more heartbeats."""
-        self._row[0], self._row[1] = time.monotonic_ns() * 1e-9, 0.0
+        self._push(armed=False)
+
+    def _push(self, armed: bool) -> None:
+        self._row[0], self._row[1] = time.monotonic_ns() * 1e-9, armed
         self._ring.push(self._row)
 
     @property
@@ -145,11 +129,7 @@ class Watchdog:
         if self._process.stdout is None or self._process.stdout.closed:
             return
         self._ring.finish()
-        try:
-            self._process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        ended(self._process)
         self._process.stdout.close()
         self._ring.close()
         self._answer.close()
@@ -158,28 +138,28 @@ class Watchdog:
 def watch(
     beats: Ring,
     answer: Ring,
-    keeper: Keeper,
-    action: Action,
+    send: Callable[[Array], None],
     timeout: float,
     lasting: float,
     period: float,
     parent: int,
 ) -> bool:
-    """Check the heartbeats until the loop has finished; True if the watchdog has acted."""
+    """Check the heartbeats until the loop has finished; True if the watchdog has acted: it calls
+    ``send`` with the last command once per ``period`` [s].
+    """
     newest: Array | None = None
     while not beats.finished:
         rows = beats.take()
         if len(rows):
             newest = rows[-1].copy()
-        armed = newest is not None and newest[1] > 0.0
         orphaned = os.getppid() != parent
-        if (
-            newest is not None
-            and armed
-            and (orphaned or time.monotonic_ns() * 1e-9 - newest[0] > timeout)
-        ):
+        silent = newest is not None and time.monotonic_ns() * 1e-9 - newest[0] > timeout
+        if newest is not None and newest[1] > 0.0 and (orphaned or silent):
             answer.push(np.ones(1))
-            _act(keeper, action, newest[2:], lasting, period)
+            until = time.monotonic() + lasting
+            while (began := time.monotonic()) < until:
+                send(newest[2:])
+                time.sleep(max(period - (time.monotonic() - began), 0.0))
             return True
         if orphaned:
             return False
@@ -187,40 +167,25 @@ def watch(
     return False
 
 
-def _act(keeper: Keeper, action: Action, held: Array, lasting: float, period: float) -> None:
-    until = time.monotonic() + lasting
-    while time.monotonic() < until:
-        began = time.monotonic()
-        if action == "hold":
-            keeper.hold(held)
-        else:
-            keeper.stop(held)
-        time.sleep(max(period - (time.monotonic() - began), 0.0))
-
-
 def main() -> int:
     """Entry point of the process."""
     from hiltestbed.devices.table import find, settings_of
 
-    parser = argparse.ArgumentParser()
-    for name in ("beats", "answer", "url", "action"):
-        parser.add_argument(name)
-    for name in ("timeout", "lasting", "period"):
-        parser.add_argument(name, type=float)
-    for name in ("fileno", "parent"):
-        parser.add_argument(name, type=int)
-    a = parser.parse_args()
-    kind = find(a.url, "--platform").keeper
+    beats, answer, url, action, *numbers = sys.argv[1:]
+    timeout, lasting, period = map(float, numbers[:3])
+    fileno, parent = map(int, numbers[3:])
+    kind = find(url, "--platform").keeper
     if kind is None:
         return 1
-    keeper = kind(settings_of(a.url, "--platform"), a.fileno)
-    with attached(a.beats, a.answer) as rings:
+    keeper = kind(settings_of(url, "--platform"), fileno)
+    send = keeper.hold if action == "hold" else keeper.stop
+    with attached(beats, answer) as rings:
         if not rings:
             return 1
         ordinary()
         # above the loop, which may be stuck at its own priority
         with prepared(priority=PRIORITY + 1):
-            watch(rings[0], rings[1], keeper, a.action, a.timeout, a.lasting, a.period, a.parent)
+            watch(rings[0], rings[1], send, timeout, lasting, period, parent)
     return 0
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiltestbed.analysis.metrics import settle_ticks
-from hiltestbed.campaign.structure import lockstep_groups
+from hiltestbed.campaign.cases import lockstep_groups
 from hiltestbed.diagnosis.conclusion import SimulatedRun
 from hiltestbed.diagnosis.result import Cause, ClosedLoop, Figures, Learned
 from hiltestbed.errors import HiltestbedError

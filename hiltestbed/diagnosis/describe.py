@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hiltestbed.diagnosis.contradiction import contradiction, range_of_half
 from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
@@ -30,11 +31,37 @@ def describe(explanation: Explanation, name: str) -> str:
         if shape
         else "; it correlates with none of penetration, rate, their product, force or time"
     )
+    contrary = contradiction(explanation)
+    contradicted = f"; {contrary}" if contrary else ""
     words = " and ".join(explanation.chosen.kinds)
     taken = f"with {words} removed, " if words else ""
     return (
         f"{name}: {taken}the largest residual is on {channel}, {worst} (times the noise: "
-        f"{figures}){along}"
+        f"{figures}){along}{_where(residual, effects, column)}"
+        f"{contradicted}"
+    )
+
+
+def _where(residual: Residual, effects: Effects, column: int) -> str:
+    """Where along the insertion half of the residual in contact sits, in words; empty on links
+    without a path.
+    """
+    link = residual.link
+    if not isinstance(link, WrenchLink):
+        return ""
+    parts = [
+        (link.paths[i][inside, 2], residual.of_run(i, effects)[inside, column])
+        for i in residual.runs
+        if (inside := link.runs[i].touching).any()
+    ]
+    if not parts:
+        return ""
+    position, left = (np.concatenate(p) for p in zip(*parts, strict=True))
+    low, high = (1e3 * x for x in range_of_half(position, left))
+    first, last = 1e3 * position.min(), 1e3 * position.max()
+    return (
+        f"; half of it sits between {low:.3g} and {high:.3g} mm of pz, of {first:.3g} to "
+        f"{last:.3g} mm in contact"
     )
 
 

@@ -10,10 +10,12 @@ at small size.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from hiltestbed.diagnosis.fit import effects_at
+from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.result import Isolable
 from hiltestbed.diagnosis.search import Progress
@@ -34,29 +36,78 @@ def isolability(
     """One entry for each effect among the candidates, for the hypothesis (of an axis, a body) that
     shows most at its largest size.
     """
-    first = _clearest(residual, candidates)
-    found = {
-        kind: (c, *smallest)
-        for (kind, c), smallest in zip(
-            first.items(), _smallest(residual, list(first.values()), progress), strict=True
-        )
+    found = detectable(residual, candidates, progress)
+    directions = {
+        s.kind: s.change / np.sqrt(square(s.change)) for s in found if s.change is not None
     }
     out = []
-    for kind, (c, size, direction) in reversed(found.items()):
-        name = c.names[0] if c.names else next(iter(c.fixed), "")
+    for s in found:
         likeness = {
-            other: abs(float(np.einsum("m,m->", direction, d)))
-            for other, (_, _, d) in found.items()
-            if other != kind and direction is not None and d is not None
+            other: abs(float(np.einsum("m,m->", directions[s.kind], d)))
+            for other, d in directions.items()
+            if other != s.kind and s.kind in directions
         }
         same = tuple(
             o
             for o, v in sorted(likeness.items(), key=lambda item: -item[1])
             if v > LOOK_ALIKE_COSINE
         )
-        unit = c.effect.unit(name.partition(".")[0]) if name else ""
-        out.append(Isolable(kind, name, unit, size, same, max(likeness.values(), default=0.0)))
+        most = max(likeness.values(), default=0.0)
+        out.append(Isolable(s.kind, s.parameter, s.unit, s.size, same, most))
     return tuple(out)
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest size of an effect that data would show.
+
+    Attributes:
+        candidate: the hypothesis of the effect that shows most. theta: its parameters at that size.
+        change: (M,) of the residual by it; None where the data do not show the effect.
+    """
+
+    candidate: Candidate
+    theta: Array
+    change: Array | None
+
+    @property
+    def effects(self) -> Effects:
+        """The effect at that size."""
+        return effects_at((self.candidate,), self.theta)
+
+    @property
+    def size(self) -> float | None:
+        """Of the leading parameter, a factor's departure from 1, where the data show the effect;
+        the end of its search where they show every size that is searched.
+        """
+        if self.change is None:
+            return None
+        names = self.candidate.names
+        value = float(self.theta[0]) if names else 1.0
+        return abs(value - 1.0) if names and names[0] == "factor" else abs(value)
+
+    @property
+    def kind(self) -> str:
+        return self.candidate.kind
+
+    @property
+    def parameter(self) -> str:
+        """The parameter that is its size, or else what it has in place of one."""
+        c = self.candidate
+        return c.names[0] if c.names else next(iter(c.fixed), "")
+
+    @property
+    def unit(self) -> str:
+        name = self.parameter.partition(".")[0]
+        return self.candidate.effect.unit(name) if name else ""
+
+
+def detectable(
+    residual: Residual, candidates: Sequence[Candidate], progress: Progress | None = None
+) -> list[Detectable]:
+    """One for each effect among the candidates."""
+    first = list(_clearest(residual, candidates).values())
+    return _smallest(residual, first, progress)[::-1]
 
 
 def _clearest(residual: Residual, candidates: Sequence[Candidate]) -> dict[str, Candidate]:
@@ -76,9 +127,8 @@ def _clearest(residual: Residual, candidates: Sequence[Candidate]) -> dict[str, 
 
 def _smallest(
     residual: Residual, candidates: Sequence[Candidate], progress: Progress | None
-) -> list[tuple[float | None, Array | None]]:
-    """The smallest size of each candidate that would be detected beyond its penalty, and the
-    direction of the residual there.
+) -> list[Detectable]:
+    """The smallest size of each candidate that would be detected beyond its penalty.
 
     The bisections of all candidates go on together: each step is one replay.
     """
@@ -110,16 +160,10 @@ def _smallest(
                 high[j], best[j] = middle[j], d
             else:
                 low[j] = middle[j]
-    out: list[tuple[float | None, Array | None]] = []
-    for i, c in enumerate(candidates):
-        d = best[i]
-        if d is None:
-            out.append((None, None))
-            continue
-        value = _value(c, high[i]) if c.names else 1.0
-        size = abs(value - 1.0) if c.names and c.names[0] == "factor" else abs(value)
-        out.append((size, d / np.sqrt(square(d))))
-    return out
+    return [
+        Detectable(c, _at(c, float(most)), change)
+        for c, change, most in zip(candidates, best, high, strict=True)
+    ]
 
 
 def _changes(
@@ -128,14 +172,23 @@ def _changes(
     """(M,) change of the residual by each candidate at its size, from 0 (next to nothing) to 1 (the
     largest that is searched).
     """
-    effects = []
-    for c, size in zip(candidates, sizes, strict=True):
-        theta = np.array(c.grid[len(c.grid) // 2], dtype=float)
-        if len(theta):
-            theta[:] = np.where(c.low <= 0, theta, np.maximum(theta, c.low))
-            theta[0] = _value(c, float(size))
-        effects.append(effects_at((c,), np.clip(theta, c.low, c.high)))
+    effects = [
+        effects_at((c,), _at(c, float(size))) for c, size in zip(candidates, sizes, strict=True)
+    ]
     return [r - null for r in residual.many(effects)] if effects else []
+
+
+def _at(c: Candidate, size: float) -> Array:
+    """The parameters of a candidate at a size from 0 to 1: further components of a vector are as
+    near to 0 as they are searched, other parameters where a search starts.
+    """
+    theta = np.array(c.grid[len(c.grid) // 2], dtype=float)
+    if len(theta):
+        leading = c.names[0].partition(".")[0]
+        beside = np.array([name.partition(".")[0] == leading for name in c.names])
+        theta = np.where(beside, 0.0, np.where(c.low <= 0, theta, np.maximum(theta, c.low)))
+        theta[0] = _value(c, size)
+    return np.clip(theta, c.low, c.high)
 
 
 def _value(c: Candidate, size: float) -> float:

@@ -10,7 +10,7 @@ from hiltestbed.diagnosis.fit import Fit, fit
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.frames import Array
-from hiltestbed.sensor.effects.additions import SensorHum
+from hiltestbed.sensor.effects import SensorHum
 
 # derived: of a line over that of the noise, from which it is tried as a hum: 1e-13 of exponential
 # noise a frequency

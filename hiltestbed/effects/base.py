@@ -93,9 +93,7 @@ class Departure(Strictly):
 
     @classmethod
     def hypothesis(cls, variant: Mapping[str, Any], **values: Any) -> Self:
-        """The effect in a variant, with unchecked parameters: a search may leave the range that a
-        scenario allows.
-        """
+        """The effect in a variant, unchecked: a search may leave the range of a scenario."""
         effect = cls.model_construct(**values)
         effect._variant = variant
         return effect
@@ -122,9 +120,7 @@ class Departure(Strictly):
 
     @classmethod
     def searched(cls, parameter: str) -> tuple[float, float, bool]:
-        """The range of a parameter that a diagnosis searches, and whether it is searched
-        logarithmically.
-        """
+        """The searched range of a parameter, and whether it is searched logarithmically."""
         extra = cls.model_fields[parameter].json_schema_extra
         if not isinstance(extra, dict) or "search" not in extra:
             raise KeyError(f"{cls.__name__}.{parameter} is not searched")
@@ -161,9 +157,7 @@ class Effect(Departure):
         raise NotImplementedError
 
     def worth(self, scenario: ScenarioLike, frequency: float) -> float | None:
-        """Its equivalent delay [s] in a contact of ``frequency`` [rad/s]; None: it does not act as
-        a delay.
-        """
+        """Its equivalent delay [s] in a contact of ``frequency`` [rad/s]; None: no delay."""
         return None
 
     def unfit(self, scenario: ScenarioLike) -> str | None:

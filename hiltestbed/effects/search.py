@@ -143,9 +143,7 @@ class Candidate:
 
     @property
     def vector(self) -> bool:
-        """Whether the parameters are components of a vector: a grid does not cover its
-        directions.
-        """
+        """Whether they are components of a vector, whose directions no grid covers."""
         return any("." in name for name in self.names)
 
     @property
@@ -184,9 +182,7 @@ class Candidate:
         )
 
     def at(self, theta: Array) -> Any:
-        """The effect with the free parameters at theta, unchecked: a search may leave the range
-        that a scenario allows.
-        """
+        """The effect with the free parameters at theta, unchecked."""
         values: dict[str, Any] = dict(self.fixed)
         variant = dict(self.variant)
         for name, value in zip(self.names, theta, strict=True):

@@ -84,14 +84,12 @@ def _across(j, products, own, other):
     """
     n = own[0]
     if j < PAIRS:
-        xx, xv, vx, vv, xy, vy = (
-            products[j, 0],
-            products[j, 1],
-            products[j, 2],
-            products[j, 3],
-            products[j, 4],
-            products[j, 5],
-        )
+        xx = products[j, 0]
+        xv = products[j, 1]
+        vx = products[j, 2]
+        vv = products[j, 3]
+        xy = products[j, 4]
+        vy = products[j, 5]
     else:
         s = products[PARTNERS[j]]
         xx, xv, vx, vv, xy, vy = s[0], s[2], s[1], s[3], s[6], s[7]
@@ -123,16 +121,12 @@ def take_in_partner(j, products, own, other, variance, rest, out):
     m = n - 5.0
     if m < 1.0:
         return False, rest
-    a11, a12, a22 = (
-        own[4] - own[1] * own[1] / n,
-        own[5] - own[1] * own[2] / n,
-        own[6] - own[2] * own[2] / n,
-    )
-    d11, d12, d22 = (
-        other[4] - other[1] * other[1] / n,
-        other[5] - other[1] * other[2] / n,
-        other[6] - other[2] * other[2] / n,
-    )
+    a11 = own[4] - own[1] * own[1] / n
+    a12 = own[5] - own[1] * own[2] / n
+    a22 = own[6] - own[2] * own[2] / n
+    d11 = other[4] - other[1] * other[1] / n
+    d12 = other[5] - other[1] * other[2] / n
+    d22 = other[6] - other[2] * other[2] / n
     b11, b12, b21, b22, e1, e2 = _across(j, products, own, other)
     det = a11 * a22 - a12 * a12
     w11, w12 = (a22 * b11 - a12 * b21) / det, (a22 * b12 - a12 * b22) / det  # W = A^-1 B

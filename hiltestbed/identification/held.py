@@ -19,7 +19,7 @@ position when the latch closed.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,24 @@ NONE = -1
 UNTURNED = np.array([0.0, 0.0, 0.0, 1.0])
 
 
+class _Latches(NamedTuple):
+    # the closure that holds, by the number of phases that have begun; NONE: a latch without phases
+    acts: NDArray[np.int64]
+    places: Array  # (K, 2, 7) of the sites of each closure
+    kinds: NDArray[np.int64]  # (K,)
+    together: NDArray[np.bool_]  # (K,)
+
+
+class _Now(NamedTuple):
+    held: NDArray[np.bool_]  # (n,) whether captured, and phases begun, at the tick before
+    before: NDArray[np.int64]
+    lever: Array  # these as in HeldPlace
+    origin: Array
+    reference: Array
+    since: NDArray[np.int64]
+    changes: NDArray[np.int64]
+
+
 class HeldPlace:
     """The latches' reference points of ``n`` runs.
 
@@ -52,57 +70,39 @@ class HeldPlace:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n, mechanism = len(scenarios), scenarios[0].mechanism
         sites = sides_of(mechanism).sites
-        closing, self._places, kinds, together = NONE, [], [], []
-        # the closure that holds, by the number of phases that have begun; NONE for a latch without
-        # phases
-        self._acts = []
+        closing, acts, places, kinds, together = NONE, [], [], [], []
         for phase in mechanism.phases():
             if phase.close is not None:
                 closing += 1
-                (a, at_a), (p, at_p) = (
-                    sites["A", phase.close.active],
-                    sites["P", phase.close.passive],
-                )
-                self._places.append((at_a, at_p))
+                (a, at_a) = sites["A", phase.close.active]
+                (p, at_p) = sites["P", phase.close.passive]
+                places.append((at_a, at_p))
                 kinds.append(ON_ACTIVE if a == ACTIVE else ON_PASSIVE if p == PASSIVE else AT_A)
                 together.append(phase.close.hold == "together" and kinds[-1] != AT_A)
-            self._acts.append(closing)
-        self._acts = np.array([NONE, *self._acts], dtype=np.int64)
-        self._places = np.array(self._places).reshape(len(kinds), 2, 7)
-        self._kinds, self._together = (
+            acts.append(closing)
+        latches = _Latches(
+            np.array([NONE, *acts], dtype=np.int64),
+            np.array(places).reshape(len(kinds), 2, 7),
             np.array(kinds, dtype=np.int64),
             np.array(together, dtype=bool),
         )
-        self.lever, self.origin, self.reference = (
-            np.zeros((n, 3)),
-            np.zeros((n, 3)),
-            np.tile(UNTURNED, (n, 1)),
-        )
+        self.lever = np.zeros((n, 3))
+        self.origin = np.zeros((n, 3))
+        self.reference = np.tile(UNTURNED, (n, 1))
         self.since, self.changes = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-        self._held = np.array([s.mechanism.captured for s in scenarios])
-        self._steps = np.zeros(n, dtype=np.int64)
-        self._update = Call(
-            _update,
-            GIVEN,
-            GIVEN,
-            GIVEN,
-            self._acts,
-            self._places,
-            self._kinds,
-            self._together,
-            self._held,
-            self._steps,
+        now = _Now(
+            np.array([s.mechanism.captured for s in scenarios]),
+            np.zeros(n, dtype=np.int64),
             self.lever,
             self.origin,
             self.reference,
             self.since,
             self.changes,
         )
+        self._update = Call(_update, GIVEN, GIVEN, GIVEN, latches, now)
 
     def update(self, pose: Array, captured: NDArray[np.bool_], steps: NDArray[np.int64]) -> None:
-        """Process the pose ``(n, 7)`` of A in P, whether captured ``(n,)``, and the number of
-        phases begun ``(n,)``; once per tick.
-        """
+        """Process pose ``(n, 7)``, whether captured, and phases begun ``(n,)``; once per tick."""
         self.updating(pose, captured, steps)()
 
     def updating(
@@ -113,22 +113,9 @@ class HeldPlace:
 
 
 @njit(cache=True)
-def _update(
-    pose,
-    captured,
-    steps,
-    acts,
-    places,
-    kinds,
-    together,
-    held,
-    before,
-    lever,
-    origin,
-    reference,
-    since,
-    changes,
-):
+def _update(pose, captured, steps, latches, now):
+    acts, places, kinds, together = latches
+    held, before, lever, origin, reference, since, changes = now
     v, q = np.empty(3), np.empty(4)
     for i in range(pose.shape[0]):
         since[i] += 1

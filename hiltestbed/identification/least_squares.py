@@ -23,8 +23,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.compiled.bound import GIVEN, Call
@@ -49,6 +51,16 @@ EXPLAINED = 0.9
 SUMS = 10  # n, x, v, y, xx, xv, vv, xy, vy, yy
 
 
+class _Sums(NamedTuple):
+    """The state of the recursion."""
+
+    seen: NDArray[np.int64]  # (n,) changes of the mechanism so far
+    sums: Array  # (n, 7, SUMS)
+    products: Array  # (n, PAIRS, PRODUCTS)
+    found: Array  # (4, n, 7) k, c and their standard deviations
+    used: Array  # (n, 7) samples
+
+
 class RecursiveLeastSquares:
     """Estimates of stiffness and damping on six axes for ``n`` runs.
 
@@ -70,9 +82,7 @@ class RecursiveLeastSquares:
         forgetting: Sequence[float],
         lead: PhaseLeadBlock | None = None,
     ) -> None:
-        """``source``: of the samples; ``forgetting``: factor of each run per tick; ``lead``: filter
-        that the force passes first.
-        """
+        """``forgetting``: factor of each run per tick; ``lead``: that the force passes first."""
         n = len(forgetting)
         self.source = source
         self._lead = lead
@@ -87,28 +97,13 @@ class RecursiveLeastSquares:
         self.samples = self._used[:, :NORMAL]
         self._changes = np.zeros(n, dtype=np.int64)
         self._noise = source.noise**2
-        self._estimated = Call(
-            _estimate,
-            source.held.changes,
-            self._changes,
-            source.ready,
-            source.ready_normal,
-            source.whole,
-            self.forgetting,
-            GIVEN,
-            source.place,
-            self._noise,
-            self._sums,
-            self._products,
-            self._found,
-            self._used,
-        )
+        sums = _Sums(self._changes, self._sums, self._products, self._found, self._used)
+        given = (source.held.changes, source.found, self.forgetting, self._noise, sums)
+        self._estimated = Call(_estimate, GIVEN, *given)
 
     @property
     def along_normal(self) -> Array:
-        """``(n, 5)`` stiffness, damping, their standard deviations, and number of samples, along
-        the contact normal.
-        """
+        """``(n, 5)`` stiffness, damping, their sd, and samples, along the contact normal."""
         return np.column_stack([*self._found[:, :, NORMAL], self._used[:, NORMAL]])
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
@@ -119,31 +114,16 @@ class RecursiveLeastSquares:
 
 
 @njit(cache=True)
-def _estimate(
-    changes,
-    seen,
-    ready,
-    ready_normal,
-    sample,
-    forgetting,
-    captured,
-    place,
-    noise,
-    sums,
-    products,
-    found,
-    used,
-):
-    _begin_anew(changes, seen, sums, products, found, used)
-    _accumulate(ready, ready_normal, sample, forgetting, captured, sums, products, used)
-    _solve(ready, ready_normal, captured, place, noise, sums, products, found)
+def _estimate(captured, changes, samples, forgetting, noise, s):
+    _begin_anew(changes, s)
+    _accumulate(samples, forgetting, captured, s)
+    _solve(samples, captured, noise, s)
 
 
 @njit(cache=True)
-def _begin_anew(changes, seen, sums, products, found, used):
-    """Reset the six axes of the runs in which a latch has closed or a phase of capture has begun:
-    the mechanism has changed.
-    """
+def _begin_anew(changes, s):
+    """Reset the six axes where the mechanism has changed: a latch, a phase of capture."""
+    seen, sums, products, found, used = s
     for i in range(changes.shape[0]):
         if changes[i] == seen[i]:
             continue
@@ -160,13 +140,15 @@ def _begin_anew(changes, seen, sums, products, found, used):
 
 
 @njit(cache=True)
-def _accumulate(ready, ready_normal, sample, forgetting, captured, sums, products, samples):
+def _accumulate(samples, forgetting, captured, s):
+    ready, ready_normal, sample = samples.ready, samples.ready_normal, samples.whole
+    sums, products, used = s.sums, s.products, s.used
     for i in range(sample.shape[0]):
         for j in range(7):
             if not (ready[i] if j < NORMAL else ready_normal[i]):
                 continue
             _add(sums[i, j], sample[i, j], forgetting[i])
-            samples[i, j] += 1.0
+            used[i, j] += 1.0
         if ready[i] and captured[i]:
             accumulate_pairs(sample[i], forgetting[i], products[i])
 
@@ -236,7 +218,9 @@ def _fit(sums, out):
 
 
 @njit(cache=True)
-def _solve(ready, ready_normal, captured, place, noise, sums, products, found):
+def _solve(samples, captured, noise, s):
+    ready, ready_normal, place = samples.ready, samples.ready_normal, samples.place
+    sums, products, found = s.sums, s.products, s.found
     out = np.empty(4)
     for i in range(sums.shape[0]):
         for j in range(7):

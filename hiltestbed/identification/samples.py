@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.contact.wrench import meet_all
 from hiltestbed.frames import Array
 from hiltestbed.identification.held import HeldPlace, add_moment, referred
-from hiltestbed.sensor.filters import FILTERED, filtered, high_pass, low_pass
+from hiltestbed.sensor.chain import FILTERED, filtered, filters_of, high_pass, low_pass
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -52,6 +52,41 @@ FILTER_MEMORY = 3.0
 # [N, N m] 1 sigma of a force that has passed a lead, or is paired with a pose of another time
 UNKNOWN = 1e15
 SPARE = 0.03  # [s] by which an estimated delay may exceed the nominal one
+
+
+class _Given(NamedTuple):
+    """The numbers of the runs."""
+
+    tick: float  # [s]
+    threshold: Array  # (n,) [N] of the axial force
+    smooth: Array  # (n, 2) weights per tick of the sensor's low-pass
+    leak: Array  # (n, 2) factors per tick of its high-pass
+    margin: NDArray[np.int64]  # (n,) ticks that are skipped at both ends of a contact
+    flat: NDArray[np.bool_]  # (n,) whether the contact acts along the six axes
+    held_rate: bool  # whether the rate is constant over a tick
+    known: bool  # whether the contact follows from the pose
+
+
+class _Past(NamedTuple):
+    """What the samples remember."""
+
+    x: Array  # (n, L, 7) of six axes and the normal, tick k at slot k modulo L
+    v: Array
+    normal: Array  # (n, L, 3)
+    filter: Array  # (n, 7, 3, FILTERED)
+    pending: Array  # (n, margin, 7, 4) samples of the last ticks
+    gated: NDArray[np.int64]  # (n,) ticks in contact
+    peak: Array  # (n,) [N]
+    felt: NDArray[np.int64]  # (n,) ticks since the capture
+
+
+class Samples(NamedTuple):
+    """The sample that is to be used: attributes of :class:`ContactSamples`."""
+
+    ready: NDArray[np.bool_]
+    ready_normal: NDArray[np.bool_]
+    place: Array
+    whole: Array
 
 
 class ContactSamples:
@@ -101,102 +136,56 @@ class ContactSamples:
         self.noise = np.array(
             [[s.sensor.noise, s.sensor.torque_noise] if known else [UNKNOWN] * 2 for s in scenarios]
         )
-        lowpass = (
-            np.array(
-                [
-                    0.0 if s.sensor.lowpass is None else 1.0 / (2.0 * math.pi * s.sensor.lowpass)
-                    for s in scenarios
-                ]
-            )
-            * aligned
-        )
-        highpass = np.array(
-            [
-                math.inf
-                if s.sensor.time_constant is None or not aligned
-                else s.sensor.time_constant
-                for s in scenarios
-            ]
-        )
-        self._smooth, self._leak = low_pass(lowpass, h), high_pass(highpass, h)
-        self._held_rate = first.rig.platform.prescribed
+        lowpass, highpass = filters_of(scenarios) if aligned else (np.zeros(n), np.full(n, np.inf))
         self._estimate = estimate
         spent = FILTER_MEMORY * lowpass
         # the led force is that at t_k; whether the contact still lasts is known only a delay later
         if lead:
             spent = np.array([s.sensor.delay for s in scenarios]) + FILTER_MEMORY * np.array(lead)
-        self._margin = 1 + np.ceil(spent / h - 1e-9).astype(np.int64)
+        margin = 1 + np.ceil(spent / h - 1e-9).astype(np.int64)
         self._longest = self.delay.max() + SPARE * estimate
         length = 2 + int(math.ceil(self._longest / h))
-        self._x = np.zeros((n, length, 7))
-        self._v = np.zeros((n, length, 7))
-        self._normal = np.zeros((n, length, 3))
         sides = sides_of(first.mechanism)
-        # the pose does not show moving parts of a side
-        self._known = sides.rigid and len(sides.facets) > 0
-        self._geometry = sides.geometry
-        self._flat = np.array([s.mechanism.flat or s.mechanism.captured for s in scenarios])
+        given = _Given(
+            h,
+            self.threshold,
+            low_pass(lowpass, h),
+            high_pass(highpass, h),
+            margin,
+            np.array([s.mechanism.flat or s.mechanism.captured for s in scenarios]),
+            first.rig.platform.prescribed,
+            # the pose does not show moving parts of a side
+            sides.rigid and len(sides.facets) > 0,
+        )
+        self._known = given.known
         self._clock = np.zeros(1, dtype=np.int64)  # ticks seen
-        self._filter = np.zeros((n, 7, 3, FILTERED))
-        self._pending = np.zeros((n, int(self._margin.max()) + 1, 7, 4))
-        self._gated = np.zeros(n, dtype=np.int64)
-        self._peak = np.zeros(n)
-        self._felt = np.zeros(n, dtype=np.int64)  # ticks since the capture
-        self.held = HeldPlace(scenarios)
-        self.captured = np.zeros(n, dtype=bool)
+        self._past = past = _Past(
+            np.zeros((n, length, 7)),
+            np.zeros((n, length, 7)),
+            np.zeros((n, length, 3)),
+            np.zeros((n, 7, 3, FILTERED)),
+            np.zeros((n, int(margin.max()) + 1, 7, 4)),
+            np.zeros(n, dtype=np.int64),
+            np.zeros(n),
+            np.zeros(n, dtype=np.int64),
+        )
+        self.held = held = HeldPlace(scenarios)
+        self.captured, self.steps = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
         # force and speed at the first contact sample, delay as found then
         self._onset = np.full((n, 3), np.nan)
-        self.place = np.zeros((n, 3))
-        self.ready, self.ready_normal = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-        self.whole = np.zeros((n, 7, 4))
+        self.found = Samples(
+            np.zeros(n, dtype=bool), np.zeros(n, dtype=bool), np.zeros((n, 3)), np.zeros((n, 7, 4))
+        )
+        self.ready, self.ready_normal, self.place, self.whole = self.found
         self.sample = self.whole[:, :NORMAL]
-        self.steps = np.zeros(n, dtype=np.int64)
-        self._taken = Joined(self._taking)
-        self._remembered = Call(
-            _remember, ..., GIVEN, GIVEN, self.held.lever, self.held.reference, self._x, self._v
-        )
         self.at_once = np.zeros(n, dtype=np.int64)
-        self._met = Call(
-            _meet,
-            ...,
-            *self._geometry,
-            GIVEN,
-            GIVEN,
-            self._x,
-            self._v,
-            self._normal,
-            self.at_once,
-        )
-        self._gate = Call(
-            _gate, GIVEN, self.threshold, GIVEN, self.delay, h, self._felt, self._peak, self._gated
-        )
+        self._taken = Joined(self._taking)
+        self._remembered = Call(_remember, ..., GIVEN, GIVEN, held.lever, held.reference, past)
+        self._met = Call(_meet, ..., sides.geometry, GIVEN, GIVEN, past, self.at_once)
+        self._gate = Call(_gate, GIVEN, GIVEN, self.delay, given, past)
+        latch = (held.origin, held.changes, held.since)
         self._sampled = Call(
-            _sample_and_choose,
-            ...,
-            h,
-            self._gated,
-            self.delay,
-            self._pending,
-            GIVEN,
-            self._x,
-            self._v,
-            self._normal,
-            self._held_rate,
-            GIVEN,
-            self.held.origin,
-            self.place,
-            self._smooth,
-            self._leak,
-            self._filter,
-            self._margin,
-            self._felt,
-            self.held.changes,
-            self.held.since,
-            self._flat,
-            self._known,
-            self.ready,
-            self.ready_normal,
-            self.whole,
+            _sample_and_choose, ..., GIVEN, GIVEN, self.delay, given, past, latch, self.found
         )
 
     def take(self, wrench: Array, pose: Array, twist: Array, led: Array | None = None) -> None:
@@ -214,17 +203,7 @@ class ContactSamples:
             self._met.on(pose, twist)(k)
         self._gate.on(wrench, self.captured)()
         if self._estimate:
-            _find_delay(
-                k,
-                self.tick,
-                self._longest,
-                wrench,
-                self._x,
-                self._v,
-                self._gated,
-                self.delay,
-                self._onset,
-            )
+            _find_delay(k, self.tick, self._longest, wrench, self._past, self.delay, self._onset)
         self._sampled.on(wrench if led is None else led, self.captured)(k)
         self._clock[0] = k + 1
 
@@ -262,7 +241,8 @@ class ContactSamples:
 
 
 @njit(cache=True)
-def _remember(k, pose, twist, lever, reference, x, v):
+def _remember(k, pose, twist, lever, reference, past):
+    x, v = past.x, past.v
     slot = k % x.shape[1]
     for i in range(pose.shape[0]):
         referred(pose[i], twist[i], lever[i], reference[i], x[i, slot], v[i, slot])
@@ -274,17 +254,16 @@ def _remember(k, pose, twist, lever, reference, x, v):
 
 
 @njit(cache=True)
-def _meet(k, index, values, pose, twist, x, v, normal, at_once):
+def _meet(k, geometry, pose, twist, past, at_once):
     """Penetration, its rate and the normal of the deepest contact at t_k, in the column after the
     six axes; and how many contacts there are at once.
     """
+    (index, values), x, v, normal = geometry, past.x, past.v, past.normal
     slot, length, count = k % x.shape[1], x.shape[1], index[-1]
-    frames, motions, work, p = (
-        np.zeros((2, 7)),
-        np.zeros((2, 6)),
-        np.empty((9, 7)),
-        np.ones((count, PARAMETERS)),
-    )
+    frames = np.zeros((2, 7))
+    motions = np.zeros((2, 6))
+    work = np.empty((9, 7))
+    p = np.ones((count, PARAMETERS))
     for c in range(count):
         p[c, LEVER] = 0.5
     frames[1, 6] = 1.0
@@ -314,92 +293,21 @@ def _meet(k, index, values, pose, twist, x, v, normal, at_once):
 
 
 @njit(cache=True)
-def _sample_and_choose(
-    k,
-    h,
-    gated,
-    delay,
-    pending,
-    wrench,
-    x,
-    v,
-    normal,
-    held_rate,
-    captured,
-    origin,
-    place,
-    smooth,
-    leak,
-    memory,
-    margin,
-    held,
-    changes,
-    since,
-    flat,
-    known,
-    ready,
-    ready_normal,
-    sample,
-):
+def _sample_and_choose(k, wrench, captured, delay, given, past, latch, found):
     """Store the current sample in ``pending``, and select the pending sample to be used."""
-    _sample(
-        k,
-        wrench,
-        x,
-        v,
-        normal,
-        delay,
-        h,
-        held_rate,
-        gated,
-        captured,
-        origin,
-        place,
-        smooth,
-        leak,
-        memory,
-        pending,
-    )
-    _choose(
-        k,
-        h,
-        delay,
-        margin,
-        gated,
-        held,
-        changes,
-        since,
-        flat,
-        known,
-        pending,
-        ready,
-        ready_normal,
-        sample,
-    )
+    origin, changes, since = latch
+    _sample(k, wrench, captured, delay, given, past, origin, found.place)
+    _choose(k, delay, given, past, changes, since, found)
 
 
 @njit(cache=True)
-def _sample(
-    k,
-    wrench,
-    x,
-    v,
-    normal,
-    delay,
-    h,
-    held_rate,
-    gated,
-    captured,
-    origin,
-    place,
-    smooth,
-    leak,
-    memory,
-    pending,
-):
+def _sample(k, wrench, captured, delay, given, past, origin, place):
     """x, v and 1 at t_k - delay while in contact, else 0, through the model of the sensor's
     filters, with the force read at t_k.
     """
+    h, smooth, leak = given.tick, given.smooth, given.leak
+    x, v, normal, memory = past.x, past.v, past.normal, past.filter
+    pending, gated = past.pending, past.gated
     length = x.shape[1]
     slot = k % pending.shape[1]
     f = np.empty(6)
@@ -412,7 +320,9 @@ def _sample(
         for j in range(7):
             position = (1.0 - part) * x[i, late, j] + part * x[i, early, j]
             rate = (
-                v[i, late, j] if held_rate else (1.0 - part) * v[i, late, j] + part * v[i, early, j]
+                v[i, late, j]
+                if given.held_rate
+                else (1.0 - part) * v[i, late, j] + part * v[i, early, j]
             )
             if captured[i] and j < 3:
                 place[i, j] = position
@@ -434,58 +344,45 @@ def _sample(
 
 
 @njit(cache=True)
-def _choose(
-    k,
-    h,
-    delay,
-    margin,
-    gated,
-    held,
-    changes,
-    since,
-    flat,
-    known,
-    pending,
-    ready,
-    ready_normal,
-    sample,
-):
+def _choose(k, delay, given, past, changes, since, found):
     """The sample of ``margin`` (n,) ticks ago, which is used if the contact lasted for as many
     ticks before and after it.
 
     On the six axes the mechanism must not have changed in that time, counted from when the force
     acted.
     """
+    h, margin, flat, known = given.tick, given.margin, given.flat, given.known
+    gated, felt, pending = past.gated, past.felt, past.pending
     for i in range(gated.shape[0]):
         lasted = gated[i] >= 2 * margin[i] + 1
         same = changes[i] == 0 or since[i] >= 2 * margin[i] + 1 + math.ceil(delay[i] / h)
-        ready[i] = lasted and same and (flat[i] or held[i] > 0)
-        ready_normal[i] = lasted and known and held[i] == 0
+        found.ready[i] = lasted and same and (flat[i] or felt[i] > 0)
+        found.ready_normal[i] = lasted and known and felt[i] == 0
         slot = (k - margin[i]) % pending.shape[1]
         for j in range(7):
             for c in range(4):
-                sample[i, j, c] = pending[i, slot, j, c]
+                found.whole[i, j, c] = pending[i, slot, j, c]
 
 
 @njit(cache=True)
-def _gate(wrench, threshold, captured, delay, tick, held, peak, gated):
+def _gate(wrench, captured, delay, given, past):
+    threshold, gated, peak, held = given.threshold, past.gated, past.peak, past.felt
     for i in range(wrench.shape[0]):
         # pushing is positive; a high-pass leaves a negative undershoot after the contact
         force = wrench[i, 2]
         peak[i] = max(peak[i], force)
         held[i] = held[i] + 1 if captured[i] else 0
         # the force read now acted after the latches had closed
-        felt = held[i] > delay[i] / tick + 1.0
+        felt = held[i] > delay[i] / given.tick + 1.0
         gated[i] = (
             gated[i] + 1 if felt or (force > threshold[i] and force > GATE_PEAK * peak[i]) else 0
         )
 
 
 @njit(cache=True)
-def _find_delay(k, h, longest, wrench, x, v, gated, delay, onset):
-    """At the first contact sample of a run, estimate the delay as the time since the pose crossed
-    the nominal touch point.
-    """
+def _find_delay(k, h, longest, wrench, past, delay, onset):
+    """At a run's first contact sample: delay as the time since the nominal touch was crossed."""
+    x, v, gated = past.x, past.v, past.gated
     length = x.shape[1]
     for i in range(wrench.shape[0]):
         if gated[i] != 1 or not np.isnan(onset[i, 0]):

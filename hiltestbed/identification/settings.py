@@ -60,9 +60,7 @@ class Identifier(Strictly):
 
     @property
     def settles(self) -> float:
-        """Time constant [s] of the method's own filter, over whose memory samples are buffered; 0:
-        it has none.
-        """
+        """[s] of the method's own filter, over whose memory samples are buffered; 0: none."""
         return 0.0
 
     @classmethod
@@ -80,9 +78,7 @@ Own = TypeVar("Own", bound=Identifier)
 
 
 def identifier_of(scenarios: Sequence[ScenarioLike], method: type[Own]) -> list[Own]:
-    """``identification`` of each scenario, all of class ``method``. Raises TypeError for another
-    class.
-    """
+    """``identification`` of each, all of class ``method``. Raises TypeError for another."""
     sections = [s.identification for s in scenarios]
     other = next((s for s in sections if not isinstance(s, method)), None)
     if other is not None:

@@ -14,7 +14,7 @@ from scipy.stats import t as student
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Fit, Likelihood, independent
-from hiltestbed.inference.model import Model
+from hiltestbed.inference.model import Model, places
 from hiltestbed.inference.search import Searched, extended, named, without
 
 # of the rms on left-out runs, in the mean of its logarithm, by which a cause has to lower it: what
@@ -182,10 +182,8 @@ def conclude(
         worse_than_none = float(np.mean(np.log(after))) > float(np.mean(np.log(before)))
     if fit.causes and worse_than_none:
         fit, after, ends = null, before, np.zeros((0, 2))
-    causes, start = [], 0
-    for i, cause in enumerate(fit.causes):
-        own = slice(start, start + len(cause.names))
-        start = own.stop
+    causes = []
+    for i, (cause, own) in enumerate(zip(fit.causes, places(fit.causes), strict=True)):
         estimates = tuple(
             Estimate(name, float(v), float(low), float(high))
             for name, v, (low, high) in zip(cause.names, fit.of.theta[own], ends[own], strict=True)
@@ -213,11 +211,9 @@ def undetermined(fit: Fit, ends: Array) -> int | None:
     """The last cause of a fit whose size may be none, or of which an interval is as wide as that of
     a uniform prior: the data do not determine it. None where all are determined.
     """
-    stop = len(ends)
-    for index in range(len(fit.causes) - 1, -1, -1):
-        cause = fit.causes[index]
-        own = ends[stop - len(cause.names) : stop]
-        stop -= len(cause.names)
+    where = places(fit.causes)
+    for index in reversed(range(len(fit.causes))):
+        cause, own = fit.causes[index], ends[where[index]]
         if not cause.names:
             continue
         neutral = 1.0 if cause.names[0] == "factor" else 0.0

@@ -28,7 +28,7 @@ import numpy as np
 
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.model import Hypothesis, Model
+from hiltestbed.inference.model import Hypothesis, Model, places
 
 STEP = 1e-4  # of a parameter's scale, for differences: about the root of a kernel's round-off
 ITERATIONS = 40
@@ -458,12 +458,9 @@ def _ended(x: Array, low: Array, high: Array, log: np.ndarray) -> bool:
 
 def _in_priors(h: Hypothesis) -> Array:
     """The numbers of the causes that are nuisances, in standard deviations of their priors."""
-    out, start = [np.zeros(0)], 0
-    for c in h.causes:
-        if c.sigma is not None:
-            out.append(h.theta[start : start + len(c.names)] / c.sigma)
-        start += len(c.names)
-    return np.concatenate(out)
+    pairs = zip(h.causes, places(h.causes), strict=True)
+    own = [h.theta[place] / c.sigma for c, place in pairs if c.sigma is not None]
+    return np.concatenate([np.zeros(0), *own])
 
 
 def _bounds(causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:

@@ -4,6 +4,7 @@ effects, and numbers that nobody asked for.
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,6 +31,12 @@ class Nuisance:
     most: float
 
 
+def places(causes: Sequence[Candidate]) -> list[slice]:
+    """Where the parameters of each cause stand among those of all."""
+    ends = itertools.accumulate((len(c.names) for c in causes), initial=0)
+    return [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+
 class Hypothesis(NamedTuple):
     """Causes with their parameters, concatenated, and the values of the nuisances."""
 
@@ -39,11 +46,8 @@ class Hypothesis(NamedTuple):
 
     def each(self) -> list[Any]:
         """Each cause as an effect."""
-        out, start = [], 0
-        for c in self.causes:
-            out.append(c.at(self.theta[start : start + len(c.names)]))
-            start += len(c.names)
-        return out
+        pairs = zip(self.causes, places(self.causes), strict=True)
+        return [c.at(self.theta[own]) for c, own in pairs]
 
     def effects(self) -> list[Departure]:
         """The causes as effects: parts of one effect, such as the viscous and the dry friction of
@@ -51,14 +55,12 @@ class Hypothesis(NamedTuple):
         """
         made: dict[tuple, dict[str, float]] = {}
         kinds: dict[tuple, Candidate] = {}
-        start = 0
-        for number, cause in enumerate(self.causes):
-            own = cause.effect.repeats and not cause.needs
-            key = (cause.kind, *sorted(cause.fixed.items()), number if own else -1)
+        for number, (cause, own) in enumerate(zip(self.causes, places(self.causes), strict=True)):
+            alone = cause.effect.repeats and not cause.needs
+            key = (cause.kind, *sorted(cause.fixed.items()), number if alone else -1)
             kinds.setdefault(key, cause)
-            values = zip(cause.names, self.theta[start : start + len(cause.names)], strict=True)
+            values = zip(cause.names, self.theta[own], strict=True)
             made.setdefault(key, {**cause.fixed}).update({n: float(v) for n, v in values})
-            start += len(cause.names)
         return [kinds[key].effect.hypothesis({}, **values) for key, values in made.items()]
 
 

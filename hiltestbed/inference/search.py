@@ -13,6 +13,7 @@ import numpy as np
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Fit, Likelihood, Move, independent
+from hiltestbed.inference.model import places
 
 Progress = Callable[[str], None]
 MOST_CAUSES = 10  # parts of effects; more than twice as many as any of the machines at hand has
@@ -218,8 +219,8 @@ def without(here: Likelihood, found: Fit, index: int) -> Fit:
         if more == gone:
             break
         gone = more
-    sizes = np.cumsum([0, *(len(c.names) for c in found.causes)])
-    lost = np.concatenate([np.arange(sizes[i], sizes[i + 1]) for i in sorted(gone)])
+    where = places(found.causes)
+    lost = np.concatenate([np.arange(where[i].start, where[i].stop) for i in sorted(gone)])
     rest = [c for i, c in enumerate(found.causes) if i not in gone]
     return here.fit(rest, [np.delete(found.of.theta, lost)], found.of.nuisances)
 

@@ -65,9 +65,7 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
-    """Names are imported on first access: the process of a reader needs none of them, and so starts
-    in a fifth of the time.
-    """
+    """Imports on first access: the process of a reader, which needs none, starts faster."""
     if name in __all__:
         return getattr(import_module(f"hiltestbed.measured.{_HOME.get(name, 'load')}"), name)
     raise AttributeError(f"module 'hiltestbed.measured' has no attribute {name!r}")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hiltestbed import plugins
+from hiltestbed.config.trial import in_own_process, limit_resources
 from hiltestbed.errors import Fault, HiltestbedError, InputError, MissingExtra
 from hiltestbed.measured.columns import Columns, unreadable
 from hiltestbed.measured.data_format import FORMATS, DataFormat
@@ -30,50 +30,27 @@ ANSWER = "answer.json"
 
 
 def read_apart(form: DataFormat, path: Path, wanted: Set[str]) -> Columns:
-    """The result of the reader of a format for a file. Raises InputError if it finds nothing
-    usable, crashes or hangs; MissingExtra.
-    """
+    """What the reader of a format finds. Raises InputError if it crashes or hangs; MissingExtra."""
     limit = TIME_LIMIT * (1.0 + path.stat().st_size / 1e9)
     with tempfile.TemporaryDirectory(prefix="hiltestbed-") as folder:
-        order = json.dumps(
-            {
-                "format": form.model_dump(mode="json"),
-                "path": str(path.absolute()),
-                "wanted": sorted(wanted),
-                "folder": folder,
-                "given": str(path),
-            }
-        )
+        order = {
+            "format": form.model_dump(mode="json"),
+            "path": str(path.absolute()),
+            "wanted": sorted(wanted),
+            "folder": folder,
+            "given": str(path),
+        }
         try:
-            ended = subprocess.run(
-                [sys.executable, "-m", "hiltestbed.measured.apart"],
-                input=order.encode(), capture_output=True, timeout=limit, env=_environment(),
-            )  # fmt: skip
+            ended = in_own_process("hiltestbed.measured.apart", order, limit)
         except subprocess.TimeoutExpired:
-            raise unreadable(
-                path,
-                f"is not read within {limit:.0f} s",
-                "it is damaged, or too large: export it again, as Parquet",
-            ) from None
-        answer = Path(folder) / ANSWER
+            do = "it is damaged, or too large: export it again, as Parquet"
+            raise unreadable(path, f"is not read within {limit:.0f} s", do) from None
+        answer, status = Path(folder) / ANSWER, ended.returncode
         if not answer.is_file():
-            how = (
-                f"signal {-ended.returncode}"
-                if ended.returncode < 0
-                else f"exit status {ended.returncode}"
-            )
-            raise unreadable(
-                path, f"crashes its reader ({how})", "it is damaged: copy or export it again"
-            )
+            how = f"signal {-status}" if status < 0 else f"exit status {status}"
+            do = "it is damaged: copy or export it again"
+            raise unreadable(path, f"crashes its reader ({how})", do)
         return _answer(json.loads(answer.read_text(encoding="utf-8")), Path(folder) / COLUMNS)
-
-
-def _environment() -> dict[str, str]:
-    """This environment, with the import path of this process."""
-    here = str(Path(__file__).parents[2])
-    return os.environ | {
-        "PYTHONPATH": os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
-    }
 
 
 def _answer(answer: dict, file: Path) -> Columns:
@@ -82,18 +59,11 @@ def _answer(answer: dict, file: Path) -> Columns:
     if "error" in answer:
         raise HiltestbedError(answer["error"])
     with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as arrays:
-        data = {name: arrays[f"data.{i}"] for i, name in enumerate(answer["data"])}
-        clock = {name: arrays[f"clock.{i}"] for i, name in enumerate(answer["clock"])}
-    return Columns(
-        tuple(answer["names"]),
-        data,
-        clock,
-        answer["units"],
-        answer["missing"],
-        answer["others"],
-        tuple(answer["notes"]),
-        answer["topics"],
-    )
+        for part in ("data", "clock"):
+            names = answer[part]
+            answer[part] = {name: arrays[f"{part}.{i}"] for i, name in enumerate(names)}
+    answer |= {part: tuple(answer[part]) for part in ("names", "notes")}
+    return Columns(**answer)
 
 
 def _serve() -> None:
@@ -104,7 +74,7 @@ def _serve() -> None:
     form = FORMATS[order["format"]["kind"]].model_validate(order["format"], strict=False)
     folder, given = Path(order["folder"]), order["given"]
     try:
-        _limit_memory()
+        limit_resources(AS=MEMORY)
         columns = form.read(Path(order["path"]), frozenset(order["wanted"]))
         answer = vars(columns) | {"data": list(columns.data), "clock": list(columns.clock)}
         arrays = {f"data.{i}": a for i, a in enumerate(columns.data.values())}
@@ -116,33 +86,11 @@ def _serve() -> None:
     except MissingExtra as error:
         answer = {"error": str(error).replace(order["path"], given)}
     except MemoryError:
-        answer = {
-            "faults": [
-                vars(
-                    Fault(
-                        given,
-                        None,
-                        None,
-                        "",
-                        "asks for more memory than there is; it is damaged, or cut it to the run",
-                    )
-                )
-            ]
-        }
+        what = "asks for more memory than there is; it is damaged, or cut it to the run"
+        answer = {"faults": [vars(Fault(given, None, None, "", what))]}
     partial = folder / (ANSWER + ".partial")
     partial.write_text(json.dumps(answer), encoding="utf-8")
     partial.replace(folder / ANSWER)
-
-
-def _limit_memory() -> None:
-    try:
-        import resource
-    except ImportError:  # no such limit on this system
-        return
-    _, most = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(
-        resource.RLIMIT_AS, (MEMORY if most == resource.RLIM_INFINITY else min(MEMORY, most), most)
-    )
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Time stamps of a file and the loop's ticks: faults of the clock, and the assignment of samples to
-ticks.
+"""Time stamps of a file: faults of the clock, its start, and clocks that start again from zero when
+they are full (a time of day at midnight, a counter of 32 bits).
 """
 
 from __future__ import annotations
@@ -10,14 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from hiltestbed.frames import Array
-from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.remark import Remark, error, loss, note
 from hiltestbed.measured.units import UNITS
 
-ON_TICK = 1e-6  # of a tick: a sample this close to a tick is used for it without interpolation
-AT_END = 0.02  # of a tick: the same for a tick just before the first or just after the last sample
 # part of the rows that repeat a time stamp, above which the clock is too coarse
 REPEATED_LIMIT = 0.1
 # a log's rate over the loop's, at most, for the unit of its stamps to be told: less than the square
@@ -25,10 +22,20 @@ REPEATED_LIMIT = 0.1
 OTHER_RATE = 3.0
 GAP = 1.75  # sample intervals: a longer one is a gap
 LENGTH_LIMIT = 20.0  # longest record, in durations of the scenario
-# part of the ticks without a sample of their own, above which the rows follow another clock
-OFF_TICKS = 0.2
-FEWEST = 4  # samples that determine a cubic
 JITTER_LIMIT = 0.02  # of the interval; a larger spread of the sampling gives a note
+# [s] name to where a clock starts again
+PERIODS = {
+    "a minute": 60.0,
+    "an hour": 3600.0,
+    "half a day": 43200.0,
+    "a day, at midnight": 86400.0,
+    "a week, as of GPS": 604800.0,
+} | {
+    f"a counter of {bits} bits in {unit}": 2.0**bits * size
+    for bits in (16, 24, 31, 32)
+    for unit, size in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3))
+}  # fmt: skip
+WITHIN = 2.0  # median intervals by which the step across it may differ from one interval
 
 
 @dataclass(frozen=True)
@@ -46,6 +53,33 @@ class Clock:
     interval: float
 
 
+def unrolled(run: int, t: Array) -> tuple[Array, list[Remark]]:
+    """The time stamps ``(rows,)`` [s] without the jumps of a clock that starts again, and a remark.
+
+    A jump is one if the stamps before it end at a known period and those after it begin at zero,
+    to :data:`WITHIN` intervals, and the record did not itself begin at zero: a second record would.
+    """
+    rows = np.flatnonzero(np.isfinite(t))
+    stamps = t[rows]
+    steps = np.diff(stamps)
+    back = np.flatnonzero(steps < 0)
+    if not len(back) or not (steps > 0).any():
+        return t, []
+    near = WITHIN * float(np.median(steps[steps > 0]))
+    if stamps[0] <= near or (np.abs(stamps[back + 1]) > near).any():
+        return t, []
+    for name, period in PERIODS.items():
+        if (np.abs(stamps[back] - period) <= near).all():
+            out = t.copy()
+            out[rows] = stamps + period * np.cumsum(np.r_[False, steps < 0])
+            text = (
+                f"starts again from zero at {period:.9g} s ({name}), first in row "
+                f"{rows[back[0] + 1] + 1}: {period:.9g} s added from there"
+            )
+            return out, [note(run, "t", text, period=period)]
+    return t, []
+
+
 def check_clock(
     run: int, t: Array, tick: float, duration: float
 ) -> tuple[Clock | None, list[Remark]]:
@@ -59,48 +93,37 @@ def check_clock(
     """
     if len(t) < 2:
         text = f"holds {len(t)} row{'' if len(t) == 1 else 's'}; a run needs at least 2"
-        return None, [
-            Remark(
-                "error",
-                run,
-                "t",
-                text,
-                "record the run again or take it out of the dataset",
-                {"rows": len(t)},
-            )
-        ]
+        fix = "record the run again or take it out of the dataset"
+        return None, [error("", run, "t", text, fix, rows=len(t))]
     remarks: list[Remark] = []
-    finite = np.isfinite(t)
-    if finite.sum() < 0.5 * len(t):
-        text = f"is not a number in {len(t) - finite.sum()} of {len(t)} rows"
-        return None, [
-            Remark(
-                "error", run, "t", text, "name the right column under channels: {t: {column: ...}}"
-            )
-        ]
-    if not finite.all():
-        lost = int(len(t) - finite.sum())
-        remarks.append(
-            Remark(
-                "loss",
-                run,
-                "t",
-                f"is not a number in {lost} of {len(t)} rows, which are left out",
-                "",
-                {"rows": lost},
-            )
-        )
-    rows = np.flatnonzero(finite)
+    rows = np.flatnonzero(np.isfinite(t))
+    lost = len(t) - len(rows)
+    if len(rows) < 0.5 * len(t):
+        text = f"is not a number in {lost} of {len(t)} rows"
+        fix = "name the right column under channels: {t: {column: ...}}"
+        return None, [error("", run, "t", text, fix)]
+    if lost:
+        text = f"is not a number in {lost} of {len(t)} rows, which are left out"
+        remarks.append(loss(run, "t", text, rows=lost))
     steps = np.diff(t[rows])
     backwards = np.flatnonzero(steps < 0)
     if len(backwards):
-        return None, [*remarks, _backwards(run, t, rows, backwards)]
-    rows, repeated = rows[np.r_[True, steps > 0]], int((steps == 0).sum())
-    if repeated:
-        remark = _repeated(run, t[np.flatnonzero(finite)], steps, repeated)
-        remarks.append(remark)
-        if remark.severity == "error":
+        row, after = rows[backwards[0]], rows[backwards[0] + 1]
+        text = (
+            f"runs backwards at {len(backwards)} place(s), first from row {row} "
+            f"({t[row]:.9g} s) to row {after} ({t[after]:.9g} s)"
+        )
+        fix = (
+            "allowed are rows in order of time; split the file where a second record begins, or "
+            "sort them if single rows are out of order"
+        )
+        places = len(backwards)
+        return None, [*remarks, error("", run, "t", text, fix, places=places, row=float(row))]
+    if (steps == 0).any():
+        remarks.append(_repeated(run, t[rows], steps))
+        if remarks[-1].severity == "error":
             return None, remarks
+    rows = rows[np.r_[True, steps > 0]]
     stamps = t[rows]
     interval = float(np.median(np.diff(stamps)))
     scale = _wrong_length(run, stamps, interval, tick, duration)
@@ -109,43 +132,22 @@ def check_clock(
     return Clock(stamps, rows, interval), [*remarks, *_sampling(run, stamps, interval, tick)]
 
 
-def _backwards(run: int, t: Array, rows: NDArray[np.intp], backwards: NDArray[np.intp]) -> Remark:
-    row, after = rows[backwards[0]], rows[backwards[0] + 1]
-    text = (
-        f"runs backwards at {len(backwards)} place(s), first from row {row} "
-        f"({t[row]:.9g} s) to row {after} ({t[after]:.9g} s)"
-    )
-    fix = (
-        "allowed are rows in order of time; split the file where a second record begins, or sort "
-        "them if single rows are out of order"
-    )
-    return Remark("error", run, "t", text, fix, {"places": len(backwards), "row": float(row)})
-
-
-def _repeated(run: int, t: Array, steps: Array, repeated: int) -> Remark:
-    first = int(np.flatnonzero(steps == 0)[0])
+def _repeated(run: int, t: Array, steps: Array) -> Remark:
+    repeated, first = int((steps == 0).sum()), int(np.flatnonzero(steps == 0)[0])
     evidence = {"rows": repeated, "of": len(t), "first_row": first}
     text = (
         f"has the same stamp in {repeated} of {len(t)} rows, first {t[first]:.9g} s at row {first}"
     )
     if repeated > REPEATED_LIMIT * len(t):
-        return Remark(
-            "error",
-            run,
-            "t",
-            text,
-            "the clock is too coarse for the sampling; export it with more digits",
-            evidence,
-        )
-    return Remark("loss", run, "t", text + "; the first of each is kept", "", evidence)
+        fix = "the clock is too coarse for the sampling; export it with more digits"
+        return error("", run, "t", text, fix, **evidence)
+    return loss(run, "t", text + "; the first of each is kept", **evidence)
 
 
 def _wrong_length(
     run: int, t: Array, interval: float, tick: float, duration: float
 ) -> Remark | None:
-    """A remark on a record that is much longer or shorter than its scenario, usually because its
-    clock has another unit.
-    """
+    """A remark on a record much longer or shorter than its scenario, as in another unit."""
     span, ratio = float(t[-1] - t[0]), interval / tick
     longer = span > LENGTH_LIMIT * max(duration, tick)
     shorter = span < duration / LENGTH_LIMIT and ratio < 1 / LENGTH_LIMIT
@@ -161,14 +163,8 @@ def _wrong_length(
     )
     if shorter or ratio > LENGTH_LIMIT:
         fix = _other_unit(ratio if longer else span / duration) or fix
-    return Remark(
-        "error",
-        run,
-        "t",
-        text,
-        fix,
-        {"span": span, "duration": duration, "interval": interval, "tick": tick},
-    )
+    lengths = {"span": span, "duration": duration, "interval": interval, "tick": tick}
+    return error("", run, "t", text, fix, **lengths)
 
 
 def _other_unit(size: float) -> str:
@@ -178,21 +174,17 @@ def _other_unit(size: float) -> str:
     """
     units = {name: factor for name, factor in UNITS["s"].items() if factor != 1.0}
 
-    def nearest(factors: Mapping[str, float]) -> tuple[str, float] | None:
-        name = min(factors, key=lambda n: abs(math.log(factors[n] * size)))
-        off = abs(math.log(factors[name] * size))
-        return (name, factors[name]) if off < math.log(OTHER_RATE) else None
+    def nearest(factors: Mapping[str, float]) -> str | None:
+        off = {name: abs(math.log(factor * size)) for name, factor in factors.items()}
+        name = min(off, key=off.__getitem__)
+        return name if off[name] < math.log(OTHER_RATE) else None
 
-    unit = nearest(units)
-    twice = nearest({name: 1.0 / factor for name, factor in units.items()})
-    if unit is not None:
-        name, factor = unit
+    if name := nearest(units):
         return (
-            f"if its unit is {name} ({factor:g} s), channels: {{t: {{unit: {name}}}}}; on top of "
-            f"a scale there, channels: {{t: {{scale: {factor:g}}}}}"
+            f"if its unit is {name} ({units[name]:g} s), channels: {{t: {{unit: {name}}}}}; on top "
+            f"of a scale there, channels: {{t: {{scale: {units[name]:g}}}}}"
         )
-    if twice is not None:
-        name, _ = twice
+    if name := nearest({name: 1.0 / factor for name, factor in units.items()}):
         return (
             f"if it is in s, and was converted from {name} on top, channels: {{t: {{unit: s}}}} "
             f"without a scale there"
@@ -212,18 +204,19 @@ def start_of_run(
     if -0.5 * tick <= first <= max(duration, tick):
         late = first > 1.5 * tick
         text = f"begins {first:.6g} s after the start of the run; the ticks before are not measured"
-        return 0.0, [Remark("loss", run, "t", text, "", {"first": first})] if late else []
+        return 0.0, [loss(run, "t", text, first=first)] if late else []
     text = (
         f"reads {first:.9g} s at the first row, which is outside the run; time is "
         f"counted from that row"
     )
     fix = "if the run began at another time, give channels: {t: {offset: ...}} for it"
-    return first, [Remark("note", run, "t", text, fix, {"first": first})]
+    return first, [note(run, "t", text, fix, first=first)]
 
 
 def _sampling(run: int, t: Array, interval: float, tick: float) -> list[Remark]:
     """Notes on sampling rate, jitter and gaps."""
     remarks, steps = [], np.diff(t)
+    rates = {"sample_rate": 1 / interval, "rate": 1 / tick}
     if abs(interval - tick) > 0.01 * tick:
         text = (
             f"is sampled at {1 / interval:.6g} Hz, the loop runs at {1 / tick:.6g} Hz; "
@@ -234,112 +227,20 @@ def _sampling(run: int, t: Array, interval: float, tick: float) -> list[Remark]:
             f"if the facility's loop runs at that rate, give rate: {1 / interval:.6g} in "
             f"its scenario: else its delays are misread"
         )
-        remarks.append(
-            Remark("note", run, "t", text, fix, {"sample_rate": 1 / interval, "rate": 1 / tick})
-        )
-    gaps = np.flatnonzero(steps > GAP * interval)
-    if len(gaps):
-        longest, missing = float(steps.max()), float((steps[gaps] / interval - 1).sum())
+        remarks.append(note(run, "t", text, fix, **rates))
+    gap = steps > GAP * interval
+    if gap.any():
+        longest, missing = float(steps.max()), float((steps[gap] / interval - 1).sum())
         text = (
-            f"has {len(gaps)} gap(s), about {missing:.0f} samples; the longest "
+            f"has {gap.sum()} gap(s), about {missing:.0f} samples; the longest "
             f"{longest:.4g} s from {t[steps.argmax()]:.6g} s"
         )
-        remarks.append(
-            Remark(
-                "loss",
-                run,
-                "t",
-                text,
-                "",
-                {"gaps": len(gaps), "longest": longest, "missing": missing},
-            )
-        )
-    spread = float(np.std(steps[steps <= GAP * interval])) / interval
+        remarks.append(loss(run, "t", text, gaps=int(gap.sum()), longest=longest, missing=missing))
+    spread = float(np.std(steps[~gap])) / interval
     if spread > JITTER_LIMIT:
         text = (
             f"is sampled unevenly: the interval of {interval:.4g} s spreads by "
             f"{100 * spread:.1f} % (1 sigma)"
         )
-        remarks.append(Remark("note", run, "t", text, "", {"spread": spread}))
+        remarks.append(note(run, "t", text, spread=spread))
     return remarks
-
-
-def to_ticks(
-    t: Array, values: Array, ticks: int, tick: float, interval: float
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Values at the loop's ticks, and which of them were measured.
-
-    A sample on a tick is used unchanged. Between two samples that are not separated by a gap, the
-    value is interpolated linearly, but counts as measured only at ticks with a sample within half a
-    tick: no tick is filled without data in the file.
-
-    Args:
-        t: ``(rows,)`` [s], strictly increasing.
-        values: ``(rows,)``, NaN where missing.
-
-    Returns:
-        ``(ticks,)`` values, NaN where not measured, and ``(ticks,)`` mask.
-    """
-    known = np.isfinite(values)
-    t, values = t[known], values[known]
-    out, valid = np.full(ticks, np.nan), np.zeros(ticks, dtype=bool)
-    if not len(t):
-        return out, valid
-    at = tick * np.arange(ticks, dtype=np.float64)
-    before, after, nearest, distance = _about(t, at)
-    outside = (at < t[0]) | (at > t[-1])
-    on = distance <= np.where(outside, AT_END, ON_TICK) * tick
-    out[on] = values[nearest[on]]
-    width = t[after] - t[before]
-    between = ~on & (distance <= 0.5 * tick) & ~outside & (width <= max(GAP * interval, GAP * tick))
-    part = np.divide(at - t[before], width, out=np.zeros(ticks), where=width > 0)
-    out[between] = ((1 - part) * values[before] + part * values[after])[between]
-    return out, on | between
-
-
-def _about(
-    t: Array, at: Array
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Array]:
-    """For each time ``at``: the samples before and after it, the nearer one, and the distance to
-    that one [s].
-    """
-    after = (
-        np.clip(np.searchsorted(t, at), 1, len(t) - 1)
-        if len(t) > 1
-        else np.zeros(len(at), dtype=np.intp)
-    )
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(t[after] - at) < np.abs(at - t[before]), after, before)
-    return before, after, nearest, np.abs(t[nearest] - at)
-
-
-def bend(
-    t: Array, values: Array, straight: Array, measured: NDArray[np.bool_], tick: float
-) -> Array | None:
-    """``(ticks,)`` difference of a cubic spline through the samples from the values at the ticks,
-    interpolated linearly where none was measured; None if the rows are the loop's ticks.
-
-    For a curve with second derivative x'', linear interpolation is off by ``x'' h^2 / 8`` midway
-    between samples at distance h; the error of the spline is a fraction of this that decreases with
-    h^2 (C. de Boor, A Practical Guide to Splines, 2001, chapter V).
-
-    Args:
-        t: ``(rows,)`` [s], strictly increasing. values: ``(rows,)``, NaN where missing.
-        straight, measured: ``(ticks,)`` values at the ticks and which of them were measured, of
-            :func:`to_ticks`.
-    """
-    known = np.isfinite(values)
-    t, values = t[known], values[known]
-    if len(t) < FEWEST or not measured.any():
-        return None
-    at = tick * np.arange(len(straight), dtype=np.float64)
-    inside = (at > t[0]) & (at < t[-1])
-    off = inside & (_about(t, at)[3] > ON_TICK * tick)
-    # rows that the logger lost are gaps, not another clock
-    if off.sum() <= OFF_TICKS * inside.sum():
-        return None
-    out = np.zeros(len(straight))
-    out[off] = CubicSpline(t, values)(at[off]) - np.interp(
-        at[off], at[measured], straight[measured]
-    )
-    return out

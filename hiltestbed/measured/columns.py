@@ -8,16 +8,18 @@ wanted and lists the names of the others.
 from __future__ import annotations
 
 import difflib
+import re
 import struct
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, field
+from datetime import date
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.measured.stamps import seconds
 from hiltestbed.measured.units import split_unit
 from hiltestbed.signals import GROUPS
 
@@ -38,6 +40,11 @@ BROKEN = (
     struct.error,
 )
 SAMPLE_LIMIT = 32_000_000  # numbers that may be loaded from one file: 256 MB
+DAY = 86400.0  # [s]
+STAMP = re.compile(
+    r"(?:(\d{1,4})[-./](\d{1,2})[-./](\d{1,4})[T ]+)?"
+    r"(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?\s*([AaPp][Mm])?\s*(?:Z|UTC|[+-]\d{2}:?\d{2})?"
+)
 
 
 @dataclass
@@ -107,24 +114,19 @@ def unreadable(path: Path, what: str, do: str) -> InputError:
 
 
 def refuse_large(path: Path, rows: int, columns: int) -> None:
-    """Raises InputError if ``rows`` x ``columns`` exceeds SAMPLE_LIMIT; called before any data are
-    read.
-    """
+    """Raises InputError, before data are read, beyond SAMPLE_LIMIT numbers."""
     if rows * columns > SAMPLE_LIMIT:
         what = (
             f"is too large (got about {rows:.3g} rows of {columns} channels); allowed "
             f"are {SAMPLE_LIMIT:.3g} numbers a run"
         )
-        raise unreadable(
-            path,
-            what,
-            "cut the file to the run, thin it out, or store only the channels that are mapped",
-        )
+        do = "cut the file to the run, thin it out, or store only the channels that are mapped"
+        raise unreadable(path, what, do)
 
 
 def as_numbers(path: Path, name: str, values: object) -> Array:
     """``values`` as float64 ``(rows,)``; dates, times and durations in seconds, see
-    :func:`hiltestbed.measured.stamps.seconds`. Raises InputError if they are not real numbers.
+    :func:`seconds`. Raises InputError if they are not real numbers.
     """
     array = np.asarray(values)
     if array.dtype.kind == "m":
@@ -134,16 +136,56 @@ def as_numbers(path: Path, name: str, values: object) -> Array:
         array = array if found is None else found
     if array.dtype.kind not in "biuf":
         kind = "complex numbers" if array.dtype.kind == "c" else f"values of type {array.dtype}"
-        raise InputError(
-            Fault(
-                str(path),
-                None,
-                None,
-                name,
-                f"is not numeric (got {kind}); allowed are real numbers",
-            )
-        )
+        what = f"is not numeric (got {kind}); allowed are real numbers"
+        raise InputError(Fault(str(path), None, None, name, what))
     return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def seconds(values: np.ndarray) -> Array | None:
+    """``(rows,)`` dates with times, or times of day, as seconds since the midnight before the first
+    of them; NaN where empty, None if one is neither.
+
+    Dates are read as year-month-day, or as day-month-year unless no month is that long. All rows
+    are taken as of one zone.
+    """
+    if values.dtype.kind == "M":
+        known = values[~np.isnat(values)]
+        if not len(known):
+            return np.full(len(values), np.nan)
+        elapsed = (values - known[0].astype("datetime64[D]")) / np.timedelta64(1, "ns") * 1e-9
+        return np.where(np.isnat(values), np.nan, elapsed)
+    out, days, first = np.full(values.shape, np.nan), {}, None
+    for row, value in enumerate(values.ravel()):
+        text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+        if text is None or text == "":
+            continue
+        found = STAMP.fullmatch(text.strip()) if isinstance(text, str) else None
+        if found is None:
+            return None
+        *day, hour, minute, second, half = found.groups()
+        key = tuple(day)
+        if key not in days:
+            number = _day_number(key)
+            if number is None:
+                return None
+            days[key] = number
+        first = days[key] if first is None else first
+        hours = int(hour) % 12 + 12 * (half.lower() == "pm") if half else int(hour)
+        of_minute = float((second or "0").replace(",", "."))
+        out.flat[row] = (days[key] - first) * DAY + hours * 3600.0 + int(minute) * 60.0 + of_minute
+    return out if first is not None else None
+
+
+def _day_number(day: tuple[str | None, ...]) -> int | None:
+    """Number of a day; 0 without a date, None if there is no such day."""
+    if day[0] is None or day[1] is None or day[2] is None:
+        return 0
+    a, b, c = (int(part or 0) for part in day)
+    parts = (a, b, c) if len(day[0]) == 4 else (c, a, b) if b > 12 else (c, b, a)
+    try:
+        return date(*parts).toordinal()
+    except ValueError:
+        return None
 
 
 def is_under(name: str, group: str) -> bool:
@@ -188,66 +230,53 @@ class Arrays:
         long = [k for k, size in enumerate(shape) if size > 1] or [0]
         if len(long) == 1:
             return {name: tuple(slice(None) if k in long else 0 for k in range(len(shape)))}
-        said = " x ".join(map(str, shape))
+        said = f"is an array of {' x '.join(map(str, shape))} numbers"
         if len(long) != 2:
             self.others[name] = (
-                f"is an array of {said} numbers; allowed are one axis of samples and one of "
+                f"{said}; allowed are one axis of samples and one of "
                 f"channels: store each channel under a name of its own"
             )
             return {}
-        group = GROUPS.get(name)
-        parts = () if group is None else group.parts
-        sizes = [shape[k] for k in long]
-        of_parts = [k for k, size in enumerate(sizes) if size == len(parts)]
+        group, sizes = GROUPS.get(name), [shape[k] for k in long]
         usual = self.rows if sizes[0] == sizes[1] else int(sizes[1] > sizes[0])
+        of_parts = [k for k, size in enumerate(sizes) if group and size == len(group.parts)]
         rows = 1 - of_parts[0] if len(of_parts) == 1 else usual
         width = sizes[1 - rows]
         columns = [f"{name}.{j}" for j in range(width)]
-        if group is not None and width == len(parts):
+        if group is not None and width == len(group.parts):
             columns = list(group.columns)
         elif group is not None:
             self.others[name] = (
-                f"is an array of {said} numbers; the group has {len(parts)} parts "
-                f"({', '.join(parts)}): map those that it holds, such as channels: "
+                f"{said}; the group has {len(group.parts)} parts "
+                f"({', '.join(group.parts)}): map those that it holds, such as channels: "
                 f"{{{group.columns[0]}: {{column: {columns[0]}}}}}"
             )
         if rows != self.rows:
             self.notes.append(
-                f"{name} is an array of {said} numbers: read as {width} channels of "
+                f"{name} {said}: read as {width} channels of "
                 f"{sizes[rows]} samples, the rows along the longer axis"
             )
-        return {
-            column: tuple(
-                slice(None) if k == long[rows] else j if k == long[1 - rows] else 0
-                for k in range(len(shape))
-            )
-            for j, column in enumerate(columns)
-        }
+        index: list[Any] = [0] * len(shape)
+        index[long[rows]] = slice(None)
+        out: dict[str, tuple[Any, ...] | None] = {}
+        for j, column in enumerate(columns):
+            index[long[1 - rows]] = j
+            out[column] = tuple(index)
+        return out
 
     def columns(self, path: Path, wanted: Set[str], more: Iterable[str] = ()) -> Columns:
-        """The ``wanted`` columns, loaded; ``more``: names in the file that were not added. Raises
-        InputError.
-        """
+        """The ``wanted`` columns, loaded; ``more``: names not added. Raises InputError."""
         here = {
-            name: place
-            for name, place in self.places.items()
-            if name in wanted or (place[1] is None and any(is_under(w, name) for w in wanted))
+            n: place for n, place in self.places.items() if n in wanted and place[1] is not None
         }
-        loaded = {name: place for name, place in here.items() if place[1] is not None}
-        refuse_large(path, max((max(a.shape) for a, _ in loaded.values()), default=0), len(loaded))
-        data = {name: as_numbers(path, name, array[index]) for name, (array, index) in here.items()
-                if index is not None}  # fmt: skip
-        for name in (n for n in here if n not in loaded):  # no samples: each part has none
-            data |= {w: np.zeros(0) for w in sorted(wanted) if is_under(w, name)}
-        notes = [n for n in self.notes if any(is_under(w, n.partition(" ")[0]) for w in wanted)]
-        return Columns(
-            (*self.places, *more),
-            data,
-            units=self.units,
-            missing=self.missing,
-            others=self.others,
-            notes=tuple(notes),
-        )
+        refuse_large(path, max((max(a.shape) for a, _ in here.values()), default=0), len(here))
+        data = {n: as_numbers(path, n, array[index]) for n, (array, index) in here.items()}
+        for name, (_, index) in self.places.items():
+            if index is None:  # no samples: each part has none
+                data |= {w: np.zeros(0) for w in sorted(wanted) if is_under(w, name)}
+        notes = tuple(n for n in self.notes if any(is_under(w, n.split(" ")[0]) for w in wanted))
+        names = (*self.places, *more)
+        return Columns(names, data, {}, self.units, self.missing, self.others, notes)
 
 
 def match_names(path: Path, names: Sequence[str], wanted: Set[str]) -> dict[str, int]:
@@ -263,28 +292,16 @@ def match_names(path: Path, names: Sequence[str], wanted: Set[str]) -> dict[str,
     found = {name: exact.get(name) or bare.get(name, []) for name in sorted(wanted)}
     repeated = [name for name, places in found.items() if len(places) > 1]
     if repeated:
-        raise unreadable(
-            path,
-            f"has a column more than once (got {', '.join(repeated)})",
-            "rename or remove the second",
-        )
+        what = f"has a column more than once (got {', '.join(repeated)})"
+        raise unreadable(path, what, "rename or remove the second")
     return {name: places[0] for name, places in found.items() if places}
 
 
 def near(wanted: Sequence[str], names: Iterable[str]) -> str:
-    """The names most similar to the ``wanted`` ones, or the first few names, for an error
-    message.
-    """
-    known = list(names)
-    each = 3 if len(wanted) == 1 else 1
-    close = list(
-        dict.fromkeys(
-            match
-            for name in wanted
-            for match in difflib.get_close_matches(name, known, n=each, cutoff=0.5)
-        )
-    )
-    if close:
-        return "nearest: " + ", ".join(close)
+    """The names most similar to the ``wanted`` ones, or the first few names, for a message."""
+    known, each = list(names), 3 if len(wanted) == 1 else 1
+    close = [difflib.get_close_matches(name, known, n=each, cutoff=0.5) for name in wanted]
+    if any(close):
+        return "nearest: " + ", ".join(dict.fromkeys(chain.from_iterable(close)))
     shown = ", ".join(known[:12]) + (f" and {len(known) - 12} more" if len(known) > 12 else "")
     return "the file has: " + (shown or "no columns")

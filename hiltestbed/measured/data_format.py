@@ -29,9 +29,7 @@ class DataFormat(Strictly):
 
     @placeholder
     def read(self, path: Path, wanted: Set[str]) -> Columns:
-        """The columns ``wanted`` of a file. Raises InputError if it cannot be read; MissingExtra
-        with the install line.
-        """
+        """The columns ``wanted`` of a file. Raises InputError, or MissingExtra."""
         raise NotImplementedError
 
 

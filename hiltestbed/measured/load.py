@@ -17,7 +17,7 @@ from hiltestbed.errors import Fault, InputError
 from hiltestbed.measured.checks import check_dataset, check_run
 from hiltestbed.measured.reading import read_record
 from hiltestbed.measured.record import Record
-from hiltestbed.measured.remark import Remark, together
+from hiltestbed.measured.remark import Remark, error, together
 from hiltestbed.measured.survey import Survey
 from hiltestbed.scenario import Scenario
 
@@ -71,14 +71,10 @@ class MeasuredDataset:
         return [run.name for run in self.runs]
 
     def links(self) -> tuple[str, ...]:
-        """The links of the loop whose input and output were measured in at least one run (contact:
-        with the sensor).
-        """
-        return tuple(
-            link
-            for link, ends in LINKS.items()
-            if any(all(run.record.has(end) for end in ends) for run in self.runs)
-        )
+        """The links whose input and output were measured in at least one run."""
+        records = [run.record for run in self.runs]
+        ends = LINKS.items()
+        return tuple(link for link, (a, b) in ends if any(r.has(a) and r.has(b) for r in records))
 
 
 def load_dataset(
@@ -107,79 +103,52 @@ def examine(
     Raises InputError if the dataset file has a fault or a data file cannot be read.
     """
     loaded = path if isinstance(path, LoadedDataset) else load_specification(path, set)
+    spec, names = loaded.spec, _names(loaded.files)
     runs, remarks, faults = [], [], []
-    names = _names(loaded.files)
     for index, (file, scenario) in enumerate(zip(loaded.files, loaded.scenarios, strict=True)):
-        spec, own = loaded.spec, loaded.spec.runs[index]
-        channels = dict(spec.channels or {}) | own.channels
-        form = own.format or spec.format
+        own = spec.runs[index]
+        channels, form = dict(spec.channels or {}) | own.channels, own.format or spec.format
         try:
             record, found = read_record(index, file, channels, scenario, form, spec.missing)
-        except InputError as error:
-            faults += error.faults
+        except InputError as fault:
+            faults += fault.faults
             continue
         remarks += found
-        if record is None or record.ticks < FEWEST:
-            remarks += (
-                [] if any(r.severity == "error" for r in found) else [_nothing(index, record)]
-            )
-        else:
-            record, found_in, more = check_run(record, scenario)
-            runs.append(MeasuredRun(record, scenario, found_in, names[index]))
+        if record is not None and record.ticks >= FEWEST:
+            record, survey, more = check_run(record, scenario)
+            runs.append(MeasuredRun(record, scenario, survey, names[index]))
             remarks += more
+        elif all(remark.severity != "error" for remark in found):
+            text = "holds no channel with enough samples"
+            if record is not None:
+                text = f"lasts {record.ticks} ticks; a run needs at least {FEWEST}"
+            fix = "record the run again or take it out of the dataset"
+            remarks.append(error("", index, "", text, fix))
     if faults:
         raise InputError(faults)
     remarks += check_dataset([run.record for run in runs], names, LINKS)
+    remarks = [r if r.run is None else replace(r, file=names[r.run]) for r in remarks]
     remarks = [
-        remark if remark.run is None else replace(remark, file=names[remark.run])
-        for remark in remarks
-    ]
-    accepted = loaded.spec.accept
-    remarks = [
-        remark.accepted() if remark.severity == "error" and remark.check in accepted else remark
-        for remark in remarks
+        r.accepted() if r.severity == "error" and r.check in spec.accept else r for r in remarks
     ]
     return MeasuredDataset(
-        loaded.path, loaded.spec, loaded.nominal, loaded.files, tuple(runs), tuple(remarks)
+        loaded.path, spec, loaded.nominal, loaded.files, tuple(runs), tuple(remarks)
     )
 
 
 def _names(files: Sequence[Path]) -> list[str]:
-    """Name of each run: its file name, preceded by as many folders as are needed to make it
-    unique.
-    """
+    """Name of each run: its file name, with as many folders as make it unique."""
     parts, deep = [file.parts for file in files], 1
     while len({p[-deep:] for p in parts}) < len(set(parts)):
         deep += 1
     return ["/".join(p[-deep:]) for p in parts]
 
 
-def _nothing(run: int, record: Record | None) -> Remark:
-    """The error for a run without usable data."""
-    text = (
-        "holds no channel with enough samples"
-        if record is None
-        else f"lasts {record.ticks} ticks; a run needs at least {FEWEST}"
-    )
-    return Remark("error", run, "", text, "record the run again or take it out of the dataset")
-
-
 def as_faults(dataset: MeasuredDataset) -> list[Fault]:
-    """The errors among the remarks on a dataset, each with its file; one for the channels that
-    share a mistake.
-    """
+    """The errors among the remarks, each with its file; channels that share one together."""
+    errors = together(r for r in dataset.remarks if r.severity == "error")
+    files = [str(dataset.path if r.run is None else dataset.files[r.run]) for r in errors]
     return [
-        _as_fault(remark, dataset)
-        for remark in together(r for r in dataset.remarks if r.severity == "error")
+        Fault(file, None, None, r.channel, r.text + (f"; {r.remedy}" if r.remedy else ""))
+        for file, r in zip(files, errors, strict=True)
     ]
-
-
-def _as_fault(remark: Remark, dataset: MeasuredDataset) -> Fault:
-    file = dataset.path if remark.run is None else dataset.files[remark.run]
-    return Fault(
-        str(file),
-        None,
-        None,
-        remark.channel,
-        remark.text + (f"; {remark.remedy}" if remark.remedy else ""),
-    )

@@ -26,9 +26,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hiltestbed.frames import Array, quat_from_attitude_deg, rotation_matrix
+from hiltestbed.measured.noise import MAD_TO_SIGMA, THIRD_DIFFERENCE
 from hiltestbed.measured.record import Record
 from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
 from hiltestbed.scenario import Scenario
+from hiltestbed.signals import GROUPS
 
 PLACES = ("px", "py", "pz")
 FORCES = ("fx", "fy", "fz")
@@ -77,57 +79,39 @@ def momentum(record: Record, scenario: Scenario, force: str, pose: str) -> Momen
     port is small, or all is centred. In a cone or a latch they move the ports as much as the forces
     do.
     """
-    names = [*(f"{pose}.{p}" for p in PLACES), *(f"{force}.{f}" for f in FORCES)]
+    places, wrench = [f"{pose}.{p}" for p in PLACES], list(GROUPS[force].columns)
+    there = {name for name in (*places, *wrench) if record.has(name)}
     symmetric = centred(scenario)
-    if symmetric and {names[2], names[5]} <= set(record.columns()):
-        names = [name for name in names if name in record.columns()]
-    if not set(names) <= set(record.columns()):
+    along_z = symmetric and {places[2], wrench[2]} <= there
+    if not along_z and not {*places, *wrench[:3]} <= there:
         return None
-    if not (set(_wrench(force)) <= set(record.columns()) or scenario.mechanism.flat or symmetric):
+    if not (set(wrench) <= there or scenario.mechanism.flat or symmetric):
         return None
-    used = {*names, *(set(_wrench(force)) & set(record.columns()))}
-    known = np.all([record.measured(name) for name in used], axis=0)
-    rows = np.flatnonzero(known)
+    rows = np.flatnonzero(np.all([record.measured(name) for name in there], axis=0))
     if len(rows) < 50 or not _whole(rows, record, scenario):
         return None
-    place, wrench = (
-        _columns(record, n)[:, rows] for n in ([f"{pose}.{p}" for p in PLACES], _wrench(force))
-    )
-    scale = np.abs(place).max() or 1.0
-    motion = _without_line(record.t[rows], place)
+    t, place = record.t[rows], _columns(record, places)[:, rows]
+    motion = _without_line(t, place)
     noise = np.array([_roughness(p) for p in place])
-    moved = np.sqrt(np.mean(motion**2, axis=1)) > np.maximum(CLEAR * noise, 1e-9 * scale)
+    least = np.maximum(CLEAR * noise, 1e-9 * (np.abs(place).max() or 1.0))
+    moved = np.sqrt(np.mean(motion**2, axis=1)) > least
     if not moved.any():
         return None
-    parts = _Parts.of(record.t[rows], mobility(scenario), wrench, motion, scenario.tick)
+    given = _columns(record, wrench)[:, rows]
+    parts = _Parts.of(t, mobility(scenario), given, motion, scenario.tick)
     if not parts.driven.any():
         return None
-    as_given = parts.fit(FORCES, (1, 1, 1))
-    order, signs, best = parts.best(as_given)
+    explained = parts.fit(FORCES, (1, 1, 1)).explained
+    order, signs, best = parts.best(explained)
     late, parts = parts.aligned(scenario.tick)
-    axes = {
-        a: parts.axis(j)
-        for j, a in enumerate("xyz")
-        if moved[j] and np.sum(motion[j] ** 2) > 0.05 * np.sum(motion**2)
-    }
+    large = moved & (np.sum(motion**2, axis=1) > 0.05 * np.sum(motion**2))
+    axes = {a: s for j, a in enumerate("xyz") if large[j] and (s := parts.axis(j))}
     scale = parts.fit(FORCES, (1, 1, 1)).scale
-    return Momentum(
-        force,
-        pose,
-        scale,
-        {a: s for a, s in axes.items() if s},
-        late,
-        as_given.explained,
-        order,
-        signs,
-        best,
-    )
+    return Momentum(force, pose, scale, axes, late, explained, order, signs, best)
 
 
 class _Fit(NamedTuple):
-    """s, the part of the motion's square sum that it explains, and the weight (10,) of each driven
-    motion.
-    """
+    """s, the part of the motion's square that it explains, the weight (10,) of each motion."""
 
     scale: float
     explained: float
@@ -167,15 +151,8 @@ class _Parts:
     def _seen(cls, t: Array, driven: Array, shifted: Array, motion: Array) -> _Parts:
         seen = np.stack([_without_line(t, part) for part in shifted])
         flat = seen.reshape(10, -1)
-        return cls(
-            t,
-            driven,
-            motion,
-            seen,
-            flat @ flat.T,
-            flat @ motion.reshape(-1),
-            float(np.sum(motion**2)),
-        )
+        square = float(np.sum(motion**2))
+        return cls(t, driven, motion, seen, flat @ flat.T, flat @ motion.reshape(-1), square)
 
     def aligned(self, tick: float) -> tuple[float, _Parts]:
         """T [s], and the parts without shift and spread; unchanged if no T up to LATEST is found
@@ -194,18 +171,11 @@ class _Parts:
         return 0.0, self
 
     def _apart(self, motion: Array) -> tuple[float, Array]:
-        """What is left of T [s], to first order, and the part of ``motion`` (3, rows) that is due
-        to the spread.
-        """
+        """What is left of T [s], to first order; the part of ``motion`` (3, rows) by the spread."""
         made = np.tensordot(self.fit(FORCES, (1, 1, 1)).weights, self.seen, 1)
         rate = np.gradient(made, self.t, axis=1)
-        basis = np.stack(
-            [
-                _without_line(self.t, part).reshape(-1)
-                for part in (made, rate, np.gradient(rate, self.t, axis=1))
-            ],
-            axis=1,
-        )
+        parts = made, rate, np.gradient(rate, self.t, axis=1)
+        basis = np.stack([_without_line(self.t, part).reshape(-1) for part in parts], axis=1)
         own = basis[:, 2] - basis[:, :2] @ np.linalg.lstsq(basis[:, :2], basis[:, 2], rcond=None)[0]
         terms = 3 if own @ own > APART * (basis[:, 2] @ basis[:, 2]) else 2
         found = np.linalg.lstsq(basis[:, :terms], motion.reshape(-1), rcond=None)[0]
@@ -213,9 +183,7 @@ class _Parts:
         return float(found[1] / found[0]) if found[0] else 0.0, spread
 
     def fit(self, order: tuple[str, ...], signs: tuple[int, ...]) -> _Fit:
-        """The fit for one order and signs; torques are scaled like the force or not, whichever fits
-        better.
-        """
+        """The fit for one order and signs; torques scale with the force or not, as fits better."""
         force = np.zeros(10)
         for i, (name, sign) in enumerate(zip(order, signs, strict=True)):
             force[3 * i + FORCES.index(name)] = sign
@@ -224,31 +192,22 @@ class _Parts:
         return tied if tied.explained > apart.explained - 0.01 else apart
 
     def _fit(self, scaled: Array, fixed: Array) -> _Fit:
-        s = self._best(scaled, fixed)
-        weights = s * scaled + fixed
-        return _Fit(s, 1.0 - self._left(weights) / self.square, weights)
-
-    def _best(self, scaled: Array, fixed: Array) -> float:
         square = float(scaled @ self.gram @ scaled)
-        return float(scaled @ (self.shown - self.gram @ fixed)) / square if square > 0 else 0.0
+        left = float(scaled @ (self.shown - self.gram @ fixed))
+        s = left / square if square > 0 else 0.0
+        weights = s * scaled + fixed
+        rest = self.square - 2 * weights @ self.shown + weights @ self.gram @ weights
+        return _Fit(s, 1.0 - float(rest) / self.square, weights)
 
-    def _left(self, weights: Array) -> float:
-        return float(self.square - 2 * weights @ self.shown + weights @ self.gram @ weights)
-
-    def best(self, as_given: _Fit) -> tuple[tuple[str, ...], tuple[int, ...], float]:
-        """The order and signs that explain the motion best (the given ones unless others are
-        clearly better), and the explained part.
+    def best(self, explained: float) -> tuple[tuple[str, ...], tuple[int, ...], float]:
+        """The order and signs that explain the motion best (the given ones, which have
+        ``explained`` it, unless others are clearly better), and the explained part.
         """
-        found: tuple[tuple[str, ...], tuple[int, ...], float] = (
-            FORCES,
-            (1, 1, 1),
-            as_given.explained,
-        )
-        for order in permutations(FORCES):
-            for signs in product((1, -1), repeat=3):
-                s, part, _ = self.fit(order, signs)
-                if s > 0 and part > found[2] + BETTER:
-                    found = order, signs, part
+        found: tuple[tuple[str, ...], tuple[int, ...], float] = (FORCES, (1, 1, 1), explained)
+        for order, signs in product(permutations(FORCES), product((1, -1), repeat=3)):
+            s, part, _ = self.fit(order, signs)
+            if s > 0 and part > found[2] + BETTER:
+                found = order, signs, part
         return found
 
     def axis(self, j: int) -> float:
@@ -265,11 +224,8 @@ def mobility(scenario: Scenario) -> Array:
     P, at the start attitude.
     """
     turned = rotation_matrix(quat_from_attitude_deg(scenario.approach.attitude_deg))
-    total = np.zeros((3, 6))
-    for body, port_in_p in (
-        (scenario.spacecraft.chaser, turned),
-        (scenario.spacecraft.target, np.eye(3)),
-    ):
+    craft, total = scenario.spacecraft, np.zeros((3, 6))
+    for body, port_in_p in ((craft.chaser, turned), (craft.target, np.eye(3))):
         port = port_pose(body)
         to_body = rotation_matrix(port[3:]) @ port_in_p.T
         r, inertia = port[:3], inertia_matrix(body.inertia)
@@ -281,9 +237,7 @@ def mobility(scenario: Scenario) -> Array:
 
 
 def centred(scenario: Scenario) -> bool:
-    """Whether only the axis of insertion moves, so that the other axes are zero by symmetry even if
-    they were not measured.
-    """
+    """Whether nothing moves beside the axis of insertion: other axes are zero, measured or not."""
     approach, vehicles = scenario.approach, (scenario.spacecraft.chaser, scenario.spacecraft.target)
     still = (*approach.offset, *approach.velocity[:2], *approach.attitude_deg, *approach.rate_deg)
     ports = [v for body in vehicles for v in (*body.port.position[:2], *body.port.attitude_deg)]
@@ -293,44 +247,32 @@ def centred(scenario: Scenario) -> bool:
 
 def _columns(record: Record, names: list[str]) -> Array:
     """``(names, ticks)``; zero for columns that were not measured."""
-    return np.stack(
-        [record.column(n) if n in record.columns() else np.zeros(record.ticks) for n in names]
-    )
-
-
-def _wrench(group: str) -> list[str]:
-    return [f"{group}.{part}" for part in (*FORCES, "tx", "ty", "tz")]
+    zero = np.zeros(record.ticks)
+    return np.stack([record.column(n) if record.has(n) else zero for n in names])
 
 
 def _whole(rows: np.ndarray, record: Record, scenario: Scenario) -> bool:
     """Whether at most GAP_LIMIT of the rows that the file's sampling rate gives are missing."""
     stride = max(1.0, scenario.rate / record.sample_rate) if record.sample_rate else 1.0
-    return (
-        len(rows) * stride > (1 - GAP_LIMIT) * (rows[-1] - rows[0]) and rows[0] < 0.2 * record.ticks
-    )
+    dense = len(rows) * stride > (1 - GAP_LIMIT) * (rows[-1] - rows[0])
+    return dense and rows[0] < 0.2 * record.ticks
 
 
 def _twice(t: Array, rate: Array, tick: float) -> Array:
-    """Double integral of ``rate`` ``(3, rows)``; semi-implicit like the model's step if no tick is
-    missing.
-    """
+    """Double integral of ``rate`` ``(3, rows)``, semi-implicit like the model's step."""
     step = np.diff(t, prepend=t[0] - tick)
     return np.cumsum(np.cumsum(rate * step, axis=1) * step, axis=1)
 
 
 def _without_line(t: Array, values: Array) -> Array:
-    """``values`` ``(axes, rows)`` minus their best-fit line in t, so that start and speed do not
-    count.
-    """
+    """``values`` ``(axes, rows)`` minus their best line in t: start and speed do not count."""
     basis = np.stack([np.ones_like(t), t - t.mean()])
     basis /= np.linalg.norm(basis, axis=1, keepdims=True)
     return values - (values @ basis.T) @ basis
 
 
 def _shifted(t: Array, driven: Array, late: float) -> Array:
-    """``driven`` ``(10, 3, rows)`` as much earlier; before the first and after the last row without
-    force, that is at uniform speed.
-    """
+    """``driven`` ``(10, 3, rows)`` as much earlier; without force before and after the rows."""
     at = t + late
     rows = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
     part = (at - t[rows]) / (t[rows + 1] - t[rows])
@@ -340,4 +282,4 @@ def _shifted(t: Array, driven: Array, late: float) -> Array:
 def _roughness(values: Array) -> float:
     """1 sigma of the difference from sample to sample."""
     third = np.abs(np.diff(values, 3))
-    return 1.4826 * float(np.median(third)) / np.sqrt(20.0) if len(third) else 0.0
+    return MAD_TO_SIGMA * float(np.median(third)) / THIRD_DIFFERENCE if len(third) else 0.0

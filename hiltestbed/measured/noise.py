@@ -58,12 +58,9 @@ def noise_of(values: Array, free: int, step: float, pose: bool) -> Noise:
     if len(known) < FREE_MINIMUM:
         white = max(white_noise(values, step), least)
         return Noise(white, white, 0)
-    line = np.polynomial.Polynomial.fit(known, segment[known], 1)
-    residual = segment[known] - line(known)
-    rms, white = (
-        float(np.sqrt(np.sum(residual**2) / (len(known) - 2))),
-        max(white_noise(segment, step), least),
-    )
+    residual = segment[known] - np.polynomial.Polynomial.fit(known, segment[known], 1)(known)
+    rms = float(np.sqrt(np.sum(residual**2) / (len(known) - 2)))
+    white = max(white_noise(segment, step), least)
     return Noise(white if pose and rms > UNIFORM * white else max(rms, least), white, len(known))
 
 
@@ -72,10 +69,9 @@ def white_noise(values: Array, step: float = 0.0) -> float:
     samples.
 
     ``step``: their quantisation, 0: none. Differences of quantised values are multiples of it, and
-        so is their median, which then tells no
-    level: their mean square does, of those that are not far out. Where noise does not dither the
-        steps, rounding errors are alike from row
-    to row, which differences show in part: the larger of the two counts.
+    so is their median, which then tells no level: their mean square does, of those that are not far
+    out. Where noise does not dither the steps, rounding errors are alike from row to row, which
+    differences show in part: the larger of the two counts.
     """
     third = np.diff(_samples(values), 3)
     third = np.abs(third[np.isfinite(third)])
@@ -90,34 +86,25 @@ def white_noise(values: Array, step: float = 0.0) -> float:
 
 
 def _samples(values: Array) -> Array:
-    """``values``; without the missing ones if many are missing, as on the ticks of a loop that is
-    faster than its log.
-    """
+    """``values``; without the missing ones if many are, as of a log slower than the loop."""
     known = np.isfinite(values)
     return values[known] if len(values) and known.mean() < SPARSE else values
 
 
 def finest_noise(values: Array) -> float:
-    """1 sigma of white noise in a moving column: the least from differences of orders 3, 5 and 7,
-    which suppress motion increasingly.
-    """
+    """1 sigma of white noise in a moving column: least from differences of orders 3, 5, 7."""
     found = [white_noise(values)]
     for order in (5, 7):
         differences = np.diff(_samples(values), order)
         differences = differences[np.isfinite(differences)]
         if len(differences) >= 8:
-            found.append(
-                MAD_TO_SIGMA
-                * float(np.median(np.abs(differences)))
-                / math.sqrt(math.comb(2 * order, order))
-            )
+            usual = MAD_TO_SIGMA * float(np.median(np.abs(differences)))
+            found.append(usual / math.sqrt(math.comb(2 * order, order)))
     return min(found)
 
 
 def step_of(values: Array) -> float | None:
-    """The step of which all ``values`` are multiples; None if they are not quantised. A uniform
-    motion has one step per sample.
-    """
+    """The step of which all ``values`` are multiples; None if not quantised, or just uniform."""
     distinct = np.unique(values)
     if len(distinct) < 3:
         return None
@@ -133,16 +120,12 @@ def step_of(values: Array) -> float | None:
 
 
 def last_digit(size: Array, count: int) -> Array:
-    """The value of the last of ``count`` significant digits in numbers of magnitude ``size`` >
-    0.
-    """
+    """Value of the last of ``count`` significant digits of numbers as large as ``size`` > 0."""
     return 10.0 ** (np.floor(np.log10(size)) - count + 1)
 
 
 def digits_of(values: Array) -> int | None:
-    """Number of significant digits of ``values`` if it is at most :data:`FEW_DIGITS`; otherwise
-    None.
-    """
+    """Number of significant digits of ``values`` if at most :data:`FEW_DIGITS`, else None."""
     size = np.abs(values[np.isfinite(values)])
     size = size[size > SMALLEST]
     if len(np.unique(size)) < 10:

@@ -87,11 +87,7 @@ def _judged(
     if away <= 0.0:  # within the range of the others
         # jumps as large are part of a column that a converter or a controller moves in steps
         usual = float(np.quantile(np.abs(np.diff(rest)), STEPPED)) if len(rest) > 1 else 0.0
-        runs = [
-            (start, end)
-            for start, end in runs
-            if end - start <= AROUND and _least_jump(x, start, end) > usual
-        ]
+        runs = [(a, b) for a, b in runs if b - a <= AROUND and _least_jump(x, a, b) > usual]
     elif len(rest) < 0.5 * len(x):
         return
     if not runs:
@@ -137,9 +133,7 @@ def _shorter(value: float, rest: Array) -> float:
 
 
 def _written(values: Array) -> tuple[Array, Array]:
-    """Decimal places and significant digits of each value, as a single-precision number if it is
-    one.
-    """
+    """Decimal places and significant digits of each value, of single precision if it is."""
     with np.errstate(over="ignore"):
         single = values.astype(np.float32)
     texts = [repr(float(v)) if float(f) != float(v) else str(f)

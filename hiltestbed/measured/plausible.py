@@ -15,16 +15,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from hiltestbed.config.dataset import Check
 from hiltestbed.frames import Array, quat_from_attitude_deg
 from hiltestbed.measured.balance import balances, imbalances
 from hiltestbed.measured.driven import is_driven
 from hiltestbed.measured.record import Record
-from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.remark import Remark, error, note
 from hiltestbed.measured.sameness import copies_and_constants
 from hiltestbed.measured.shifts import shifts
 from hiltestbed.measured.start import factor_text, likely_scale, scale_fix, starts_at_fault
-from hiltestbed.measured.survey import MOVED, Survey, baseline, penetration
+from hiltestbed.measured.survey import MOVED, Survey, from_baseline, penetration
 from hiltestbed.scenario import Scenario
 
 FORCE_FACTOR = 200.0  # a larger ratio means another unit, whatever the contact is
@@ -57,18 +56,14 @@ def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Re
 
 
 def _of_the_mass(remark: Remark) -> Remark:
-    """A note instead of an error on the unit of the force: another mass would have the same
-    effect.
-    """
+    """A note instead of an error on the unit of the force: the mass may be another."""
     if remark.check != "unit" or remark.severity != "error":
         return remark
     return replace(remark, severity="note", text=f"{remark.text}; or its mass is another", check="")
 
 
 def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
-    """Remarks on the forces: by the momentum balance if the bodies float freely, otherwise by the
-    contact law.
-    """
+    """Remarks on the forces: by momentum if the bodies float freely, else by the contact law."""
     pairs = balances(record, scenario)
     wrong = list(imbalances(record, found, scenario, pairs))
     if pairs:
@@ -76,19 +71,11 @@ def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
     return [*_measured_force(record, found, scenario), *_force_pair(record, found)]
 
 
-def _error(
-    check: Check, record: Record, channel: str, text: str, fix: str, **evidence: float
-) -> Remark:
-    return Remark("error", record.run, channel, text, fix, evidence, check)
-
-
 def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
     """Length and order of the quaternions."""
     expected = quat_from_attitude_deg(scenario.approach.attitude_deg)
     for group in ("pose_cmd", "pose_act"):
-        if group not in record.data:
-            continue
-        q = record.data[group][:, 3:]
+        q = record.data[group][:, 3:] if record.has(group) else np.zeros((0, 4))
         q = q[np.isfinite(q).all(axis=1)]
         if not len(q):
             continue
@@ -99,27 +86,18 @@ def _attitudes(record: Record, scenario: Scenario) -> Iterator[Remark]:
                 f"is no unit quaternion: its length is off by up to {off:.3g}; allowed "
                 f"is {QUAT_NORM:g}"
             )
-            yield _error(
-                "attitude",
-                record,
-                name,
-                text,
-                "check scale and columns of qx, qy, qz, qw",
-                length_error=off,
-            )
+            fix = "check scale and columns of qx, qy, qz, qw"
+            yield error("attitude", record.run, name, text, fix, length_error=off)
             continue
         if off > QUAT_NORM_NOTE:
             text = f"has a length that is off by up to {off:.3g}; it is used as it is"
-            yield Remark("note", record.run, name, text, "", {"length_error": off})
-        yield from _order(record, name, q[:50], expected)
+            yield note(record.run, name, text, length_error=off)
+        yield from _order(record.run, group, q[:50], expected)
 
 
-def _order(record: Record, name: str, q: Array, expected: Array) -> Iterator[Remark]:
-    """Remark on a start attitude far from the scenario's, and the reading of the four columns that
-    would match it.
-    """
-    given = _angle_deg(q, expected)
-    group = name.partition(".")[0]
+def _order(run: int, group: str, q: Array, expected: Array) -> Iterator[Remark]:
+    """Remark on a start attitude far from the scenario's, and the order that would match it."""
+    name, given = f"{group}.q*", _angle_deg(q, expected)
     w_first = _angle_deg(q[:, [1, 2, 3, 0]], expected)
     conjugate = _angle_deg(q * [-1, -1, -1, 1], expected)
     if given > TURNED_DEG and w_first < 0.5 * TURNED_DEG:
@@ -131,34 +109,21 @@ def _order(record: Record, name: str, q: Array, expected: Array) -> Iterator[Rem
             f"exchange the columns under channels: {group}.qw takes that of qx, qx that "
             f"of qy, qy that of qz, qz that of qw"
         )
-        yield _error("attitude", record, name, text, fix, angle_deg=given, w_first_deg=w_first)
+        yield error("attitude", run, name, text, fix, angle_deg=given, w_first_deg=w_first)
     elif given > TURNED_DEG:
         text = (
             f"starts {given:.0f} deg from the scenario's attitude; the platform rotates "
             f"by 10 deg at most"
         )
-        yield _error(
-            "attitude",
-            record,
-            name,
-            text,
-            "check frames and columns, or set approach.attitude_deg",
-            angle_deg=given,
-        )
+        fix = "check frames and columns, or set approach.attitude_deg"
+        yield error("attitude", run, name, text, fix, angle_deg=given)
     elif given > 1.0 and conjugate < 0.2 * given:
         text = (
             f"starts {given:.1f} deg from the scenario's attitude, {conjugate:.1f} deg "
             f"when inverted: it is P in A"
         )
-        yield _error(
-            "attitude",
-            record,
-            name,
-            text,
-            "give the scale -1 to its qx, qy and qz",
-            angle_deg=given,
-            conjugate_deg=conjugate,
-        )
+        fix = "give the scale -1 to its qx, qy and qz"
+        yield error("attitude", run, name, text, fix, angle_deg=given, conjugate_deg=conjugate)
 
 
 def _angle_deg(q: Array, expected: Array) -> float:
@@ -168,55 +133,43 @@ def _angle_deg(q: Array, expected: Array) -> float:
 
 
 def _measured_force(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Remarks on sign and magnitude of the force along z, and on a force that is on another
-    axis.
-    """
-    name = "wrench_meas.fz" if "wrench_meas.fz" in record.columns() else "wrench_comp.fz"
-    if name not in record.columns() or not found.contacts:
+    """Remarks on sign and size of the force along z, and on one that is on another axis."""
+    name = "wrench_meas.fz" if record.has("wrench_meas.fz") else "wrench_comp.fz"
+    if not record.has(name) or not found.contacts:
         return
-    force = record.column(name) - baseline(record, found, name)
-    peak, low = float(np.nanmax(force)), float(np.nanmin(force))
-    clear = max(peak, -low) > MOVED * found.noise[name].rms
-    if clear and _pulls(record, force, peak, low, scenario):
+    force = from_baseline(record, found, name)
+    high, low = float(np.nanmax(force)), float(np.nanmin(force))
+    peak, run = max(high, -low), record.run
+    clear = peak > MOVED * found.noise[name].rms
+    if clear and _pulls(record, force, high, low, scenario):
         text = (
-            f"pulls while pushing: {low:.4g} N at its strongest against {peak:.4g} N, "
+            f"pulls while pushing: {low:.4g} N at its strongest against {high:.4g} N, "
             f"and falls as the penetration grows"
         )
-        yield _error("sign", record, name, text, scale_fix(name, -1.0), lowest=low, highest=peak)
+        yield error("sign", run, name, text, scale_fix(name, -1.0), lowest=low, highest=high)
     expected = _expected_force(record, scenario)
     if not expected:
         return
-    ratio = max(peak, -low) / expected
+    ratio = peak / expected
     if clear and not 1 / FORCE_FACTOR < ratio < FORCE_FACTOR:
         text = (
-            f"peaks at {max(peak, -low):.4g} N, the scenario gives about {expected:.4g} "
+            f"peaks at {peak:.4g} N, the scenario gives about {expected:.4g} "
             f"N: {factor_text(ratio, 'N')}"
         )
-        yield _error(
-            "unit",
-            record,
-            name,
-            text,
-            scale_fix(name, 10.0 ** -round(math.log10(ratio))),
-            peak=max(peak, -low),
-            expected=expected,
-        )
+        fix = scale_fix(name, 10.0 ** -round(math.log10(ratio)))
+        yield error("unit", run, name, text, fix, peak=peak, expected=expected)
     elif not clear:
         yield from _other_axis(record, found, name, expected)
 
 
 def _pulls(record: Record, force: Array, peak: float, low: float, scenario: Scenario) -> bool:
-    """Whether the force has the wrong sign: by its largest excursion (not for a latched mechanism,
-    which may pull) and its time history.
-    """
-    poses = [name for name in ("pose_act.pz", "pose_cmd.pz") if name in record.columns()]
-    latched = scenario.mechanism.captured
+    """Whether the sign is wrong: by the largest force (not of a latch) and its history."""
+    latched, depth = scenario.mechanism.captured, penetration(record)
     if not latched and -low < 3 * peak:
         return False
-    if not poses:
+    if depth is None:
         return not latched
-    depth = record.column(poses[0])
-    if not scenario.mechanism.flat and not scenario.mechanism.captured and not np.nanmax(depth) > 0:
+    if not scenario.mechanism.flat and not latched and not np.nanmax(depth) > 0:
         return True  # on the wall of a cone the probe touches before pz = 0
     depth = depth if latched else np.maximum(depth, 0.0)
     late = min(round(scenario.sensor.delay * scenario.rate), len(force) - 2)
@@ -250,153 +203,113 @@ def _expected_force(record: Record, scenario: Scenario) -> float | None:
 
 
 def _fastest(record: Record, depth: Array) -> float:
-    """The 99th percentile of the rate of penetration [m/s], over steps that are long compared with
-    the noise of the pose.
-    """
+    """99th percentile of the rate of penetration [m/s], over steps beyond the pose's noise."""
     known = np.flatnonzero(np.isfinite(depth))
-    stride = max(1, len(known) // 500)
-    known = known[::stride]
-    rates = (
-        np.abs(np.diff(depth[known]) / np.diff(record.t[known])) if len(known) > 2 else np.zeros(1)
-    )
-    return float(np.percentile(rates, 99))
+    known = known[:: max(1, len(known) // 500)]
+    if len(known) < 3:
+        return 0.0
+    return float(np.percentile(np.abs(np.diff(depth[known]) / np.diff(record.t[known])), 99))
 
 
 def _other_axis(record: Record, found: Survey, name: str, expected: float) -> Iterator[Remark]:
     group = name.partition(".")[0]
+    own = float(np.nanmax(np.abs(from_baseline(record, found, name))))
     for other in (f"{group}.fx", f"{group}.fy"):
-        if other not in record.columns():
+        if not record.has(other):
             continue
-        peak = float(np.nanmax(np.abs(record.column(other) - baseline(record, found, other))))
-        own = float(np.nanmax(np.abs(record.column(name) - baseline(record, found, name))))
+        peak = float(np.nanmax(np.abs(from_baseline(record, found, other))))
         if 0.3 * expected < peak < 3 * expected and own < 0.1 * peak:
             text = (
                 f"stays in its noise while {other} peaks at {peak:.4g} N, about what is "
                 f"expected along z: the axes are swapped"
             )
-            yield _error(
-                "axes",
-                record,
-                name,
-                text,
-                f"exchange the columns of {name} and {other}",
-                other_peak=peak,
-                expected=expected,
-            )
+            fix = f"exchange the columns of {name} and {other}"
+            yield error("axes", record.run, name, text, fix, other_peak=peak, expected=expected)
 
 
 def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
-    """Remarks on each axis of the compensated wrench compared with the measured one: the same
-    force, some milliseconds apart.
-    """
-    if "wrench_meas" not in record.data or "wrench_comp" not in record.data:
-        return
+    """Remarks on wrench_comp against wrench_meas: the same force, some milliseconds apart."""
     for axis in ("fx", "fy", "fz", "tx", "ty", "tz"):
-        meas, comp = f"wrench_meas.{axis}", f"wrench_comp.{axis}"
-        if not {meas, comp} <= set(record.columns()):
+        meas, comp = names = f"wrench_meas.{axis}", f"wrench_comp.{axis}"
+        if not (record.has(meas) and record.has(comp)):
             continue
-        a, b = (record.column(n) - baseline(record, found, n) for n in (meas, comp))
+        a, b = (from_baseline(record, found, n) for n in names)
         both = np.isfinite(a) & np.isfinite(b)
-        high_a, high_b = (float(np.abs(values[both]).max(initial=0.0)) for values in (a, b))
-        if (
-            high_a <= 2 * MOVED * found.noise[meas].rms
-            or high_b <= 2 * MOVED * found.noise[comp].rms
-        ):
+        peaks = [float(np.abs(values[both]).max(initial=0.0)) for values in (a, b)]
+        least = [2 * MOVED * found.noise[n].rms for n in names]
+        if peaks[0] <= least[0] or peaks[1] <= least[1]:
             continue
-        together = correlation(a, b)
+        run, together, ratio = record.run, correlation(a, b), peaks[1] / peaks[0]
         if together < CORRELATION:
             text = (
                 f"is opposite to {meas} (correlation {together:.2f}): the sign of one is reversed"
             )
-            yield _error("sign", record, comp, text, scale_fix(comp, -1.0), correlation=together)
-        if not 1 / FORCE_FACTOR < high_b / high_a < FORCE_FACTOR:
+            yield error("sign", run, comp, text, scale_fix(comp, -1.0), correlation=together)
+        if not 1 / FORCE_FACTOR < ratio < FORCE_FACTOR:
             text = (
-                f"peaks at {high_b:.4g} where {meas} peaks at {high_a:.4g}: "
-                f"{factor_text(high_b / high_a, 'N')}"
+                f"peaks at {peaks[1]:.4g} where {meas} peaks at {peaks[0]:.4g}: "
+                f"{factor_text(ratio, 'N')}"
             )
-            yield _error(
-                "unit",
-                record,
-                comp,
-                text,
-                scale_fix(comp, likely_scale(high_b / high_a, "N")),
-                peak=high_b,
-                measured_peak=high_a,
-            )
+            fix = scale_fix(comp, likely_scale(ratio, "N"))
+            yield error("unit", run, comp, text, fix, peak=peaks[1], measured_peak=peaks[0])
 
 
 def _torques(record: Record, found: Survey) -> Iterator[Remark]:
     """Remarks on torques that would need a lever arm longer than any rig."""
     for group in ("wrench_meas", "wrench_comp"):
         names = [n for n in record.columns() if n.startswith(group + ".")]
-        peaks = {
-            n[-2:]: float(np.nanmax(np.abs(record.column(n) - baseline(record, found, n))))
-            for n in names
-        }
-        forces = [v for n, v in peaks.items() if n[0] == "f"]
+        peaks = {n: float(np.nanmax(np.abs(from_baseline(record, found, n)))) for n in names}
+        forces = [peak for name, peak in peaks.items() if name[-2] == "f"]
         largest = max(forces, default=0.0)
         if len(forces) < 3 or largest == 0.0:
             continue
-        for axis, peak in peaks.items():
-            name = f"{group}.{axis}"
-            if axis[0] == "t" and peak > max(MOVED * found.noise[name].rms, LEVER_LIMIT * largest):
+        for name, peak in peaks.items():
+            least = max(MOVED * found.noise[name].rms, LEVER_LIMIT * largest)
+            if name[-2] == "t" and peak > least:
                 text = (
                     f"peaks at {peak:.4g} N m against {largest:.4g} N of force: a lever "
                     f"arm of {peak / largest:.3g} m, another unit?"
                 )
-                yield _error(
-                    "lever", record, name, text, scale_fix(name, 1e-3), torque=peak, force=largest
-                )
+                fix = scale_fix(name, 1e-3)
+                yield error("lever", record.run, name, text, fix, torque=peak, force=largest)
 
 
 def _arms(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Remarks on the torques of an off-axis contact with a plane: about P's origin tx = y fz and ty
-    = -x fz, with A at (x, y).
-    """
+    """Remarks on torques of an off-axis contact with a plane: tx = y fz, ty = -x fz."""
     columns = set(record.columns())
-    place = next(
-        (name for name in ("pose_act", "pose_cmd") if {f"{name}.px", f"{name}.py"} <= columns), None
-    )
-    if place is None or scenario.mechanism.captured or not scenario.mechanism.flat:
+    places = [p for p in ("pose_act", "pose_cmd") if {f"{p}.px", f"{p}.py"} <= columns]
+    if not places or scenario.mechanism.captured or not scenario.mechanism.flat:
         return
-    x, y = record.data[place][:, 0], record.data[place][:, 1]
+    x, y = record.data[places[0]][:, :2].T
     for group in ("wrench_meas", "wrench_comp"):
         names = [f"{group}.{axis}" for axis in ("fz", "tx", "ty")]
         if not set(names) <= columns:
             continue
-        force, tx, ty = (record.column(name) - baseline(record, found, name) for name in names)
+        force, *torques = (from_baseline(record, found, name) for name in names)
         made = y * force, -x * force
         if np.nanmax(force) < -np.nanmin(force) or any(
             np.nanmax(np.abs(m)) < 2 * MOVED * found.noise[name].rms
             for m, name in zip(made, names[1:], strict=True)
         ):
             continue
-        own, crossed = (
-            [_share(m, t) for m, t in zip(made, (tx, ty), strict=True)],
-            [_share(made[1], tx), _share(made[0], ty)],
-        )
+        own = [_share(m, t) for m, t in zip(made, torques, strict=True)]
+        crossed = [abs(_share(m, t)) for m, t in zip(made[::-1], torques, strict=True)]
         if all(-RATIO[1] < share < -RATIO[0] for share in own):
             for name, share in zip(names[1:], own, strict=True):
                 text = (
                     f"is {share:.2f} times the torque of the off-axis force about P's "
                     f"origin: the sign is reversed"
                 )
-                yield _error("sign", record, name, text, scale_fix(name, -1.0), share=share)
-        elif all(RATIO[0] < abs(share) < RATIO[1] for share in crossed) and not any(
+                yield error("sign", record.run, name, text, scale_fix(name, -1.0), share=share)
+        elif all(RATIO[0] < share < RATIO[1] for share in crossed) and not any(
             RATIO[0] < share < RATIO[1] for share in own
         ):
             text = (
                 f"is the torque of the off-axis force about the other axis, and "
                 f"{names[2]} is that of this axis: they are exchanged"
             )
-            yield _error(
-                "axes",
-                record,
-                names[1],
-                text,
-                f"exchange the columns of {names[1]} and {names[2]}",
-                shares=min(map(abs, crossed)),
-            )
+            fix = f"exchange the columns of {names[1]} and {names[2]}"
+            yield error("axes", record.run, names[1], text, fix, shares=min(crossed))
 
 
 def _share(made: Array, torque: Array) -> float:

@@ -38,25 +38,20 @@ class Record:
     """One run of a dataset.
 
     Attributes:
-        run: its number in the dataset.
-        file: from which it was read.
+        run: its number in the dataset. file: from which it was read.
         t: ``(ticks,)`` [s], ``tick/rate``, from 0 to the last tick that the file reaches.
-        data: group name to ``(ticks, parts)``, SI units; NaN where ``valid`` is False. Groups
-            without any column are left out.
-        valid: group name to ``(ticks, parts)``: the file has a sample at this tick (within half a
-            tick).
-        clipped: group name to ``(ticks, parts)``: the sample is at a limit of the channel; larger
-            values are lost.
+        data: group to ``(ticks, parts)``, SI units; NaN where not ``valid``. Groups without any
+            column are left out.
+        valid: group to ``(ticks, parts)``: the file has a sample within half a tick.
+        clipped: group to ``(ticks, parts)``: the sample is at a limit, larger values are lost.
         absent: columns of MEASURED_GROUPS that the file lacks, or that were lost.
         sample_rate: [Hz] of the file.
-        steps: column to its quantisation step, for quantised columns.
-        digits: column to the number of significant digits of its samples, for columns that were
-            written with few.
-        bends: group to ``(ticks, parts)`` difference of a smooth curve through the samples from
-            linear interpolation, for groups whose rows are not the loop's ticks.
-        sampled: for columns whose ticks were interpolated: column to the noise of the original
-            samples, expressed as white noise of as many samples as there are ticks with the same
-            total.
+        steps: quantised column to its step.
+        digits: column that was written with few significant digits to their number.
+        bends: group whose rows are not the loop's ticks to ``(ticks, parts)`` difference of a
+            smooth curve through the samples from linear interpolation.
+        sampled: column whose ticks were interpolated to the noise of the original samples, as white
+            noise of as many samples as there are ticks with the same total.
     """
 
     run: int
@@ -77,9 +72,7 @@ class Record:
         return len(self.t)
 
     def has(self, name: str) -> bool:
-        """Whether the record has a group (any column of it) or a column, such as ``wrench_meas`` or
-        ``wrench_meas.fz``.
-        """
+        """Whether the record has a column, or any column of a group."""
         return name in self.data if name in GROUPS else name in self.columns()
 
     def whole(self, group: str) -> bool:
@@ -106,17 +99,13 @@ class Record:
         """``(ticks, parts)`` 1 sigma of the rounding error of samples written with few significant
         digits; 0 for those with many.
         """
-        values = self.data[group]
-        out = np.zeros_like(values)
+        size = np.abs(np.nan_to_num(self.data[group]))
+        out = np.zeros_like(size)
         for j, name in enumerate(GROUPS[group].columns):
             if name in self.digits:
-                size = np.abs(np.nan_to_num(values[:, j]))
-                out[:, j] = np.where(
-                    size > 0.0,
-                    last_digit(np.where(size > 0.0, size, 1.0), self.digits[name])
-                    / math.sqrt(12.0),
-                    0.0,
-                )
+                nonzero = size[:, j] > 0.0
+                steps = last_digit(size[nonzero, j], self.digits[name])
+                out[nonzero, j] = steps / math.sqrt(12.0)
         return out
 
     def filled(self, group: str) -> Array:
@@ -125,77 +114,56 @@ class Record:
 
         Gaps are interpolated linearly, short gaps of a pose by a cubic spline; ticks between the
         rows of a log with another clock are on a smooth curve (quaternions are normalised). Before
-        the first and after the last sample the value is held, except for positions before the
-        first sample, which are extrapolated
-        uniformly. Absent axes are zero, an absent attitude is the identity. A command that was
-        logged in steps or with few digits is interpolated between the centres of equal values that
-        are one step apart; a larger jump was commanded. Then it is smoothed where a smooth command,
-        rounded, would be what is on record.
+        the first and after the last sample the value is held; positions before the first sample are
+        extrapolated uniformly. Absent axes are zero, an absent attitude is the identity. A command
+        that was logged in steps or with few digits is interpolated between the centres of equal
+        values that are one step apart (a larger jump was commanded), then smoothed where a smooth
+        command, rounded, would be what is on record.
         """
         columns = [self._bridged(group, j) for j in range(self.data[group].shape[1])]
         if group == "pose_cmd":
-            columns = [
-                _without_rounding(column, step)[0]
-                for column, step in zip(columns, self._command_steps().T, strict=True)
-            ]
+            rounded = zip(columns, self._command_steps().T, strict=True)
+            columns = [_without_rounding(column, step)[0] for column, step in rounded]
         values = np.column_stack(columns) + self.bends.get(group, 0.0)
         if group.startswith("pose"):
             bridged = ~self.valid[group][:, 3:].all(axis=1) | (group in self.bends)
-            norm = np.linalg.norm(values[bridged, 3:], axis=1, keepdims=True)
-            values[bridged, 3:] = np.where(
-                norm > 0, values[bridged, 3:] / np.where(norm > 0, norm, 1.0), IDENTITY
-            )
+            attitude = values[bridged, 3:]
+            norm = np.linalg.norm(attitude, axis=1, keepdims=True)
+            unit = attitude / np.where(norm > 0, norm, 1.0)
+            values[bridged, 3:] = np.where(norm > 0, unit, IDENTITY)
         return values
 
     def unsmoothed(self) -> Array:
-        """``(ticks, 3)`` 1 sigma of the rounding error of the commanded position, 0 where
-        :meth:`filled` has smoothed it.
-        """
+        """``(ticks, 3)`` 1 sigma of rounding of the command, 0 where :meth:`filled` smooths it."""
         out = self._command_steps()[:, :3] / math.sqrt(12.0)
-        for j in np.flatnonzero(out.any(axis=0)):
-            out[
-                _without_rounding(self._bridged("pose_cmd", int(j)), math.sqrt(12.0) * out[:, j])[
-                    1
-                ],
-                j,
-            ] = 0.0
+        for j, sigma in enumerate(out.T):
+            smoothed = _without_rounding(self._bridged("pose_cmd", j), math.sqrt(12.0) * sigma)[1]
+            out[smoothed, j] = 0.0
         return out
 
     def _command_steps(self) -> Array:
-        """``(ticks, parts)`` step with which the command was written: of its last digit, or of its
-        quantisation; 0 where there is none.
-        """
+        """``(ticks, parts)`` step of the command: its last digit, or quantisation; or 0."""
         steps = np.array([self.steps.get(name, 0.0) for name in GROUPS["pose_cmd"].columns])
         return np.maximum(math.sqrt(12.0) * self.rounding("pose_cmd"), steps)
 
     def _bridged(self, group: str, j: int) -> Array:
         """``(ticks,)`` of one column with its gaps filled."""
-        values, known, pose = (
-            self.data[group][:, j].copy(),
-            self.valid[group][:, j],
-            group.startswith("pose"),
-        )
+        values, known = self.data[group][:, j].copy(), self.valid[group][:, j]
+        pose = group.startswith("pose")
         if not known.any():
             values[:] = ((0.0,) * 3 + IDENTITY)[j] if pose else 0.0
-        elif not known.all():
-            values = np.interp(self.t, self.t[known], values[known])
-            short = self.lost(group) & ~self._in_long_gaps(group)
-            if pose and short.any() and known.sum() > MAX_BRIDGED:
-                curve = CubicSpline(self.t[known], self.data[group][known, j])
-                values[short] = curve(self.t[short])
-            if pose and j < 3 and not known[0]:
-                self._run_back(values, known)
+        if known.all() or not known.any():
+            return values
+        t, samples = self.t[known], values[known]
+        values = np.interp(self.t, t, samples)
+        short = self.lost(group) & ~self._in_long_gaps(group)
+        if pose and short.any() and known.sum() > MAX_BRIDGED:
+            values[short] = CubicSpline(t, samples)(self.t[short])
+        if pose and j < 3 and not known[0] and len(t) > 1:  # at the speed of the first samples
+            slope = np.polyfit(t[:FOLLOWING] - t[0], samples[:FOLLOWING], 1)[0]
+            before = self.t < t[0]
+            values[before] = samples[0] + slope * (self.t[before] - t[0])
         return values
-
-    def _run_back(self, values: Array, known: NDArray[np.bool_]) -> None:
-        """Extend ``values`` (ticks,) before the first sample at the speed of the samples that
-        follow.
-        """
-        first = np.flatnonzero(known)[:FOLLOWING]
-        if len(first) > 1:
-            t = self.t - self.t[first[0]]
-            slope = float(np.polyfit(t[first], values[first], 1)[0])
-            values[: first[0]] = values[first[0]] + slope * t[: first[0]]
 
     def lost(self, group: str) -> NDArray[np.bool_]:
         """``(ticks,)``: samples of ``group`` that are missing between others, or at an end.
@@ -220,12 +188,9 @@ class Record:
         return float((self.ticks - 1) / self.t[-1]) if self.ticks > 1 else 1.0
 
     def _in_long_gaps(self, group: str) -> NDArray[np.bool_]:
-        """``(ticks,)``: missing samples of ``group``, more than MAX_BRIDGED in a row or at an
-        end.
-        """
+        """``(ticks,)``: missing samples, more than MAX_BRIDGED in a row or at an end."""
         missing = self.lost(group)
-        edges = np.flatnonzero(np.diff(np.r_[False, missing, False]))
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
+        for start, end in stretches(missing):
             if start > 0 and end < self.ticks and end - start <= MAX_BRIDGED:
                 missing[start:end] = False
         return missing
@@ -244,13 +209,15 @@ class Record:
         """
         missing = self._in_long_gaps(group) if group.startswith("pose") else self.lost(group)
         lasting = self.ticks if memory is None else round(memory * self._rate)
-        ends = np.flatnonzero(missing)
-        last = (
-            np.maximum.accumulate(np.where(missing, np.arange(self.ticks), -1))
-            if len(ends)
-            else np.full(self.ticks, -1)
-        )
-        return (last >= 0) & (np.arange(self.ticks) - last <= lasting)
+        rows = np.arange(self.ticks)
+        last = np.maximum.accumulate(np.where(missing, rows, -1))
+        return (last >= 0) & (rows - last <= lasting)
+
+
+def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """The first row of each stretch of successive True values, and the one after its last."""
+    edges = np.flatnonzero(np.diff(np.r_[False, flags, False]))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def place(column: str) -> tuple[str, int]:
@@ -265,16 +232,13 @@ def _between_steps(values: Array, step: Array) -> Array:
     """
     starts = np.flatnonzero(np.r_[True, values[1:] != values[:-1]])
     ends = np.r_[starts[1:], len(values)] - 1
-    jumps = np.abs(np.diff(values[starts])) > WITHIN_STEP * np.maximum(
-        step[ends[:-1]], step[starts[1:]]
-    )
-    knots = np.concatenate([0.5 * (starts + ends), ends[:-1][jumps], starts[1:][jumps]])
+    usual = WITHIN_STEP * np.maximum(step[ends[:-1]], step[starts[1:]])
+    jumps = np.abs(np.diff(values[starts])) > usual
+    before, after = ends[:-1][jumps], starts[1:][jumps]
+    knots = np.concatenate([0.5 * (starts + ends), before, after])
+    known = values[np.concatenate([starts, before, after])]
     order = np.argsort(knots, kind="stable")
-    return np.interp(
-        np.arange(len(values)),
-        knots[order],
-        values[np.concatenate([starts, ends[:-1][jumps], starts[1:][jumps]])][order],
-    )
+    return np.interp(np.arange(len(values)), knots[order], known[order])
 
 
 def _without_rounding(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -284,9 +248,8 @@ def _without_rounding(values: Array, step: Array) -> tuple[Array, NDArray[np.boo
     if not step.any():
         return values, np.zeros(len(values), dtype=bool)
     smooth, within = _within_steps(_between_steps(values, step), step)
-    return np.where(
-        within, np.clip(smooth, values - 0.5 * step, values + 0.5 * step), smooth
-    ), within
+    rounded = np.clip(smooth, values - 0.5 * step, values + 0.5 * step)
+    return np.where(within, rounded, smooth), within
 
 
 def _within_steps(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -297,15 +260,10 @@ def _within_steps(values: Array, step: Array) -> tuple[Array, NDArray[np.bool_]]
     if len(values) < SMOOTHED_ROWS:
         return values, np.zeros(len(values), dtype=bool)
     smooth = np.asarray(savgol_filter(values, SMOOTHED_ROWS, 3))
-    within = (
-        minimum_filter1d(
-            (np.abs(values - smooth) <= MAX_ROUNDED * step).astype(np.uint8), SMOOTHED_ROWS
-        )
-        > 0
-    )
+    close = (np.abs(values - smooth) <= MAX_ROUNDED * step).astype(np.uint8)
     varies, coarsens = (
         maximum_filter1d(x, SMOOTHED_ROWS) > minimum_filter1d(x, SMOOTHED_ROWS)
         for x in (values, step)
     )
-    within &= ~coarsens
+    within = (minimum_filter1d(close, SMOOTHED_ROWS) > 0) & ~coarsens
     return np.where(within & varies, smooth, values), within

@@ -14,20 +14,16 @@ Severity = Literal["error", "loss", "note"]
 @dataclass(frozen=True)
 class Remark:
     """One finding. The program never corrects data because of a finding: the fix is left to the
-    owner of the data.
+    owner of the data. Made by :func:`error`, :func:`loss` and :func:`note`.
 
     Attributes:
         severity: ``error``: a diagnosis of these data would be wrong; ``loss``: a channel, a run or
-            samples cannot be used;
-            ``note``: for information.
-        run: number of the run, or None for the whole dataset. file: of the run, its name in
-            messages.
+            samples cannot be used; ``note``: for information.
+        run: number of the run, or None for the whole dataset. file: its name in messages.
         channel: column or group of the trace, ``t``, or empty for the run as a whole.
-        text: the finding, with its numbers.
+        text: the finding, with its numbers. evidence: the numbers, by name.
         fix: what to do, if possible in the syntax of the dataset file; may be empty.
-        evidence: the numbers, by name.
-        check: the word for it in the dataset's ``accept``; empty for an error that cannot be
-            accepted.
+        check: the word for it in the dataset's ``accept``; empty if it cannot be accepted.
         overridden: whether it was an error that the dataset accepts.
     """
 
@@ -43,48 +39,54 @@ class Remark:
 
     def __str__(self) -> str:
         where = "all runs" if self.run is None else self.file or f"run {self.run}"
-        return (
-            f"{self.severity}: {where}: "
-            f"{self.channel + ': ' if self.channel else ''}{self.text}"
-            f"{'; ' + self.remedy if self.remedy else ''}"
-        )
+        channel = f"{self.channel}: " if self.channel else ""
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        return f"{self.severity}: {where}: {channel}{self.text}{remedy}"
 
     def accepted(self) -> Remark:
         """The same finding as a note: the dataset declares that the data are correct."""
-        return replace(
-            self,
-            severity="note",
-            text=f"{self.text} (accepted by the dataset: {self.check})",
-            overridden=True,
-        )
+        text = f"{self.text} (accepted by the dataset: {self.check})"
+        return replace(self, severity="note", text=text, overridden=True)
 
     @property
     def finding(self) -> tuple[object, ...]:
         """What the remark says, whichever channel it is about."""
-        return (
-            self.severity,
-            self.run,
-            self.file,
-            self.text,
-            self.fix.replace(self.channel, "CHANNEL"),
-            self.check,
-        )
+        fix = self.fix.replace(self.channel, "CHANNEL")
+        return self.severity, self.run, self.file, self.text, fix, self.check
 
     @property
     def remedy(self) -> str:
         """The fix, and the key that accepts the data unchanged if that is possible."""
-        anyway = (
-            f"to use the data as they are, accept: [{self.check}]"
-            if self.severity == "error" and self.check
-            else ""
-        )
+        acceptable = self.severity == "error" and self.check
+        anyway = f"to use the data as they are, accept: [{self.check}]" if acceptable else ""
         return "; ".join(part for part in (self.fix, anyway) if part)
 
 
+def error(
+    check: Check | Literal[""],
+    run: int | None,
+    channel: str,
+    text: str,
+    fix: str,
+    /,
+    **evidence: float,
+) -> Remark:
+    """A finding with which a diagnosis would be wrong; ``check``: the word that accepts it."""
+    return Remark("error", run, channel, text, fix, evidence, check)
+
+
+def loss(run: int | None, channel: str, text: str, fix: str = "", /, **evidence: float) -> Remark:
+    """A finding by which a channel, a run or samples cannot be used."""
+    return Remark("loss", run, channel, text, fix, evidence)
+
+
+def note(run: int | None, channel: str, text: str, fix: str = "", /, **evidence: float) -> Remark:
+    """A finding for information."""
+    return Remark("note", run, channel, text, fix, evidence)
+
+
 def together(remarks: Iterable[Remark]) -> list[Remark]:
-    """The remarks, those that differ in their channel only as one that names all of them, at the
-    place of the first.
-    """
+    """The remarks, those that differ in their channel only as one, at the place of the first."""
     groups: dict[tuple[object, ...], list[Remark]] = {}
     for remark in remarks:
         groups.setdefault(remark.finding, []).append(remark)
@@ -95,18 +97,14 @@ def _joined(alike: list[Remark]) -> Remark:
     first, channels = alike[0], list(dict.fromkeys(remark.channel for remark in alike))
     if len(channels) == 1:
         return first
-    fix = (
-        f"{first.fix}; likewise for {', '.join(channels[1:])}"
-        if first.fix and first.channel in first.fix
-        else first.fix
-    )
+    fix = first.fix
+    if fix and first.channel in fix:
+        fix += f"; likewise for {', '.join(channels[1:])}"
     return replace(first, channel=", ".join(channels), fix=fix)
 
 
 def overrides(remarks: Iterable[Remark]) -> tuple[str, ...]:
-    """A sentence on each check that a dataset overrides: on which data, and what is assumed of
-    them.
-    """
+    """A sentence on each check that a dataset overrides: which data, and what is assumed."""
     found: dict[str, list[Remark]] = {}
     for remark in remarks:
         if remark.overridden:
@@ -115,10 +113,8 @@ def overrides(remarks: Iterable[Remark]) -> tuple[str, ...]:
 
 
 def _override(check: str, alike: list[Remark]) -> str:
-    channels, runs = (
-        ", ".join(dict.fromkeys(found))
-        for found in ((r.channel for r in alike), (r.file or f"run {r.run}" for r in alike))
-    )
+    channels = ", ".join(dict.fromkeys(r.channel for r in alike))
+    runs = ", ".join(dict.fromkeys(r.file or f"run {r.run}" for r in alike))
     return (
         f"The dataset overrides a check (accept: [{check}]): {channels} in {runs}. The data are "
         "used as they were recorded: nothing is turned, scaled or exchanged. They are assumed to "

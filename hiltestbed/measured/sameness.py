@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations
 
 import numpy as np
 
+from hiltestbed.frames import Array
 from hiltestbed.measured.record import Record
-from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.shifts import compensated
-from hiltestbed.measured.survey import Survey
+from hiltestbed.measured.survey import Survey, extent
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import GROUPS
 
@@ -26,172 +28,102 @@ def copies_and_constants(record: Record, found: Survey, scenario: Scenario) -> I
     """Errors for columns that do not contain measurements of their channel."""
     yield from _copied_groups(record, scenario)
     yield from _copied_axes(record)
-    yield from _constants(record, found, scenario)
+    yield from _constant_poses(record, found, scenario)
+    yield from _constant_forces(record, found)
 
 
 def _copied_groups(record: Record, scenario: Scenario) -> Iterator[Remark]:
-    commanded = not scenario.rig.platform.physical  # bodies that move freely have no command
-    pairs = (
-        [("pose_act", "pose_cmd", "the reached pose is the commanded one in every row")]
-        if commanded
-        else []
-    )
+    pairs = []
+    if not scenario.rig.platform.physical:  # bodies that move freely have no command
+        why = "the reached pose is the commanded one in every row"
+        pairs.append(("pose_act", "pose_cmd", why))
     given = compensated(record, scenario)
-    if given is not None and not np.allclose(
-        given, record.filled("wrench_meas"), rtol=1e-9, atol=1e-12
-    ):
-        pairs.append(
-            (
-                "wrench_comp",
-                "wrench_meas",
-                f"though the scenario compensates ({scenario.compensation.force.kind})",
-            )
-        )
+    if given is not None:
+        reading = record.filled("wrench_meas")
+        if not np.allclose(given, reading, rtol=1e-9, atol=1e-12):
+            why = f"though the scenario compensates ({scenario.compensation.force.kind})"
+            pairs.append(("wrench_comp", "wrench_meas", why))
     for copy, original, why in pairs:
-        if not (record.has(copy) and record.has(original)):
-            continue
         columns = [(f"{copy}.{p}", f"{original}.{p}") for p in GROUPS[copy].parts]
         moving = [
-            (a, b)
+            (record.column(a), record.column(b))
             for a, b in columns
-            if {a, b} <= set(record.columns()) and _range(record.column(b)) > 0.0
+            if record.has(a) and record.has(b) and extent(record.column(b)) > 0.0
         ]
-        if moving and all(_same(record.column(a), record.column(b)) for a, b in moving):
+        if moving and all(_same(a, b) for a, b in moving):
             text = f"is a copy of {original}: {why}; the link between them cannot be judged"
-            yield Remark(
-                "error",
-                record.run,
-                copy,
-                text,
-                f"map the right columns of {copy}, or leave them out",
-                {},
-                "copy",
-            )
+            fix = f"map the right columns of {copy}, or leave them out"
+            yield error("copy", record.run, copy, text, fix)
 
 
 def _copied_axes(record: Record) -> Iterator[Remark]:
     """Errors for an axis with the numbers of another axis of its group."""
-    names = [n for n in record.columns() if _range(record.column(n)) > 0.0]
+    names = [n for n in record.columns() if extent(record.column(n)) > 0.0]
     for group in {n.rpartition(".")[0] for n in names}:
-        own = [n for n in names if n.startswith(group + ".")]
-        for i, first in enumerate(own):
-            for second in own[i + 1 :]:
-                if _same(*_moving(record.column(first), record.column(second))):
-                    text = f"has the numbers of {first} in every row: a copy"
-                    yield Remark(
-                        "error",
-                        record.run,
-                        second,
-                        text,
-                        f"map the right column of {second}, or leave it out",
-                        {},
-                        "copy",
-                    )
+        for first, second in combinations([n for n in names if n.startswith(group + ".")], 2):
+            if _same(*_moving(record.column(first), record.column(second))):
+                text = f"has the numbers of {first} in every row: a copy"
+                fix = f"map the right column of {second}, or leave it out"
+                yield error("copy", record.run, second, text, fix)
 
 
-def _constants(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Errors for a pose that is constant while the other moves, and for a force that is constant
-    during a penetration.
-    """
-    columns = set(record.columns())
+def _constant_poses(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
+    """Errors for a pose that is constant while the other, or the scenario, moves."""
+    ranges = {name: extent(record.column(name)) for name in record.columns()}
     for name, other in (("pose_act", "pose_cmd"), ("pose_cmd", "pose_act")):
-        for part in ("px", "py", "pz"):
-            a, b = f"{name}.{part}", f"{other}.{part}"
-            if (
-                {a, b} <= columns
-                and _range(record.column(a)) == 0.0
-                and _range(record.column(b)) > max(MOVES, TRAVEL * _floor(found, b))
-            ):
-                text = (
-                    f"is {_first(record.column(a)):.6g} in every row while {b} moves by "
-                    f"{_range(record.column(b)):.3g} m"
-                )
-                yield Remark(
-                    "error",
-                    record.run,
-                    a,
-                    text,
-                    f"map the right column of {a}, or leave it out",
-                    {},
-                    "constant",
-                )
-        if (
-            {f"{name}.pz"} <= columns
-            and f"{other}.pz" not in columns
-            and _range(record.column(f"{name}.pz")) == 0.0
-        ):
-            travel = abs(scenario.approach.velocity[2]) * float(record.t[-1])
-            if travel > DEEP:
-                text = (
-                    f"is {_first(record.column(f'{name}.pz')):.6g} in every row; the "
-                    f"scenario moves by {travel:.3g} m"
-                )
-                yield Remark(
-                    "error",
-                    record.run,
-                    f"{name}.pz",
-                    text,
-                    f"map the right column of {name}.pz",
-                    {},
-                    "constant",
-                )
+        for a, b in ((f"{name}.{part}", f"{other}.{part}") for part in ("px", "py", "pz")):
+            if not (ranges.get(a) == 0.0 and b in ranges):
+                continue
+            if ranges[b] > max(MOVES, TRAVEL * found.noise[b].white):
+                text = f"is {_first(record, a)} in every row while {b} moves by {ranges[b]:.3g} m"
+                fix = f"map the right column of {a}, or leave it out"
+                yield error("constant", record.run, a, text, fix)
+        a, travel = f"{name}.pz", abs(scenario.approach.velocity[2]) * float(record.t[-1])
+        if ranges.get(a) == 0.0 and f"{other}.pz" not in ranges and travel > DEEP:
+            text = f"is {_first(record, a)} in every row; the scenario moves by {travel:.3g} m"
+            yield error("constant", record.run, a, text, f"map the right column of {a}")
+
+
+def _constant_forces(record: Record, found: Survey) -> Iterator[Remark]:
+    """Errors for a force that is constant during a penetration."""
     deepest = max((c.penetration or 0.0 for c in found.contacts), default=0.0)
+    if max(deepest, _bend(record)) <= DEEP:
+        return
     for group in ("wrench_meas", "wrench_comp"):
-        forces = [f"{group}.f{a}" for a in "xyz" if f"{group}.f{a}" in columns]
-        if (
-            forces
-            and max(deepest, _bend(record)) > DEEP
-            and all(_range(record.column(n)) == 0.0 for n in forces)
-        ):
+        forces = [n for n in (f"{group}.f{a}" for a in "xyz") if record.has(n)]
+        if forces and all(extent(record.column(n)) == 0.0 for n in forces):
             text = (
                 f"is constant in every row while the mechanisms penetrate by "
                 f"{1e3 * deepest:.3g} mm and the motion is not uniform"
             )
-            yield Remark(
-                "error",
-                record.run,
-                f"{group}.fz",
-                text,
-                f"map the right columns of {group}, or leave them out",
-                {},
-                "constant",
-            )
+            fix = f"map the right columns of {group}, or leave them out"
+            yield error("constant", record.run, f"{group}.fz", text, fix)
 
 
 def _bend(record: Record) -> float:
     """[m] deviation of the motion from a straight line in time, which only a force can cause."""
     bends = [0.0]
     for name in (f"pose_cmd.p{a}" for a in "xyz"):
-        if name in record.columns():
-            values = record.column(name)
-            known = np.isfinite(values)
-            if known.sum() > 10:
-                t = record.t[known]
-                bends.append(
-                    float(
-                        np.abs(
-                            values[known]
-                            - np.polyval(np.polyfit(t - t[0], values[known], 1), t - t[0])
-                        ).max()
-                    )
-                )
+        values = record.column(name) if record.has(name) else np.zeros(0)
+        known = np.isfinite(values)
+        if known.sum() > 10:
+            t, values = record.t[known], values[known]
+            line = np.polyval(np.polyfit(t - t[0], values, 1), t - t[0])
+            bends.append(float(np.abs(values - line).max()))
     return max(bends)
 
 
-def _moving(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The rows in which one of the two is not at its most frequent value: at rest, coarsely
-    quantised channels agree.
-    """
+def _moving(a: Array, b: Array) -> tuple[Array, Array]:
+    """The rows in which one is not at its most frequent value: at rest coarse channels agree."""
     away = np.zeros(len(a), dtype=bool)
     for values in (a, b):
-        known = values[np.isfinite(values)]
-        numbers, counts = np.unique(known, return_counts=True)
+        numbers, counts = np.unique(values[np.isfinite(values)], return_counts=True)
         if len(numbers):
             away |= values != numbers[counts.argmax()]
     return a[away], b[away]
 
 
-def _same(a: np.ndarray, b: np.ndarray) -> bool:
+def _same(a: Array, b: Array) -> bool:
     both = np.isfinite(a) & np.isfinite(b)
     return (
         both.sum() > 10
@@ -200,15 +132,7 @@ def _same(a: np.ndarray, b: np.ndarray) -> bool:
     )
 
 
-def _range(values: np.ndarray) -> float:
+def _first(record: Record, name: str) -> str:
+    values = record.column(name)
     known = values[np.isfinite(values)]
-    return float(np.ptp(known)) if len(known) else 0.0
-
-
-def _first(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(known[0]) if len(known) else float("nan")
-
-
-def _floor(found: Survey, name: str) -> float:
-    return found.noise[name].white if name in found.noise else 0.0
+    return f"{known[0] if len(known) else np.nan:.6g}"

@@ -6,25 +6,48 @@ model moves the pose by the force of the same row; a platform with ideal trackin
 command one row later; and the noise of the sensor passes the compensation in the row in which it is
 read. A shifted channel makes the link before it too late and the link after it too early by the
 same number of rows.
+
+With a late platform the contact is late as well: the force agrees in time with the recorded pose.
+If the pose was stamped late, the force precedes it, which nothing between contact and sensor can
+cause. A late sensor delays the reaction of the loop. If the force was stamped late, the loop reacts
+before the recorded force: free-floating bodies have moved by then.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
-from scipy.signal import correlate
+from scipy.signal import correlate, savgol_filter
 
 from hiltestbed.compensation.input import InputParameters
-from hiltestbed.frames import Array
-from hiltestbed.measured.late import force_leads
+from hiltestbed.contact.latch import latch_limits
+from hiltestbed.contact.mount_dynamics import MountDynamics
+from hiltestbed.contact.parameters import believed_contacts, contact_rows
+from hiltestbed.contact.sides import sides_of
+from hiltestbed.effects.log import log_parameters
+from hiltestbed.frames import Array, pose_step
+from hiltestbed.measured.noise import MAD_TO_SIGMA
 from hiltestbed.measured.record import Record
-from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.remark import Remark, error, note
 from hiltestbed.measured.survey import Survey
+from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
-from hiltestbed.replay import Departing, follows_exactly, replay_compensation, replay_model
+from hiltestbed.replay import (
+    Departing,
+    Felt,
+    creep_of,
+    follows_exactly,
+    replay_compensation,
+    replay_model,
+    replay_wrench,
+)
 from hiltestbed.replay.compensation import needs
+from hiltestbed.replay.wrench import Lane
 from hiltestbed.scenario import Scenario
+from hiltestbed.sensor.parameters import SensorParameters
+from hiltestbed.signals import GROUPS
 
 FURTHEST = 40  # largest shift that is searched [rows]
 REMAINDER = 0.1  # part of the misfit that may remain once the shift is removed
@@ -33,13 +56,16 @@ ECHO = 0.3  # correlation of the noise of two forces, above which it is the same
 # rows; smaller shifts give a note: loggers stamp each channel up to a row early or late
 LOGGER = 2.25
 LEAD_LIMIT = 0.5  # [rows] least lead over the earliest possible response of a platform that counts
-CLEAR = 20.0  # least motion of the pose within a row, over all rows together, in noise floors
+# in noise floors, over all rows together: least motion of the pose within a row, and least decrease
+# of the misfit of the force
+CLEAR = 20.0
+# rows; pose and force are smoothed in the same way, so that the fitted contact is consistent
+SMOOTHING = 11
+WRENCH = GROUPS["wrench_comp"].columns
 
 
 def shifts(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
-    """Errors for an output that precedes its input by more than a logger's stamping can explain;
-    notes for smaller shifts.
-    """
+    """Errors for outputs further ahead of their inputs than loggers stamp them; else notes."""
     if abs(record.sample_rate * scenario.tick - 1.0) > 1e-3:
         return  # the rows of the file are not ticks of the loop
     given = compensated(record, scenario)
@@ -48,155 +74,97 @@ def shifts(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark
             "does not give wrench_comp by the scenario's compensation, but wrench_comp "
             "gives it: the two are exchanged"
         )
-        yield Remark(
-            "error",
-            record.run,
-            "wrench_meas",
-            text,
-            "exchange the columns of wrench_meas and wrench_comp",
-            {},
-            "shift",
-        )
+        fix = "exchange the columns of wrench_meas and wrench_comp"
+        yield error("shift", record.run, "wrench_meas", text, fix)
         return
-    others = list(_out_of_order(record, found, scenario, given))
-    leads, ahead = force_leads(record, found, scenario), _platform_lead(record, found, scenario)
+    ahead = _platform_lead(record, found, scenario)
+    others = list(_out_of_order(record, found, scenario, given, ahead))
+    leads = force_leads(record, found, scenario)
     if leads and (not others or (ahead is not None and abs(ahead + leads) < 1.0)):
         yield _led(record, leads, ahead, scenario)
     yield from others
 
 
 def _out_of_order(
-    record: Record, found: Survey, scenario: Scenario, given: Array | None
+    record: Record, found: Survey, scenario: Scenario, given: Array | None, ahead: float | None
 ) -> Iterator[Remark]:
     """Remarks on outputs that precede their inputs, on the links with a known delay."""
-    moved = _model_lag(record, scenario)
-    echo = _echo(record, given)
-    ahead = _platform_lead(record, found, scenario)
+    moved, echo, tick = _model_lag(record, scenario), _echo(record, given), scenario.tick
     if moved is not None and moved != 0 and echo == -moved:
-        yield _shifted(
-            record,
-            "wrench_comp",
-            -moved,
-            scenario,
-            "neither follows wrench_meas nor moves pose_cmd when it should",
-        )
+        why = "neither follows wrench_meas nor moves pose_cmd when it should"
+        yield _shifted(record, "wrench_comp", -moved, tick, why)
     elif moved is not None and moved < 0 and echo in (0, None):
-        channel = "pose_cmd" if echo == 0 or ahead is None or ahead < 0 else "wrench_comp"
-        yield _shifted(
-            record,
-            channel,
-            moved if channel == "pose_cmd" else -moved,
-            scenario,
-            "pose_cmd moves before wrench_comp pushes it",
-        )
+        by_pose = echo == 0 or ahead is None or ahead < 0
+        channel, late = ("pose_cmd", moved) if by_pose else ("wrench_comp", -moved)
+        yield _shifted(record, channel, late, tick, "pose_cmd moves before wrench_comp pushes it")
     elif moved == 0 and echo is not None and echo > 0:
-        yield _shifted(
-            record,
-            "wrench_meas",
-            -echo,
-            scenario,
-            f"its noise shows in wrench_comp {echo} rows later",
-        )
+        why = f"its noise shows in wrench_comp {echo} rows later"
+        yield _shifted(record, "wrench_meas", -echo, tick, why)
     elif moved == 0 and echo is not None and echo < 0:
-        yield _answered(record, -echo, scenario, "its noise shows in wrench_comp before it")
-    elif (
-        not record.has("wrench_comp")
-        and given is not None
-        and (answered := _model_lag(record, scenario, given) or 0) < 0
-    ):
-        yield _answered(
-            record,
-            -answered,
-            scenario,
-            "pose_cmd moves before the believed compensation of it pushes",
-        )
+        yield _answered(record, -echo, tick, "its noise shows in wrench_comp before it")
+    elif not record.has("wrench_comp") and given is not None:
+        answered = _model_lag(record, scenario, given) or 0
+        if answered < 0:
+            why = "pose_cmd moves before the believed compensation of it pushes"
+            yield _answered(record, -answered, tick, why)
     if ahead is not None and ahead > 0:
-        yield _ahead(record, ahead, moved, scenario, found)
+        yield _ahead(record, ahead, moved, tick, found)
 
 
-def _shifted(record: Record, channel: str, rows: float, scenario: Scenario, why: str) -> Remark:
+def _shifted(record: Record, channel: str, rows: float, tick: float, why: str) -> Remark:
     """Remark on a channel that is ``rows`` late in the record; early if negative."""
     when = f"{abs(rows):.3g} row{'s' if abs(rows) != 1 else ''} {'late' if rows > 0 else 'early'}"
-    seconds = -rows * scenario.tick
-    fix = f"move it by {seconds:.6g} s before the export: all channels share the rows of one clock"
+    by = f"{-rows * tick:.6g} s"
+    fix = f"move it by {by} before the export: all channels share the rows of one clock"
     return _remark(record, channel, f"is {when} in the record: {why}", fix, rows)
 
 
 def _remark(record: Record, channel: str, text: str, fix: str, rows: float) -> Remark:
-    return Remark(
-        "error" if abs(rows) > LOGGER else "note",
-        record.run,
-        channel,
-        text,
-        fix,
-        {"rows": float(rows)},
-        "shift",
-    )
+    found = error("shift", record.run, channel, text, fix, rows=float(rows))
+    return found if abs(rows) > LOGGER else replace(found, severity="note")
 
 
-def _ahead(
-    record: Record, rows: float, moved: int | None, scenario: Scenario, found: Survey
-) -> Remark:
+def _ahead(record: Record, rows: float, moved: int | None, tick: float, found: Survey) -> Remark:
     if moved is not None and moved > 0 and abs(moved - rows) < 1.0:
-        return _shifted(
-            record,
-            "pose_cmd",
-            float(moved),
-            scenario,
-            "the platform precedes it, and it follows its force too late",
-        )
+        why = "the platform precedes it, and it follows its force too late"
+        return _shifted(record, "pose_cmd", float(moved), tick, why)
     if abs(rows - 2.0) < LEAD_LIMIT and _rough(found, "pose_cmd") > 3 * _rough(found, "pose_act"):
         text = (
             "follows pose_act a row later and carries a sensor's noise, which pose_act "
             "does not: the two are exchanged"
         )
-        return Remark(
-            "error",
-            record.run,
-            "pose_cmd",
-            text,
-            "exchange the columns of pose_cmd and pose_act",
-            {"rows": rows},
-            "shift",
-        )
+        fix = "exchange the columns of pose_cmd and pose_act"
+        return error("shift", record.run, "pose_cmd", text, fix, rows=rows)
     text = (
         f"precedes the response to its command by {rows:.3g} rows: it is early in the "
         f"record, or exchanged with pose_cmd"
     )
     fix = (
-        f"move it by {rows * scenario.tick:.6g} s before the export, or exchange the "
+        f"move it by {rows * tick:.6g} s before the export, or exchange the "
         f"columns of pose_cmd and pose_act"
     )
     return _remark(record, "pose_act", text, fix, rows)
 
 
-def _answered(record: Record, rows: int, scenario: Scenario, why: str) -> Remark:
-    """A note, not an error: the diagnosis has an effect for a force that is late only in the
-    record.
-    """
+def _answered(record: Record, rows: int, tick: float, why: str) -> Remark:
+    """A note only: the diagnosis has an effect for a force that is late in the record alone."""
     text = (
         f"has its effect {rows} rows before it is in the record, since {why}: the record "
         f"is late, not the loop"
     )
     fix = (
-        f"move it by {-rows * scenario.tick:.6g} s before the export; otherwise the "
+        f"move it by {-rows * tick:.6g} s before the export; otherwise the "
         f"diagnosis may name log.skew or a late sensor"
     )
-    return Remark("note", record.run, "wrench_meas", text, fix, {"rows": float(rows)}, "shift")
+    remark = note(record.run, "wrench_meas", text, fix, rows=float(rows))
+    return replace(remark, check="shift")
 
 
 def _led(record: Record, rows: int, lead: float | None, scenario: Scenario) -> Remark:
-    """Remark on a force ``rows`` before the contact of the recorded pose; the platform's ``lead``
-    shows which of the two was shifted.
-    """
+    """Remark on a force ``rows`` before the contact; the platform's ``lead`` tells which is off."""
     if lead is not None and abs(lead + rows) < 1.0:
-        return _shifted(
-            record,
-            "pose_act",
-            rows,
-            scenario,
-            "wrench_meas shows the contact before it, and pose_cmd precedes it by as much",
-        )
+        why = "wrench_meas shows the contact before it, and pose_cmd precedes it by as much"
+        return _shifted(record, "pose_act", rows, scenario.tick, why)
     text = (
         f"shows the contact {rows} rows before pose_act does: one of the two was "
         f"shifted, or the sensor is faster than sensor.delay"
@@ -210,14 +178,8 @@ def _led(record: Record, rows: int, lead: float | None, scenario: Scenario) -> R
 
 
 def _rough(found: Survey, group: str) -> float:
-    return max(
-        (
-            found.noise[n].white
-            for n in (f"{group}.px", f"{group}.py", f"{group}.pz")
-            if n in found.noise
-        ),
-        default=0.0,
-    )
+    names = (f"{group}.{part}" for part in ("px", "py", "pz"))
+    return max((found.noise[n].white for n in names if n in found.noise), default=0.0)
 
 
 def _model_lag(record: Record, scenario: Scenario, given: Array | None = None) -> int | None:
@@ -226,62 +188,51 @@ def _model_lag(record: Record, scenario: Scenario, given: Array | None = None) -
 
     given: (ticks, 6) used instead of the recorded wrench_comp.
     """
-    names = [f"pose_cmd.p{a}" for a in "xyz"]
-    names += (
-        [f"wrench_comp.{p}" for p in ("fx", "fy", "fz", "tx", "ty", "tz")] if given is None else []
-    )
-    if not set(names) <= set(record.columns()) or not all(record.measured(n).all() for n in names):
+    names = [f"pose_cmd.p{a}" for a in "xyz"] + ([] if given is not None else list(WRENCH))
+    if not all(record.has(n) and record.measured(n).all() for n in names):
         return None
     wrench = np.ascontiguousarray(record.data["wrench_comp"] if given is None else given)
     both = np.stack([wrench, np.zeros_like(wrench)])
-    poses = replay_model(
-        Departing([scenario] * 2, stack([DynamicsParameters()] * 2)), both, np.arange(2)
-    )
+    models = Departing([scenario] * 2, stack([DynamicsParameters()] * 2))
+    poses = replay_model(models, both, np.arange(2))
     if not np.isfinite(poses).all() or record.ticks < 4 * FURTHEST:
         return None
     pushed = poses[0, :, :3] - poses[1, :, :3]
     shown = record.data["pose_cmd"][:, :3] - poses[1, :, :3]
     inner = slice(FURTHEST, record.ticks - FURTHEST)
-    t = record.t[inner]
-    left = np.array(
-        [
-            _misfit(t, shown[inner], pushed[FURTHEST - n : record.ticks - FURTHEST - n])
-            for n in range(-FURTHEST, FURTHEST + 1)
-        ]
-    )
-    best = int(np.argmin(left)) - FURTHEST
-    now = left[FURTHEST]
-    if now < 1e-18 * max(1.0, float(np.sum(shown**2))) or best == 0:
+    lags = range(-FURTHEST, FURTHEST + 1)
+    left = [
+        _misfit(record.t[inner], shown[inner], pushed[FURTHEST - n : record.ticks - FURTHEST - n])
+        for n in lags
+    ]
+    best, now = lags[int(np.argmin(left))], left[FURTHEST]
+    if now < 1e-18 * max(1.0, float(np.sum(shown**2))):
         return 0
-    if left.min() < REMAINDER * now and abs(best) < FURTHEST:
-        return best
-    return 0
+    return best if min(left) < REMAINDER * now and abs(best) < FURTHEST else 0
 
 
 def _misfit(t: Array, shown: Array, pushed: Array) -> float:
     """Sum of squares of ``shown`` (rows, 3) minus ``pushed`` and a straight line."""
-    basis = np.stack([np.ones_like(t), t - t.mean()], axis=1)
-    rest = shown - pushed
-    rest = rest - basis @ np.linalg.lstsq(basis, rest, rcond=None)[0]
-    return float(np.sum(rest**2))
+    return _unexplained(np.stack([np.ones_like(t), t - t.mean()], axis=1), shown - pushed)
+
+
+def _unexplained(basis: Array, values: Array) -> float:
+    """Sum of squares of ``values`` (n,) or (n, m) minus their best fit by ``basis`` (n, k)."""
+    fit = np.linalg.lstsq(basis, values, rcond=None)[0]
+    return float(np.sum((values - basis @ fit) ** 2))
 
 
 def compensated(record: Record, scenario: Scenario, source: str = "wrench_meas") -> Array | None:
-    """``(ticks, 6)`` output of the believed compensation for a recorded wrench; None if it needs
-    other inputs or rows are missing.
-    """
+    """``(ticks, 6)`` believed compensation of a recorded wrench; None if it needs more inputs."""
     if needs(scenario) != {"wrench_meas"} or not record.whole(source):
         return None
     reading = np.ascontiguousarray(record.filled(source))[None]
-    return replay_compensation(
-        [scenario], [InputParameters()], {}, reading, np.zeros(1, dtype=int)
-    )[0]
+    run = np.zeros(1, dtype=int)
+    return replay_compensation([scenario], [InputParameters()], {}, reading, run)[0]
 
 
 def _exchanged_forces(record: Record, scenario: Scenario, given: Array | None) -> bool:
-    """Whether the believed compensation converts wrench_comp to wrench_meas, and not the
-    reverse.
-    """
+    """Whether the compensation converts wrench_comp to wrench_meas, not the reverse."""
     crossed = compensated(record, scenario, "wrench_comp")
     if given is None or crossed is None:
         return False
@@ -290,30 +241,29 @@ def _exchanged_forces(record: Record, scenario: Scenario, given: Array | None) -
 
 
 def _echo(record: Record, given: Array | None) -> int | None:
-    """Rows by which the noise of the computed compensated wrench is later in wrench_comp (negative:
-    earlier); None: not in both.
-    """
-    columns, best = set(record.columns()), None
-    for j, name in enumerate(f"wrench_comp.{axis}" for axis in ("fx", "fy", "fz")):
-        if given is None or name not in columns or not record.measured(name).all():
+    """Rows by which the noise of ``given`` is later in wrench_comp; None: not in both."""
+    best: tuple[float, int | None] = ECHO, None
+    for j, name in enumerate(WRENCH[:3]):
+        if given is None or not record.has(name) or not record.measured(name).all():
             continue
-        a, b = np.diff(given[:, j], 3), np.diff(record.column(name), 3)
-        a, b = (
-            np.clip(v, *(np.array([-4.0, 4.0]) * 1.4826 * np.median(np.abs(v)))) for v in (a, b)
-        )
+        a, b = (_clipped_noise(values) for values in (given[:, j], record.column(name)))
         if not (a.any() and b.any()) or len(a) < 4 * FURTHEST:
             continue
-        scores = _correlated(a[FURTHEST:-FURTHEST], b)
-        top = int(np.argmax(np.abs(scores)))
-        if abs(scores[top]) > ECHO and (best is None or abs(scores[top]) > best[1]):
-            best = (top - FURTHEST, abs(scores[top]))
-    return None if best is None else best[0]
+        scores = np.abs(_correlated(a[FURTHEST:-FURTHEST], b))
+        top = int(np.argmax(scores))
+        best = max(best, (float(scores[top]), top - FURTHEST), key=lambda found: found[0])
+    return best[1]
+
+
+def _clipped_noise(values: Array) -> Array:
+    """Third differences of ``values``, clipped at four sigma."""
+    third = np.diff(values, 3)
+    most = 4.0 * MAD_TO_SIGMA * np.median(np.abs(third))
+    return np.clip(third, -most, most)
 
 
 def _correlated(a: Array, b: Array) -> Array:
-    """Correlation of ``a`` (n,) with each window of length n of ``b`` (n + 2 FURTHEST,), from the
-    first on.
-    """
+    """Correlation of ``a`` (n,) with each window of ``b`` (n + 2 FURTHEST,), in order."""
     total = np.concatenate([[0.0], np.cumsum(b * b)])
     size = np.sqrt((a @ a) * (total[len(a) :] - total[: -len(a)]))
     product = correlate(b, a, mode="valid", method="fft")
@@ -321,39 +271,96 @@ def _correlated(a: Array, b: Array) -> Array:
 
 
 def _platform_lead(record: Record, found: Survey, scenario: Scenario) -> float | None:
-    """Rows by which the pose is earlier than one row after its command; negative: later; None if it
-    cannot be determined.
-    """
+    """Rows by which the pose precedes the row after its command; None if that is not told."""
     if not follows_exactly(scenario):
         return None
     above = below = 0.0
     for part in ("px", "py", "pz"):
         names = (f"pose_cmd.{part}", f"pose_act.{part}")
-        if not set(names) <= set(record.columns()):
+        if not all(record.has(n) for n in names):
             continue
         command, reached = (record.column(n) for n in names)
         rate = np.gradient(command)
         known = np.isfinite(rate) & np.isfinite(reached)
         if known.sum() < 50:
             continue
-        turn, size = rate[known] - rate[known].mean(), command[known] - command[known].mean()
-        # removes a difference in scale
-        turn = turn - size * (turn @ size) / max(float(size @ size), 1e-300)
-        behind = (command - reached)[known]
-        square = float(turn @ turn)
-        if square == 0.0:
+        turn, size, behind = (v[known] for v in (rate, command, command - reached))
+        turn, size = turn - turn.mean(), size - size.mean()
+        square = max(float(size @ size), 1e-300)
+        turn = turn - size * (turn @ size) / square  # removes a difference in scale
+        weight = float(turn @ turn)
+        if weight == 0.0:
             continue
-        rows = float(turn @ behind) / square
-        left = (
-            behind
-            - behind.mean()
-            - rows * turn
-            - size * (behind @ size) / max(float(size @ size), 1e-300)
-        )
+        rows = float(turn @ behind) / weight
+        left = behind - behind.mean() - rows * turn - size * (behind @ size) / square
         variance = max(float(np.mean(left**2)), found.noise[names[1]].white ** 2, 1e-24)
-        above += rows * square / variance
-        below += square / variance
+        above += rows * weight / variance
+        below += weight / variance
     if below < CLEAR**2:
         return None
     lead = 1.0 - above / below
     return lead if abs(lead) > LEAD_LIMIT + 5 / np.sqrt(below) else 0.0
+
+
+def force_leads(record: Record, found: Survey, scenario: Scenario) -> int:
+    """Whole rows by which the contact in wrench_meas precedes that of the recorded pose; 0 if it
+    does not, or if it cannot be determined.
+
+    Stiffness and damping are fitted: more damping also makes the force lead, but not before the
+    touch.
+    """
+    if not (found.contacts and record.whole("pose_act") and record.has("wrench_meas.fz")):
+        return 0
+    if not sides_of(scenario.mechanism).rigid or record.ticks < 4 * FURTHEST:
+        return 0
+    spring, both = _felt(record, scenario)
+    parts = [i for i, part in enumerate(("fx", "fy", "fz")) if record.has(f"wrench_meas.{part}")]
+    shown = _smooth(np.nan_to_num(record.data["wrench_meas"][:, parts]))
+    shown = shown - np.median(shown[: max(found.free, 1)], axis=0)
+    columns = np.stack([_smooth(spring[:, parts]), _smooth((both - spring)[:, parts])])
+    rows = record.ticks - FURTHEST
+    left = [
+        _unexplained(columns[:, lag : lag + rows].reshape(2, -1).T, shown[:rows].ravel())
+        for lag in range(FURTHEST)
+    ]
+    best = int(np.argmin(left))
+    noise = max(found.noise["wrench_meas.fz"].white, 1e-9)
+    worth = left[0] - left[best] > (CLEAR * noise) ** 2
+    return best if worth and left[best] < REMAINDER * left[0] and best < FURTHEST - 1 else 0
+
+
+def _smooth(values: Array) -> Array:
+    return np.asarray(savgol_filter(values, SMOOTHING, 2, axis=0))
+
+
+def _felt(record: Record, scenario: Scenario) -> tuple[Array, Array]:
+    """The believed sensor's reading of the recorded pose, (ticks, 6): undamped, and damped."""
+    mechanism, path = scenario.mechanism, record.filled("pose_act")
+    path[:, :3] = _smooth(path[:, :3])
+    before = np.empty(7)
+    pose_step(path[0], approach_state(scenario)[7:], -scenario.tick, before)
+    felt = Felt(
+        path[None],
+        before[None],
+        scenario.tick,
+        sides_of(mechanism).geometry,
+        np.array([mechanism.captured]),
+        latch_limits([scenario]),
+        MountDynamics.of([scenario]),
+        scenario.substeps,
+        least_creep=creep_of(scenario),
+    )
+    damped = [
+        replace(c, damping=c.damping or c.stiffness * scenario.tick)
+        for c in believed_contacts(mechanism)
+    ]
+    undamped = [replace(c, damping=0.0) for c in damped]
+    sensor, rules = SensorParameters.believed(scenario.sensor), sides_of(mechanism).rules
+    spring, both = replay_wrench(
+        felt,
+        [
+            Lane(0, contact_rows(contacts, rules, mechanism.captured), sensor, log_parameters(()))
+            for contacts in (undamped, damped)
+        ],
+    )
+    return spring, both

@@ -13,7 +13,7 @@ import numpy as np
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import FREE_MINIMUM
 from hiltestbed.measured.record import Record
-from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.remark import Remark, error
 from hiltestbed.measured.survey import Survey
 from hiltestbed.measured.units import likely_unit
 from hiltestbed.scenario import Scenario
@@ -70,84 +70,68 @@ class Start:
         sizes = [abs(r) for r in self.ratios]
         if not sizes or any(size == 0.0 for size in sizes):
             return None
-        middle = math.exp(sum(map(math.log, sizes)) / len(sizes))
-        together = len(sizes) > 1 and max(sizes) < AGREE * min(sizes)
-        least = OTHER_UNIT if together else UNIT_FACTOR
-        off = [size > least or size < 1.0 / least for size in sizes]
-        return (
-            middle
-            if all(off) and (together or all(s > 1 for s in sizes) or all(s < 1 for s in sizes))
-            else None
-        )
+        agree = len(sizes) > 1 and max(sizes) < AGREE * min(sizes)
+        least = OTHER_UNIT if agree else UNIT_FACTOR
+        alike = agree or all(s > 1 for s in sizes) or all(s < 1 for s in sizes)
+        off = all(size > least or size < 1.0 / least for size in sizes)
+        return math.exp(sum(map(math.log, sizes)) / len(sizes)) if off and alike else None
 
     @property
     def reversed(self) -> bool:
-        return bool(self.ratios) and all(
-            r < (REVERSED if len(self.ratios) > 1 else REVERSED_ALONE) for r in self.ratios
-        )
+        least = REVERSED if len(self.ratios) > 1 else REVERSED_ALONE
+        return bool(self.ratios) and all(r < least for r in self.ratios)
 
 
 def start_of(record: Record, found: Survey, scenario: Scenario, name: str) -> Start | None:
     """The start of the translation ``name``; None if too little of it was measured."""
-    axis = "xyz".index(name[-1])
-    begin_at = (*scenario.approach.offset, -scenario.approach.gap)[axis]
-    velocity = scenario.approach.velocity[axis]
+    axis, approach = "xyz".index(name[-1]), scenario.approach
+    velocity = approach.velocity[axis]
     values, sigma = record.column(name), found.noise[name].white
     known = np.flatnonzero(np.isfinite(values[: max(found.free, FREE_MINIMUM)]))
-    untouched = (
-        record.t[known] <= record.t[known[:1]] + UNTOUCHED * _way_to_touch(scenario)
-        if len(known)
-        else known > 0
-    )
+    t = record.t[known]
+    untouched = t <= t[:1] + UNTOUCHED * _way_to_touch(scenario) if len(known) else known > 0
     known = known[untouched] if untouched.sum() > FREE_MINIMUM else known
     if len(known) < 3:
         return None
-    begin, end = float(np.median(values[known[:3]])), float(np.median(values[known[-3:]]))
-    travel, expected = end - begin, velocity * float(record.t[known[-1]] - record.t[known[0]])
-    # a command is reached a tick later
+    t, values = record.t[known], values[known]
+    begin, end = float(np.median(values[:3])), float(np.median(values[-3:]))
+    travel, expected = end - begin, velocity * float(t[-1] - t[0])
+    # a command is reached a tick later; the median of three rows is where the second is
     reached = float(record.t[1]) if name.startswith("pose_cmd") else 0.0
-    # the median of three rows is where the second is
-    begin_at += velocity * (float(record.t[known[1]]) + reached)
+    begin_at = (*approach.offset, -approach.gap)[axis] + velocity * (float(t[1]) + reached)
 
     def ratio(measured: float, given: float) -> float | None:
-        return (
-            measured / given
-            if abs(given) > 1e-6 and max(abs(measured), abs(given)) > CLEAR * sigma
-            else None
-        )
+        clear = abs(given) > 1e-6 and max(abs(measured), abs(given)) > CLEAR * sigma
+        return measured / given if clear else None
 
     places = ratio(begin, begin_at), ratio(travel, expected), begin_at, expected
     # otherwise a touch before the nominal one is possible
     free = scenario.mechanism.flat or found.contacts
-    rate = _rate(record.t[known], values[known], sigma) if free else (velocity, math.inf)
-    return Start(begin, travel, *places, velocity, *rate, scenario.approach.gap)
+    rate = _rate(t, values, sigma) if free else (velocity, math.inf)
+    return Start(begin, travel, *places, velocity, *rate, approach.gap)
 
 
 def _rate(t: Array, values: Array, sigma: float) -> tuple[float, float]:
-    """Speed at the first of the rows (n,) and its standard deviation, for positions with noise
-    ``sigma``: least-squares parabola.
-    """
-    basis = np.vander(t - t[0], 3, increasing=True)
-    inverse = np.linalg.pinv(basis)
+    """Speed at the first row (n,) and its sigma, by a parabola through positions."""
+    inverse = np.linalg.pinv(np.vander(t - t[0], 3, increasing=True))
     return float(inverse[1] @ values), sigma * float(np.linalg.norm(inverse[1]))
 
 
 def _way_to_touch(scenario: Scenario) -> float:
     """[s] until the nominal first touch; infinite if the scenario does not approach."""
-    speed = scenario.approach.velocity[2]
-    return scenario.approach.gap / speed if speed > 0 and scenario.approach.gap > 0 else math.inf
+    speed, gap = scenario.approach.velocity[2], scenario.approach.gap
+    return gap / speed if speed > 0 and gap > 0 else math.inf
 
 
 def starts_at_fault(record: Record, found: Survey, scenario: Scenario) -> Iterator[Remark]:
     """Errors for a translation with another unit, with a reversed sign, or from another run."""
     if scenario.mechanism.captured:
         return
-    for group in ("pose_cmd", "pose_act"):
-        for name in (f"{group}.p{a}" for a in "xyz"):
-            if name in record.columns():
-                start = start_of(record, found, scenario, name)
-                if start is not None:
-                    yield from _fault(record, name, start)
+    names = [f"{group}.p{a}" for group in ("pose_cmd", "pose_act") for a in "xyz"]
+    for name in (n for n in names if record.has(n)):
+        start = start_of(record, found, scenario, name)
+        if start is not None:
+            yield from _fault(record, name, start)
 
 
 def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
@@ -161,24 +145,16 @@ def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
         f"starts at {start.begin:.4g} and moves by {start.travel:.4g} before the first touch; "
         f"the scenario has {start.expected_begin:.4g} m and {start.expected_travel:.4g} m"
     )
-    size = start.unit
+    size, run = start.unit, record.run
     if size is not None:
-        text = f"{seen}: {factor_text(size, 'm')}"
         fix = (
             f"{scale_fix(name, likely_scale(size, 'm'))}; or set the approach of this "
             f"run, if it was another: set: {{approach.gap: ...}}"
         )
-        yield Remark("error", record.run, name, text, fix, evidence, "unit")
+        yield error("unit", run, name, f"{seen}: {factor_text(size, 'm')}", fix, **evidence)
     elif start.reversed:
-        yield Remark(
-            "error",
-            record.run,
-            name,
-            f"{seen}: the sign is reversed",
-            scale_fix(name, -1.0),
-            evidence,
-            "sign",
-        )
+        text = f"{seen}: the sign is reversed"
+        yield error("sign", run, name, text, scale_fix(name, -1.0), **evidence)
     elif name in OTHER_PLACE and start.velocity:
         yield from _another(record, name, start, evidence)
 
@@ -186,49 +162,35 @@ def _fault(record: Record, name: str, start: Start) -> Iterator[Remark]:
 def _another(
     record: Record, name: str, start: Start, evidence: dict[str, float]
 ) -> Iterator[Remark]:
-    """Errors for a motion that is not the scenario's approach: a diagnosis would attribute the
-    difference to a link.
-    """
+    """Errors for another approach than the scenario's, which would be blamed on a link."""
     speed, place = start.velocity, start.expected_begin
     commanded = name == "pose_cmd.pz"
+    stamped = STAMPS * abs(speed) * float(record.t[1])
     if commanded and abs(start.rate - speed) > OTHER_SPEED * abs(speed) + CLEAR * start.rate_sd:
         text = f"begins at {start.rate:.4g} m/s; the scenario approaches at {speed:.4g} m/s"
-        fix = (
-            f"if this is right, set in the entry of the run: set: {{approach.velocity.2: "
-            f"{start.rate:.4g}}}"
-        )
-        yield Remark(
-            "error", record.run, name, text, fix, evidence | {"speed": start.rate}, "start"
-        )
-    elif abs(start.begin - place) > OTHER_PLACE[name] * start.gap + STAMPS * abs(speed) * float(
-        record.t[1]
-    ):
+        given = f"{{approach.velocity.2: {start.rate:.4g}}}"
+        fix = f"if this is right, set in the entry of the run: set: {given}"
+        yield error("start", record.run, name, text, fix, **evidence, speed=start.rate)
+    elif abs(start.begin - place) > OTHER_PLACE[name] * start.gap + stamped:
         text = (
             f"begins at {start.begin:.4g} m; by its approach the scenario is at {place:.4g} m then"
         )
         gap, offset = start.gap + place - start.begin, place - start.begin
         fix = f"if the numbers have another origin, channels: {{{name}: {{offset: {offset:.4g}}}}}"
-        fix = (
-            f"set in the entry of the run: set: {{approach.gap: {gap:.4g}}}; or, {fix}"
-            if gap > 0.0 and commanded
-            else fix
-        )
-        yield Remark("error", record.run, name, text, fix, evidence, "start")
+        if gap > 0.0 and commanded:
+            fix = f"set in the entry of the run: set: {{approach.gap: {gap:.4g}}}; or, {fix}"
+        yield error("start", record.run, name, text, fix, **evidence)
 
 
 def scale_fix(channel: str, scale: float) -> str:
-    """The entry of the channel map that would correct a channel, in addition to any scale that it
-    has.
-    """
+    """The entry of the channel map that would correct a channel, on top of a scale of its own."""
     return (
         f"if so, multiply its scale by {scale:.8g}: channels: {{{channel}: {{scale: {scale:.8g}}}}}"
     )
 
 
 def factor_text(size: float, si: str) -> str:
-    """Text on numbers that are ``size`` times those in SI units: the unit that they are probably
-    in.
-    """
+    """Text on numbers ``size`` times those in SI units: the unit that they may be in."""
     unit = likely_unit(si, 1.0 / size, 0.03) or likely_unit(si, 1.0 / size, AGREE - 1.0)
     power = round(math.log10(size))
     about = f"{size:.3g}" if abs(math.log10(size) - power) > 0.05 else f"{10.0**power:g}"
@@ -236,9 +198,7 @@ def factor_text(size: float, si: str) -> str:
 
 
 def likely_scale(size: float, si: str) -> float:
-    """The factor that converts numbers that are ``size`` times those in SI: that of a unit, a power
-    of ten, or 1/size.
-    """
+    """Factor that converts numbers ``size`` times those in SI: a unit's, 10^n, or 1/size."""
     unit = likely_unit(si, 1.0 / size, 0.03)
     power = round(math.log10(size))
     if unit is not None:

@@ -10,14 +10,15 @@ import numpy as np
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.frames import Array
 from hiltestbed.measured.noise import FREE_MINIMUM, Noise, noise_of, white_noise
-from hiltestbed.measured.record import Record
-from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.record import Record, stretches
+from hiltestbed.measured.remark import Remark, loss, note
 from hiltestbed.scenario import Scenario
 
 ONSET = 8.0  # sigma, for ONSET_TICKS successive ticks: the force has left its noise floor
 ONSET_TICKS = 4
 FORCES = ("wrench_meas.fz", "wrench_meas.fx", "wrench_meas.fy")
 MOVED = 10.0  # sigma: an axis with a larger range was excited
+Spans = list[tuple[int, int]]  # first tick of each, and the one after its last
 
 
 @dataclass(frozen=True)
@@ -66,29 +67,26 @@ class Survey:
 
 def look(record: Record, scenario: Scenario) -> Survey:
     """Noise, contacts and excitation of a record."""
-    latched = scenario.mechanism.captured
+    latched, flat = scenario.mechanism.captured, scenario.mechanism.flat
     depth = penetration(record)
     # parts that swing are also pressed laterally
     felt = FORCES[:1] if sides_of(scenario.mechanism).rigid else FORCES
+    felt = tuple(name for name in felt if record.has(name))
     free = 0 if latched else _free_ticks(record, depth, felt)
     noise = {
         n: noise_of(record.column(n), free, record.steps.get(n, 0.0), n.startswith("pose"))
         for n in record.columns()
     }
-    flat = scenario.mechanism.flat
+    spans = [(0, record.ticks)] if latched else []
     # each finds what the other misses: a tilted port meets a plane early
-    by_pose, by_force = (depth, None) if flat else (None, depth)
-    spans = (
-        [(0, record.ticks)]
-        if latched
-        else _spans(record, by_pose, noise, felt) or _spans(record, by_force, noise, felt)
-    )
+    for by_pose in (flat, not flat):
+        spans = spans or _spans(record, depth if by_pose else None, noise, felt)
     spans = _held(spans, record, depth, scenario)
     contacts = tuple(_contact(record, span, depth, scenario, felt) for span in spans)
     excited = tuple(
         name
         for name in record.columns()
-        if _range(record.column(name)) > MOVED * max(noise[name].white, 1e-300)
+        if extent(record.column(name)) > MOVED * max(noise[name].white, 1e-300)
     )
     k, body = scenario.mechanism.contact.stiffness, scenario.spacecraft
     reduced = body.chaser.mass * body.target.mass / (body.chaser.mass + body.target.mass)
@@ -96,56 +94,43 @@ def look(record: Record, scenario: Scenario) -> Survey:
 
 
 def penetration(record: Record) -> Array | None:
-    """``(ticks,)`` measured pz [m] (commanded if the reached pose is absent), NaN in gaps; None
-    without either.
-    """
-    for name in ("pose_act.pz", "pose_cmd.pz"):
-        if name in record.columns():
-            return record.column(name)
-    return None
+    """``(ticks,)`` reached pz [m], or commanded; NaN in gaps, None without either."""
+    name = _depth_name(record)
+    return record.column(name) if record.has(name) else None
+
+
+def _depth_name(record: Record) -> str:
+    return "pose_act.pz" if record.has("pose_act.pz") else "pose_cmd.pz"
 
 
 def remarks_on(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
     """Remarks on runs without contact, and on contacts in which pose and force disagree."""
-    run, depth, force = record.run, penetration(record), "wrench_meas.fz" in record.columns()
+    run, depth, force = record.run, penetration(record), record.has("wrench_meas.fz")
     if scenario.mechanism.captured or (depth is None and not force):
         return []
     if not found.contacts:
-        deepest = "" if depth is None else f" (pz reaches {np.nanmax(depth):.4g} m)"
+        evidence = {} if depth is None else {"pz_max": float(np.nanmax(depth))}
+        deepest = f" (pz reaches {evidence['pz_max']:.4g} m)" if evidence else ""
         text = f"has no contact{deepest}; contact, sensor and compensation cannot be judged from it"
-        return [
-            Remark(
-                "loss",
-                run,
-                "",
-                text,
-                "",
-                {} if depth is None else {"pz_max": float(np.nanmax(depth))},
-            )
-        ]
+        return [loss(run, "", text, **evidence)]
     if not force or depth is None:
         return []
-    peak, floor = (
-        max(abs(c.peak_force or 0.0) for c in found.contacts),
-        found.noise["wrench_meas.fz"].white,
+    peak = max(abs(c.peak_force or 0.0) for c in found.contacts)
+    floor = found.noise["wrench_meas.fz"].white
+    if peak > MOVED * floor:
+        return []
+    deepest = max(c.penetration or 0.0 for c in found.contacts)
+    text = (
+        f"stays within {peak:.3g} N (noise {floor:.3g} N) while the mechanisms "
+        f"penetrate by {1e3 * deepest:.3g} mm"
     )
-    if peak <= MOVED * floor:
-        deepest = max(c.penetration or 0.0 for c in found.contacts)
-        text = (
-            f"stays within {peak:.3g} N (noise {floor:.3g} N) while the mechanisms "
-            f"penetrate by {1e3 * deepest:.3g} mm"
-        )
-        return [
-            Remark(
-                "note",
-                run,
-                "wrench_meas.fz",
-                text,
-                "check that the sensor was on and its column is the right one",
-                {"peak": peak},
-            )
-        ]
-    return []
+    fix = "check that the sensor was on and its column is the right one"
+    return [note(run, "wrench_meas.fz", text, fix, peak=peak)]
+
+
+def from_baseline(record: Record, found: Survey, name: str) -> Array:
+    """``(ticks,)`` of a column, from its level before the first touch."""
+    return record.column(name) - baseline(record, found, name)
 
 
 def baseline(record: Record, found: Survey, name: str) -> float:
@@ -156,27 +141,23 @@ def baseline(record: Record, found: Survey, name: str) -> float:
 
 
 def _free_ticks(record: Record, depth: Array | None, felt: tuple[str, ...]) -> int:
-    """Ticks before the first touch, by the pose or by the forces ``felt``, whichever is
-    earliest.
-    """
+    """Ticks before the first touch, by the pose or the forces ``felt``, whichever is first."""
     ends = [record.ticks]
     if depth is not None:
         ends += np.flatnonzero(depth > 0)[:1].tolist()
     for name in felt:
-        if name not in record.columns():
-            continue
         force = _bridged(record.column(name))
-        still = _still(force[np.isfinite(force)])
-        if len(still):
-            sigma = max(white_noise(still), float(np.std(still)))
-            ends += _first_run(np.abs(force - np.median(still)) > ONSET * sigma, ONSET_TICKS)
+        still = _still(force)
+        sigma = max(white_noise(still), float(np.std(still)))
+        out = np.abs(force - np.median(still)) > ONSET * sigma
+        if len(out) >= ONSET_TICKS:
+            lasting = np.lib.stride_tricks.sliding_window_view(out, ONSET_TICKS).all(axis=1)
+            ends += np.flatnonzero(lasting)[:1].tolist()
     return max(0, int(min(ends)) - 2)
 
 
 def _still(force: Array) -> Array:
-    """The first rows; if they vary so much that they must contain a touch, the quietest stretch of
-    the same length.
-    """
+    """The first rows; if they must contain a touch, the quietest stretch of that length."""
     rows = 2 * FREE_MINIMUM
     first = force[:rows]
     if len(force) < 2 * rows:
@@ -186,42 +167,22 @@ def _still(force: Array) -> Array:
     return quietest if np.std(first) > ONSET * np.std(quietest) > 0.0 else first
 
 
-def _first_run(flags: np.ndarray, length: int) -> list[int]:
-    """Start of the first run of ``length`` successive True values, in a list; empty if there is
-    none.
-    """
-    if len(flags) < length:
-        return []
-    whole = np.lib.stride_tricks.sliding_window_view(flags, length).all(axis=1)
-    return np.flatnonzero(whole)[:1].tolist()
-
-
 def _spans(
     record: Record, depth: Array | None, noise: dict[str, Noise], felt: tuple[str, ...]
-) -> list[tuple[int, int]]:
+) -> Spans:
     """Start and end of each contact: pz > 0 if ``depth`` is given, otherwise one of the forces
     ``felt`` above its noise floor (a cone is touched early).
     """
     if depth is not None:
-        name = "pose_act.pz" if "pose_act.pz" in record.columns() else "pose_cmd.pz"
-        return _above(_bridged(depth), 0.0, 5 * noise[name].white)
-    forces = [
-        np.abs(_bridged(record.column(name))) / max(noise[name].rms, 1e-12)
-        for name in felt
-        if name in record.columns()
-    ]
-    if forces:
-        return [
-            span
-            for span in _above(np.max(forces, axis=0), 2.0, ONSET)
-            if span[1] - span[0] >= ONSET_TICKS
-        ]
-    return []
+        return _above(_bridged(depth), 0.0, 5 * noise[_depth_name(record)].white)
+    if not felt:
+        return []
+    forces = [np.abs(_bridged(record.column(n))) / max(noise[n].rms, 1e-12) for n in felt]
+    spans = _above(np.max(forces, axis=0), 2.0, ONSET)
+    return [(start, end) for start, end in spans if end - start >= ONSET_TICKS]
 
 
-def _held(
-    spans: list[tuple[int, int]], record: Record, depth: Array | None, scenario: Scenario
-) -> list[tuple[int, int]]:
+def _held(spans: Spans, record: Record, depth: Array | None, scenario: Scenario) -> Spans:
     """The spans, with the final ones within the range of a latch, up to the end of the record,
     merged into one.
 
@@ -239,22 +200,16 @@ def _held(
     force = (
         np.nanmax(np.abs(record.data["wrench_meas"][:, :3])) if record.has("wrench_meas") else 0.0
     )
-    outside = np.flatnonzero(
-        reached < -latch.depth - 2.0 * force / scenario.mechanism.contact.stiffness
-    )
+    give = 2.0 * force / scenario.mechanism.contact.stiffness
+    outside = np.flatnonzero(reached < -latch.depth - give)
     closed = int(outside[-1]) + 1 if len(outside) else 0
     later = [start for start, end in spans if end > closed]
     return [*(s for s in spans if s[1] <= closed), (later[0], record.ticks)] if later else spans
 
 
-def _above(values: Array, low: float, high: float) -> list[tuple[int, int]]:
+def _above(values: Array, low: float, high: float) -> Spans:
     """Stretches above ``low`` that exceed ``high`` at some point."""
-    edges = np.flatnonzero(np.diff(np.r_[False, values > low, False]))
-    return [
-        (int(a), int(b))
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
-        if values[a:b].max() > high
-    ]
+    return [(a, b) for a, b in stretches(values > low) if values[a:b].max() > high]
 
 
 def _contact(
@@ -269,9 +224,7 @@ def _contact(
     speed = deepest = None
     forces: dict[str, float] = {}
     for name in felt:
-        part = (
-            record.column(name)[start : end + late + 1] if name in record.columns() else np.zeros(0)
-        )
+        part = record.column(name)[start : end + late + 1]
         part = part[np.isfinite(part)]
         if len(part):
             forces[name] = float(part[np.abs(part).argmax()])
@@ -281,20 +234,12 @@ def _contact(
         before = np.flatnonzero(np.isfinite(depth[:start]))[-FREE_MINIMUM:]
         if len(before) > 4:
             speed = float(np.polyfit(record.t[before] - record.t[start], depth[before], 1)[0])
-    return Contact(
-        start,
-        end,
-        forces.get(FORCES[0]),
-        deepest,
-        speed,
-        max(map(abs, forces.values()), default=None),
-    )
+    largest = max(map(abs, forces.values()), default=None)
+    return Contact(start, end, forces.get(FORCES[0]), deepest, speed, largest)
 
 
 def _bridged(values: Array) -> Array:
-    """``values`` with missing ones interpolated: in a log that is slower than the loop most ticks
-    are missing.
-    """
+    """``values`` with missing ones interpolated: of a slow log most ticks are missing."""
     known = np.isfinite(values)
     if known.all() or not known.any():
         return np.nan_to_num(values)
@@ -302,6 +247,7 @@ def _bridged(values: Array) -> Array:
     return np.interp(rows, rows[known], values[known])
 
 
-def _range(values: Array) -> float:
+def extent(values: Array) -> float:
+    """Largest minus least of the known ``values``; 0 without any."""
     known = values[np.isfinite(values)]
     return float(np.ptp(known)) if len(known) else 0.0

@@ -16,15 +16,7 @@ INCH, FOOT = 0.0254, 0.3048  # [m]
 
 UNITS = {
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
-    "s": {
-        "s": 1.0,
-        "ms": 1e-3,
-        "us": 1e-6,
-        "ns": 1e-9,
-        "min": 60.0,
-        "h": 3600.0,
-        "d": 86400.0,
-    },
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0},
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": INCH, "ft": FOOT},
     "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "in/s": INCH, "ft/s": FOOT},
     "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30},
@@ -52,17 +44,11 @@ UNITS = {
     "1": {"1": 1.0},
 }
 
-SI_UNIT = {"t": "s"} | {
-    column: unit
-    for group in GROUPS.values()
-    for column, unit in zip(group.columns, group.units, strict=True)
-}
 # an attitude may be recorded as angles about the fixed x, then y, then z axis, as `attitude_deg`
-ANGLES = {
-    group: tuple(f"{group}.{part}" for part in ("rx", "ry", "rz"))
-    for group in ("pose_cmd", "pose_act")
-}
-SI_UNIT |= dict.fromkeys((name for names in ANGLES.values() for name in names), "rad")
+ANGLES = {g: (f"{g}.rx", f"{g}.ry", f"{g}.rz") for g in ("pose_cmd", "pose_act")}
+SI_UNIT = {"t": "s"} | {name: "rad" for names in ANGLES.values() for name in names}
+for _group in GROUPS.values():
+    SI_UNIT |= dict(zip(_group.columns, _group.units, strict=True))
 
 
 # Other ways to write a unit, without the signs between its factors; whole words in lower case.
@@ -140,24 +126,17 @@ def factor(channel: str, unit: str | None) -> float:
 
 def unit_fault(channel: str, unit: str | None) -> str | None:
     """Why ``unit`` cannot be the unit of ``channel``, or None if it can."""
-    si = SI_UNIT.get(channel)
-    if unit is None or si is None:
+    if unit is None or channel not in SI_UNIT:
         return None
-    allowed = UNITS.get(si, {})
-    return (
-        None
-        if unit_named(unit) in allowed
-        else f"is no unit of this channel (got {unit!r}); allowed: {', '.join(allowed)}; any "
-        f"other by scale"
-    )
+    allowed = UNITS.get(SI_UNIT[channel], {})
+    if unit_named(unit) in allowed:
+        return None
+    listed = ", ".join(allowed)
+    return f"is no unit of this channel (got {unit!r}); allowed: {listed}; any other by scale"
 
 
 def likely_unit(si: str, size: float, tolerance: float) -> tuple[str, float] | None:
-    """The unit of quantity ``si`` whose factor to SI is nearest to ``size`` within the relative
-    ``tolerance``, with its factor; or None.
-    """
-    named = [
-        (abs(factor / size - 1.0), name, factor) for name, factor in UNITS[si].items() if name != si
-    ]
-    off, name, factor = min(named)
-    return (name, factor) if off < tolerance else None
+    """The unit nearest to ``size`` within the relative ``tolerance``, and its factor; or None."""
+    others = [(abs(f / size - 1.0), name, f) for name, f in UNITS[si].items() if name != si]
+    off, name, found = min(others)
+    return (name, found) if off < tolerance else None

@@ -1,4 +1,4 @@
-"""Columns of a file as signals of the trace: missing samples, unit, scale and offset."""
+"""Columns of a file as signals of the trace: missing and repeated samples, unit, scale, offset."""
 
 from __future__ import annotations
 
@@ -10,11 +10,17 @@ from hiltestbed.config.dataset import Channel
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import Columns
 from hiltestbed.measured.outliers import Outliers, declared, outliers
-from hiltestbed.measured.remark import Remark
+from hiltestbed.measured.record import stretches
+from hiltestbed.measured.remark import Remark, loss, note
 from hiltestbed.measured.units import SI_UNIT, UNITS, factor, split_unit, unit_named
+from hiltestbed.signals import GROUPS
 
 SAME = Channel()
 EQUAL = 1e-3  # relative difference of a scale from a factor that it stands for
+HELD = "wrench_meas"  # the group whose repeated rows are looked for
+HELD_AXES = 3  # that must be constant together
+HELD_MOST = 0.2  # part of the rows; above it, the sensor is slower than its log and repeats most
+HELD_LONGEST = 12  # successive rows; longer constant stretches are a sensor at rest
 
 
 def signal(
@@ -64,7 +70,7 @@ def _unit(run: int, name: str, stated: str, channel: Channel) -> tuple[float, li
     unit, known = unit_named(stated), UNITS[SI_UNIT[name]]
 
     def remark(text: str, fix: str = "", **evidence: float) -> list[Remark]:
-        return [Remark("note", run, name, f"is in {stated} by the file{text}", fix, evidence)]
+        return [note(run, name, f"is in {stated} by the file{text}", fix, **evidence)]
 
     if unit not in known:
         if channel.unit or channel.scale != 1.0 or SI_UNIT[name] == "1":
@@ -96,16 +102,11 @@ def _outlier(run: int, name: str, found: Outliers) -> Remark:
     )
     evidence = {"value": found.value, "rows": count, "of": of, "first_row": first}
     if found.code:
-        return Remark(
-            "loss",
-            run,
-            name,
-            f"{text}: taken as missing",
-            f"to state it, {key}[{found.value:.9g}]}}}}; to use them as they are, {key}[]}}}}",
-            evidence,
-        )
+        text = f"{text}: taken as missing"
+        fix = f"to state it, {key}[{found.value:.9g}]}}}}; to use them as they are, {key}[]}}}}"
+        return loss(run, name, text, fix, **evidence)
     fix = f"if it stands for a missing sample, {key}[{found.value:.9g}]}}}}"
-    return Remark("note", run, name, f"{text}: an outlier, used as it is", fix, evidence)
+    return note(run, name, f"{text}: an outlier, used as it is", fix, **evidence)
 
 
 def without_empty(
@@ -117,7 +118,26 @@ def without_empty(
     none = {c for c, values in columns.data.items() if not len(values) and c not in columns.clock}
     empty = [name for name, column in source.items() if column in none]
     columns.data = {name: values for name, values in columns.data.items() if name not in none}
-    if not empty:
-        return columns, []
     text = "is empty in the file (0 samples): taken as not measured"
-    return columns, [Remark("loss", run, ", ".join(empty), text)]
+    return columns, [loss(run, ", ".join(empty), text)] if empty else []
+
+
+def without_held(run: int, values: Mapping[str, Array]) -> tuple[dict[str, Array], list[Remark]]:
+    """The columns, with NaN in the rows of the force that its logger held, and a remark on them:
+    all axes of a sensor, whose noise never stops, have the numbers of the row before again.
+    """
+    names = [n for n in GROUPS[HELD].columns if n in values]
+    if len(names) < HELD_AXES or len({len(values[n]) for n in names}) != 1:
+        return dict(values), []
+    rows = np.column_stack([values[n] for n in names])
+    held = np.r_[False, (rows[1:] == rows[:-1]).all(axis=1)] & (rows != 0.0).any(axis=1)
+    for start, end in stretches(held):
+        held[start:end] = end - start <= HELD_LONGEST
+    if not held.any() or held.mean() > HELD_MOST:
+        return dict(values), []
+    out = dict(values) | {n: np.where(held, np.nan, values[n]) for n in names}
+    text = (
+        f"repeats the previous row in {int(held.sum())} of {len(held)} rows on all axes: "
+        f"held by the logger, and left out"
+    )
+    return out, [loss(run, HELD, text, rows=float(held.sum()))]

@@ -91,9 +91,7 @@ def pair_momentum(mass: Array, inertia: Array, q: Array, v: Array) -> Array:
 
 
 def mobility(scenario: ScenarioLike) -> Array:
-    """``(6, 6)`` M^-1: relative acceleration of A's origin per unit wrench there between both
-    bodies, in P, at the nominal touch.
-    """
+    """``(6, 6)`` M^-1: relative acceleration at A per wrench there, in P, at the nominal touch."""
     return _mobility(scenario.spacecraft.chaser) + _mobility(scenario.spacecraft.target)
 
 

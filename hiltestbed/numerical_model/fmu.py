@@ -27,9 +27,7 @@ APART = 1e-6
 
 
 class FmuModel(NumericalModel):
-    """A :class:`NumericalModel` whose motion is that of the FMU; masses, inertias and ports are the
-    nominal ones.
-    """
+    """A :class:`NumericalModel` whose motion is the FMU's; its bodies are the nominal ones."""
 
     def __init__(self, scenarios: Sequence[Scenario], files: Sequence[Path]) -> None:
         """``files``: the FMU of each run. Raises MissingExtra, DeviceError; InputError if the FMU

@@ -59,9 +59,7 @@ class FreeFlyers:
 
 
 def _model(mass: Array, inertia: Array) -> pin.Model:
-    """Free-flyers of ``mass`` (r, 2) and ``inertia`` (r, 2, 3, 3) about their centres of mass,
-    without gravity.
-    """
+    """Free-flyers of ``mass`` (r, 2), ``inertia`` (r, 2, 3, 3) about their centres; no gravity."""
     model = pin.Model()
     model.gravity = pin.Motion.Zero()
     for i in range(len(mass)):
@@ -92,9 +90,7 @@ def as_seen(q, v, tau, q_seen, v_seen, tau_seen):
 
 @njit(cache=True)
 def gain_speed(q, acceleration, tick, v):
-    """Add to the velocities ``v`` (n, 2, 6) the ``acceleration`` (n, 2, 6), in body axes, times a
-    tick [s].
-    """
+    """Add the ``acceleration`` (n, 2, 6), in body axes, times a tick [s] to ``v`` (n, 2, 6)."""
     linear = np.empty(3)
     for i in range(q.shape[0]):
         for b in range(2):

@@ -29,48 +29,42 @@ SCRATCH = 12  # scratch rows of 7 that :func:`step` needs
 
 
 @njit(cache=True)
-def place_bodies(approach, port, q, v):
-    """One run: ``q`` (2, 7) and ``v`` (2, 6) at t = 0 from ``approach`` (13,) and ``port`` (2, 7):
-    target at rest, P at the origin.
+def place_at_start(approach, port, q, v):
+    """``q`` (n, 2, 7) and ``v`` (n, 2, 6) at t = 0 from ``approach`` (n, 13) and ``port`` (n, 2,
+    7): target at rest, P at the origin.
     """
     r, w, u, inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(4)
-    # attitude of the body in P: port attitude in P times inverse port attitude in the body
-    for b in range(2):
-        for j in range(3):
-            inverse[j] = -port[b, 3 + j]
-        inverse[3] = port[b, 6]
-        if b == CHASER:
-            quat_mul(approach[3:7], inverse, q[b, 3:7])
-        else:
-            for j in range(4):
-                q[b, 3 + j] = inverse[j]
-        rotate(q[b, 3:7], port[b, 0:3], r)
-        for j in range(3):
-            q[b, j] = -r[j] + (approach[j] if b == CHASER else 0.0)
-        for j in range(6):
-            v[b, j] = 0.0
-    # velocity of the centre of mass: that of the port less w x r
-    rotate(q[CHASER, 3:7], port[CHASER, 0:3], r)
-    for j in range(3):
-        w[j] = approach[10 + j]
-    cross(w, r, u)
-    for j in range(3):
-        v[CHASER, j] = approach[7 + j] - u[j]
-    rotate_back(q[CHASER, 3:7], w, v[CHASER, 3:6])
-
-
-@njit(cache=True)
-def place_at_start(approach, port, q, v):
-    """All runs: ``q`` (n, 2, 7) and ``v`` (n, 2, 6) at t = 0."""
     for i in range(q.shape[0]):
-        place_bodies(approach[i], port[i], q[i], v[i])
+        start = approach[i]
+        # attitude of the body in P: port attitude in P times inverse port attitude in the body
+        for b in range(2):
+            at = port[i, b]
+            for j in range(3):
+                inverse[j] = -at[3 + j]
+            inverse[3] = at[6]
+            if b == CHASER:
+                quat_mul(start[3:7], inverse, q[i, b, 3:7])
+            else:
+                for j in range(4):
+                    q[i, b, 3 + j] = inverse[j]
+            rotate(q[i, b, 3:7], at[0:3], r)
+            for j in range(3):
+                q[i, b, j] = -r[j] + (start[j] if b == CHASER else 0.0)
+            for j in range(6):
+                v[i, b, j] = 0.0
+        # velocity of the centre of mass: that of the port less w x r
+        rotate(q[i, CHASER, 3:7], port[i, CHASER, 0:3], r)
+        for j in range(3):
+            w[j] = start[10 + j]
+        cross(w, r, u)
+        for j in range(3):
+            v[i, CHASER, j] = start[7 + j] - u[j]
+        rotate_back(q[i, CHASER, 3:7], w, v[i, CHASER, 3:6])
 
 
 @njit(cache=True)
 def _port_state(q, v, port, pose, arm, velocity, rate):
-    """World pose of a port, its arm from the centre of mass, its velocity and angular rate, all in
-    inertial axes.
-    """
+    """Pose of a port, its arm from the centre of mass, velocity and rate, in inertial axes."""
     rotate(q[3:7], port[0:3], arm)
     rotate(q[3:7], v[3:6], rate)
     cross(rate, arm, velocity)
@@ -106,14 +100,12 @@ def load_bodies(q, port, wrench, work, tau):
     centre of mass in body axes, of ``wrench`` (6,), active on passive, in P at P's origin; ``work``
     (WORK, 7).
     """
-    attitude, force, torque, arm, point, moment = (
-        work[0],
-        work[1],
-        work[2],
-        work[3],
-        work[4],
-        work[5],
-    )
+    attitude = work[0]
+    force = work[1]
+    torque = work[2]
+    arm = work[3]
+    point = work[4]
+    moment = work[5]
     quat_mul(q[TARGET, 3:7], port[TARGET, 3:7], attitude)
     rotate(attitude, wrench[0:3], force)
     rotate(attitude, wrench[3:6], torque)
@@ -162,56 +154,48 @@ def move(q, v, tick):
 
 
 @njit(cache=True)
+def _times(matrix, x, out):
+    """``out`` (3,): a ``matrix`` (3, 3) times ``x`` (3,)."""
+    for j in range(3):
+        out[j] = matrix[j, 0] * x[0] + matrix[j, 1] * x[1] + matrix[j, 2] * x[2]
+
+
+@njit(cache=True)
+def _accelerate(mass, inertia, inverse, tau, h, v, work):
+    """Add the velocity change of one body to ``v`` (6,); ``work`` (2, >= 3): scratch."""
+    spin, gyro = work[0, 0:3], work[1, 0:3]
+    _times(inertia, v[3:6], spin)
+    cross(v[3:6], spin, gyro)
+    for j in range(3):
+        gyro[j] = tau[3 + j] - gyro[j]
+        v[j] += h * tau[j] / mass
+    _times(inverse, gyro, spin)
+    for j in range(3):
+        v[3 + j] += h * spin[j]
+
+
+@njit(cache=True)
 def newton_euler(mass, inertia, inverse, tau, h, v):
     """Add the velocity change of a step under ``tau`` (n, 2, 6), force in inertial and torque in
     body axes, to ``v`` (n, 2, 6).
     """
-    spin, gyro = np.empty(3), np.empty(3)
+    work = np.empty((2, 3))
     for i in range(v.shape[0]):
         for b in range(2):
-            for j in range(3):
-                spin[j] = (
-                    inertia[i, b, j, 0] * v[i, b, 3]
-                    + inertia[i, b, j, 1] * v[i, b, 4]
-                    + inertia[i, b, j, 2] * v[i, b, 5]
-                )
-            cross(v[i, b, 3:6], spin, gyro)
-            for j in range(3):
-                gyro[j] = tau[i, b, 3 + j] - gyro[j]
-                v[i, b, j] += h * tau[i, b, j] / mass[i, b]
-            for j in range(3):
-                gain = (
-                    inverse[i, b, j, 0] * gyro[0]
-                    + inverse[i, b, j, 1] * gyro[1]
-                    + inverse[i, b, j, 2] * gyro[2]
-                )
-                v[i, b, 3 + j] += h * gain
+            _accelerate(mass[i, b], inertia[i, b], inverse[i, b], tau[i, b], h, v[i, b], work)
 
 
 @njit(cache=True)
 def step(q, v, port, mass, inertia, inverse, wrench, h, work):
-    """One semi-implicit Euler step of both bodies under ``wrench`` (6,), active on passive, in P at
-    P's origin.
-    """
+    """One semi-implicit Euler step under ``wrench`` (6,), active on passive, in P at P's origin."""
     load_bodies(q, port, wrench, work, work[6:8])
     for b in range(2):
-        tau, spin, gyro = work[6 + b], work[8], work[9]
-        for j in range(3):
-            spin[j] = (
-                inertia[b, j, 0] * v[b, 3] + inertia[b, j, 1] * v[b, 4] + inertia[b, j, 2] * v[b, 5]
-            )
-        cross(v[b, 3:6], spin, gyro)
-        for j in range(3):
-            gyro[j] = tau[3 + j] - gyro[j]
-            v[b, j] += h * tau[j] / mass[b]
-        for j in range(3):
-            v[b, 3 + j] += h * (
-                inverse[b, j, 0] * gyro[0] + inverse[b, j, 1] * gyro[1] + inverse[b, j, 2] * gyro[2]
-            )
+        turn = work[8]
+        _accelerate(mass[b], inertia[b], inverse[b], work[6 + b], h, v[b], work[8:10])
         for j in range(3):
             q[b, j] += h * v[b, j]
-            spin[j] = h * v[b, 3 + j]
-        _turn(q[b, 3:7], spin, work[10], work[11])
+            turn[j] = h * v[b, 3 + j]
+        _turn(q[b, 3:7], turn, work[10], work[11])
 
 
 @njit(cache=True)
@@ -230,22 +214,14 @@ def carry(q, v, port, mass, inverse, time, impulse, shift, work):
     load_bodies(q, port, shift, work, work[8:10])
     for b in range(2):
         gain, turn = work[0], work[1]
-        for j in range(3):
-            gain[j] = (
-                inverse[b, j, 0] * work[8 + b, 3]
-                + inverse[b, j, 1] * work[8 + b, 4]
-                + inverse[b, j, 2] * work[8 + b, 5]
-            )
+        _times(inverse[b], work[8 + b, 3:6], gain)
         for j in range(3):
             q[b, j] += time * v[b, j] + work[8 + b, j] / mass[b]
             v[b, j] += work[6 + b, j] / mass[b]
             turn[j] = time * v[b, 3 + j] + gain[j]
+        _times(inverse[b], work[6 + b, 3:6], gain)
         for j in range(3):
-            v[b, 3 + j] += (
-                inverse[b, j, 0] * work[6 + b, 3]
-                + inverse[b, j, 1] * work[6 + b, 4]
-                + inverse[b, j, 2] * work[6 + b, 5]
-            )
+            v[b, 3 + j] += gain[j]
         _turn(q[b, 3:7], turn, work[2], work[3])
 
 
@@ -290,12 +266,7 @@ def mobility(q, port, position, mass, inverse, work, out):
                     moment[j] = axis[j]
             rotate(attitude, moment, moment)
             rotate_back(q[b, 3:7], moment, moment)
-            for j in range(3):
-                gain[j] = (
-                    inverse[b, j, 0] * moment[0]
-                    + inverse[b, j, 1] * moment[1]
-                    + inverse[b, j, 2] * moment[2]
-                )
+            _times(inverse[b], moment, gain)
             rotate(q[b, 3:7], gain, gain)
             rotate_back(attitude, gain, gain)
             cross(gain, r, moment)
@@ -306,9 +277,7 @@ def mobility(q, port, position, mass, inverse, work, out):
 
 @njit(cache=True)
 def solve(matrix, x, factor):
-    """``x`` (6,) overwritten by the solution of the positive definite ``matrix`` (6, 6); ``factor``
-    (6, 6) is scratch (Cholesky).
-    """
+    """``x`` (6,) becomes the solution; ``matrix`` (6, 6) positive definite, ``factor`` scratch."""
     for i in range(6):
         for j in range(i + 1):
             s = matrix[i, j]

@@ -60,9 +60,7 @@ class NumericalModel:
     def __init__(
         self, scenarios: Sequence[ScenarioLike], departures: Departures | None = None
     ) -> None:
-        """``departures``: of the model that runs from the nominal one; by default from the effects
-        of the scenarios.
-        """
+        """``departures``: from the nominal model; by default by the effects of the scenarios."""
         n = len(scenarios)
         self.n = n
         self.ended: dict[int, str] = {}
@@ -72,6 +70,7 @@ class NumericalModel:
         self.inertia = np.array([[inertia_matrix(b.inertia) for b in pair] for pair in bodies])
         self.port = np.array([[port_pose(b) for b in pair] for pair in bodies])
         self.q, self.v = np.zeros((n, 2, 7)), np.zeros((n, 2, 6))
+        self._centres = np.zeros_like(self.q)
         self.pose, self.twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._tau, self._before = np.zeros((n, 2, 6)), np.zeros((n, 2, 6))
         self._approach = np.array([approach_state(s) for s in scenarios])
@@ -116,9 +115,7 @@ class NumericalModel:
         return FreeFlyers(self._rigid, self._inertia)
 
     def reset(self) -> None:
-        """Target at rest with P at the inertial origin; chaser with the pose and velocity of
-        ``approach``.
-        """
+        """Target at rest with P at the inertial origin; chaser as ``approach`` says."""
         place_at_start(self._approach, self._port, self.q, self.v)
         self._swing[:] = 0.0
         hang(self._appendage, self._placed, self._rest, self.q, self.v, self._swing)
@@ -133,14 +130,14 @@ class NumericalModel:
         return q, v
 
     def centres(self) -> Array:
-        """``(n, 2, 7)`` poses of the bodies at their overall centres of mass, with undeflected
-        appendages.
+        """``(n, 2, 7)`` poses at the overall centres of mass, with undeflected appendages; the same
+        array at every call.
         """
         if not self._placed.any():
             return self.q
-        out = self.q.copy()
-        leave_rest(self._rest, out)
-        return out
+        self._centres[:] = self.q
+        leave_rest(self._rest, self._centres)
+        return self._centres
 
     @cached_property
     def _nominal(self) -> tuple[Call, Callable[[float], None]]:
@@ -152,9 +149,7 @@ class NumericalModel:
         )
 
     def advance(self, wrench: Array) -> None:
-        """One step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin: twists, then
-        poses.
-        """
+        """One step under ``wrench`` ``(n, 6)``, active on passive, in P at P's origin."""
         if not self._departs:
             load, go_on = self._nominal
             load.on(wrench)()
@@ -204,9 +199,7 @@ def _load(q, v, port, wrench, tau, *seen):
 
 @njit(cache=True)
 def _go_on(q, acceleration, tick, v, port, pose, twist):
-    """The step after the acceleration: twists, then poses, then the relative motion of the
-    ports.
-    """
+    """After the acceleration: twists, then poses, then the relative motion of the ports."""
     gain_speed(q, acceleration, tick, v)
     move(q, v, tick)
     relative_states(q, v, port, pose, twist)
@@ -214,9 +207,7 @@ def _go_on(q, acceleration, tick, v, port, pose, twist):
 
 @njit(cache=True)
 def run_back(pose, twist, h, handed):
-    """Fill the delay line with the uniform approach before the start: tick -j at slot -j modulo the
-    length.
-    """
+    """Fill the delay line with the uniform approach before the start, tick -j at slot -j."""
     length = handed.shape[1]
     for i in range(pose.shape[0]):
         for j in range(length):
@@ -242,9 +233,7 @@ def hand_on(k, late, handed, pose, twist):
 
 
 def hung_at_a_place(appendage: Array) -> NDArray[np.bool_]:
-    """``(n, 2)`` which bodies have an appendage ``(n, 2, S, APPENDAGE)`` away from the centre of
-    mass.
-    """
+    """``(n, 2)`` which bodies have an appendage away from the centre of mass."""
     return (appendage[..., PLACE:] != 0.0).any(axis=(-1, -2))
 
 
@@ -360,14 +349,12 @@ def _swing_at(appendage, whole, rest, q, v, h, swing, tau):
     Linear momentum is conserved to the last bit, and so is the total angular momentum, except for
     what the step of the body's rotation loses.
     """
-    away, arm, turn, drift, push, torque = (
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-    )
+    away = np.empty(3)
+    arm = np.empty(3)
+    turn = np.empty(3)
+    drift = np.empty(3)
+    push = np.empty(3)
+    torque = np.empty(3)
     rotate(q[3:7], v[3:6], turn)
     for s in range(appendage.shape[0]):
         a, m = appendage[s], swing[s]

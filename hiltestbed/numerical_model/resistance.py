@@ -71,9 +71,7 @@ def resisting(laws, f, v, free, gain):
 
 @njit(cache=True)
 def _gained(v, net, slope, gain):
-    """[m/s] change of the speed ``v`` under a force ``net`` [N] against ``slope`` [N s/m] that acts
-    for ``gain`` [m/s per N].
-    """
+    """[m/s] gained under ``net`` [N] against ``slope`` [N s/m], for ``gain`` [m/s per N]."""
     decay = gain * slope
     return (net - slope * v) * gain * (-math.expm1(-decay) / decay if decay > 0.0 else 1.0)
 
@@ -86,13 +84,11 @@ def resist_between(laws, q, v, port, mass, inverse, h, wrench):
     Args:
         laws: (n, F, RESISTANCE). mass: (n, 2). inverse: (n, 2, 3, 3) of the inertia. h: tick [s].
     """
-    work, gains, pose, twist, at_A = (
-        np.empty((WORK, 7)),
-        np.empty((6, 6)),
-        np.empty(7),
-        np.empty(6),
-        np.empty(6),
-    )
+    work = np.empty((WORK, 7))
+    gains = np.empty((6, 6))
+    pose = np.empty(7)
+    twist = np.empty(6)
+    at_A = np.empty(6)
     for i in range(q.shape[0]):
         known = False
         for f in range(laws.shape[1]):

@@ -23,9 +23,7 @@ def limit() -> int | None:
 
 
 def refuse_too_small() -> None:
-    """Raises HiltestbedError if there is a limit below what the libraries need: another process
-    loads them first.
-    """
+    """Raises HiltestbedError if a limit is too low for the libraries: a process tries them."""
     if limit() is None:
         return
     done = subprocess.run(

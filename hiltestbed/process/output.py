@@ -31,9 +31,7 @@ class Results(io.TextIOBase):
         self._plain = plain
 
     def write(self, text: str) -> int:
-        """Raises HiltestbedError if the stream cannot be written, BrokenPipeError if nobody reads
-        it.
-        """
+        """Raises HiltestbedError if it cannot be written, BrokenPipeError if nobody reads."""
         with self._kept():
             self._plain.write(text)
         return len(text)
@@ -80,9 +78,7 @@ class Messages(Results):
 
 
 class Escaped(Results):
-    """A stream with control characters escaped; not a terminal, so that nothing is coloured or
-    moved on it.
-    """
+    """A stream with control characters escaped; no terminal: nothing is coloured or moved."""
 
     def __init__(self, whole: Results) -> None:
         super().__init__(whole)
@@ -125,9 +121,7 @@ def escaped() -> Iterator[None]:
 
 
 def _discard(stream: Any) -> None:
-    """Lead a stream to the null device from now on, with what it has not written yet: Python
-    flushes once more at exit.
-    """
+    """Lead a stream and its unwritten text to the null device: Python flushes again at exit."""
     with contextlib.suppress(OSError):  # a stream without a file has nothing to lead elsewhere
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, stream.fileno())
@@ -140,18 +134,14 @@ def terminal() -> bool:
 
 
 def overwrite(line: str, end: str = "") -> None:
-    """Write ``line`` to standard error over the one that is there; below it where there is no
-    terminal.
-    """
+    """Write ``line`` to standard error over the one there; below it without a terminal."""
     stream = _plain(sys.stderr)
     stream.write(f"{CLEAR}{printable(line)}{end}" if stream.isatty() else f"{printable(line)}\n")
     stream.flush()
 
 
 def console(stream: IO[str] | None = None) -> Console:
-    """A rich console on a standard stream (left out: standard output) that escapes what it shows,
-    not its own colours.
-    """
+    """A rich console (left out: standard output) that escapes what it shows, not its colours."""
     from rich.console import Console, RenderHook
 
     class Escape(RenderHook):

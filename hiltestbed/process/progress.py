@@ -71,9 +71,7 @@ class Pace:
 
 
 def time_left_text(seconds: float | None, of: str = "") -> str:
-    """`, 40 s left`, or nothing while it is not known. of: of what, such as `in this step`, where
-    more follows.
-    """
+    """`, 40 s left`, or nothing if unknown; of: of what, such as `in this step`."""
     if seconds is None:
         return ""
     time_left = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
@@ -138,9 +136,7 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
 
 @contextmanager
 def step_line(name: str) -> Iterator[Callable[[str], None]]:
-    """A callback that takes the current step: a line that is updated on a terminal, or occasional
-    lines in a log.
-    """
+    """A callback that takes the current step: an updated line, or occasional lines in a log."""
     start = shown = time.monotonic()
     on_terminal = terminal()
 

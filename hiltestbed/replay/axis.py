@@ -9,7 +9,6 @@ half a minute can be fitted in seconds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -39,58 +38,26 @@ def replay_axis(
     """
     d = model.departures
     out = np.zeros((len(run), force.shape[1]))
-    lanes = AxisLanes(
-        np.asarray(run),
-        np.asarray(rows),
-        np.asarray(place),
-        np.asarray(speed),
-        model.whole,
-        model.rigid,
-        d.appendage,
-        d.force,
-        d.explicit,
-        d.late + d.stamp / model.tick,
-    )
-    swing = np.zeros((*d.appendage.shape[1:3], 2))
-    _replay_axis(force, lanes, model.tick, swing, np.zeros(force.shape[1] + 1), out)
+    laws = d.appendage, d.force, d.explicit, d.late + d.stamp / model.tick
+    scratch = np.zeros((*d.appendage.shape[1:3], 2)), np.zeros(force.shape[1] + 1)
+    starts, masses = (np.asarray(place), np.asarray(speed)), (model.whole, model.rigid)
+    lanes = np.asarray(run), np.asarray(rows)
+    _replay_axis(force, lanes, starts, masses, laws, model.tick, scratch, out)
     return out
 
 
-class AxisLanes(NamedTuple):
-    """What :func:`_replay_axis` is given of L lanes and R runs.
-
-    Attributes:
-        run: (L,) of each lane. rows, place, speed: (R,) of each run, see :func:`replay_axis`.
-        whole, rigid, appendage, laws, explicit: of each lane, see
-            :class:`~hiltestbed.replay.numerical_model.Departing`. late: (L,) ticks.
-    """
-
-    run: np.ndarray
-    rows: np.ndarray
-    place: Array
-    speed: Array
-    whole: Array
-    rigid: Array
-    appendage: Array
-    laws: Array
-    explicit: np.ndarray
-    late: Array
-
-
 @njit(cache=True)
-def _replay_axis(force, lanes, h, swing, way, out):
-    run, rows, place, speed, whole, rigid, appendage, laws, explicit, late = lanes
+def _replay_axis(force, lanes, starts, masses, laws, h, scratch, out):
+    """``lanes``: (L,) run and (R,) rows. ``starts``: (R,) each. ``laws``: (L, ...) appendages,
+    resistances, whether the old twist moves the pose, and delay [ticks].
+    """
+    (run, rows), (place, speed), (whole, rigid), (swing, way) = lanes, starts, masses, scratch
+    appendages, resistances, explicit, late = laws
     v, tau = np.empty(2), np.empty(2)
     for i in range(len(run)):
         r, n, at_start = run[i], rows[run[i]], speed[run[i]]
-        f, law, part, mass, rigid_mass, old = (
-            force[r],
-            laws[i],
-            appendage[i],
-            whole[i],
-            rigid[i],
-            explicit[i],
-        )
+        f, law, part = force[r], resistances[i], appendages[i]
+        mass, rigid_mass, old = whole[i], rigid[i], explicit[i]
         gain_c, gain_t = h / rigid_mass[CHASER], h / rigid_mass[TARGET]
         resists, swings = law.shape[0] > 0, part.shape[1] > 0
         v[CHASER], v[TARGET] = at_start, 0.0

@@ -14,12 +14,13 @@ from hiltestbed.compensation.input import InputDeadZone, InputParameters
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.latch import closes, latch_limits
-from hiltestbed.frames import Array, twist_between
+from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.numerical_model.kernels import place_at_start
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
+from hiltestbed.replay.felt import slopes
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -182,15 +183,6 @@ def _reached(
     return poses, twists
 
 
-def slopes(poses: Array, start: Array, tick: float) -> Array:
-    """``(R, N, 6)`` twists that take each pose of ``(R, N, 7)`` to the next in a tick, from
-    ``start`` (R, 7) before the first.
-    """
-    out = np.empty((*poses.shape[:2], 6))
-    _slopes(poses, start, tick, out)
-    return out
-
-
 def central_rates(scenario: Scenario, path: Array) -> Array:
     """``(N, 6)`` twists at the rows of a path (N, 7), each the mean of the twists over the ticks
     before and after.
@@ -198,13 +190,6 @@ def central_rates(scenario: Scenario, path: Array) -> Array:
     before = slopes(path[None], path[None, 0], scenario.tick)[0]
     before[0] = approach_state(scenario)[7:]
     return np.asarray(0.5 * (before + np.concatenate([before[1:], before[-1:]])))
-
-
-@njit(cache=True)
-def _slopes(poses, start, h, out):
-    for r in range(poses.shape[0]):
-        for k in range(poses.shape[1]):
-            twist_between(start[r] if k == 0 else poses[r, k - 1], poses[r, k], h, out[r, k])
 
 
 @njit(cache=True)

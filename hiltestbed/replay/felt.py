@@ -96,23 +96,18 @@ class Felt:
     kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        runs, rows = self.poses.shape[:2]
-        count = self.geometry.count
-        twists, clear = np.empty((runs, rows, 6)), np.empty((runs, rows))
-        scalars, vectors = (runs, rows, count), (runs, rows, count, 3)
-        met = (
-            np.full(scalars, -1.0),
-            np.zeros(scalars),
-            np.zeros(vectors),
-            np.zeros(vectors),
-            np.zeros(vectors),
-        )
-        _slopes(self.poses, self.before, self.tick, twists)
-        object.__setattr__(self, "twists", twists)
+        object.__setattr__(self, "twists", slopes(self.poses, self.before, self.tick))
+        met, clear = zip(*(self._met(r) for r in range(len(self.poses))), strict=True)
+        object.__setattr__(self, "met", tuple(np.stack(one) for one in zip(*met, strict=True)))
+        object.__setattr__(self, "clear", np.stack(clear))
+
+    def _met(self, r: int) -> tuple[tuple[Array, ...], Array]:
+        rows, count = self.poses.shape[1], self.geometry.count
+        depth, rate, clear = np.full((rows, count), -1.0), np.zeros((rows, count)), np.empty(rows)
+        met = depth, rate, *(np.zeros((rows, count, 3)) for _ in range(3))
         levers = (self.lever, self.blunt)
-        _meet(tuple(self.geometry), levers, self.poses, self.ends, self.before, clear, met)
-        object.__setattr__(self, "clear", clear)
-        object.__setattr__(self, "met", met)
+        _meet(tuple(self.geometry), levers, self.poses[r], self.ends[r], self.before[r], clear, met)
+        return met, clear
 
     def instants(self, grid: int | None) -> int:
         """Number of instants per tick to compute if readings are interpolated between ``grid``
@@ -133,42 +128,23 @@ def _meet(geometry, levers, poses, twists, before, clear, met):
     """
     index, values = geometry
     depth, rate, point, normal, slip = met
-    count = depth.shape[2]
-    frames, motions, work, p = (
-        np.zeros((2, 7)),
-        np.zeros((2, 6)),
-        np.empty((9, 7)),
-        np.ones((max(count, 1), PARAMETERS)),
-    )
+    count = depth.shape[1]
+    frames, motions, work = np.zeros((2, 7)), np.zeros((2, 6)), np.empty((9, 7))
+    p = np.ones((max(count, 1), PARAMETERS))
     frames[1, 6] = 1.0
     p[:, LEVER], p[:, BLUNT] = levers
     p[:, OFFSET] = -NEAR
     longest = arm(values, count)
-    for r in range(poses.shape[0]):
-        nearest = -np.inf
-        for k in range(poses.shape[1]):
-            frames[0], motions[0] = poses[r, k], twists[r, k]
-            meet_all(
-                index,
-                values,
-                p,
-                frames,
-                motions,
-                work,
-                depth[r, k],
-                rate[r, k],
-                point[r, k],
-                normal[r, k],
-                slip[r, k],
-            )
-            last = before[r] if k == 0 else poses[r, k - 1]
-            now = -np.inf
-            for c in range(count):
-                now = max(now, depth[r, k, c])
-            clear[r, k] = -max(now, nearest if k > 0 else now) - way_between(
-                last, poses[r, k], longest
-            )
-            nearest = now
+    last, nearest = before, -np.inf
+    for k in range(len(poses)):
+        frames[0], motions[0] = poses[k], twists[k]
+        row = depth[k], rate[k], point[k], normal[k], slip[k]
+        meet_all(index, values, p, frames, motions, work, *row)
+        now = -np.inf
+        for c in range(count):
+            now = max(now, depth[k, c])
+        clear[k] = -max(now, nearest if k > 0 else now) - way_between(last, poses[k], longest)
+        last, nearest = poses[k], now
 
 
 @njit(cache=True)
@@ -181,6 +157,15 @@ def way_between(last, pose, longest):
         way += (pose[j] - last[j]) ** 2
         turned += (pose[3 + j] - last[3 + j]) ** 2
     return math.sqrt(way) + 2.0 * longest * math.sqrt(turned)
+
+
+def slopes(poses: Array, start: Array, tick: float) -> Array:
+    """``(R, N, 6)`` twists that take each pose of ``(R, N, 7)`` to the next in a tick, from
+    ``start`` (R, 7) before the first.
+    """
+    out = np.empty((*poses.shape[:2], 6))
+    _slopes(poses, start, tick, out)
+    return out
 
 
 @njit(cache=True)

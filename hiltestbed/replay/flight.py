@@ -96,11 +96,8 @@ class _Apart:
     """Distances between the geoms that may touch, in a plant of R runs."""
 
     def __init__(self, plant: Plant) -> None:
-        self._model, self._data, self._met = (
-            plant.model,
-            mujoco.MjData(plant.model),
-            plant.contacts().met,
-        )
+        self._model, self._met = plant.model, plant.contacts().met
+        self._data = mujoco.MjData(plant.model)
         self._place, self._turn = plant.watch("geom_xpos", 3), plant.watch("geom_xmat", 9)
         names = [f"native_{k}" for k in range(self._met.shape[1])]
         pairs = [

@@ -1,22 +1,19 @@
 """The motion of a compliant mount along a recorded path: to first order, as by MuJoCo, or to second
 order, by a leapfrog.
-
-A ``mount`` is a tuple: stiffness and damping (6,) of its joints, the body (BODY,) on it, whether it
-moves by leapfrog, its mobility (see
-:class:`~hiltestbed.contact.mount_dynamics.MountDynamics`), and the number of the touch that is
-taken to be early, 0 for none.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.mount_dynamics import mount_reading, mount_step
+from hiltestbed.contact.mount_dynamics import BODY, mount_reading, mount_step
 from hiltestbed.contact.parameters import FRICTION, OFFSET
 from hiltestbed.contact.wrench import CREEP
+from hiltestbed.frames import Array
 
 # [N, N m] force transmitted by an oscillating mount, below which it is taken to be at rest
 AT_REST = 1e-9
@@ -28,6 +25,29 @@ MOST_LOSS = 0.05
 MOST_PIECES = 64  # chosen: of a step, in which friction sticks or reverses
 
 
+class PathMount(NamedTuple):
+    """The mount of a run.
+
+    Attributes:
+        stiffness, damping: (6,) of its joints. body: (BODY,) on it. leapfrog: whether it moves to
+            second order. mobility: see
+            :class:`~hiltestbed.contact.mount_dynamics.MountDynamics`.
+        early: number of the touch that is taken to be early, 0 for none. there: False for a rigid
+            passive side.
+    """
+
+    stiffness: Array
+    damping: Array
+    body: Array
+    leapfrog: bool
+    mobility: tuple[float, float]
+    early: int = 0
+    there: bool = True
+
+
+RIGID = PathMount(np.zeros(6), np.zeros(6), np.zeros(BODY), False, (0.0, 0.0), 0, False)
+
+
 @njit(cache=True)
 def advance(mount, dt, wrench, q, qd, rate, last):
     """One step of a mount to ``q`` (6,), with its ``rate`` (6,) there, under ``wrench`` (6,) at the
@@ -36,10 +56,10 @@ def advance(mount, dt, wrench, q, qd, rate, last):
     ``qd`` (6,) is the rate itself to first order. In a leapfrog it is that of the middle of the
     step, from which and the ``last`` (LAST,) one the rate at its end is extrapolated.
     """
-    stiffness, damping, body, leapfrog = mount[:4]
+    leapfrog = mount.leapfrog
     kick = 0.5 * (last[SPAN] + dt) if leapfrog else dt  # half a step at the start
     last[:6], last[SPAN] = qd, dt
-    mount_step(stiffness, damping, body, kick, dt, leapfrog, wrench, q, qd)
+    mount_step(mount.stiffness, mount.damping, mount.body, kick, dt, leapfrog, wrench, q, qd)
     for j in range(6):
         rate[j] = qd[j] + 0.5 * dt / kick * (qd[j] - last[j]) if leapfrog else qd[j]
 
@@ -72,7 +92,7 @@ def struck(mount, dt, part, wrench, before, q, qd, rate):
     that it is right after the next step.
     """
     nothing, place, answer = np.zeros(6), q.copy(), np.zeros(6)
-    mount_step(nothing, nothing, mount[2], dt, dt, True, wrench - before, place, answer)
+    mount_step(nothing, nothing, mount.body, dt, dt, True, wrench - before, place, answer)
     for j in range(6):
         rate[j] += part * answer[j]
         qd[j] += (part - 0.5) * answer[j]
@@ -86,7 +106,7 @@ def pieces(mount, dt, least_creep, wrench, meets, slip, slipped, last, p):
     ``slip``, ``slipped`` (C, 3): of the contacts now and before the ``last`` step; it is taken to
     change at the same rate.
     """
-    light, turns = mount[4]
+    light, turns = mount.mobility
     force = math.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2)
     if force == 0.0:
         return 1
@@ -114,7 +134,7 @@ def swing_freely(mount, h, parts, nothing, q, qd, rate, last, sub):
     """Step an unloaded mount over one tick; ``nothing`` (6,): zero wrench; ``sub`` (m, 6): wrench
     at the sensor. Below :data:`AT_REST` it is set to rest.
     """
-    stiffness, damping = mount[0], mount[1]
+    stiffness, damping = mount.stiffness, mount.damping
     most = 0.0
     for j in range(6):
         most = max(most, stiffness[j] * (abs(q[j]) + h * abs(qd[j])))

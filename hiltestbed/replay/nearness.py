@@ -5,16 +5,89 @@ geometry of the others is not searched.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import PASSIVE, ROUND_FRAME, ROW, SURFACE_FRAME, VALUES, arm, meet
+from hiltestbed.contact.law import STATES
 from hiltestbed.contact.parameters import BLUNT, LEVER, OFFSET
-from hiltestbed.contact.wrench import relate_one
+from hiltestbed.contact.wrench import meet_all, relate_one
+from hiltestbed.frames import Array
 from hiltestbed.replay.felt import way_between
 
 
+class Scene(NamedTuple):
+    """The contacts of a run at an instant; its arrays are updated in place.
+
+    Attributes:
+        index, values, p, least_creep: geometry, (C + 1, PARAMETERS) of the law, and of its
+            friction. tilt: (7,) of the passive port. frames, motions: (2, 7), (2, 6) of both sides.
+        state: (C + 1, STATES). hold: (7,) of the latch. met: see
+            :func:`hiltestbed.contact.wrench.meet_all`. wrench: (6,).
+        touching: (C,) bool, and slipped: (C, 3) the slips before, as of
+            :func:`~hiltestbed.replay.mounted.touched`.
+        seen, apart_by: (2, 7), (C,) see :func:`meet_next`. work: (9, 7) scratch.
+    """
+
+    index: np.ndarray
+    values: Array
+    p: Array
+    least_creep: float
+    tilt: Array
+    frames: Array
+    motions: Array
+    state: Array
+    hold: Array
+    met: tuple[Array, Array, Array, Array, Array]
+    wrench: Array
+    touching: np.ndarray
+    slipped: Array
+    seen: Array
+    apart_by: Array
+    work: Array
+
+
 @njit(cache=True)
-def away_from(pose):
+def scene_of(path, p, tilt):
+    """A :class:`Scene` before the first row of a
+    :class:`~hiltestbed.replay.contact_path.Trajectory`.
+    """
+    index, values = path.geometry
+    count = p.shape[0] - 1
+    frames, hold = np.zeros((2, 7)), np.zeros(7)
+    frames[1], hold[6] = tilt, 1.0
+    point, normal, slip = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 3))
+    return Scene(
+        index,
+        values,
+        p,
+        path.least_creep,
+        tilt,
+        frames,
+        np.zeros((2, 6)),
+        np.zeros((count + 1, STATES)),
+        hold,
+        (np.zeros(count), np.zeros(count), point, normal, slip),
+        np.zeros(6),
+        np.zeros(count, dtype=np.bool_),
+        np.zeros((count, 3)),
+        np.zeros((2, 7)),
+        np.zeros(count),
+        np.empty((9, 7)),
+    )
+
+
+@njit(cache=True)
+def meet_every(scene):
+    """Contact geometry of all candidates."""
+    geometry, sides = (scene.index, scene.values), (scene.frames, scene.motions)
+    meet_all(*geometry, scene.p, *sides, scene.work, *scene.met)
+
+
+@njit(cache=True)
+def distance(pose):
     """Distance of A from P's origin [m]."""
     return math.sqrt(pose[0] ** 2 + pose[1] ** 2 + pose[2] ** 2)
 
@@ -44,16 +117,24 @@ def on_passive(index, count):
 
 
 @njit(cache=True)
+def outside(now, before, p):
+    """Whether no candidate is in contact at either end of a tick: penetrations (C,) compared with
+    offsets.
+    """
+    for c in range(now.shape[0]):
+        if max(now[c], before[c]) > p[c, OFFSET]:
+            return False
+    return True
+
+
+@njit(cache=True)
 def move_lever(moved, depth, normal, twist, point, slip):
     """Shift the points of application along the normal by the fraction ``moved`` of the overlap,
     and adapt the slip.
     """
     for c in range(depth.shape[0]):
-        x, y, z = (
-            moved * depth[c] * normal[c, 0],
-            moved * depth[c] * normal[c, 1],
-            moved * depth[c] * normal[c, 2],
-        )
+        lift = moved * depth[c]
+        x, y, z = lift * normal[c, 0], lift * normal[c, 1], lift * normal[c, 2]
         point[c, 0] += x
         point[c, 1] += y
         point[c, 2] += z
@@ -63,68 +144,56 @@ def move_lever(moved, depth, normal, twist, point, slip):
 
 
 @njit(cache=True)
-def meet_near(
-    index, values, p, frames, motions, untilted, lean, work, depth, rate, point, normal, slip
-):
+def _meet_one(scene, c, ahead):
+    """Contact geometry of candidate c, whose frames are related in ``work``."""
+    depth, rate, point, normal, slip = scene.met
+    pose, twist, scratch = scene.work[5], scene.work[6][:6], scene.work[:5, :3]
+    law = scene.p[c, LEVER], scene.p[c, BLUNT], ahead
+    found = scratch, point[c], normal[c], slip[c]
+    depth[c], rate[c] = meet(scene.index, scene.values, c, pose, twist, *law, *found)
+
+
+@njit(cache=True)
+def _relate(scene, a):
+    """Relate frame ``a`` to the other one in ``work``."""
+    frames, motions, work = scene.frames, scene.motions, scene.work
+    b = 1 - a
+    relate_one(frames[a], motions[a], frames[b], motions[b], work[5], work[6][:6], work[:5, :3])
+
+
+@njit(cache=True)
+def meet_near(scene, untilted, lean):
     """Contact geometry of those candidates that can touch with a tilt ``lean`` [rad], given
     penetrations ``untilted`` (C,) without tilt.
 
     A tilt moves a point by at most its distance from P's origin times the angle, which bounds the
     change of a penetration.
     """
-    pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
-    away = away_from(frames[0])
+    depth, rate = scene.met[0], scene.met[1]
+    away = distance(scene.frames[0])
     related = False
     for c in range(depth.shape[0]):
-        longest = arm(values[c * VALUES : (c + 1) * VALUES], 1)
+        longest = arm(scene.values[c * VALUES : (c + 1) * VALUES], 1)
         depth[c], rate[c] = -1.0, 0.0
-        if untilted[c] + lean * (away + longest) < min(p[c, OFFSET], 0.0):
+        if untilted[c] + lean * (away + longest) < min(scene.p[c, OFFSET], 0.0):
             continue
         if not related:
-            relate_one(frames[0], motions[0], frames[1], motions[1], pose, twist, scratch)
+            _relate(scene, 0)
             related = True
-        depth[c], rate[c] = meet(
-            index,
-            values,
-            c,
-            pose,
-            twist,
-            p[c, LEVER],
-            p[c, BLUNT],
-            max(0.0, -p[c, OFFSET]),
-            scratch,
-            point[c],
-            normal[c],
-            slip[c],
-        )
+        _meet_one(scene, c, max(0.0, -scene.p[c, OFFSET]))
 
 
 @njit(cache=True)
-def meet_next(
-    index,
-    values,
-    p,
-    frames,
-    motions,
-    seen,
-    apart_by,
-    longest,
-    work,
-    depth,
-    rate,
-    point,
-    normal,
-    slip,
-):
+def meet_next(scene, longest):
     """Contact geometry of those candidates that can touch, given what the two frames have moved
     since an earlier call.
 
-    Args:
-        seen: (2, 7) frames at that call. apart_by: (C,) lower bound of the distance of each
-            candidate then [m]; both are updated.
-        longest: largest distance of a round from its frame [m].
+    ``seen`` (2, 7): frames at that call. ``apart_by`` (C,): lower bound of the distance of each
+    candidate then [m]; both are updated. ``longest``: largest distance of a round from its frame
+    [m].
     """
-    pose, twist, scratch = work[5], work[6][:6], work[:5, :3]
+    depth, rate, frames, seen = scene.met[0], scene.met[1], scene.frames, scene.seen
+    apart_by = scene.apart_by
     reach = longest + math.sqrt(
         (seen[0, 0] - seen[1, 0]) ** 2
         + (seen[0, 1] - seen[1, 1]) ** 2
@@ -134,37 +203,13 @@ def meet_next(
     seen[:] = frames
     a = -1
     for c in range(depth.shape[0]):
-        ahead = max(0.0, -p[c, OFFSET])
+        ahead = max(0.0, -scene.p[c, OFFSET])
         apart_by[c] -= moved
         if apart_by[c] > ahead:
             depth[c], rate[c] = -apart_by[c], 0.0
             continue
-        if index[c * ROW + ROUND_FRAME] != a:
-            a = index[c * ROW + ROUND_FRAME]
-            relate_one(frames[a], motions[a], frames[1 - a], motions[1 - a], pose, twist, scratch)
-        depth[c], rate[c] = meet(
-            index,
-            values,
-            c,
-            pose,
-            twist,
-            p[c, LEVER],
-            p[c, BLUNT],
-            ahead,
-            scratch,
-            point[c],
-            normal[c],
-            slip[c],
-        )
+        if scene.index[c * ROW + ROUND_FRAME] != a:
+            a = scene.index[c * ROW + ROUND_FRAME]
+            _relate(scene, a)
+        _meet_one(scene, c, ahead)
         apart_by[c] = -depth[c]
-
-
-@njit(cache=True)
-def outside(now, before, p):
-    """Whether no candidate is in contact at either end of a tick: penetrations (C,) compared with
-    offsets.
-    """
-    for c in range(now.shape[0]):
-        if max(now[c], before[c]) > p[c, OFFSET]:
-            return False
-    return True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -46,44 +46,13 @@ def replay_model(
         np.zeros((n, int(d.late.max()) + 1, 13)),
     )
     out = np.empty((n, wrench.shape[1], 7))
-    lanes = ModelLanes(
-        np.asarray(run),
-        model.approach,
-        model.port,
-        model.whole,
-        model.rigid,
-        model.inertia,
-        np.asarray(np.linalg.inv(model.inertia), dtype=np.float64),
-        d.appendage,
-        model.placed,
-        model.rest,
-        d.force,
-        part,
-        d.late,
+    inverse = np.asarray(np.linalg.inv(model.inertia), dtype=np.float64)
+    bodies = model.port, model.whole, model.rigid, model.inertia, inverse
+    hung, laws = (d.appendage, model.placed, model.rest), (d.force, part, d.late)
+    _replay_model(
+        wrench, np.asarray(run), model.approach, bodies, hung, laws, model.tick, state, out
     )
-    _replay_model(wrench, lanes, model.tick, state, out)
     return out
-
-
-class ModelLanes(NamedTuple):
-    """What :func:`_replay_model` is given of L lanes: as in :class:`Departing`, with the inverse of
-    ``inertia``, the resistances ``force``, the weight ``old`` (L,) of the old twist, and ``late``
-    (L,) in ticks.
-    """
-
-    run: np.ndarray
-    approach: Array
-    port: Array
-    whole: Array
-    rigid: Array
-    inertia: Array
-    inverse: Array
-    appendage: Array
-    placed: np.ndarray
-    rest: Array
-    force: Array
-    old: Array
-    late: np.ndarray
 
 
 class Departing:
@@ -113,17 +82,15 @@ class Departing:
 
 
 @njit(cache=True)
-def _replay_model(wrench, lanes, h, state, out):
-    run, approach, port, whole, rigid, inertia, inverse, appendage, placed, rest = lanes[:10]
-    force, old, late = lanes[10:]
+def _replay_model(wrench, run, approach, bodies, hung, laws, h, state, out):
+    """``laws``: resistances, weight of the old twist in each new pose, and delay [ticks]."""
+    port, whole, rigid, inertia, inverse = bodies
+    appendage, placed, rest = hung
+    force, old, late = laws
     q, v, tau, swinging, handed = state
     n = len(run)
-    pose, twist, push, before = (
-        np.empty((n, 7)),
-        np.empty((n, 6)),
-        np.empty((n, 6)),
-        np.empty((n, 2, 6)),
-    )
+    pose, twist, push = np.empty((n, 7)), np.empty((n, 6)), np.empty((n, 6))
+    before = np.empty((n, 2, 6))
     place_at_start(approach, port, q, v)
     hang(appendage, placed, rest, q, v, swinging)
     relative_states(q, v, port, pose, twist)

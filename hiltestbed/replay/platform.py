@@ -11,7 +11,6 @@ import numpy as np
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.platform.drive import FRICTION, OFFSET, PLACE, RATE, STATE, STATIC, W
-from hiltestbed.platform.parameters import stack
 from hiltestbed.platform.response import (
     HELD,
     LIMITED,
@@ -30,50 +29,46 @@ if TYPE_CHECKING:
 WHOLE = 1e-9  # ticks within which a delay counts as a whole number
 
 
-class Lanes(NamedTuple):
-    """What :func:`_replay` is given of L lanes, of which each replays a ``run``.
+class PlatformLane(NamedTuple):
+    """A platform, and how each tick is divided.
 
     Attributes:
-        start, velocity: (L, 3) of the approach. late: (L,) ticks from a command to the platform's
-            answer; at_start: the part of it that the log adds.
-        parts, steps: (L, M) ends of the steps as fractions of a tick, and their durations [s];
-            count: (L,) their number; moves: (L,) those that end at an instant; phase: (L,) of the
-            instants.
-        step, speed, play, stick, scale, drive: see
-            :class:`~hiltestbed.platform.parameters.PlatformParameters`.
-        lag, mode: (L, M, S, 5) propagators over each step; lag_long, mode_long: over the groups of
-            steps that end at ``ends`` (L, 4), of the durations ``long`` (L, 3) [s]; lag_first,
-            mode_first: over ``begun`` (L,) [s], by which the log is early. w: (L, S) [rad/s].
-        eager: (L,) whether responses start with the approach's rate.
+        start, velocity: (3,) of the approach. late: ticks from a command to the platform's answer;
+            at_start: the part of it that the log adds. h: tick [s]. begun: [s] by which the log is
+            early.
+        parts, steps: (M,) ends of the steps as fractions of a tick, and their durations [s].
+            moves: number of those that end at an instant; phase: of the instants.
+        ends, long: (4,) ends of up to three groups of steps, over each of which the delayed command
+            is straight, and their durations (3,) [s].
+        step, speed, play, stick, eager, scale, drive: see
+            :class:`~hiltestbed.platform.parameters.PlatformParameters`; eager: its ``begun``.
+        w: (S,) natural frequencies of lags and modes [rad/s].
+        over_step, over_group, over_begun: propagators of lags and modes, (M, S, 5) each.
     """
 
-    run: np.ndarray
     start: Array
     velocity: Array
-    late: Array
-    at_start: Array
+    late: float
+    at_start: float
+    h: float
+    begun: float
     parts: Array
-    count: np.ndarray
     steps: Array
-    step: Array
-    speed: Array
-    play: Array
-    stick: Array
-    scale: Array
-    drive: Array
-    lag: Array
-    mode: Array
+    moves: int
+    phase: float
     ends: np.ndarray
     long: Array
-    lag_long: Array
-    mode_long: Array
+    step: Array
+    speed: float
+    play: float
+    stick: float
+    eager: float
+    scale: Array
+    drive: Array
     w: Array
-    begun: Array
-    lag_first: Array
-    mode_first: Array
-    moves: np.ndarray
-    phase: Array
-    eager: Array
+    over_step: tuple[Array, Array]
+    over_group: tuple[Array, Array]
+    over_begun: tuple[Array, Array]
 
 
 def replay_platform(
@@ -99,288 +94,177 @@ def replay_platform(
         early: (L,) [s], not negative, by which commands are on record earlier than they were given:
             at t = 0 the platform has approached for as long.
     """
-    tick = scenarios[0].tick
-    p = stack(parameters)
-    at_start = np.zeros(len(run)) if obeyed is None else np.asarray(obeyed, dtype=float)
-    late = (p.delay + at_start) / tick
-    parts, count = _instants(scenarios, parameters, late)
-    phase = np.array([q.phase for q in parameters])
-    moves = count - (phase > 0.0)
-    steps = np.diff(parts, axis=1, prepend=0.0) * tick
-    lag, mode = _kernels(p.lag, steps, count, 0.0), _kernels(p.mode, steps, count, 1.0)
-    ends, w = (
-        _straight(p.stick, late, count),
-        np.concatenate([p.lag[..., 0], p.mode[..., 0]], axis=1),
-    )
-    long = np.diff(ends, axis=1) / count[:, None] * tick
-    lag_long, mode_long = (
-        _kernels(x, long, (long > 0.0).sum(axis=1), base)
-        for x, base in ((p.lag, 0.0), (p.mode, 1.0))
-    )
-    start = np.array([[*s.approach.offset, -s.approach.gap] for s in scenarios])
-    velocity = np.array([s.approach.velocity for s in scenarios], dtype=float)
-    begun = np.zeros(len(run)) if early is None else np.asarray(early, dtype=float)
-    start += begun[:, None] * velocity
-    once = (begun > 0.0).astype(int)
-    lag_first, mode_first = (
-        _kernels(x, begun[:, None], once, base) for x, base in ((p.lag, 0.0), (p.mode, 1.0))
-    )
+    obeyed = np.zeros(len(run)) if obeyed is None else obeyed
+    early = np.zeros(len(run)) if early is None else early
     out = np.empty((len(run), commands.shape[1], 3))
-    lanes = Lanes(
-        np.asarray(run),
-        start,
-        velocity,
-        late,
-        at_start / tick,
-        parts,
-        count,
-        steps,
-        p.step,
-        p.speed,
-        p.play,
-        p.stick,
-        p.scale,
-        p.drive,
-        lag,
-        mode,
-        ends,
-        long,
-        lag_long,
-        mode_long,
-        w,
-        begun,
-        lag_first,
-        mode_first,
-        moves,
-        phase,
-        p.begun,
+    for i, (s, p) in enumerate(zip(scenarios, parameters, strict=True)):
+        lane = _lane(s, p, scenarios[0].tick, float(obeyed[i]), float(early[i]))
+        _replay(commands[run[i]], lane, out[i])
+    return out
+
+
+def _lane(
+    s: Scenario, p: PlatformParameters, tick: float, obeyed: float, early: float
+) -> PlatformLane:
+    late = (float(p.delay) + obeyed) / tick
+    bend = late - math.floor(late)
+    straight = min(bend, 1.0 - bend) < WHOLE
+    if p.stick > 0.0:
+        m = p.instants or s.substeps
+        parts = np.array([*(np.arange(1, m + 1) - p.phase) / m, *([1.0] if p.phase else [])])
+    else:
+        parts = np.array([1.0] if straight else [bend, 1.0])
+    count = len(parts)
+    ends = np.array([0, count, count, count])
+    if p.stick > 0.0 and not straight:
+        bent = min(int(bend * count), count - 1)  # the instants between which the command bends
+        ends[1:3] = (bent, bent + 1) if bent > 0 else (1, count)
+    steps, long = np.diff(parts, prepend=0.0) * tick, np.diff(ends) / count * tick
+    lag, mode = (np.array(x, dtype=float).reshape(-1, 2) for x in (p.lag, p.mode))
+    velocity = np.array(s.approach.velocity, dtype=float)
+    return PlatformLane(
+        start=np.array([*s.approach.offset, -s.approach.gap]) + early * velocity,
+        velocity=velocity,
+        late=late,
+        at_start=obeyed / tick,
+        h=tick,
+        begun=early,
+        parts=parts,
+        steps=steps,
+        moves=count - (p.phase > 0.0),
+        phase=float(p.phase),
+        ends=ends,
+        long=long,
+        step=p.step,
+        speed=float(p.speed),
+        play=float(p.play),
+        stick=float(p.stick),
+        eager=float(p.begun),
+        scale=np.array(p.scale, dtype=float),
+        drive=np.array(p.drive, dtype=float),
+        w=np.concatenate([lag[:, 0], mode[:, 0]]),
+        over_step=_propagators(lag, mode, steps),
+        over_group=_propagators(lag, mode, long),
+        over_begun=_propagators(lag, mode, np.array([early])),
     )
-    _replay(commands, tick, lanes, out)
-    return out
 
 
-def _instants(
-    scenarios: Sequence[Scenario], parameters: Sequence[PlatformParameters], late: Array
-) -> tuple[Array, np.ndarray]:
-    """``(L, M)`` fractions of a tick to which each lane is advanced, the last of which is 1, and
-    ``(L,)`` their number.
+def _propagators(lag: Array, mode: Array, steps: Array) -> tuple[Array, Array]:
+    """``(M, S, 5)`` exact propagators of lags and of modes, (S, 2) natural frequency and damping
+    ratio, over each of the ``steps`` (M,) that takes time.
     """
-    found = []
-    for s, p, ticks in zip(scenarios, parameters, late, strict=True):
-        bend = ticks - np.floor(ticks)
-        if p.stick > 0.0:
-            m = p.instants or s.substeps
-            found.append(
-                np.array([*(np.arange(1, m + 1) - p.phase) / m, *([1.0] if p.phase else [])])
-            )
-        else:
-            found.append(
-                np.array([1.0]) if min(bend, 1.0 - bend) < WHOLE else np.array([bend, 1.0])
-            )
-    count = np.array([len(f) for f in found])
-    parts = np.ones((len(found), int(count.max())))
-    for i, f in enumerate(found):
-        parts[i, : len(f)] = f
-    return parts, count
-
-
-def _straight(stick: Array, late: Array, count: np.ndarray) -> np.ndarray:
-    """``(L, 4)`` ends of up to three groups of instants, for lanes with stiction: the delayed
-    command is straight over each group.
-    """
-    bend = late - np.floor(late)
-    within = (stick > 0.0) & (np.minimum(bend, 1.0 - bend) >= WHOLE)
-    # the instants between which the command bends
-    bent = np.minimum(np.floor(bend * count).astype(int), count - 1)
-    ends = np.tile(count[:, None], (1, 4))
-    ends[:, 0] = 0
-    ends[within, 1] = np.where(bent > 0, bent, 1)[within]
-    ends[within, 2] = np.where(bent > 0, bent + 1, count)[within]
-    return ends
-
-
-def _kernels(numbers: Array, steps: Array, count: np.ndarray, base: float) -> Array:
-    """``(L, M, S, 5)`` exact propagators of each response over each step; ``numbers`` (L, S, 2)
-    natural frequency and damping ratio.
-    """
-    out = np.zeros((len(numbers), steps.shape[1], numbers.shape[1], 5))
-    for i, s in np.argwhere(numbers[..., 0] > 0.0):
-        for m in range(count[i]):
-            second_order(numbers[i, s, 0], numbers[i, s, 1], steps[i, m], base, out[i, m, s])
-    return out
+    found = np.zeros((len(steps), len(lag), 5)), np.zeros((len(steps), len(mode), 5))
+    for numbers, base, out in zip((lag, mode), (0.0, 1.0), found, strict=True):
+        for s, (w, zeta) in enumerate(numbers):
+            for m in np.flatnonzero(steps > 0.0):
+                second_order(w, zeta, steps[m], base, out[m, s])
+    return found
 
 
 @njit(cache=True)
-def _replay(commands, h, lanes, out):
-    run, start, velocity, late, at_start = lanes[:5]
-    parts, count, steps, response, speed, play, stick, scale, drive, lag, mode = lanes[5:16]
-    ends, long, lag_long, mode_long, w, begun, lag_first, mode_first = lanes[16:24]
-    moves, phase, eager = lanes[24:]
-    driven = np.zeros(STATE)
-    saved = np.zeros((len(w[0]), 2))
-    lagged, shaken, memory = (
-        np.zeros((lag.shape[2], 2)),
-        np.zeros((mode.shape[2], 2)),
-        np.zeros(MEMORY),
-    )
-    state = (lagged, shaken, saved, memory)
-    sums = np.zeros(commands.shape[1] + 1)
-    for i in range(len(run)):
-        for axis in range(3):
-            command, driving = commands[run[i], :, axis], drive[i, axis]
-            learned = response[i]
-            if (
-                learned[0] == 0.0
-                and _still(command, start[i, axis], velocity[i, axis])
-                and not _sags(driving)
-            ):
-                out[i, :, axis] = start[i, axis]
-                out[i, 1:, axis] *= scale[i, axis]
-                continue
-            if (
-                learned[0] == 0.0
-                and begun[i] == 0.0
-                and _sticks_alone(speed[i], play[i], stick[i], driving, lag[i], mode[i])
-            ):
-                held = commanded(
-                    command, start[i, axis], velocity[i, axis], min(at_start[i] - late[i], 0.0), h
-                )
-                stick_to(
-                    command,
-                    held,
-                    start[i, axis],
-                    velocity[i, axis],
-                    Obeying(h, late[i], moves[i], phase[i]),
-                    stick[i],
-                    scale[i, axis],
-                    out[i, :, axis],
-                )
-                continue
-            if learned[0] > 0.0:
-                _sum_up(command, start[i, axis], h, sums)
-            first = -begun[i] / h
-            before = _answered(
-                command, sums, learned, start[i, axis], velocity[i, axis], first - late[i], h
-            )
-            # it starts no earlier, and does not wait for what it obeys late
-            rest = first - max(late[i] - at_start[i], 0.0)
-            rest = _answered(command, sums, learned, start[i, axis], velocity[i, axis], rest, h)
-            share = learned[len(learned) // 2 + int(learned[0])] if learned[0] > 0.0 else 1.0
-            memory[:] = rest
-            driven[:] = 0.0
-            driven[PLACE] = lagged[:, 0] = shaken[:, 0] = rest
-            driven[RATE] = share * velocity[i, axis]
-            lagged[:, 1] = shaken[:, 1] = eager[i] * driven[RATE]
-            out[i, 0, axis] = start[i, axis]
-            if begun[i] > 0.0:
-                after = _answered(
-                    command, sums, learned, start[i, axis], velocity[i, axis], -late[i], h
-                )
-                led, goal, limit = before, after, speed[i]
-                if driving[W] > 0.0:
-                    led, goal = behind_drive(
-                        before, after, begun[i], limit, driving, driven, memory
-                    )
-                    limit = np.inf
-                follow(
-                    led,
-                    goal,
-                    begun[i],
-                    limit,
-                    play[i],
-                    stick[i],
-                    lag_first[i, 0],
-                    mode_first[i, 0],
-                    lagged,
-                    shaken,
-                    memory,
+def _replay(commands, lane, out):
+    """Write the positions (N, 3) on ``commands`` (N, >= 3)."""
+    h, late, begun, stick, learned = lane.h, lane.late, lane.begun, lane.stick, lane.step
+    lag, mode = lane.over_step
+    count, limits = len(lane.parts), (lane.speed, lane.play, stick)
+    lagged, shaken = np.zeros((lag.shape[1], 2)), np.zeros((mode.shape[1], 2))
+    memory, driven, saved = np.zeros(MEMORY), np.zeros(STATE), np.zeros((len(lane.w), 2))
+    state = lagged, shaken, memory, driven
+    sums = np.zeros(len(commands) + 1)
+    linear = np.count_nonzero(lane.w) == 0
+    for axis in range(3):
+        command, driving = commands[:, axis], lane.drive[axis]
+        start, velocity, scale = lane.start[axis], lane.velocity[axis], lane.scale[axis]
+        plain = learned[0] == 0.0
+        if plain and _still(command, start, velocity) and not _sags(driving):
+            out[:, axis] = start
+            out[1:, axis] *= scale
+            continue
+        unlimited = lane.play == 0.0 and lane.speed == np.inf and driving[W] == 0.0
+        if plain and begun == 0.0 and stick > 0.0 and unlimited and linear:
+            held = commanded(command, start, velocity, min(lane.at_start - late, 0.0), h)
+            obeying = Obeying(h, late, lane.moves, lane.phase)
+            stick_to(command, held, start, velocity, obeying, stick, scale, out[:, axis])
+            continue
+        if not plain:
+            _sum_up(command, start, h, sums)
+        first = -begun / h
+        before = _answered(command, sums, learned, start, velocity, first - late, h)
+        # it starts no earlier, and does not wait for what it obeys late
+        rest = first - max(late - lane.at_start, 0.0)
+        rest = _answered(command, sums, learned, start, velocity, rest, h)
+        share = 1.0 if plain else learned[len(learned) // 2 + int(learned[0])]
+        memory[:] = rest
+        driven[:] = 0.0
+        driven[PLACE] = lagged[:, 0] = shaken[:, 0] = rest
+        driven[RATE] = share * velocity
+        lagged[:, 1] = shaken[:, 1] = lane.eager * driven[RATE]
+        out[0, axis] = start
+        if begun > 0.0:
+            after = _answered(command, sums, learned, start, velocity, -late, h)
+            lags, modes = lane.over_begun
+            _reached(before, after, begun, limits, driving, lags[0], modes[0], state)
+            before = after
+        even = plain and stick > 0.0 and lane.phase == 0.0
+        simple = even and np.count_nonzero(lane.w) <= 1 and driving[W] == 0.0
+        for k in range(len(out) - 1):
+            reached = before
+            s = piece = 0
+            while s < count:
+                if simple and s == lane.ends[piece]:
+                    end = lane.ends[piece + 1]
+                    after = commanded(command, start, velocity, k + end / count - late, h)
+                    if _held_throughout(before, after, lane, piece, state, saved):
+                        before, reached, s = after, memory[HELD], end
+                        piece += 1
+                        continue
+                    piece += 1
+                at = k + lane.parts[s] - late
+                # the usual case, separate because the other call costs as much as the rest of
+                # the step
+                if plain:
+                    after = commanded(command, start, velocity, at, h)
+                else:
+                    after = _answered(command, sums, learned, start, velocity, at, h)
+                # the end of a tick need not be an instant
+                holds = stick if s < lane.moves or stick == 0.0 else np.inf
+                own = lane.speed, lane.play, holds
+                reached = _reached(
+                    before, after, lane.steps[s], own, driving, lag[s], mode[s], state
                 )
                 before = after
-            even = learned[0] == 0.0 and stick[i] > 0.0 and phase[i] == 0.0
-            simple = even and np.count_nonzero(w[i]) <= 1 and driving[W] == 0.0
-            for k in range(out.shape[1] - 1):
-                reached = before
-                s = piece = 0
-                while s < count[i]:
-                    if simple and s == ends[i, piece]:
-                        piece += 1
-                        after = commanded(
-                            command,
-                            start[i, axis],
-                            velocity[i, axis],
-                            k + ends[i, piece] / count[i] - late[i],
-                            h,
-                        )
-                        if _held_throughout(
-                            before,
-                            after,
-                            long[i, piece - 1],
-                            (speed[i], play[i], stick[i]),
-                            lag_long[i, piece - 1],
-                            mode_long[i, piece - 1],
-                            w[i],
-                            state,
-                        ):
-                            before, reached, s = after, memory[HELD], ends[i, piece]
-                            continue
-                    at = k + parts[i, s] - late[i]
-                    # the usual case, separate because the other call costs as much as the rest of
-                    # the step
-                    if learned[0] == 0.0:
-                        after = commanded(command, start[i, axis], velocity[i, axis], at, h)
-                    else:
-                        after = _answered(
-                            command, sums, learned, start[i, axis], velocity[i, axis], at, h
-                        )
-                    led, goal, limit = before, after, speed[i]
-                    if driving[W] > 0.0:
-                        led, goal = behind_drive(
-                            before, after, steps[i, s], limit, driving, driven, memory
-                        )
-                        limit = np.inf
-                    # the end of a tick need not be an instant
-                    holds = stick[i] if s < moves[i] or stick[i] == 0.0 else np.inf
-                    reached = follow(
-                        led,
-                        goal,
-                        steps[i, s],
-                        limit,
-                        play[i],
-                        holds,
-                        lag[i, s],
-                        mode[i, s],
-                        lagged,
-                        shaken,
-                        memory,
-                    )
-                    before = after
-                    s += 1
-                out[i, k + 1, axis] = scale[i, axis] * reached
+                s += 1
+            out[k + 1, axis] = scale * reached
 
 
 @njit(cache=True)
-def _sticks_alone(speed, play, stick, drive, lag, mode):
-    """Whether a platform has only stiction and a delay."""
-    linear = not lag[:, :, 0].any() and not mode[:, :, 0].any() and drive[W] == 0.0
-    return stick > 0.0 and play == 0.0 and speed == np.inf and linear
+def _reached(before, after, dt, limits, drive, lag, mode, state):
+    """:func:`~hiltestbed.platform.response.follow`, behind a drive where there is one; ``limits``:
+    speed limit [m/s], play and stick [m].
+    """
+    lagged, shaken, memory, driven = state
+    speed, play, stick = limits
+    if drive[W] > 0.0:
+        before, after = behind_drive(before, after, dt, speed, drive, driven, memory)
+        speed = np.inf
+    return follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory)
 
 
 @njit(cache=True)
-def _held_throughout(before, after, h, bounds, lag, mode, w, state):
-    """Whether a platform with stiction provably keeps its position over h, in which its command is
-    straight; its state is then advanced, otherwise unchanged.
+def _held_throughout(before, after, lane, group, state, saved):
+    """Whether a platform with stiction provably keeps its position over a group of steps, in which
+    its command is straight; its state is then advanced, otherwise unchanged.
 
     A lag or mode of natural frequency w responds to a command of constant rate u' with y' = u' +
     z', and w^2 z^2 + z'^2 never grows: |y'| stays below L = |u'| + sqrt(w^2 z^2 + z'^2) at the
     start. Between two instants y is therefore no further from the held position than at the nearer
     one plus L h/2. A speed limit must not act meanwhile, nor play with a response that may reverse.
 
-    Args:
-        bounds: speed limit [m/s], play and stick [m]. state: of lags and modes, a copy of both, and
-            of the rest.
+    ``saved``: (S, 2) scratch.
     """
-    speed, play, stick = bounds
-    lagged, shaken, saved, memory = state
+    lagged, shaken, memory, _ = state
+    speed, play, stick, w, h = lane.speed, lane.play, lane.stick, lane.w, lane.long[group]
+    lag, mode = lane.over_group[0][group], lane.over_group[1][group]
     if speed < np.inf and (memory[LIMITED] != before or abs(after - before) > speed * h):
         return False
     rate = (after - before) / h
@@ -388,9 +272,9 @@ def _held_throughout(before, after, h, bounds, lag, mode, w, state):
     position, n = before, len(lag)
     for s in range(len(w)):
         if w[s] > 0.0:
-            kernel, state = (lag[s], lagged[s]) if s < n else (mode[s - n], shaken[s - n])
-            position = state[0]
-            swing = math.hypot(w[s] * (position - before + kernel[4] * rate), state[1] - rate)
+            kernel, moving = (lag[s], lagged[s]) if s < n else (mode[s - n], shaken[s - n])
+            position = moving[0]
+            swing = math.hypot(w[s] * (position - before + kernel[4] * rate), moving[1] - rate)
             if play > 0.0 and swing > fastest:
                 return False
             fastest += swing

@@ -22,7 +22,7 @@ from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.driven import least_creep
 from hiltestbed.platform.plant import Plant
-from hiltestbed.replay.compensation import slopes
+from hiltestbed.replay.felt import slopes
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario

@@ -98,11 +98,8 @@ class Simulated:
         for members in groups.values():
             for first in range(0, len(members), TOGETHER):
                 some = members[first : first + TOGETHER]
-                out |= zip(
-                    some,
-                    self._together([wanted[i][0] for i in some], [scenarios[i] for i in some]),
-                    strict=True,
-                )
+                runs = [wanted[i][0] for i in some]
+                out |= zip(some, self._together(runs, [scenarios[i] for i in some]), strict=True)
         return [out[i] for i in range(len(wanted))]
 
     def believed(self, run: int) -> Engaged:
@@ -169,18 +166,14 @@ class Simulated:
         """Carry the sides of the runs along their paths, from the end of the ``flight`` on; yields
         each row as it is reached.
         """
-        paths = np.ascontiguousarray(self.poses[list(runs)].swapaxes(0, 1))
-        rates = (
-            None
-            if self._rates is None
-            else np.ascontiguousarray(self._rates[list(runs)].swapaxes(0, 1))
-        )
+
+        def by_row(values: Array) -> Array:
+            return np.ascontiguousarray(values[list(runs)].swapaxes(0, 1))
+
+        paths, rates = by_row(self.poses), None if self._rates is None else by_row(self._rates)
         count, lanes = paths.shape[:2]
-        still, poses, twists = (
-            np.zeros((lanes, 6)),
-            np.empty((self.substeps, lanes, 7)),
-            np.empty((self.substeps, lanes, 6)),
-        )
+        still, poses = np.zeros((lanes, 6)), np.empty((self.substeps, lanes, 7))
+        twists, dt = np.empty((self.substeps, lanes, 6)), self.tick / self.substeps
         plant.reset(paths[0], self._start[list(runs)])
         if flight is not None:
             flight.resume(plant, runs)
@@ -188,15 +181,8 @@ class Simulated:
             if k and rates is None:
                 plant.advance(paths[k], still, still)
             elif k and rates is not None:
-                step_between(
-                    paths[k - 1],
-                    rates[k - 1],
-                    paths[k],
-                    rates[k],
-                    self.tick / self.substeps,
-                    poses,
-                    twists,
-                )
+                ends = paths[k - 1], rates[k - 1], paths[k], rates[k]
+                step_between(*ends, dt, poses, twists)
                 plant.carry(poses, twists)
             yield k
 
@@ -242,10 +228,8 @@ def _momentum(model: mujoco.MjModel, body: int, place: Array, turn: Rotation, ti
     """(N - 1, 6) momentum of a body between rows, linear [kg m/s] and about W's origin [kg m^2/s],
     from ``place`` (N, 3) and ``turn``.
     """
-    linear, change = (
-        model.body_mass[body] * np.diff(place, axis=0) / tick,
-        (turn[1:] * turn[:-1].inv()).as_rotvec(),
-    )
+    linear = model.body_mass[body] * np.diff(place, axis=0) / tick
+    change = (turn[1:] * turn[:-1].inv()).as_rotvec()
     between = Rotation.from_rotvec(0.5 * change) * turn[:-1]
     spin = between.apply(model.body_inertia[body] * between.inv().apply(change / tick))
     return np.hstack([linear, np.cross(0.5 * (place[1:] + place[:-1]), linear) + spin])

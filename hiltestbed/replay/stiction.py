@@ -41,21 +41,15 @@ def held_after(held, before, after, a, b, instants, phase, stick, limit):
     each of its jumps is the same.
     """
     way = after - before
-    j, last = (
-        int(math.floor(a * instants + phase + ON_AN_INSTANT)),
-        int(math.floor(b * instants + phase + ON_AN_INSTANT)),
-    )
+    j = int(math.floor(a * instants + phase + ON_AN_INSTANT))
+    last = int(math.floor(b * instants + phase + ON_AN_INSTANT))
     while abs(after - held) > stick and j < last:
         if way == 0.0:
             j += 1
         else:
             edge = held + math.copysign(stick, way)
-            j = max(
-                j + 1,
-                min(
-                    last, int(math.floor(instants * (a + (b - a) * (edge - before) / way) + phase))
-                ),
-            )
+            there = int(math.floor(instants * (a + (b - a) * (edge - before) / way) + phase))
+            j = max(j + 1, min(last, there))
         reached = before + way * ((j - phase) / instants - a) / (b - a)
         if abs(reached - held) > stick:
             limit = min(limit, abs(reached - held))

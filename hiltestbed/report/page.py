@@ -166,17 +166,13 @@ def _words(cells: Sequence[object]) -> bool:
 
 
 def _cell(cell: object) -> Markup:
-    """The escaped cell; no line break between a number and its per cent sign; dotted keys may break
-    after a dot.
-    """
+    """The escaped cell; no break before a per cent sign; dotted keys may break after a dot."""
     text = escape(str(cell).replace(" %", "\N{NO-BREAK SPACE}%"))
     return Markup(DOTTED.sub(".<wbr>", text))
 
 
 def new_figure(width: float = 8.0, height: float = 4.0, **subplots: object):
-    """A figure and its axes, independent of a display and of pyplot, so that the caller's pyplot
-    state is not changed.
-    """
+    """A figure and its axes, independent of display and pyplot, whose state stays as it is."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")

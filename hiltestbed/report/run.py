@@ -5,7 +5,6 @@ identified, what to do next.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from hiltestbed.analysis.assessment import (
     identified,
     monitored,
 )
-from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.identification.samples import GATE_SIGMA
@@ -32,12 +31,8 @@ from hiltestbed.signals import RunTrace
 
 REPORT = "report.html"
 NORMAL = " normal: along the contact normal of the surfaces, which is not an axis."
+STYLES = ("-", "--", ":")
 POINTS = 4000  # rows in a figure: more cannot be distinguished
-
-
-def write_run_report(run: Run, path: Path) -> None:
-    """Write the page of a run to ``path``."""
-    run_report(run).write(path)
 
 
 def run_report(run: Run) -> Report:
@@ -71,55 +66,35 @@ def run_report(run: Run) -> Report:
 
 
 def _figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
-    rows = [
-        (
-            "outcome",
-            summary["outcome"].replace("_", " "),
-            f"{summary['contacts']} contacts" if summary["contacts"] != 1 else "1 contact",
-        ),
-        (
-            "coefficient of restitution",
-            number(summary["cor"]),
-            "rebound speed over approach speed, of the numerical model",
-        ),
-        (
-            "its reference",
-            number(summary["cor_reference"]),
-            "the same contact with no delay and ideal tracking",
-        ),
-    ]
-    if summary["cor_log_error"] is not None:
-        percent = 100.0 * math.expm1(summary["cor_log_error"])
-        rows.append(
-            (
-                "ln of their ratio",
-                f"{summary['cor_log_error']:+.4f}",
-                f"the rebound deviates by {percent:+z.1f} %",
-            )
-        )
+    rows: list[tuple[str, str, str]] = []
+
+    def add(name: str, value: str, meaning: str = "") -> None:
+        rows.append((name, value, meaning))
+
+    contacts = f"{summary['contacts']} contacts" if summary["contacts"] != 1 else "1 contact"
+    speeds = "rebound speed over approach speed, of the numerical model"
+    add("outcome", summary["outcome"].replace("_", " "), contacts)
+    add("coefficient of restitution", number(summary["cor"]), speeds)
+    ideal = "the same contact with no delay and ideal tracking"
+    add("its reference", number(summary["cor_reference"]), ideal)
+    if (error := summary["cor_log_error"]) is not None:
+        off = f"the rebound deviates by {100.0 * math.expm1(error):+z.1f} %"
+        add("ln of their ratio", f"{error:+.4f}", off)
     if summary.get("cor_normal") is not None and summary["cor"] is None:
         reference = number(summary.get("cor_normal_reference"))
         note = (
             f"of the first contact: speed after over before, along the direction of its "
             f"impulse; reference {reference}"
         )
-        rows.append(("restitution along the impulse", number(summary["cor_normal"]), note))
-    rows += [
-        (
-            "energy made by the rig",
-            number(summary["energy_generated"], 4, "J"),
-            assess(summary).energy,
-        ),
-        ("peak force", number(summary["peak_force"], 4, "N"), ""),
-        ("contact time", number(summary["contact_duration"], 4, "s"), ""),
-        (
-            "largest tracking error",
-            number(1e3 * summary["tracking_error"], 3, "mm"),
-            "commanded minus reached position",
-        ),
-    ]
+        add("restitution along the impulse", number(summary["cor_normal"]), note)
+    made = number(summary["energy_generated"], 4, "J")
+    add("energy made by the rig", made, assess(summary).energy)
+    add("peak force", number(summary["peak_force"], 4, "N"))
+    add("contact time", number(summary["contact_duration"], 4, "s"))
+    error = number(1e3 * summary["tracking_error"], 3, "mm")
+    add("largest tracking error", error, "commanded minus reached position")
     if (seen := monitored(summary)) is not None:
-        rows.append(("process monitoring", *seen))
+        add("process monitoring", *seen)
     return rows
 
 
@@ -192,12 +167,8 @@ def _identified(report: Report, scenario: Scenario, summary: dict[str, Any]) -> 
     report.heading("What was identified")
     if rows:
         header = ("axis", "k ± sd", "true", "error", "c ± sd", "true", "error", "samples")
-        report.table(
-            header,
-            rows,
-            "k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)."
-            + NORMAL * ("normal" in identified(summary)),
-        )
+        caption = "k in N/m (rx, ry, rz: N m/rad), c in N s/m (N m s/rad)."
+        report.table(header, rows, caption + NORMAL * ("normal" in identified(summary)))
     else:
         report.text(f"Neither stiffness nor damping was identified: {_why_not(scenario, summary)}.")
 
@@ -233,38 +204,23 @@ def _signals(trace: RunTrace):
     rows = _shown(trace)
     t = trace.t[rows]
     figure, axes = new_figure(9.0, 5.6, nrows=3, sharex=True)
+    forces = {"physical": "wrench_true.fz", "measured": "wrench_meas.fz", "used": "wrench_comp.fz"}
+    positions = {"reached": "pose_act.pz", "commanded": "pose_cmd.pz"}
     panels = (
-        (
-            "force [N]",
-            (
-                ("physical", "wrench_true.fz", 1.0),
-                ("measured", "wrench_meas.fz", 1.0),
-                ("used", "wrench_comp.fz", 1.0),
-            ),
-        ),
-        ("measured minus\nphysical [N]", ()),
-        ("pz [mm]", (("reached", "pose_act.pz", 1e3), ("commanded", "pose_cmd.pz", 1e3))),
+        ("force [N]", 1.0, forces),
+        ("measured minus\nphysical [N]", 1.0, {}),
+        ("pz [mm]", 1e3, positions),
     )
-    for axis, (label, lines) in zip(axes, panels, strict=True):
+    for axis, (label, scale, lines) in zip(axes, panels, strict=True):
         shade_contacts(axis, trace.t, trace.contact)
-        for i, (name, column, scale) in enumerate(lines):
-            axis.plot(
-                t,
-                scale * trace[column][rows],
-                color=PALETTE[i],
-                linewidth=1.3,
-                label=name,
-                linestyle=("-", "--", ":")[i],
-            )
+        for (name, column), color, style in zip(lines.items(), PALETTE, STYLES, strict=False):
+            shown = scale * trace[column][rows]
+            axis.plot(t, shown, color=color, linewidth=1.3, label=name, linestyle=style)
         if lines:
             axis.legend(loc="upper right", fontsize=8)
         axis.set_ylabel(label)
-    axes[1].plot(
-        t,
-        (trace["wrench_meas.fz"] - trace["wrench_true.fz"])[rows],
-        color=PALETTE[1],
-        linewidth=1.2,
-    )
+    less = (trace["wrench_meas.fz"] - trace["wrench_true.fz"])[rows]
+    axes[1].plot(t, less, color=PALETTE[1], linewidth=1.2)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(t[0], t[-1])
     return figure
@@ -278,9 +234,7 @@ def _shown(trace: RunTrace) -> np.ndarray:
 
 
 def _span(trace: RunTrace) -> tuple[float, float]:
-    """From shortly before the first contact to shortly after the last; the whole run if that is
-    most of it.
-    """
+    """From shortly before the first contact to after the last; all if that is most of the run."""
     start, end = float(trace.t[0]), float(trace.t[-1])
     if trace.contact.any():
         first = float(trace.t[np.argmax(trace.contact)])
@@ -291,26 +245,18 @@ def _span(trace: RunTrace) -> tuple[float, float]:
 
 
 def _energy(trace: RunTrace, scenario: Scenario, summary: dict[str, Any]):
-    """Energy that the rig has made so far: the work on the physical contact minus the work of the
-    numerical model.
-    """
+    """Energy that the rig made so far: work on the contact minus work of the numerical model."""
     made = energy_generated(trace, scenario)
     rows = _shown(trace)
     figure, axis = new_figure(9.0, 2.6)
     shade_contacts(axis, trace.t, trace.contact)
-    axis.plot(
-        trace.t[rows],
-        1e3 * made[rows],
-        color=PALETTE[1] if made[-1] > 0.0 else PALETTE[0],
-        linewidth=1.5,
-    )
+    color = PALETTE[1] if made[-1] > 0.0 else PALETTE[0]
+    axis.plot(trace.t[rows], 1e3 * made[rows], color=color, linewidth=1.5)
     axis.axhline(0.0, color="#5b6b7a", linewidth=0.8)
     approach = summary.get("approach_energy")
     if approach and float(np.abs(made).max()) > 0.2 * CLOSE * approach:
-        second = axis.secondary_yaxis(
-            "right",
-            functions=(lambda mj: 0.1 * mj / approach, lambda share: 10.0 * share * approach),
-        )
+        ways = (lambda mj: 0.1 * mj / approach, lambda share: 10.0 * share * approach)
+        second = axis.secondary_yaxis("right", functions=ways)
         second.set_ylabel("% of the approach")
     axis.set(xlabel="time [s]", ylabel="energy [mJ]", xlim=(trace.t[rows[0]], trace.t[rows[-1]]))
     return figure

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from hiltestbed.analysis.assessment import assess, identified, monitored
 from hiltestbed.process.output import console
+from hiltestbed.run_folder.notebook import number
 
 if TYPE_CHECKING:
     from hiltestbed.process.doctor import Examined
@@ -21,9 +22,7 @@ if TYPE_CHECKING:
 def print_run(
     summary: dict[str, Any], folder: Path, recording: bool = True, elapsed: float | None = None
 ) -> None:
-    """Prints the summary of a run and its folder to standard output; ``elapsed`` [s]: duration of
-    the whole command.
-    """
+    """Prints a run's summary and folder; ``elapsed`` [s]: duration of the whole command."""
     screen = console()
     screen.print(_figures(summary, elapsed))
     for warning in assess(summary).warnings:
@@ -52,36 +51,35 @@ def print_lines(title: str, lines: list[tuple[str, str]], folder: Path | None) -
     table.add_column("value", justify="right")
     for label, value in lines:
         table.add_row(label, value)
-    screen = console()
-    screen.print(table)
-    if folder is not None:
-        screen.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+    console().print(table)
+    _print_path("report", folder)
 
 
 def print_table(
     title: str, header: Sequence[str], rows: Sequence[Sequence[str]], folder: Path | None
 ) -> None:
-    """Prints rows of cells below a header, and the path of their report if there is one, to
-    standard output.
-    """
+    """Prints rows of cells below a header, and the path of their report if there is one."""
     table = _table(title)
     for name, cells in zip(header, zip(*rows, strict=True), strict=True):
         words = any(cell[:1].isalpha() for cell in cells)
         table.add_column(escape(name), justify="left" if words else "right", overflow="fold")
     for row in rows:
         table.add_row(*map(escape, row))
-    screen = console()
-    screen.print(table)
-    if folder is not None:
-        screen.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+    console().print(table)
+    _print_path("report", folder)
+
+
+def _print_path(what: str, path: Path | None) -> None:
+    """Prints the path of a page, or of the report in a folder, if there is one."""
+    if path is not None:
+        page = path / "report.html" if what == "report" else path
+        console().print(f"{what}: {page}", soft_wrap=True, markup=False)
 
 
 def print_comparison(
     names: Sequence[str], rows: Sequence[Sequence[str]], page: Path | None
 ) -> None:
-    """Prints runs side by side to standard output; one below the other where the terminal is too
-    narrow for whole words.
-    """
+    """Prints runs side by side, or one below the other if words do not fit the terminal."""
     screen = console()
     widths = _whole_words(list(zip(("", *names), *rows, strict=True)), screen.width)
     if widths:
@@ -94,15 +92,9 @@ def print_comparison(
     else:
         screen.print("[bold]runs side by side[/bold]")
         for key, *values in rows:
-            screen.print(
-                key,
-                *(f"  {name}: {value}" for name, value in zip(names, values, strict=True)),
-                sep="\n",
-                soft_wrap=True,
-                markup=False,
-            )
-    if page is not None:
-        screen.print(f"page: {page}", soft_wrap=True, markup=False)
+            lines = [f"  {name}: {value}" for name, value in zip(names, values, strict=True)]
+            screen.print(key, *lines, sep="\n", soft_wrap=True, markup=False)
+    _print_path("page", page)
 
 
 def print_doctor(findings: Sequence[Examined]) -> None:
@@ -122,15 +114,13 @@ def print_doctor(findings: Sequence[Examined]) -> None:
 def print_sweep(about: dict[str, Any], folder: Path) -> None:
     """Prints the outcome of a campaign and its results folder to standard output."""
     wall = about["wall"]
+    counts = sorted(about["counts"].items(), key=lambda item: -item[1])
     lines = [
-        (status, str(count))
-        for status, count in sorted(about["counts"].items(), key=lambda item: -item[1])
+        *((status, str(count)) for status, count in counts),
+        ("last session", f"{wall['last_session_cases']} cases in {wall['last_session']:.1f} s"),
+        ("engine", f"{about['engine']}, chunks of {about['chunk']}"),
+        ("results", str(folder / "cases.parquet")),
     ]
-    lines.append(
-        ("last session", f"{wall['last_session_cases']} cases in {wall['last_session']:.1f} s")
-    )
-    lines.append(("engine", f"{about['engine']}, chunks of {about['chunk']}"))
-    lines.append(("results", str(folder / "cases.parquet")))
     print_lines(f"{about['name']}: {about['cases']} cases, {about['status']}", lines, folder)
 
 
@@ -141,36 +131,28 @@ def print_diagnosis(result: dict[str, Any], folder: Path) -> None:
         f"[bold]{escape(result['name'])}: {result['verdict']}[/bold]\n{escape(result['sentence'])}",
         soft_wrap=False,
     )
-    for text in result["overridden"]:
-        screen.print(text, markup=False)
+    lines = list(result["overridden"])
     heldout, loop = result["heldout"], result["closed_loop"]
     if heldout:
         low, high = (100.0 * v for v in heldout["ci95"])
         gain = f"{100.0 * heldout['reduction']:.4g} % ({low:.4g} to {high:.4g} %)"
         if heldout["placebo_reduction"] is not None:
             gain += f"; with a wrong effect by {100.0 * heldout['placebo_reduction']:.3g} %"
-        screen.print(f"residual on runs that were not fitted: lower by {gain}", markup=False)
+        lines.append(f"residual on runs that were not fitted: lower by {gain}")
     if result["partial"]["sentence"]:
-        screen.print(result["partial"]["sentence"], markup=False)
+        lines.append(result["partial"]["sentence"])
     if result["learned"]:
-        screen.print(result["learned"]["sentence"], markup=False)
-    cor = [
-        ", ".join(_number(v, 4) for v in loop[f"cor_{source}"])
-        for source in ("measured", "nominal", "extended")
-    ]
+        lines.append(result["learned"]["sentence"])
     if any(v is not None for v in loop["cor_measured"]):
-        screen.print(
-            "coefficient of restitution, run by run:\n  measured  "
-            + cor[0]
-            + "\n  nominal   "
-            + cor[1],
-            markup=False,
-        )
-        if result["extended_scenario"]:
-            screen.print(f"  extended  {cor[2]}", markup=False)
+        lines.append("coefficient of restitution, run by run:")
+        sources = ("measured", "nominal", *(["extended"] if result["extended_scenario"] else []))
+        for source in sources:
+            lines.append(f"  {source:9s} {', '.join(number(v) for v in loop[f'cor_{source}'])}")
     if result["next_experiment"]:
-        screen.print(f"next experiment: {result['next_experiment']}", markup=False)
-    screen.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)
+        lines.append(f"next experiment: {result['next_experiment']}")
+    for line in lines:
+        screen.print(line, markup=False)
+    _print_path("report", folder)
 
 
 def _whole_words(columns: Sequence[Sequence[str]], room: int) -> list[int] | None:
@@ -197,50 +179,34 @@ def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
     table.add_column("note")
     table.add_row("outcome", summary["outcome"].replace("_", " "), _outcome_note(summary))
     cor, reference, log_error = summary["cor"], summary["cor_reference"], summary["cor_log_error"]
-    table.add_row("coefficient of restitution", _number(cor, 4), _cor_note(cor, reference))
+    table.add_row("coefficient of restitution", number(cor, 4), _cor_note(cor, reference))
     if log_error is not None:
         table.add_row("  ln of the ratio", f"{log_error:+.4f}", _error_note(summary))
     elif (along := summary.get("cor_normal")) is not None:
-        reference = _number(summary.get("cor_normal_reference"), 4)
-        table.add_row(
-            "  along the impulse",
-            _number(along, 4),
-            f"of the first contact, speed after over before; reference {reference}",
-        )
-    table.add_row(
-        "energy made by the rig",
-        _number(summary["energy_generated"], 4, "J"),
-        assess(summary).energy,
-    )
+        reference = number(summary.get("cor_normal_reference"))
+        note = f"of the first contact, speed after over before; reference {reference}"
+        table.add_row("  along the impulse", number(along), note)
+    made = number(summary["energy_generated"], 4, "J")
+    table.add_row("energy made by the rig", made, assess(summary).energy)
     stability = summary.get("stability")
     if stability:
         judged = {True: "stable", False: "unstable", None: "not judged"}[stability["stable"]]
-        table.add_row(
-            "the loop in contact",
-            judged,
-            stability["verdict"].removeprefix(f"{judged}: ").removeprefix(f"{judged} "),
-        )
-    table.add_row("peak force", _number(summary["peak_force"], 4, "N"), "")
-    table.add_row(
-        "contact time",
-        _number(summary["contact_duration"], 4, "s"),
-        "" if summary["contact_duration"] else "the ports did not touch",
-    )
+        why = stability["verdict"].removeprefix(f"{judged}: ").removeprefix(f"{judged} ")
+        table.add_row("the loop in contact", judged, why)
+    table.add_row("peak force", number(summary["peak_force"], 4, "N"), "")
+    lasted = summary["contact_duration"]
+    missed = "" if lasted else "the ports did not touch"
+    table.add_row("contact time", number(lasted, 4, "s"), missed)
     if (seen := monitored(summary)) is not None:
         table.add_row("process monitoring", *seen)
     timing = summary["timing"]
-    pace = (
-        ""
-        if timing["real_time_factor"] is None
-        else f", {timing['real_time_factor']:.1f} times real time"
-    )
-    table.add_row(
-        "time in the loop", _number(timing["wall"], 3, "s"), f"{timing['ticks']} ticks{pace}"
-    )
+    pace, factor = f"{timing['ticks']} ticks", timing["real_time_factor"]
+    if factor is not None:
+        pace += f", {factor:.1f} times real time"
+    table.add_row("time in the loop", number(timing["wall"], 3, "s"), pace)
     if elapsed is not None:
-        table.add_row(
-            "total time", _number(elapsed, 3, "s"), "with start, compiling, reference and files"
-        )
+        note = "with start, compiling, reference and files"
+        table.add_row("total time", number(elapsed, 3, "s"), note)
     return table
 
 
@@ -285,10 +251,7 @@ def _identified(axes: dict[str, dict[str, Any]]) -> Table:
     for heading in ("k ± sd", "true", "error", "c ± sd", "true", "error"):
         table.add_column(heading, justify="right", no_wrap=True)
     for axis, values in axes.items():
-        cells = [
-            cell for quantity in ("stiffness", "damping") for cell in against(values, quantity)
-        ]
-        table.add_row(axis, *cells)
+        table.add_row(axis, *against(values, "stiffness"), *against(values, "damping"))
     return table
 
 
@@ -304,14 +267,8 @@ def _table(title: str, header: bool = True) -> Table:
 
 
 def against(values: Mapping[str, Any], quantity: str) -> tuple[str, str, str]:
-    """An identified quantity with its standard deviation, the true value, and the error in per
-    cent, as cells.
-    """
+    """An identified quantity with its sd, the true value, and the error in per cent, as cells."""
     value, true, sd = (values.get(quantity + part) for part in ("", "_true", "_sd"))
     error = "" if value is None or not true else f"{100.0 * (value / true - 1.0):+z.2f} %"
     sure = "" if value is None or sd is None else f" ± {sd:.0f}" if sd >= 10.0 else f" ± {sd:.2g}"
-    return _number(value, 6) + sure, _number(true, 6), error
-
-
-def _number(value: float | None, digits: int, unit: str = "") -> str:
-    return "-" if value is None else f"{value:.{digits}g} {unit}".rstrip()
+    return number(value, 6) + sure, number(true, 6), error

@@ -15,9 +15,7 @@ FIGURES_APART: ContextVar[bool] = ContextVar("figures_apart", default=False)
 
 
 def parquet_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """The table in a Parquet file, or some of its ``columns``. Arrow itself opens only files whose
-    names are UTF-8.
-    """
+    """The table in a Parquet file, or some ``columns``; Arrow itself opens only UTF-8 names."""
     import pyarrow.parquet as pq
 
     with path.open("rb") as file:

@@ -119,9 +119,7 @@ def _not_writable(path: Path, why: str | None) -> InputError:
 
 
 def _swap(beside: Path, path: Path) -> None:
-    """Move the finished folder into place; an earlier one is moved away first, so that ``path``
-    never contains a mixture.
-    """
+    """Move the finished folder into place, an earlier one away first: never a mixture."""
     if path.exists():
         old = Path(tempfile.mkdtemp(prefix=".hiltestbed.", suffix=".old", dir=path.parent))
         os.rename(path, old / path.name)
@@ -158,18 +156,16 @@ def write_run(run: Run, path: str | Path, *, rerun: bool = True, report: bool = 
 
                 write_recording(folder / RECORDING, run)
         if report:
-            from hiltestbed.report.run import REPORT, write_run_report
+            from hiltestbed.report.run import REPORT, run_report
 
-            write_run_report(run, folder / REPORT)
+            run_report(run).write(folder / REPORT)
         if run.failure is not None:
             np.savez(folder / FAILURE, **flatten(run.failure))  # type: ignore[arg-type]
     return path
 
 
 def _with_models(scenario: Scenario, folder: Path) -> dict[str, Any]:
-    """The resolved scenario; the user's models are copied into ``folder``, and their keys name the
-    copies.
-    """
+    """The resolved scenario; the user's models are copied to ``folder``, their keys name copies."""
     data = resolved(scenario)
     for path, (file, kind) in user_files(scenario).items():
         put(data, path, keep_file(file, kind, folder, dotted(path)))
@@ -207,9 +203,7 @@ def read_run(path: str | Path) -> Run:
 
 
 def _scenario_of(path: Path, summary: dict[str, Any]) -> Scenario:
-    """The scenario of a run folder. Raises InputError; it names the plugins of the run that are not
-    loaded.
-    """
+    """The scenario of a run folder. Raises InputError, which names plugins that are not loaded."""
     try:
         return load_scenario(path / SCENARIO)
     except InputError as error:
@@ -232,9 +226,7 @@ def _read_failure(path: Path) -> Snapshot | None:
 
 
 def write_trace(trace: RunTrace, path: Path) -> None:
-    """One row per tick; the metadata of each field have unit, frame and meaning. The same rows give
-    the same bytes.
-    """
+    """One row per tick; fields have unit, frame, meaning. The same rows give the same bytes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -258,9 +250,7 @@ def write_trace(trace: RunTrace, path: Path) -> None:
 
 
 def _buffer(values: np.ndarray) -> pa.Buffer:
-    """A column as Arrow has it in memory. ``pa.array`` makes the same of it, but imports pandas
-    first: a quarter of a second.
-    """
+    """A column as Arrow has it; ``pa.array`` does the same but imports pandas: 0.25 s."""
     import pyarrow as pa
 
     return pa.py_buffer(

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from hiltestbed.config.validation import Problem, Strictly
-from hiltestbed.config.yaml_source import KeyPath
+from hiltestbed.config.yaml_source import KeyPath, dotted
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -28,9 +28,7 @@ def given_in_vain(scenario: Scenario) -> Iterator[tuple[tuple[str, ...], str]]:
     resolved = scenario.model_fields_set >= set(type(scenario).model_fields)
     by_reason: dict[str, list[str]] = {}
     for path, why in idle_keys(scenario):
-        by_reason.setdefault(why, []).extend(
-            ".".join(map(str, key)) for key in _given(scenario, path, resolved)
-        )
+        by_reason.setdefault(why, []).extend(map(dotted, _given(scenario, path, resolved)))
     yield from ((tuple(dict.fromkeys(keys)), why) for why, keys in by_reason.items() if keys)
 
 
@@ -73,11 +71,7 @@ def _default(owner: Any, default: Any, part: Any) -> Any:
     """The value at ``part`` if nothing is given: from the section's default, or from its class."""
     if type(default) is type(owner) and default is not None:
         return default[part] if isinstance(owner, tuple) else getattr(default, str(part))
-    if isinstance(owner, Strictly):
-        field = type(owner).model_fields[str(part)]
-        return (
-            None
-            if field.is_required()
-            else field.get_default(call_default_factory=True, validated_data={})
-        )
-    return None
+    field = type(owner).model_fields[str(part)] if isinstance(owner, Strictly) else None
+    if field is None or field.is_required():
+        return None
+    return field.get_default(call_default_factory=True, validated_data={})

@@ -51,15 +51,11 @@ class SafetyLimits(Strictly):
 
     def idle(self, scenario: ScenarioLike) -> Iterator[Problem]:
         platform = scenario.rig.platform
-        if platform.states_limits:
-            yield (
-                ("limb_angle_deg",),
-                f"a platform of kind {platform.kind} has no 3-3 PSS limbs; leave it out",
-            )
-            for name in ("stroke", "speed", "acceleration"):
-                if getattr(self, name) is not None:
-                    why = (
-                        f"the joints of a platform of kind {platform.kind} have their own "
-                        f"limits, which this number does not change"
-                    )
-                    yield (name,), f"{why}; null switches them off; otherwise leave it out"
+        if not platform.states_limits:
+            return
+        kind = f"a platform of kind {platform.kind}"
+        yield ("limb_angle_deg",), f"{kind} has no 3-3 PSS limbs; leave it out"
+        why = f"the joints of {kind} have their own limits, which this number does not change"
+        for name in ("stroke", "speed", "acceleration"):
+            if getattr(self, name) is not None:
+                yield (name,), f"{why}; null switches them off; otherwise leave it out"

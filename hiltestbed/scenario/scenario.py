@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
 from hiltestbed import plugins
-from hiltestbed.compensation.section import Compensation
+from hiltestbed.compensation.settings import Compensation
 from hiltestbed.config.gallery import find_scenario
 from hiltestbed.config.mjcf import packed
 from hiltestbed.config.validation import (
     Positive,
+    Problem,
     Strictly,
     UserFile,
     refuse,
@@ -31,15 +32,17 @@ from hiltestbed.config.yaml_source import KeyPath, Source, dump_yaml, read_sourc
 from hiltestbed.contact.resolution import HIGHEST, LEAST, sufficient_rate
 from hiltestbed.contact.settings import AnyMechanism
 from hiltestbed.devices.section import Devices
+from hiltestbed.effects.base import repeated
 from hiltestbed.effects.table import AnyEffect
 from hiltestbed.identification.settings import IDENTIFIERS, AnyIdentifier
 from hiltestbed.numerical_model.settings import MODELS, AnyModel
 from hiltestbed.platform.settings import Rig
-from hiltestbed.scenario.checks import problems
 from hiltestbed.scenario.monitoring import Monitoring
 from hiltestbed.scenario.safety import SafetyLimits
 from hiltestbed.scenario.spacecraft import Approach, Spacecraft
 from hiltestbed.sensor.settings import Sensor
+
+TICK_LIMIT = 20_000_000  # a trace of this many rows fills 16 GB
 
 
 class Scenario(Strictly):
@@ -128,10 +131,69 @@ class Scenario(Strictly):
 
     @model_validator(mode="after")
     def _is_possible(self) -> Scenario:
-        refuse(problems(self))
+        refuse(_problems(self))
         if "physics_rate" not in self.model_fields_set:
             object.__setattr__(self, "physics_rate", sufficient_rate(self))
         return self
+
+
+def _problems(scenario: Scenario) -> Iterator[Problem]:
+    """Every fault that concerns several keys together."""
+    from hiltestbed.contact.findings import faults
+
+    yield from _time_problems(scenario)
+    yield from _platform_problems(scenario)
+    yield from _effect_problems(scenario)
+    yield from ((("mechanism",), message) for message in faults(scenario))
+
+
+def _time_problems(scenario: Scenario) -> Iterator[Problem]:
+    rate, physics_rate, duration = scenario.rate, scenario.physics_rate, scenario.duration
+    ratio, ticks, delay = physics_rate / rate, duration * rate, scenario.sensor.delay
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+        near = max(1, round(ratio)) * rate
+        message = (
+            f"does not divide by rate (got {physics_rate:g} Hz over {rate:g} Hz = {ratio:g}); "
+            f"allowed is a whole multiple of rate, such as {near:g}"
+        )
+        yield ("physics_rate",), message
+    if not 1 <= ticks <= TICK_LIMIT:
+        message = (
+            f"is out of range (got {duration:g} s at {rate:g} Hz = {ticks:g} ticks); "
+            f"allowed are 1 to {TICK_LIMIT} ticks"
+        )
+        yield ("duration",), message
+    if delay > duration:
+        message = (
+            f"cannot be held (got {delay:g} s in a run of {duration:g} s); allowed is 0 to the "
+            f"run's duration"
+        )
+        yield ("sensor", "delay"), message
+
+
+def _platform_problems(scenario: Scenario) -> Iterator[Problem]:
+    """A start out of reach, a rate unlike the controller's, incompatible sections."""
+    platform, upper = scenario.rig.platform, scenario.rig.upper
+    if upper.kind != "fixed" and not platform.carries_upper:
+        message = (
+            f"belongs to the 3-3 PSS platform (got {upper.kind!r} with platform kind "
+            f"{platform.kind!r}); allowed is fixed"
+        )
+        yield ("rig", "upper", "kind"), message
+    else:
+        yield from platform.problems(scenario)
+
+
+def _effect_problems(scenario: Scenario) -> Iterator[Problem]:
+    for index, effect in repeated(scenario.effects):
+        message = (
+            f"appears twice, and two effects {effect.kind!r} do not act together; allowed is one: "
+            f"take one of them out"
+        )
+        yield ("effects", index), message
+    for index, effect in enumerate(scenario.effects):
+        if reason := effect.unfit(scenario):
+            yield ("effects", index), reason
 
 
 @plugins.depends
@@ -154,9 +216,7 @@ def load_scenario(path: str | Path, set: Mapping[str, Any] | None = None) -> Sce
 def scenario_from(
     source: Source | Mapping[str, Any], set: Mapping[str, Any] | None = None
 ) -> Scenario:
-    """The scenario from data already read: a `Source`, or a plain dict with the content of a file.
-    Raises InputError.
-    """
+    """The scenario from a `Source`, or a dict with the content of a file. Raises InputError."""
     plugins.load()
     if not isinstance(source, Source):
         source = Source("scenario", dict(source))
@@ -174,9 +234,7 @@ _SPECIMEN = {  # valid values that replace refused ones, so that the other keys 
 
 
 def resolved(scenario: Scenario) -> dict[str, Any]:
-    """The scenario as plain data with every default written out; `scenario_from` restores the same
-    scenario.
-    """
+    """The scenario as plain data with every default written out, from which it is restored."""
     return scenario.model_dump(mode="json")
 
 
@@ -206,10 +264,7 @@ def put(data: Any, path: KeyPath, value: Any) -> None:
 
 
 def scenario_sha256(scenario: Scenario) -> str:
-    """SHA-256 of the resolved form, independent of how the file was written; user's models enter by
-    their content.
-    """
-    canonical = json.dumps(
-        identity(scenario), sort_keys=True, separators=(",", ":"), allow_nan=False
-    )
+    """SHA-256 of the resolved form, with user's files by their content."""
+    same = identity(scenario)
+    canonical = json.dumps(same, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()

@@ -56,9 +56,8 @@ def _inertia_faults(inertia: tuple[float, ...]) -> Iterator[str]:
     import numpy as np
 
     xx, yy, zz, xy, xz, yz = (*inertia, 0.0, 0.0, 0.0)[:6]
-    low, mid, high = (
-        float(p) for p in np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    )
+    tensor = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    low, mid, high = (float(p) for p in np.linalg.eigvalsh(tensor))
     moments = f"principal moments {low:g}, {mid:g}, {high:g}"
     if low <= 0:
         yield f"is not positive definite (got {moments}); allowed are moments > 0"

@@ -7,17 +7,90 @@ electronics filter (nominal low-pass, `sensor.lag`, then the nominal charge leak
 `sensor.highpass`) and add errors that do not depend on the force (`sensor.bias`, `sensor.drift`,
 `sensor.hum`, noise); the conversion then zeroes small forces (`sensor.deadzone`), clips
 (`sensor.saturation`, the nominal range) and quantises.
+
+The filters are of first order; their analogue signal is known at instants a step h apart and linear
+between them. From y' = (u - y)/T, with a = exp(-h/T) and b = (1 - a) T/h, the response to u(t) =
+u_0 + (u_1 - u_0) t/h at the end of the step is y_1 = a y_0 + (b - a) u_0 + (1 - b) u_1. It is
+exact, so that a ramp comes out later by T whatever the step is; held over the step, the signal
+would come out later by only h/(exp(h/T) - 1). The high-pass s T/(1 + s T) is the signal minus its
+low-pass: z_1 = a z_0 + b (u_1 - u_0).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.piecewise import along
-from hiltestbed.sensor.filters import lagged, leaked
+from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
+
+
+def filters_of(scenarios: Sequence[Scenario]) -> tuple[Array, Array]:
+    """(n,) nominal time constants [s] of low-pass, 0: none, and high-pass, infinite: none."""
+    sensors = [s.sensor for s in scenarios]
+    low = [0.0 if s.lowpass is None else 1.0 / (2.0 * math.pi * s.lowpass) for s in sensors]
+    high = [math.inf if s.time_constant is None else s.time_constant for s in sensors]
+    return np.array(low), np.array(high)
+
+
+def low_pass(time_constant: ArrayLike, step: float) -> Array:
+    """``(..., 2)`` weights per step [s] of the signal at its end, 1 - b, and at its start, b - a;
+    time constant [s], 0: none.
+    """
+    a, b = _decay(time_constant, step)
+    return np.stack([1.0 - b, b - a], axis=-1)
+
+
+def high_pass(time_constant: ArrayLike, step: float) -> Array:
+    """``(..., 2)`` factors per step [s] of the output, a, and of the signal's change, b; time
+    constant [s], infinite: none.
+    """
+    return np.stack(_decay(time_constant, step), axis=-1)
+
+
+def _decay(time_constant: ArrayLike, step: float) -> tuple[Array, Array]:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = step / np.asarray(time_constant, dtype=float)
+        mean = np.where(ratio > 0.0, -np.expm1(-ratio) / ratio, 1.0)
+    return np.exp(-ratio), mean
+
+
+@njit(cache=True)
+def lagged(y, u, before, weights):
+    """Low-passed at the end of a step; ``y``, ``before``: output and signal at its start."""
+    return y + ((u - y) * weights[0] + (before - y) * weights[1])
+
+
+@njit(cache=True)
+def leaked(z, u, before, factors):
+    """The high-passed signal at the end of a step, as in :func:`lagged`."""
+    return factors[0] * z + factors[1] * (u - before)
+
+
+FILTERED = 3  # numbers that :func:`filtered` remembers: low-passed value, its input, high-passed
+
+
+@njit(cache=True)
+def filtered(u, low, high, memory):
+    """A signal ``u`` at the end of a step through a low-pass, with weights ``low``, and then a
+    high-pass, with factors ``high``; ``memory`` (FILTERED,) is changed in place.
+    """
+    before = memory[0]
+    memory[0] = lagged(before, u, memory[1], low)
+    memory[1] = u
+    if high[0] < 1.0:
+        memory[2] = leaked(memory[2], memory[0], before, high)
+        return memory[2]
+    return memory[0]
+
 
 # Rows of a filter stage's memory: output and last input of its low-pass and of its high-pass.
 LOW, LOW_INPUT, HIGH, HIGH_INPUT, MEMORY = range(5)
@@ -86,47 +159,6 @@ def condition(
 
 
 @njit(cache=True)
-def condition_all(
-    t,
-    late,
-    noise,
-    calibration,
-    curve,
-    lag,
-    leak,
-    offset,
-    drift,
-    tone,
-    deadzone,
-    limit,
-    step,
-    memory,
-    out,
-):
-    """:func:`condition` for n runs: late (n, m, 6), noise and out (n, 6), t (n,) [s], memory (n, S,
-    MEMORY, 6).
-    """
-    for i in range(late.shape[0]):
-        condition(
-            late[i],
-            t[i],
-            noise[i],
-            calibration[i],
-            curve[i],
-            lag[i],
-            leak[i],
-            offset[i],
-            drift[i],
-            tone[i],
-            deadzone[i],
-            limit[i],
-            step[i],
-            memory[i],
-            out[i],
-        )
-
-
-@njit(cache=True)
 def filters(lag, leak):
     """Whether a low-pass or a high-pass acts: the reading then depends on the whole tick."""
     return np.any(lag[:, 0] < 1.0) or np.any(leak[:, 0] < 1.0)
@@ -134,9 +166,7 @@ def filters(lag, leak):
 
 @njit(cache=True)
 def passes(calibration, curve, lag, leak, offset, drift, tone, deadzone, limit):
-    """Whether the reading is the wrench, apart from noise and quantisation; see :func:`condition`
-    for the arguments.
-    """
+    """Whether the reading is the wrench, but for noise and quantisation: see :func:`condition`."""
     for j in range(6):
         for i in range(6):
             if calibration[j, i] != (1.0 if i == j else 0.0):

@@ -102,7 +102,7 @@ class ForceSensor:
     @property
     def delay(self) -> float:
         """[s] pure delay, without filters."""
-        return float(self._sensor.chain.numbers.delay[0])
+        return float(self._sensor.numbers.delay[0])
 
     def __call__(self, wrench: Array) -> Array:
         """The reading (6,) now, for the wrench (6,) now; with ``substeps``, (substeps, 6) at the

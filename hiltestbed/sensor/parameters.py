@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hiltestbed.config.piecewise import Pairs, packed
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
-from hiltestbed.sensor.filters import high_pass, low_pass
+from hiltestbed.sensor.chain import high_pass, low_pass
 
 if TYPE_CHECKING:
     from hiltestbed.sensor.settings import Sensor as SensorSettings
@@ -78,13 +78,26 @@ class SensorParameters:
         )
 
     def with_effects(self, effects: Iterable[Effect]) -> SensorParameters:
-        """Apply those of ``effects`` that act on the sensor, in place, and return the same
-        object.
-        """
+        """Apply those of ``effects`` that act on the sensor, in place; returns itself."""
         for effect in effects:
             if effect.link == "sensor":
                 effect.apply(self)
         return self
+
+
+class Elements(NamedTuple):
+    """The elements after the delay, in the order of ``condition``'s arguments."""
+
+    calibration: Array
+    curve: Array
+    lag: Array
+    leak: Array
+    offset: Array
+    drift: Array
+    tone: Array
+    deadzone: Array
+    limit: Array
+    step: Array
 
 
 @dataclass(frozen=True)
@@ -93,7 +106,7 @@ class Chain:
 
     Attributes:
         delay, jitter: (n,). calibration: (n, 6, 6). curve: (n, 6, 1 + 2K) packed. lag, leak: (n,
-            S, 2) weights of the filters per step, see :mod:`hiltestbed.sensor.filters`.
+            S, 2) weights of the filters per step, see :mod:`hiltestbed.sensor.chain`.
         offset, drift: (n, 6). tone: (n, H, 5).
         deadzone, limit, step: (n, 6).
     """
@@ -111,24 +124,9 @@ class Chain:
     limit: Array
     step: Array
 
-    def elements(
-        self,
-    ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
-        """The elements after the delay, in the order of the arguments of
-        :func:`hiltestbed.sensor.chain.condition`.
-        """
-        return (
-            self.calibration,
-            self.curve,
-            self.lag,
-            self.leak,
-            self.offset,
-            self.drift,
-            self.tone,
-            self.deadzone,
-            self.limit,
-            self.step,
-        )
+    def elements(self) -> Elements:
+        """Those after the delay."""
+        return Elements(*(getattr(self, name) for name in Elements._fields))
 
 
 def stack(sensors: Sequence[SensorParameters], step: float) -> Chain:

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.sensor.chain import MEMORY, condition_all, filters
+from hiltestbed.sensor.chain import MEMORY, condition, filters
 from hiltestbed.sensor.parameters import SensorParameters, stack
 
 if TYPE_CHECKING:
@@ -32,56 +32,47 @@ WHOLE = 1e-6
 JITTER_CLIP = 8.0
 
 
-class Chain:
-    """The chains of `n` sensors after the delay: transducer, electronics, converter.
+class _Delay(NamedTuple):
+    """The delay line, in physics steps."""
 
-    Attributes:
-        reading: (n, 6) the last reading [N, N m]. stages: arguments for :func:`condition_all`.
-    """
-
-    def __init__(self, sensors: Sequence[SensorParameters], step: float) -> None:
-        """``step``: [s] between the instants at which the filters see the wrench."""
-        n = len(sensors)
-        self.numbers = stack(sensors, step)
-        stages = max(self.numbers.lag.shape[1], self.numbers.leak.shape[1])
-        self._memory = np.zeros((n, stages, MEMORY, 6))
-        self.reading = np.zeros((n, 6))
-        self.stages = (*self.numbers.elements(), self._memory, self.reading)
+    ring: Array  # (n, L, 6)
+    delay: Array  # (n,)
+    jitter: Array  # (n,) standard deviation
+    shake: Array  # (n, BLOCK) random numbers of a block of ticks
+    arrived: Array  # (n, m, 6) the wrench that arrives in a tick
 
 
 class Sensor:
     """The sensors of `n` runs.
 
     Attributes:
-        reading: (n, 6) the last reading [N, N m].
+        numbers: of each element. reading: (n, 6) the last reading [N, N m].
         ring: (n, L, 6) the last L physical wrenches, instant j at slot j modulo L.
         late: (n,) whether a run's delay is never shorter than a physics step: its reading at t_k
             then does not need the wrench at t_k.
     """
 
     def __init__(self, scenarios: Sequence[Scenario], rngs: Sequence[np.random.Generator]) -> None:
-        """``rngs``: one generator per run, so that a run's random numbers do not depend on its
-        batch.
-        """
+        """``rngs``: one per run, so that random numbers do not depend on the batch."""
         n = len(scenarios)
         self.tick = 1.0 / scenarios[0].rate
         self.substeps = round(scenarios[0].physics_rate / scenarios[0].rate)
         physics_step = self.tick / self.substeps
-        self.chain = Chain(
+        self.numbers = stack(
             [SensorParameters.believed(s.sensor).with_effects(s.effects) for s in scenarios],
             physics_step,
         )
-        self.reading = self.chain.reading
+        stages = max(self.numbers.lag.shape[1], self.numbers.leak.shape[1])
+        memory, self.reading = np.zeros((n, stages, MEMORY, 6)), np.zeros((n, 6))
         self.noise_level = np.array(
             [[s.sensor.noise] * 3 + [s.sensor.torque_noise] * 3 for s in scenarios]
         )
-        delay, jitter = self.chain.numbers.delay, self.chain.numbers.jitter
+        delay, jitter = self.numbers.delay, self.numbers.jitter
         longest = float(np.max(delay + JITTER_CLIP * jitter))
         self._delay_steps = delay / physics_step
         self._jitter_steps = jitter / physics_step
         self.late = self._delay_steps - JITTER_CLIP * self._jitter_steps > 1.0 - WHOLE
         self.ring = np.zeros((n, math.ceil(longest / physics_step) + self.substeps + 2, 6))
-        self._arrived, self._time = np.zeros((n, self.substeps, 6)), np.zeros(n)
         # separate streams: noise does not shift jitter, nor jitter noise
         self._streams = [rng.spawn(2) for rng in rngs]
         self._noise = np.zeros((n, BLOCK, 6))
@@ -89,20 +80,10 @@ class Sensor:
         self._noisy = np.flatnonzero(self.noise_level.any(axis=1))
         self._jittery = np.flatnonzero(jitter)
         self._next_block = 0
-        self._read = Call(
-            _read,
-            ...,
-            self.tick,
-            self.ring,
-            GIVEN,
-            self._delay_steps,
-            self._jitter_steps,
-            self._jitter,
-            self._noise,
-            self._arrived,
-            self._time,
-            *self.chain.stages,
-        )
+        arrived = np.zeros((n, self.substeps, 6))
+        late = _Delay(self.ring, self._delay_steps, self._jitter_steps, self._jitter, arrived)
+        chain = (self.numbers.elements(), memory, self.reading)
+        self._read = Call(_read, ..., self.tick, GIVEN, late, self._noise, *chain)
         self._feel = Call(_feel, ..., self.substeps, self.ring, GIVEN)
 
     def read(self, k: int, wrench_sub: Array) -> Array:
@@ -121,9 +102,7 @@ class Sensor:
         return self.reading
 
     def feel(self, k: int, wrench: Array) -> None:
-        """Supply the wrench (n, 6) at t_k, if it was not yet known in :meth:`read`: for runs that
-        are `late`.
-        """
+        """Supply the wrench (n, 6) at t_k that :meth:`read` did not know: of `late` runs."""
         self._feel.on(wrench)(k)
 
     def _draw(self) -> None:
@@ -136,16 +115,16 @@ class Sensor:
 
 
 @njit(cache=True)
-def _read(k, h, ring, sub, delay, jitter, shake, noise, arrived, t, *stages):
-    """One tick of all sensors: delay, then chain; ``shake`` (n, BLOCK), ``noise`` (n, BLOCK, 6):
-    random numbers of a block of ticks.
-    """
+def _read(k, h, sub, late, noise, e, memory, out):
+    """One tick of all sensors: delay, then the elements ``e``; ``noise`` (n, BLOCK, 6)."""
     row = k % BLOCK
-    lag, leak = stages[2], stages[3]
-    _arrive(k, ring, sub, delay, jitter, shake[:, row], lag, leak, arrived)
-    for i in range(t.shape[0]):
-        t[i] = k * h
-    condition_all(t, arrived, noise[:, row], *stages)
+    _arrive(k, sub, late, e.lag, e.leak)
+    for i in range(sub.shape[0]):
+        condition(
+            late.arrived[i], k * h, noise[i, row], e.calibration[i], e.curve[i], e.lag[i],
+            e.leak[i], e.offset[i], e.drift[i], e.tone[i], e.deadzone[i], e.limit[i], e.step[i],
+            memory[i], out[i],
+        )  # fmt: skip
 
 
 @njit(cache=True)
@@ -157,11 +136,12 @@ def _feel(k, substeps, ring, wrench):
 
 
 @njit(cache=True)
-def _arrive(k, ring, sub, delay, jitter, shake, lag, leak, out):
-    """``out`` (n, m, 6): the wrench at t - delay, interpolated linearly between physics instants,
+def _arrive(k, sub, late, lag, leak):
+    """The wrench that arrives: that at t - delay, interpolated linearly between physics instants,
     for every physics instant t of the tick if a filter needs them, else for the last; ``sub`` is
     stored in the ring buffer.
     """
+    ring, delay, jitter, shake, out = late
     n, m = sub.shape[0], sub.shape[1]
     length = ring.shape[1]
     for i in range(n):
@@ -170,7 +150,7 @@ def _arrive(k, ring, sub, delay, jitter, shake, lag, leak, out):
                 ring[i, (k * m - m + 1 + s) % length, j] = sub[i, s, j]
         lateness = delay[i]
         if jitter[i] > 0.0:
-            lateness += jitter[i] * min(max(shake[i], -JITTER_CLIP), JITTER_CLIP)
+            lateness += jitter[i] * min(max(shake[i, k % BLOCK], -JITTER_CLIP), JITTER_CLIP)
         for s in range(0 if filters(lag[i], leak[i]) else m - 1, m):
             at = k * m - max(lateness, 0.0) - (m - 1 - s)
             whole = round(at)

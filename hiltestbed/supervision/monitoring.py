@@ -70,9 +70,7 @@ class ProcessMonitor:
         self._clock = np.zeros(1, dtype=np.int64)
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
-        """Update with the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n,
-        6)``.
-        """
+        """Update at t_k with wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         self._local.update(wrench, pose, twist)
         time, local = float(self._clock[0]) * self.tick, self._local
         _watch(
@@ -93,9 +91,7 @@ class ProcessMonitor:
         self._clock[0] += 1
 
     def summary(self, i: int, contact: ContactEstimate | None) -> dict[str, Any] | None:
-        """The events of run ``i`` [s], None for one that did not happen, and wear if there are a
-        baseline and a ``contact``.
-        """
+        """Events of run ``i`` [s] or None; wear if there are a baseline and a ``contact``."""
         settings = self._settings[i]
         if settings is None:
             return None
@@ -167,9 +163,7 @@ class Wear:
 def wear(
     baseline: Sequence[ContactEstimate], contact: ContactEstimate, false_alarm_rate: float = 0.01
 ) -> Wear:
-    """Compare a contact with a baseline of at least one contact; the baseline is their weighted
-    mean.
-    """
+    """Compare a contact with a baseline, the weighted mean of one or more contacts."""
     squares, change = 0.0, dict[str, float | None]()
     for name in ("stiffness", "damping"):
         values = np.array([getattr(b, name) for b in baseline])

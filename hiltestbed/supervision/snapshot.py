@@ -18,9 +18,7 @@ INTERVAL = 512  # ticks between two snapshots: copying the state takes as long a
 
 @dataclass
 class Snapshot:
-    """The state of one run before tick ``k``: name of each array that has changed since the start,
-    to this run's part of it.
-    """
+    """State of one run before tick ``k``: this run's part of each array that has changed."""
 
     k: int
     arrays: dict[str, Array]
@@ -47,9 +45,7 @@ class Snapshots:
             self._kept = [*self._kept[-1:], (self._loop.k, changed)]
 
     def failures(self) -> dict[int, Snapshot]:
-        """For each run that has failed, a state from which its failure can be replayed; call after
-        every tick.
-        """
+        """For each failed run, a state from which to replay it; call after every tick."""
         for i in self._loop.trouble.keys() - self._failures.keys():
             k, arrays = self._kept[0]
             runs = len(self._loop.scenarios)
@@ -60,9 +56,7 @@ class Snapshots:
 
 
 def _part(array: Array, i: int, runs: int) -> Array:
-    """Run ``i`` of an array whose leading axis is the run; an array shared by all runs
-    unchanged.
-    """
+    """Run ``i`` of an array whose leading axis is the run; a shared array unchanged."""
     return array[i : i + 1].copy() if array.shape[:1] == (runs,) else array.copy()
 
 

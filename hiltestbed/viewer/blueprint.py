@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,22 +10,26 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.frames import Array
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.viewer import plots, rig, spacecraft
-from hiltestbed.viewer.scales import ACROSS, readable
 
 Point = tuple[float, float, float]
 
 # position of the camera, and the point that it looks at
 SIX_AXES: tuple[Point, Point] = (1.45, -2.75, 0.2), (0.0, 0.0, -0.45)
 NINE_AXES: tuple[Point, Point] = (5.0, -2.8, 1.7), (0.0, 0.0, 0.75)
+CLOSE: tuple[Point, Point] = (0.42, -0.76, -0.2), (0.0, 0.0, 0.01)
 BACKGROUND = (22, 26, 33)
 BEFORE, AFTER = 0.15, 0.35  # [s] shown around the first contact, at least
 LEAST = 0.02  # [s] that the plots show before and after a contact, at least
+MARGIN = 0.06  # of the span, above and below
+# largest spans, in ticks of one power of ten, for which a contact plot labels them; beyond, the
+# next power
+UPWARD, ACROSS = 6.0, 4.5
 SHOWN = 10.0  # [s] playback time of the window, in slow motion if it is shorter
 
 
@@ -36,27 +41,32 @@ class ShownRun:
     trace: RunTrace
     force_scale: float
 
+    def _touches(self) -> tuple[float, float] | None:
+        """[s] first and last instant in contact."""
+        touching = self.trace.t[self.trace.contact]
+        return (float(touching[0]), float(touching[-1])) if len(touching) else None
+
     @property
     def window(self) -> tuple[float, float]:
-        """[s] around the first contact; the whole run if the ports do not touch."""
-        t, contact = self.trace.t, self.trace.contact
-        if not contact.any():
-            return float(t[0]), float(t[-1])
-        first, last = (float(t[i]) for i in np.flatnonzero(contact)[[0, -1]])
+        """[s] around the contacts; the whole run if the ports do not touch."""
+        start, end = float(self.trace.t[0]), float(self.trace.t[-1])
+        if (touches := self._touches()) is None:
+            return start, end
+        first, last = touches
         span = last - first
-        return max(first - max(BEFORE, 0.5 * span), 0.0), min(last + max(AFTER, span), float(t[-1]))
+        return max(first - max(BEFORE, 0.5 * span), 0.0), min(last + max(AFTER, span), end)
 
     @property
     def shown(self) -> tuple[float, float]:
-        """[s] that the plots show: the contact and a quarter of its duration on each side; the
+        """[s] that the plots show: the contacts and a quarter of their duration on each side; the
         whole run if the ports do not touch.
         """
-        t, contact = self.trace.t, self.trace.contact
-        if not contact.any():
-            return float(t[0]), float(t[-1])
-        first, last = (float(t[i]) for i in np.flatnonzero(contact)[[0, -1]])
+        start, end = float(self.trace.t[0]), float(self.trace.t[-1])
+        if (touches := self._touches()) is None:
+            return start, end
+        first, last = touches
         margin = max(0.25 * (last - first), LEAST)
-        return readable(max(first - margin, 0.0), min(last + margin, float(t[-1])), ACROSS)
+        return readable(max(first - margin, 0.0), min(last + margin, end), ACROSS)
 
 
 def layout(facts: ShownRun) -> rrb.Blueprint:
@@ -82,13 +92,7 @@ def _scenes(facts: ShownRun) -> rrb.Vertical:
     return rrb.Vertical(
         rig_view(facts.run.scenario, "The rig", facts.force_scale),
         rrb.Horizontal(
-            _scene(
-                "At the contact",
-                rig.AT_P,
-                eye=(0.42, -0.76, -0.2),
-                target=(0.0, 0.0, 0.01),
-                contents=[f"/{rig.ROOT}/**"],
-            ),
+            _scene("At the contact", rig.AT_P, *CLOSE, contents=[f"/{rig.ROOT}/**"]),
             _spacecraft(facts),
         ),
         row_shares=[1.7, 1.0],
@@ -99,13 +103,8 @@ def rig_view(scenario: Scenario, name: str, force_scale: float) -> rrb.Spatial3D
     """The rig from between the columns of its frame; ``force_scale`` [m/N] of the arrow."""
     eye, target = NINE_AXES if scenario.rig.upper.kind != "fixed" else SIX_AXES
     contents = [f"/{rig.ROOT}/**", *(f"- /{name}" for name in rig.PORT_NAMES)]
-    return _scene(
-        f"{name} (force arrow: 1 m is {1.0 / force_scale:g} N)",
-        rig.ROOT,
-        eye,
-        target,
-        contents=contents,
-    )
+    title = f"{name} (force arrow: 1 m is {1.0 / force_scale:g} N)"
+    return _scene(title, rig.ROOT, eye, target, contents)
 
 
 def _spacecraft(facts: ShownRun) -> rrb.Spatial3DView:
@@ -136,12 +135,6 @@ def _scene(
     )
 
 
-JOINT_PLOTS = (
-    ("m", "platform/slider_mm", "Sliders of the platform [mm]"),
-    ("rad", "platform/joint_deg", "Joints of the platform [deg]"),
-)
-
-
 def _signals(facts: ShownRun) -> rrb.Tabs:
     return rrb.Tabs(
         _contact(facts),
@@ -151,7 +144,7 @@ def _signals(facts: ShownRun) -> rrb.Tabs:
         rrb.Vertical(
             *(
                 _plot(facts, path, title)
-                for unit, path, title in JOINT_PLOTS
+                for unit, path, _, _, title in plots.JOINTS
                 if unit in facts.trace.joints
             ),
             _plot(
@@ -165,9 +158,7 @@ def _signals(facts: ShownRun) -> rrb.Tabs:
 
 
 def _contact(facts: ShownRun) -> rrb.Vertical:
-    """The axis of insertion, and beside it its stiffness and damping if they have a true value,
-    otherwise the lateral forces.
-    """
+    """The insertion; beside it stiffness and damping if they are known, else lateral forces."""
     trace = facts.trace
     if facts.run.summary["identification"]["z"]["stiffness_true"] is not None:
         beside = [
@@ -257,9 +248,7 @@ def _phases(facts: ShownRun) -> rrb.StateTimelineView:
 
 
 def _range(facts: ShownRun, values: Array) -> tuple[float, float] | None:
-    """Range of values ``(ticks, ...)`` in the window; None if there is none, and the viewer then
-    chooses.
-    """
+    """Range of values ``(ticks, ...)`` in the window; None: none, and the viewer chooses."""
     start, end = facts.shown
     shown = values[(facts.trace.t >= start) & (facts.trace.t <= end)]
     shown = shown[np.isfinite(shown)]
@@ -267,9 +256,7 @@ def _range(facts: ShownRun, values: Array) -> tuple[float, float] | None:
 
 
 def _estimate_range(facts: ShownRun, name: str) -> tuple[float, float] | None:
-    """Range of the later estimates and the true value: the first few estimates of a contact may be
-    far off.
-    """
+    """Range of later estimates and the true value: the first of a contact may be far off."""
     values: Array = facts.trace[f"{name}_est"][:, 2]
     values = values[np.isfinite(values)]
     truth = facts.run.summary["identification"]["z"][f"{name}_true"]
@@ -280,3 +267,28 @@ def _estimate_range(facts: ShownRun, name: str) -> tuple[float, float] | None:
     low, high = min(shown), max(shown)
     margin = max(0.25 * (high - low), 0.02 * abs(high), 1e-9)
     return readable(low - margin, high + margin)
+
+
+def readable(low: float, high: float, most: float = UPWARD) -> tuple[float, float]:
+    """The range from ``low`` to ``high`` with a margin, widened at the nearer end until two
+    multiples of the labelled step lie in it: the viewer places ticks only at powers of ten.
+    """
+    span = high - low
+    if not span > 0.0:
+        span = max(abs(high), 1e-9)
+    low, high = low - MARGIN * span, high + MARGIN * span
+    step = 10.0 ** math.floor(math.log10(high - low))
+    if high - low > most * step:
+        step *= 10.0
+    while ticks(low, high, step) < 2:
+        below, above = (math.ceil(low / step) - 1) * step, (math.floor(high / step) + 1) * step
+        if low - below < above - high:
+            low = below - MARGIN * step
+        else:
+            high = above + MARGIN * step
+    return low, high
+
+
+def ticks(low: float, high: float, step: float) -> int:
+    """How many multiples of ``step`` lie between ``low`` and ``high``."""
+    return max(0, math.floor(high / step) - math.ceil(low / step) + 1)

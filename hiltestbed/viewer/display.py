@@ -52,9 +52,7 @@ def has_display() -> bool:
 
 
 def viewer_binary() -> Path:
-    """The viewer binary of rerun-sdk. The `rerun` script is not used: if it is terminated, its
-    viewer keeps running.
-    """
+    """The viewer binary of rerun-sdk; a `rerun` script that is ended leaves its viewer running."""
     spec = find_spec("rerun_cli")
     binary = (
         Path(spec.origin).with_name("rerun.exe" if sys.platform == "win32" else "rerun")

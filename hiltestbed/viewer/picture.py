@@ -109,9 +109,7 @@ def _instants(trace: RunTrace) -> NDArray[np.intp]:
 def _frames(
     scene: RigScene, trace: RunTrace, rows: NDArray[np.intp]
 ) -> list[tuple[Array, Array, NDArray[np.bool_]]]:
-    """Of each row: triangles (t, 3, 3) in W, their colours (t, 4), and which belong to the
-    mechanisms.
-    """
+    """Of each row: triangles (t, 3, 3) in W, colours (t, 4), which belong to the mechanisms."""
     pose = trace["pose_act"][rows]
     pose_P = scene.port_poses(rows, trace["pose_cmd"], pose)
     poses = scene.body_poses(pose, pose_P, scene.strokes(trace, rows))

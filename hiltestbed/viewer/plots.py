@@ -10,21 +10,23 @@ from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
-from hiltestbed.analysis.energy import energy_generated
+from hiltestbed.analysis.assessment import UNSURE
+from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.frames import Array, rotation_vectors
 from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import AXES, RunTrace
 from hiltestbed.viewer import colors
-from hiltestbed.viewer.sureness import unsure
 
 ROOT = "signals"
 XYZ = "xyz"
 LINE_WIDTHS = (4.0, 1.5, 1.5)  # line widths: the reference is a wide line beneath the others
-JOINTS = (  # path, unit in the trace, name of a curve, scale factor
-    ("platform/slider_mm", "m", "slider {j} [mm]", 1e3),
-    ("platform/joint_deg", "rad", "joint {j} [deg]", 180.0 / np.pi),
+JOINTS = (  # unit in the trace, path, name of a curve, scale factor, title
+    ("m", "platform/slider_mm", "slider {j} [mm]", 1e3, "Sliders of the platform [mm]"),
+    ("rad", "platform/joint_deg", "joint {j} [deg]", 180.0 / np.pi, "Joints of the platform [deg]"),
 )
+CHECKED = 300  # rows at which an estimate is compared with its past
 PHASE = f"{ROOT}/contact_phase"
 PHASES = {
     "approach": ("Approach", (84, 96, 116)),
@@ -50,9 +52,7 @@ class Plotter:
         values: Array,
         widths: Sequence[float] = (),
     ) -> None:
-        """Curves ``values`` (ticks, curves) under one entity; a wide curve stays visible beneath a
-        narrow one.
-        """
+        """Curves ``values`` (ticks, curves) of one entity; wide ones show beneath narrow ones."""
         style = rr.SeriesLines(
             names=list(names), colors=list(palette), widths=list(widths) or [1.5] * len(names)
         )
@@ -64,8 +64,7 @@ class Plotter:
 def send_signals(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
     """All plots of a run."""
     plotter = Plotter(rec, trace.t)
-    _poses(plotter, trace)
-    _wrenches(plotter, trace)
+    _axes(plotter, trace)
     _estimates(plotter, run, trace)
     _platform(plotter, trace)
     energy = energy_generated(trace, run.scenario)
@@ -75,89 +74,85 @@ def send_signals(rec: rr.RecordingStream, run: Run, trace: RunTrace) -> None:
     send_phases(rec, run, trace)
 
 
-def _poses(plotter: Plotter, trace: RunTrace) -> None:
-    names, palette = ("desired", "reached"), (colors.DESIRED, colors.REACHED)
+def _axes(plotter: Plotter, trace: RunTrace) -> None:
+    """Pose and wrench, axis by axis."""
     pair = np.stack([trace["pose_cmd"], trace["pose_act"]], axis=1)
-    turn = np.degrees(rotation_vectors(pair[..., 3:]))
-    for j, axis in enumerate(XYZ):
-        plotter.curves(
-            f"position_mm/{axis}",
-            [f"{n} [mm]" for n in names],
-            palette,
-            1e3 * pair[..., j],
-            LINE_WIDTHS[:2],
-        )
-        plotter.curves(
-            f"attitude_deg/{axis}",
-            [f"{n} [deg]" for n in names],
-            palette,
-            turn[..., j],
-            LINE_WIDTHS[:2],
-        )
-
-
-def _wrenches(plotter: Plotter, trace: RunTrace) -> None:
-    names, palette = (
-        ("physical", "measured", "used"),
-        (colors.PHYSICAL, colors.MEASURED, colors.USED),
-    )
     triple = np.stack([trace[f"wrench_{kind}"] for kind in ("true", "meas", "comp")], axis=-1)
-    for j, axis in enumerate(XYZ):
-        plotter.curves(
-            f"force/{axis}", [f"{n} [N]" for n in names], palette, triple[:, j], LINE_WIDTHS
-        )
-        plotter.curves(
-            f"torque/{axis}", [f"{n} [N m]" for n in names], palette, triple[:, 3 + j], LINE_WIDTHS
-        )
+    poses = ("desired", "reached"), (colors.DESIRED, colors.REACHED)
+    wrenches = ("physical", "measured", "used"), (colors.PHYSICAL, colors.MEASURED, colors.USED)
+    for path, unit, (names, palette), values in (
+        ("position_mm", "mm", poses, np.moveaxis(1e3 * pair[..., :3], -1, 0)),
+        (
+            "attitude_deg",
+            "deg",
+            poses,
+            np.moveaxis(np.degrees(rotation_vectors(pair[..., 3:])), -1, 0),
+        ),
+        ("force", "N", wrenches, np.moveaxis(triple[:, :3], 1, 0)),
+        ("torque", "N m", wrenches, np.moveaxis(triple[:, 3:], 1, 0)),
+    ):
+        labels = [f"{name} [{unit}]" for name in names]
+        for axis, curves in zip(XYZ, values, strict=True):
+            plotter.curves(f"{path}/{axis}", labels, palette, curves, LINE_WIDTHS[: len(names)])
     less = trace["wrench_meas"][:, :3] - trace["wrench_true"][:, :3]
     plotter.curves("force_error", [f"{axis} [N]" for axis in XYZ], colors.SERIES[:3], less)
 
 
 def _estimates(plotter: Plotter, run: Run, trace: RunTrace) -> None:
-    """Identified stiffness and damping from the first estimate on, bright once settled, with their
-    true values if known.
-    """
+    """Identified stiffness and damping, bright once settled, with their true values if known."""
     counted = trace.contact if trace.contact.any() else np.ones(len(trace.t), dtype=bool)
     for name, units in (("stiffness", ("N/m", "N m/rad")), ("damping", ("N s/m", "N m s/rad"))):
         for j, axis in enumerate(AXES):
             unit, values = units[j // 3], trace[f"{name}_est"][:, j]
             known = np.flatnonzero(np.isfinite(values))
+            path = f"{name}/{axis}"
             if len(known):
                 later, since = Plotter(plotter.rec, trace.t[known[0] :]), slice(known[0], None)
-                sure = np.where(unsure(values, counted), np.nan, values)[since]
-                later.curves(
-                    f"{name}/{axis}/identified",
-                    [f"identified [{unit}]"],
-                    [colors.UNSURE],
-                    values[since, None],
-                )
+                sure = np.where(unsure(values, counted), np.nan, values)[since, None]
+                shade, label = [colors.UNSURE], [f"identified [{unit}]"]
+                later.curves(f"{path}/identified", label, shade, values[since, None])
                 if np.isfinite(sure).any():
-                    later.curves(
-                        f"{name}/{axis}/identified_surely",
-                        [f"settled [{unit}]"],
-                        [colors.ESTIMATE],
-                        sure[:, None],
-                        [2.0],
-                    )
+                    shade, label = [colors.ESTIMATE], [f"settled [{unit}]"]
+                    later.curves(f"{path}/identified_surely", label, shade, sure, [2.0])
             truth = run.summary["identification"][axis][f"{name}_true"]
             if truth is not None:
-                ends = Plotter(plotter.rec, trace.t[[0, -1]])
-                ends.curves(
-                    f"{name}/{axis}/true", [f"true [{unit}]"], [colors.TRUE], np.full((2, 1), truth)
-                )
+                ends, label = Plotter(plotter.rec, trace.t[[0, -1]]), [f"true [{unit}]"]
+                ends.curves(f"{path}/true", label, [colors.TRUE], np.full((2, 1), truth))
+
+
+def unsure(values: Array, counted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """``(rows,)`` where an estimate ``values`` ``(rows,)`` has changed by more than a tenth over
+    the second half of its samples.
+
+    The difference of the estimate from n samples and that from the first n/2 of them has the
+    variance of the estimate itself: nested efficient estimates have Var(a_(n/2) - a_n) =
+    Var(a_(n/2)) - Var(a_n), which is Var(a_n) if the variance falls as 1/n.
+
+    ``counted`` ``(rows,)``: rows that contributed a sample; between these rows the result is held.
+    Rows without an estimate are unsure.
+    """
+    known = np.isfinite(values)
+    rows = np.flatnonzero(counted & known)
+    out = np.ones(len(values), dtype=bool)
+    if not len(rows):
+        return out
+    places = np.unique(np.linspace(0, len(rows) - 1, CHECKED).astype(int))
+    samples = values[rows]
+    doubt = np.array(
+        [np.ptp(samples[p // 2 : p + 1]) > UNSURE * abs(samples[p]) or p == 0 for p in places]
+    )
+    at = np.searchsorted(rows[places], np.arange(len(values)), side="right") - 1
+    out[at >= 0] = doubt[at[at >= 0]]
+    return out | ~known
 
 
 def _platform(plotter: Plotter, trace: RunTrace) -> None:
-    for path, unit, name, factor in JOINTS:
+    for unit, path, name, factor, _ in JOINTS:
         which = [j for j, u in enumerate(trace.joints) if u == unit]
         if which and "slider_act" in trace.data:
             shades = [colors.SERIES[j % len(colors.SERIES)] for j in range(len(which))]
-            plotter.curves(
-                path,
-                [name.format(j=j) for j in which],
-                shades,
-                factor * trace["slider_act"][:, which],
-            )
+            names = [name.format(j=j) for j in which]
+            plotter.curves(path, names, shades, factor * trace["slider_act"][:, which])
     behind = np.zeros((len(trace.t), 3))  # pose_cmd[k] is the target for row k + 1
     behind[1:] = 1e3 * (trace["pose_act"][1:, :3] - trace["pose_cmd"][:-1, :3])
     plotter.curves(

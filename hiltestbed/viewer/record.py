@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from hiltestbed.analysis.assessment import assess, monitored
 from hiltestbed.run_folder.result import Run
 from hiltestbed.signals import RunTrace
 from hiltestbed.viewer import spacecraft
 from hiltestbed.viewer.blueprint import ShownRun, layout
-from hiltestbed.viewer.file import recording_file
-from hiltestbed.viewer.forces import force_scale, send_force
-from hiltestbed.viewer.frames import frame_rows
+from hiltestbed.viewer.drawing import force_scale, recording_file, send_force
 from hiltestbed.viewer.plots import send_signals
 from hiltestbed.viewer.rig import CONTACT_FORCE, RigScene
-from hiltestbed.viewer.text import figures
 
+# [Hz] frame rates out of contact and in contact, which lasts a few hundredths of a second
+FREE, CONTACT = 60.0, 240.0
 FORCE_PART = 0.6  # of a spacecraft's height, at most: the largest force drawn on it
 
 
 def write_recording(path: Path, run: Run) -> None:
     """Write ``run`` as a recording with its layout.
 
-    Bodies and forces are drawn at selected frames (:mod:`hiltestbed.viewer.frames`); signals are
+    Bodies and forces are drawn at selected frames (:func:`frame_rows`); signals are
     included for every tick.
 
     Raises:
@@ -73,12 +74,84 @@ def _peak(trace: RunTrace) -> float:
 
 
 def _felt(trace: RunTrace) -> NDArray[np.float64]:
-    """(rows, 6) the contact wrench; in a run with real devices, which do not measure it, the
-    sensor's.
-    """
+    """(rows, 6) the contact wrench; with real devices, which do not measure it, the sensor's."""
     return trace["wrench_meas"] if np.isnan(trace["wrench_true"]).all() else trace["wrench_true"]
 
 
 def _identity(run: Run) -> str:
     """Recording id: the same for the same run."""
     return f"{run.summary['name']}-{run.summary['scenario_sha256'][:12]}"
+
+
+def frame_rows(trace: RunTrace, rate: float) -> NDArray[np.intp]:
+    """Rows at FREE, in contact at CONTACT, first, last, the largest force; finite poses only."""
+    ticks = len(trace.t)
+    drawn = np.zeros(ticks, dtype=bool)
+    drawn[_every(ticks, rate / FREE)] = True
+    close = _every(ticks, rate / CONTACT)
+    drawn[close[trace.contact[close]]] = True
+    drawn[[0, -1]] = True
+    force = np.linalg.norm(trace["wrench_true"][:, :3], axis=1)
+    if trace.contact.any():
+        drawn[int(np.argmax(np.where(np.isfinite(force), force, 0.0)))] = True
+    return np.flatnonzero(
+        drawn
+        & np.isfinite(trace["pose_act"]).all(axis=1)
+        & np.isfinite(trace["pose_cmd"]).all(axis=1)
+    )
+
+
+def _every(ticks: int, step: float) -> NDArray[np.intp]:
+    """Every ``step``-th row; ``step`` need not be an integer."""
+    return np.unique(
+        np.round(np.arange(0.0, ticks, max(step, 1.0))).astype(np.intp).clip(max=ticks - 1)
+    )
+
+
+def figures(run: Run) -> str:
+    """Markdown: description of the run, its figures, and the identified values."""
+    summary, scenario = run.summary, run.scenario
+    rows: list[tuple[str, Any, str]] = [
+        ("coefficient of restitution", summary["cor"], ""),
+        ("reference: no delay, ideal tracking", summary["cor_reference"], ""),
+        ("ln of their ratio", summary["cor_log_error"], ""),
+        ("peak force", summary["peak_force"], "N"),
+        ("contact time", summary["contact_duration"], "s"),
+        ("energy made by the rig", summary["energy_generated"], "J"),
+    ]
+    cells = [[name, _number(value, unit)] for name, value, unit in rows]
+    if "outcome" in summary:
+        cells.insert(0, ["outcome", summary["outcome"].replace("_", " ")])
+    if (seen := monitored(summary)) is not None:
+        cells.append(["process monitoring", " ".join(seen)])
+    lines = [f"# {summary['name']}", "", scenario.description or "", ""]
+    lines += _table("figure | value", cells)
+    if summary["status"] != "completed":
+        lines += ["", f"**{summary['status']}**: {summary['stop_reason']}"]
+    judged = assess(summary)
+    lines += ["", f"Energy: {judged.energy}."]
+    lines += [f"**Warning:** {warning}." for warning in judged.warnings]
+    delays = [
+        [e["source"], f"{1e3 * e['delay']:+.3f}", f"{e['equivalent_damping']:+.1f}"]
+        for e in summary["delay_ledger"]
+    ]
+    lines += ["", *_table("delay from | ms | as damping, N s/m", delays), ""]
+    estimates = []
+    for axis, found in summary["identification"].items():
+        if found["stiffness"] is not None:
+            units = ("N m/rad", "N m s/rad") if axis.startswith("r") else ("N/m", "N s/m")
+            pairs = zip(("stiffness", "damping"), units, strict=True)
+            values = [_number(found[q + of], unit) for q, unit in pairs for of in ("", "_true")]
+            estimates.append([axis, *values])
+    lines += _table("axis | stiffness | true | damping | true", estimates)
+    return "\n".join(lines)
+
+
+def _table(header: str, rows: list[list[str]]) -> list[str]:
+    """A Markdown table, numbers to the right of a first column of words; nothing without rows."""
+    lines = [f"| {header} |", "|---|" + "---:|" * header.count("|")]
+    return [*lines, *(f"| {' | '.join(row)} |" for row in rows)] if rows else []
+
+
+def _number(value: float | None, unit: str) -> str:
+    return "–" if value is None else f"{value:.4g} {unit}".strip()

@@ -69,16 +69,12 @@ class RigScene:
         _log_triad(rec, f"{AT_P}/port_P", np.zeros(3), np.eye(3), "P")
 
     def solids(self) -> list[tuple[int, Solid]]:
-        """Every body that is drawn, with its shape in the frame of the moving body that carries
-        it.
-        """
+        """Every drawn body, with its shape in the frame of the moving body that carries it."""
         found = ((body, self._body_solids(body)) for body in range(self.model.nbody))
         return [(body, Solid.joined(solids)) for body, solids in found if solids]
 
     def strokes(self, trace: RunTrace, rows: NDArray[np.intp]) -> dict[int, Array]:
-        """Index in qpos to the positions ``(frames,)`` of each of the mechanism's joints, at the
-        rows of a trace.
-        """
+        """Index in qpos to the positions ``(frames,)`` of each of the mechanism's joints."""
         names = {self.model.joint(i).name: i for i in range(self.model.njnt)}
         return {
             int(self.model.jnt_qposadr[names[name]]): trace[f"{JOINT.name}.{name}"][rows]

@@ -1,6 +1,4 @@
-"""Triangle meshes of MuJoCo's geoms; the edges of boxes and cylinders are bevelled so that they are
-visible.
-"""
+"""Triangle meshes of MuJoCo's geoms; edges of boxes and cylinders are bevelled, to be seen."""
 
 from __future__ import annotations
 
@@ -20,9 +18,7 @@ PLANE = 4.0  # [m] half side with which an infinite plane is drawn
 
 @dataclass(frozen=True)
 class Solid:
-    """A closed surface: ``vertices`` (v, 3) [m] and unit ``normals`` (v, 3), ``triangles`` (t, 3),
-    ``colors`` (v, 4) 0..255.
-    """
+    """A surface: ``vertices``, unit ``normals`` (v, 3), ``triangles`` (t, 3), ``colors`` (v, 4)."""
 
     vertices: Array
     normals: Array
@@ -104,9 +100,7 @@ def _outward(vertices: Array, triangles: NDArray[np.integer]) -> NDArray[np.inte
 
 
 def revolved(profile: Array, rgba: Array) -> Solid:
-    """A surface of revolution about z from ``profile`` (p, 4): radius and height [m] and its
-    normal, from the bottom up.
-    """
+    """A surface of revolution about z from ``profile`` (p, 4): r, z [m] and normal, upwards."""
     angle = np.linspace(0.0, 2.0 * np.pi, SEGMENTS + 1)
     c, s = np.cos(angle), np.sin(angle)
     rings = len(profile)
@@ -134,9 +128,7 @@ def cylinder(radius: float, half: float, rgba: Array) -> Solid:
 
 
 def capsule(radius: float, half: float, rgba: Array) -> Solid:
-    """About z, of half length ``half`` [m] between the centres of its ends; a sphere for half =
-    0.
-    """
+    """About z, ``half`` [m]: half the distance of its ends' centres; 0: a sphere."""
     a = np.linspace(-0.5 * np.pi, 0.0, ARC + 1)
     lower = np.stack([radius * np.cos(a), radius * np.sin(a) - half, np.cos(a), np.sin(a)], axis=-1)
     return revolved(np.concatenate([lower, (lower * [1.0, -1.0, 1.0, -1.0])[::-1]]), rgba)
@@ -211,9 +203,7 @@ def geom_rgba(m: mujoco.MjModel, geom: int) -> Array:
 
 
 def _mesh(m: mujoco.MjModel, mesh: int, rgba: Array) -> Solid:
-    """A mesh asset with one vertex per corner of a face: the normals of adjacent faces may
-    differ.
-    """
+    """A mesh with a vertex per corner of a face: normals of adjacent faces may differ."""
     faces = slice(m.mesh_faceadr[mesh], m.mesh_faceadr[mesh] + m.mesh_facenum[mesh])
     vertices = m.mesh_vert[m.mesh_vertadr[mesh] + m.mesh_face[faces].ravel()]
     normals = m.mesh_normal[m.mesh_normaladr[mesh] + m.mesh_facenormal[faces].ravel()]

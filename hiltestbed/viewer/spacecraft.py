@@ -12,8 +12,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.jit import njit
-from hiltestbed.frames import Array, quat_mul, rotate, rotation_matrix
+from hiltestbed.frames import Array, pose_between, pose_compose, rotation_matrix
 from hiltestbed.numerical_model.bodies import inertia_matrix, port_pose
 from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.numerical_model.model import NumericalModel
@@ -28,6 +27,7 @@ NAMES = {CHASER: "chaser", TARGET: "target"}
 BODY = {CHASER: (0.80, 0.64, 0.28, 1.0), TARGET: (0.72, 0.75, 0.80, 1.0)}
 PORT = {CHASER: (0.86, 0.20, 0.16, 1.0), TARGET: (0.10, 0.48, 0.62, 1.0)}
 GLASS = 0.3  # opacity of a body: the force on it is drawn inside it
+IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # a pose
 PANEL = (0.12, 0.20, 0.46, 1.0)
 
 
@@ -47,33 +47,24 @@ def body_poses(scenario: Scenario, rows: NDArray[np.intp], pose_cmd: Array, wren
         model.advance(((total[row + 1] - total[done]) / ticks)[None])
         done += ticks
         out[TARGET, f] = model.centres()[0, TARGET]
-    place_chaser(out[TARGET], model.port[0], pose_cmd[rows], out[CHASER])
+    _place_chaser(out[TARGET], model.port[0], pose_cmd[rows], out[CHASER])
     return out
 
 
-@njit(cache=True)
-def place_chaser(target, port, pose, out):
-    """``out`` (frames, 7): the chaser's poses, from the target's poses, the ports in their bodies,
-    and the poses of A in P.
+def _place_chaser(target: Array, ports: Array, pose: Array, out: Array) -> None:
+    """``out`` (frames, 7): the chaser's poses, from the target's poses, the poses of both ports in
+    their bodies, and the poses of A in P.
     """
-    q_P, q_A, inverse, r, s = np.empty(4), np.empty(4), np.empty(4), np.empty(3), np.empty(3)
-    inverse[:3] = -port[CHASER, 3:6]
-    inverse[3] = port[CHASER, 6]
-    for f in range(target.shape[0]):
-        quat_mul(target[f, 3:7], port[TARGET, 3:7], q_P)
-        quat_mul(q_P, pose[f, 3:7], q_A)
-        quat_mul(q_A, inverse, out[f, 3:7])
-        rotate(target[f, 3:7], port[TARGET, 0:3], r)
-        rotate(q_P, pose[f, 0:3], s)
-        out[f, 0:3] = target[f, 0:3] + r + s
-        rotate(out[f, 3:7], port[CHASER, 0:3], r)
-        out[f, 0:3] -= r
+    chaser_A, at_P, at_A = np.empty(7), np.empty(7), np.empty(7)
+    pose_between(ports[CHASER], IDENTITY, chaser_A)
+    for f in range(len(target)):
+        pose_compose(target[f], ports[TARGET], at_P)
+        pose_compose(at_P, pose[f], at_A)
+        pose_compose(at_A, chaser_A, out[f])
 
 
 def cuboid(body: Body) -> tuple[Array, Array]:
-    """Half sizes ``(3,)`` [m] and axes ``(3, 3)`` of the homogeneous cuboid with the body's mass
-    and inertia.
-    """
+    """Half sizes ``(3,)`` [m] and axes ``(3, 3)`` of the cuboid of equal mass and inertia."""
     moments, axes = np.linalg.eigh(inertia_matrix(body.inertia))
     order = [int(np.argmax(np.abs(axes[i]))) for i in range(3)]
     if sorted(order) == [0, 1, 2]:  # each principal axis is assigned to the nearest body axis
@@ -95,9 +86,7 @@ def heights(scenario: Scenario) -> tuple[float, float]:
 
 
 def draw(rec: rr.RecordingStream, scenario: Scenario) -> None:
-    """Both bodies as cuboids with their mass and inertia, each with a port on a boom and a pair of
-    panels.
-    """
+    """Both bodies as cuboids of equal mass and inertia, with a port on a boom and two panels."""
     rec.log(ROOT, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for i, body in ((CHASER, scenario.spacecraft.chaser), (TARGET, scenario.spacecraft.target)):
         half, axes = cuboid(body)
@@ -109,20 +98,11 @@ def draw(rec: rr.RecordingStream, scenario: Scenario) -> None:
         log_solid(rec, f"{ROOT}/{NAMES[i]}/body", Solid.joined(glass), GLASS)
         solids = [_tube(0.85 * port, port, 1.2 * width, np.array(PORT[i]))]
         for side in (-1.0, 1.0):
-            root, panel = (
-                side * (half[0] + 0.25),
-                np.array([1.1 * half[1] + 0.3, 0.012, 0.45 * half[2]]),
-            )
-            middle = np.array([root + side * panel[0], 0.0, 0.0])
-            solids.append(box(panel, np.array(PANEL)).moved(axes @ middle, axes))
-            solids.append(
-                _tube(
-                    axes @ [0.99 * side * half[0], 0.0, 0.0],
-                    axes @ [root, 0.0, 0.0],
-                    0.03,
-                    np.array(BODY[TARGET]),
-                )
-            )
+            root, panel = side * (half[0] + 0.25), [1.1 * half[1] + 0.3, 0.012, 0.45 * half[2]]
+            middle = axes @ [root + side * panel[0], 0.0, 0.0]
+            solids.append(box(np.array(panel), np.array(PANEL)).moved(middle, axes))
+            inner, outer = (axes @ [x, 0.0, 0.0] for x in (0.99 * side * half[0], root))
+            solids.append(_tube(inner, outer, 0.03, np.array(BODY[TARGET])))
         log_solid(rec, f"{ROOT}/{NAMES[i]}/panels", Solid.joined(solids))
 
 
@@ -158,10 +138,7 @@ def move(
     vectors = scale * np.stack([force, -force], axis=1)[acts]
     origins = np.repeat(origin[acts, None], 2, axis=1)
     path = f"{ROOT}/force"
-    rec.log(
-        path,
-        rr.Arrows3D.from_fields(colors=[colors.USED], radii=[0.01 * sum(heights(scenario))]),
-        static=True,
-    )
+    style = rr.Arrows3D.from_fields(colors=[colors.USED], radii=[0.01 * sum(heights(scenario))])
+    rec.log(path, style, static=True)
     columns = rr.Arrows3D.columns(vectors=vectors.reshape(-1, 3), origins=origins.reshape(-1, 3))
     rec.send_columns(path, indexes=[time], columns=columns.partition(2 * acts.astype(int)))

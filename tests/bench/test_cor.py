@@ -124,9 +124,7 @@ def test_cells_that_round_to_nothing_have_no_sign_and_no_colour() -> None:
 
 
 def test_a_map_and_the_board_tell_no_rebound_from_not_measured(records: list[dict]) -> None:
-    """`none` where a contact gave no rebound, a dash where nothing was run, the same word in the
-    map.
-    """
+    """`none` where a contact gave no rebound, a dash where nothing was run, in map and board."""
     one = {"frequency": 2.0, "delay": 0.005, "cor_log_error": -0.3}
     found = worst_errors(
         [one, one | {"cor_log_error": 0.1}, one | {"delay": 0.02, "cor_log_error": None}],

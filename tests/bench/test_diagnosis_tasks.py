@@ -15,10 +15,9 @@ import pytest
 import hiltestbed
 from hiltestbed.cli import main
 from tests.equipment.diagnosis import run as bench
-from tests.equipment.diagnosis.reliability import reliability, wilson
 from tests.equipment.diagnosis.report import diagnosis_report
 from tests.equipment.diagnosis.run import diagnosis
-from tests.equipment.diagnosis.summary import groups, summarise
+from tests.equipment.diagnosis.summary import groups, reliability, summarise, wilson
 from tests.equipment.diagnosis.tasks import (
     COMPUTING_FULL,
     FULL,
@@ -219,9 +218,7 @@ def test_a_group_is_a_rig_and_a_kind_of_set() -> None:
 
 
 def played(monkeypatch: pytest.MonkeyPatch, last: int) -> list[int]:
-    """Has no set diagnosed: the seeds of those that are asked for, the last of which is
-    interrupted.
-    """
+    """Has no set diagnosed: the seeds that are asked for; the last of them is interrupted."""
     asked: list[int] = []
 
     def one_set(task: Task) -> dict[str, Any]:

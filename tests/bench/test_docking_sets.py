@@ -1,6 +1,4 @@
-"""Docking sets of the second rig: what is hidden stays in its link, sets come from their seeds,
-files are whole.
-"""
+"""Docking sets of the second rig: each hidden effect in its link, sets from seeds, whole files."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from ruamel.yaml import YAML
 
-from tests.bench.test_independent_rig import CHANGED
+from tests.bench.test_independent_rig import CHANGED, changed_by
 from tests.equipment.independent_rig import (
     EFFECTS,
     FOREIGN,
@@ -56,22 +54,9 @@ OF_EACH = {link_of(name): (design, name) for design, name in HIDDEN}  # one of e
 def test_in_a_docking_an_effect_changes_what_its_link_gives_and_nothing_else(
     design: str, name: str
 ) -> None:
-    facility = _facility(design)
-    rng = np.random.default_rng(12)
+    facility, rng = _facility(design), np.random.default_rng(12)
     effects = draw_effects(rng, (name,), facility)
-    rig, healthy = (rig_of(facility, 3, e, PLAIN) for e in (effects, []))
-    noise = silence(rig.ticks)._replace(
-        delay=rng.standard_normal(rig.ticks), repeat=rng.random(rig.ticks)
-    )
-    records = simulate(rig, noise)
-    replayed = simulate(healthy, noise, pose_cmd=records.pose_cmd, wrench_comp=records.wrench_comp)
-    floors = {"pose_cmd": 1e-9, "pose_act": 1e-9, "wrench_meas": 1e-4, "wrench_comp": 1e-3}
-    differs = {
-        c
-        for c, floor in floors.items()
-        if np.abs(getattr(records, c) - getattr(replayed, c)).max() > floor
-    }
-    assert differs == CHANGED[link_of(name)]
+    assert changed_by(facility, effects, rng) == CHANGED[link_of(name)]
 
 
 def test_what_acts_where_is_told() -> None:
@@ -119,9 +104,7 @@ def test_a_docking_set_comes_from_its_seed_and_is_written_as_a_dataset(
 @SLOW
 @pytest.mark.parametrize("pair", list(LOOK_ALIKES), ids="/".join)
 def test_look_alikes_do_much_the_same_to_the_records(pair: tuple[str, str]) -> None:
-    """On the same command, and under the same force, both change the records of their link
-    alike.
-    """
+    """On one command, under one force, both change the records of their link alike."""
     rng = np.random.default_rng(9)
     facility = draw_facility(rng, frozenset({"slide"}))
     both = draw_look_alike(rng, pair, facility)

@@ -14,11 +14,26 @@ import numpy as np
 import pytest
 
 from hiltestbed.bench.hildock.door import UdpEntrant
-from hiltestbed.bench.hildock.methods import METHODS, PhaseLead, Resynchronised, Uncompensated
-from hiltestbed.bench.hildock.problem import TICK, Case, cases, draws, play, reference
-from hiltestbed.bench.hildock.score import causal_bound, indices, percentile_95, rebound
-from hiltestbed.bench.hildock.shipped import shipped
-from hiltestbed.bench.hildock.touch import TouchFitted
+from hiltestbed.bench.hildock.methods import (
+    METHODS,
+    PhaseLead,
+    Resynchronised,
+    TouchFitted,
+    Uncompensated,
+    shipped,
+)
+from hiltestbed.bench.hildock.problem import (
+    TICK,
+    Case,
+    cases,
+    causal_bound,
+    draws,
+    indices,
+    percentile_95,
+    play,
+    rebound,
+    reference,
+)
 from hiltestbed.errors import HiltestbedError, InputError
 
 QUICK = cases(quick=True)
@@ -86,9 +101,7 @@ def test_a_fitted_delay_need_not_be_told() -> None:
 
 @pytest.mark.parametrize("method", [Uncompensated, PhaseLead])
 def test_a_block_of_the_package_does_what_its_axis_does_alone(method: type) -> None:
-    """Three bodies in six axes with their own inertias move as the reduced mass does, but for
-    round-off.
-    """
+    """Three bodies in six axes move as the reduced mass does, but for round-off."""
     block = next(s for s in shipped() if s.name == f"shipped {method.name}")
     case = QUICK[-1]
     alone, whole = play(case, method()), play(case, block)

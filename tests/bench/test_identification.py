@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from hiltestbed.bench.contacts import grid
-from hiltestbed.bench.identification import METHODS, leaderboard, measure
-from hiltestbed.bench.identification_report import identification_report
+from hiltestbed.bench.identification import METHODS, identification_report, leaderboard, measure
 
 RECORD = {
     "method",

@@ -7,14 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from hiltestbed.campaign.boundary import (
-    applies,
-    bounce_cor,
-    bounce_delay,
-    closed_contact_delay,
-    margin,
-    neutral,
-)
+from hiltestbed.analysis.spring_damper import SpringDamper
+from hiltestbed.campaign.boundary import applies, bounce_cor, bounce_delay, margin, neutral
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run_batch
 from tests.slow import slow
@@ -36,18 +30,14 @@ def test_without_delay_the_series_is_the_closed_form(zeta: float) -> None:
     ("w_tau", "e"), [(0.063, 1.104), (0.126, 1.217), (0.251, 1.474), (0.503, 2.102), (1.005, 3.743)]
 )
 def test_without_damping_it_is_the_table_of_independent_simulations(w_tau: float, e: float) -> None:
-    """The table was made with steps of 10 us and w tau is given to three digits, which is 1e-3 of
-    e.
-    """
+    """Made with steps of 10 us; w tau is given to three digits, which is 1e-3 of e."""
     assert bounce_cor(0.0, w_tau) == pytest.approx(e, rel=1e-3)
 
 
 @pytest.mark.parametrize("zeta", [0.02, 0.1, 0.2])
 def test_a_bounce_that_may_pull_is_neutral_where_a_closed_contact_is(zeta: float) -> None:
-    """The two differ by the shape of half a period against a whole one: below 2 % in the delay
-    while w tau < 0.5.
-    """
-    w_tau = closed_contact_delay(1.0, 2 * zeta, 1.0)
+    """Half a period differs from a whole one by less than 2 % of the delay for w tau < 0.5."""
+    w_tau = SpringDamper(1.0, 2 * zeta, 1.0).critical_delay
     slope = 0.5 * math.pi  # of ln e over w tau
     assert abs(math.log(bounce_cor(zeta, w_tau, pulls=True))) < 0.02 * slope * w_tau
 
@@ -57,7 +47,7 @@ def test_a_bounce_that_cannot_pull_is_neutral_earlier_by_the_missing_pull(zeta: 
     """Leaving at v0, the force would pull from x = c v0/k to 0, an impulse of c^2 v0/(2 k): 2
     zeta^2 in e, so 4 zeta^2/pi in w tau.
     """
-    earlier = closed_contact_delay(1.0, 2 * zeta, 1.0) - neutral(zeta)
+    earlier = SpringDamper(1.0, 2 * zeta, 1.0).critical_delay - neutral(zeta)
     assert earlier == pytest.approx(4 * zeta**2 / math.pi, rel=0.1)
 
 
@@ -100,7 +90,7 @@ def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it(
 ) -> None:
     """Latched, so that it pulls too: 1 % of delay on either side tells, up to w tau = 0.5."""
     damping = 2 * zeta * math.sqrt(5.0e3 * 50.0)
-    delay = closed_contact_delay(5.0e3, damping, 50.0)
+    delay = SpringDamper(5.0e3, damping, 50.0).critical_delay
     closed = {
         "mechanism.kind": "latched",
         "approach.gap": 0.0,

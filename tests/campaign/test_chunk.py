@@ -11,11 +11,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from hiltestbed.campaign.chunk import run_chunk
+from hiltestbed.campaign.cases import skeleton, structural_keys
+from hiltestbed.campaign.chunk import run_chunk, trace_sha256
 from hiltestbed.campaign.columns import SCALARS, table
-from hiltestbed.campaign.digest import trace_sha256
 from hiltestbed.campaign.schema import LoadedCampaign, load_campaign
-from hiltestbed.campaign.structure import skeleton, structural_keys
 from hiltestbed.campaign.sweep import case_scenario, planned_chunks
 from hiltestbed.scenario import scenario_from
 from hiltestbed.simulation import run
@@ -97,9 +96,7 @@ def test_a_case_that_diverges_or_is_stopped_ends_alone(file: Path) -> None:
 
 
 def test_values_that_do_not_go_together_are_told_in_the_row(file: Path) -> None:
-    """rate and physics_rate are each right beside the scenario's own 1000 Hz; 500 over 1000 is
-    not.
-    """
+    """Each rate is right beside the scenario's own 1000 Hz; 500 over 1000 is not."""
     file.write_text(
         "scenario: scenario.yaml\nset: {physics_rate: 2000}\nvary: {rate: {values: [1000, 2000]}, "
         "physics_rate: {values: [1000, 2000]}}\ndesign: {kind: grid}\n"

@@ -1,6 +1,4 @@
-"""Designs: what a case is depends on its number and the seed alone, and a design fills what it says
-it fills.
-"""
+"""Designs: a case depends on its number and the seed alone; a design fills what it says."""
 
 from __future__ import annotations
 
@@ -9,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.campaign.designs import case_seed, case_values
+from hiltestbed.campaign.cases import case_seed, case_values
 from hiltestbed.campaign.schema import load_campaign
 
 VARY = (
@@ -57,9 +55,7 @@ def test_a_seed_that_varies_is_not_spawned(file: Path) -> None:
 
 
 def test_sobol_points_are_one_in_each_cell(file: Path) -> None:
-    """The first 2^(2m) points of a scrambled Sobol sequence in two dimensions lie one in each of
-    2^m x 2^m cells.
-    """
+    """The first 2^(2m) points of a Sobol sequence lie one in each of 2^m x 2^m cells."""
     spec = designed(file, "kind: sobol, cases: 64, seed: 9")
     delays, stiffnesses = zip(
         *(

@@ -30,9 +30,7 @@ def test_ishigami() -> None:
 
 
 def test_a_choice_counts_like_any_key() -> None:
-    """y = x + offset(choice) with no interaction: shares are those of the variances, and total
-    equals first order.
-    """
+    """y = x + offset(choice): shares are those of the variances; total is first order."""
     u = points(1024, 2)
     choice = np.floor(3.0 * u[:, 1])
     offset = np.array([0.0, 1.0, -0.5])

@@ -1,6 +1,4 @@
-"""The result folder: the same bytes whoever ran it, however often it was ended, and never
-another's.
-"""
+"""The result folder: the same bytes whoever ran it, however often ended; never another's."""
 
 from __future__ import annotations
 
@@ -46,16 +44,8 @@ def expected(in_one_go: Path) -> bytes:
 
 
 def command(file: Path, *more: str) -> list[str]:
-    return [
-        sys.executable,
-        "-m",
-        "hiltestbed.cli",
-        "sweep",
-        str(file),
-        "--out",
-        str(file.parent / "out"),
-        *more,
-    ]
+    called = [sys.executable, "-m", "hiltestbed.cli", "sweep", str(file)]
+    return [*called, "--out", str(file.parent / "out"), *more]
 
 
 def wait_for(condition, what: str) -> None:
@@ -142,9 +132,7 @@ def killed_with_its_workers(file: Path) -> None:
 def test_ended_in_every_way_it_goes_on_to_the_same_bytes(
     ways: tuple[Callable[[Path], None], ...], file: Path, tmp_path: Path, expected: bytes
 ) -> None:
-    """One way after the other, with other chunks each time, and at last `kill -9` of a worker,
-    which the sweep bears.
-    """
+    """One way after the other, other chunks each time; at last `kill -9` of a worker."""
     out = tmp_path / "out"
     for way in ways:
         way(file)
@@ -152,14 +140,9 @@ def test_ended_in_every_way_it_goes_on_to_the_same_bytes(
     assert 3 * len(ways) <= int(store.Store(out, load_campaign(file)).done().sum()) < 96
 
     process = begun(file, "--workers", "2", "--chunk", "3")
-    workers = [
-        int(pid)
-        for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    ]
-    os.kill(
-        next(pid for pid in workers if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()),
-        signal.SIGKILL,
-    )
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    spawned = (p for p in children if b"spawn_main" in Path(f"/proc/{p}/cmdline").read_bytes())
+    os.kill(int(next(spawned)), signal.SIGKILL)
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 0, err
     assert (out / "cases.parquet").read_bytes() == expected
@@ -174,17 +157,8 @@ def test_on_a_cluster_with_a_worker_killed_the_same_bytes(
     dask = str(Path(sys.executable).with_name("dask"))
     where = tmp_path / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
-    scheduler = [
-        "scheduler",
-        "--host",
-        "127.0.0.1",
-        "--port",
-        "0",
-        "--no-dashboard",
-        "--scheduler-file",
-        str(where),
-    ]
-    started = [subprocess.Popen([dask, *scheduler], **quiet)]
+    at = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(where)]
+    started = [subprocess.Popen([dask, "scheduler", *at], **quiet)]
     try:
         wait_for(where.exists, "the scheduler")
         time.sleep(0.2)

@@ -11,7 +11,6 @@ import pytest
 from hiltestbed import load_scenario, run
 from hiltestbed.bench.contacts import Contact, bounce
 from hiltestbed.compiled.state import arrays_of
-from hiltestbed.config.gallery import shipped
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario
 
@@ -60,7 +59,7 @@ def test_after_a_contact_noise_is_not_corrected_for_the_lag() -> None:
     """Half of all noise reads as a push: times k and a lag of 1 mm it pulled the vehicles by up to
     90 N, long after they had parted.
     """
-    result = run(load_scenario(shipped("scenarios") / "26-force-compensation.yaml"))
+    result = run(load_scenario("26-force-compensation"))
     assert result.trace is not None
     # 20 ms: the delay of 5 ms, and the memory of the lead
     apart = np.flatnonzero(result.trace.contact.ravel())[-1] + 40
@@ -72,9 +71,7 @@ def test_after_a_contact_noise_is_not_corrected_for_the_lag() -> None:
 
 
 def test_the_adaptive_series_finds_the_platforms_response() -> None:
-    """A position loop 1/(1 + s/w)^2, w = 2 pi 40 Hz: a0 = 1, a1 = 2/w = 8.0 ms, from a start of 4
-    ms.
-    """
+    """A position loop 1/(1 + s/w)^2 at 40 Hz: a0 = 1, a1 = 2/w = 8.0 ms, from a start of 4 ms."""
     contact = Contact(
         2.0,
         0.0,
@@ -102,9 +99,7 @@ def test_a_compliant_platform_holds_the_peak_force(tracking: str, kind: str) -> 
 
 
 def test_the_numerical_model_need_not_notice_that_the_platform_yields() -> None:
-    """The force is corrected for where the platform is: the rebound is that of the unlimited
-    contact.
-    """
+    """The force is corrected for the platform's place: the rebound is that without a limit."""
     contact = Contact(4.0, 0.005, 0.05)
     assert (
         abs(

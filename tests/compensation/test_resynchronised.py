@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +12,6 @@ from hiltestbed.bench.contacts import Contact, bounce, grid
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario, simulate
-
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
 
 def _known(contact: Contact) -> dict[str, object]:
@@ -53,9 +50,7 @@ def test_the_servo_of_the_platform_does_not_matter() -> None:
 
 
 def test_a_platform_that_lags_by_8_ms_does_not_matter() -> None:
-    """Position loop of 40 Hz without feed-forward: uncorrected it would leave (pi/2) w 8 ms = 0.31
-    at 4 Hz.
-    """
+    """Position loop of 40 Hz: uncorrected it would leave (pi/2) w 8 ms = 0.31 at 4 Hz."""
     contacts = [Contact(f, 0.005, 0.05, tracking="servo") for f in (1.0, 2.0, 4.0)]
     assert (
         _errors([c.scenario({"kind": "resynchronised"}, motion="none") for c in contacts]).max()
@@ -79,9 +74,7 @@ def test_the_sensors_low_pass_does_not_matter() -> None:
 
 
 def test_a_delay_that_is_off_is_found_from_the_instant_of_touch() -> None:
-    """20 % more than believed. Found to half a tick, which leaves (pi/2) w h/2; the lead is left
-    with the 20 %.
-    """
+    """Found to half a tick, which leaves (pi/2) w h/2; the lead is left with the 20 %."""
     contacts = grid((2.0, 8.0), (0.01, 0.02), damping_ratios=(0.05,), delay_knowledge="off")
     ours = _errors([c.scenario({"kind": "resynchronised", "delay": "estimate"}) for c in contacts])
     lead = _errors([c.scenario({"kind": "phase_lead"}) for c in contacts])
@@ -92,17 +85,13 @@ def test_a_delay_that_is_off_is_found_from_the_instant_of_touch() -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 0.2])
 def test_beside_the_axis_both_bodies_leave_as_without_delay(friction: float) -> None:
-    """Tilted, turning and sliding at w tau = 0.48: of what the contact changes of each velocity, 1
-    % at most is wrong.
-    """
+    """Tilted, turning, sliding at w tau = 0.48: 1 % of each velocity's change is wrong at most."""
     changes = {
         "sensor.delay": 0.03,
         "mechanism.contact.friction": friction,
         "compensation.force.kind": "resynchronised",
     }
-    scenario = load_scenario(
-        SCENARIOS / "05-off-centre.yaml", set=changes | {"rig.platform.tracking": "ideal"}
-    )
+    scenario = load_scenario("05-off-centre", set=changes | {"rig.platform.tracking": "ideal"})
     result, reference = bounce([scenario]), bounce([reference_scenario(scenario)])
     assert result.figures[0].cor is not None
     change = np.linalg.norm((reference.velocity - reference.start).reshape(4, 3), axis=1)
@@ -113,8 +102,7 @@ def test_beside_the_axis_both_bodies_leave_as_without_delay(friction: float) -> 
 def test_the_wrench_that_is_recorded_explains_the_commanded_motion() -> None:
     """wrench_comp through a numerical model of its own gives pose_cmd, to the bit."""
     scenario = load_scenario(
-        SCENARIOS / "05-off-centre.yaml",
-        set={"compensation.force.kind": "resynchronised", "duration": 0.6},
+        "05-off-centre", set={"compensation.force.kind": "resynchronised", "duration": 0.6}
     )
     trace = simulate([scenario], trace=True).trace
     assert trace is not None
@@ -122,6 +110,25 @@ def test_the_wrench_that_is_recorded_explains_the_commanded_motion() -> None:
     for k in range(scenario.ticks):
         craft.advance(trace["wrench_comp"][k])
         assert np.array_equal(craft.pose, trace["pose_cmd"][k])
+
+
+def test_free_flight_is_undisturbed_by_noise() -> None:
+    """Out of contact the noise does not push the numerical model: not a bit of it."""
+    changes = {
+        "rig.platform.tracking": "ideal",
+        "duration": 0.5,
+        "compensation.force.kind": "resynchronised",
+    }
+    quiet, noisy = (
+        simulate(
+            [load_scenario("01-free-flight", set=changes | {"sensor.noise": noise})], trace=True
+        ).trace
+        for noise in (0.0, 1.0)
+    )
+    assert quiet is not None
+    assert noisy is not None
+    assert noisy["wrench_meas"].std() > 0.1
+    assert np.array_equal(quiet["pose_cmd"], noisy["pose_cmd"])
 
 
 def test_a_run_is_the_run_in_a_batch_bit_for_bit() -> None:
@@ -138,29 +145,3 @@ def test_a_run_is_the_run_in_a_batch_bit_for_bit() -> None:
     assert alone is not None
     for name in ("pose_cmd", "wrench_comp", "pose_act"):
         assert np.array_equal(together[name][:, 7], alone[name][:, 0])
-
-
-def test_free_flight_is_undisturbed_by_noise() -> None:
-    """Away from the contact the noise of the sensor does not push the numerical model: not a bit of
-    it.
-    """
-    changes = {
-        "rig.platform.tracking": "ideal",
-        "duration": 0.5,
-        "compensation.force.kind": "resynchronised",
-    }
-    quiet, noisy = (
-        simulate(
-            [
-                load_scenario(
-                    SCENARIOS / "01-free-flight.yaml", set=changes | {"sensor.noise": noise}
-                )
-            ],
-            trace=True,
-        ).trace
-        for noise in (0.0, 1.0)
-    )
-    assert quiet is not None
-    assert noisy is not None
-    assert noisy["wrench_meas"].std() > 0.1
-    assert np.array_equal(quiet["pose_cmd"], noisy["pose_cmd"])

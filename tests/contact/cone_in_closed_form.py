@@ -13,15 +13,13 @@ import math
 
 from hiltestbed.frames import Array
 
-TIP_RADIUS, ROD_RADIUS, ROD_LENGTH, SOCKET_RADIUS, HALF_ANGLE, GENERATOR, SHELL = (
-    0.03,
-    0.018,
-    0.35,
-    0.035,
-    math.radians(45.0),
-    0.20,
-    0.012,
-)
+TIP_RADIUS = 0.03
+ROD_RADIUS = 0.018
+ROD_LENGTH = 0.35
+SOCKET_RADIUS = 0.035
+HALF_ANGLE = math.radians(45.0)
+GENERATOR = 0.20
+SHELL = 0.012
 RING_STEPS = 24  # places on the rim from which the one nearest to the rod is refined
 
 
@@ -83,11 +81,9 @@ def rod_distance(tip: Array, axis: Array, free: Array, nearest: Array) -> float:
             at += step * min(max(0.5 * (low - high) / bend, -1.0), 1.0)
         step *= 0.1
     distance = math.sqrt(_ring_to_rod(at, ring, level, tip, axis, start, length, free))
-    nearest[0], nearest[1], nearest[2] = (
-        ring * math.cos(at) + free[0],
-        ring * math.sin(at) + free[1],
-        level + free[2],
-    )
+    nearest[0] = ring * math.cos(at) + free[0]
+    nearest[1] = ring * math.sin(at) + free[1]
+    nearest[2] = level + free[2]
     for j in range(3):
         free[j] /= max(distance, 1e-12)
     return distance - e
@@ -103,9 +99,7 @@ def _ring_to_rod(
     length: float,
     gap: Array,
 ) -> float:
-    """Squared distance from the ring's point at ``angle`` to the rod's axis; ``gap`` (3,) becomes
-    the vector.
-    """
+    """Squared distance of the ring's point at ``angle`` from the rod; ``gap`` (3,): becomes it."""
     gap[0] = tip[0] - ring * math.cos(angle)
     gap[1] = tip[1] - ring * math.sin(angle)
     gap[2] = tip[2] - level

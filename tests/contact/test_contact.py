@@ -26,29 +26,9 @@ def test_the_plants_own_force_and_pose_give_stiffness_and_damping(
     assert c == pytest.approx(300.0, rel=c_within)
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0), (0.3, 0.0)])
-@pytest.mark.parametrize("stiffness", [1e4, 1e6])
-def test_static_stiffness_under_a_constant_load(
-    place: tuple[float, float], stiffness: float
-) -> None:
-    """The platform is held pressed in; what the sensor reads over the depth reached is k, damping
-    playing no part.
-    """
-    s = scenario(stiffness=stiffness)
-    plant, still = Plant([s]), np.zeros((1, 6))
-    goal = pose(*place, 100.0 / stiffness)
-    plant.reset(goal, still)
-    for _ in range(1000):
-        plant.advance(goal, still, still)
-    assert np.abs(plant.twist_act).max() < 1e-9
-    assert plant.wrench_sub[0, -1, 2] / plant.pose_act[0, 2] == pytest.approx(stiffness, rel=1e-6)
-
-
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_the_contact_never_pulls(tracking: str) -> None:
-    """F = k x + c v would pull while the tip leaves: with c v > k x the force is 0, not
-    negative.
-    """
+    """While the tip leaves k x + c v would pull: the force is 0, not negative."""
     s = scenario(tracking, stiffness=1e4, damping=2000.0)
     _, _, wrench = Press(Plant([s]), s.rate).run(800).columns()
     assert wrench[:, 2].max() > 10.0
@@ -58,13 +38,9 @@ def test_the_contact_never_pulls(tracking: str) -> None:
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 @pytest.mark.parametrize("place", [0.0, 0.2])
 def test_a_law_in_place_of_the_linear_contact_acts_as_written(tracking: str, place: float) -> None:
-    """Two effects that make F = 3e6 x^1.5 (1 + 2 v) of the contact; under a servo within 1e-6 of
-    the peak.
-    """
-    power, rise = (
-        {"kind": "contact.power_law", "exponent": 1.5, "stiffness": 3.0e6},
-        {"kind": "contact.hunt_crossley", "alpha": 2.0},
-    )
+    """Two effects make F = 3e6 x^1.5 (1 + 2 v); under a servo within 1e-6 of the peak."""
+    power = {"kind": "contact.power_law", "exponent": 1.5, "stiffness": 3.0e6}
+    rise = {"kind": "contact.hunt_crossley", "alpha": 2.0}
     s = scenario_from(scenario(tracking).model_dump(mode="json") | {"effects": [power, rise]})
     depth, rate, wrench = Press(Plant([s]), s.rate, place).run(800).columns()
     expected = 3.0e6 * np.maximum(depth, 0.0) ** 1.5 * (1.0 + 2.0 * rate)
@@ -98,3 +74,21 @@ def test_sliding_friction_is_at_the_coulomb_limit_and_opposes_the_motion(trackin
     # the active side drags the passive one along
     assert wrench[0] == pytest.approx(0.2 * wrench[2], rel=1e-2)
     assert abs(wrench[1]) < 1e-2 * wrench[0]
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.3, 0.0)])
+@pytest.mark.parametrize("stiffness", [1e4, 1e6])
+def test_static_stiffness_under_a_constant_load(
+    place: tuple[float, float], stiffness: float
+) -> None:
+    """The platform is held pressed in; what the sensor reads over the depth reached is k, damping
+    playing no part.
+    """
+    s = scenario(stiffness=stiffness)
+    plant, still = Plant([s]), np.zeros((1, 6))
+    goal = pose(*place, 100.0 / stiffness)
+    plant.reset(goal, still)
+    for _ in range(1000):
+        plant.advance(goal, still, still)
+    assert np.abs(plant.twist_act).max() < 1e-9
+    assert plant.wrench_sub[0, -1, 2] / plant.pose_act[0, 2] == pytest.approx(stiffness, rel=1e-6)

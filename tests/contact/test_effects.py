@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, scenario_from
-from tests.platform.rigs import C, K, Press, scenario
+from tests.platform.rigs import C, K, Press, pose, scenario
 
 
 def with_effect(effect: dict[str, Any], **more: Any) -> Scenario:
@@ -27,53 +28,43 @@ def pressed(effect: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return depth[apart_or_in], rate[apart_or_in], wrench[apart_or_in, 2]
 
 
-def linear(x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return np.asarray(np.where(x > 0.0, np.maximum(K * x + C * v, 0.0), 0.0))
+def linear(
+    x: np.ndarray, v: np.ndarray, k: float = K, c: float = C, extra: Any = 0.0, least: float = 0.0
+) -> np.ndarray:
+    return np.asarray(np.where(x > 0.0, np.maximum(k * x + c * v + extra, least), 0.0))
 
 
-def test_stiffness_and_damping_are_multiplied() -> None:
-    x, v, force = pressed({"kind": "contact.stiffness", "factor": 1.3})
-    np.testing.assert_allclose(
-        force, np.where(x > 0.0, np.maximum(1.3 * K * x + C * v, 0.0), 0.0), atol=1e-9
-    )
-    x, v, force = pressed({"kind": "contact.damping", "factor": 0.4})
-    np.testing.assert_allclose(
-        force, np.where(x > 0.0, np.maximum(K * x + 0.4 * C * v, 0.0), 0.0), atol=1e-9
-    )
+def stopped(x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    return linear(x, v) + 3.0e5 * np.maximum(x - 1.0e-3, 0.0)
 
 
-def test_a_touch_that_is_off_shifts_the_law() -> None:
-    x, v, force = pressed({"kind": "contact.touch_offset", "offset": 3.0e-4})
-    np.testing.assert_allclose(force, linear(x - 3.0e-4, v), atol=1e-9)
-
-
-def test_dry_friction_opposes_the_motion_and_a_preload_does_not() -> None:
-    x, v, force = pressed({"kind": "contact.dry_friction", "force": 20.0})
-    expected = np.where(x > 0.0, np.maximum(K * x + C * v + 20.0 * np.tanh(v / 2e-4), 0.0), 0.0)
-    np.testing.assert_allclose(force, expected, atol=1e-9)
-    x, v, force = pressed({"kind": "contact.preload", "force": 15.0})
-    np.testing.assert_allclose(
-        force, np.where(x > 0.0, np.maximum(K * x + C * v + 15.0, 0.0), 0.0), atol=1e-9
-    )
-
-
-def test_a_hard_stop_is_a_second_spring() -> None:
-    x, v, force = pressed({"kind": "contact.hard_stop", "position": 1.0e-3, "stiffness": 3.0e5})
-    np.testing.assert_allclose(force, linear(x, v) + 3.0e5 * np.maximum(x - 1.0e-3, 0.0), atol=1e-9)
-
-
-def test_adhesion_lets_the_contact_pull_no_more_than_its_force() -> None:
-    x, v, force = pressed({"kind": "contact.adhesion", "force": 5.0})
-    np.testing.assert_allclose(
-        force, np.where(x > 0.0, np.maximum(K * x + C * v, -5.0), 0.0), atol=1e-9
-    )
-    assert force.min() < -4.0
-
-
-def test_a_frame_that_gives_is_a_spring_in_series() -> None:
-    """F = k (x - F/k_f) + c v, so that F = (k x + c v)/(1 + k/k_f)."""
-    x, v, force = pressed({"kind": "frame.compliance", "stiffness": 5.0e5})
-    np.testing.assert_allclose(force, linear(x, v) / (1.0 + K / 5.0e5), atol=1e-6)
+@pytest.mark.parametrize(
+    ("kind", "size", "law"),
+    [
+        ("contact.stiffness", {"factor": 1.3}, lambda x, v: linear(x, v, k=1.3 * K)),
+        ("contact.damping", {"factor": 0.4}, lambda x, v: linear(x, v, c=0.4 * C)),
+        ("contact.touch_offset", {"offset": 3.0e-4}, lambda x, v: linear(x - 3.0e-4, v)),
+        # against the motion; a preload is not
+        (
+            "contact.dry_friction",
+            {"force": 20.0},
+            lambda x, v: linear(x, v, extra=20.0 * np.tanh(v / 2e-4)),
+        ),
+        ("contact.preload", {"force": 15.0}, lambda x, v: linear(x, v, extra=15.0)),
+        ("contact.hard_stop", {"position": 1.0e-3, "stiffness": 3.0e5}, stopped),
+        # it may pull, no more than its force
+        ("contact.adhesion", {"force": 5.0}, lambda x, v: linear(x, v, least=-5.0)),
+        # a spring in series: F = k (x - F/k_f) + c v, so that F = (k x + c v)/(1 + k/k_f)
+        ("frame.compliance", {"stiffness": 5.0e5}, lambda x, v: linear(x, v) / (1.0 + K / 5.0e5)),
+    ],
+)
+def test_the_force_follows_the_law(
+    kind: str, size: dict[str, float], law: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> None:
+    x, v, force = pressed({"kind": kind, **size})
+    close = 1e-6 if kind == "frame.compliance" else 1e-9
+    np.testing.assert_allclose(force, law(x, v), atol=close)
+    assert kind != "contact.adhesion" or force.min() < -4.0
 
 
 def test_a_held_relaxation_fades_with_its_time_constant() -> None:
@@ -82,8 +73,8 @@ def test_a_held_relaxation_fades_with_its_time_constant() -> None:
         {"kind": "contact.relaxation", "stiffness": 4.0e4, "time_constant": 0.05}, damping=0.0
     )
     plant, still = Plant([s]), np.zeros((1, 6))
-    plant.reset(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), still)
-    goal = np.array([[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0]])
+    plant.reset(pose(), still)
+    goal = pose(z=1e-3)
     extra = []
     for _ in range(400):
         plant.advance(goal, still, still)
@@ -96,14 +87,14 @@ def test_a_held_relaxation_fades_with_its_time_constant() -> None:
 def test_surface_friction_takes_the_place_of_the_one_believed() -> None:
     s = with_effect({"kind": "contact.surface_friction", "coefficient": 0.3})
     plant, twist = Plant([s]), np.array([[0.05, 0.0, 0.0, 0.0, 0.0, 0.0]])
-    plant.reset(np.array([[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0]]), twist)
+    plant.reset(pose(z=1e-3), twist)
     force = plant.wrench_sub[0, -1]
     assert force[0] / force[2] == pytest.approx(0.3, rel=1e-5)
 
 
 def test_a_tilted_port_pushes_along_its_own_normal() -> None:
     plant = Plant([with_effect({"kind": "contact.misalignment", "angles_deg": [2.0, -3.0]})])
-    plant.reset(np.array([[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 6)))
+    plant.reset(pose(z=1e-3), np.zeros((1, 6)))
     force = plant.wrench_sub[0, -1, :3]
     normal = np.array(
         [np.sin(np.radians(-3.0)) * np.cos(np.radians(2.0)), -np.sin(np.radians(2.0)), 0.0]
@@ -117,8 +108,8 @@ def test_a_frame_that_rings_moves_at_its_own_frequency() -> None:
         {"kind": "frame.mode", "frequency": 20.0, "damping_ratio": 1e-4, "mass": 80.0}, damping=0.0
     )
     plant, still = Plant([s]), np.zeros((1, 6))
-    plant.reset(np.array([[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0]]), still)
-    goal, force = np.array([[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1.0]]), []
+    plant.reset(pose(z=1e-3), still)
+    goal, force = pose(z=1e-3), []
     for _ in range(2000):
         plant.advance(goal, still, still)
         force.append(plant.wrench_sub[0, -1, 2])

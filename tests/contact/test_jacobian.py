@@ -4,8 +4,6 @@ makes of small steps.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -18,17 +16,13 @@ from hiltestbed.signals import AXES
 from tests.running import run
 from tests.slow import slow
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
 STEP = 1e-7  # [m], [rad]
 
 
 def held(name: str, until: float) -> tuple[Plant, np.ndarray, np.ndarray]:
-    """A shipped docking under ideal tracking at a time after its hard capture, its pose, and the
-    latched place in A.
-    """
+    """A docking under ideal tracking after its hard capture, its pose, the latched place in A."""
     s = load_scenario(
-        SCENARIOS / f"{name}.yaml",
-        {"rig.platform.tracking": "ideal", "sensor.delay": 0.0, "duration": until},
+        name, {"rig.platform.tracking": "ideal", "sensor.delay": 0.0, "duration": until}
     )
     loop = Loop([s])
     while loop.k < s.ticks:
@@ -66,10 +60,8 @@ def measured(
         before = wrench_at(-offset, ticks)
         moving = wrench_at(offset, 1)
         after = wrench_at(offset, ticks)
-        stiffness[:, axis], damping[:, axis] = (
-            (after - before) / (2.0 * STEP),
-            (moving - after) * tick / (2.0 * STEP),
-        )
+        stiffness[:, axis] = (after - before) / (2.0 * STEP)
+        damping[:, axis] = (moving - after) * tick / (2.0 * STEP)
     return stiffness, damping
 
 
@@ -115,9 +107,7 @@ def test_the_summary_has_the_truth_of_every_axis_once_it_is_held() -> None:
     Identified are rx and ry, within four standard deviations of 0.11 and 0.4 %, although the joint
     couples them with y and x by 17 kN.
     """
-    told = run(load_scenario(SCENARIOS / "16-probe-drogue.yaml", {"duration": 13.0})).summary[
-        "identification"
-    ]
+    told = run(load_scenario("16-probe-drogue", {"duration": 13.0})).summary["identification"]
     by_hand = [
         1.1e6,
         1.1e6,

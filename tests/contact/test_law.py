@@ -14,6 +14,15 @@ from hiltestbed.contact.wrench import LATCH_RADIUS, latch_wrench
 from hiltestbed.effects import EFFECTS
 from hiltestbed.frames import Array
 
+# [m] up to 10 mm and back to 4 mm, 10 um apart; [m/s] the rate
+TURN, RATE = (
+    np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]]),
+    np.full(1600, 0.1),
+)
+
+
+PLAY = {"contact.backlash": {"width": 2e-3}}
+
 
 def law(
     effects: dict[str, dict[str, Any]],
@@ -42,37 +51,25 @@ def friction(force: float, stiffness: float) -> dict[str, dict[str, Any]]:
 
 def test_springs_in_series() -> None:
     x = np.linspace(0, 2e-3, 20)
-    np.testing.assert_allclose(
-        law({"frame.compliance": {"stiffness": 4e5}}, x, np.zeros(20)),
-        1e5 * 4e5 / 5e5 * x,
-        rtol=1e-9,
-    )
+    force = law({"frame.compliance": {"stiffness": 4e5}}, x, np.zeros(20))
+    np.testing.assert_allclose(force, 1e5 * 4e5 / 5e5 * x, rtol=1e-9)
 
 
 def test_a_maxwell_branch_relaxes_with_its_time_constant() -> None:
     t = np.arange(1, 4001) * 1e-4
     ramp = np.minimum(t, 0.1) * 0.01
-    rate = np.where(t <= 0.1, 0.01, 0.0)
-    got = (
-        law({"contact.relaxation": {"stiffness": 5e4, "time_constant": 0.05}}, ramp, rate)
-        - 1e5 * ramp
-    )
+    branch = {"contact.relaxation": {"stiffness": 5e4, "time_constant": 0.05}}
+    got = law(branch, ramp, np.where(t <= 0.1, 0.01, 0.0)) - 1e5 * ramp
     peak = 5e4 * 0.01 * 0.05 * (1 - math.exp(-0.1 / 0.05))
     assert got[999] == pytest.approx(peak, rel=1e-9)
     assert got[-1] == pytest.approx(peak * math.exp(-0.3 / 0.05), rel=1e-9)
 
 
 def test_friction_that_gives_before_it_slips_turns_round_in_twice_its_stretch() -> None:
-    """Up to 10 mm, back to 4 mm: the spring of 1e6 N/m holds 500 N after 0.5 mm, and -500 N 1 mm
-    after the turn.
-    """
-    x = np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]])
-    got = law(friction(500.0, 1e6), x, np.full(1600, 0.1), k=0.0, held=True)
-    expected = np.where(
-        np.arange(1600) < 1000,
-        np.minimum(1e6 * x, 500.0),
-        np.maximum(500.0 - 1e6 * (10e-3 - x), -500.0),
-    )
+    """The spring of 1e6 N/m holds 500 N after 0.5 mm, and -500 N 1 mm after the turn."""
+    got = law(friction(500.0, 1e6), TURN, RATE, k=0.0, held=True)
+    up, back = np.minimum(1e6 * TURN, 500.0), np.maximum(500.0 - 1e6 * (10e-3 - TURN), -500.0)
+    expected = np.where(np.arange(1600) < 1000, up, back)
     np.testing.assert_allclose(got, expected, atol=1e-6)
 
 
@@ -80,20 +77,10 @@ def test_play_before_a_slider_travels_with_it() -> None:
     """2 mm of play: after the turn at 10 mm the force falls to nothing in 0.5 mm, stays there for 2
     mm, and grows the other way.
     """
-    x = np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]])
-    got = law(
-        friction(500.0, 1e6) | {"contact.backlash": {"width": 2e-3}},
-        x,
-        np.full(1600, 0.1),
-        k=0.0,
-        held=True,
-    )
-    back = 10e-3 - x[1000:]
-    expected = np.where(
-        back < 2.5e-3,
-        np.maximum(500.0 - 1e6 * back, 0.0),
-        np.maximum(-1e6 * (back - 2.5e-3), -500.0),
-    )
+    got = law(friction(500.0, 1e6) | PLAY, TURN, RATE, k=0.0, held=True)
+    back = 10e-3 - TURN[1000:]
+    let, take = np.maximum(500.0 - 1e6 * back, 0.0), np.maximum(-1e6 * (back - 2.5e-3), -500.0)
+    expected = np.where(back < 2.5e-3, let, take)
     np.testing.assert_allclose(got[1000:], expected, atol=1e-6)
     assert np.all(got[:90] == 0.0)
     assert got[999] == pytest.approx(500.0)
@@ -116,12 +103,10 @@ def test_adhesion_pulls_and_a_bumper_does_not() -> None:
 def test_a_table_with_a_kink_is_a_hard_stop() -> None:
     x = np.linspace(1e-5, 3e-3, 300)
     table = ((0.0, 0.0), (1e-3, 0.0), (2e-3, 400.0))
-    got = law({"contact.map": {"penetration": table}}, x, np.zeros(300), c=300.0)
-    np.testing.assert_allclose(
-        got,
-        law({"contact.hard_stop": {"position": 1e-3, "stiffness": 4e5}}, x, np.zeros(300), c=300.0),
-        rtol=1e-12,
-    )
+    curve = {"contact.map": {"penetration": table}}
+    stop = {"contact.hard_stop": {"position": 1e-3, "stiffness": 4e5}}
+    got, expected = (law(e, x, np.zeros(300), c=300.0) for e in (curve, stop))
+    np.testing.assert_allclose(got, expected, rtol=1e-12)
 
 
 def test_a_straight_line_over_the_rate_is_a_damper_and_a_part_of_the_spring_that_grows_with_it_hunt_crossley() -> (
@@ -142,29 +127,15 @@ def test_a_straight_line_over_the_rate_is_a_damper_and_a_part_of_the_spring_that
 def test_a_straight_line_over_the_stretch_is_friction_that_gives_before_it_slips(
     held: bool,
 ) -> None:
-    x = np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]])
-    got = law(
-        {"contact.map": {"stretch": ((-5e-4, -500.0), (5e-4, 500.0))}},
-        x,
-        np.full(1600, 0.1),
-        held=held,
-    )
-    np.testing.assert_allclose(
-        got, law(friction(500.0, 1e6), x, np.full(1600, 0.1), held=held), atol=1e-6
-    )
+    curve = {"contact.map": {"stretch": ((-5e-4, -500.0), (5e-4, 500.0))}}
+    got, expected = (law(e, TURN, RATE, held=held) for e in (curve, friction(500.0, 1e6)))
+    np.testing.assert_allclose(got, expected, atol=1e-6)
 
 
 def test_a_dead_zone_in_the_curve_over_the_stretch_is_play_that_travels_with_the_slider() -> None:
-    x = np.concatenate([np.linspace(0, 10e-3, 1001)[1:], np.linspace(10e-3, 4e-3, 601)[1:]])
     table = ((-1.5e-3, -500.0), (-1e-3, 0.0), (1e-3, 0.0), (1.5e-3, 500.0))
-    got = law({"contact.map": {"stretch": table}}, x, np.full(1600, 0.1), k=0.0, held=True)
-    play = law(
-        friction(500.0, 1e6) | {"contact.backlash": {"width": 2e-3}},
-        x,
-        np.full(1600, 0.1),
-        k=0.0,
-        held=True,
-    )
+    got = law({"contact.map": {"stretch": table}}, TURN, RATE, k=0.0, held=True)
+    play = law(friction(500.0, 1e6) | PLAY, TURN, RATE, k=0.0, held=True)
     np.testing.assert_allclose(got, play, atol=1e-6)
 
 
@@ -188,9 +159,7 @@ def test_a_latch_that_turns_freely_bears_forces_alone() -> None:
 
 @pytest.mark.parametrize("variant", [{}, {"damper": "in series"}, {"damper": "whole rate"}])
 def test_a_frame_gives_way_along_the_insertion_alone(variant: dict[str, str]) -> None:
-    """Of a pair that is held: forces across and moments are those of a rigid frame, however its
-    damper is read.
-    """
+    """Forces across and moments are those of a rigid frame, however its damper is read."""
     stiffness, frame = 1e5, 4e5
     rigid = ContactParameters(stiffness, 900.0, captured=1.0)
     gives = ContactParameters(stiffness, 900.0, captured=1.0).with_effects(

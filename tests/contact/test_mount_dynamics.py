@@ -29,16 +29,12 @@ MODEL = f"""
 
 @pytest.mark.parametrize("angle", [1e-3, 0.09, 0.3])
 def test_a_step_is_that_of_mujoco_at_small_and_large_angles(angle: float) -> None:
-    """A swing that begins with deflections of all six joints; beyond 0.1 rad sine and cosine are
-    computed in another way.
-    """
+    """From deflections of all joints; beyond 0.1 rad sine and cosine are computed otherwise."""
     model = mujoco.MjModel.from_xml_string(MODEL)
     data = mujoco.MjData(model)
-    q, qd, body = (
-        np.array([1e-3, -2e-3, 1e-3, angle, -0.8 * angle, 0.5 * angle]),
-        np.zeros(6),
-        carried(model, "mounted"),
-    )
+    q = np.array([1e-3, -2e-3, 1e-3, angle, -0.8 * angle, 0.5 * angle])
+    qd = np.zeros(6)
+    body = carried(model, "mounted")
     data.qpos[:] = q
     for _ in range(2000):
         mujoco.mj_step(model, data)
@@ -49,16 +45,12 @@ def test_a_step_is_that_of_mujoco_at_small_and_large_angles(angle: float) -> Non
 
 @pytest.mark.parametrize("size", [1e-6, 0.05, 1.0])
 def test_the_mounts_place_is_the_product_of_its_hinges(size: float) -> None:
-    """Attitude and angular velocity, against SciPy's rotations about x, y' and z'', behind a
-    tilt.
-    """
+    """Attitude and angular velocity, against SciPy's rotations about x, y', z'', with a tilt."""
     rng = np.random.default_rng(0)
     for _ in range(50):
-        q, qd, tilt = (
-            size * rng.normal(size=6),
-            rng.normal(size=6),
-            Rotation.from_rotvec(size * rng.normal(size=3)),
-        )
+        q = size * rng.normal(size=6)
+        qd = rng.normal(size=6)
+        tilt = Rotation.from_rotvec(size * rng.normal(size=3))
         place, motion = np.empty(7), np.empty(6)
         mount_place(q, qd, np.concatenate([np.zeros(3), tilt.as_quat()]), place, motion)
         x, y, z = (

@@ -126,10 +126,8 @@ def test_the_rod_meets_the_rim_in_one_contact(azimuth: float) -> None:
         ]
     )
     wanted, lean = 5e-4, math.radians(60.0)
-    back, across = (
-        np.array([math.sin(lean), -math.cos(lean)]),
-        np.array([math.cos(lean), math.sin(lean)]),
-    )
+    back = np.array([math.sin(lean), -math.cos(lean)])
+    across = np.array([math.cos(lean), math.sin(lean)])
     tip = ring - 0.12 * back - (ROD_RADIUS + EDGE - wanted) * across
     c, s = math.cos(azimuth), math.sin(azimuth)
 
@@ -150,9 +148,7 @@ def test_the_rod_meets_the_rim_in_one_contact(azimuth: float) -> None:
 
 
 def test_the_mesh_of_the_cone_is_the_surface_of_its_drawing() -> None:
-    """Balls anywhere within 50 mm of the surface, inside and outside: penetration to 10 nm, normal
-    to 1e-6.
-    """
+    """Balls within 50 mm of the surface, inside and out: penetration to 10 nm, normal to 1e-6."""
     plant, rng, free = Plant([rig()]), np.random.default_rng(3), np.empty(3)
     for _ in range(200):
         x, y = rng.uniform(-0.2, 0.2, 2)
@@ -175,9 +171,7 @@ def test_nothing_is_felt_where_nothing_touches() -> None:
 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_sliding_down_the_cone_is_at_the_coulomb_limit(tracking: str) -> None:
-    """Tangential over normal force within 1 % of the coefficient while the tip slides at 0.05 m/s
-    along the generator.
-    """
+    """Tangential over normal force within 1 % of mu, sliding at 0.05 m/s along the generator."""
     plant, mu, speed = Plant([rig(tracking, friction=0.2)]), 0.2, 0.05
     start, push = pressed("cone", 0.7, 0.3, 1e-3)
     down = np.array(

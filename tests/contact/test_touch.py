@@ -15,7 +15,7 @@ from hiltestbed import Scenario, run
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.resolution import error_bound, unconverged
 from hiltestbed.contact.touch import first_touch
-from hiltestbed.report.run import write_run_report
+from hiltestbed.report.run import run_report
 from hiltestbed.scenario import scenario_from
 
 K, C = 1e5, 300.0  # of each wall
@@ -82,12 +82,7 @@ def test_walls_that_meet_at_once_are_parallel_springs(tmp_path: Path, angle: flo
     for offset, number, size, row in (
         ((0.0, 0.0), 4, 4.0 * sine * sine, (0.0, 0.0, 1.0)),
         ((0.01, 0.0), 1, 1.0, (cosine, 0.0, sine)),
-        (
-            (0.01, 0.01),
-            2,
-            both,
-            np.array([cosine, cosine, 2.0 * sine]) / math.sqrt(2.0 * both),
-        ),
+        ((0.01, 0.01), 2, both, np.array([cosine, cosine, 2.0 * sine]) / math.sqrt(2.0 * both)),
     ):
         s = scenario(tmp_path, angle, False, **{"approach.offset": list(offset)})
         touch = first_touch(s)
@@ -157,7 +152,7 @@ def test_the_report_says_why_nothing_was_identified(tmp_path: Path) -> None:
     """A contact of almost a second, of which the pose does not show the rod's stroke."""
     done = run(scenario(tmp_path, 40.0, True))
     assert done.summary["contact_duration"] > 0.5
-    write_run_report(done, tmp_path / "run.html")
+    run_report(done).write(tmp_path / "run.html")
     page = (tmp_path / "run.html").read_text()
     assert "the pose does not show how far" in page
     assert "long enough" not in page

@@ -216,13 +216,14 @@ def test_its_folder_replays(folder: Path, tmp_path: Path) -> None:
 
 
 def recorded(folder: Path, **more: object) -> Path:
-    """The dataset of two runs at two speeds of the mechanism as ``more`` has it, believed to be
-    without effects.
-    """
-    entries, noise = (
-        [],
-        {"sensor.noise": 0.1, "sensor.torque_noise": 0.01, "approach.gap": 0.045, "duration": 0.4},
-    )
+    """The dataset of two runs at two speeds, believed to be without effects."""
+    entries = []
+    noise = {
+        "sensor.noise": 0.1,
+        "sensor.torque_noise": 0.01,
+        "approach.gap": 0.045,
+        "duration": 0.4,
+    }
     believed = {"approach.gap": 0.045} | {
         key: value for key, value in more.items() if key != "effects"
     }
@@ -240,18 +241,14 @@ def recorded(folder: Path, **more: object) -> Path:
 
 
 def verdict_on(dataset: Path) -> Verdict:
-    """The verdict alone: what else a diagnosis tells, such as how small a cause would have shown,
-    takes replays of its own.
-    """
+    """The verdict alone: what else a diagnosis tells takes replays of its own."""
     return judge(investigate.investigate(load_dataset(dataset))).verdict
 
 
 @SLOW
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_what_departs_in_it_is_named(folder: Path, tracking: str) -> None:
-    """The plunger moves by itself: its force hangs on how A moved before, which the diagnosis
-    plays.
-    """
+    """The plunger's force hangs on how A moved before, which the diagnosis plays."""
     hidden = [{"kind": "contact.stiffness", "factor": 1.3}]
     found = diagnose(
         recorded(folder, **{"rig.platform.tracking": tracking, "effects": hidden})

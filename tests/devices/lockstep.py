@@ -19,9 +19,10 @@ from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.pace import DevicePace, Pace
 from hiltestbed.devices.session import Observed, Options, Session, clients
 from hiltestbed.devices.timekeeping import SimulatedClock
+from hiltestbed.devices.watch import CommunicationLimits
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import Run
-from tests.devices.running import free_ports, going, until
+from tests.devices.running import going, until, urls
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 PATIENT = {
@@ -29,7 +30,7 @@ PATIENT = {
     "devices.communication.stale": 1000.0,
     "devices.platform.run_up": 0.2,
 }
-RATES = {"rsi": 250.0, "udp": 1000.0, "shm": 1000.0}
+RATES = {"rsi": 250.0, "rtde": 500.0, "udp": 1000.0, "shm": 1000.0}
 
 
 def scenario_of(name: str, platform: str, **changes: Any) -> Scenario:
@@ -38,42 +39,17 @@ def scenario_of(name: str, platform: str, **changes: Any) -> Scenario:
     """
     rate = RATES[platform]
     still = {"rate": rate, "physics_rate": 4000.0, "sensor.noise": 0.0, "sensor.torque_noise": 0.0}
-    return load_scenario(
-        SCENARIOS / f"{name}.yaml",
-        still | PATIENT | {key.replace("__", "."): value for key, value in changes.items()},
-    )
+    dotted = {key.replace("__", "."): value for key, value in changes.items()}
+    return load_scenario(SCENARIOS / f"{name}.yaml", still | PATIENT | dotted)
+
+
+def watched(scenario: Scenario, limits: CommunicationLimits) -> Scenario:
+    """``scenario`` with these limits on lost, late and faulty records."""
+    devices = scenario.devices.model_copy(update={"communication": limits})
+    return scenario.model_copy(update={"devices": devices})
 
 
 Disturbance = Callable[[int, Emulator, Session], Collection[str]]
-
-
-@dataclass
-class Urls:
-    """Of the loop's and of the devices' side."""
-
-    sensor: str
-    platform: str
-    emulated_sensor: str
-    emulated_platform: str
-
-
-def urls_of(platform: str) -> Urls:
-    """RDT and ``platform`` on free ports."""
-    a, b, c = free_ports(3)
-    sensor = f"rdt://127.0.0.1:{a}?counts_per_force=1e6&counts_per_torque=1e6"
-    if platform == "rsi":
-        return Urls(
-            sensor,
-            f"rsi://127.0.0.1:{b}?connect=10",
-            f"rdt://127.0.0.1:{a}",
-            f"rsi://127.0.0.1:{b}?late_limit=1000000",
-        )
-    return Urls(
-        sensor,
-        f"udp://127.0.0.1:{b}?listen={c}&connect=10",
-        f"rdt://127.0.0.1:{a}",
-        f"udp://127.0.0.1:{b}?peer={c}",
-    )
 
 
 @dataclass
@@ -94,6 +70,7 @@ def played(
     emulated: Scenario | None = None,
     armed: bool = True,
     record: Path | None = None,
+    sensor: str = "rdt",
 ) -> Outcome:
     """Run ``scenario`` against the emulated rig of ``emulated``, the same where it is not given.
 
@@ -110,7 +87,10 @@ def played(
         cycle += begun
         return disturb(cycle - 1, emulator, session) if begun and disturb is not None else ()
 
-    with against(emulated or scenario, platform, before, armed) as (options, emulator):
+    with against(emulated or scenario, platform, before, armed, sensor=sensor) as (
+        options,
+        emulator,
+    ):
         session = Session(scenario, replace(options, record=record))
         with session.connected():
             observed: Observed = session.observe()
@@ -126,6 +106,7 @@ def against(
     before: Callable[[Emulator], Collection[str]] = lambda emulator: (),
     armed: bool = True,
     faster: Callable[[], float] = lambda: 1.0,
+    sensor: str = "rdt",
 ) -> Iterator[tuple[Options, Emulator]]:
     """Options for a session against the emulated rig of ``emulated``, which moves when the session
     waits for it.
@@ -135,23 +116,23 @@ def against(
             not arrive in it.
         faster: how much faster than the wall clock the devices' clock runs.
     """
-    urls = urls_of(platform)
-    emulator = Emulator(emulated, urls.emulated_sensor, urls.emulated_platform)
+    (sensor_url, device_sensor), (platform_url, device_platform) = urls(sensor), urls(platform)
+    emulator = Emulator(emulated, device_sensor, device_platform)
     stepped, cycling = False, threading.Lock()
 
-    def pace(sensor: SensorClient, moved: PlatformClient, tick: float) -> Pace:
+    def pace(felt: SensorClient, moved: PlatformClient, tick: float) -> Pace:
         nonlocal stepped
         with cycling:  # once a cycle that has begun is over
             stepped = True
-        while sensor.poll() or moved.poll():
+        while felt.poll() or moved.poll():
             pass
 
         def wait(timeout: float, expected: float) -> bool:
-            seen = sensor.sample.sequence
+            seen = felt.sample.sequence
             lost = before(emulator)
             emulator.cycle()
             if "sensor" not in lost:
-                until(lambda: sensor.sample.sequence != seen or sensor.poll())
+                until(lambda: felt.sample.sequence != seen or felt.poll())
             if "platform" not in lost:
                 until(moved.poll)
             return "platform" not in lost
@@ -166,8 +147,8 @@ def against(
 
     with emulator, going(step, 0.002):
         options = Options(
-            urls.sensor,
-            urls.platform,
+            sensor_url,
+            platform_url,
             armed=armed,
             pace=pace,
             clock=SimulatedClock(lambda: emulator.cycles * emulator.rig.period / faster()),

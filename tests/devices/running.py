@@ -1,15 +1,17 @@
-"""What several tests of devices need: a device that goes on by itself, and a wait for something
-that another thread will do.
+"""What several tests of devices need: free addresses, a device that goes on by itself, and a wait
+for something that another thread will do.
 """
 
 from __future__ import annotations
 
+import os
 import random
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import cycle
 
 import numpy as np
 
@@ -52,15 +54,22 @@ def until(condition: Callable[[], object]) -> None:
         time.sleep(0.0005)
 
 
+# each worker has ports of its own, and gives none twice before all were given
+WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+OWN = range(20_000 + WORKER, 32_000, WORKERS)
+PORTS = cycle(random.sample(OWN, len(OWN)))
+
+
 def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> list[int]:
-    """Ports of the loopback address that nobody uses just now, and that the kernel gives nobody of
-    itself (Linux: those below 32768).
+    """Ports of the loopback address that nobody uses just now, that the kernel gives nobody of
+    itself (Linux: those below 32768), and that no other test is given.
     """
     held: list[socket.socket] = []
     while len(held) < count:
         opened = socket.socket(socket.AF_INET, kind)
         try:
-            opened.bind(("127.0.0.1", random.randrange(20_000, 32_000)))
+            opened.bind(("127.0.0.1", next(PORTS)))
             held.append(opened)
         except OSError:
             opened.close()
@@ -68,3 +77,19 @@ def free_ports(count: int, kind: int = socket.SOCK_DGRAM) -> list[int]:
     for opened in held:
         opened.close()
     return ports
+
+
+def urls(scheme: str) -> tuple[str, str]:
+    """Of the loop's and of the device's side, at a free address."""
+    a, b = free_ports(2)
+    host, name = "127.0.0.1", f"shm://hiltestbed-test-{os.getpid()}-{a}"
+    return {
+        "rdt": (
+            f"rdt://{host}:{a}?counts_per_force=1e6&counts_per_torque=1e6",
+            f"rdt://{host}:{a}",
+        ),
+        "rsi": (f"rsi://{host}:{a}?connect=10", f"rsi://{host}:{a}?late_limit=1000000"),
+        "rtde": (f"rtde://{host}:{a}?connect=10", f"rtde://{host}:{a}"),
+        "udp": (f"udp://{host}:{a}?listen={b}&connect=10", f"udp://{host}:{a}?peer={b}"),
+        "shm": (name, name),
+    }[scheme]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.devices.interface import (
+    Client,
     Event,
     PlatformClient,
     PlatformServer,
@@ -34,12 +35,7 @@ BAD = 0x80020000  # a status word: transducer saturation
 class Rig:
     """A device, a wire and a client, moved cycle by cycle."""
 
-    def __init__(
-        self,
-        client: SensorClient | PlatformClient,
-        server: SensorServer | PlatformServer,
-        wire: Wire,
-    ) -> None:
+    def __init__(self, client: Client, server: SensorServer | PlatformServer, wire: Wire) -> None:
         self.client, self.server, self.wire = client, server, wire
         self.tick = 0
 
@@ -68,9 +64,8 @@ def _rdt() -> Iterator[Rig]:
     assert isinstance(server, RdtServer)
     with server:
         wire = Wire(device=server.address)
-        client = sensor_client(
-            f"rdt://127.0.0.1:{wire.near.getsockname()[1]}?counts_per_force=1e6&counts_per_torque=1e6"
-        )
+        url = f"rdt://127.0.0.1:{wire.near.getsockname()[1]}"
+        client = sensor_client(f"{url}?counts_per_force=1e6&counts_per_torque=1e6")
         yield from _opened(Rig(client, server, wire))
 
 
@@ -89,9 +84,8 @@ def _udp() -> Iterator[Rig]:
     wire = Wire(device=("127.0.0.1", theirs), client=("127.0.0.1", ours))
     server = platform_server(f"udp://127.0.0.1:{theirs}?peer={wire.far.getsockname()[1]}")
     with server:
-        client = platform_client(
-            f"udp://127.0.0.1:{wire.near.getsockname()[1]}?listen={ours}&connect=5"
-        )
+        url = f"udp://127.0.0.1:{wire.near.getsockname()[1]}"
+        client = platform_client(f"{url}?listen={ours}&connect=5")
         yield from _opened(Rig(client, server, wire))
 
 
@@ -129,15 +123,11 @@ def _watch(rig: Rig, limits: CommunicationLimits = NONE) -> CommunicationWatch:
 
 
 def _run(
-    rig: Rig,
-    watch: CommunicationWatch,
-    fault: Fault,
-    cycles: int,
-    status: Callable[[int], int] = lambda k: 0,
+    rig: Rig, watch: CommunicationWatch, fault: Fault, cycles: int = 60, bad: float = np.inf
 ) -> int | None:
-    """The cycle in which the watch stops; None where it does not."""
+    """The cycle in which the watch stops; None where it does not. From ``bad`` on with a status."""
     for k in range(cycles):
-        if rig.cycle(watch, fault, status(k)) is not None:
+        if rig.cycle(watch, fault, BAD if k >= bad else 0) is not None:
             return k
     return None
 
@@ -172,7 +162,7 @@ def test_where_nothing_is_allowed_the_cycle_of_the_fault_stops(protocol: str, fa
     make, cycle, event = FAULTS[fault]
     with RIGS[protocol]() as rig:
         watch = _watch(rig)
-        assert _run(rig, watch, make(), 60) == cycle
+        assert _run(rig, watch, make()) == cycle
         assert watch.stop is not None
         assert watch.stop.event is event
         assert watch.stop.reason.startswith(f"device {rig.client.where}: ")
@@ -199,7 +189,7 @@ def test_one_miss_that_is_allowed_is_counted_and_does_not_stop(
     with RIGS[protocol]() as rig:
         watch = _watch(rig, LENIENT)
         before = rig.client.counts[event]
-        assert _run(rig, watch, fault(), 60) is None
+        assert _run(rig, watch, fault()) is None
         assert rig.client.counts[event] == before + 1
 
 
@@ -209,7 +199,7 @@ def test_more_misses_in_a_row_than_allowed_stop_in_the_cycle_of_the_first_too_ma
 ) -> None:
     with RIGS[protocol]() as rig:
         watch = _watch(rig, NONE.model_copy(update={"misses_in_a_row": 3, "misses_in_window": 100}))
-        assert _run(rig, watch, Changed(set(range(AT, AT + 9)), lambda data: []), 60) == AT + 3
+        assert _run(rig, watch, Changed(set(range(AT, AT + 9)), lambda data: [])) == AT + 3
         assert watch.stop is not None
         assert "4 misses in a row, the last late (limit 3)" in watch.stop.reason
 
@@ -227,10 +217,8 @@ def test_two_in_a_hundred_stop_where_the_window_says(protocol: str, kind: str) -
     expected = int(np.argmax(windows > 10))
     assert windows[expected] == 11
     with RIGS[protocol]() as rig:
-        limits = NONE.model_copy(
-            update={"misses_in_a_row": 5, "misses_in_window": 10, "window": 500}
-        )
-        watch = _watch(rig, limits)
+        limits = {"misses_in_a_row": 5, "misses_in_window": 10, "window": 500}
+        watch = _watch(rig, NONE.model_copy(update=limits))
         fault = Changed(bad, lambda data: []) if kind == "lost" else OneCycleLate(bad)
         assert _run(rig, watch, fault, 1000) == expected
 
@@ -239,13 +227,11 @@ def test_two_in_a_hundred_stop_where_the_window_says(protocol: str, kind: str) -
 def test_an_error_status_stops_at_once(protocol: str) -> None:
     with RIGS[protocol]() as rig:
         watch = _watch(rig, LENIENT)
-        assert _run(rig, watch, pass_on, 60, lambda k: BAD if k >= AT else 0) == AT
+        assert _run(rig, watch, pass_on, bad=AT) == AT
         assert watch.stop is not None
         assert watch.stop.event is Event.STATUS
-        assert (
-            "the device reports an error (status 0x80020000; allowed are 0 in a row)"
-            in watch.stop.reason
-        )
+        said = "the device reports an error (status 0x80020000; allowed are 0 in a row)"
+        assert said in watch.stop.reason
 
 
 def test_a_device_that_refuses_is_gone() -> None:
@@ -266,9 +252,8 @@ def test_a_device_that_refuses_is_gone() -> None:
 
 def test_an_old_sample_stops_whatever_else_is_allowed() -> None:
     with _rdt() as rig:
-        watch = _watch(
-            rig, CommunicationLimits(misses_in_a_row=10_000, misses_in_window=10_000, stale=1e-9)
-        )
+        rest = {"misses_in_a_row": 10_000, "misses_in_window": 10_000}
+        watch = _watch(rig, NONE.model_copy(update=rest | {"stale": 1e-9}))
         stop = rig.cycle(watch, pass_on)
         assert stop is not None
         assert stop.event is Event.STALE

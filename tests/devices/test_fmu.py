@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hiltestbed.devices.fmu import CoSimulation, pack
+from hiltestbed.analysis.ledger import contact_frequency
+from hiltestbed.analysis.stability import stability
+from hiltestbed.devices.fmu import POSE, CoSimulation, pack
+from hiltestbed.devices.fmu import WRENCH as AXES
 from hiltestbed.devices.interface import DeviceError
 from hiltestbed.errors import InputError
+from hiltestbed.numerical_model.bodies import effective_mass
+from hiltestbed.numerical_model.model import NumericalModel
+from hiltestbed.scenario import dump_scenario, load_scenario
+from tests.running import run
 
 fmpy = pytest.importorskip("fmpy")
 pytest.importorskip("pythonfmu3")
+from fmpy.validation import validate_fmu  # noqa: E402
+from pythonfmu3.builder import FmuBuilder  # noqa: E402
 
 PERIOD, STIFFNESS = 0.001, 1.0e4
-COMMAND = [f"pose_cmd.{name}" for name in ("px", "py", "pz", "qx", "qy", "qz", "qw")]
-WRENCH = [f"wrench_meas.{name}" for name in ("fx", "fy", "fz", "tx", "ty", "tz")]
+COMMAND = [f"pose_cmd.{name}" for name in POSE]
+WRENCH = [f"wrench_meas.{name}" for name in AXES]
 
 
 class Spring:
@@ -38,17 +49,18 @@ def make(scenario: Path) -> Spring:
     return Spring(scenario)
 
 
-@pytest.fixture(scope="module")
-def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("fmu")
+def packed_in(folder: Path, name: str) -> Path:
     scenario = folder / "scenario.yaml"
     scenario.write_text("name: bounce\n", encoding="utf-8")
-    return pack("tests.devices.test_fmu:make", scenario, folder, name="SpringRig")
+    return pack("tests.devices.test_fmu:make", scenario, folder, name=name)
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return packed_in(tmp_path_factory.mktemp("fmu"), "SpringRig")
 
 
 def test_the_validation_of_fmpy_finds_nothing(packed: Path) -> None:
-    from fmpy.validation import validate_fmu
-
     assert packed.name == "SpringRig.fmu"
     assert validate_fmu(str(packed)) == []
     description = fmpy.read_model_description(str(packed))
@@ -125,10 +137,6 @@ SHORT = {
 
 
 def test_the_rig_of_a_scenario_in_fmpy_bounces_as_the_run_does(tmp_path: Path) -> None:
-    from hiltestbed.numerical_model.model import NumericalModel
-    from hiltestbed.scenario import dump_scenario, load_scenario
-    from tests.running import run
-
     scenario = load_scenario(RIG, SHORT)
     file = tmp_path / "scenario.yaml"
     file.write_text(dump_scenario(scenario), encoding="utf-8")
@@ -146,6 +154,7 @@ def test_the_rig_of_a_scenario_in_fmpy_bounces_as_the_run_does(tmp_path: Path) -
     np.testing.assert_allclose(path, alone["pose_cmd"], atol=1e-6)
 
 
+OK = "return Fmi3StepResult(status=Fmi3Status.ok)"
 _MODEL = '''
 from pythonfmu3 import Fmi3Causality, Fmi3Slave, Fmi3StepResult, Fmi3Status, Float64
 
@@ -184,29 +193,36 @@ class Vehicles(Fmi3Slave):
 '''
 
 
-def _vehicles(folder: Path, half: int) -> Path:
-    from pythonfmu3.builder import FmuBuilder
-
-    from hiltestbed.numerical_model.bodies import effective_mass
-    from hiltestbed.scenario import load_scenario
-
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Makes a vehicle model whose step returns ``returns`` (Python), each once."""
+    made: dict[tuple, Path] = {}
     scenario = load_scenario(RIG, SHORT)
-    script = folder / f"vehicles_{half}.py"  # a name of its own: one Python loads them all
     numbers = {
         "start": -scenario.approach.gap,
         "speed": scenario.approach.velocity[2],
         "mass": effective_mass(scenario),
-        "half": half,
     }
-    script.write_text(_MODEL.format(**numbers), encoding="utf-8")
-    return FmuBuilder.build_FMU(script, folder)
+
+    def make(returns: str = OK, half: int = 0) -> Path:
+        if (returns, half) not in made:
+            folder = tmp_path_factory.mktemp("fmu")
+            name = f"{folder.name.capitalize()}Stepped{len(made)}"  # one Python loads them all
+            text = _MODEL.format(**numbers, half=half).replace(OK, returns)
+            script = folder / f"{name.lower()}.py"
+            script.write_text(text.replace("class Vehicles", f"class {name}"), encoding="utf-8")
+            made[returns, half] = FmuBuilder.build_FMU(script, folder)
+        return made[returns, half]
+
+    return make
 
 
-def test_a_numerical_model_of_the_users_own_makes_the_same_run(tmp_path: Path) -> None:
-    from hiltestbed.scenario import load_scenario
-    from tests.running import run
+def with_model(fmu: Path) -> dict:
+    return {"numerical_model": {"kind": "fmu", "file": str(fmu)}}
 
-    own = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))}}
+
+def test_a_numerical_model_of_the_users_own_makes_the_same_run(built) -> None:
+    own = with_model(built())
     ours, theirs = run(load_scenario(RIG, SHORT)), run(load_scenario(RIG, SHORT | own))
     assert ours.trace is not None
     assert theirs.trace is not None
@@ -216,44 +232,26 @@ def test_a_numerical_model_of_the_users_own_makes_the_same_run(tmp_path: Path) -
     assert entry["delay"] == 0.5 / theirs.scenario.rate
 
 
-def test_the_half_tick_of_a_force_that_is_held_is_what_the_ledger_says(tmp_path: Path) -> None:
+def test_the_half_tick_of_a_force_that_is_held_is_what_the_ledger_says(built) -> None:
     """A model that is exact within the tick: ln(e/e_semi_implicit) = (pi/2) w h/2."""
-    import math
-
-    from hiltestbed.analysis.ledger import contact_frequency
-    from hiltestbed.scenario import load_scenario
-    from tests.running import run
-
     slower = SHORT | {"rate": 500.0, "physics_rate": 4000.0}
-    exact = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 1))}}
-    scenario = load_scenario(RIG, slower | exact)
+    scenario = load_scenario(RIG, slower | with_model(built(half=1)))
     change = math.log(run(scenario).summary["cor"] / run(load_scenario(RIG, slower)).summary["cor"])
     assert change == pytest.approx(
         0.25 * math.pi * contact_frequency(scenario) * scenario.tick, rel=0.05
     )
 
 
-def test_the_bounce_of_a_users_model_is_foretold_with_the_vehicles_that_are_given(
-    tmp_path: Path,
-) -> None:
-    from hiltestbed.analysis.stability import stability
-    from hiltestbed.scenario import load_scenario
-
+def test_the_bounce_of_a_users_model_is_foretold_with_the_vehicles_that_are_given(built) -> None:
     rubs = SHORT | {"mechanism.contact.friction": 0.1}  # played, and not computed
-    own = {"numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))}}
+    own = with_model(built())
     ours, theirs = stability(load_scenario(RIG, rubs)), stability(load_scenario(RIG, rubs | own))
     assert ours is not None
     assert theirs is not None
     assert theirs["rebound"] == pytest.approx(ours["rebound"], rel=0.02)  # half a tick later
 
 
-def test_an_fmu_that_starts_elsewhere_is_refused(tmp_path: Path) -> None:
-    from hiltestbed.scenario import load_scenario
-    from tests.running import run
-
-    own = {
-        "numerical_model": {"kind": "fmu", "file": str(_vehicles(tmp_path, 0))},
-        "approach.velocity": [0.0, 0.0, 0.01],
-    }
+def test_an_fmu_that_starts_elsewhere_is_refused(built) -> None:
+    own = with_model(built()) | {"approach.velocity": [0.0, 0.0, 0.01]}
     with pytest.raises(InputError, match="starts elsewhere than approach says"):
         run(load_scenario(RIG, SHORT | own))

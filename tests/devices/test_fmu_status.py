@@ -13,46 +13,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.devices.fmu import CoSimulation, pack
+from hiltestbed.devices.fmu import CoSimulation
 from hiltestbed.devices.interface import DeviceError
 from hiltestbed.errors import InputError
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.scenario import load_scenario
 from hiltestbed.simulation import Run
-from tests.devices.test_fmu import _MODEL, COMMAND, PERIOD, RIG, SHORT
+from tests.devices.test_fmu import COMMAND, OK, PERIOD, RIG, SHORT, built, packed_in, with_model
 from tests.running import run
 
 fmpy = pytest.importorskip("fmpy")
 pytest.importorskip("pythonfmu3")
 from fmpy.fmi3 import FMU3Slave  # noqa: E402
-from pythonfmu3.builder import FmuBuilder  # noqa: E402
 
-OK = "return Fmi3StepResult(status=Fmi3Status.ok)"
-
-
-@pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Makes a vehicle model whose step returns ``returns`` (Python), each once."""
-    made: dict[str, Path] = {}
-    scenario = load_scenario(RIG, SHORT)
-    numbers = {
-        "start": -scenario.approach.gap,
-        "speed": scenario.approach.velocity[2],
-        "mass": effective_mass(scenario),
-        "half": 0,
-    }
-
-    def make(returns: str = OK) -> Path:
-        if returns not in made:
-            folder = tmp_path_factory.mktemp("fmu")
-            name = f"Stepped{len(made)}"
-            text = _MODEL.format(**numbers).replace(OK, returns)
-            script = folder / f"{name.lower()}.py"
-            script.write_text(text.replace("class Vehicles", f"class {name}"), encoding="utf-8")
-            made[returns] = FmuBuilder.build_FMU(script, folder)
-        return made[returns]
-
-    return make
+__all__ = ["built"]  # the fixture
 
 
 def _described(fmu: Path, out: Path, change: Callable[[str], str]) -> Path:
@@ -67,17 +41,14 @@ def _described(fmu: Path, out: Path, change: Callable[[str], str]) -> Path:
 
 
 def _run(fmu: Path) -> Run:
-    own = {"numerical_model": {"kind": "fmu", "file": str(fmu)}}
-    return run(load_scenario(RIG, SHORT | own))
+    return run(load_scenario(RIG, SHORT | with_model(fmu)))
 
 
 LATE = "current_time > 0.2995"
 
 
 def test_a_model_that_ends_the_simulation_ends_the_run_with_its_time(built) -> None:
-    ended = _run(
-        built(OK.replace("status=Fmi3Status.ok", f"terminateSimulation={LATE}")),
-    )
+    ended = _run(built(OK.replace("status=Fmi3Status.ok", f"terminateSimulation={LATE}")))
     assert ended.summary["status"] == "stopped"
     reason = ended.summary["stop_reason"]
     assert "has ended the simulation at t = 0.299750 s (terminateSimulation)" in reason
@@ -221,10 +192,7 @@ def test_an_output_that_is_no_rotation_is_a_failure_with_its_time(
 
 @pytest.fixture(scope="module")
 def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("packed")
-    scenario = folder / "scenario.yaml"
-    scenario.write_text("name: bounce\n", encoding="utf-8")
-    return pack("tests.devices.test_fmu:make", scenario, folder, name="TimedRig")
+    return packed_in(tmp_path_factory.mktemp("packed"), "TimedRig")
 
 
 def test_time_of_a_packed_side_advances_with_that_of_the_tool(packed: Path) -> None:

@@ -6,25 +6,34 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hiltestbed.compiled import bound
+from hiltestbed.devices.rdt import RdtServer
 from hiltestbed.devices.recorder import discard
+from hiltestbed.devices.session import Options, clients
+from hiltestbed.devices.table import sensor_server
 from hiltestbed.run_folder.store import read_run, write_run
 from hiltestbed.signals import CYCLE
-from tests.devices.lockstep import SCENARIOS, played, scenario_of, urls_of
+from tests.devices.lockstep import RATES, SCENARIOS, played, scenario_of
+from tests.devices.running import going, urls
 from tests.running import run
 from tests.slow import SLOW
 
+PAIRS = [("rdt", "rsi"), ("rdt", "udp"), ("udp", "udp"), ("shm", "shm"), ("rtde", "rtde")]
 
-@pytest.mark.parametrize("platform", ["rsi", "udp"])
-def test_a_bounce_over_the_wire_is_the_bounce_of_the_simulation(platform: str) -> None:
+
+@pytest.mark.parametrize(("sensor", "platform"), PAIRS)
+def test_a_bounce_over_the_wire_is_the_bounce_of_the_simulation(sensor: str, platform: str) -> None:
     """With a force that is 5 ms late and nothing done about it, which is what makes e sensitive:
     ln(e/e_run) far below 0.01.
 
@@ -32,9 +41,10 @@ def test_a_bounce_over_the_wire_is_the_bounce_of_the_simulation(platform: str) -
     rounded command.
     """
     scenario = scenario_of("03-bumper-delay-uncompensated", platform, duration=0.8)
-    alone, live = run(scenario), played(scenario, platform).run
+    alone, live = run(scenario), played(scenario, platform, sensor=sensor).run
     assert live.summary["status"] == "completed"
     assert live.summary["live"]["missed"] == 0
+    assert {events["lost"] for events in live.summary["live"]["events"].values()} == {0}
     assert alone.summary["cor"] > 1.0
     assert abs(math.log(live.summary["cor"] / alone.summary["cor"])) < 1e-4
     assert live.trace is not None
@@ -101,12 +111,7 @@ def test_mounted_elsewhere_it_is_the_same_run() -> None:
         "devices.platform.tool": {"position": [0.0, 0.02, 0.15], "attitude_deg": [5.0, 0.0, 45.0]},
     }
     straight = scenario_of("02-bumper", "rsi", duration=0.8)
-    turned = scenario_of(
-        "02-bumper",
-        "rsi",
-        duration=0.8,
-        **{key.replace(".", "__"): value for key, value in mounted.items()},
-    )
+    turned = scenario_of("02-bumper", "rsi", duration=0.8, **mounted)
     one, other = played(straight, "rsi").run, played(turned, "rsi").run
     assert one.trace is not None
     assert other.trace is not None
@@ -149,67 +154,45 @@ def test_the_rows_are_on_disk_as_they_come(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@contextmanager
+def _commands(
+    platform: str, folder: Path, seconds: float, **settings: object
+) -> Iterator[tuple[subprocess.Popen, subprocess.Popen]]:
+    """The processes of `emulate` and of `live` against it, which writes its run to ``folder``."""
+    program = [sys.executable, "-m", "hiltestbed.cli"]
+    given = {"rate": RATES[platform], "physics_rate": 4000.0} | settings
+    sets = [part for key, value in given.items() for part in ("--set", f"{key}={value}")]
+    case = [str(SCENARIOS / "reference-bumper.yaml"), *sets, "--json"]
+    pairs = zip(urls("rdt"), urls(platform), strict=True)
+    ours, theirs = (["--sensor", sensor, "--platform", moved] for sensor, moved in pairs)
+    lasting = ["--arm", "--out", str(folder), "--for", str(seconds)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*program, "emulate", *case, *theirs], **pipes) as device:
+        assert device.stderr is not None
+        device.stderr.readline()
+        try:
+            with subprocess.Popen([*program, "live", *case, *ours, *lasting], **pipes) as loop:
+                yield device, loop
+        finally:
+            device.terminate()
+
+
 @SLOW
 @pytest.mark.parametrize("platform", ["rsi", "udp"])
 def test_two_processes_in_real_time(platform: str, tmp_path: Path) -> None:
     """By the commands themselves; misses are counted, and e is that of the simulation where few
     have been missed.
     """
-    urls, name = urls_of(platform), str(SCENARIOS / "reference-bumper.yaml")
-    sets = [
-        "--set",
-        f"rate={250 if platform == 'rsi' else 1000}",
-        "--set",
-        "physics_rate=4000",
-        "--set",
-        "devices.watchdog=null",
-    ]
-    sets += [
-        "--set",
-        "devices.communication={misses_in_a_row: 1000, misses_in_window: 1000, "
-        "disturbances_in_window: 1000, stale: 5.0}",
-    ]
-    program = [sys.executable, "-m", "hiltestbed.cli"]
-    emulated = [
-        "emulate",
-        name,
-        *sets,
-        "--sensor",
-        urls.emulated_sensor,
-        "--platform",
-        urls.emulated_platform,
-        "--for",
-        "25",
-        "--json",
-    ]
-    with subprocess.Popen(
-        [*program, *emulated], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as device:
-        assert device.stderr is not None
-        device.stderr.readline()
-        options = [
-            "--sensor",
-            urls.sensor,
-            "--platform",
-            urls.platform,
-            "--arm",
-            "--out",
-            str(tmp_path / "run"),
-            "--for",
-            "1.5",
-            "--json",
-        ]
-        done = subprocess.run(
-            [*program, "live", name, *sets, *options],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60,
-        )
+    lenient = (
+        "{misses_in_a_row: 1000, misses_in_window: 1000, disturbances_in_window: 1000, stale: 5.0}"
+    )
+    settings = {"devices.watchdog": "null", "devices.communication": lenient}
+    with _commands(platform, tmp_path / "run", 1.5, **settings) as (device, loop):
+        out, said = loop.communicate(timeout=60)
         device.terminate()
         told = json.loads(device.communicate()[0])
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
+    assert loop.returncode == 0, said
+    summary = json.loads(out)
     expected = run(read_run(tmp_path / "run").scenario).summary["cor"]
     missed = max(summary["live"]["missed"], told["missed"])
     if missed > 10:
@@ -219,64 +202,23 @@ def test_two_processes_in_real_time(platform: str, tmp_path: Path) -> None:
 
 @SLOW
 def test_a_device_that_is_killed_leaves_a_whole_run_and_no_traceback(tmp_path: Path) -> None:
-    urls, name = urls_of("udp"), str(SCENARIOS / "reference-bumper.yaml")
-    sets = ["--set", "rate=1000", "--set", "physics_rate=4000"]
-    program = [sys.executable, "-m", "hiltestbed.cli"]
-    emulated = [
-        "emulate",
-        name,
-        *sets,
-        "--sensor",
-        urls.emulated_sensor,
-        "--platform",
-        urls.emulated_platform,
-    ]
-    options = [
-        "--sensor",
-        urls.sensor,
-        "--platform",
-        urls.platform,
-        "--arm",
-        "--out",
-        str(tmp_path / "run"),
-        "--for",
-        "60",
-    ]
-    with subprocess.Popen(
-        [*program, *emulated], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as device:
-        assert device.stderr is not None
-        device.stderr.readline()
-        with subprocess.Popen(
-            [*program, "live", name, *sets, *options],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        ) as loop:
-            assert loop.stderr is not None
-            assert "armed" in loop.stderr.readline()
-            time.sleep(3.0)  # it runs for a minute where nobody kills its devices
-            device.kill()
-            told = loop.communicate(timeout=60)[1]
+    with _commands("udp", tmp_path / "run", 60.0) as (device, loop):
+        assert loop.stderr is not None
+        assert "armed" in loop.stderr.readline()
+        time.sleep(3.0)  # it runs for a minute where nobody kills its devices
+        device.kill()
+        told = loop.communicate(timeout=60)[1]
     assert loop.returncode == 3, told
     assert "Traceback" not in told
-    kept = read_run(tmp_path / "run")
-    assert kept.summary["status"] == "stopped"
-    assert (
-        "sensor rdt://" in kept.summary["stop_reason"]
-        or "platform udp://" in kept.summary["stop_reason"]
-    )
+    summary = read_run(tmp_path / "run").summary
+    assert summary["status"] == "stopped"
+    assert re.search("sensor rdt://|platform udp://", summary["stop_reason"])
 
 
 def test_a_sensor_that_tells_its_rate_is_asked_for_it() -> None:
     """A sensor at 4 kHz behind a platform at 1 kHz: its own rate stands on its page, and is not
     taken for the loop's.
     """
-    from hiltestbed.devices.rdt import RdtServer
-    from hiltestbed.devices.session import Options, clients
-    from hiltestbed.devices.table import sensor_server
-    from tests.devices.running import going
-
     server = sensor_server(
         "rdt://127.0.0.1:0?http=0&rate=4000&counts_per_force=1e6&counts_per_torque=1e6"
     )
@@ -284,8 +226,7 @@ def test_a_sensor_that_tells_its_rate_is_asked_for_it() -> None:
     with server:
         assert server.http is not None
         url = f"rdt://127.0.0.1:{server.address[1]}?http={server.http.port}"
-        sensor, _ = clients(
-            scenario_of("02-bumper", "udp"), Options(url, "udp://127.0.0.1:5005?listen=5006")
-        )
+        options = Options(url, "udp://127.0.0.1:5005?listen=5006")
+        sensor, _ = clients(scenario_of("02-bumper", "udp"), options)
         with going(lambda: server.publish(np.zeros(6), 0.0), 0.001), sensor:
             assert sensor.period == pytest.approx(1.0 / 4000.0)

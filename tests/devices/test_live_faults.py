@@ -6,20 +6,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.interface import Link
-from hiltestbed.devices.rdt import RdtServer
-from hiltestbed.devices.rsi_controller import RsiServer
 from hiltestbed.devices.session import Session
-from hiltestbed.devices.udp_device import UdpPlatformServer
+from hiltestbed.devices.sockets import Datagrams
 from hiltestbed.devices.watch import CommunicationLimits
 from hiltestbed.run_folder.store import read_run, write_run
 from hiltestbed.scenario import Scenario
-from tests.devices.lockstep import played, scenario_of
+from tests.devices.lockstep import Disturbance, played, scenario_of, watched
 
 STRICT = CommunicationLimits(
     misses_in_a_row=0, misses_in_window=0, disturbances_in_window=0, stale=1000.0
@@ -28,24 +27,17 @@ SATURATED = 0x80020000  # a status word of RDT
 
 
 def _strict(platform: str, **changes: object) -> Scenario:
-    scenario = scenario_of("02-bumper", platform, duration=0.5, **changes)
-    return scenario.model_copy(
-        update={"devices": scenario.devices.model_copy(update={"communication": STRICT})}
-    )
+    return watched(scenario_of("02-bumper", platform, duration=0.5, **changes), STRICT)
 
 
 def _sends(link: Link, change: Callable[[bytes], list[bytes]]) -> None:
     """Have ``change`` done to every datagram that an emulated device sends in the coming cycle."""
-    if isinstance(link, UdpPlatformServer):
-        owner, name = link._receiver, "socket"
-    else:
-        assert isinstance(link, RdtServer | RsiServer)
-        owner, name = link, "_socket"
-    real = getattr(owner, name)
+    assert isinstance(link, Datagrams)
+    real: Any = link._socket
 
     class Once:
         def sendto(self, data: bytes, towards: tuple[str, int]) -> int:
-            setattr(owner, name, real)
+            link._socket = real
             for new in change(bytes(data)):
                 real.sendto(new, towards)
             return len(data)
@@ -53,7 +45,7 @@ def _sends(link: Link, change: Callable[[bytes], list[bytes]]) -> None:
         def __getattr__(self, attribute: str) -> object:
             return getattr(real, attribute)
 
-    setattr(owner, name, Once())
+    link._socket = Once()  # type: ignore[assignment]
 
 
 class Fault:
@@ -66,7 +58,10 @@ class Fault:
     def __call__(self, cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
         link = getattr(emulator, self.who)
         if self.kind == "gone":
-            return self._gone(link) if cycle >= self.at else ()
+            if cycle < self.at:
+                return ()
+            link.close()
+            return (self.who,)
         if cycle == self.at:
             if self.kind == "lost":
                 _sends(link, lambda data: [])
@@ -84,10 +79,6 @@ class Fault:
             old = self._kept[0]
             _sends(link, lambda data: [old, data] if self.kind == "late" else [data, old])
         return ()
-
-    def _gone(self, link: Link) -> Collection[str]:
-        link.close()
-        return (self.who,)
 
 
 CASES = [
@@ -112,13 +103,13 @@ def test_a_fault_stops_the_run_in_its_cycle(kind: str, who: str, at: int, tmp_pa
     """
     sent: list[int] = []
 
-    def watched(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
+    def noted(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
         if not session.rig.stop:
             sent.append(cycle)
         return fault(cycle, emulator, session)
 
     fault = Fault(kind, who, at)
-    outcome = played(_strict("udp"), "udp", watched)
+    outcome = played(_strict("udp"), "udp", noted)
     summary = outcome.run.summary
     assert summary["status"] == "stopped"
     assert f"{who} " in summary["stop_reason"]
@@ -144,23 +135,24 @@ def test_a_robot_that_fails_stops_the_run_in_its_cycle(kind: str) -> None:
     assert len(outcome.run.trace.t) < 80
 
 
+LENIENT = STRICT.model_copy(
+    update={"misses_in_a_row": 5, "misses_in_window": 1000, "disturbances_in_window": 1000}
+)
+
+
+def _losing(who: str, cycles: set[int]) -> Disturbance:
+    """Loses the record of ``who`` in these cycles."""
+    return lambda cycle, *given: Fault("lost", who, cycle)(cycle, *given) if cycle in cycles else ()
+
+
 def test_two_in_a_hundred_lost_within_the_limits_are_counted_and_change_e_by_little() -> None:
     """The loop goes on without the record: the force is held for a tick, and time does not stand
     still.
     """
-    scenario = scenario_of("02-bumper", "udp", duration=0.8)
-    lenient = STRICT.model_copy(
-        update={"misses_in_a_row": 5, "misses_in_window": 1000, "disturbances_in_window": 1000}
-    )
-    scenario = scenario.model_copy(
-        update={"devices": scenario.devices.model_copy(update={"communication": lenient})}
-    )
+    scenario = watched(scenario_of("02-bumper", "udp", duration=0.8), LENIENT)
     bad = set(np.flatnonzero(np.random.default_rng(4).random(2000) < 0.02).tolist())
-
-    def lose(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
-        return Fault("lost", "sensor", cycle)(cycle, emulator, session) if cycle in bad else ()
-
-    whole, holed = played(scenario, "udp").run, played(scenario, "udp", lose).run
+    whole = played(scenario, "udp").run
+    holed = played(scenario, "udp", _losing("sensor", bad)).run
     assert holed.summary["status"] == "completed"
     assert holed.summary["live"]["missed"] >= 10
     assert holed.summary["live"]["events"]["sensor"]["lost"] >= 10
@@ -171,18 +163,9 @@ def test_a_lost_record_of_the_clock_costs_its_tick_and_not_the_time_base() -> No
     """The platform's record is lost five times: the loop still makes as many ticks as the devices,
     and ends where it would have.
     """
-    scenario = scenario_of("01-free-flight", "udp", duration=0.4)
-    lenient = STRICT.model_copy(update={"misses_in_a_row": 5, "misses_in_window": 1000})
-    scenario = scenario.model_copy(
-        update={"devices": scenario.devices.model_copy(update={"communication": lenient})}
-    )
-
-    def lose(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
-        return (
-            Fault("lost", "platform", cycle)(cycle, emulator, session) if cycle % 100 == 50 else ()
-        )
-
-    outcome = played(scenario, "udp", lose)
+    lenient = LENIENT.model_copy(update={"disturbances_in_window": 0})
+    scenario = watched(scenario_of("01-free-flight", "udp", duration=0.4), lenient)
+    outcome = played(scenario, "udp", _losing("platform", set(range(50, 10_000, 100))))
     assert outcome.run.summary["status"] == "completed"
     assert outcome.run.trace is not None
     np.testing.assert_allclose(

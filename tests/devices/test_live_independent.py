@@ -14,7 +14,7 @@ from hiltestbed.devices.timekeeping import SimulatedClock
 from hiltestbed.devices.watch import CommunicationLimits
 from tests.devices.independent.rdt_peer import IndependentRdtClient, IndependentRdtSensor
 from tests.devices.independent.rsi_peer import IndependentRobot, IndependentSensorSystem
-from tests.devices.lockstep import scenario_of
+from tests.devices.lockstep import scenario_of, watched
 from tests.devices.running import free_ports
 
 COUNTS = 1e6
@@ -33,9 +33,7 @@ def test_an_independent_robot_and_sensor_play_a_run() -> None:
     scenario = scenario_of(
         "02-bumper", "rsi", duration=0.3, approach__gap=0.1, approach__velocity=[0.01, -0.02, 0.04]
     )
-    scenario = scenario.model_copy(
-        update={"devices": scenario.devices.model_copy(update={"communication": LENIENT})}
-    )
+    scenario = watched(scenario, LENIENT)
     (port,) = free_ports(1)
     robot = IndependentRobot(port, position=(0.0, 0.0, -0.1), angles=(0.0, 0.0, 0.0), patience=0.5)
     sensor = IndependentRdtSensor(lambda k: [7_000_000, 0, 0, 0, 0, 0])  # 7 N before the tare

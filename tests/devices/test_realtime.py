@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.devices.bench import _stolen, measure
-from hiltestbed.devices.clock import CycleClock
+from hiltestbed.devices.pace import CycleClock
 from hiltestbed.devices.realtime import prepared
 from hiltestbed.devices.recorder import Recorder
 from hiltestbed.devices.ring import Ring
@@ -75,12 +75,12 @@ def test_a_rate_that_cannot_be_paced() -> None:
 
 def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone() -> None:
     cpu = min(os.sched_getaffinity(0))
-    before = (
-        os.sched_getaffinity(0),
-        os.sched_getscheduler(0),
-        sys.getswitchinterval(),
-        gc.isenabled(),
-    )
+
+    def settings() -> tuple:
+        scheduling = os.sched_getaffinity(0), os.sched_getscheduler(0)
+        return *scheduling, sys.getswitchinterval(), gc.isenabled(), gc.get_freeze_count()
+
+    before = settings()
     with prepared(cpu=cpu, priority=1) as given:
         asked = {"garbage collector off", "memory locked", f"processor {cpu}", "SCHED_FIFO 1"}
         assert asked <= set(given.granted) | set(given.refused)
@@ -91,28 +91,15 @@ def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone() -> None:
             assert os.sched_getscheduler(0) == os.SCHED_FIFO
         if f"processor {cpu}" in given.granted:
             assert os.sched_getaffinity(0) == {cpu}
-    assert (
-        os.sched_getaffinity(0),
-        os.sched_getscheduler(0),
-        sys.getswitchinterval(),
-        gc.isenabled(),
-    ) == before
-    assert gc.get_freeze_count() == 0
+    assert settings() == before
 
 
 def test_a_processor_or_a_priority_that_there_is_not() -> None:
-    with (
-        pytest.raises(
-            InputError,
-            match=r"cpu: is not one that this process may run on \(got 9999\); allowed: 0",
-        ),
-        prepared(cpu=9999),
-    ):
+    no_cpu = r"cpu: is not one that this process may run on \(got 9999\); allowed: 0"
+    with pytest.raises(InputError, match=no_cpu), prepared(cpu=9999):
         pass
-    with (
-        pytest.raises(InputError, match=r"priority: is out of range \(got 0\); allowed is 1 to 99"),
-        prepared(priority=0),
-    ):
+    no_priority = r"priority: is out of range \(got 0\); allowed is 1 to 99"
+    with pytest.raises(InputError, match=no_priority), prepared(priority=0):
         pass
 
 
@@ -164,12 +151,8 @@ for k in range(50):
     recorder.push(np.array([k, -k], dtype=float))
 os._exit(9)
 """
-    died = subprocess.run(
-        [sys.executable, "-c", program],
-        stderr=subprocess.DEVNULL,
-        check=False,
-        start_new_session=True,
-    )
+    order = [sys.executable, "-c", program]
+    died = subprocess.run(order, stderr=subprocess.DEVNULL, check=False, start_new_session=True)
     assert died.returncode == 9
     until(lambda: path.stat().st_size == 50 * 2 * 8)
     np.testing.assert_array_equal(np.fromfile(path).reshape(-1, 2)[:, 0], np.arange(50.0))

@@ -29,7 +29,7 @@ REGISTERS = ",".join(
 
 
 def _address(server: RtdeSensorServer | RtdePlatformServer) -> tuple[str, int]:
-    return server.controller.address
+    return server.address
 
 
 def test_an_independent_client_reads_and_commands_the_emulated_robot() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hiltestbed.devices.interface import Event
 from hiltestbed.devices.layout import Layout, Record
 from hiltestbed.devices.sequence import Advancing, Sequence
-from hiltestbed.devices.udp_receiver import Receiver
+from hiltestbed.devices.udp import Receiver, UdpSettings
 
 
 def _follow(
@@ -110,14 +110,20 @@ def test_records_without_a_number_are_ordered_by_their_time(kind: str, scale: fl
     wrench = [{"name": name, "type": "float64"} for name in ("fx", "fy", "fz", "tx", "ty", "tz")]
     time = {"name": "time", "type": kind, "scale": scale}
     layout = Layout.model_validate({"sensor": [time, *wrench]})
-    counts = np.zeros(len(Event), dtype=np.int64)
-    receiver = Receiver(Record(layout, "sensor"), counts, lambda: True)
-    sent, sender = Record(layout, "sensor"), ("127.0.0.1", 1)
+
+    class Accepting(Receiver):
+        settings = UdpSettings(port=1)
+
+        def open(self) -> None: ...
+        def _accept(self) -> bool:
+            return True
+
+    receiver, sent = Accepting("here"), Record(layout, "sensor")
+    receiver._expect(Record(layout, "sensor"))
+    counts = receiver.counts
 
     def is_news(seconds: float) -> bool:
-        data = sent.pack(np.zeros(6), 0, seconds)
-        receiver._view[: len(data)] = data
-        return receiver._take(len(data), sender)
+        return receiver._take(sent.pack(np.zeros(6), 0, seconds), ("127.0.0.1", 1))
 
     top = (1 << 32) * 1e-6
     judged = [is_news(t) for t in (1.0, 1.001, 1.001, 0.5, 1.002, top - 0.001)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.devices.interface import DeviceError, Event
-from hiltestbed.devices.mailbox import attach, make
+from hiltestbed.devices.shm import attach, make
 from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
 from hiltestbed.errors import InputError
 from tests.devices.running import START

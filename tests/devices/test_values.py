@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -16,15 +15,14 @@ import pytest
 
 from hiltestbed.devices import poses
 from hiltestbed.devices.emulate import Emulator
-from hiltestbed.devices.interface import Event, Link
+from hiltestbed.devices.interface import Event
 from hiltestbed.devices.layout import Record, default_layout
-from hiltestbed.devices.rtde_controller import RtdePlatformServer, RtdeSensorServer
 from hiltestbed.devices.session import Session, _written
 from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
 from hiltestbed.devices.watch import CommunicationLimits, CommunicationWatch
 from hiltestbed.run_folder.store import read_run, write_run
 from tests.devices.lockstep import played, scenario_of
-from tests.devices.running import START, free_ports, going, until
+from tests.devices.running import START, going, until, urls
 from tests.devices.test_live_faults import _sends
 
 LENIENT = CommunicationLimits(
@@ -47,31 +45,18 @@ command:
 @contextmanager
 def _connected(protocol: str, role: str, options: str = "") -> Iterator[tuple]:
     """A client and its server, open; :func:`publish` sends good values."""
-    a, b = free_ports(2)
-    name = f"hiltestbed-test-{os.getpid()}-values"
-    urls = {
-        "udp": (
-            f"udp://127.0.0.1:{a}?listen={b}{options}",
-            f"udp://127.0.0.1:{a}?peer={b}{options}",
-        ),
-        "shm": (f"shm://{name}", f"shm://{name}"),
-        "rtde": ("rtde://127.0.0.1:{port}", "rtde://127.0.0.1:0"),
-    }[protocol]
-    client_of, server_of = (
-        (sensor_client, sensor_server) if role == "sensor" else (platform_client, platform_server)
-    )
-    good, tick = (WRENCH if role == "sensor" else START), 0
+    ours, theirs = (url + options for url in urls(protocol))
+    sensor = role == "sensor"
+    client = sensor_client(ours) if sensor else platform_client(ours)
+    server = sensor_server(theirs) if sensor else platform_server(theirs)
+    good, tick = (WRENCH if sensor else START), 0
 
     def publish(values: np.ndarray = good) -> None:
         nonlocal tick
         tick += 1
         server.publish(values, 0.002 * tick)
 
-    with ExitStack() as stack:
-        server = stack.enter_context(server_of(urls[1]))
-        tells = isinstance(server, RtdePlatformServer | RtdeSensorServer)
-        port = server.controller.address[1] if tells else 0
-        client = client_of(urls[0].format(port=port))
+    with server, ExitStack() as stack:
         with going(publish, 0.002):
             stack.enter_context(client)
             until(lambda: client.wait(0.1))
@@ -137,23 +122,19 @@ def test_a_value_that_is_not_physical_is_never_taken(
         assert stop.reason.startswith(f"{role} {client.where}: value ")
 
 
-def _huge(link: Link, values: np.ndarray) -> None:
-    """Have the platform's state of the coming cycle replaced, its number kept."""
-    record = Record(default_layout(), "state")
-
-    def change(data: bytes) -> list[bytes]:
-        assert record.unpack(data)
-        return [record.pack(values, record.sequence, record.time)]
-
-    _sends(link, change)
-
-
 @pytest.mark.parametrize("at", [15, 700])  # on the way to the start, and in contact
 def test_the_folder_is_written_whatever_was_received(at: int, tmp_path: Path) -> None:
+    record, huge = Record(default_layout(), "state"), np.array([0.0, 1e160, 0, 0, 0, 0, 1.0])
+
+    def change(data: bytes) -> list[bytes]:
+        """The platform's state replaced, its number kept."""
+        assert record.unpack(data)
+        return [record.pack(huge, record.sequence, record.time)]
+
     def disturb(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
         if cycle != at:
             return ()
-        _huge(emulator.platform, np.array([0.0, 1e160, 0.0, 0.0, 0.0, 0.0, 1.0]))
+        _sends(emulator.platform, change)
         return ("platform",)
 
     outcome = played(scenario_of("02-bumper", "udp", duration=0.5), "udp", disturb)

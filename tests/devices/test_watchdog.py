@@ -6,54 +6,51 @@ import os
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hiltestbed.devices.interface import DeviceError, Event, PlatformServer
+from hiltestbed.devices.interface import DeviceError, Event, PlatformClient
 from hiltestbed.devices.ring import Ring
 from hiltestbed.devices.table import platform_client, platform_server
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import InputError
-from tests.devices.running import START, free_ports, going, until
+from tests.devices.running import START, going, until, urls
 
 TARGET = START + np.array([0.01, 0.0, -0.02, 0.0, 0.0, 0.0, 0.0])
-
-
-def _urls(scheme: str) -> tuple[str, str]:
-    """Of the client and of the device."""
-    if scheme == "udp":
-        ours, theirs = free_ports(2)
-        return (
-            f"udp://127.0.0.1:{theirs}?listen={ours}&connect=5",
-            f"udp://127.0.0.1:{theirs}?peer={ours}",
-        )
-    if scheme == "rsi":
-        (port,) = free_ports(1)
-        return f"rsi://127.0.0.1:{port}?connect=5", f"rsi://127.0.0.1:{port}?late_limit=1000000"
-    name = f"shm://hiltestbed-test-{os.getpid()}-watchdog"
-    return name, name
 
 
 class Device:
     """An emulated platform that goes on by itself."""
 
-    def __init__(self, server: PlatformServer) -> None:
-        self.server, self.tick = server, 0
+    def __init__(self, scheme: str) -> None:
+        self.url, device_url = urls(scheme)
+        self.server, self.tick = platform_server(device_url), 0
 
     def step(self) -> None:
         self.tick += 1
         self.server.publish(START, 0.004 * self.tick)
         self.server.wait(0.003)
 
+    def passes(self, ticks: int) -> None:
+        before = self.tick
+        until(lambda: self.tick > before + ticks)
+
+
+@contextmanager
+def _connected(scheme: str) -> Iterator[tuple[Device, PlatformClient]]:
+    device = Device(scheme)
+    with device.server, going(device.step, 0.001), platform_client(device.url) as client:
+        yield device, client
+
 
 @pytest.mark.parametrize("scheme", ["udp", "rsi", "shm"])
 def test_a_loop_that_falls_silent_leaves_the_platform_held(scheme: str) -> None:
-    url, device_url = _urls(scheme)
-    device = Device(platform_server(device_url))
-    with device.server, going(device.step, 0.001), platform_client(url) as client:
-        watchdog = Watchdog(url, client, timeout=0.1, action="hold", lasting=1.0)
+    with _connected(scheme) as (device, client):
+        watchdog = Watchdog(device.url, client, timeout=0.1, action="hold", lasting=1.0)
         assert not watchdog.tripped
 
         def at_target() -> bool:
@@ -74,27 +71,21 @@ def test_a_loop_that_falls_silent_leaves_the_platform_held(scheme: str) -> None:
 
 @pytest.mark.parametrize("scheme", ["udp", "shm"])
 def test_a_loop_that_falls_silent_stops_the_platform(scheme: str) -> None:
-    url, device_url = _urls(scheme)
-    device = Device(platform_server(device_url))
-    with device.server, going(device.step, 0.001), platform_client(url) as client:
-        watchdog = Watchdog(url, client, timeout=0.05, action="stop", lasting=0.2)
+    with _connected(scheme) as (device, client):
+        watchdog = Watchdog(device.url, client, timeout=0.05, action="stop", lasting=0.2)
         watchdog.beat()
         until(lambda: device.server.stopped)
         watchdog.close()
 
 
 def test_before_the_first_beat_and_after_it_is_disarmed_it_does_nothing() -> None:
-    url, device_url = _urls("udp")
-    device = Device(platform_server(device_url))
-    with device.server, going(device.step, 0.001), platform_client(url) as client:
-        watchdog = Watchdog(url, client, timeout=0.02, action="stop")
-        before = device.tick
-        until(lambda: device.tick > before + 50)
+    with _connected("udp") as (device, client):
+        watchdog = Watchdog(device.url, client, timeout=0.02, action="stop")
+        device.passes(50)
         assert not watchdog.tripped
         watchdog.beat()
         watchdog.disarm()
-        before = device.tick
-        until(lambda: device.tick > before + 50)
+        device.passes(50)
         assert not watchdog.tripped
         assert watchdog.alive
         watchdog.close()
@@ -122,17 +113,16 @@ os.kill(os.getpid(), 9)
 @pytest.mark.parametrize("interrupted", [[], ["interrupted"]])
 def test_a_loop_that_is_killed_stops_the_platform(interrupted: list[str]) -> None:
     """Also where Ctrl-C in its terminal went to all of its processes before."""
-    url, device_url = _urls("udp")
-    device = Device(platform_server(device_url))
+    device = Device("udp")
     with device.server, going(device.step, 0.001):
-        order = [sys.executable, "-c", LOOP, url, *interrupted]
+        order = [sys.executable, "-c", LOOP, device.url, *interrupted]
         loop = subprocess.run(order, stderr=subprocess.DEVNULL, check=False, start_new_session=True)
         assert loop.returncode == -9
         until(lambda: device.server.stopped)
 
 
 def test_what_cannot_be_set_is_said() -> None:
-    url, device_url = _urls("udp")
+    url, device_url = urls("udp")
     client = platform_client(url)
     with pytest.raises(
         InputError,
@@ -140,10 +130,8 @@ def test_what_cannot_be_set_is_said() -> None:
         r"stop",
     ):
         Watchdog(url, client, timeout=0.0)
-    with (
-        platform_server(device_url),
-        pytest.raises(DeviceError, match="the watchdog did not start"),
-    ):
+    server = platform_server(device_url)
+    with server, pytest.raises(DeviceError, match="the watchdog did not start"):
         Watchdog("udp://127.0.0.1:1?layout=/no/such/file.yaml", client, timeout=1.0)
 
 
@@ -154,17 +142,9 @@ def test_a_process_whose_loop_was_killed_while_it_started_ends_without_a_word(
 ) -> None:
     rings, udp = [Ring(10, 8), Ring(1, 4)], socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     names = [ring.name for ring in rings]
+    settings = ["udp://127.0.0.1:49152", "hold", "0.1", "1", "0.1", str(udp.fileno())]
     of = {
-        "watchdog": [
-            *names,
-            "udp://127.0.0.1:49152",
-            "hold",
-            "0.1",
-            "1",
-            "0.1",
-            str(udp.fileno()),
-            str(os.getpid()),
-        ],
+        "watchdog": [*names, *settings, str(os.getpid())],
         "recorder": [names[0], str(tmp_path / "rows"), str(os.getpid())],
     }
     if gone == "rings":

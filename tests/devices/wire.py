@@ -90,6 +90,8 @@ def take_in(link: Link, datagrams: int) -> bool:
 class OneCycleLate:
     """Keeps the datagrams of the cycles in ``cycles`` for the next."""
 
+    ordered = staticmethod(lambda kept, new: [*kept, *new])
+
     def __init__(self, cycles: set[int]) -> None:
         self.cycles, self.cycle, self.kept = cycles, -1, []
 
@@ -98,20 +100,14 @@ class OneCycleLate:
         if self.cycle in self.cycles:
             self.kept += datagrams
             return []
-        sent, self.kept = [*self.kept, *datagrams], []
+        sent, self.kept = self.ordered(self.kept, datagrams), []
         return sent
 
 
 class Swapped(OneCycleLate):
     """The same, but what was kept comes after that of the next cycle."""
 
-    def __call__(self, datagrams: list[bytes]) -> list[bytes]:
-        self.cycle += 1
-        if self.cycle in self.cycles:
-            self.kept += datagrams
-            return []
-        sent, self.kept = [*datagrams, *self.kept], []
-        return sent
+    ordered = staticmethod(lambda kept, new: [*new, *kept])
 
 
 class Changed:
@@ -122,8 +118,6 @@ class Changed:
 
     def __call__(self, datagrams: list[bytes]) -> list[bytes]:
         self.cycle += 1
-        return (
-            [new for data in datagrams for new in self.change(data)]
-            if self.cycle in self.cycles
-            else datagrams
-        )
+        if self.cycle not in self.cycles:
+            return datagrams
+        return [new for data in datagrams for new in self.change(data)]

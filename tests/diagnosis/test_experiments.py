@@ -15,7 +15,7 @@ import pytest
 
 from hiltestbed.diagnosis.report.discriminators import RULES, rebound
 from hiltestbed.diagnosis.report.experiments import next_experiment, plan_for
-from hiltestbed.diagnosis.result import Cause, Finding, Parameter
+from hiltestbed.diagnosis.result import Cause, Experiment, Finding, Parameter
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.sensor.parameters import SensorParameters
@@ -107,6 +107,12 @@ def finding(effect: str, rival: str, **parameters: float | str) -> Finding:
     return Finding("ambiguous", EFFECTS[effect].link, (cause,))
 
 
+def proposed(dataset: MeasuredDataset, found: Finding) -> Experiment:
+    experiment = next_experiment(found, dataset)
+    assert experiment is not None
+    return experiment
+
+
 @pytest.mark.parametrize(("effect", "rival", "words"), CONFOUNDED)
 def test_each_confounded_set_has_its_own_experiment(
     dataset: MeasuredDataset, effect: str, rival: str, words: str
@@ -115,19 +121,14 @@ def test_each_confounded_set_has_its_own_experiment(
         {"body": "chaser", "factor": 1.1} if effect == "dynamics.mass" else {}
     )
     for a, b in ((effect, rival), (rival, effect)):
-        experiment = next_experiment(
-            finding(a, b, **(given if a == "dynamics.mass" else {})), dataset
-        )
-        assert experiment is not None
+        found = finding(a, b, **(given if a == "dynamics.mass" else {}))
+        experiment = proposed(dataset, found)
         assert re.search(words, experiment.text), experiment.text
         assert {effect, rival} <= set(experiment.separates)
 
 
 def test_a_lag_and_a_delay_part_ways_where_w_tau_is_beyond_three_tenths(dataset: MeasuredDataset):
-    experiment = next_experiment(
-        finding("sensor.lag", "sensor.delay", time_constant=0.003), dataset
-    )
-    assert experiment is not None
+    experiment = proposed(dataset, finding("sensor.lag", "sensor.delay", time_constant=0.003))
     k = experiment.runs[0]["mechanism.contact.stiffness"]
     assert math.sqrt(k / MASS) * 0.003 > 0.3
     # v sqrt(k mu), no larger than what the rig has seen
@@ -137,8 +138,7 @@ def test_a_lag_and_a_delay_part_ways_where_w_tau_is_beyond_three_tenths(dataset:
 
 def test_damper_and_delay_are_separated_by_springs_and_never_by_masses(dataset: MeasuredDataset):
     """sqrt(mu) ln e = (pi/2)(k tau - c)/sqrt(k): two springs give two equations, two masses one."""
-    experiment = next_experiment(finding("contact.damping", "sensor.delay", factor=0.5), dataset)
-    assert experiment is not None
+    experiment = proposed(dataset, finding("contact.damping", "sensor.delay", factor=0.5))
     springs = [run["mechanism.contact.stiffness"] for run in experiment.runs]
     assert len(set(springs)) == 2
     assert min(springs) < 1e5 < max(springs)
@@ -183,9 +183,7 @@ def test_every_pair_of_effects_of_a_link_has_one(dataset: MeasuredDataset):
     for a, first in EFFECTS.items():
         for b, second in EFFECTS.items():
             if a != b and first.link == second.link and a != "dynamics.mass":
-                experiment = next_experiment(finding(a, b), dataset)
-                assert experiment is not None
-                assert len(experiment.text) > 100
+                assert len(proposed(dataset, finding(a, b)).text) > 100
 
 
 def test_what_is_easily_mistaken_has_a_rule_that_says_what_both_do(
@@ -199,9 +197,7 @@ def test_what_is_easily_mistaken_has_a_rule_that_says_what_both_do(
         with subtests.test(effect=effect, rival=rival, link=link):
             assert any(rule.separates(effect, rival) for rule in RULES)
             cause = Cause(effect, {}, 0.5, (rival,))
-            experiment = next_experiment(Finding("ambiguous", link, (cause,)), dataset)
-            assert experiment is not None
-            text = experiment.text
+            text = proposed(dataset, Finding("ambiguous", link, (cause,))).text
             assert all(re.search(NAMED[e], text) for e in (effect, rival)), text
             assert not asked.search(text), text
 
@@ -218,11 +214,9 @@ def test_the_advice_does_not_depend_on_which_was_named_or_departs_first():
 
 def test_each_rival_gets_its_own_experiment(dataset: MeasuredDataset):
     cause = Cause("sensor.delay", {}, 0.4, ("contact.damping", "log.skew", "sensor.lag"))
-    experiment = next_experiment(Finding("ambiguous", "sensor", (cause,)), dataset)
-    assert experiment is not None
+    text = proposed(dataset, Finding("ambiguous", "sensor", (cause,))).text
     assert all(
-        words in experiment.text
-        for words in ("two other known springs", "stamped late", "w tau > 0.3")
+        words in text for words in ("two other known springs", "stamped late", "w tau > 0.3")
     )
 
 
@@ -230,14 +224,9 @@ def test_a_channel_is_asked_for_where_it_is_lacking(tmp_path: Path):
     file = recorded(tmp_path, [])
     for run in tmp_path.glob("*.parquet"):
         table = pq.read_table(run)
-        pq.write_table(
-            table.drop_columns(
-                [name for name in table.column_names if name.startswith("wrench_comp")]
-            ),
-            run,
-        )
-    experiment = next_experiment(finding("log.skew", "sensor.delay"), load_dataset(file))
-    assert experiment is not None
+        lost = [name for name in table.column_names if name.startswith("wrench_comp")]
+        pq.write_table(table.drop_columns(lost), run)
+    experiment = proposed(load_dataset(file), finding("log.skew", "sensor.delay"))
     assert "record wrench_comp" in experiment.text
 
 
@@ -252,8 +241,7 @@ def test_a_rotated_sensor_reads_under_three_weights_what_the_text_says(dataset: 
         0.5,
         ("frame.compliance",),
     )
-    experiment = next_experiment(Finding("ambiguous", "log", (cause,)), dataset)
-    assert experiment is not None
+    experiment = proposed(dataset, Finding("ambiguous", "log", (cause,)))
     load, side = (
         float(re.findall(p, experiment.text)[0])
         for p in (r"weight of ([\d.e+]+) N along z", r"reads ([\d.e+]+) N")
@@ -271,11 +259,7 @@ def test_proposed_runs_are_scenarios(dataset: MeasuredDataset):
 
     file = Path(dataset.path).parent / "nominal.yaml"
     for effect, rival, _ in CONFOUNDED:
-        cause = Cause(effect, {}, 0.5, (rival,))
-        experiment = (
-            next_experiment(Finding("ambiguous", "contact", (cause,)), dataset)
-            if effect != "dynamics.mass"
-            else None
-        )
-        for run in experiment.runs if experiment else ():
-            load_scenario(file, set=run)
+        if effect != "dynamics.mass":
+            cause = Cause(effect, {}, 0.5, (rival,))
+            for run in proposed(dataset, Finding("ambiguous", "contact", (cause,))).runs:
+                load_scenario(file, set=run)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hiltestbed.diagnosis.find import needless
-from hiltestbed.diagnosis.learned.curves import Block, Choice, choices, shape_of
 from hiltestbed.diagnosis.learned.finding import stretches
 from hiltestbed.diagnosis.learned.learn import Law, carries_over, learn
+from hiltestbed.diagnosis.learned.selection import Block, Choice, choices, shape_of
 from hiltestbed.diagnosis.learned.words import equation, equation_of
 from hiltestbed.diagnosis.links import LinkRun, WrenchLink
 from hiltestbed.diagnosis.residual import Residual

@@ -1,6 +1,4 @@
-"""The notebooks of the gallery: each runs, ends in a picture, and is kept without what it
-showed.
-"""
+"""The notebooks of the gallery: each runs, ends in a picture, and is kept without outputs."""
 
 from __future__ import annotations
 

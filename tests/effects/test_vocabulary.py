@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -23,8 +22,6 @@ from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.sensor.parameters import SensorParameters
 from tests.effects.examples import EXAMPLES, example
-
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
 # Parameters and units as users, scripts and data sets rely on them; None: a choice, not a quantity.
 VOCABULARY: dict[str, dict[str, str | None]] = {
@@ -208,7 +205,7 @@ Candidates = Callable[[type[Effect]], list[Candidate]]
 
 @pytest.fixture(scope="module")
 def head_on() -> Scenario:
-    return load_scenario(SCENARIOS / "02-bumper.yaml")
+    return load_scenario("02-bumper")
 
 
 @pytest.fixture
@@ -335,7 +332,7 @@ def test_it_changes_its_link_and_at_its_neutral_size_nothing(
 def test_it_stands_in_a_scenario_and_comes_back_the_same(
     subtests: pytest.Subtests, head_on: Scenario
 ) -> None:
-    held = load_scenario(SCENARIOS / "13-ring-down.yaml")
+    held = load_scenario("13-ring-down")
     for kind, effect in EFFECTS.items():
         with subtests.test(kind):
             base = held if kind == "contact.backlash" else head_on

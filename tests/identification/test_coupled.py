@@ -4,8 +4,6 @@ in that is not there.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,23 +12,19 @@ from hiltestbed.identification.coupled import PAIRS, PRODUCTS, take_in_partner
 from hiltestbed.identification.methods.rls import Rls
 from hiltestbed.signals import AXES
 
-SCENARIO = Path(__file__).parents[2] / "scenarios" / "13-ring-down.yaml"
+SCENARIO = "13-ring-down"
 RATE = 2000
 TICKS = 2000
 NOISE = np.array([0.3] * 3 + [0.02] * 3)  # [N], [N m]
-OWN_STIFFNESS, OWN_DAMPING = (
-    np.array([8e4, 8e4, 2e5, 1.2e4, 1.2e4, 3e4]),
-    np.array([500.0, 500.0, 900.0, 60.0, 60.0, 90.0]),
-)
+OWN_STIFFNESS = np.array([8e4, 8e4, 2e5, 1.2e4, 1.2e4, 3e4])
+OWN_DAMPING = np.array([500.0, 500.0, 900.0, 60.0, 60.0, 90.0])
 # [N/m], [N s/m] of a ball joint, [m] behind the latched place
 JOINT, JOINT_DAMPING, BEHIND = 4e4, 250.0, 0.17
 INERTIA = np.array([400.0, 400.0, 400.0, 60.0, 60.0, 60.0])  # [kg], [kg m^2]
 
 
 def joined(own: np.ndarray, joint: float) -> np.ndarray:
-    """(6, 6) of six separate springs and of a ball joint behind them: its stretch is x + L ry, y -
-    L rx, z.
-    """
+    """(6, 6) of six springs and a ball joint behind them: stretch x + L ry, y - L rx, z."""
     stretch = np.zeros((3, 6))
     stretch[:, :3] = np.eye(3)
     stretch[0, 4], stretch[1, 3] = BEHIND, -BEHIND
@@ -43,9 +37,7 @@ STIFFNESS, DAMPING = joined(OWN_STIFFNESS, JOINT), joined(OWN_DAMPING, JOINT_DAM
 def ring_down(
     stiffness: np.ndarray, damping: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Motion ``(T, 6)`` and rate of I q'' + C q' + K q = 0 from rest at ``start`` (6,), as the sum
-    of its modes.
-    """
+    """Motion ``(T, 6)`` and rate of I q'' + C q' + K q = 0 from rest, as the sum of its modes."""
     system = np.block(
         [
             [np.zeros((6, 6)), np.eye(6)],
@@ -117,9 +109,7 @@ def test_a_joint_off_the_latched_place_is_no_part_of_k_and_c() -> None:
 
 
 def test_motion_that_goes_together_is_explained_by_the_axis_alone() -> None:
-    """In one mode the turn is a fixed part of the shift: no data can part them, and what the axis
-    shows is k + part k'.
-    """
+    """In one mode the turn is a fixed part of the shift: the axis shows k + part k'."""
     part = -0.9
     x, v = ring_down(STIFFNESS, DAMPING, np.array([0.0, 0.0, 1e-3, 0.0, 0.0, 0.0]))
     motion, rate = np.zeros_like(x), np.zeros_like(v)
@@ -235,9 +225,7 @@ def test_what_the_noise_hides_is_not_taken_in() -> None:
 
 
 def test_where_a_surface_rubs_too_the_axis_stays_alone() -> None:
-    """Friction of twice the noise leaves more than the noise, although the partner explains a part
-    of the force.
-    """
+    """Friction of twice the noise leaves more than noise, whatever the partner explains."""
     random = np.random.default_rng(6)
     x = random.normal(size=(4, 300))
     x[1] = x[2]  # the partner shifts as the axis runs

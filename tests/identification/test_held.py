@@ -4,7 +4,6 @@ against a law written down here.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -17,47 +16,18 @@ from hiltestbed.identification.methods.rls import Rls
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
 from hiltestbed.signals import AXES
+from tests.contact.test_jacobian import measured
 from tests.slow import slow
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
 QUIET = {"sensor.noise": 0.0, "sensor.torque_noise": 0.0}
 
 
 def ended(name: str, **changes: object) -> Loop:
     """The loop of a shipped scenario without noise, at its end."""
-    loop = Loop([load_scenario(SCENARIOS / f"{name}.yaml", set=QUIET | changes)])
+    loop = Loop([load_scenario(name, set=QUIET | changes)])
     while loop.k < loop.scenarios[0].ticks:
         loop.step()
     return loop
-
-
-def jacobian(loop: Loop, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness and damping ``(6, 6)`` at A of a captured pair under ideal tracking: what the
-    wrench makes of a step of each axis, a tick after it and while it lasts.
-    """
-    plant, tick, start = (
-        cast(Plant, loop.plant),
-        loop.scenarios[0].tick,
-        loop.plant.pose_act[0].copy(),
-    )
-
-    def wrench_at(offset: np.ndarray) -> np.ndarray:
-        turned = Rotation.from_rotvec(offset[3:]) * Rotation.from_quat(start[3:])
-        pose = np.concatenate([start[:3] + offset[:3], turned.as_quat()])
-        plant.advance(pose[None], np.zeros((1, 6)), np.zeros((1, 6)))
-        wrench = plant.wrench_sub[0, -1].copy()
-        wrench[3:] -= np.cross(pose[:3], wrench[:3])
-        return wrench
-
-    stiffness, damping = np.zeros((6, 6)), np.zeros((6, 6))
-    for axis, offset in enumerate(step * np.eye(6)):
-        _, still = wrench_at(0.0 * offset), wrench_at(0.0 * offset)
-        moving, shifted = wrench_at(offset), wrench_at(offset)
-        stiffness[:, axis], damping[:, axis] = (
-            (shifted - still) / step,
-            (moving - shifted) * tick / step,
-        )
-    return stiffness, damping
 
 
 @pytest.mark.parametrize("name", [slow("09-docking"), "10-glancing"])
@@ -73,11 +43,10 @@ def test_a_latch_is_found_on_six_axes_as_its_jacobian_has_it(name: str) -> None:
     assert found.plant.captured[0]
     assert ideal.plant.captured[0]
     assert found.identification is not None
-    for estimate, true in zip(
-        (found.identification.stiffness, found.identification.damping),
-        jacobian(ideal, 1e-7),
-        strict=True,
-    ):
+    plant = cast(Plant, ideal.plant)
+    steps = measured(plant, plant.pose_act[0].copy(), np.zeros(3), 1)
+    estimates = (found.identification.stiffness, found.identification.damping)
+    for estimate, true in zip(estimates, steps, strict=True):
         np.testing.assert_allclose(estimate[0], np.diag(true), rtol=1e-3)
         scale = np.sqrt(np.outer(np.diag(true), np.diag(true)))
         assert np.abs((true - np.diag(np.diag(true))) / scale).max() < 0.5 * np.radians(0.5)
@@ -91,10 +60,8 @@ def swing(t: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("scenario", ["15-ring-docking", "16-probe-drogue", "17-gripper"])
 def test_the_lever_of_a_latch_is_taken_out(scenario: str) -> None:
-    """Every shipped hard capture as a law of its own: K (r - r_hold) + C r' at the latch's site, K
-    radius^2 against turning.
-    """
-    loaded = load_scenario(SCENARIOS / f"{scenario}.yaml", set=QUIET)
+    """Each hard capture as a law: K (r - r_hold) + C r' at the site, K radius^2 against turning."""
+    loaded = load_scenario(scenario, set=QUIET)
     phases = loaded.mechanism.phases()
     close = phases[-1].close
     assert close is not None
@@ -132,16 +99,12 @@ def test_the_lever_of_a_latch_is_taken_out(scenario: str) -> None:
 
 
 def body_rate(vector: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Angular velocity (3,) in the frame of the rotation vector (3,), to second order in it: w = r'
-    + r x r'/2 (3,).
-    """
+    """Angular velocity (3,) in the frame of a rotation vector (3,), to second order in it."""
     return rate + 0.5 * np.cross(vector, rate)
 
 
 def test_what_rubs_or_stands_still_is_not_told() -> None:
-    """The gripper's jaws share every load, and after the clamping nothing moves: no wild
-    numbers.
-    """
+    """The gripper's jaws share every load, and nothing moves after the clamping."""
     loop = ended("17-gripper", duration=9.0)
     assert loop.plant.phases is not None
     assert loop.plant.phases.begun[0] == 3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,14 +12,12 @@ from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.methods.rls import Rls
 from hiltestbed.sensor.sensor import Sensor
 
-SCENARIO = Path(__file__).parents[2] / "scenarios" / "04-bumper-delay-compensated.yaml"
+SCENARIO = "04-bumper-delay-compensated"
 K, C, MU, V0 = 1.0e5, 400.0, 400.0, 0.03
 
 
 def _bounce(rate: int, substeps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One bounce in closed form at ``substeps`` instants a tick: x, v, F, beginning and ending
-    free.
-    """
+    """One bounce in closed form at ``substeps`` instants a tick: x, v, F, free at both ends."""
     w, z = math.sqrt(K / MU), C / (2.0 * math.sqrt(K * MU))
     wd = w * math.sqrt(1.0 - z * z)
     t = np.arange(-0.05, 0.4, 1.0 / (rate * substeps))
@@ -52,9 +49,7 @@ def _identify(scenarios, offset: float = 0.0) -> RecursiveLeastSquares:
 @pytest.mark.parametrize("delay", [0.0, 0.005, 0.00537, 0.02])
 @pytest.mark.parametrize("lowpass", [None, 200.0, 50.0])
 def test_delay_and_filter_do_not_bias_the_estimate(delay: float, lowpass: float | None) -> None:
-    """Without noise what is left is the sensor's interpolation and the tick-wise filter: far below
-    0.1 % of k and 1 % of c.
-    """
+    """What is left is interpolation and the tick-wise filter: below 0.1 % of k, 1 % of c."""
     s = {
         "sensor.delay": delay,
         "sensor.noise": 0.0,

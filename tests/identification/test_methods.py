@@ -101,9 +101,7 @@ def test_the_reported_intervals_hold_the_truth() -> None:
 
 
 def test_a_delay_that_is_not_known_is_found_from_the_touch() -> None:
-    """Believed 20 % too short; found to within a tick, well inside 0.3 ms, and k with it; c keeps
-    what half a tick is worth.
-    """
+    """Believed 20 % too short; found within 0.3 ms, and k with it."""
     contacts = grid((1.0, 4.0), (0.005, 0.02), damping_ratios=(0.05, 0.2), delay_knowledge="off")
     scenarios = [c.scenario(RESYNCHRONISED, {"kind": "rls", "delay": "estimate"}) for c in contacts]
     estimate = bounce(scenarios).loop.identification
@@ -116,9 +114,7 @@ def test_a_delay_that_is_not_known_is_found_from_the_touch() -> None:
 
 
 def test_where_the_force_rises_slowly_the_delay_is_told_to_be_uncertain() -> None:
-    """No damping, no step at touch: at 1 Hz the force takes 1.6 ms to come out of 5 sigma of 0.2
-    %.
-    """
+    """No step at touch: at 1 Hz the force takes 1.6 ms to come out of 5 sigma of 0.2 %."""
     contact = Contact(1.0, 0.01, 1e-9, delay_knowledge="off")
     estimate = bounce(
         [contact.scenario(RESYNCHRONISED, {"kind": "rls", "delay": "estimate"})]

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ OMEGA = math.sqrt(STIFFNESS * (1 / CHASER + 1 / TARGET))
 TOUCH, PARTING = GAP / SPEED, GAP / SPEED + math.pi / OMEGA
 PEAK = STIFFNESS * SPEED / OMEGA
 
+Table = dict[str, np.ndarray]
 SCENARIO = f"""
 name: bounce
 seed: 1
@@ -48,19 +50,9 @@ def columns(
     out = {"t": t}
     # a command is reached a tick later
     for group, noise, at in (("pose_cmd", 0.0, t + 1 / RATE), ("pose_act", pose_noise, t)):
-        pose = {
-            "px": SIDE * at,
-            "py": 0 * t,
-            "pz": _depth(at),
-            "qx": 0 * t,
-            "qy": 0 * t,
-            "qz": 0 * t,
-            "qw": 1 + 0 * t,
-        }
-        out |= {
-            f"{group}.{part}": values + noise * rng.standard_normal(len(t))
-            for part, values in pose.items()
-        }
+        pose = {"px": SIDE * at, "pz": _depth(at), "qw": 1.0}
+        for part in ("px", "py", "pz", "qx", "qy", "qz", "qw"):
+            out[f"{group}.{part}"] = pose.get(part, 0.0) + noise * rng.standard_normal(len(t))
     for part in ("fx", "fy", "fz", "tx", "ty", "tz"):
         noise = force_noise * rng.standard_normal(len(t)) * (1.0 if part[0] == "f" else 0.2)
         out[f"wrench_meas.{part}"] = noise + (force if part == "fz" else 0.0)
@@ -74,6 +66,17 @@ def _depth(t: np.ndarray) -> np.ndarray:
     inside = (t >= TOUCH) & (t <= PARTING)
     pz[inside] = SPEED / OMEGA * np.sin(OMEGA * (t[inside] - TOUCH))
     return pz
+
+
+def changed(group: str, factor: float, parts: str = "") -> Callable[[Table], None]:
+    """Multiplies the columns of a group, or those of its ``parts``, by a factor."""
+
+    def change(table: Table) -> None:
+        for name in table:
+            if name.startswith(group) and (not parts or name[-2:] in parts.split()):
+                table[name] = factor * table[name]
+
+    return change
 
 
 def write_dataset(

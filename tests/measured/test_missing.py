@@ -1,6 +1,4 @@
-"""Values that stand for a missing sample are recognised, readings are not; clocks that start again
-and stamps in other units.
-"""
+"""Values that stand for a missing sample are recognised, readings are not."""
 
 from __future__ import annotations
 
@@ -10,9 +8,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.measured import examine
-from hiltestbed.measured.clock import check_clock
 from hiltestbed.measured.outliers import outliers
-from hiltestbed.measured.rollover import unrolled
 
 from . import bounce
 
@@ -28,10 +24,11 @@ def with_value(rows: int | list[int], value: float, digits: int = 9) -> np.ndarr
     return out
 
 
+ROWS = [600], [600, 601], [0], [400], [5, 300, 1199], list(range(700, 800))
+
+
 @pytest.mark.parametrize("value", [-9999.0, -999.25, 1e30, 9.969209968386869e36, -32768.0, 1e20])
-@pytest.mark.parametrize(
-    "rows", [[600], [600, 601], [0], [400], [5, 300, 1199], list(range(700, 800))]
-)
+@pytest.mark.parametrize("rows", ROWS)
 def test_a_value_that_no_sensor_reads_is_found_wherever_it_is(
     value: float, rows: list[int]
 ) -> None:
@@ -102,30 +99,3 @@ def test_what_is_taken_for_missing_is_said_with_the_key_that_keeps_it(tmp_path: 
         column = examine(path).runs[1].record.column("wrench_meas.fz")
         missing[key] = np.flatnonzero(np.isnan(column)).tolist()
     assert list(missing.values()) == [[400, 401], [400, 401], []]
-
-
-@pytest.mark.parametrize(("unit", "factor"), [("min", 60), ("h", 3600), ("d", 86400), ("us", 1e-6)])
-@pytest.mark.parametrize("rate", [500.0, 1000.0, 2500.0])
-def test_stamps_in_another_unit_are_told_by_its_name_and_exact_factor(
-    unit: str, factor: float, rate: float
-) -> None:
-    """Whatever the rate of the log: a power of ten near the factor would leave the forces wrong."""
-    clock, remarks = check_clock(0, np.arange(600) / rate / factor, 1e-3, 0.6)
-    assert clock is None
-    assert f"{{t: {{unit: {unit}}}}}" in remarks[-1].fix
-    assert f"{{scale: {factor:g}}}" in remarks[-1].fix
-
-
-@pytest.mark.parametrize("period", [60.0, 3600.0, 86400.0, 2.0**32 * 1e-6])
-def test_a_clock_that_starts_again_goes_on(period: float) -> None:
-    t = period - 0.3 + np.arange(600) * 1e-3
-    found, remarks = unrolled(0, np.asarray(t % period, dtype=np.float64))
-    np.testing.assert_allclose(found, t, atol=1e-9 * period)
-    assert remarks[0].evidence["period"] == period
-
-
-def test_a_second_record_in_the_file_is_not_taken_for_one() -> None:
-    t = np.arange(600) * 0.1  # of a minute, twice
-    found, remarks = unrolled(0, np.r_[t, t])
-    assert (np.diff(found) < 0).any()
-    assert not remarks

@@ -18,7 +18,7 @@ from hiltestbed import plugins
 from hiltestbed.errors import InputError
 from hiltestbed.measured import examine
 from hiltestbed.measured.formats import read_columns
-from hiltestbed.measured.units import UNITS, factor, unit_named
+from hiltestbed.measured.units import unit_named
 
 from . import bounce
 
@@ -30,10 +30,6 @@ EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 def group(name: str, scale: float = 1.0) -> np.ndarray:
     """(rows, parts) of a group of the bounce."""
     return scale * np.column_stack([v for n, v in TABLE.items() if n.startswith(f"{name}.")])
-
-
-def is_torque(name: str) -> bool:
-    return name[:-1].endswith(".t")
 
 
 def hdf5(path: Path, items: dict[str, Any], attrs: dict[str, dict[str, Any]] | None = None) -> None:
@@ -55,63 +51,6 @@ def test_a_unit_is_known_by_its_usual_spellings(text: str, unit: str | None) -> 
     assert unit_named(text) == unit
 
 
-def _units_mdf(path: Path) -> None:
-    asammdf = pytest.importorskip("asammdf")
-    with asammdf.MDF(version="4.10") as mdf:
-        mdf.append([
-            asammdf.Signal(v * (1e3 if is_torque(n) else 1.0), TABLE["t"], name=n,
-                           unit="N·mm" if is_torque(n) else "")
-            for n, v in TABLE.items() if n != "t"
-        ])  # fmt: skip
-        mdf.save(path)
-
-
-def _units_tdms(path: Path) -> None:
-    nptdms = pytest.importorskip("nptdms")
-    wave = {"wf_increment": 1e-3, "wf_start_offset": 0.0, "wf_samples": len(TABLE["t"])}
-    with nptdms.TdmsWriter(path) as writer:
-        writer.write_segment([
-            nptdms.ChannelObject(*n.split("."), v * (1e3 if is_torque(n) else 1.0),
-                                 wave | {"unit_string": "mN*m" if is_torque(n) else "N"})
-            for n, v in TABLE.items() if n.startswith("wrench")
-        ])  # fmt: skip
-
-
-def _units_hdf5(path: Path) -> None:
-    torques = {n: v * 1e3 for n, v in TABLE.items() if is_torque(n)}
-    hdf5(path, TABLE | torques, {n: {"units": np.bytes_(b"N mm")} for n in torques})
-
-
-def _units_parquet(path: Path) -> None:
-    fields = [
-        pa.field(n, pa.float64(), metadata={"unit": "N mm"} if is_torque(n) else {}) for n in TABLE
-    ]
-    columns = [v * (1e3 if is_torque(n) else 1.0) for n, v in TABLE.items()]
-    pq.write_table(pa.table(columns, schema=pa.schema(fields)), path)
-
-
-def _units_text(path: Path) -> None:
-    head = ",".join(f"{n} [N·mm]" if is_torque(n) else n for n in TABLE)
-    rows = zip(*(v * (1e3 if is_torque(n) else 1.0) for n, v in TABLE.items()), strict=True)
-    path.write_text("\n".join([head, *(",".join(map(repr, map(float, row))) for row in rows)]))
-
-
-@pytest.mark.parametrize(
-    ("name", "write"),
-    [("run.mf4", _units_mdf), ("run.tdms", _units_tdms), ("run.h5", _units_hdf5),
-     ("run.parquet", _units_parquet), ("run.csv", _units_text)],
-)  # fmt: skip
-def test_the_unit_that_a_file_states_is_converted(
-    tmp_path: Path, name: str, write: Callable[[Path], None]
-) -> None:
-    """Torques in N mm, one table of units for every format."""
-    write(tmp_path / name)
-    dataset = examine(bounce.write_dataset(tmp_path, files=(name,)))
-    record = dataset.runs[0].record
-    np.testing.assert_allclose(record.column("wrench_meas.tx"), TABLE["wrench_meas.tx"], rtol=1e-9)
-    assert any("multiplied by 0.001" in remark.text for remark in dataset.remarks)
-
-
 @pytest.mark.parametrize(
     ("entry", "right", "said"),
     [
@@ -124,7 +63,10 @@ def test_the_unit_that_a_file_states_is_converted(
 def test_a_channel_map_that_contradicts_the_file_counts_and_is_said(
     tmp_path: Path, entry: str, right: float, said: str
 ) -> None:
-    _units_parquet(tmp_path / "run.parquet")
+    table = pa.table(TABLE | {"wrench_meas.tx": 1e3 * TABLE["wrench_meas.tx"]})
+    stated = {name: {"unit": "N mm"} if name == "wrench_meas.tx" else {} for name in TABLE}
+    fields = [field.with_metadata(stated[field.name]) for field in table.schema]
+    pq.write_table(table.cast(pa.schema(fields)), tmp_path / "run.parquet")
     channels = f"channels: {{wrench_meas.tx: {entry}}}\n"
     dataset = examine(bounce.write_dataset(tmp_path, files=("run.parquet",), channels=channels))
     found = dataset.runs[0].record.column("wrench_meas.tx")
@@ -151,9 +93,8 @@ def _compound(path: Path) -> None:
 
 def _lists(path: Path) -> None:
     poses = pa.array(list(group("pose_act")))
-    forces = pa.array(
-        [dict(zip(("fx", "fy", "fz"), row, strict=False)) for row in group("wrench_meas")]
-    )
+    rows = (dict(zip(("fx", "fy", "fz"), row, strict=False)) for row in group("wrench_meas"))
+    forces = pa.array(list(rows))
     pq.write_table(pa.table({"t": TABLE["t"], "pose_act": poses, "wrench_meas": forces}), path)
 
 
@@ -185,10 +126,8 @@ def test_links_fields_lists_and_arrays_either_way_round_are_columns(
 def test_an_array_that_is_no_group_is_named_with_its_shape(
     tmp_path: Path, pose: np.ndarray, said: str
 ) -> None:
-    hdf5(
-        tmp_path / "run.h5",
-        {"t": TABLE["t"], "wrench_meas": group("wrench_meas"), "pose_act": pose},
-    )
+    items = {"t": TABLE["t"], "wrench_meas": group("wrench_meas"), "pose_act": pose}
+    hdf5(tmp_path / "run.h5", items)
     with pytest.raises(InputError, match=f"pose_act: is an array of .*{said}"):
         examine(bounce.write_dataset(tmp_path, files=("run.h5",)))
 
@@ -261,11 +200,6 @@ def test_a_plugin_adds_a_format_with_options_of_its_own(tmp_path: Path) -> None:
     path = bounce.write_dataset(tmp_path, files=("run.frames",), channels=channels)
     record = examine(path).runs[0].record
     np.testing.assert_array_equal(record.column("wrench_meas.fz"), TABLE["wrench_meas.fz"])
-
-
-def test_factors_of_time_are_exact() -> None:
-    assert [UNITS["s"][u] for u in ("min", "h", "d")] == [60.0, 3600.0, 86400.0]
-    assert factor("wrench_meas.tx", "N·mm") == 1e-3
 
 
 def test_raw_counts_of_an_unknown_scaling_are_refused(tmp_path: Path) -> None:

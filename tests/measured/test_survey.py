@@ -7,69 +7,69 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiltestbed.config.gallery import find_scenario
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.survey import Contact, Survey, look
-from hiltestbed.scenario import load_scenario
+from hiltestbed.scenario import Scenario, load_scenario
+
+
+def _record(scenario: Scenario, pz: np.ndarray, **forces: np.ndarray) -> Record:
+    """A record of a reached pose that moves along z alone, and of forces with noise of 1 N."""
+    rows = len(pz)
+    pose, wrench = np.zeros((rows, 7)), np.random.default_rng(1).standard_normal((rows, 6))
+    pose[:, 2], pose[:, 6] = pz, 1.0
+    for name, force in forces.items():
+        wrench[:, ("fx", "fy", "fz").index(name)] += force
+    data = {"pose_act": pose, "wrench_meas": wrench}
+    valid = {group: np.ones(values.shape, bool) for group, values in data.items()}
+    return Record(1, Path(), np.arange(rows) / scenario.rate, data, valid)
 
 
 @pytest.mark.parametrize("peak", [200.0, -200.0, None])
 def test_what_pulls_touches_as_well_as_what_pushes(peak: float | None) -> None:
-    survey = Survey(
-        0, {}, (Contact(10, 20, peak, 1e-3, None, None if peak is None else abs(peak)),), (), 0.0
-    )
+    contact = Contact(10, 20, peak, 1e-3, None, None if peak is None else abs(peak))
+    survey = Survey(0, {}, (contact,), (), 0.0)
     assert survey.touching(40, late=4, least=50.0).sum() == 10 + 2 + 4 + 3
     assert survey.touching(40, late=4, least=500.0).any() == (peak is None)
 
 
-@pytest.mark.parametrize("ends", ["held", "leaves"])
+@pytest.mark.parametrize("leaves", [False, True])
 def test_what_a_latch_holds_stays_in_contact_while_its_force_passes_through_zero(
-    tmp_path: Path, ends: str
+    leaves: bool,
 ) -> None:
-    scenario = load_scenario(find_scenario(Path("09-docking")))
+    scenario = load_scenario("09-docking")
     assert scenario.mechanism.latch is not None
     t = np.arange(8000) / scenario.rate
     ring = np.where(t > 1.0, np.exp(-(t - 1.0)) * np.sin(2.0 * np.pi * 2.0 * (t - 1.0)), 0.0)
     depth = np.where(t < 1.0, 0.02 * (t - 1.0), 1e-3 * ring)
-    if ends == "leaves":
+    if leaves:
         depth = np.where(t > 3.5, -0.06 * (t - 3.5), depth)
-    pose, wrench = np.zeros((len(t), 7)), np.random.default_rng(1).standard_normal((len(t), 6))
-    pose[:, 2], pose[:, 6] = depth, 1.0
-    wrench[:, 2] += 400.0 * ring * (t < 3.5 if ends == "leaves" else True)
-    valid = {"pose_act": np.ones(pose.shape, bool), "wrench_meas": np.ones(wrench.shape, bool)}
-    record = Record(1, tmp_path, t, {"pose_act": pose, "wrench_meas": wrench}, valid)
-    spans = [(c.start, c.end) for c in look(record, scenario).contacts]
-    if ends == "held":
-        assert len(spans) == 1
-        assert abs(spans[0][0] - 2000) < 10
-        assert spans[0][1] == 8000
-    else:  # out of the latch's reach at the end: it held nothing
-        assert len(spans) > 2
+        ring = ring * (t < 3.5)
+    contacts = look(_record(scenario, depth, fz=400.0 * ring), scenario).contacts
+    if leaves:  # out of the latch's reach at the end: it held nothing
+        assert len(contacts) > 2
+    else:
+        assert len(contacts) == 1
+        assert abs(contacts[0].start - 2000) < 10
+        assert contacts[0].end == 8000
 
 
 def test_a_tilted_port_that_is_met_in_the_first_rows_before_the_pose_says_so() -> None:
     """Beside the axis a tilt of 2 degrees brings a plane 5 mm nearer: it is met while pz says that
     there is a gap, as the record begins.
     """
-    scenario = load_scenario(find_scenario(Path("02-bumper")))
+    scenario = load_scenario("02-bumper")
     assert scenario.mechanism.flat
     t = np.arange(1400) / scenario.rate
     force = np.where((t > 0.004) & (t < 0.1), 300.0 * np.sin(np.pi * (t - 0.004) / 0.096), 0.0)
-    pose, wrench = np.zeros((len(t), 7)), np.random.default_rng(1).standard_normal((len(t), 6))
-    pose[:, 2], pose[:, 6] = (
-        -0.0048 + 0.04 * np.minimum(t, 0.05) - 0.04 * np.maximum(t - 0.05, 0.0),
-        1.0,
-    )
-    wrench[:, 2] += force
-    valid = {"pose_act": np.ones(pose.shape, bool), "wrench_meas": np.ones(wrench.shape, bool)}
-    found = look(Record(1, Path(), t, {"pose_act": pose, "wrench_meas": wrench}, valid), scenario)
+    pz = -0.0048 + 0.04 * np.minimum(t, 0.05) - 0.04 * np.maximum(t - 0.05, 0.0)
+    found = look(_record(scenario, pz, fz=force), scenario)
     # the force is 10 times its noise, with two sigma to spare, after 1 ms
     late = 2.5e-3 * scenario.rate
+    (contact,) = found.contacts
     assert abs(found.free - 0.004 * scenario.rate) < late
-    assert len(found.contacts) == 1
-    assert abs(found.contacts[0].start - 0.004 * scenario.rate) < late
-    assert abs(found.contacts[0].end - 0.1 * scenario.rate) < late
+    assert abs(contact.start - 0.004 * scenario.rate) < late
+    assert abs(contact.end - 0.1 * scenario.rate) < late
 
 
 @pytest.mark.parametrize(("name", "found"), [("16-probe-drogue", 1), ("02-bumper", 0)])
@@ -79,15 +79,10 @@ def test_what_swings_on_its_side_is_in_contact_where_it_is_pressed_across(
     """A head on a rod that stays in its socket, the stroke at rest; a plane is pressed along its
     normal.
     """
-    scenario = load_scenario(find_scenario(Path(name)))
-    t = np.arange(2000) / scenario.rate
-    pose, wrench = np.zeros((len(t), 7)), np.random.default_rng(1).standard_normal((len(t), 6))
-    pose[:, 2], pose[:, 6] = -0.05, 1.0
-    wrench[:, 0] += 60.0 * (t > 0.5 * t[-1])
-    valid = {"pose_act": np.ones(pose.shape, bool), "wrench_meas": np.ones(wrench.shape, bool)}
-    survey = look(Record(1, Path(), t, {"pose_act": pose, "wrench_meas": wrench}, valid), scenario)
+    scenario, rows = load_scenario(name), np.arange(2000)
+    survey = look(_record(scenario, rows * 0.0 - 0.05, fx=60.0 * (rows > 999)), scenario)
     assert len(survey.contacts) == found
-    assert survey.touching(len(t), 0, least=30.0)[1500] == bool(found)
+    assert survey.touching(len(rows), 0, least=30.0)[1500] == bool(found)
 
 
 @pytest.mark.parametrize("speed", [0.037, 3.3])
@@ -100,11 +95,19 @@ def test_the_noise_of_a_quantised_motion_is_that_of_its_samples_and_of_its_steps
     """
     rng = np.random.default_rng(6)
     read = np.round(speed * np.arange(6000) + noise * rng.standard_normal(6000))
-    assert white_noise(1e-5 * read, 1e-5) == pytest.approx(
-        1e-5 * np.hypot(noise, 1.0 / np.sqrt(12.0)), rel=0.05
-    )
-    touched = 1e-5 * (read + np.where(np.arange(6000) == 3000, 50.0, 0.0))
-    assert white_noise(touched, 1e-5) == pytest.approx(white_noise(1e-5 * read, 1e-5), rel=0.02)
+    found = white_noise(1e-5 * read, 1e-5)
+    assert found == pytest.approx(1e-5 * np.hypot(noise, 1.0 / np.sqrt(12.0)), rel=0.05)
+    read[3000] += 50.0
+    assert white_noise(1e-5 * read, 1e-5) == pytest.approx(found, rel=0.02)
+
+
+def _command(pz: np.ndarray, step: float) -> Record:
+    """A record at 1 kHz of a command along z, rounded to steps."""
+    pose = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(pz), 1))
+    pose[:, 2] = step * np.round(pz / step)
+    valid = {"pose_cmd": np.ones(pose.shape, dtype=bool)}
+    t = 0.001 * np.arange(len(pz), dtype=np.float64)
+    return Record(1, Path(), t, {"pose_cmd": pose}, valid, steps={"pose_cmd.pz": step})
 
 
 def test_a_command_in_steps_is_smooth_where_it_creeps_and_jumps_where_it_was_told_to() -> None:
@@ -114,17 +117,11 @@ def test_a_command_in_steps_is_smooth_where_it_creeps_and_jumps_where_it_was_tol
     t, step = np.arange(4000, dtype=np.float64) * 0.001, 1e-4
     creep = np.where(t < 2.0, 0.004 * t, 0.008)
     told = creep + np.where(t >= 2.5, 0.05, 0.0) + np.where(t >= 3.2, -0.02, 0.0)
-    pose, valid = (
-        np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(t), 1)),
-        {"pose_cmd": np.ones((len(t), 7), dtype=bool)},
-    )
-    pose[:, 2] = step * np.round(told / step)
-    filled = Record(1, Path(), t, {"pose_cmd": pose}, valid, steps={"pose_cmd.pz": step}).filled(
-        "pose_cmd"
-    )[:, 2]
+    record = _command(told, step)
+    filled = record.filled("pose_cmd")[:, 2]
     np.testing.assert_allclose(filled, told, atol=1.01 * step)
     np.testing.assert_allclose(filled[100:1900], told[100:1900], atol=0.1 * step)
-    np.testing.assert_array_equal(filled[2400:], pose[2400:, 2])
+    np.testing.assert_array_equal(filled[2400:], record.column("pose_cmd.pz")[2400:])
 
 
 def test_a_smooth_command_in_few_digits_is_smoothed_and_a_jerk_is_not() -> None:
@@ -133,12 +130,7 @@ def test_a_smooth_command_in_few_digits_is_smoothed_and_a_jerk_is_not() -> None:
     """
     t, step = np.arange(2000, dtype=np.float64) * 0.001, 1e-5
     told = 1e-3 * np.sin(2.0 * np.pi * 7.0 * t) + np.where(t >= 1.0, 3.0 * step, 0.0)
-    pose, valid = (
-        np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(t), 1)),
-        {"pose_cmd": np.ones((len(t), 7), dtype=bool)},
-    )
-    pose[:, 2] = step * np.round(told / step)
-    record = Record(1, Path(), t, {"pose_cmd": pose}, valid, steps={"pose_cmd.pz": step})
+    record = _command(told, step)
     filled, left = record.filled("pose_cmd")[:, 2], record.unsmoothed()[:, 2]
     near = np.abs(t - 1.0) < 0.004
     np.testing.assert_allclose(left[near], step / np.sqrt(12.0))
@@ -146,6 +138,6 @@ def test_a_smooth_command_in_few_digits_is_smoothed_and_a_jerk_is_not() -> None:
     np.testing.assert_allclose(filled[near], told[near], atol=0.51 * step)
     smooth = left == 0.0
     assert np.std((filled - told)[smooth]) < 0.45 * step / np.sqrt(12.0)
-    pose[300], valid["pose_cmd"][300] = np.nan, False
+    record.data["pose_cmd"][300], record.valid["pose_cmd"][300] = np.nan, False
     np.testing.assert_allclose(record.unsmoothed()[400:, 2], left[400:])
     assert np.isfinite(record.filled("pose_cmd")).all()

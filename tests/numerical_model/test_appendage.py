@@ -5,7 +5,6 @@ another integrator.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -21,7 +20,7 @@ from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.scenario import Scenario, scenario_from
 
-SCENARIO = Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml"
+SCENARIO = "05-off-centre"
 PANEL: dict[str, Any] = {
     "kind": "dynamics.appendage",
     "mass_ratio": 0.1,
@@ -63,10 +62,8 @@ def test_momentum_of_the_whole_is_kept(damping_ratio: float) -> None:
     )
     six = whole[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     data = scenario.model_dump(mode="json")
-    data["spacecraft"]["chaser"]["inertia"], data["spacecraft"]["target"]["inertia"] = (
-        six.tolist(),
-        [900.0] * 3,
-    )
+    data["spacecraft"]["chaser"]["inertia"] = six.tolist()
+    data["spacecraft"]["target"]["inertia"] = [900.0] * 3
     model = NumericalModel([scenario_from(data)])
     before = momentum(model, 0.1)
     for k in range(8000):
@@ -78,9 +75,7 @@ def test_momentum_of_the_whole_is_kept(damping_ratio: float) -> None:
 
 
 def test_it_is_at_rest_what_is_believed_of_the_whole_body() -> None:
-    """The rest of the body and the panel at its place: mass, centre of mass and inertia of the
-    scenario's chaser.
-    """
+    """Rest and panel at its place: mass, centre and inertia of the scenario's chaser."""
     scenario = with_panel()
     model = NumericalModel([scenario])
     body, ratio = scenario.spacecraft.chaser, 0.1
@@ -96,9 +91,7 @@ def test_it_is_at_rest_what_is_believed_of_the_whole_body() -> None:
 
 
 def test_the_frequency_is_that_with_the_body_held() -> None:
-    """A body a million times heavier than its panel is held; the panel rings at 0.8 Hz after a
-    jerk.
-    """
+    """A body a million times heavier is held; the panel rings at 0.8 Hz after a jerk."""
     model = NumericalModel([with_panel(rate=4000, mass_ratio=1e-6, damping_ratio=0.0)])
     away = np.empty(8000)
     for k in range(len(away)):
@@ -114,26 +107,20 @@ def test_the_frequency_is_that_with_the_body_held() -> None:
 
 
 def in_mujoco(scenario: Scenario, duration: float) -> tuple[Array, Array]:
-    """Places and attitudes (2, 3), (2, 4) of both bodies' centres at the end: free bodies, the
-    panel on three slides.
-    """
+    """(2, 3), (2, 4) of both bodies' centres at the end: free bodies, the panel on three slides."""
     model = NumericalModel([scenario])
     ratio, bodies = PANEL["mass_ratio"], (scenario.spacecraft.chaser, scenario.spacecraft.target)
     spec = mujoco.MjSpec()
-    spec.option.gravity, spec.option.timestep, spec.option.integrator = (
-        [0, 0, 0],
-        1e-3,
-        mujoco.mjtIntegrator.mjINT_RK4,
-    )
+    spec.option.gravity = [0, 0, 0]
+    spec.option.timestep = 1e-3
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     for b, name in ((CHASER, "chaser"), (TARGET, "target")):
         body = spec.worldbody.add_body(name=name)
         body.add_freejoint(name=name)
         rest = -ratio * np.array(PLACE) / (1.0 - ratio) if b == CHASER else np.zeros(3)
-        body.explicitinertial, body.mass, body.ipos = (
-            True,
-            bodies[b].mass * ((1.0 - ratio) if b == CHASER else 1.0),
-            rest,
-        )
+        body.explicitinertial = True
+        body.mass = bodies[b].mass * ((1.0 - ratio) if b == CHASER else 1.0)
+        body.ipos = rest
         whole = inertia_matrix(bodies[b].inertia)
         if b == CHASER:
             for mass, at in ((body.mass, rest), (ratio * bodies[b].mass, np.array(PLACE))):
@@ -141,12 +128,10 @@ def in_mujoco(scenario: Scenario, duration: float) -> tuple[Array, Array]:
         body.fullinertia = whole[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     panel = spec.body("chaser").add_body(name="panel", pos=PLACE)
     mass, w = ratio * bodies[CHASER].mass, 2.0 * math.pi * PANEL["frequency"]
-    panel.explicitinertial, panel.mass, panel.ipos, panel.inertia = (
-        True,
-        mass,
-        np.zeros(3),
-        np.full(3, 1e-9),
-    )
+    panel.explicitinertial = True
+    panel.mass = mass
+    panel.ipos = np.zeros(3)
+    panel.inertia = np.full(3, 1e-9)
     for axis in np.eye(3):
         joint = panel.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         joint.stiffness[0], joint.damping[0] = mass * w * w, 2.0 * PANEL["damping_ratio"] * mass * w

@@ -4,8 +4,6 @@ that they replace.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ from hiltestbed.numerical_model.kernels import (
 )
 from hiltestbed.numerical_model.model import NumericalModel
 
-SCENARIO = load_scenario(Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml")
+SCENARIO = load_scenario("05-off-centre")
 H = 1.0 / SCENARIO.rate
 WRENCH = np.array([30.0, -20.0, 200.0, 5.0, -8.0, 2.0])
 
@@ -48,9 +46,7 @@ def test_a_step_is_pinocchios(craft: NumericalModel) -> None:
 
 
 def test_newton_and_euler_are_pinocchios() -> None:
-    """40 pairs of bodies of any shape, attitude and speed under any load: to 1e-12 of what they
-    change.
-    """
+    """40 pairs of any shape, attitude, speed and load: to 1e-12 of what they change."""
     rng = np.random.default_rng(7)
     n, h = 40, 1e-3
     mass = np.exp(rng.uniform(np.log(50.0), np.log(2e4), (n, 2)))
@@ -67,23 +63,12 @@ def test_newton_and_euler_are_pinocchios() -> None:
 
 
 def test_carrying_is_stepping_where_nothing_turns_much(craft: NumericalModel) -> None:
-    """40 ticks under a wrench: bodies turn by some 1e-4 rad, so that positions agree to 1e-4 of
-    what the wrench moves them by.
-    """
+    """40 ticks under a wrench: bodies turn by some 1e-4 rad, so positions agree to 1e-4."""
     port, mass, _, inverse = _bodies(craft)
     q, v, work = craft.q[0].copy(), craft.v[0].copy(), np.empty((SCRATCH, 7))
     ticks = 40
-    carry(
-        q,
-        v,
-        port,
-        mass,
-        inverse,
-        ticks * H,
-        ticks * H * WRENCH,
-        H * H * ticks * (ticks + 1) / 2 * WRENCH,
-        work,
-    )
+    impulse, shift = ticks * H * WRENCH, H * H * ticks * (ticks + 1) / 2 * WRENCH
+    carry(q, v, port, mass, inverse, ticks * H, impulse, shift, work)
     start, speed = craft.q[0].copy(), craft.v[0].copy()
     for _ in range(ticks):
         craft.advance(WRENCH[None])
@@ -99,12 +84,10 @@ def test_mobility_is_the_change_of_the_twist_by_a_wrench_at_A(craft: NumericalMo
     mobility(craft.q[0], port, craft.pose[0, :3], mass, inverse, work, matrix)
     assert np.abs(matrix - matrix.T).max() < 1e-12 * np.abs(matrix).max()
     assert np.linalg.eigvalsh(matrix).min() > 0.0
-    free, pushed, at_A, at_P = (
-        NumericalModel([SCENARIO]),
-        NumericalModel([SCENARIO]),
-        WRENCH.copy(),
-        np.empty(6),
-    )
+    free = NumericalModel([SCENARIO])
+    pushed = NumericalModel([SCENARIO])
+    at_A = WRENCH.copy()
+    at_P = np.empty(6)
     free.tick = pushed.tick = 1e-6
     wrench_at_P(at_A, craft.pose[0, :3], at_P)
     free.advance(np.zeros((1, 6)))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -14,7 +12,7 @@ from hiltestbed.numerical_model.bodies import inertia_matrix, pair_momentum
 from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.numerical_model.model import NumericalModel
 
-SCENARIO = Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml"
+SCENARIO = "05-off-centre"
 
 
 def test_the_start_is_what_approach_says() -> None:
@@ -29,9 +27,7 @@ def test_the_start_is_what_approach_says() -> None:
 
 
 def _newton_euler(scenario, wrench, duration):
-    """Both bodies under a constant wrench in P at P's origin, by an eighth-order integrator, from
-    the same start.
-    """
+    """Both bodies under a constant wrench in P at P's origin, by an eighth-order integrator."""
     craft = NumericalModel([scenario])
     bodies = (scenario.spacecraft.chaser, scenario.spacecraft.target)
     inertia = [inertia_matrix(b.inertia) for b in bodies]

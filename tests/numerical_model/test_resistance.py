@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from hiltestbed.numerical_model.resistance import (
     resisting,
 )
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HEAVY = {
     "spacecraft.target": {
         "mass": 1e12,
@@ -42,8 +40,7 @@ def moving(
         "physics_rate": rate,
     }
     return load_scenario(
-        SCENARIOS / "02-bumper.yaml",
-        set=changes | {"approach.velocity": [0, 0, speed]} | (HEAVY if fixed else {}),
+        "02-bumper", set=changes | {"approach.velocity": [0, 0, speed]} | (HEAVY if fixed else {})
     )
 
 
@@ -76,9 +73,7 @@ def test_dry_friction_stops_a_mass_after_m_v2_over_2f() -> None:
 
 @pytest.mark.parametrize("mass", [0.05, 1.0, 100.0])
 def test_at_rest_nothing_chatters_however_light_the_mass(mass: float) -> None:
-    """20 N would throw a mass of 50 g to and fro by 0.4 m/s a tick, and 200 N s/m turn its motion
-    round four times over.
-    """
+    """A tick of 20 N is 0.4 m/s for 50 g, and 200 N s/m turn its motion four times over."""
     for viscous in (0.0, 200.0):
         _, speed = course(moving(0.05, mass=mass, coulomb=20.0, viscous=viscous), 1.0)
         assert (speed > -1e-12).all()
@@ -98,9 +93,7 @@ def test_below_dry_friction_it_holds_and_above_it_goes() -> None:
 def exactly(
     v: float, drive: float, mass: float, viscous: float, dry: float, seconds: float
 ) -> float:
-    """[m/s] after ``seconds`` of a constant force, by Radau's method between the instants at which
-    the motion stops.
-    """
+    """[m/s] after ``seconds`` of a constant force, by Radau's method from stop to stop."""
     while seconds > 0.0:
         if v == 0.0 and abs(drive) <= dry:
             return 0.0
@@ -126,9 +119,7 @@ def exactly(
 @pytest.mark.parametrize("drive", [-90.0, -20.0, 15.0, 90.0])
 @pytest.mark.parametrize("v", [-2e-4, 0.0, 7e-5, 0.05])
 def test_a_tick_in_which_the_motion_stops_or_turns_is_exact(v: float, drive: float) -> None:
-    """Of a mass of 95 kg against 200 N s/m and 20 N: the force is what takes it from its speed to
-    the exact one.
-    """
+    """95 kg against 200 N s/m and 20 N: the force takes it from its speed to the exact one."""
     mass, h = 95.0, 1e-3
     laws = np.zeros((1, RESISTANCE))
     laws[0, [VISCOUS, VISCOUS_BACK]], laws[0, [COULOMB, COULOMB_BACK]] = 200.0, 20.4
@@ -183,7 +174,7 @@ def test_between_the_bodies_it_keeps_their_momentum_off_centre_too() -> None:
         {"kind": "dynamics.force", "viscous": 300.0, "coulomb": 1.0, "offset": 0.5, "axis": a}
         for a in "xyz"
     ]
-    scenario = load_scenario(SCENARIOS / "05-off-centre.yaml", set={"effects": effects})
+    scenario = load_scenario("05-off-centre", set={"effects": effects})
     model = NumericalModel([scenario])
     before = pair_momentum(model.mass, model.inertia[0], model.q[0], model.v[0])
     for _ in range(500):

@@ -5,7 +5,6 @@ nothing on the others.
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,15 +14,13 @@ from hiltestbed.signals import AXES
 from hiltestbed.simulation import Batch, simulate
 from tests.slow import slow
 
-SCENARIO = Path(__file__).parents[2] / "scenarios" / "13-ring-down.yaml"
+SCENARIO = "13-ring-down"
 DELAY_TICKS = 10  # 5 ms at 2 kHz
 
 
 @cache
 def _ring_downs(tracking: str, compensation: str) -> Batch:
-    """Six runs, each set going along one axis. Ports at the centres of mass: no lever arm turns a
-    push into a rotation.
-    """
+    """Six runs, one per axis; with the ports at the centres no lever arm turns a push."""
     scenarios = []
     for axis in range(6):
         speed = np.zeros(6)
@@ -60,9 +57,7 @@ def test_each_axis_is_found_through_the_delay(tracking: str, compensation: str) 
 
 
 def test_an_axis_does_not_show_on_another() -> None:
-    """The force across that moves with x, as a stiffness over the geometric mean of both axes'
-    own.
-    """
+    """The force across, as a stiffness over the geometric mean of both axes' own."""
     batch = _ring_downs("ideal", "phase_lead")
     assert batch.trace is not None
     for i, axis in enumerate(AXES):

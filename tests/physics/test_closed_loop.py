@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,15 +14,13 @@ from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import run_batch, simulate
 from tests.physics.closed_forms import cor_at_zero_force, cor_pure_delay
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
 K, MU = 1.0e5, 400.0  # 500 kg against 2000 kg
 W = math.sqrt(K / MU)
 
 
 def head_on(**changes: object) -> Scenario:
     return load_scenario(
-        SCENARIOS / "02-bumper.yaml",
-        set={key.replace("__", "."): value for key, value in changes.items()},
+        "02-bumper", set={key.replace("__", "."): value for key, value in changes.items()}
     )
 
 
@@ -61,9 +58,7 @@ def test_the_delay_ledger_predicts_the_rebound(w_tau: float, damping: float) -> 
 
 @pytest.mark.parametrize("rate", [1000, 2000, 4000])
 def test_the_coupling_adds_no_delay(rate: int) -> None:
-    """Half a tick, which a hold would add, shows as ln e = (pi/2) w h/2; less than a twentieth of a
-    tick is there.
-    """
+    """A hold would add half a tick, ln e = (pi/2) w h/2; less than a twentieth is there."""
     figures = simulate([head_on(rate=rate, physics_rate=2 * rate)]).figures[0]
     assert figures.cor is not None
     assert (
@@ -72,28 +67,9 @@ def test_the_coupling_adds_no_delay(rate: int) -> None:
     )
 
 
-def test_momentum_is_constant_off_centre() -> None:
-    scenario = load_scenario(
-        SCENARIOS / "05-off-centre.yaml",
-        set={"rig.platform.tracking": "ideal", "rate": 8000, "physics_rate": 16000},
-    )
-    loop = Loop([scenario])
-    craft = loop.model
-    before = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)[0]
-    arm = np.abs(craft.q[0, :, :3]).max()
-    for _ in range(scenario.ticks):
-        loop.step()
-    after = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)[0]
-    assert loop.tally.peak_force[0] > 50.0
-    exchanged = loop.tally.impulse[0]  # the scale: what the bodies gave to each other
-    assert np.abs(after[:3] - before[:3]).max() < 1e-12 * exchanged
-    assert np.abs(after[3:] - before[3:]).max() < 1e-6 * exchanged * arm
-
-
 def test_free_flight_makes_neither_force_nor_energy() -> None:
     batch = simulate(
-        [load_scenario(SCENARIOS / "01-free-flight.yaml", set={"rig.platform.tracking": "ideal"})],
-        trace=True,
+        [load_scenario("01-free-flight", set={"rig.platform.tracking": "ideal"})], trace=True
     )
     assert batch.trace is not None
     assert not batch.trace.contact.any()
@@ -107,9 +83,9 @@ def test_stiffness_and_damping_are_identified_through_the_delay(tracking: str) -
     """5 ms late, noise 0.2 % of the peak, one contact. c within 3 %: sd(c)/c = sqrt(2/N) 0.002/(2
     zeta) = 0.2 % with N = 390.
     """
-    name = "04-bumper-delay-compensated.yaml"
+    name = "04-bumper-delay-compensated"
     scenarios = [
-        load_scenario(SCENARIOS / name, set={"rig.platform.tracking": tracking, "seed": seed})
+        load_scenario(name, set={"rig.platform.tracking": tracking, "seed": seed})
         for seed in range(8)
     ]
     batch = simulate(scenarios)
@@ -119,11 +95,10 @@ def test_stiffness_and_damping_are_identified_through_the_delay(tracking: str) -
 
 
 def test_the_same_seed_gives_the_same_bytes_alone_and_in_a_batch() -> None:
-    base = load_scenario(SCENARIOS / "05-off-centre.yaml", set={"duration": 0.5})
+    base = load_scenario("05-off-centre", set={"duration": 0.5})
     others = [
         load_scenario(
-            SCENARIOS / "05-off-centre.yaml",
-            set={"duration": 0.5, "seed": 50 + i, "sensor.delay": 1e-4 * i},
+            "05-off-centre", set={"duration": 0.5, "seed": 50 + i, "sensor.delay": 1e-4 * i}
         )
         for i in range(63)
     ]
@@ -147,3 +122,21 @@ def test_the_reference_is_the_closed_form() -> None:
             abs(math.log(run.summary["cor_reference"] / cor_at_zero_force(K, damping, MU))) < 2e-3
         )
         assert run.summary["cor_log_error"] > 0.2
+
+
+def test_momentum_is_constant_off_centre() -> None:
+    scenario = load_scenario(
+        "05-off-centre",
+        set={"rig.platform.tracking": "ideal", "rate": 8000, "physics_rate": 16000},
+    )
+    loop = Loop([scenario])
+    craft = loop.model
+    before = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)[0]
+    arm = np.abs(craft.q[0, :, :3]).max()
+    for _ in range(scenario.ticks):
+        loop.step()
+    after = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)[0]
+    assert loop.tally.peak_force[0] > 50.0
+    exchanged = loop.tally.impulse[0]  # the scale: what the bodies gave to each other
+    assert np.abs(after[:3] - before[:3]).max() < 1e-12 * exchanged
+    assert np.abs(after[3:] - before[3:]).max() < 1e-6 * exchanged * arm

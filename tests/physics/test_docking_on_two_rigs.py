@@ -4,7 +4,6 @@ loop with all six axes.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from tests.equipment.independent_rig import docking_rig, silence, with_effect
 from tests.equipment.independent_rig import simulate as simulated_there
 from tests.slow import SLOW, slow
 
-DOCKING = Path(__file__).parents[2] / "scenarios" / "09-docking.yaml"
+DOCKING = "09-docking"
 QUIET = {
     "rig.platform.tracking": "ideal",
     "compensation.motion": {"kind": "none"},
@@ -46,9 +45,7 @@ def _both(changes: dict, effects: tuple[dict, ...] = ()) -> tuple[Any, Any]:
 
 
 def _agree(trace: Any, records: Any, pose: float, force: float) -> None:
-    """Positions within `pose` [m], attitudes within as much of a radian, forces within `force` of
-    the peak.
-    """
+    """Positions within `pose` [m], attitudes [rad] too, forces within `force` of the peak."""
     here = trace["wrench_true"][:, 0]
     peak = np.abs(here[:, :3]).max()
     assert peak > 50.0

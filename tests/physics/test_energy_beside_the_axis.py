@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.config.gallery import shipped
 from hiltestbed.loop import Loop
 
 
@@ -39,7 +38,7 @@ def test_a_contact_that_takes_nothing_leaves_the_vehicles_what_the_rig_made(offs
         "compensation.force.kind": "none",
         "identification.kind": "none",
     }
-    s = load_scenario(shipped("scenarios") / "09-docking.yaml", keys)
+    s = load_scenario("09-docking", keys)
     loop = Loop([s])
     before, apart = kinetic(loop), 0
     while loop.k < s.ticks and apart < 40:

@@ -17,9 +17,7 @@ RATE = 2000.0
 
 
 def whole(rig: Rig, side: str) -> tuple[float, list[float], list[float]]:
-    """Mass [kg], centre in the port's frame [m] and inertia (3,) about it [kg m^2] of a bus with
-    all that it carries.
-    """
+    """Mass [kg], centre in the port's frame [m], inertia (3,) [kg m^2] of a bus with all on it."""
     model, data = rig.batch.get_model(0), rig.batch.get_data(0)
     mujoco.mj_forward(model, data)
     root = model.body(f"{side}_bus").id

@@ -5,7 +5,6 @@ adaptive, contact in closed form.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,14 +19,12 @@ from hiltestbed.numerical_model.kernels import CHASER, TARGET
 from hiltestbed.scenario import Scenario
 from tests.slow import slow
 
-SCENARIO = Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml"
+SCENARIO = "05-off-centre"
 TIP = 0.02  # [m] radius of the bumper's tip, models/bumper
 
 
 class TwoBodies:
-    """Two rigid bodies, a sphere on one and a plane on the other: state (p, q, v, w) of chaser then
-    target, w in the body.
-    """
+    """A sphere on one body, a plane on the other: state (p, q, v, w) each, w in the body."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.bodies = (scenario.spacecraft.chaser, scenario.spacecraft.target)
@@ -56,9 +53,7 @@ class TwoBodies:
         return state.ravel()
 
     def wrench(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """World force on the target, the point it acts at, and k x + c v before it is kept from
-        pulling.
-        """
+        """Force on the target, its point, and k x + c v before it is kept from pulling."""
         turns = [Rotation.from_quat(s[3:7]) for s in state]
         plane = turns[TARGET] * self.ports[TARGET]
         origin = state[TARGET, :3] + turns[TARGET].apply(self.bodies[TARGET].port.position)

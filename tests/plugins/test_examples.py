@@ -75,21 +75,10 @@ def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
 
 
 def test_a_compensation_takes_the_delay_out(tmp_path: Path) -> None:
-    """Extrapolated to second order, |ln(e/e_ref)| falls from (pi/2) w tau = 0.124 to a few per cent
-    of it.
-    """
-    done = command(
-        "run",
-        "03-bumper-delay-uncompensated",
-        "--json",
-        "--no-rerun",
-        "--out",
-        str(tmp_path / "r"),
-        "--plugin",
-        str(EXAMPLES / "slope_lead.py"),
-        "--set",
-        "compensation.force={kind: slope_lead}",
-    )
+    """Of second order: |ln(e/e_ref)| falls from (pi/2) w tau = 0.124 to a few per cent."""
+    given = ("--plugin", str(EXAMPLES / "slope_lead.py"), "--json", "--no-rerun")
+    out = ("--out", str(tmp_path / "r"), "--set", "compensation.force={kind: slope_lead}")
+    done = command("run", "03-bumper-delay-uncompensated", *given, *out)
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert abs(summary["cor_log_error"]) < 0.01
@@ -149,9 +138,7 @@ def test_one_batch_and_many_give_the_same_bytes() -> None:
 
 
 def test_a_mechanism_touches_with_all_of_its_pads() -> None:
-    """Three springs side by side: head-on it is a bumper of three times the stiffness and damping
-    of a pad.
-    """
+    """Head-on, three springs are a bumper of three times a pad's stiffness and damping."""
     plugins.load([str(EXAMPLES / "three_pads.py")])
     slower = {"rate": 2000, "physics_rate": 4000}
     bumper = shipped("02-bumper", **slower)
@@ -199,18 +186,8 @@ def test_a_campaign_runs_them_in_worker_processes(tmp_path: Path) -> None:
     (tmp_path / "s.yaml").write_text(
         (hiltestbed.shipped("scenarios") / "02-bumper.yaml").read_text()
     )
-    done = command(
-        "sweep",
-        "c.yaml",
-        "--workers",
-        "2",
-        "--chunk",
-        "1",
-        "--json",
-        "--plugin",
-        str(EXAMPLES / "slope_lead.py"),
-        cwd=tmp_path,
-    )
+    options = ["sweep", "c.yaml", "--workers", "2", "--chunk", "1", "--json", "--plugin"]
+    done = command(*options, str(EXAMPLES / "slope_lead.py"), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["counts"] == {"completed": 4}
 
@@ -299,26 +276,16 @@ def test_the_benchmark_enters_a_method_of_the_users_in_every_column() -> None:
 
     plugins.load([str(EXAMPLES / "slope_lead.py")])
     by_name = {m.name: m for m in contenders()}
-    for tracking, knowledge in (("ideal", "exact"), ("ideal", "off"), ("servo", "exact")):
-        assert _takes_part(by_name["slope_lead"], tracking, knowledge, True)
-    assert not _takes_part(by_name["dead_zone"], "ideal", "off", True)
+    for condition in (("ideal", "exact"), ("ideal", "off"), ("servo", "exact")):
+        assert _takes_part(by_name["slope_lead"], condition, quick=True)
+    assert not _takes_part(by_name["dead_zone"], ("ideal", "off"), quick=True)
 
 
 def test_a_run_that_a_plugin_made_says_which_one_it_needs(tmp_path: Path) -> None:
     plugin, folder = EXAMPLES / "slope_lead.py", tmp_path / "run"
-    made = command(
-        "run",
-        "03-bumper-delay-uncompensated",
-        "--plugin",
-        str(plugin),
-        "--set",
-        "compensation.force={kind: slope_lead}",
-        "--set",
-        "duration=0.3",
-        "--no-rerun",
-        "--out",
-        str(folder),
-    )
+    given = ("--plugin", str(plugin), "--set", "compensation.force={kind: slope_lead}")
+    out = ("--set", "duration=0.3", "--no-rerun", "--out", str(folder))
+    made = command("run", "03-bumper-delay-uncompensated", *given, *out)
     assert made.returncode == 0, made.stderr
     refused = command("compare", str(folder), str(folder))
     assert refused.returncode == 2

@@ -146,7 +146,12 @@ def lane(s: Scenario, run: int, effects: Sequence[Effect] | None = None) -> Lane
     )
 
 
-def readings(recorded: Recorded) -> Array:
-    """(R, N, 6) what contact and sensor make of the recorded poses."""
-    lanes = [lane(s, i) for i, s in enumerate(recorded.scenarios)]
-    return replay_wrench(felt(recorded), lanes, grid=recorded.scenarios[0].substeps)
+def readings(
+    recorded: Recorded, effects: Sequence[Effect] | None = None, shared: Felt | None = None
+) -> Array:
+    """(R, N, 6) what contact and sensor make of the recorded poses, with the effects of each
+    scenario or with others.
+    """
+    lanes = [lane(s, i, effects) for i, s in enumerate(recorded.scenarios)]
+    grid = recorded.scenarios[0].substeps
+    return replay_wrench(felt(recorded) if shared is None else shared, lanes, grid=grid)

@@ -4,6 +4,7 @@ steps, extrapolated to no length.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +13,9 @@ from scipy.linalg import expm
 
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.frames import Array
-from hiltestbed.replay import replay_wrench
-from hiltestbed.replay.mounted import LAST, advance, struck
+from hiltestbed.replay import Felt, replay_wrench
+from hiltestbed.replay.mounted import LAST, PathMount, advance, struck
+from hiltestbed.scenario import Scenario
 from tests.replay.recorded import felt, lane, record, scenario
 
 STIFFNESS, DAMPING = (
@@ -26,9 +28,11 @@ INERTIA = np.array([MASS, MASS, MASS, 5.0, 6.0, 3.0])
 MOUNTS = ["bumper on a mount", "probe and cone with latch on a mount", "latched on a mount"]
 
 
-def mount(stiffness: Array = STIFFNESS, damping: Array = DAMPING, leapfrog: bool = True) -> tuple:
+def mount(
+    stiffness: Array = STIFFNESS, damping: Array = DAMPING, leapfrog: bool = True
+) -> PathMount:
     dynamics = MountDynamics(stiffness[None], damping[None], BODY)
-    return stiffness, damping, BODY, leapfrog, dynamics.mobility, 0
+    return PathMount(stiffness, damping, BODY, leapfrog, dynamics.mobility)
 
 
 def pushed(steps: int, time: float, leapfrog: bool) -> tuple[Array, Array]:
@@ -74,19 +78,27 @@ def test_the_slowest_swing_of_separate_axes_is_that_of_each_alone() -> None:
 def test_a_force_that_begins_within_a_step_acts_for_the_part_that_is_left(part: float) -> None:
     """F/m times the time since it began, at the end of that step and of the next."""
     dt, free = 1e-3, mount(np.zeros(6), np.zeros(6))
-    force, q, qd, rate, last = (
-        np.array([0.0, 0.0, 7.0, 0.0, 0.0, 0.0]),
-        np.zeros(6),
-        np.zeros(6),
-        np.zeros(6),
-        np.zeros(LAST),
-    )
+    force = np.array([0.0, 0.0, 7.0, 0.0, 0.0, 0.0])
+    q, qd, rate, last = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(LAST)
     for _ in range(3):
         advance(free, dt, np.zeros(6), q, qd, rate, last)
     struck(free, dt, part, force, np.zeros(6), q, qd, rate)
     np.testing.assert_allclose(rate[2], 7.0 / MASS * part * dt, rtol=1e-12)
     advance(free, dt, force, q, qd, rate, last)
     np.testing.assert_allclose(rate[2], 7.0 / MASS * (part + 1.0) * dt, rtol=1e-12)
+
+
+def refined(shared: Felt, s: Scenario) -> tuple[Callable[..., Array], Array]:
+    """The reading with so many times the steps, and that of steps of no length: their error falls
+    with the number of steps.
+    """
+
+    def stepped(times: int, leapfrog: bool = False) -> Array:
+        finer = replace(shared, substeps=times * s.substeps, leapfrog=leapfrog)
+        return replay_wrench(finer, [lane(s, 0)], grid=s.substeps)[0]
+
+    fine, finest = stepped(64), stepped(256)
+    return stepped, finest + (finest - fine) / 3.0
 
 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
@@ -98,19 +110,7 @@ def test_along_a_path_with_touches_friction_and_a_latch_it_misses_a_seventh_of_w
     plain leapfrog would be of first order.
     """
     recorded = record([scenario(rig, tracking)])
-    shared, substeps, lanes = (
-        felt(recorded),
-        recorded.scenarios[0].substeps,
-        [lane(recorded.scenarios[0], 0)],
-    )
-
-    def stepped(times: int, leapfrog: bool = False) -> Array:
-        return replay_wrench(
-            replace(shared, substeps=times * substeps, leapfrog=leapfrog), lanes, grid=substeps
-        )
-
-    fine, finest = stepped(64), stepped(256)
-    true = finest + (finest - fine) / 3.0
+    stepped, true = refined(felt(recorded), recorded.scenarios[0])
     missed = float(np.abs(stepped(1) - true).max())
     assert float(np.abs(stepped(1, leapfrog=True) - true).max()) < 0.15 * missed
     assert float(np.abs(stepped(4, leapfrog=True) - true).max()) < 0.04 * missed
@@ -122,16 +122,7 @@ def test_a_record_that_begins_in_contact_begins_with_half_a_kick() -> None:
     whole, s = felt(recorded), recorded.scenarios[0]
     start = int(np.argmax(recorded["wrench_meas"][0, :, 2] > 100.0))
     shared = replace(whole, poses=whole.poses[:, start:], before=whole.poses[:, start - 1])
-
-    def stepped(times: int, leapfrog: bool = False) -> Array:
-        return replay_wrench(
-            replace(shared, substeps=times * s.substeps, leapfrog=leapfrog),
-            [lane(s, 0)],
-            grid=s.substeps,
-        )[0]
-
-    fine, finest = stepped(64), stepped(256)
-    true = finest + (finest - fine) / 3.0
+    stepped, true = refined(shared, s)
     assert np.abs(stepped(1, leapfrog=True) - true).max() < 0.05 * np.abs(stepped(1) - true).max()
 
 

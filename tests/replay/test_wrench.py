@@ -4,6 +4,8 @@ same models.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -83,21 +85,8 @@ def test_without_the_twist_a_servo_is_half_a_tick_off() -> None:
     and friction turns late.
     """
     recorded = record([scenario("probe and cone", "servo")])
-    shared = felt(recorded)
-    blind = type(shared)(
-        shared.poses,
-        shared.before,
-        shared.tick,
-        shared.geometry,
-        shared.captured,
-        shared.latch,
-        shared.mount,
-        shared.substeps,
-    )
-    error = errors(
-        recorded,
-        replay_wrench(blind, [lane(recorded.scenarios[0], 0)], grid=recorded.scenarios[0].substeps),
-    )[0]
+    blind = replace(felt(recorded), rates=None, least_creep=0.0)
+    error = errors(recorded, readings(recorded, shared=blind))[0]
     assert 200.0 * DRIVEN < error < 0.02
 
 
@@ -105,12 +94,7 @@ def test_without_the_twist_a_servo_is_half_a_tick_off() -> None:
 def test_every_effect_of_the_contact_acts_in_the_replay_as_in_the_loop(rig: str) -> None:
     recorded = record(possible(rig, CONTACT))
     assert errors(recorded, readings(recorded)).max() < SOLVED
-    nominal = replay_wrench(
-        felt(recorded),
-        [lane(s, i, []) for i, s in enumerate(recorded.scenarios)],
-        recorded.scenarios[0].substeps,
-    )
-    shown = errors(recorded, nominal) > 1e-3
+    shown = errors(recorded, readings(recorded, [])) > 1e-3
     assert shown.sum() >= len(shown) - 4, "an example that does not show proves nothing"
 
 
@@ -125,25 +109,13 @@ def test_every_effect_of_the_contact_acts_under_a_servo_too() -> None:
 def test_every_effect_of_the_sensor_and_of_the_record_acts_in_the_replay_as_in_the_loop() -> None:
     recorded = record(possible("probe and cone with latch", SENSOR))
     assert errors(recorded, readings(recorded)).max() < STEP
-    nominal = replay_wrench(
-        felt(recorded),
-        [lane(s, i, []) for i, s in enumerate(recorded.scenarios)],
-        recorded.scenarios[0].substeps,
-    )
-    assert (errors(recorded, nominal) > 1e-3).all()
+    assert (errors(recorded, readings(recorded, [])) > 1e-3).all()
 
 
 def test_effects_add_up_in_their_order() -> None:
+    kinds = "gain", "stiffness", "delay", "preload", "lag", "bias"
     several = [
-        example(k)
-        for k in (
-            "sensor.gain",
-            "contact.stiffness",
-            "sensor.delay",
-            "contact.preload",
-            "sensor.lag",
-            "sensor.bias",
-        )
+        example(f"{'contact' if k in ('stiffness', 'preload') else 'sensor'}.{k}") for k in kinds
     ]
     recorded = record([scenario("bumper with friction", changes={"effects": several})])
     assert errors(recorded, readings(recorded))[0] < SOLVED
@@ -168,9 +140,8 @@ def test_many_hypotheses_at_once_are_each_what_it_is_alone() -> None:
     for grid in (s.substeps, None):
         together = replay_wrench(felt(recorded), lanes, grid=grid)
         for i in (0, 2, 3, 5, 6, 9, 10):
-            assert np.array_equal(
-                together[i], replay_wrench(felt(recorded), [lanes[i]], grid=grid)[0]
-            )
+            alone = replay_wrench(felt(recorded), [lanes[i]], grid=grid)[0]
+            assert np.array_equal(together[i], alone)
 
 
 def test_a_latch_closes_in_the_replay_when_it_does_in_the_loop() -> None:
@@ -181,9 +152,5 @@ def test_a_latch_closes_in_the_replay_when_it_does_in_the_loop() -> None:
     assert errors(recorded, readings(recorded))[0] < SOLVED
     pulled = recorded["wrench_meas"][0, :, 2].min()
     assert pulled < -30.0
-    open_still = scenario("probe and cone")
-    shared = felt(Recorded([open_still], recorded.data))
-    assert (
-        errors(recorded, replay_wrench(shared, [lane(open_still, 0)], grid=open_still.substeps))[0]
-        > 0.5
-    )
+    open_still = Recorded([scenario("probe and cone")], recorded.data)
+    assert errors(recorded, readings(open_still))[0] > 0.5

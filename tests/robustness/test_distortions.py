@@ -11,46 +11,38 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from hiltestbed.config.yaml_source import dump_yaml, read_source
 from hiltestbed.measured import examine
+from tests.equipment.independent_rig.log import write_set
 from tests.equipment.independent_rig.sets import draw_set
-from tests.equipment.independent_rig.writing import write_set
 from tests.equipment.robustness.distortions import DISTORTIONS
 from tests.slow import slow
 
-DESIGNS = ("bumper", "docking")
 RUNS = {"bumper": 2, "docking": 1}  # that are distorted: what a second says, two bumpers say
 
 
 @pytest.fixture(scope="session")
 def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A healthy set of each design."""
-    folder = tmp_path_factory.mktemp("good")
-    return {
-        d: write_set(folder / d, draw_set(np.random.default_rng(3), "healthy", design=d))
-        for d in DESIGNS
-    }  # type: ignore[arg-type]
+    folder, sets = tmp_path_factory.mktemp("good"), {}
+    for design in ("bumper", "docking"):
+        healthy = draw_set(np.random.default_rng(3), "healthy", design=design)
+        sets[design] = write_set(folder / design, healthy)
+    return sets
 
 
 def distorted(good: Path, folder: Path, name: str, runs: int = 2, lines: str = "") -> Path:
     """The dataset of the first runs, each distorted."""
     (folder / "nominal.yaml").write_text((good / "nominal.yaml").read_text())
-    from hiltestbed.config.yaml_source import dump_yaml, read_source
-
     entries = read_source(good / "dataset.yaml").data["runs"][:runs]
     for entry in entries:
-        table = {
-            n: c.to_numpy().copy() for n, c in zip(*_columns(good / entry["file"]), strict=True)
-        }
+        columns = pq.read_table(good / entry["file"]).to_pydict()
+        table = {name: np.array(values) for name, values in columns.items()}
         DISTORTIONS[name].apply(table)
         pq.write_table(pa.table(table), folder / entry["file"])
     path = folder / "dataset.yaml"
     path.write_text(dump_yaml({"scenario": "nominal.yaml", "runs": entries}) + lines)
     return path
-
-
-def _columns(file: Path):
-    table = pq.read_table(file)
-    return table.column_names, table.columns
 
 
 @pytest.mark.parametrize("design", ["bumper", slow("docking")])

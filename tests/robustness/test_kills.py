@@ -58,11 +58,8 @@ def test_half_a_folder_is_a_fault(tmp_path: Path) -> None:
     ],
 )
 def test_a_traceback_is_excused_only_before_the_programs_first_line(files, excused) -> None:
-    err = (
-        "Traceback (most recent call last):\n"
-        + "".join(f'  File "{file}", line 3, in f\n    x\n' for file in files)
-        + "KeyboardInterrupt\n"
-    )
+    frames = "".join(f'  File "{file}", line 3, in f\n    x\n' for file in files)
+    err = f"Traceback (most recent call last):\n{frames}KeyboardInterrupt\n"
     assert kills.in_pythons_own_start(err) is excused
 
 

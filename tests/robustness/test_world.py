@@ -75,7 +75,7 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> None:
 @pytest.mark.parametrize("size", [20_000, 300_000, 1_000_000])
 def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, size: int) -> None:
     """The trace does not fit; and, of a run with a recording, the recording alone."""
-    order = [*short(tmp_path / "r", "--set", "duration=0.4")]
+    order = short(tmp_path / "r", "--set", "duration=0.4")
     order.remove("--no-rerun")
     status, _, err = ended(start(*order, before=_small_files(size)), 120)
     assert status == 1
@@ -102,20 +102,17 @@ def test_nobody_reads_standard_output(tmp_path: Path) -> None:
 @SLOW
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_no_home_no_locale_and_forty_columns(tmp_path: Path, language: str) -> None:
-    kept = {
-        name: os.environ[name] for name in ("PATH", "PYTHONPATH", VARIABLE) if name in os.environ
-    }
-    env = kept | {"COLUMNS": "40", "TERM": "dumb"} | LANGUAGES[language]
-    (tmp_path / "s.yaml").write_text(
-        BUMPER.read_text().replace("name: ", "name: ß→µ "), encoding="utf-8"
-    )
+    names = {"PATH", "PYTHONPATH", VARIABLE} & set(os.environ)
+    env = {name: os.environ[name] for name in names} | {"COLUMNS": "40", "TERM": "dumb"}
+    env |= LANGUAGES[language]
+    scenario = BUMPER.read_text().replace("name: ", "name: ß→µ ")
+    (tmp_path / "s.yaml").write_text(scenario, encoding="utf-8")
     order = ["run", str(tmp_path / "s.yaml"), *short(tmp_path / "r")[2:]]
     status, out, err = ended(start(*order, env=env))
     assert (status, "Traceback" in err) == (0, False), err
     assert out
-    status, _, err = ended(
-        start("check", str(tmp_path / "r" / "scenario.yaml"), str(tmp_path / "none.yaml"), env=env)
-    )
+    files = str(tmp_path / "r" / "scenario.yaml"), str(tmp_path / "none.yaml")
+    status, _, err = ended(start("check", *files, env=env))
     assert (status, "Traceback" in err) == (2, False)
 
 
@@ -136,9 +133,7 @@ def test_killed_while_it_runs(tmp_path: Path, part: float) -> None:
     if (tmp_path / "r").exists():
         assert read_run(tmp_path / "r").trace is not None
     assert ended(start(*short(tmp_path / "r")))[0] == 0
-    assert (tmp_path / "r" / "trace.parquet").read_bytes() == (
-        tmp_path / "whole" / "trace.parquet"
-    ).read_bytes()
+    assert _sha(tmp_path / "r" / "trace.parquet") == _sha(tmp_path / "whole" / "trace.parquet")
 
 
 @SLOW
@@ -161,27 +156,20 @@ def test_a_sweep_that_is_killed_goes_on_to_the_same_bytes(tmp_path: Path) -> Non
 
 def _bytes(folder: Path, **way) -> str:
     """SHA-256 of the trace of a run with noise."""
-    status, _, err = ended(
-        start(*short(folder, "--set", "sensor.noise=0.5", "--set", "seed=11"), **way), 590
-    )
+    order = short(folder, "--set", "sensor.noise=0.5", "--set", "seed=11")
+    status, _, err = ended(start(*order, **way), 590)
     assert status == 0, err
     return _sha(folder / "trace.parquet")
 
 
 def test_same_seed_same_bytes(tmp_path: Path) -> None:
     """In another process, folder and working directory, with other numbers of threads."""
-    (tmp_path / "elsewhere").mkdir()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
     found = {"PYTHONPATH": os.pathsep.join([str(Path.cwd()), os.environ.get("PYTHONPATH", "")])}
     threads = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "PYTHONHASHSEED": "7"}
-    plain = _bytes(tmp_path / "plain")
-    assert (
-        _bytes(
-            tmp_path / "elsewhere" / "r",
-            env=os.environ | found | threads,
-            cwd=tmp_path / "elsewhere",
-        )
-        == plain
-    )
+    there = _bytes(elsewhere / "r", env=os.environ | found | threads, cwd=elsewhere)
+    assert there == _bytes(tmp_path / "plain")
 
 
 @SLOW
@@ -213,11 +201,6 @@ def test_kernels_have_a_place_where_package_and_home_are_read_only(
 
 @SLOW
 def test_a_cache_that_cannot_be_written_is_passed_over(tmp_path: Path) -> None:
-    status, _, err = ended(
-        start(
-            *short(tmp_path / "r"),
-            env=os.environ | {VARIABLE: "/dev/null/x", "TMPDIR": str(tmp_path)},
-        ),
-        590,
-    )
+    env = os.environ | {VARIABLE: "/dev/null/x", "TMPDIR": str(tmp_path)}
+    status, _, err = ended(start(*short(tmp_path / "r"), env=env), 590)
     assert status == 0, err

@@ -24,13 +24,9 @@ def of_now() -> list[Key]:
 
 
 def leaves(data: Any, path: str = "") -> list[str]:
-    if isinstance(data, dict) and data:
-        return [
-            leaf
-            for name, inner in data.items()
-            for leaf in leaves(inner, f"{path}.{name}" if path else name)
-        ]
-    return [path]
+    if not (isinstance(data, dict) and data):
+        return [path.removeprefix(".")]
+    return [leaf for name, inner in data.items() for leaf in leaves(inner, f"{path}.{name}")]
 
 
 @pytest.mark.parametrize("name", ["reference-bumper", "09-docking", "18-stewart", "22-air-bearing"])
@@ -40,10 +36,8 @@ def test_every_key_of_a_resolved_scenario_is_listed(name: str) -> None:
 
 
 def test_a_key_is_found_with_those_directly_below_it() -> None:
-    found = at(KEYS, "sensor")
-    assert {key.path for key in found} == {"sensor"} | {
-        key.path for key in KEYS if key.path.startswith("sensor.")
-    }
+    of_sensor = {key.path for key in KEYS if f"{key.path}.".startswith("sensor.")}
+    assert {key.path for key in at(KEYS, "sensor")} == of_sensor
     assert {key.path.count(".") for key in at(KEYS, "rig.platform")} == {1, 2}
     assert [key.path for key in at(KEYS, "sensor.delay")] == ["sensor.delay"]
 
@@ -62,9 +56,8 @@ def test_an_item_of_a_list_and_a_free_name_have_keys_too() -> None:
 
 def test_a_search_takes_words_of_name_kind_and_meaning() -> None:
     found = search(KEYS, "BANDWIDTH hz")
-    assert {"rig.platform.bandwidth", "rig.platform.controller.bandwidth"} <= {
-        key.path for key in found
-    }
+    expected = {"rig.platform.bandwidth", "rig.platform.controller.bandwidth"}
+    assert expected <= {key.path for key in found}
     assert all("bandwidth" in f"{key.path}{key.kinds}{key.meaning}".lower() for key in found)
     assert search(KEYS, "unheard-of") == []
 

@@ -57,186 +57,104 @@ def test_a_scenario_is_read_as_it_stands(file: Path) -> None:
 def test_the_resolved_form_holds_every_default_and_reloads_to_the_same(
     file: Path, tmp_path: Path
 ) -> None:
-    scenario = load_scenario(
-        file,
-        {"effects.0": "{kind: sensor.bias, force: [1, 0, 0]}", "sensor.noise": 1e-7, "name": "off"},
-    )
+    bias = {"effects.0": "{kind: sensor.bias, force: [1, 0, 0]}"}
+    scenario = load_scenario(file, bias | {"sensor.noise": 1e-7, "name": "off"})
     resolved = tmp_path / "resolved.yaml"
     resolved.write_text(dump_scenario(scenario))
     assert load_scenario(resolved) == scenario
     assert scenario_sha256(load_scenario(resolved)) == scenario_sha256(scenario)
-    for default in (
-        "seed: 0",
-        "tracking: servo",
-        "lag: 0.0005",
-        "torque: [0.0, 0.0, 0.0]",
-        "forgetting: 1.0",
-        "drift:",
-    ):
-        assert default in resolved.read_text()
+    defaults = "seed: 0", "tracking: servo", "lag: 0.0005", "torque: [0.0, 0.0, 0.0]", "drift:"
+    assert all(default in resolved.read_text() for default in (*defaults, "forgetting: 1.0"))
 
 
 def test_the_hash_sees_numbers_and_not_how_they_are_written(file: Path) -> None:
-    before = scenario_sha256(load_scenario(file))
-    assert scenario_sha256(load_scenario(replaced(file, "mass: 500.0", "mass: 5e2"))) == before
-    assert (
-        scenario_sha256(load_scenario(replaced(file, "mass: 500.0", "mass: 500.0000001"))) != before
-    )
+    before = load_scenario(file)
+    for mass, same in (("5e2", True), ("500.0000001", False)):
+        after = load_scenario(replaced(file, "mass: 500.0", f"mass: {mass}"))
+        assert (scenario_sha256(after) == scenario_sha256(before)) is same
+        assert (after == before) is same
 
 
 def test_physics_rate_left_out_is_twice_the_rate(file: Path) -> None:
-    assert (
-        load_scenario(replaced(file, "physics_rate: 4000\n", ""), {"rate": 8000}).physics_rate
-        == 16000.0
-    )
+    scenario = load_scenario(replaced(file, "physics_rate: 4000\n", ""), {"rate": 8000})
+    assert scenario.physics_rate == 16000.0
 
 
-def test_a_mechanism_and_a_body_compare_by_value(file: Path) -> None:
-    assert load_scenario(file) == load_scenario(file)
-    assert load_scenario(file, {"spacecraft.chaser.mass": 501}) != load_scenario(file)
+INERTIA = "[200.0, 180.0, 150.0]"
+FAULTS = {  # what stands in the file, and where a fault in its place is; what is wrong there, words
+    ("mass: 500.0", "6:12: spacecraft.chaser.mass"): {
+        "mass: heavy": "got 'heavy'); allowed is a number",
+        'mass: "500"': "allowed is a number",
+        "mass: yes": "got 'yes'",
+        "mass: true": "allowed is a number",
+        "mass: -500": "got -500); allowed is > 0",
+        "mass: .nan": "a finite number",
+        "mass: .inf": "a finite number",
+        "mass: 1e999": "a finite number",
+    },
+    ("mass: 500.0,", "6:25: spacecraft.chaser.mass"): {
+        "mass: 500.0, mass: 600.0,": "given twice (first in line 6)"
+    },
+    ("mass: 2000.0, ", "7:3: spacecraft.target.mass"): {"": "is missing"},
+    (INERTIA, "6:25: spacecraft.chaser.inertia"): {
+        "[200.0, 180.0, 400.0]": "triangle inequality",
+        "[200.0, 180.0, 150.0, 190.0, 0, 0]": "positive definite",
+        "[200.0, 180.0, 150.0, 1.0]": "3 (the diagonal) or 6",
+        # on principal moments: the diagonal alone would pass
+        "[2, 2, 2, 1.9, 0, 0]": "0.1, 2, 3.9",
+    },
+    (INERTIA, "6:49: spacecraft.chaser.inertia.2"): {"[200.0, 180.0, x]": "got 'x'"},
+    ("physics_rate: 4000", "4:1: physics_rate"): {
+        "physics_rate: 3000": "allowed is a whole multiple of rate, such as",
+        "physics_rate: 500": "whole multiple",
+    },
+    ("duration: 2.0", "2:1: duration"): {"duration: 0": "allowed is > 0", "duration: 1e7": "ticks"},
+    ("delay: 0.005", "12:10: sensor.delay"): {
+        "delay: -0.005": "allowed is >= 0",
+        "delay: 5": "cannot be held",
+    },
+    ("gap: 0.01", "8:12: approach.gap"): {
+        "gap: 0.3": "outside the workspace (got 0.3 m); allowed is 0 to 0.25 m",
+        "gap: -0.01": "outside the workspace",
+    },
+    ("gap: 0.01", "8:24: approach.offset.1"): {"offset: [0, -0.3]": "allowed is -0.25 to 0.25 m"},
+    ("gap: 0.01", "8:30: approach.attitude_deg.1"): {
+        "attitude_deg: [0, 11, 0]": "allowed is -10 to 10 deg"
+    },
+    ("velocity: [0, 0, 0.03]", "8:23: approach.velocity"): {
+        "velocity: [0, 0]": "at least 3",
+        "velocity: 0.03": "allowed is a list",
+    },
+    ("kind: bumper", "10:3: mechanism.kind"): {"kind: airbag": "allowed: bumper"},
+    ("stiffness: 1e5", "11:13: mechanism.contact.stifness"): {
+        "stifness: 1e5": "did you mean 'stiffness'"
+    },
+    ("{kind: phase_lead}", "13:24: compensation.force.kind"): {
+        "{kind: phase_laed}": "did you mean 'phase_lead'"
+    },
+    ("{kind: phase_lead}", "13:42: compensation.force.led"): {
+        "{kind: phase_lead, led: 1}": "did you mean 'lead'"
+    },
+    ("name: head-on", "1:1: name"): {"name:": "got null); allowed is text"},
+    ("name: head-on\n", "1:1: name"): {"": "is missing"},
+}
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line", "column", "key", "words"),
-    [
-        (
-            "stiffness: 1e5",
-            "stifness: 1e5",
-            11,
-            13,
-            "mechanism.contact.stifness",
-            "did you mean 'stiffness'",
-        ),
-        (
-            "mass: 500.0",
-            "mass: heavy",
-            6,
-            12,
-            "spacecraft.chaser.mass",
-            "got 'heavy'); allowed is a number",
-        ),
-        ("mass: 500.0", 'mass: "500"', 6, 12, "spacecraft.chaser.mass", "allowed is a number"),
-        ("mass: 500.0", "mass: yes", 6, 12, "spacecraft.chaser.mass", "got 'yes'"),
-        ("mass: 500.0", "mass: true", 6, 12, "spacecraft.chaser.mass", "allowed is a number"),
-        ("mass: 500.0", "mass: -500", 6, 12, "spacecraft.chaser.mass", "got -500); allowed is > 0"),
-        ("mass: 500.0", "mass: .nan", 6, 12, "spacecraft.chaser.mass", "a finite number"),
-        ("mass: 500.0", "mass: .inf", 6, 12, "spacecraft.chaser.mass", "a finite number"),
-        ("mass: 500.0", "mass: 1e999", 6, 12, "spacecraft.chaser.mass", "a finite number"),
-        (
-            "[200.0, 180.0, 150.0]",
-            "[200.0, 180.0, 400.0]",
-            6,
-            25,
-            "spacecraft.chaser.inertia",
-            "triangle inequality",
-        ),
-        (
-            "[200.0, 180.0, 150.0]",
-            "[200.0, 180.0, 150.0, 190.0, 0, 0]",
-            6,
-            25,
-            "spacecraft.chaser.inertia",
-            "positive definite",
-        ),
-        (
-            "[200.0, 180.0, 150.0]",
-            "[200.0, 180.0, 150.0, 1.0]",
-            6,
-            25,
-            "spacecraft.chaser.inertia",
-            "3 (the diagonal) or 6",
-        ),
-        (
-            "[200.0, 180.0, 150.0]",
-            "[200.0, 180.0, x]",
-            6,
-            49,
-            "spacecraft.chaser.inertia.2",
-            "got 'x'",
-        ),
-        (
-            "physics_rate: 4000",
-            "physics_rate: 3000",
-            4,
-            1,
-            "physics_rate",
-            "allowed is a whole multiple of rate, such as",
-        ),
-        ("physics_rate: 4000", "physics_rate: 500", 4, 1, "physics_rate", "whole multiple"),
-        ("duration: 2.0", "duration: 0", 2, 1, "duration", "allowed is > 0"),
-        ("duration: 2.0", "duration: 1e7", 2, 1, "duration", "ticks"),
-        ("delay: 0.005", "delay: -0.005", 12, 10, "sensor.delay", "allowed is >= 0"),
-        ("delay: 0.005", "delay: 5", 12, 10, "sensor.delay", "cannot be held"),
-        (
-            "gap: 0.01",
-            "gap: 0.3",
-            8,
-            12,
-            "approach.gap",
-            "outside the workspace (got 0.3 m); allowed is 0 to 0.25 m",
-        ),
-        ("gap: 0.01", "gap: -0.01", 8, 12, "approach.gap", "outside the workspace"),
-        (
-            "gap: 0.01",
-            "offset: [0, -0.3]",
-            8,
-            24,
-            "approach.offset.1",
-            "allowed is -0.25 to 0.25 m",
-        ),
-        (
-            "gap: 0.01",
-            "attitude_deg: [0, 11, 0]",
-            8,
-            30,
-            "approach.attitude_deg.1",
-            "allowed is -10 to 10 deg",
-        ),
-        ("velocity: [0, 0, 0.03]", "velocity: [0, 0]", 8, 23, "approach.velocity", "at least 3"),
-        (
-            "velocity: [0, 0, 0.03]",
-            "velocity: 0.03",
-            8,
-            23,
-            "approach.velocity",
-            "allowed is a list",
-        ),
-        ("kind: bumper", "kind: airbag", 10, 3, "mechanism.kind", "allowed: bumper"),
-        (
-            "{kind: phase_lead}",
-            "{kind: phase_laed}",
-            13,
-            24,
-            "compensation.force.kind",
-            "did you mean 'phase_lead'",
-        ),
-        (
-            "{kind: phase_lead}",
-            "{kind: phase_lead, led: 1}",
-            13,
-            42,
-            "compensation.force.led",
-            "did you mean 'lead'",
-        ),
-        ("name: head-on", "name:", 1, 1, "name", "got null); allowed is text"),
-        ("name: head-on\n", "", 1, 1, "name", "is missing"),
-        ("mass: 2000.0, ", "", 7, 3, "spacecraft.target.mass", "is missing"),
-        (
-            "mass: 500.0,",
-            "mass: 500.0, mass: 600.0,",
-            6,
-            25,
-            "spacecraft.chaser.mass",
-            "given twice (first in line 6)",
-        ),
-    ],
+    ("old", "new", "place", "words"),
+    [(old, new, at, words) for (old, at), of in FAULTS.items() for new, words in of.items()],
 )
 def test_a_fault_says_where_what_and_what_is_allowed(
-    file: Path, old: str, new: str, line: int, column: int, key: str, words: str
+    file: Path, old: str, new: str, place: str, words: str
 ) -> None:
     (fault,) = faults_of(replaced(file, old, new))
-    assert fault.startswith(f"{file}:{line}:{column}: {key}: ")
+    assert fault.startswith(f"{file}:{place}: ")
     assert words in fault
+
+
+def test_a_thin_disc_is_the_limit_of_the_triangle_inequality(file: Path) -> None:
+    flat = load_scenario(file, {"spacecraft.chaser.inertia": "[1, 1, 2]"})
+    assert flat.spacecraft.chaser.inertia == (1.0, 1.0, 2.0)
 
 
 def test_every_fault_at_once_joined_ones_included(file: Path) -> None:
@@ -253,7 +171,7 @@ def test_every_fault_at_once_joined_ones_included(file: Path) -> None:
 
 def test_two_duplicate_keys_are_both_named(file: Path) -> None:
     file.write_text(TEXT + "sensor: {delay: 0.001}\nname: again\n")
-    assert ["sensor" in fault or "name" in fault for fault in faults_of(file)] == [True, True]
+    assert [fault.split(": ")[1] for fault in faults_of(file)] == ["sensor", "name"]
 
 
 @pytest.mark.parametrize(
@@ -294,33 +212,22 @@ def test_aliases_of_aliases_are_not_expanded_without_bound(tmp_path: Path) -> No
     assert "too large" in faults_of(path)[0]
 
 
-def test_a_file_of_100_MB_is_refused_by_its_size(tmp_path: Path) -> None:
-    path = tmp_path / "huge.yaml"
-    with path.open("wb") as handle:
+def test_what_is_no_file_to_read_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "huge.yaml").open("wb") as handle:
         handle.truncate(100_000_000)
-    assert "too large (got 100.0 MB); at most 0.5 MB" in faults_of(path)[0]
-
-
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    assert "too large (got 100.0 MB); at most 0.5 MB" in faults_of(tmp_path / "huge.yaml")[0]
     assert "no such file" in faults_of(tmp_path / "none.yaml")[0]
     assert "is a folder" in faults_of(tmp_path)[0]
 
 
 def test_set_overrides_keys_items_and_what_the_file_leaves_out(file: Path) -> None:
-    scenario = load_scenario(
-        file,
-        {
-            "approach.velocity.2": "5e-2",
-            "approach.offset": "[0.01, 0]",
-            "rig.platform.tracking": "ideal",
-        },
-    )
+    changes = {"approach.velocity.2": "5e-2", "approach.offset": "[0.01, 0]"}
+    scenario = load_scenario(file, changes | {"rig.platform.tracking": "ideal"})
     assert scenario.approach.velocity == (0.0, 0.0, 0.05)
     assert scenario.approach.offset == (0.01, 0.0)
     assert scenario.rig.platform.tracking == "ideal"
-    assert load_scenario(file, {"sensor.delay": 0.001}).sensor.delay == 0.001, (
-        "from Python the value is what it is"
-    )
+    # from Python the value is what it is
+    assert load_scenario(file, {"sensor.delay": 0.001}).sensor.delay == 0.001
 
 
 @pytest.mark.parametrize(
@@ -337,11 +244,7 @@ def test_set_overrides_keys_items_and_what_the_file_leaves_out(file: Path) -> No
         ("rate", "1999", "whole multiple of rate"),
         ("effects.0", "{kind: sensor.dealy, delay: 1}", "did you mean 'sensor.delay'"),
         ("effects.0", "{kind: sensor.delay}", "missing"),
-        (
-            "effects.0",
-            "{kind: sensor.delay, delay: 0.001, axis: z}",
-            "unknown key; allowed: kind, delay",
-        ),
+        ("effects.0", "{kind: sensor.delay, delay: 1, axis: z}", "allowed: kind, delay"),
         ("effects.0", "{kind: sensor.gain, factor: 1.1, axis: w}", "allowed: x, y, z, rx, ry, rz"),
         ("effects.0", "{kind: [sensor.delay]}", "unknown kind"),
         ("effects.0", "{delay: 0.001}", "kind"),
@@ -353,30 +256,18 @@ def test_a_faulty_override_is_named_by_its_key(
 ) -> None:
     faults = faults_of(file, {key: value})
     assert any(words in fault for fault in faults)
-    assert all(
-        fault.startswith((f"--set {key}: ", f"{file}:4:1: physics_rate")) for fault in faults
-    )
+    places = f"--set {key}: ", f"{file}:4:1: physics_rate"
+    assert all(fault.startswith(places) for fault in faults)
 
 
 def test_an_override_leaves_its_source_alone() -> None:
+    body = {"mass": 1, "inertia": [1, 1, 1]}
     data = {
         "name": "plain",
-        "spacecraft": {
-            "chaser": {"mass": 1, "inertia": [1, 1, 1]},
-            "target": {"mass": 1, "inertia": [1, 1, 1]},
-        },
+        "spacecraft": {"chaser": body, "target": body},
         "approach": {"velocity": [0, 0, 0.1]},
         "mechanism": {"contact": {"stiffness": 1e4}},
     }
     before = copy.deepcopy(data)
     assert scenario_from(data, {"approach.velocity.0": 0.01}).approach.velocity[0] == 0.01
     assert data == before
-
-
-def test_triangle_inequality_is_judged_on_principal_moments(file: Path) -> None:
-    """Diagonal 2, 2, 2 with xy = 1.9 has the moments 0.1, 2, 3.9: the diagonal alone would pass."""
-    (fault,) = faults_of(file, {"spacecraft.chaser.inertia": "[2, 2, 2, 1.9, 0, 0]"})
-    assert "0.1, 2, 3.9" in fault
-    # a thin disc is the limit and allowed
-    flat = load_scenario(file, {"spacecraft.chaser.inertia": "[1, 1, 2]"})
-    assert flat.spacecraft.chaser.inertia == (1.0, 1.0, 2.0)

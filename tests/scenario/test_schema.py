@@ -32,10 +32,8 @@ def plain(path: Path) -> Any:
 def union(where: dict[str, Any], schema: dict[str, Any]) -> list[str]:
     """The kinds of a discriminated union."""
     assert where["discriminator"]["propertyName"] == "kind"
-    return [
-        schema["$defs"][m["$ref"].rpartition("/")[2]]["properties"]["kind"]["const"]
-        for m in where["oneOf"]
-    ]
+    models = [schema["$defs"][m["$ref"].rpartition("/")[2]] for m in where["oneOf"]]
+    return [model["properties"]["kind"]["const"] for model in models]
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +80,11 @@ def test_it_takes_every_effect_and_no_other_parameter(
             assert not validator.is_valid(data | {"effects": [parameters]}), "an effect has a kind"
 
 
-def keys(node: dict[str, Any], where: str) -> Iterator[tuple[str, str]]:
-    """Every key of an object and what is said of it."""
-    for key, value in node.get("properties", {}).items():
-        yield f"{where}.{key}", value.get("description", "")
+def keys(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Every key of the schema and what it says of it."""
+    for name, node in {"Scenario": schema, **schema["$defs"]}.items():
+        for key, value in node.get("properties", {}).items():
+            yield f"{name}.{key}", value
 
 
 def test_every_key_is_described_in_words_that_need_no_others(
@@ -98,12 +97,12 @@ def test_every_key_is_described_in_words_that_need_no_others(
         r"\bthe same\b(?! (seed|trace|tick|time))|\blikewise\b|\bditto\b|\bas above\b|\bidem\b",
         re.IGNORECASE,
     )
-    for name, node in {"Scenario": schema, **schema["$defs"]}.items():
-        for key, said in keys(node, name):
-            with subtests.test(key):
-                assert len(said.split()) >= 2, said
-                assert re.match(r"[A-Z]", said), said
-                assert not elsewhere.search(said), said
+    for key, about in keys(schema):
+        with subtests.test(key):
+            said = about.get("description", "")
+            assert len(said.split()) >= 2, said
+            assert re.match(r"[A-Z]", said), said
+            assert not elsewhere.search(said), said
 
 
 def test_every_object_is_described(schema: dict[str, Any]) -> None:
@@ -117,9 +116,8 @@ def test_numbers_of_a_unit_say_so(schema: dict[str, Any]) -> None:
     """Of the keys that are a number or a list of numbers each names its unit in brackets, or is a
     count, a name or a switch.
     """
-    counts = {"seed", "order", "lag", "ticks"}
-    for name, node in {"Scenario": schema, **schema["$defs"]}.items():
-        for key, value in node.get("properties", {}).items():
-            kinds = {value.get("type"), *(v.get("type") for v in value.get("anyOf", ()))}
-            if "number" in kinds or value.get("items", {}).get("type") == "number":
-                assert "[" in value["description"] or key in counts, f"{name}.{key}"
+    counts = ("seed", "order", "lag", "ticks")
+    for key, value in keys(schema):
+        kinds = {value.get("type"), *(v.get("type") for v in value.get("anyOf", ()))}
+        if "number" in kinds or value.get("items", {}).get("type") == "number":
+            assert "[" in value["description"] or key.rpartition(".")[2] in counts, key

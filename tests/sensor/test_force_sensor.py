@@ -15,18 +15,14 @@ GRAVITY = 9.81
 
 
 def sensor_reading(added: float, x: float) -> np.ndarray:
-    """The six readings of the rig's sensor with ``added`` [kg] hung on the passive side at ``x``
-    [m] from the axis.
-    """
+    """Readings (6,) with ``added`` [kg] hung on the passive side at ``x`` [m] from the axis."""
     s = scenario()
     spec = facility_spec(facility_of(s), structure(s), timestep=1e-3)
     weight = spec.body("passive_mechanism").add_body(name="weight", pos=[x, 0.0, 0.1])
-    weight.explicitinertial, weight.mass, weight.ipos, weight.inertia = (
-        True,
-        max(added, 1e-9),
-        [0.0, 0.0, 0.0],
-        np.full(3, 1e-9),
-    )
+    weight.explicitinertial = True
+    weight.mass = max(added, 1e-9)
+    weight.ipos = [0.0, 0.0, 0.0]
+    weight.inertia = np.full(3, 1e-9)
     m = spec.compile()
     data = mujoco.MjData(m)
     data.joint("platform").qpos[2] -= 0.5
@@ -35,9 +31,7 @@ def sensor_reading(added: float, x: float) -> np.ndarray:
 
 
 def test_a_known_weight_reads_as_what_the_parent_carries() -> None:
-    """10 kg at x = 0.2 m: MuJoCo reads what the frame exerts, +98.1 N along z and the torque r x F,
-    about y -0.2 m 98.1 N.
-    """
+    """MuJoCo reads what the frame exerts: +98.1 N along z, and r x F, about y -0.2 m 98.1 N."""
     added = sensor_reading(10.0, 0.2) - sensor_reading(0.0, 0.2)
     np.testing.assert_allclose(
         added, [0.0, 0.0, 10.0 * GRAVITY, 0.0, -0.2 * 10.0 * GRAVITY, 0.0], atol=1e-6

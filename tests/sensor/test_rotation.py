@@ -42,9 +42,7 @@ def shown(*effects: dict) -> np.ndarray:
 
 
 def felt(*turns: tuple[float, float, float]) -> np.ndarray:
-    """(6,) WRENCH in a frame that was turned by each of the rotation vectors in its turn, about the
-    axes that are believed.
-    """
+    """(6,) WRENCH in a frame turned by each rotation vector, about the believed axes."""
     frame = Rotation.identity()
     for turn in turns:
         frame = Rotation.from_rotvec(turn, degrees=True) * frame
@@ -99,9 +97,7 @@ def test_a_turn_about_a_lateral_axis_is_found_and_none_is_made_up_about_the_axis
 
 
 def test_a_crosstalk_is_no_turn() -> None:
-    """One number goes before two: where a turn about y by as much fits, but for the cosine, the
-    crosstalk is simpler.
-    """
+    """One number goes before two, where a turn about y fits but for its cosine."""
     _, fits = _found(effect("sensor.crosstalk", source="z", axis="x", ratio=0.005))
     assert fits[0].kinds == ("sensor.crosstalk",)
     turns = [f for f in fits if f.kinds == ("sensor.rotation",)]

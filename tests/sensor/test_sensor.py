@@ -115,14 +115,6 @@ def test_a_filter_is_analogue_whatever_the_rate(rate, substeps, delay, sensor, e
     assert np.allclose(got[:119], expected, atol=1e-6 if delay == 0.0 else 1.0)
 
 
-@pytest.mark.parametrize("rate", [250.0, 1000.0, 4000.0])
-def test_a_low_pass_delays_a_ramp_by_its_time_constant(rate):
-    one = scenario(effects=[{"kind": "sensor.lag", "time_constant": 0.004}], rate=rate, substeps=1)
-    got = readings(ramp, 200, [one])[:, 0, 2]
-    t = np.arange(200) / rate
-    assert np.allclose(t[t > 0.1] - got[t > 0.1] / 300.0, 0.004, rtol=0, atol=1e-9)
-
-
 def test_static_effects_follow_their_equations():
     effects = [
         {"kind": "sensor.gain", "factor": 1.1, "axis": "z"},

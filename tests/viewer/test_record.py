@@ -20,9 +20,9 @@ from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
 from hiltestbed.viewer import write_recording
-from hiltestbed.viewer.forces import force_scale
-from hiltestbed.viewer.frames import CONTACT, FREE, frame_rows
+from hiltestbed.viewer.drawing import force_scale
 from hiltestbed.viewer.plots import contact_phases
+from hiltestbed.viewer.record import CONTACT, FREE, frame_rows
 from tests.running import run
 from tests.slow import SLOW
 

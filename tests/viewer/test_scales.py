@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from hiltestbed.viewer.scales import UPWARD, readable, ticks
-from hiltestbed.viewer.sureness import unsure
+from hiltestbed.viewer.blueprint import UPWARD, readable, ticks
+from hiltestbed.viewer.plots import unsure
 
 
 def test_a_range_holds_what_is_drawn_and_two_labelled_ticks(subtests: pytest.Subtests) -> None:

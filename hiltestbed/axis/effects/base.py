@@ -66,6 +66,27 @@ class AxisEffect(Departure):
         raise NotImplementedError
 
 
+class DriveEffect(AxisEffect):
+    """Base of the effects on a drive alone."""
+
+    link = "dynamics"
+    axes = ("drive",)
+
+
+class ServoEffect(AxisEffect):
+    """Base of the effects on a servo alone."""
+
+    link = "platform"
+    axes = ("servo",)
+
+
+class DamperEffect(AxisEffect):
+    """Base of the effects on a damper alone."""
+
+    link = "contact"
+    axes = ("damper",)
+
+
 AXIS_EFFECTS: Registry[AxisEffect] = Registry(
     "effect on an axis",
     AxisEffect,

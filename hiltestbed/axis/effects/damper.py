@@ -3,48 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal
+from typing import Literal
 
-from hiltestbed.axis.effects.base import AxisEffect, AxisKind, Reach
-from hiltestbed.axis.law import (
-    BEYOND,
-    BEYOND_BACK,
-    KNEE,
-    KNEE_BACK,
-    LAG,
-    OFFSET,
-    PLAY,
-    POWER,
-    RAMP,
-    REST,
-    SPRING,
-    VISCOUS,
-    VISCOUS_BACK,
-    Law,
-)
+from hiltestbed.axis import law
+from hiltestbed.axis.effects.base import DamperEffect, Reach
 from hiltestbed.effects.base import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
 
-DAMPER: tuple[AxisKind, ...] = ("damper",)
 SLOWEST_KNEE = 0.02  # of the largest speed; a slower one is dry friction
 STRETCHES = (0.01, 0.05, 0.2)  # of the travel, over which a slider is elastic: starts of a search
 
 
 @register
-class DamperStiffness(AxisEffect):
+class DamperStiffness(DamperEffect):
     """The stiffness differs from the nominal one."""
 
     kind: Literal["contact.stiffness"] = "contact.stiffness"
     factor: float = quantity("-", "True stiffness over nominal stiffness", search=(-5.0, 5.0))
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "k -> factor k"
     reference = "Hooke"
-    leading = "factor"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[SPRING] *= self.factor
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.SPRING] *= self.factor
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -53,19 +34,16 @@ class DamperStiffness(AxisEffect):
 
 
 @register
-class DamperDamping(AxisEffect):
+class DamperDamping(DamperEffect):
     """The viscous damping differs from the nominal one."""
 
     kind: Literal["contact.damping"] = "contact.damping"
     factor: float = quantity("-", "True damping over nominal damping", ge=0.0, search=(0.0, 50.0))
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "c -> factor c"
     reference = "viscous damper"
-    leading = "factor"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[[VISCOUS, VISCOUS_BACK, BEYOND, BEYOND_BACK]] *= self.factor
+    def apply(self, p: law.Law) -> None:
+        p.numbers[[law.VISCOUS, law.VISCOUS_BACK, law.BEYOND, law.BEYOND_BACK]] *= self.factor
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -74,7 +52,7 @@ class DamperDamping(AxisEffect):
 
 
 @register
-class DamperFriction(AxisEffect):
+class DamperFriction(DamperEffect):
     """Dry friction: a slider behind a spring; several of them give way one after the other."""
 
     kind: Literal["contact.dry_friction"] = "contact.dry_friction"
@@ -82,8 +60,6 @@ class DamperFriction(AxisEffect):
     stiffness: float = quantity(
         "N/m", "Stiffness of the spring in series with the slider", gt=0.0, ratio=True
     )
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "F += f, f' = stiffness v while |f| < force"
     reference = (
         "G. M. Jenkins, J. Br. Nucl. Energy Soc. 1, 1962; several: W. D. Iwan, J. Appl. Mech. 33, "
@@ -92,9 +68,8 @@ class DamperFriction(AxisEffect):
     resembles = ("contact.damping", "contact.bouc_wen")
     repeats = True
     parallel = True
-    leading = "force"
 
-    def apply(self, p: Law) -> None:
+    def apply(self, p: law.Law) -> None:
         p.add(p.sliders, (self.force, self.stiffness, 0.0))
 
     @classmethod
@@ -109,7 +84,7 @@ class DamperFriction(AxisEffect):
 
 
 @register
-class DamperBoucWen(AxisEffect):
+class DamperBoucWen(DamperEffect):
     """Hysteresis with round corners, as of a magnetorheological fluid."""
 
     kind: Literal["contact.bouc_wen"] = "contact.bouc_wen"
@@ -118,16 +93,13 @@ class DamperBoucWen(AxisEffect):
     exponent: float = quantity(
         "-", "Sharpness of the corner", gt=0.0, search=(0.2, 20.0), ratio=True
     )
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "F += z, z' = stiffness v (1 - |z/force|^exponent where z v > 0)"
     reference = "R. Bouc, 1967; Y.-K. Wen, J. Eng. Mech. 102, 1976"
     resembles = ("contact.dry_friction",)
     repeats = True
     parallel = True
-    leading = "force"
 
-    def apply(self, p: Law) -> None:
+    def apply(self, p: law.Law) -> None:
         p.add(p.sliders, (self.force, self.stiffness, self.exponent))
 
     @classmethod
@@ -142,19 +114,16 @@ class DamperBoucWen(AxisEffect):
 
 
 @register
-class DamperPlay(AxisEffect):
+class DamperPlay(DamperEffect):
     """Play in series with the friction: no force over this distance after each reversal."""
 
     kind: Literal["contact.backlash"] = "contact.backlash"
     width: float = quantity("m", "Total play", ge=0.0)
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "the spring of a slider is bent by what exceeds width/2 to either side"
     reference = "backlash of a joint"
-    leading = "width"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[PLAY] += self.width
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.PLAY] += self.width
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -168,7 +137,7 @@ class DamperPlay(AxisEffect):
 
 
 @register
-class DamperRelaxation(AxisEffect):
+class DamperRelaxation(DamperEffect):
     """It is stiffer under fast loading, and relaxes when held: a spring behind a damper."""
 
     kind: Literal["contact.relaxation"] = "contact.relaxation"
@@ -176,16 +145,13 @@ class DamperRelaxation(AxisEffect):
     time_constant: float = quantity(
         "s", "Relaxation time of the Maxwell branch", gt=0.0, ratio=True
     )
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "F += z, z' = stiffness v - z/time_constant"
     reference = "Maxwell branch of the standard linear solid"
     resembles = ("contact.damping",)
     repeats = True
     parallel = True
-    leading = "stiffness"
 
-    def apply(self, p: Law) -> None:
+    def apply(self, p: law.Law) -> None:
         p.add(p.branches, (self.stiffness, self.time_constant))
 
     @classmethod
@@ -206,7 +172,7 @@ class DamperRelaxation(AxisEffect):
 
 
 @register
-class DamperViscous(AxisEffect):
+class DamperViscous(DamperEffect):
     """Viscous damping of a device for which none is nominal."""
 
     kind: Literal["contact.viscous"] = "contact.viscous"
@@ -214,17 +180,14 @@ class DamperViscous(AxisEffect):
     exponent: float | None = quantity(
         "-", "Exponent of the speed; omitted: 1", default=None, gt=0.0, search=(0.2, 3.0)
     )
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "F += damping |v|^exponent sgn(v)"
     reference = "viscous damper"
     resembles = ("contact.damping", "contact.dry_friction")
-    leading = "damping"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[[VISCOUS, VISCOUS_BACK]] += self.damping
+    def apply(self, p: law.Law) -> None:
+        p.numbers[[law.VISCOUS, law.VISCOUS_BACK]] += self.damping
         if self.exponent is not None:
-            p.numbers[POWER] = self.exponent
+            p.numbers[law.POWER] = self.exponent
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -235,21 +198,18 @@ class DamperViscous(AxisEffect):
 
 
 @register
-class DamperRebound(AxisEffect):
+class DamperRebound(DamperEffect):
     """The damping differs between compression and rebound."""
 
     kind: Literal["contact.rebound"] = "contact.rebound"
     factor: float = quantity(
         "-", "Damping at negative speeds over that at positive ones", search=(0.0, 20.0)
     )
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "c -> factor c where v < 0"
     reference = "J. C. Dixon, The Shock Absorber Handbook, 2007"
-    leading = "factor"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[[VISCOUS_BACK, BEYOND_BACK]] *= self.factor
+    def apply(self, p: law.Law) -> None:
+        p.numbers[[law.VISCOUS_BACK, law.BEYOND_BACK]] *= self.factor
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -257,7 +217,7 @@ class DamperRebound(AxisEffect):
 
 
 @register
-class DamperKnee(AxisEffect):
+class DamperKnee(DamperEffect):
     """A valve opens: beyond a speed, the force rises with another slope."""
 
     kind: Literal["contact.knee"] = "contact.knee"
@@ -269,18 +229,15 @@ class DamperKnee(AxisEffect):
     rebound_slope: float | None = quantity(
         "-", "The same at negative speeds; omitted: equal", default=None, search=(-0.5, 5.0)
     )
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "F = c v up to the speed, slope c after it"
     reference = "J. C. Dixon, The Shock Absorber Handbook, 2007"
-    leading = "speed"
 
-    def apply(self, p: Law) -> None:
+    def apply(self, p: law.Law) -> None:
         n = p.numbers
-        n[KNEE], n[BEYOND] = self.speed, self.slope * n[VISCOUS]
-        n[KNEE_BACK] = self.speed if self.rebound_speed is None else self.rebound_speed
+        n[law.KNEE], n[law.BEYOND] = self.speed, self.slope * n[law.VISCOUS]
+        n[law.KNEE_BACK] = self.speed if self.rebound_speed is None else self.rebound_speed
         slope = self.slope if self.rebound_slope is None else self.rebound_slope
-        n[BEYOND_BACK] = slope * n[VISCOUS_BACK]
+        n[law.BEYOND_BACK] = slope * n[law.VISCOUS_BACK]
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -296,20 +253,17 @@ class DamperKnee(AxisEffect):
 
 
 @register
-class DamperPreload(AxisEffect):
+class DamperPreload(DamperEffect):
     """A constant force: of the gas in a damper, or of a sensor that was not tared."""
 
     kind: Literal["contact.preload"] = "contact.preload"
     force: float = quantity("N", "Constant force")
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "F += force"
     reference = "gas pressure times the rod's cross-section"
     resembles = ("sensor.bias",)
-    leading = "force"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[OFFSET] += self.force
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.OFFSET] += self.force
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -319,22 +273,19 @@ class DamperPreload(AxisEffect):
 
 
 @register
-class DamperSpring(AxisEffect):
+class DamperSpring(DamperEffect):
     """A spring beside the nominal one, such as the gas that the rod compresses."""
 
     kind: Literal["contact.spring"] = "contact.spring"
     stiffness: float = quantity("N/m", "Stiffness")
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "F += stiffness x"
     reference = "Hooke"
     resembles = ("contact.stiffness",)
-    leading = "stiffness"
     excludes = ("contact.stiffness",)
 
-    def apply(self, p: Law) -> None:
-        p.numbers[SPRING] += self.stiffness
-        p.numbers[REST] = 0.0
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.SPRING] += self.stiffness
+        p.numbers[law.REST] = 0.0
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -344,20 +295,17 @@ class DamperSpring(AxisEffect):
 
 
 @register
-class DamperOilLag(AxisEffect):
+class DamperOilLag(DamperEffect):
     """The column of oil gives way: the dissipative force lags behind the motion."""
 
     kind: Literal["contact.oil_lag"] = "contact.oil_lag"
     time_constant: float = quantity("s", "Time constant of the lag", gt=0.0, ratio=True)
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "time_constant F_d' = f_d(motion) - F_d"
     reference = "bulk modulus of the oil column in series with the valve"
     resembles = ("contact.relaxation",)
-    leading = "time_constant"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[LAG] += self.time_constant
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.LAG] += self.time_constant
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -370,19 +318,17 @@ class DamperOilLag(AxisEffect):
 
 
 @register
-class DamperDrift(AxisEffect):
+class DamperDrift(DamperEffect):
     """The reading of the force drifts."""
 
     kind: Literal["sensor.drift"] = "sensor.drift"
     rate: float = quantity("N/s", "Rate of the drift")
     link = "sensor"
-    axes: ClassVar[tuple[AxisKind, ...]] = DAMPER
     equation = "F += rate t"
     reference = "charge-amplifier leakage current, or a gas that warms up"
-    leading = "rate"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[RAMP] += self.rate
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.RAMP] += self.rate
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:

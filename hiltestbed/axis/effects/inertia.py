@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal
+from typing import Literal
 
-from hiltestbed.axis.effects.base import AxisEffect, AxisKind, Reach
-from hiltestbed.axis.law import GAIN, MASS, Law
+from hiltestbed.axis import law
+from hiltestbed.axis.effects.base import DamperEffect, DriveEffect, Reach
 from hiltestbed.effects.base import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
@@ -18,23 +18,20 @@ FACTORS = [0.5, 1.0, 2.0]  # from which a factor is sought; the law is linear in
 
 
 @register
-class AxisMass(AxisEffect):
+class AxisMass(DriveEffect):
     """The moved mass or inertia differs from the nominal one."""
 
     kind: Literal["dynamics.mass"] = "dynamics.mass"
     factor: float = quantity(
         "-", "True mass over nominal mass", gt=0.0, search=(0.01, 100.0), ratio=True
     )
-    link = "dynamics"
-    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
     equation = "m -> factor m"
     reference = "Newton"
     resembles = ("dynamics.gain",)
     same = ("dynamics.gain",)
-    leading = "factor"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[MASS] *= self.factor
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.MASS] *= self.factor
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -42,22 +39,19 @@ class AxisMass(AxisEffect):
 
 
 @register
-class AxisGain(AxisEffect):
+class AxisGain(DriveEffect):
     """The drive gives another force per unit of its input than its nominal constant says."""
 
     kind: Literal["dynamics.gain"] = "dynamics.gain"
     factor: float = quantity(
         "-", "True drive constant over the nominal one", gt=0.0, search=(0.01, 100.0), ratio=True
     )
-    link = "dynamics"
-    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
     equation = "force = factor gain u"
     reference = "torque constant of a motor with its gear"
     resembles = ("dynamics.mass",)
-    leading = "factor"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[GAIN] *= self.factor
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.GAIN] *= self.factor
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -67,19 +61,16 @@ class AxisGain(AxisEffect):
 
 
 @register
-class AxisMovedMass(AxisEffect):
+class AxisMovedMass(DamperEffect):
     """The parts of a damper that move have a mass, whose inertia the force sensor reads."""
 
     kind: Literal["contact.moved_mass"] = "contact.moved_mass"
     mass: float = quantity("kg", "Mass between the motion and the sensor", ge=0.0)
-    link = "contact"
-    axes: ClassVar[tuple[AxisKind, ...]] = ("damper",)
     equation = "F += mass x''"
     reference = "Newton"
-    leading = "mass"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[MASS] += self.mass
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.MASS] += self.mass
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:

@@ -3,42 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal
+from typing import Literal
 
-from hiltestbed.axis.effects.base import AxisEffect, AxisKind, Reach
+from hiltestbed.axis import law
+from hiltestbed.axis.effects.base import DriveEffect, Reach
 from hiltestbed.axis.effects.resistance import PHASES, PITCHES
-from hiltestbed.axis.law import (
-    COG,
-    COG_PHASE,
-    COG_PITCH,
-    GRAVITY_COS,
-    GRAVITY_SIN,
-    REST,
-    SPRING,
-    Law,
-)
 from hiltestbed.effects.base import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
 
 
 @register
-class AxisGravity(AxisEffect):
+class AxisGravity(DriveEffect):
     """Gravity on a joint: the weight of what it carries, about its axis."""
 
     kind: Literal["dynamics.gravity"] = "dynamics.gravity"
     sine: float = quantity("N m", "Moment that follows the sine of the angle", default=0.0)
     cosine: float = quantity("N m", "Moment that follows the cosine of the angle", default=0.0)
-    link = "dynamics"
-    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
     equation = "R += sine sin x + cosine cos x"
     reference = "m g l of a rigid load"
     resembles = ("dynamics.spring",)
-    leading = "sine"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[GRAVITY_SIN] += self.sine
-        p.numbers[GRAVITY_COS] += self.cosine
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.GRAVITY_SIN] += self.sine
+        p.numbers[law.GRAVITY_COS] += self.cosine
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -52,22 +40,19 @@ class AxisGravity(AxisEffect):
 
 
 @register
-class AxisSpring(AxisEffect):
+class AxisSpring(DriveEffect):
     """A spring pulls the axis back, as a cable or a hose does."""
 
     kind: Literal["dynamics.spring"] = "dynamics.spring"
     stiffness: float = quantity("N/m", "Stiffness")
     rest: float = quantity("m", "Position at which it is relaxed", default=0.0)
-    link = "dynamics"
-    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
     equation = "R += stiffness (x - rest)"
     reference = "Hooke"
     resembles = ("dynamics.gravity",)
-    leading = "stiffness"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[SPRING] += self.stiffness
-        p.numbers[REST] = self.rest
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.SPRING] += self.stiffness
+        p.numbers[law.REST] = self.rest
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -76,21 +61,18 @@ class AxisSpring(AxisEffect):
 
 
 @register
-class AxisCogging(AxisEffect):
+class AxisCogging(DriveEffect):
     """A force that repeats along the axis: of a motor's poles, or of a screw."""
 
     kind: Literal["dynamics.cogging"] = "dynamics.cogging"
     amplitude: float = quantity("N", "Amplitude", ge=0.0)
     pitch: float = quantity("m", "Distance after which it repeats", gt=0.0, ratio=True)
     phase: float = quantity("rad", "Phase at the origin", search=(-7.0, 7.0))
-    link = "dynamics"
-    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
     equation = "R += amplitude sin(2 pi x/pitch + phase)"
     reference = "first harmonic of a cogging force"
-    leading = "amplitude"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[[COG, COG_PITCH, COG_PHASE]] = self.amplitude, self.pitch, self.phase
+    def apply(self, p: law.Law) -> None:
+        p.numbers[[law.COG, law.COG_PITCH, law.COG_PHASE]] = self.amplitude, self.pitch, self.phase
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:

@@ -3,24 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal
+from typing import Literal
 
-from hiltestbed.axis.effects.base import AxisEffect, AxisKind, Reach
-from hiltestbed.axis.law import (
-    COULOMB,
-    COULOMB_BACK,
-    FADE,
-    LOAD,
-    OFFSET,
-    RISE,
-    STRIBECK,
-    VISCOUS,
-    VISCOUS_BACK,
-    WAVE,
-    WAVE_PHASE,
-    WAVE_PITCH,
-    Law,
-)
+from hiltestbed.axis import law
+from hiltestbed.axis.effects.base import AxisEffect, DriveEffect, Reach
 from hiltestbed.effects.base import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
@@ -32,7 +18,7 @@ FADES = 0.5  # largest share of a force that may fade over a run, in the search
 
 
 @register
-class AxisForce(AxisEffect):
+class AxisForce(DriveEffect):
     """A force that resists the motion: viscous and dry friction, and a constant offset."""
 
     kind: Literal["dynamics.force"] = "dynamics.force"
@@ -64,8 +50,6 @@ class AxisForce(AxisEffect):
         gt=0.0,
         ratio=True,
     )
-    link = "dynamics"
-    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
     equation = (
         "R = offset + viscous (1 - viscous_asymmetry sgn v) v + (coulomb + (static - coulomb) "
         "exp(-(v/stribeck_speed)^2)) sgn(v)"
@@ -74,17 +58,16 @@ class AxisForce(AxisEffect):
         "C. Canudas de Wit et al., IEEE Trans. Autom. Control 40, 1995; with an offset A. Janot, "
         "M. Gautier, M. Brunot, 2019"
     )
-    leading = "coulomb"
 
-    def apply(self, p: Law) -> None:
+    def apply(self, p: law.Law) -> None:
         n = p.numbers
-        n[VISCOUS] += self.viscous * (1.0 - self.viscous_asymmetry)
-        n[VISCOUS_BACK] += self.viscous * (1.0 + self.viscous_asymmetry)
-        n[COULOMB] += self.coulomb
-        n[COULOMB_BACK] += self.coulomb if self.coulomb_back is None else self.coulomb_back
-        n[OFFSET] += self.offset
+        n[law.VISCOUS] += self.viscous * (1.0 - self.viscous_asymmetry)
+        n[law.VISCOUS_BACK] += self.viscous * (1.0 + self.viscous_asymmetry)
+        n[law.COULOMB] += self.coulomb
+        n[law.COULOMB_BACK] += self.coulomb if self.coulomb_back is None else self.coulomb_back
+        n[law.OFFSET] += self.offset
         if self.static is not None and self.stribeck_speed is not None:
-            n[RISE], n[STRIBECK] = max(self.static - self.coulomb, 0.0), self.stribeck_speed
+            n[law.RISE], n[law.STRIBECK] = max(self.static - self.coulomb, 0.0), self.stribeck_speed
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -111,22 +94,19 @@ class AxisForce(AxisEffect):
 
 
 @register
-class AxisLoadFriction(AxisEffect):
+class AxisLoadFriction(DriveEffect):
     """Dry friction grows with the force that the axis transmits, as in a gear."""
 
     kind: Literal["dynamics.load_friction"] = "dynamics.load_friction"
     coefficient: float = quantity(
         "-", "Friction per newton of transmitted force", ge=0.0, search=(0.0, 1.0)
     )
-    link = "dynamics"
-    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
     equation = "R += coefficient |transmitted force| sgn(v)"
     reference = "M. Duclusaud and others, Extended Friction Models for Servo Actuators, 2024"
     resembles = ("dynamics.gain", "dynamics.mass")
-    leading = "coefficient"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[LOAD] += self.coefficient
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.LOAD] += self.coefficient
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -134,21 +114,18 @@ class AxisLoadFriction(AxisEffect):
 
 
 @register
-class AxisFrictionWave(AxisEffect):
+class AxisFrictionWave(DriveEffect):
     """Dry friction varies with the position, as in a screw or a gear that is out of true."""
 
     kind: Literal["dynamics.friction_wave"] = "dynamics.friction_wave"
     share: float = quantity("-", "Share of the dry friction that varies", ge=0.0, search=(0.0, 1.0))
     pitch: float = quantity("m", "Distance after which it repeats", gt=0.0, ratio=True)
     phase: float = quantity("rad", "Phase at the origin", search=(-7.0, 7.0))
-    link = "dynamics"
-    axes: ClassVar[tuple[AxisKind, ...]] = ("drive",)
     equation = "coulomb -> coulomb (1 + share sin(2 pi x/pitch + phase))"
     reference = "first harmonic of a friction that depends on the position"
-    leading = "share"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[[WAVE, WAVE_PITCH, WAVE_PHASE]] = self.share, self.pitch, self.phase
+    def apply(self, p: law.Law) -> None:
+        p.numbers[[law.WAVE, law.WAVE_PITCH, law.WAVE_PHASE]] = self.share, self.pitch, self.phase
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:
@@ -167,13 +144,12 @@ class AxisFade(AxisEffect):
     kind: Literal["dynamics.fade"] = "dynamics.fade"
     rate: float = quantity("1/s", "Relative change per second")
     link = "dynamics"
-    axes: ClassVar[tuple[AxisKind, ...]] = ("drive", "damper")
+    axes = ("drive", "damper")
     equation = "dissipative forces -> (1 + rate t) times themselves"
     reference = "first order in time"
-    leading = "rate"
 
-    def apply(self, p: Law) -> None:
-        p.numbers[FADE] += self.rate
+    def apply(self, p: law.Law) -> None:
+        p.numbers[law.FADE] += self.rate
 
     @classmethod
     def parts(cls, reach: Reach) -> Iterator[Candidate]:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from hiltestbed.axis import servo
-from hiltestbed.axis.effects.base import AxisEffect, AxisKind, Reach
+from hiltestbed.axis.effects.base import Reach, ServoEffect
 from hiltestbed.effects.base import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
 
-SERVO: tuple[AxisKind, ...] = ("servo",)
 # [Hz] of a response, from which it is sought; those that the rows resolve are tried
 BANDWIDTHS = (0.3, 0.8, 2.0, 5.0, 12.0, 30.0, 80.0, 200.0)
 MOST_PHASE = 2.0  # [rad] of a response over a row: a faster one is not resolved
@@ -28,17 +27,14 @@ def _fastest(reach: Reach) -> float:
 
 
 @register
-class ServoDelay(AxisEffect):
+class ServoDelay(ServoEffect):
     """A transport delay between command and position: of the servo, or of its telemetry."""
 
     kind: Literal["platform.delay"] = "platform.delay"
     delay: float = quantity("s", "Transport delay", ge=0.0)
-    link = "platform"
-    axes: ClassVar[tuple[AxisKind, ...]] = SERVO
     equation = "x(t) = x_cmd(t - delay)"
     reference = "pure transport delay"
     resembles = ("platform.lag",)
-    leading = "delay"
 
     def apply(self, p: Any) -> None:
         p[servo.DELAY] += self.delay
@@ -52,7 +48,7 @@ class ServoDelay(AxisEffect):
 
 
 @register
-class ServoDrive(AxisEffect):
+class ServoDrive(ServoEffect):
     """A position controller that works against dry friction and a load, with a limited force."""
 
     kind: Literal["platform.drive"] = "platform.drive"
@@ -82,15 +78,12 @@ class ServoDrive(AxisEffect):
     feed_forward: float = quantity(
         "-", "Share of the command's speed that is fed forward", default=0.0, search=(0.0, 2.0)
     )
-    link = "platform"
-    axes: ClassVar[tuple[AxisKind, ...]] = SERVO
     equation = (
         "x'' = sat(w^2 (x_cmd - x + q), acceleration_limit) + 2 damping_ratio w (feed_forward "
         "x_cmd' - x') - w^2 friction sgn(x') + w^2 offset, q' = (x_cmd - x)/integral_time"
     )
     reference = "position controller against Coulomb friction"
     resembles = ("platform.lag", "platform.backlash", "platform.friction", "platform.mode")
-    leading = "bandwidth"
 
     def apply(self, p: Any) -> None:
         p[servo.BANDWIDTH], p[servo.ZETA] = 2.0 * math.pi * self.bandwidth, self.damping_ratio
@@ -140,7 +133,7 @@ class ServoDrive(AxisEffect):
 
 
 @register
-class ServoPoles(AxisEffect):
+class ServoPoles(ServoEffect):
     """Two poles in series, as of a hydraulic drive: the valve, and the cylinder that its flow
     fills.
     """
@@ -148,12 +141,9 @@ class ServoPoles(AxisEffect):
     kind: Literal["platform.poles"] = "platform.poles"
     first: float = quantity("s", "Larger time constant", gt=0.0, ratio=True)
     second: float = quantity("s", "Smaller time constant", default=0.0, ge=0.0, ratio=True)
-    link = "platform"
-    axes: ClassVar[tuple[AxisKind, ...]] = SERVO
     equation = "first r' = x_cmd - r, second x' = r - x"
     reference = "H. E. Merritt, Hydraulic Control Systems, 1967"
     resembles = ("platform.lag", "platform.delay")
-    leading = "first"
 
     def apply(self, p: Any) -> None:
         p[servo.POLE], p[servo.SECOND_POLE] = self.first, self.second
@@ -174,17 +164,14 @@ class ServoPoles(AxisEffect):
 
 
 @register
-class ServoPlay(AxisEffect):
+class ServoPlay(ServoEffect):
     """Play that is taken up at each reversal."""
 
     kind: Literal["platform.backlash"] = "platform.backlash"
     width: float = quantity("m", "Total width of the play", ge=0.0)
-    link = "platform"
-    axes: ClassVar[tuple[AxisKind, ...]] = SERVO
     equation = "x = min(max(x, x_cmd - width/2), x_cmd + width/2)"
     reference = "play operator"
     resembles = ("platform.drive",)
-    leading = "width"
 
     def apply(self, p: Any) -> None:
         p[servo.PLAY] += self.width
@@ -198,16 +185,13 @@ class ServoPlay(AxisEffect):
 
 
 @register
-class ServoScale(AxisEffect):
+class ServoScale(ServoEffect):
     """The motion is scaled."""
 
     kind: Literal["platform.scale"] = "platform.scale"
     factor: float = quantity("-", "Ratio of actual to commanded motion", search=(-0.5, 2.0))
-    link = "platform"
-    axes: ClassVar[tuple[AxisKind, ...]] = SERVO
     equation = "x = factor x_cmd"
     reference = "geometric calibration error"
-    leading = "factor"
 
     def apply(self, p: Any) -> None:
         p[servo.SCALE] *= self.factor
@@ -218,19 +202,16 @@ class ServoScale(AxisEffect):
 
 
 @register
-class ServoOffset(AxisEffect):
+class ServoOffset(ServoEffect):
     """The axis stands off its command by a constant: the droop of a controller without integral
     action under a load, or another zero.
     """
 
     kind: Literal["platform.offset"] = "platform.offset"
     offset: float = quantity("m", "Position at a command of zero")
-    link = "platform"
-    axes: ClassVar[tuple[AxisKind, ...]] = SERVO
     equation = "x += offset"
     reference = "droop under a load, or zero of the encoder"
     resembles = ("platform.drive",)
-    leading = "offset"
 
     def apply(self, p: Any) -> None:
         p[servo.OFFSET] += self.offset
@@ -242,16 +223,13 @@ class ServoOffset(AxisEffect):
 
 
 @register
-class ServoSpeedLimit(AxisEffect):
+class ServoSpeedLimit(ServoEffect):
     """The axis follows its command no faster than a limit: of its motor, or of the flow of oil."""
 
     kind: Literal["platform.speed_limit"] = "platform.speed_limit"
     speed: float = quantity("m/s", "Maximum speed", gt=0.0, ratio=True)
-    link = "platform"
-    axes: ClassVar[tuple[AxisKind, ...]] = SERVO
     equation = "|x'| <= speed"
     reference = "actuator rate limit"
-    leading = "speed"
     vanishes = True
 
     def apply(self, p: Any) -> None:

@@ -9,11 +9,16 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.bench.hildock.door import UdpEntrant
-from hiltestbed.bench.hildock.methods import METHODS
-from hiltestbed.bench.hildock.problem import TRACKS, Entrant, cases, play, reference
-from hiltestbed.bench.hildock.score import by_track, indices
-from hiltestbed.bench.hildock.shipped import shipped
-from hiltestbed.bench.hildock.touch import TouchFitted
+from hiltestbed.bench.hildock.methods import METHODS, TouchFitted, shipped
+from hiltestbed.bench.hildock.problem import (
+    TRACKS,
+    Entrant,
+    by_track,
+    cases,
+    indices,
+    play,
+    reference,
+)
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.report.page import Report, new_figure
 
@@ -52,22 +57,14 @@ def hildock(
     names = [e.name for e in entrants]
     board = {n: by_track([r for r in records if r["method"] == n]) for n in names}
     summary = {"problem": "HILDOCK-1", "tracks": board, "tick_us": effort}
-    lines = [
-        (
-            name,
-            f"|ln e/e_ref| <= {_digits(board[name]['exact']['cor_log_error_worst'])}, "
-            f"<= {_digits(_over_all(board[name]))} on every track",
-        )
-        for name in names
-    ]
-    return BenchResult(
-        "hildock", records, summary, _report(names, summary, records, len(todo)), lines
-    )
-
-
-def _over_all(tracks: dict[str, dict[str, Any]]) -> float | None:
-    found = [row["cor_log_error_worst"] for row in tracks.values()]
-    return None if None in found else max(found)
+    lines = []
+    for name in names:
+        worst = {track: row["cor_log_error_worst"] for track, row in board[name].items()}
+        over_all = None if None in worst.values() else max(worst.values())
+        found = f"{_digits(worst['exact'])}, <= {_digits(over_all)} on every track"
+        lines.append((name, f"|ln e/e_ref| <= {found}"))
+    page = _report(names, summary, records, len(todo))
+    return BenchResult("hildock", records, summary, page, lines)
 
 
 def _digits(value: float | None) -> str:
@@ -81,16 +78,12 @@ def _peaks(records: Sequence[dict[str, Any]], names: Sequence[str]):
     for name in [*shown, "bound"]:
         mine = [r for r in exact if r["method"] == (names[0] if name == "bound" else name)]
         index = "peak_force_bound" if name == "bound" else "peak_force_error"
-        found = [
-            (2.0 * np.pi * r["frequency"] * r["delay"], r[index])
-            for r in mine
-            if r[index] is not None
-        ]
-        axis.plot(*np.array(found).reshape(-1, 2).T, "k_" if name == "bound" else ".", label=name)
-    axis.set_xscale("log")
+        known = [r for r in mine if r[index] is not None]
+        w_tau = [2.0 * np.pi * r["frequency"] * r["delay"] for r in known]
+        style = "k_" if name == "bound" else "."
+        axis.plot(w_tau, [r[index] for r in known], style, label=name)
+    axis.set(xscale="log", xlabel="w tau", ylabel="error of the peak force")
     axis.set_yscale("symlog", linthresh=0.01)
-    axis.set_xlabel("w tau")
-    axis.set_ylabel("error of the peak force")
     axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize="small")
     return figure
 

@@ -1,4 +1,5 @@
-"""The cases of HILDOCK-1 and its plant: contact, sensor and delay of one axis, tick by tick.
+"""HILDOCK-1: its cases, its plant (contact, sensor and delay of one axis, tick by tick), and its
+indices.
 
 A reduced mass flies against a spring and a damper. An entrant receives the delayed force and
 returns the position that the rig reaches at the next tick; it contains the numerical model.
@@ -7,9 +8,10 @@ returns the position that the rig reaches at the next tick; it contains the nume
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from itertools import product
+from typing import Any, Protocol
 
 TICK = 0.0005  # [s] 2 kHz, the rate of the loop
 MASS = 400.0  # [kg] reduced mass of 500 kg and 2000 kg
@@ -24,17 +26,20 @@ LOW_PASS = 0.001  # [s] time constant in the track `lowpass`
 DRIFT = 0.10  # of the delay, over a case
 STOP, STOP_STIFFNESS = 0.6, 4.0  # hard stop: position over the linear depth, stiffness over k
 OFFS = (-30, -20, -10, 10, 20, 30)  # [%] of the delay that is told
-TRACKS = (
-    "exact",
-    *(f"off{off:+d}" for off in OFFS),
-    "jitter",
-    "drift",
-    "lowpass",
-    "hunt_crossley",
-    "hard_stop",
-)
+OTHERS = ("jitter", "drift", "lowpass", "hunt_crossley", "hard_stop")
+TRACKS = ("exact", *(f"off{off:+d}" for off in OFFS), *OTHERS)
 MULTIPLIER, MODULUS = 16807, 2**31 - 1  # S. K. Park, K. W. Miller, CACM 31 (1988)
 SEED, SEED_STEP, DISCARDED = 12345, 7919, 20
+LAST = 40  # ticks over which the rebound speed is taken: 20 ms
+INDICES = (
+    "cor_log_error",
+    "energy_generated",
+    "peak_force_error",
+    "contact_time_error",
+    "tracking_error",
+    "stiffness_error",
+    "damping_error",
+)
 
 
 @dataclass(frozen=True)
@@ -115,20 +120,11 @@ class Course:
 
 def cases(quick: bool = False) -> list[Case]:
     """All cases, numbered as on the page; quick: the same numbers, fewer contacts."""
-    every = [
-        (track, f, d, z)
-        for track in TRACKS
-        for f in FREQUENCIES
-        for d in DELAYS
-        for z in DAMPING_RATIOS
-    ]
-    kept = [Case(i, *one) for i, one in enumerate(every)]
-    if not quick:
-        return kept
+    every = product(TRACKS, FREQUENCIES, DELAYS, DAMPING_RATIOS)
     return [
-        c
-        for c in kept
-        if c.frequency in (2.0, 8.0) and c.delay in (0.005, 0.020) and c.damping_ratio == 0.05
+        Case(number, *one)
+        for number, one in enumerate(every)
+        if not quick or (one[1] in (2.0, 8.0) and one[2] in (0.005, 0.020) and one[3] == 0.05)
     ]
 
 
@@ -194,3 +190,86 @@ def play(case: Case, entrant: Entrant) -> Course:
         if abs(x) > FAR:
             return Course(position, force, diverged=True)
     return Course(position, force, entrant.end())
+
+
+def rebound(course: Course) -> float | None:
+    """Coefficient of restitution, or None where the mass has not left at the end."""
+    if course.diverged or len(course.position) <= LAST or course.position[-1] > 0.0:
+        return None
+    e = (course.position[-1 - LAST] - course.position[-1]) / (LAST * TICK * SPEED)
+    return e if e > 0.0 else None
+
+
+def causal_bound(case: Case, ideal: Course) -> float:
+    """Least error of the peak force of a first contact: until the first delayed force has arrived,
+    no method can know that there is a contact, and the mass flies on freely.
+    """
+    force, k, touch = 0.0, 0, None
+    while touch is None or k - case.delay / TICK <= touch - 1:
+        # the force at tick k + 1, which the answer to tick k commands before anything is known
+        k += 1
+        x = START + k * TICK * SPEED
+        touch = k if touch is None and x > 0.0 else touch
+        force = max(force, case.force(x, SPEED))
+    return max(0.0, force / max(ideal.force) - 1.0)
+
+
+def indices(case: Case, course: Course, ideal: Course) -> dict[str, Any]:
+    """The record of one case; an index that does not exist is None."""
+    e, true = rebound(course), rebound(ideal)
+    if true is None:
+        raise ValueError(f"case {case.number}: the reference does not leave its contact")
+    record: dict[str, Any] = {
+        "case": case.number,
+        "track": case.track,
+        "frequency": case.frequency,
+        "delay": case.delay,
+        "delay_told": case.told,
+        "damping_ratio": case.damping_ratio,
+        "cor": e,
+        "cor_reference": true,
+        "peak_force_bound": causal_bound(case, ideal),
+        **dict.fromkeys(INDICES),
+    }
+    if e is None:
+        return record
+    touched = sum(f > 0.0 for f in ideal.force)
+    n = max(k for k, f in enumerate(ideal.force) if f > 0.0) + 1
+    off = [a - b for a, b in zip(course.position[:n], ideal.position[:n], strict=True)]
+    record |= {
+        "cor_log_error": math.log(e / true),
+        "energy_generated": e * e - true * true,
+        "peak_force_error": max(course.force) / max(ideal.force) - 1.0,
+        "contact_time_error": sum(f > 0.0 for f in course.force) / touched - 1.0,
+        "tracking_error": math.sqrt(in_order(d * d for d in off) / n) / max(ideal.position),
+    }
+    if course.identified is not None and case.track not in ("hunt_crossley", "hard_stop"):
+        k, c = course.identified
+        record |= {
+            "stiffness_error": k / case.stiffness - 1.0,
+            "damping_error": c / case.damping - 1.0,
+        }
+    return record
+
+
+def percentile_95(values: Sequence[float]) -> float:
+    """The nearest rank: of n sorted values number ceil(0.95 n), counted from one."""
+    return sorted(values)[math.ceil(0.95 * len(values)) - 1]
+
+
+def by_track(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Track to its totals: `failed` cases without a rebound; worst and 95th percentile of the
+    magnitude of each index; None where a case has none. Energy counts where it is made.
+    """
+    board = {}
+    for track in TRACKS:
+        mine = [r for r in records if r["track"] == track]
+        row: dict[str, Any] = {"failed": sum(r["cor"] is None for r in mine)}
+        for index in INDICES:
+            found = [r[index] for r in mine]
+            whole = bool(found) and None not in found
+            size = [max(0.0, v) if index == "energy_generated" else abs(v) for v in found if whole]
+            row[f"{index}_worst"] = max(size) if whole else None
+            row[f"{index}_p95"] = percentile_95(size) if whole else None
+        board[track] = row
+    return board

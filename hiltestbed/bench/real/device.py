@@ -1,13 +1,11 @@
-"""What a public record of a real machine is: its source, its frozen split and the model that an
-expert fits to it.
-"""
+"""A public record of a real machine: its source, its frozen split, and an expert's model of it."""
 
 from __future__ import annotations
 
 import fnmatch
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -20,9 +18,7 @@ Predictor = Callable[["Record"], Array]
 
 
 class Record(NamedTuple):
-    """One run of one axis: times [s], recorded input and recorded output in SI units, all of
-    shape (N,).
-    """
+    """One run of one axis: times [s], recorded input and output in SI units, each of shape (N,)."""
 
     name: str
     t: Array
@@ -50,12 +46,12 @@ class Device:
     files: Mapping[str, str]
     kind: Literal["drive", "servo", "damper", "sensor"]
     units: tuple[str, str]
-    nominal: Mapping[str, float]
     fit: tuple[str, ...]
     left_out: tuple[str, ...]
-    published: Mapping[str, float]
     records: Callable[[Path], list[Record]]
     expert: Callable[[Sequence[Record]], Predictor]
+    nominal: Mapping[str, float] = field(default_factory=dict)
+    published: Mapping[str, float] = field(default_factory=dict)
 
     def absent(self, data: Path) -> list[str]:
         """Files that are not below `data`, or whose content is not the one that was described."""
@@ -77,9 +73,7 @@ def _is(path: Path, sha256: str) -> bool:
 
 
 def split(record: Record, *names: str) -> list[Record]:
-    """The record cut by time into parts of equal numbers of rows, one a name; each part starts
-    at t = 0.
-    """
+    """The record cut into parts of equal numbers of rows, one a name; each starts at t = 0."""
     rows = np.array_split(np.arange(record.t.size), len(names))
     parts = zip(names, rows, strict=True)
     return [Record(n, record.t[i] - record.t[i[0]], record.u[i], record.y[i]) for n, i in parts]
@@ -89,8 +83,5 @@ def evenly(record: Record, period: float) -> Record:
     """The record on an even grid [s], linear between its rows."""
     t = np.arange(record.t[0], record.t[-1], period)
     return Record(
-        record.name,
-        t - t[0],
-        np.interp(t, record.t, record.u),
-        np.interp(t, record.t, record.y),
+        record.name, t - t[0], np.interp(t, record.t, record.u), np.interp(t, record.t, record.y)
     )

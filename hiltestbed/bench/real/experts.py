@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
-from hiltestbed.bench.real.device import Array, Record
+from hiltestbed.bench.real.device import Array, Predictor, Record
 
 
 def fitted(
@@ -38,21 +38,27 @@ def fitted(
     return least_squares(residual, np.asarray(start, float), **options).x
 
 
-def best(
-    model: Callable[[Array, Record], Array], records: Sequence[Record], fits: Sequence[Array]
-) -> Array:
-    """The parameters with the smallest error over all records, each in multiples of its spread."""
+def best_of(
+    model: Callable[[Array, Record], Array],
+    records: Sequence[Record],
+    starts: Sequence[Sequence[float] | Array],
+    bounds: tuple[Sequence[float], Sequence[float]] | None = None,
+    also: Sequence[Array] = (),
+) -> Predictor:
+    """The model as :func:`fitted` from each of several `starts`, and with the parameters `also`:
+    that with the smallest error over all records, each in multiples of its spread.
+    """
+    limits = bounds or (-np.inf, np.inf)
 
     def error(p: Array) -> float:
         return float(sum(np.mean((model(p, r) - r.y) ** 2) / np.var(r.y) for r in records))
 
-    return min(fits, key=error)
+    p = min([*also, *(fitted(model, records, start, limits) for start in starts)], key=error)
+    return lambda record: model(p, record)
 
 
 def derivatives(record: Record, window: float, column: str = "y") -> tuple[Array, Array]:
-    """First and second time derivative of a column, from a cubic fitted over a sliding window
-    [s] of evenly spaced rows.
-    """
+    """First and second derivative of a column, by a cubic over a window [s] of even rows."""
     period = float(np.median(np.diff(record.t)))
     length = max(5, 2 * int(window / period / 2) + 1)
     values = getattr(record, column)

@@ -40,9 +40,7 @@ class DeadZone(ForceMethod):
 
 
 class DeadZoneBlock:
-    """The dead zone on each force axis, for ``n`` runs; the torques pass while any force axis
-    does.
-    """
+    """The dead zone of each force axis; the torques pass while any force axis does."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         self._width = np.array([[force.width] for force in force_of(scenarios, DeadZone)])

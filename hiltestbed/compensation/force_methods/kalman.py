@@ -18,7 +18,7 @@ the leads of first and second order fix that trade by their pole T2.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -47,13 +47,11 @@ class Kalman(ForceMethod):
         default=150.0, description="Radius of the filter's poles over 2 pi [Hz]"
     )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
+    removes_delay: ClassVar[bool] = True
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> KalmanBlock:
         return KalmanBlock(scenarios)
-
-    def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        return {self.kind: scenario.sensor.delay}
 
     def memory(self) -> float:
         return 1.0 / (2.0 * math.pi * self.bandwidth)

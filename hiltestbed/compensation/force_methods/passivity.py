@@ -17,7 +17,7 @@ order is ``(F(t) - F_meas) v ~ tau F_meas' v``.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -69,15 +69,13 @@ class NormalisedPassivity(ForceMethod):
         default=0.005, description="Time constant of the low-pass on the power [s]"
     )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "model"})
+    removes_delay: ClassVar[bool] = True
 
     @classmethod
     def start(
         cls, scenarios: Sequence[Scenario], model: NumericalModel
     ) -> NormalisedPassivityBlock:
         return NormalisedPassivityBlock(scenarios, model)
-
-    def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        return {self.kind: scenario.sensor.delay}
 
 
 class PassivityControlBlock:
@@ -104,9 +102,7 @@ class PassivityControlBlock:
 
 
 class NormalisedPassivityBlock:
-    """A damping force along the insertion from the normalised power of the delay, for ``n``
-    runs.
-    """
+    """A damping force along the insertion from the delay's normalised power, for ``n`` runs."""
 
     def __init__(self, scenarios: Sequence[Scenario], model: NumericalModel) -> None:
         n, h = len(scenarios), model.tick

@@ -88,9 +88,7 @@ class PhaseLeadBlock:
 
 
 def lead_and_lag(scenario: Scenario) -> tuple[float, float]:
-    """T1 and T2 [s] of the phase lead in a scenario's compensation: the method itself, or the
-    fallback of another method.
-    """
+    """T1 and T2 [s] of a scenario's phase lead: the method, or another method's fallback."""
     force = scenario.compensation.force
     lead, lag = getattr(force, "lead", None), getattr(force, "lag", LAG)
     return (scenario.sensor.delay + lag if lead is None else lead), lag

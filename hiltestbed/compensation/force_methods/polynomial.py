@@ -15,7 +15,7 @@ p delays, which the onset of a contact is not.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
@@ -43,13 +43,11 @@ class Polynomial(ForceMethod):
         default=3, description="Order of the polynomial"
     )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
+    removes_delay: ClassVar[bool] = True
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> PolynomialBlock:
         return PolynomialBlock(scenarios)
-
-    def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        return {self.kind: scenario.sensor.delay}
 
 
 class PolynomialBlock:

@@ -29,6 +29,7 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.frames import Array
+from hiltestbed.identification.held import UNTURNED
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
@@ -52,13 +53,11 @@ class Reconstruction(ForceMethod):
         default=0.0005, description="Time constant T2 of the phase lead's pole [s]"
     )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified"})
+    removes_delay: ClassVar[bool] = True
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ReconstructionBlock:
         return ReconstructionBlock(scenarios)
-
-    def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        return {self.kind: scenario.sensor.delay}
 
     def memory(self) -> float:
         return self.lag
@@ -100,9 +99,7 @@ class SmithPredictor(ForceMethod):
 
 
 class ReconstructionBlock:
-    """M with k and c as identified so far, on six axes: ``compensation.force: {kind:
-    reconstruction}``.
-    """
+    """M with k and c as identified so far, on six axes."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
@@ -116,6 +113,7 @@ class ReconstructionBlock:
         self._ticks = np.array([s.sensor.delay * s.rate for s in scenarios])
         self._states = History(12, self._ticks)
         self._state, self._late = np.zeros((n, 12)), np.zeros((n, 12))
+        self._at_A = np.zeros((n, 3))
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
@@ -123,7 +121,7 @@ class ReconstructionBlock:
         capture M acts about the held pose.
         """
         led = self._lead.compensate(measurement)
-        observe(measurement.pose, measurement.twist, self._state)
+        observe(measurement.pose, measurement.twist, self._at_A, UNTURNED, self._state)
         self._states.remember(self._state)
         self._states.before(self._ticks, self._late)
         _reconstruct(
@@ -141,9 +139,7 @@ class ReconstructionBlock:
 
 
 class SmithPredictorBlock:
-    """M with a given k and c along the insertion: ``compensation.force: {kind:
-    smith_predictor}``.
-    """
+    """M with a given k and c along the insertion."""
 
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
@@ -160,9 +156,7 @@ class SmithPredictorBlock:
         self.output = np.zeros((n, 6))
 
     def compensate(self, measurement: Measurement) -> Array:
-        """``(n, 6)`` the model's force now, plus the measured force less the model's force one
-        delay ago.
-        """
+        """``(n, 6)`` the model's force now, plus the measured less the model's one delay ago."""
         _spring(measurement.pose, measurement.twist, self._stiffness, self._damping, self._now)
         self._model.remember(self._now)
         self._model.before(self._ticks, self._late)
@@ -194,9 +188,7 @@ def _reconstruct(wrench, led, now, late, stiffness, damping, out):
 
 @njit(cache=True)
 def _spring(pose, twist, stiffness, damping, out):
-    """The wrench at P's origin of a spring and damper at A's origin along z, beyond the nominal
-    touch.
-    """
+    """The wrench at P's origin of a spring and damper at A along z, beyond the touch."""
     for i in range(pose.shape[0]):
         x, v = pose[i, 2], twist[i, 2]
         force = max(0.0, stiffness[i] * x + damping[i] * v) if x > 0.0 else 0.0

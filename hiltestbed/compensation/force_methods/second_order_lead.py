@@ -9,7 +9,7 @@ white noise is amplified by about ``a2/T2^2``. Backward differences, as in the f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -38,13 +38,11 @@ class SecondOrderLead(ForceMethod):
         default=0.0005, description="Time constant T2 of the lead's double pole [s]"
     )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
+    removes_delay: ClassVar[bool] = True
 
     @classmethod
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> SecondOrderLeadBlock:
         return SecondOrderLeadBlock(scenarios)
-
-    def removes(self, scenario: Scenario) -> Mapping[str, float]:
-        return {self.kind: scenario.sensor.delay}
 
     def memory(self) -> float:
         return self.lag

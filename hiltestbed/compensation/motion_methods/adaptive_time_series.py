@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.compensation.interfaces import Derivatives
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod, motion_of
 from hiltestbed.compiled.jit import njit
@@ -74,11 +75,7 @@ class AdaptiveTimeSeriesBlock:
         self._memory = np.zeros((n, 4))  # last command, last measured position and velocity, ticks
 
     def command(
-        self,
-        pose: Array,
-        derivatives: tuple[Array, Array, Array],
-        measurement: Measurement,
-        out: Array,
+        self, pose: Array, derivatives: Derivatives, measurement: Measurement, out: Array
     ) -> None:
         """Write to ``out`` (n, 7) the pose commanded to the platform."""
         _adapt(

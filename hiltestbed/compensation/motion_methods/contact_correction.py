@@ -62,37 +62,14 @@ def correct_for_platform(
     and the platform still lags after one.
     """
     m = measurement
-    _correct(
-        pose,
-        twist,
-        gate.threshold,
-        gate.touching,
-        m.wrench,
-        m.pose,
-        m.twist,
-        m.stiffness,
-        m.damping,
-        m.captured,
-        m.lever,
-        wrench,
-    )
+    rig, contact = (m.wrench, m.pose, m.twist), (m.stiffness, m.damping, m.captured, m.lever)
+    _correct(pose, twist, gate.threshold, gate.touching, rig, contact, wrench)
 
 
 @njit(cache=True)
-def _correct(
-    pose,
-    twist,
-    threshold,
-    touching,
-    reading,
-    pose_act,
-    twist_act,
-    stiffness,
-    damping,
-    captured,
-    lever,
-    wrench,
-):
+def _correct(pose, twist, threshold, touching, rig, contact, wrench):
+    reading, pose_act, twist_act = rig
+    stiffness, damping, captured, lever = contact
     offset, speed, force = np.empty(6), np.empty(6), np.empty(6)
     at = np.empty(3)
     for i in range(wrench.shape[0]):
@@ -117,9 +94,7 @@ def _correct(
 
 @njit(cache=True)
 def _move(at, twist):
-    """Refer a ``twist`` (6,), or a small translation and rotation, to the point ``at`` (3,)
-    relative to its present point.
-    """
+    """Refer a ``twist`` (6,), or a small motion, to the point ``at`` (3,) from its present one."""
     twist[0] += twist[4] * at[2] - twist[5] * at[1]
     twist[1] += twist[5] * at[0] - twist[3] * at[2]
     twist[2] += twist[3] * at[1] - twist[4] * at[0]

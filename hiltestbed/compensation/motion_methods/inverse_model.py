@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.compensation.interfaces import Derivatives
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.settings import Input, MotionMethod, motion_of
 from hiltestbed.compiled.jit import njit
@@ -65,11 +66,7 @@ class InverseModelBlock:
         self._coefficients = np.array([inverse_coefficients(s) for s in scenarios])
 
     def command(
-        self,
-        pose: Array,
-        derivatives: tuple[Array, Array, Array],
-        measurement: Measurement,
-        out: Array,
+        self, pose: Array, derivatives: Derivatives, measurement: Measurement, out: Array
     ) -> None:
         """Write to ``out`` (n, 7) the pose commanded to the platform."""
         _apply(pose, *derivatives, self._coefficients, out)

@@ -19,7 +19,7 @@ from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compiled.jit import njit
-from hiltestbed.frames import Array, rotation_vector
+from hiltestbed.frames import Array
 from hiltestbed.identification.held import UNTURNED, add_moment, referred
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class CapturedContact:
         """Replace the rows of ``wrench`` ``(n, 6)`` of the captured runs; call at every tick."""
         led = self._lead.compensate(measurement)
         m = measurement
-        _observe_held(m.pose, m.twist, m.lever, UNTURNED, self._state)
+        observe(m.pose, m.twist, m.lever, UNTURNED, self._state)
         self._states.remember(self._state)
         self._states.before(self._ticks, self._late)
         _reconstruct(
@@ -51,21 +51,10 @@ class CapturedContact:
 
 
 @njit(cache=True)
-def observe(pose, twist, out):
-    """``out`` (n, 12): position and rotation vector of ``pose`` (n, 7), and its ``twist`` (n,
-    6).
+def observe(pose, twist, lever, reference, out):
+    """``out`` (n, 12): position, rotation vector from ``reference`` (4,) and twist of the point at
+    ``lever`` (n, 3) from A, for ``pose`` (n, 7) and ``twist`` (n, 6) of A.
     """
-    for i in range(pose.shape[0]):
-        for j in range(3):
-            out[i, j] = pose[i, j]
-        rotation_vector(pose[i, 3:7], out[i, 3:6])
-        for j in range(6):
-            out[i, 6 + j] = twist[i, j]
-
-
-@njit(cache=True)
-def _observe_held(pose, twist, lever, reference, out):
-    """``out`` (n, 12): as :func:`observe`, at the latch's reference point."""
     for i in range(pose.shape[0]):
         referred(pose[i], twist[i], lever[i], reference, out[i, 0:6], out[i, 6:12])
 

@@ -89,9 +89,7 @@ def size(law, s, rate):
 
 @njit(cache=True)
 def touch(fit, law, count, x, v, h):
-    """Start a contact: set the reference point of the fit and, after an earlier contact, the prior
-    of k and c.
-    """
+    """Start a contact: reference point of the fit and, after an earlier one, its k and c."""
     count[CONTACTS] += 1
     if law[ARMED] == 1.0:
         return
@@ -189,7 +187,7 @@ def direct(line, wrench, y, fixed, fade, noise):
         known = 1.0 if j == 2 else 0.0
         total = line[2, 0] + rest
         line[0, j] = (line[1, j] + rest * known) / total if total > 0.0 else known
-    if fixed == 0:
+    if not fixed:
         force = math.sqrt(line[0, 0] ** 2 + line[0, 1] ** 2 + line[0, 2] ** 2)
         for j in range(6):
             line[0, j] /= force
@@ -197,9 +195,7 @@ def direct(line, wrench, y, fixed, fade, noise):
 
 @njit(cache=True)
 def rub(fit, law, line, wrench, rate, y, sigma):
-    """Estimate the friction coefficient of a flat surface from a wrench (6,) at A's origin and the
-    twist (6,) when it acted.
-    """
+    """Estimate the friction of a flat surface from a wrench (6,) at A and its twist (6,)."""
     sx, sy = slip(line, rate)
     speed = math.sqrt(sx * sx + sy * sy)
     if speed > SLIDES:
@@ -211,9 +207,7 @@ def rub(fit, law, line, wrench, rate, y, sigma):
 
 @njit(cache=True, inline="always")
 def slip(line, rate):
-    """Tangential velocity (x, y) [m/s] of the contact point r = (-D4, D3, 0), which follows from
-    the torques about A's origin.
-    """
+    """Tangential velocity (x, y) [m/s] of the contact point r = (-D4, D3, 0)."""
     return rate[0] - rate[5] * line[0, 3], rate[1] - rate[5] * line[0, 4]
 
 
@@ -234,13 +228,11 @@ def prior(stiffness: float, damping: float, touch_point: float) -> tuple[np.ndar
     fit, law = unknown()
     fit[REFERENCE], fit[PRIOR_K], fit[PRIOR_C] = touch_point, stiffness, damping
     fit[SD_K], fit[SD_C], fit[SD_X] = 0.005 * stiffness, 0.02 * damping + 5e-5 * stiffness, 5e-5
-    law[STIFFNESS], law[DAMPING], law[TOUCH], law[KNOWN], law[ARMED] = (
-        stiffness,
-        damping,
-        touch_point,
-        1.0,
-        1.0,
-    )
+    law[STIFFNESS] = stiffness
+    law[DAMPING] = damping
+    law[TOUCH] = touch_point
+    law[KNOWN] = 1.0
+    law[ARMED] = 1.0
     law[STIFFNESS_SD], law[DAMPING_SD] = fit[SD_K], fit[SD_C]
     return fit, law
 

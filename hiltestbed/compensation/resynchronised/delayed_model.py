@@ -1,8 +1,7 @@
 """The delayed model: the numerical model at t - tau, the wrench that drives it, and the
 identification of the contact at that time.
 
-Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i``; ``bodies``, ``setup`` and
-``state`` are its tuples of arrays.
+Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i`` of the copy ``m``.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from hiltestbed.numerical_model.kernels import (
     wrench_at_A,
     wrench_at_P,
 )
-from hiltestbed.sensor.filters import filtered
+from hiltestbed.sensor.chain import filtered
 
 HISTORY = 512  # ticks of a contact that can be re-run
 # Columns of ``tick``: ticks done, tick of the delayed model, tick of the touch, number of samples
@@ -56,8 +55,9 @@ def along(fixed, line, x):
 
 
 @njit(cache=True, inline="always")
-def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
+def identify(i, m, work, rows):
     """Identify the contact from this tick's reading and the pose at the time the force acted."""
+    h, fixed, setup, state = m.tick, m.fixed, m.setup, m.state
     k, late, part = state.tick[i, DONE], setup.late[i], setup.part[i]
     j = k - late
     if j < 0:
@@ -82,7 +82,7 @@ def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
         else ce.GATE_PEAK
     )
     if y <= ce.GATE_SIGMA * setup.sigma[i, 0] or y <= gate * fit[ce.PEAK]:
-        if count[ce.ABOVE] > 0 and fixed == 0:
+        if count[ce.ABOVE] > 0 and not fixed:
             law[ce.ARMED] = 0.0  # the next contact may be elsewhere on the surface
         count[ce.ABOVE] = 0
         state.regressor[i] = 0.0
@@ -95,12 +95,9 @@ def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
     s, u = along(fixed, line, position), along(fixed, line, rate)
     count[ce.ABOVE] += 1
     if count[ce.ABOVE] == 1:
-        _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work)
-        s = (
-            s
-            if setup.late[i] == late and setup.part[i] == part
-            else fit[ce.REFERENCE] + 0.5 * h * u
-        )
+        _touched(i, m, s, u, work)
+        if setup.late[i] != late or setup.part[i] != part:
+            s = fit[ce.REFERENCE] + 0.5 * h * u
     # the last sample of a contact is left out: it may be clipped
     if count[ce.ABOVE] > 2 + setup.skip[i]:
         ce.learn(fit, law, count, state.pending[i], setup.sigma[i, 0])
@@ -109,10 +106,9 @@ def identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows):
 
 
 @njit(cache=True)
-def _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work):
-    """Start a contact: correct the delay from the instant of touch if requested, and save the
-    delayed model's state for a re-run.
-    """
+def _touched(i, m, s, u, work):
+    """Start a contact: correct the delay if requested, save the state for a re-run."""
+    h, setup, state = m.tick, m.setup, m.state
     fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
     if setup.estimate[i] == 1 and count[ce.CONTACTS] == 0 and u > 0.0:
         late = setup.late[i]
@@ -121,27 +117,14 @@ def _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work):
         spare = (state.x.shape[1] - HISTORY) // 2
         delay = min(max(state.delay[i] + correction, 0.0), (spare - 2) * h)
         state.delay[i] = delay
-        set_delay(i, delay, h, ideal, substeps, setup)
+        set_delay(i, delay, h, m.ideal, m.substeps, setup)
         back = setup.late[i] - late
         if tick[DELAYED] - back < 0:
             back = tick[DELAYED]
-        none = state.used[i]
-        none[:] = 0.0
-        carry(
-            state.q[i, 0],
-            state.v[i, 0],
-            bodies.port[i],
-            bodies.mass[i],
-            bodies.inverse[i],
-            -h * back,
-            none,
-            none,
-            work,
-        )
-        tick[DELAYED] -= back
+        _move_back(i, m, back, work)
         s = expected + 0.5 * h * u
     ce.touch(fit, law, count, s, u, h)
-    _rewind(i, h, fixed, s, u, bodies, state, work)
+    _rewind(i, m, s, u, work)
     state.q[i, 1] = state.q[i, 0]
     state.v[i, 1] = state.v[i, 0]
     state.filtered[i, 1] = state.filtered[i, 0]
@@ -150,32 +133,27 @@ def _touched(i, h, fixed, ideal, substeps, s, u, bodies, setup, state, work):
 
 
 @njit(cache=True)
-def _rewind(i, h, fixed, s, u, bodies, state, work):
-    """A lagging platform touches later than the delayed model does: move the model back, in free
-    flight, to where the rig touched.
-    """
+def _rewind(i, m, s, u, work):
+    """Of a lagging platform: move the model back, in free flight, to where the rig touched."""
+    h, fixed, bodies, state = m.tick, m.fixed, m.bodies, m.state
     tick, pose, at = state.tick[i], np.empty(7), np.empty(6)
     relative_motion(state.q[i, 0], state.v[i, 0], bodies.port[i], work, pose, at)
     at[0:3] = pose[0:3]
     rotation_vector(pose[3:7], at[3:6])
     reached = along(fixed, state.line[i], at)
     ticks = int(min((reached - s) / (u * h), min(HISTORY // 4, tick[DELAYED]))) if u > 0.0 else 0
-    if ticks < 1:
-        return
-    none = state.used[i]
+    if ticks >= 1:
+        _move_back(i, m, ticks, work)
+
+
+@njit(cache=True)
+def _move_back(i, m, ticks, work):
+    """Move the delayed model back by ``ticks``, in free flight."""
+    none, bodies, q, v = m.state.used[i], m.bodies, m.state.q[i, 0], m.state.v[i, 0]
     none[:] = 0.0
-    carry(
-        state.q[i, 0],
-        state.v[i, 0],
-        bodies.port[i],
-        bodies.mass[i],
-        bodies.inverse[i],
-        -h * ticks,
-        none,
-        none,
-        work,
-    )
-    tick[DELAYED] -= ticks
+    mass, inverse = bodies.mass[i], bodies.inverse[i]
+    carry(q, v, bodies.port[i], mass, inverse, -m.tick * ticks, none, none, work)
+    m.state.tick[i, DELAYED] -= ticks
 
 
 @njit(cache=True, inline="always")
@@ -187,10 +165,11 @@ def _felt(x, v, smooth, leak, memory, out):
 
 
 @njit(cache=True, inline="always")
-def catch_up(i, h, fixed, bodies, setup, state, work, rows):
+def catch_up(i, m, work, rows):
     """Advance the delayed model as far as the last reading allows; re-run it from the touch when
     the samples have doubled.
     """
+    setup, state = m.setup, m.state
     tick, count = state.tick[i], state.count[i]
     last = tick[DONE] - setup.late[i]
     if (
@@ -205,15 +184,16 @@ def catch_up(i, h, fixed, bodies, setup, state, work, rows):
             state.filtered[i, 0] = state.filtered[i, 1]
             tick[DELAYED] = tick[ANCHOR]
     while tick[DELAYED] <= last:
-        _step_delayed(i, tick[DELAYED], h, fixed, bodies, setup, state, work, rows)
+        _step_delayed(i, m, tick[DELAYED], work, rows)
         tick[DELAYED] += 1
 
 
 @njit(cache=True, inline="always")
-def _step_delayed(i, j, h, fixed, bodies, setup, state, work, rows):
+def _step_delayed(i, m, j, work, rows):
     """Step the delayed model from t_j to t_(j+1) under the wrench measured for t_j, corrected for
     the model's offset from the rig.
     """
+    fixed, bodies, setup, state = m.fixed, m.bodies, m.setup, m.state
     length = state.x.shape[1]
     pose, twist, used, line, law = rows[0], rows[1], rows[2], state.line[i], state.law[i]
     known, part = j + setup.late[i], setup.part[i]
@@ -244,17 +224,9 @@ def _step_delayed(i, j, h, fixed, bodies, setup, state, work, rows):
     wrench_at_P(used, pose, used)
     for c in range(6):
         state.used[i, c] = used[c]
-    step(
-        state.q[i, 0],
-        state.v[i, 0],
-        bodies.port[i],
-        bodies.mass[i],
-        bodies.inertia[i],
-        bodies.inverse[i],
-        state.used[i],
-        h,
-        work,
-    )
+    mass, inertia, inverse = bodies.mass[i], bodies.inertia[i], bodies.inverse[i]
+    q, v, load = state.q[i, 0], state.v[i, 0], state.used[i]
+    step(q, v, bodies.port[i], mass, inertia, inverse, load, m.tick, work)
 
 
 @njit(cache=True, inline="always")
@@ -273,9 +245,7 @@ def _add_friction(line, law, rate, twist, rig, size, creep, used):
 
 @njit(cache=True, inline="always")
 def _silent(wrench, sigma):
-    """Whether a wrench is noise only: out of contact such a wrench is taken as zero, so that the
-    model does not drift.
-    """
+    """Whether a wrench is noise only, and taken as zero so that the model does not drift."""
     for c in range(6 if sigma[0] == 0.0 else 3):
         if abs(wrench[c]) > ce.GATE_SIGMA * sigma[0]:
             return False

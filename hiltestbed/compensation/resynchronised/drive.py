@@ -28,7 +28,6 @@ measurements (H. Alexander, "State estimation for distributed systems with sensi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -49,11 +48,12 @@ from hiltestbed.compensation.resynchronised.delayed_model import (
     set_delay,
 )
 from hiltestbed.compensation.resynchronised.predictor import predict
+from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_conj_mul, rotate, rotation_vector
 from hiltestbed.numerical_model.kernels import SCRATCH, mobility, solve, wrench_at_A, wrench_at_P
 from hiltestbed.numerical_model.model import NumericalModel
-from hiltestbed.sensor.filters import FILTERED, high_pass, low_pass
+from hiltestbed.sensor.chain import FILTERED, filters_of, high_pass, low_pass
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
@@ -63,9 +63,7 @@ Integers = NDArray[np.int64]
 
 
 class Bodies(NamedTuple):
-    """Nominal parameters of both vehicles in the delayed model and the predictor: ``(n, 2,
-    ...)``.
-    """
+    """Nominal parameters of both vehicles, ``(n, 2, ...)``."""
 
     port: Array
     mass: Array
@@ -112,6 +110,23 @@ class State(NamedTuple):
     creep: Array  # (n, 1) [N s/m] viscous friction at low slip
 
 
+class Copy(NamedTuple):
+    """A copy of the numerical model, of n runs.
+
+    Attributes:
+        tick: [s]. fixed: whether the direction of the force is known. ideal: whether the platform
+            is prescribed. substeps: of the physics in a tick.
+    """
+
+    tick: float
+    fixed: bool
+    ideal: bool
+    substeps: float
+    bodies: Bodies
+    setup: Setup
+    state: State
+
+
 class PredictionParameters(NamedTuple):
     """What the prediction of one run is given.
 
@@ -148,60 +163,36 @@ class ResynchronisedDrive:
         self.wrench = np.zeros((n, 6))
         self.predicted_pose, self.predicted_twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._predicted = np.zeros((n, 6))
-        self._setup = _setup(scenarios, given, h)
-        self._fixed = int(scenarios[0].mechanism.flat)
-        # a bumper has no latches
-        self._captured = None if self._fixed else CapturedContact(scenarios)
-        self._ideal = int(scenarios[0].rig.platform.prescribed)
-        self._substeps = float(scenarios[0].substeps)
-        self._bodies = Bodies(
+        setup = _setup(scenarios, given, h)
+        bodies = Bodies(
             model.port, model.mass, model.inertia, np.linalg.inv(model.inertia).astype(np.float64)
         )
-        self.state = _state(scenarios, given, model, int(self._setup.late.max()))
+        self.state = _state(scenarios, given, model, int(setup.late.max()))
+        flat, prescribed = scenarios[0].mechanism.flat, scenarios[0].rig.platform.prescribed
+        copy = Copy(h, flat, prescribed, float(scenarios[0].substeps), bodies, setup, self.state)
+        # a bumper has no latches
+        self._captured = None if flat else CapturedContact(scenarios)
+        predicted = (self.predicted_pose, self.predicted_twist, self._predicted)
+        self._advanced = Call(_advance, copy, GIVEN, GIVEN, GIVEN, *predicted)
+        self._followed = Call(_follow, copy, GIVEN, self.pose, self.twist, *predicted, self.wrench)
         law = self.state.law
-        self.stiffness, self.damping, self.touch = (
-            law[:, ce.STIFFNESS],
-            law[:, ce.DAMPING],
-            law[:, ce.TOUCH],
-        )
+        self.stiffness = law[:, ce.STIFFNESS]
+        self.damping = law[:, ce.DAMPING]
+        self.touch = law[:, ce.TOUCH]
         self.delay = self.state.delay
 
     def advance(self, measurement: Measurement) -> None:
         """Advance by one tick."""
-        model = self.model
-        _advance(
-            model.tick,
-            (self._fixed, self._ideal, self._substeps),
-            self._bodies,
-            self._setup,
-            self.state,
-            measurement.wrench,
-            measurement.pose,
-            measurement.twist,
-            self.predicted_pose,
-            self.predicted_twist,
-            self._predicted,
-        )
-        _follow(
-            model.tick, self._bodies, self._setup.blend, model.centres(), model.pose, model.twist,
-            self.predicted_pose, self.predicted_twist, self._predicted, self.wrench,
-        )  # fmt: skip
+        self._advanced.on(measurement.wrench, measurement.pose, measurement.twist)()
+        self._followed.on(self.model.centres())()
         if self._captured:
             self._captured.take_over(measurement, self.wrench)
-        model.advance(self.wrench)
+        self.model.advance(self.wrench)
 
 
 def _setup(scenarios: Sequence[Scenario], given: Sequence[PredictionParameters], h: float) -> Setup:
     n = len(scenarios)
-    lowpass = np.array(
-        [
-            0.0 if s.sensor.lowpass is None else 1.0 / (2.0 * math.pi * s.sensor.lowpass)
-            for s in scenarios
-        ]
-    )
-    leak = np.array(
-        [math.inf if s.sensor.time_constant is None else s.sensor.time_constant for s in scenarios]
-    )
+    lowpass, leak = filters_of(scenarios)
     setup = Setup(
         late=np.zeros(n, dtype=np.int64),
         part=np.zeros(n),
@@ -255,42 +246,24 @@ def _state(
 
 
 @njit(cache=True)
-def _advance(
-    h, kind, bodies, setup, state, wrench, pose, twist, predicted_pose, predicted_twist, predicted
-):
-    """One tick of delayed model and predictor for every run; ``predicted`` (n, 6) is the wrench at
-    t_k, at P's origin.
-    """
-    fixed, ideal, substeps = kind
+def _advance(m, wrench, pose, twist, predicted_pose, predicted_twist, predicted):
+    """Delayed model and predictor, a tick; ``predicted`` (n, 6): wrench at t_k, at P's origin."""
     work = np.empty((SCRATCH, 7))
     rows = np.empty((8, 7))
     matrix = np.empty((6, 6))
     for i in range(pose.shape[0]):
-        remember(i, state, wrench[i], pose[i], twist[i])
-        identify(i, h, fixed, ideal, substeps, bodies, setup, state, work, rows)
-        catch_up(i, h, fixed, bodies, setup, state, work, rows)
-        predict(
-            i,
-            h,
-            fixed,
-            bodies,
-            setup,
-            state,
-            work,
-            rows,
-            matrix,
-            predicted_pose[i],
-            predicted_twist[i],
-            predicted[i],
-        )
-        state.tick[i, DONE] += 1
+        remember(i, m.state, wrench[i], pose[i], twist[i])
+        identify(i, m, work, rows)
+        catch_up(i, m, work, rows)
+        pose_out, twist_out, wrench_out = predicted_pose[i], predicted_twist[i], predicted[i]
+        predict(i, m, work, rows[3], matrix, pose_out, twist_out, wrench_out)
+        m.state.tick[i, DONE] += 1
 
 
 @njit(cache=True)
-def _follow(h, bodies, blend, q, pose, twist, predicted_pose, predicted_twist, predicted, wrench):
-    """The wrench that drives the commanded model: the predicted one, plus a critically damped pull
-    to the predicted state.
-    """
+def _follow(m, q, pose, twist, predicted_pose, predicted_twist, predicted, wrench):
+    """The predicted wrench plus a critically damped pull to the predicted state."""
+    h, bodies, blend = m.tick, m.bodies, m.setup.blend
     work = np.empty((SCRATCH, 7))
     matrix, factor = np.empty((6, 6)), np.empty((6, 6))
     free, offset, at_A = np.empty(6), np.empty(6), np.empty(6)

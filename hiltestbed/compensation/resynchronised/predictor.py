@@ -1,8 +1,7 @@
 """The predictor: from the delayed model's state at t - tau, over the delay, to the end of the tick
 to be commanded.
 
-Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i``; ``bodies``, ``setup`` and
-``state`` are its tuples of arrays.
+Kernels of :mod:`hiltestbed.compensation.resynchronised` for run ``i`` of the copy ``m``.
 """
 
 from __future__ import annotations
@@ -23,11 +22,12 @@ from hiltestbed.numerical_model.kernels import (
 
 
 @njit(cache=True, inline="always")
-def predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist, predicted):
-    """Predict from the delayed model's state to t_(k+1), and the wrench at t_k."""
+def predict(i, m, work, at, matrix, pose, twist, predicted):
+    """Predict to t_(k+1), and the wrench at t_k; ``at`` (7,): scratch."""
+    h, fixed, bodies, state = m.tick, m.fixed, m.bodies, m.state
     line, law = state.line[i], state.law[i]
     ticks = state.tick[i, DONE] + 1 - state.tick[i, DELAYED]
-    q, v, at = np.empty((2, 7)), np.empty((2, 6)), rows[3]
+    q, v = np.empty((2, 7)), np.empty((2, 6))
     sums = np.zeros((3, 6))  # force now, impulse, shift
     q[:] = state.q[i, 0]
     v[:] = state.v[i, 0]
@@ -45,17 +45,8 @@ def predict(i, h, fixed, bodies, setup, state, work, rows, matrix, pose, twist, 
         if law[ce.FRICTION] > 0.0:
             _slide(ticks, h, line, law, at[2], twist, matrix, state.creep[i], sums)
         else:
-            _press(
-                ticks,
-                h,
-                fixed,
-                line,
-                law,
-                along(fixed, line, at),
-                along(fixed, line, twist),
-                matrix,
-                sums,
-            )
+            s, u = along(fixed, line, at), along(fixed, line, twist)
+            _press(ticks, h, fixed, line, law, s, u, matrix, sums)
     elif state.count[i, ce.ABOVE] > 0:  # until the contact is identified, hold the last force
         wrench_at_A(state.used[i], pose, sums[0])
         for c in range(6):
@@ -97,9 +88,7 @@ def _press(ticks, h, fixed, line, law, s, u, matrix, sums):
 
 @njit(cache=True)
 def _slide(ticks, h, line, law, s, twist, matrix, creep, sums):
-    """Step the normal force and the friction at the contact point r = (-D4, D3, 0), relative to A's
-    origin.
-    """
+    """Step normal force and friction at the contact point r = (-D4, D3, 0) from A's origin."""
     rx, ry = -line[0, 4], line[0, 3]
     gain = np.empty((3, 3))  # velocity of the contact point per unit impulse at it
     push = np.zeros(6)

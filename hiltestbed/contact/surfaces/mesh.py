@@ -54,9 +54,7 @@ def no_tree() -> Tree:
 
 
 def plant(vertices: Array, faces: NDArray[np.int_]) -> Tree:
-    """The tree of the mesh with ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3), without triangles
-    of zero area.
-    """
+    """The tree of a mesh (nv, 3) [m], (nf, 3), without triangles of zero area."""
     vertices, faces = welded(np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int))
     corners = vertices[faces]
     normals = _pseudo_normals(corners, faces, len(vertices))
@@ -86,9 +84,7 @@ def _pseudo_normals(corners: Array, faces: NDArray[np.int_], count: int) -> Arra
 
 @njit(cache=True)
 def _split(corners):
-    """Order of the triangles, boxes and links of a tree that splits at the median along the axis of
-    largest spread.
-    """
+    """Order, boxes and links of a tree that splits at the median of the largest spread."""
     count = len(corners)
     order = np.arange(count)
     boxes, links = np.empty((2 * count, 15)), np.empty((2 * count, 2), dtype=np.int64)
@@ -213,11 +209,9 @@ def mesh_distance(tree, point, reach, normal):
     distance = math.sqrt(best2)
     sign = 1.0 if dx * n[0] + dy * n[1] + dz * n[2] >= 0.0 else -1.0
     if distance > 1e-12:
-        normal[0], normal[1], normal[2] = (
-            sign * dx / distance,
-            sign * dy / distance,
-            sign * dz / distance,
-        )
+        normal[0] = sign * dx / distance
+        normal[1] = sign * dy / distance
+        normal[2] = sign * dz / distance
     else:
         length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
         normal[0], normal[1], normal[2] = n[0] / length, n[1] / length, n[2] / length
@@ -282,9 +276,7 @@ def _segment_from_box(box, start, end, half):
 
 @njit(cache=True)
 def _on_triangle(t, p):
-    """Nearest feature (0 face; 1, 2, 3 edges 01, 12, 20; 4, 5, 6 corners) and point of a triangle
-    (3, 3).
-    """
+    """Nearest feature (0 face; 1 to 3 edges 01, 12, 20; 4 to 6 corners) and point."""
     abx, aby, abz = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[1, 2] - t[0, 2]
     acx, acy, acz = t[2, 0] - t[0, 0], t[2, 1] - t[0, 1], t[2, 2] - t[0, 2]
     x, y, z = p[0] - t[0, 0], p[1] - t[0, 1], p[2] - t[0, 2]

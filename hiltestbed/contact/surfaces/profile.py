@@ -76,12 +76,10 @@ def _row(e: Element) -> Array:
     row[A : A + 2], row[B : B + 2] = a, b
     if e.centre is None:
         t = (b - a) / np.linalg.norm(b - a)
-        row[KIND], row[U : U + 2], row[V : V + 2], row[SIZE] = (
-            SEGMENT,
-            t,
-            (-t[1], t[0]),
-            np.linalg.norm(b - a),
-        )
+        row[KIND] = SEGMENT
+        row[U : U + 2] = t
+        row[V : V + 2] = (-t[1], t[0])
+        row[SIZE] = np.linalg.norm(b - a)
         return row
     centre = np.array(e.centre)
     start, end = (math.atan2(p[1] - centre[1], p[0] - centre[0]) for p in (a, b))
@@ -89,11 +87,9 @@ def _row(e: Element) -> Array:
     middle = start - 0.5 * sweep if e.clockwise else start + 0.5 * sweep
     radius = 0.5 * (np.linalg.norm(a - centre) + np.linalg.norm(b - centre))
     row[KIND], row[U : U + 2], row[V : V + 2] = ARC, centre, (math.cos(middle), math.sin(middle))
-    row[SIZE], row[COS_HALF], row[SIDE] = (
-        radius,
-        math.cos(0.5 * sweep),
-        1.0 if e.clockwise else -1.0,
-    )
+    row[SIZE] = radius
+    row[COS_HALF] = math.cos(0.5 * sweep)
+    row[SIDE] = 1.0 if e.clockwise else -1.0
     return row
 
 
@@ -137,9 +133,7 @@ def profile_bounds(profile: Array) -> tuple[Array, float]:
 
 @njit(cache=True)
 def profile_distance(profile, point, normal):
-    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the
-    outward normal.
-    """
+    """Distance [m] of ``point`` (3,), negative inside; ``normal`` (3,): becomes the outward one."""
     head = profile[0]
     x, y, z = point[0] - head[0], point[1] - head[1], point[2] - head[2]
     h = x * head[3] + y * head[4] + z * head[5]
@@ -240,10 +234,8 @@ def _in_plane(profile, rho, z):
                     if away > TOUCHING:
                         nr, nz = profile[i, SIDE] * dr / away, profile[i, SIDE] * dz / away
                     else:  # at the centre of an arc all its points are equally near
-                        nr, nz = (
-                            profile[i, SIDE] * profile[i, V],
-                            profile[i, SIDE] * profile[i, V + 1],
-                        )
+                        nr = profile[i, SIDE] * profile[i, V]
+                        nz = profile[i, SIDE] * profile[i, V + 1]
                 continue
             first = (rho - profile[i, A]) ** 2 + (z - profile[i, A + 1]) ** 2 <= (
                 rho - profile[i, B]

@@ -67,9 +67,7 @@ def recognise(vertices: Array, faces: Faces, tolerance: float = TOLERANCE) -> Re
 
 
 def _axes(vertices: Array, faces: Faces) -> list[tuple[Array, Array]]:
-    """Candidate axes: those of the frame through its origin, and those of the frame and the
-    principal axes through the centroid.
-    """
+    """Candidate axes: of the frame through its origin; of frame and inertia at the centroid."""
     corners = vertices[faces]
     area = 0.5 * np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -123,9 +121,7 @@ def _about(
 
 
 def _group(rho: Array, z: Array, tolerance: float) -> tuple[NDArray[np.int_] | None, Array]:
-    """The ring (nv,) of each vertex and (rho, z) of the rings; None if there are too many rings for
-    a mesh of revolution.
-    """
+    """The ring (nv,) of each vertex, and (rho, z) of the rings; None if they are too many."""
     ring = np.full(len(rho), -1, dtype=int)
     rings: list[tuple[float, float]] = []
     order = np.lexsort((rho, z))
@@ -146,9 +142,7 @@ def _group(rho: Array, z: Array, tolerance: float) -> tuple[NDArray[np.int_] | N
 def _edges(
     faces: Faces, ring: NDArray[np.int_], rings: Array, azimuth: Array, tolerance: float
 ) -> list[tuple[int, int]] | None:
-    """The profile's edges (a, b), outward side on the left; None if the triangles between two rings
-    do not go round exactly once.
-    """
+    """The profile's edges (a, b), outward on the left; None if not all bands go round once."""
     turned: dict[tuple[int, int], list[float]] = {}
     on_axis = rings[:, 0] == 0.0
     for face in faces:
@@ -179,9 +173,7 @@ def _edges(
 
 
 def _chains(edges: list[tuple[int, int]]) -> list[list[int]] | None:
-    """Rings in order along each chain, the first repeated at the end of a closed chain; None if the
-    edges form no simple chains.
-    """
+    """Rings along each chain, a closed one ends with its first; None if they branch."""
     after = dict(edges)
     if len(after) != len(edges) or len(set(after.values())) != len(edges):
         return None
@@ -198,9 +190,7 @@ def _chains(edges: list[tuple[int, int]]) -> list[list[int]] | None:
 
 
 def _fit(points: Array, tolerance: float) -> list[Element]:
-    """Segments and arcs through the polyline ``points`` (n, 2); a closed polyline ends with its
-    first point.
-    """
+    """Segments and arcs through ``points`` (n, 2); a closed polyline ends with its first."""
     closed = bool(np.all(points[0] == points[-1]))
     if closed:
         points = _from_a_corner(points, tolerance)

@@ -58,9 +58,7 @@ def volume(vertices: Array, faces: NDArray[np.int_]) -> float:
 
 
 def examine(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
-    """All faults of the mesh with ``vertices`` (nv, 3) [m] and ``faces`` (nf, 3); empty for a valid
-    closed mesh.
-    """
+    """All faults of a mesh (nv, 3) [m], (nf, 3); empty for a valid closed one."""
     vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int)
     if len(faces) > MOST_TRIANGLES:
         what = (

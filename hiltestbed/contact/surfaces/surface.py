@@ -1,5 +1,11 @@
 """A surface of any kind, and its distance from a point (a ball's centre) or a segment (the axis of
 a rod).
+
+The analytic geoms are those of MuJoCo, in the geom's frame and with MuJoCo's sizes. plane: z <= 0
+is inside, unbounded. sphere: (radius). capsule, cylinder: (radius, half length) along z. box: half
+sizes. ellipsoid: semi-axes. Box and cylinder by the usual decomposition into faces, edges and
+corners; ellipsoid after D. Eberly, "Distance from a Point to an Ellipse, an Ellipsoid, or a
+Hyperellipsoid", 2013, with Newton's method in place of bisection.
 """
 
 from __future__ import annotations
@@ -7,19 +13,147 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.surfaces import mesh, profile, shapes
+from hiltestbed.contact.surfaces import mesh, profile
 from hiltestbed.contact.surfaces.mesh import Tree, mesh_beyond, mesh_distance
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, between, profile_distance
 from hiltestbed.contact.surfaces.revolution import recognise
-from hiltestbed.contact.surfaces.shapes import shape_distance
 from hiltestbed.contact.surfaces.soundness import Finding, examine
 from hiltestbed.frames import Array
 
-MESH = 7  # number of this kind of surface, in addition to those of :mod:`shapes`, as in MuJoCo
+PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
+CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+KINDS = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
+
+
+@njit(cache=True)
+def shape_distance(kind, sizes, point, normal):
+    """Distance [m] of ``point`` (3,) from the surface, negative inside; ``normal`` (3,) becomes the
+    outward normal.
+
+    If several points of the surface are equally near (as from the centre of a sphere), one of them
+    is taken.
+    """
+    if kind == SPHERE:
+        return _ball(point[0], point[1], point[2], sizes[0], normal)
+    if kind == CAPSULE:
+        end = min(max(point[2], -sizes[1]), sizes[1])
+        return _ball(point[0], point[1], point[2] - end, sizes[0], normal)
+    if kind == CYLINDER:
+        return _cylinder(sizes, point, normal)
+    if kind == BOX:
+        return _box(sizes, point, normal)
+    if kind == ELLIPSOID:
+        return _ellipsoid(sizes, point, normal)
+    normal[0] = normal[1] = 0.0
+    normal[2] = 1.0
+    return point[2]
+
+
+@njit(cache=True)
+def _ball(x, y, z, radius, normal):
+    away = math.sqrt(x * x + y * y + z * z)
+    if away > 0.0:
+        normal[0], normal[1], normal[2] = x / away, y / away, z / away
+    else:
+        normal[0], normal[1], normal[2] = 1.0, 0.0, 0.0
+    return away - radius
+
+
+@njit(cache=True)
+def _cylinder(sizes, point, normal):
+    rho = math.sqrt(point[0] * point[0] + point[1] * point[1])
+    ux, uy = (point[0] / rho, point[1] / rho) if rho > 0.0 else (1.0, 0.0)
+    side, end = rho - sizes[0], abs(point[2]) - sizes[1]
+    if side > 0.0 and end > 0.0:
+        distance = math.sqrt(side * side + end * end)
+        nr, nz = side / distance, end / distance
+    elif side > end:
+        distance, nr, nz = side, 1.0, 0.0
+    else:
+        distance, nr, nz = end, 0.0, 1.0
+    normal[0], normal[1], normal[2] = nr * ux, nr * uy, math.copysign(nz, point[2])
+    return distance
+
+
+@njit(cache=True)
+def _box(sizes, point, normal):
+    deepest, face, outside = -math.inf, 0, 0.0
+    for i in range(3):
+        past = abs(point[i]) - sizes[i]
+        if past > deepest:
+            deepest, face = past, i
+        normal[i] = math.copysign(past, point[i]) if past > 0.0 else 0.0
+        outside += normal[i] * normal[i]
+    if deepest <= 0.0:
+        normal[face] = math.copysign(1.0, point[face])
+        return deepest
+    distance = math.sqrt(outside)
+    for i in range(3):
+        normal[i] /= distance
+    return distance
+
+
+@njit(cache=True)
+def _ellipsoid(sizes, point, normal):
+    """x_i = a_i^2 p_i/(t + a_i^2) is nearest, sum (a_i p_i/(t + a_i^2))^2 = 1, t > -min a^2."""
+    least = 0
+    for i in range(1, 3):
+        if sizes[i] < sizes[least]:
+            least = i
+    low = -sizes[least] * sizes[least]
+    t = _multiplier(sizes, point, low + sizes[least] * abs(point[least]))
+    apart, level = 0.0, 0.0
+    for i in range(3):
+        a2 = sizes[i] * sizes[i]
+        level += point[i] * point[i] / a2
+        x = a2 * point[i] / (t + a2) if t + a2 > 0.0 else 0.0
+        apart += (x / sizes[i]) ** 2
+        normal[i] = x
+    # inside, on the medial surface of the shortest axis: both directions are equally near
+    if 1.0 - apart > 1e-12:
+        normal[least] += math.copysign(sizes[least] * math.sqrt(1.0 - apart), point[least])
+    length, distance = 0.0, 0.0
+    for i in range(3):
+        distance += (point[i] - normal[i]) ** 2
+        normal[i] /= sizes[i] * sizes[i]
+        length += normal[i] * normal[i]
+    length = math.sqrt(length)
+    for i in range(3):
+        normal[i] /= length
+    return math.copysign(math.sqrt(distance), level - 1.0)
+
+
+@njit(cache=True)
+def _multiplier(sizes, point, t):
+    """Root of the decreasing convex sum (a_i p_i/(t + a_i^2))^2 - 1, from a ``t`` below it."""
+    for _ in range(200):
+        value, slope = -1.0, 0.0
+        for i in range(3):
+            below = t + sizes[i] * sizes[i]
+            if point[i] == 0.0 or below <= 0.0:
+                continue
+            ratio = sizes[i] * point[i] / below
+            value += ratio * ratio
+            slope -= 2.0 * ratio * ratio / below
+        if value <= 0.0 or slope == 0.0:
+            break
+        step = -value / slope
+        t += step
+        if step <= 1e-16 * abs(t):
+            break
+    return t
+
+
+MESH = 7  # number of this kind of surface, as in MuJoCo
 # largest distance from the hull of a convex mesh, over its size: the digits of an STL or OBJ file
 CONVEX = 1e-5
 HALVINGS = 5  # largest number of times that a segment is halved in the search for minima
@@ -39,13 +173,13 @@ class Surface(NamedTuple):
 
 def of_geom(kind: int, sizes: Array) -> Surface:
     """A plane, sphere, capsule, ellipsoid, cylinder or box, with MuJoCo's number and sizes."""
-    return Surface(kind, shapes.sized(kind, sizes), np.empty((0, COLUMNS)), mesh.no_tree())
+    # a plane's size in MuJoCo is only for drawing
+    own = np.zeros(3) if kind == PLANE else np.array(sizes, dtype=float)
+    return Surface(kind, own, np.empty((0, COLUMNS)), mesh.no_tree())
 
 
 def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, list[Finding]]:
-    """The surface of a mesh, exact for a mesh of revolution, and its faults; None if the mesh is
-    not usable.
-    """
+    """The surface of a mesh, exact if it is one of revolution, and its faults; None: unusable."""
     findings = examine(vertices, faces)
     if not all(f.usable for f in findings):
         return None, findings
@@ -80,25 +214,22 @@ def hollow(vertices: Array, faces: NDArray[np.int_]) -> float | None:
 
 def bounds(surface: Surface) -> tuple[Array, float]:
     """Centre (3,) and radius [m] of a bounding sphere of the surface; infinite for a plane."""
-    s = surface.sizes
-    match surface.kind:
-        case shapes.PLANE:
-            return np.zeros(3), math.inf
-        case shapes.SPHERE:
-            return np.zeros(3), float(s[0])
-        case shapes.CAPSULE:
-            return np.zeros(3), float(s[0] + s[1])
-        case shapes.CYLINDER:
-            return np.zeros(3), math.hypot(s[0], s[1])
-        case shapes.BOX:
-            return np.zeros(3), float(np.linalg.norm(s))
-        case shapes.ELLIPSOID:
-            return np.zeros(3), float(s.max())
-        case profile.TURNED:
-            return profile.profile_bounds(surface.profile)
-    corners = surface.tree.corners.reshape(-1, 3)
-    centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    return centre, float(np.linalg.norm(corners - centre, axis=1).max())
+    kind, s = surface.kind, surface.sizes
+    if kind == TURNED:
+        return profile.profile_bounds(surface.profile)
+    if kind == MESH:
+        corners = surface.tree.corners.reshape(-1, 3)
+        centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        return centre, float(np.linalg.norm(corners - centre, axis=1).max())
+    radius = {
+        PLANE: math.inf,
+        SPHERE: s[0],
+        CAPSULE: s[0] + s[1],
+        CYLINDER: math.hypot(s[0], s[1]),
+        BOX: np.linalg.norm(s),
+        ELLIPSOID: s.max(),
+    }
+    return np.zeros(3), float(radius[kind])
 
 
 @njit(cache=True)
@@ -163,7 +294,7 @@ def segment_distance(surface, start, end, reach, normal, nearest):
                     best, at = d, t
                 continue
             if g0 < 0.0 < g1:
-                t, d = _turning(surface, start, end, t0, t1, g0, g1, reach, normal, nearest)
+                t, d = _turning(surface, start, end, (t0, t1), (g0, g1), reach, normal, nearest)
                 if d < best:
                     best, at = d, t
         else:
@@ -178,9 +309,7 @@ def segment_distance(surface, start, end, reach, normal, nearest):
 
 @njit(cache=True)
 def _along(surface, start, end, t, reach, normal, place):
-    """Distance of the point at ``t`` (0 to 1) of the segment, and its derivative with respect to
-    t.
-    """
+    """Distance of the segment's point at ``t`` (0 to 1), and its derivative by t."""
     for j in range(3):
         place[j] = start[j] + t * (end[j] - start[j])
     d = signed_distance(surface, place, reach, normal)
@@ -191,10 +320,9 @@ def _along(surface, start, end, t, reach, normal, place):
 
 
 @njit(cache=True)
-def _turning(surface, start, end, low, high, slope_low, slope_high, reach, normal, place):
-    """Where the slope changes sign between ``low`` and ``high``: the Illinois method, with a
-    bisection in every fourth step.
-    """
+def _turning(surface, start, end, ends, slopes, reach, normal, place):
+    """Where the slope changes sign: the Illinois method, every fourth step a bisection."""
+    (low, high), (slope_low, slope_high) = ends, slopes
     t, d, side = low, math.inf, 0
     for k in range(80):
         t = (

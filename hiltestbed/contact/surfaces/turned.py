@@ -15,9 +15,7 @@ from hiltestbed.frames import Array
 
 
 def polyline(loop: list[Element], arc_step: float) -> Array:
-    """``(n, 2)`` points on the chain ``loop``, ends included, arcs in steps of at most ``arc_step``
-    [rad].
-    """
+    """``(n, 2)`` points on a chain, ends included, arcs in steps of ``arc_step`` [rad] or less."""
     points = [loop[0].a]
     for e in loop:
         if e.centre is not None:
@@ -28,10 +26,8 @@ def polyline(loop: list[Element], arc_step: float) -> Array:
 
 def _on_arc(e: Element, arc_step: float) -> list[tuple[float, float]]:
     assert e.centre is not None
-    (rho, z), (start, end) = (
-        e.centre,
-        (math.atan2(p[1] - e.centre[1], p[0] - e.centre[0]) for p in (e.a, e.b)),
-    )
+    (rho, z) = e.centre
+    (start, end) = (math.atan2(p[1] - e.centre[1], p[0] - e.centre[0]) for p in (e.a, e.b))
     radius = math.hypot(e.a[0] - rho, e.a[1] - z)
     sweep = -((start - end) % (2.0 * math.pi)) if e.clockwise else (end - start) % (2.0 * math.pi)
     sweep = sweep or (-2.0 * math.pi if e.clockwise else 2.0 * math.pi)
@@ -69,9 +65,7 @@ def turn(points: Array, segments: int) -> tuple[Array, NDArray[np.int_]]:
 
 
 def _band(low: NDArray[np.int_], high: NDArray[np.int_]) -> list[tuple[int, int, int]]:
-    """Triangles between two rings, as numbers of vertices; a ring on the axis is one vertex,
-    repeated.
-    """
+    """Triangles between two rings of vertices; a ring on the axis is one vertex, repeated."""
     faces = []
     for k in range(len(low)):
         n = (k + 1) % len(low)

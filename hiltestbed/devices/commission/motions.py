@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hiltestbed.contact.truth import axis_truth
+from hiltestbed.contact.touch import axis_truth
 from hiltestbed.devices.motion import blend
 from hiltestbed.frames import Array, pose_step
 from hiltestbed.scenario import Scenario
@@ -38,9 +38,8 @@ class Motion:
     """A named path that begins and ends at rest at the same pose.
 
     Attributes:
-        start: (7,) of A in P. offsets: (K, 6) displacement from it, linear [m] and rotation vector
-            [rad], one row per tick.
-        touches: whether the motion is meant to make contact.
+        start: (7,) of A in P. offsets: (K, 6) from it, linear [m] and rotation vector [rad], one
+            row per tick. touches: whether the motion is meant to make contact.
     """
 
     name: str
@@ -67,15 +66,10 @@ def motions(scenario: Scenario, force: float) -> list[Motion]:
     depth = min(force / scenario.mechanism.contact.stiffness, LARGEST)
     away = -(CLEAR + 2.0 * FREE)
     found = [Motion("open", _at(0.0, 0.0, away), _oscillations(scenario.tick), touches=False)]
-    arms = (
-        [(0.0, 0.0), (ARM, 0.0), (0.0, ARM), (-ARM, -0.8 * ARM)]
-        if scenario.mechanism.flat
-        else [(0.0, 0.0)]
-    )
-    for number, (x, y) in enumerate(arms):
-        found.append(
-            Motion(f"press {number}", _at(x, y, -CLEAR), _press(scenario.tick, depth), touches=True)
-        )
+    arms = [(0.0, 0.0), (ARM, 0.0), (0.0, ARM), (-ARM, -0.8 * ARM)]
+    press = _press(scenario.tick, depth)
+    for number, (x, y) in enumerate(arms if scenario.mechanism.flat else arms[:1]):
+        found.append(Motion(f"press {number}", _at(x, y, -CLEAR), press, touches=True))
     return [motion.after_rest(round(REST / scenario.tick)) for motion in found]
 
 
@@ -103,25 +97,20 @@ def _oscillations(tick: float) -> Array:
 
 def _press(tick: float, depth: float) -> Array:
     """Move in to two thirds of ``depth``, oscillate by a third of it, and move out."""
-    inward = np.array(
-        [blend(min(1.0, k * tick / ENTRY)) for k in range(1, round(ENTRY / tick) + 1)]
-    )
+    ticks = range(1, round(ENTRY / tick) + 1)
+    inward = np.array([blend(min(1.0, k * tick / ENTRY)) for k in ticks])
     duration = PRESS_PERIODS / PRESS_FREQUENCY
     t = _instants(duration, tick)
     deep = CLEAR + 2.0 * depth / 3.0
     swing = depth / 3.0 * _window(t / duration) * np.sin(2.0 * np.pi * PRESS_FREQUENCY * t)
-    z = np.concatenate(
-        [deep * inward, deep + swing, deep * inward[::-1], np.zeros(round(REST / tick))]
-    )
-    out = np.zeros((len(z), 6))
-    out[:, 2] = z
+    z = [deep * inward, deep + swing, deep * inward[::-1], np.zeros(round(REST / tick))]
+    out = np.zeros((sum(map(len, z)), 6))
+    out[:, 2] = np.concatenate(z)
     return out
 
 
 def _shaken(scenario: Scenario, force: float) -> Motion:
-    """Oscillate one axis after the other, each with the amplitude that causes ``force`` or the
-    corresponding torque.
-    """
+    """Oscillate one axis after the other, as far as ``force`` or its torque allows."""
     tick, truth = scenario.tick, axis_truth(scenario)
     duration = PRESS_PERIODS / PRESS_FREQUENCY
     t = _instants(duration, tick)

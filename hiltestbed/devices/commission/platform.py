@@ -16,7 +16,7 @@ LONGEST = 0.2  # [s] largest delay that is fitted
 @dataclass(frozen=True)
 class Path:
     """A motion from rest: command (N, 7), row k for t_(k+1); pose (N, 7) and wrench (N, 6), in P,
-    at t_k; whether it made contact.
+    at t_k; whether it touches.
     """
 
     command: Array
@@ -52,17 +52,10 @@ def fit_platform(paths: Sequence[Path], tick: float) -> PlatformFit:
     def parts(delay: float) -> list[tuple[Array, Array, Array]]:
         out = []
         for path in paths:
-            k = np.arange(len(path.pose), dtype=float)
-            told = np.stack(
-                [
-                    np.interp(
-                        k - 1.0 - delay / tick, np.arange(len(path.command)), path.command[:, j]
-                    )
-                    for j in range(3)
-                ],
-                axis=1,
-            )
-            out.append((told, path.pose[:, :3], path.wrench[:, :3]))
+            rows = np.arange(len(path.command))
+            at = np.arange(len(path.pose), dtype=float) - 1.0 - delay / tick
+            told = [np.interp(at, rows, path.command[:, j]) for j in range(3)]
+            out.append((np.stack(told, axis=1), path.pose[:, :3], path.wrench[:, :3]))
         return out
 
     def residuals(p: Array) -> Array:
@@ -75,21 +68,11 @@ def fit_platform(paths: Sequence[Path], tick: float) -> PlatformFit:
 
     # without free motion, scale and compliance cannot be separated
     free = [] if all(path.touches for path in paths) else [1.0, 1.0, 1.0]
-    starts = [
-        np.array([1e3 * delay, 0.0, 0.0, 0.0, *free]) for delay in np.arange(0.0, LONGEST, 0.002)
-    ]
-    fit = least_squares(
-        residuals,
-        min(starts, key=lambda p: _square(residuals(p))),
-        x_scale=[1.0] * 4 + [1e-2] * len(free),
-    )
-    columns = fit.jac.shape[1]
-    spread = 1.96 * np.sqrt(
-        np.diag(np.linalg.pinv(fit.jac.T @ fit.jac))
-        * 2.0
-        * fit.cost
-        / max(len(fit.fun) - columns, 1)
-    )
+    delays = np.arange(0.0, LONGEST, 0.002)
+    starts = [np.array([1e3 * delay, 0.0, 0.0, 0.0, *free]) for delay in delays]
+    best = min(starts, key=lambda p: float(np.linalg.norm(residuals(p))))
+    fit = least_squares(residuals, best, x_scale=[1.0] * 4 + [1e-2] * len(free))
+    spread = spread_of(fit.jac, 2.0 * fit.cost)
     return PlatformFit(
         delay=float(fit.x[0] * 1e-3),
         delay_ci95=float(spread[0] * 1e-3),
@@ -101,5 +84,8 @@ def fit_platform(paths: Sequence[Path], tick: float) -> PlatformFit:
     )
 
 
-def _square(values: Array) -> float:
-    return float(values @ values)
+def spread_of(jacobian: Array, square: float) -> Array:
+    """(n,) half widths of the 95 % intervals of a fit with the ``square`` sum of its residuals."""
+    rows, columns = jacobian.shape
+    variance = np.diag(np.linalg.pinv(jacobian.T @ jacobian)) * square / max(rows - columns, 1)
+    return 1.96 * np.sqrt(variance)

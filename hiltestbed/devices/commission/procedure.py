@@ -13,24 +13,23 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.devices.commission.expected import Expected
 from hiltestbed.devices.commission.motions import SETTLED, Motion, motions
 from hiltestbed.devices.commission.platform import Path, PlatformFit, fit_platform
-from hiltestbed.devices.commission.sensor import SensorFit, Shown, fit_sensor
+from hiltestbed.devices.commission.sensor import Expected, SensorFit, Shown, fit_sensor
 from hiltestbed.devices.interface import DeviceError
-from hiltestbed.devices.motion import travel
+from hiltestbed.devices.live import rehearse
 from hiltestbed.devices.mounting import Mounting
-from hiltestbed.devices.rehearsal import rehearse
 from hiltestbed.devices.session import Observed, Options, Row, Session
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, attitude_deg_from_quat, quat_from_attitude_deg
 from hiltestbed.scenario import Scenario, resolved, scenario_from
-from hiltestbed.sensor.effects.rotation import SensorRotation
+from hiltestbed.sensor.effects import SensorRotation
 
 FORCE = 100.0  # [N] of a press
 # relative difference of misfit within which two fits with equally many numbers are equivalent
 # (decides only the axes named)
 ALIKE = 1e-3
+LEAST_SCALE = 2e-3  # smallest error of a scale that is reported: 8 um of a press of 4 mm
 SHORTEST = 1e-4  # [s] smallest delay that is reported: a fifth of a tick at 2 kHz
 Progress = Callable[[str], None]
 
@@ -95,16 +94,13 @@ def commission(
 def _play(
     session: Session, planned: Sequence[Motion], rows: dict[str, list[Row]], progress: Progress
 ) -> None:
-    tick, settings = session.rig.tick, session.scenario.devices.platform
-    speed, rate = settings.travel_speed, math.radians(settings.travel_rate_deg)
     home = session.rig.last.copy()
     for motion in planned:
         progress(motion.name)
-        if not session.follow(travel(session.rig.last.copy(), motion.start, tick, speed, rate)):
+        followed = session.travel(motion.start)
+        if not followed or not session.follow(motion.poses(), rows=rows[motion.name]):
             return
-        if not session.follow(motion.poses(), rows=rows[motion.name]):
-            return
-    session.follow(travel(session.rig.last.copy(), home, tick, speed, rate))
+    session.travel(home)
 
 
 def _fitted(
@@ -112,12 +108,11 @@ def _fitted(
 ) -> Commissioned:
     touched, noise = [], observed.shown_noise
     for motion in planned:
-        poses = np.array([row.pose for row in rows[motion.name]])
         if motion.touches:
+            poses = np.array([row.pose for row in rows[motion.name]])
             shown = np.array([row.shown for row in rows[motion.name]]) - observed.shown
             touched.append(Shown(Expected(scenario, poses), shown))
-    position = np.array(scenario.devices.sensor.position)
-    sensor = fit_sensor(touched, position, noise)
+    sensor = fit_sensor(touched, np.array(scenario.devices.sensor.position), noise)
     begin = round(SETTLED / scenario.tick)  # excludes what remains of the travel to the start
 
     def paths(mounted: Scenario) -> dict[str, Path]:
@@ -127,27 +122,23 @@ def _fitted(
             for m in planned
         }
 
-    corrected = _mounted(scenario, sensor, noise)
-    found = paths(corrected)
+    believed = _mounted(scenario, sensor, noise)
+    found = paths(believed)
     platform = fit_platform(list(found.values()), scenario.tick)
-    nominal = _nominal(corrected, sensor, platform)
-    starts = {motion.name: motion.start for motion in planned}
+    nominal = explained = _nominal(believed, sensor, platform)
     turned = _turned(scenario, sensor, touched, noise)
-    if turned is None:
-        return Commissioned(
-            corrected,
-            nominal,
-            observed,
-            sensor,
-            platform,
-            found,
-            starts,
-            _departures(nominal, corrected, sensor.delay_ci95),
-        )
-    believed = _mounted(scenario, None, noise)
-    departures = _departures(_nominal(believed, turned, platform), believed, turned.delay_ci95)
+    if turned is not None:
+        sensor, believed = turned, _mounted(scenario, None, noise)
+        found, explained = paths(believed), _nominal(believed, turned, platform)
     return Commissioned(
-        believed, nominal, observed, turned, platform, paths(believed), starts, departures
+        believed,
+        nominal,
+        observed,
+        sensor,
+        platform,
+        found,
+        {motion.name: motion.start for motion in planned},
+        _departures(explained, believed, sensor.delay_ci95),
     )
 
 
@@ -155,32 +146,23 @@ def _turned(
     scenario: Scenario, sensor: SensorFit, touched: Sequence[Shown], noise: Array
 ) -> SensorFit | None:
     """The sensor fitted with gains and crosstalk in its own axes, if these are slightly rotated
-    against those in the scenario.
-
-    None if they are not, if the sign or the attitude is entirely different, or if gains in P's axes
-    fit better.
+    against those in the scenario. None if they are not, if the sign or the attitude is entirely
+    different, or if gains in P's axes fit better.
     """
     mounted = scenario.devices.sensor
     if sensor.sign != mounted.sign:
         return None
-    found = fit_sensor(
-        touched, np.array(mounted.position), noise, quat_from_attitude_deg(mounted.attitude_deg)
-    )
+    attitude = quat_from_attitude_deg(mounted.attitude_deg)
+    found = fit_sensor(touched, np.array(mounted.position), noise, attitude)
     most = SensorRotation.searched("angles_deg")[1]
     if not found.turned() or max(map(abs, found.turn_deg or ())) > most:
         return None
-    return (
-        found
-        if (len(found.numbers), found.misfit)
-        <= (len(sensor.numbers), (1.0 + ALIKE) * sensor.misfit)
-        else None
-    )
+    worst = len(sensor.numbers), (1.0 + ALIKE) * sensor.misfit
+    return found if (len(found.numbers), found.misfit) <= worst else None
 
 
 def _departures(nominal: Scenario, believed: Scenario, ci95: float) -> tuple[dict[str, Any], ...]:
-    """The effects of ``nominal``, and the additional delay of its sensor relative to ``believed``,
-    if significant.
-    """
+    """The effects of ``nominal``, and the delay of its sensor beyond that in ``believed``."""
     late = nominal.sensor.delay - believed.sensor.delay
     delay = [{"kind": "sensor.delay", "delay": late}] if late > _least_delay(ci95) else []
     return (*delay, *(effect.model_dump(mode="json") for effect in nominal.effects))
@@ -190,12 +172,8 @@ def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> Pa
     wrench = np.zeros((len(rows), 6))
     for k, row in enumerate(rows):
         mounting.wrench_in_P(row.shown - tare, wrench[k])
-    return Path(
-        np.array([row.command for row in rows]),
-        np.array([row.pose for row in rows]),
-        wrench,
-        touches,
-    )
+    command, pose = (np.array([getattr(row, name) for row in rows]) for name in ("command", "pose"))
+    return Path(command, pose, wrench, touches)
 
 
 def _mounted(scenario: Scenario, sensor: SensorFit | None, noise: Array) -> Scenario:
@@ -211,45 +189,32 @@ def _mounted(scenario: Scenario, sensor: SensorFit | None, noise: Array) -> Scen
 
 
 def _nominal(believed: Scenario, sensor: SensorFit, platform: PlatformFit) -> Scenario:
-    data = resolved(believed)
-    lowpass = believed.sensor.lowpass
-    data["sensor"]["delay"] = max(
-        sensor.delay - (1.0 / (2.0 * math.pi * lowpass) if lowpass else 0.0), 0.0
-    )
-    data["effects"] = [
-        e for e in data["effects"] if e["kind"].partition(".")[0] not in ("sensor", "platform")
-    ] + effects_of(sensor, platform)
-    return scenario_from(data)
+    data, lowpass = resolved(believed), believed.sensor.lowpass
+    filtered = 1.0 / (2.0 * math.pi * lowpass) if lowpass else 0.0
+    data["sensor"]["delay"] = max(sensor.delay - filtered, 0.0)
+    measured = ("sensor.", "platform.")
+    kept = [effect for effect in data["effects"] if not effect["kind"].startswith(measured)]
+    return scenario_from(data | {"effects": kept + effects_of(sensor, platform)})
 
 
 def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]:
     """Rotation, gains, crosstalk, delay and scale as effects, where they are significant."""
+    found: list[dict[str, Any]] = []
+    if sensor.turned():
+        found.append({"kind": "sensor.rotation", "angles_deg": list(sensor.turn_deg or ())})
     gains = {n.axis: n.value for n in sensor.numbers if n.source == n.axis}
-    found: list[dict[str, Any]] = (
-        [{"kind": "sensor.rotation", "angles_deg": list(sensor.turn_deg or ())}]
-        if sensor.turned()
-        else []
-    )
-    found += [
-        {"kind": "sensor.gain", "axis": axis, "factor": value} for axis, value in gains.items()
-    ]
+    for axis, value in gains.items():
+        found.append({"kind": "sensor.gain", "axis": axis, "factor": value})
     # crosstalk after the gains, since it is relative to the source's reading
     for n in sensor.numbers:
         if n.source != n.axis:
-            found.append(
-                {
-                    "kind": "sensor.crosstalk",
-                    "source": n.source,
-                    "axis": n.axis,
-                    "ratio": n.value / gains.get(n.source, 1.0),
-                }
-            )
+            where, ratio = {"source": n.source, "axis": n.axis}, n.value / gains.get(n.source, 1.0)
+            found.append({"kind": "sensor.crosstalk", **where, "ratio": ratio})
     if platform.delay > _least_delay(platform.delay_ci95):
         found.append({"kind": "platform.delay", "delay": platform.delay})
-    for axis, value, ci95 in zip(
-        "xyz", platform.scale or (), platform.scale_ci95 or (), strict=False
-    ):
-        if abs(value - 1.0) > max(2e-3, 2.0 * ci95):
+    scales = platform.scale or (), platform.scale_ci95 or ()
+    for axis, value, ci95 in zip("xyz", *scales, strict=False):
+        if abs(value - 1.0) > max(LEAST_SCALE, 2.0 * ci95):
             found.append({"kind": "platform.scale", "axis": axis, "factor": value})
     return found
 

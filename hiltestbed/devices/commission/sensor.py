@@ -17,12 +17,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
-from hiltestbed.devices.commission.expected import Expected
+from hiltestbed.devices.commission.platform import spread_of
 from hiltestbed.frames import Array, rotation_matrix, rotation_vectors
+from hiltestbed.platform.plant import Plant
+from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.signals import AXES
 
 ROWS = 6000  # largest number of rows, of all motions together, in a fit
@@ -32,22 +36,46 @@ LEAST = 5e-4  # smallest gain error or crosstalk that is reported
 # [deg] smallest rotation of the axes that is reported: it puts 2e-3 of the force on a lateral axis
 LEAST_TURN = 0.1
 MOST = 8  # largest number of gains and crosstalk terms
-# a number this many times larger than another that fits equally well is taken as the less likely
-# one
-FAR = 5.0
-# fraction of the best number's improvement from which another counts as fitting equally well
-TIE = 0.9
+FAR = 5.0  # times larger than another that fits equally well: the less likely number
+TIE = 0.9  # of the best number's improvement: another that reaches it fits equally well
 LONGEST = 0.05  # [s] largest delay that is fitted
 FLOOR = 1e-5  # of the largest reading: noise assumed for channels without noise
 
 Element = tuple[int, int]  # source and axis of a number
 
 
+class Expected:
+    """The wrench (N m, 6) that the nominal mechanism exerts at the poses that the platform reached,
+    at the physics instants, in P at P's origin; the last of each tick is t_k.
+    """
+
+    def __init__(self, scenario: Scenario, poses: Array) -> None:
+        """``poses`` (N, 7) of A in P at t_k."""
+        data: dict[str, Any] = resolved(scenario) | {"effects": []}
+        data["rig"]["platform"]["tracking"] = data["rig"]["upper"]["tracking"] = "ideal"
+        believed = scenario_from(data)
+        plant = Plant([believed])
+        still = np.zeros((1, 6))
+        plant.reset(poses[None, 0], still)
+        self._substeps, self._tick = believed.substeps, believed.tick
+        self.wrench = np.zeros((len(poses) * self._substeps, 6))
+        self.wrench[: self._substeps] = plant.wrench_sub[0, -1]
+        for k in range(1, len(poses)):
+            plant.advance(poses[None, k], still, still)
+            self.wrench[k * self._substeps : (k + 1) * self._substeps] = plant.wrench_sub[0]
+
+    def at(self, ticks: Array, delay: float) -> Array:
+        """(K, 6) the wrench ``delay`` [s] before each of the ``ticks`` (K,), interpolated."""
+        m = self._substeps
+        instant = np.clip(m * ticks + m - 1 - delay / self._tick * m, 0.0, len(self.wrench) - 1.0)
+        low = np.floor(instant).astype(int)
+        high = np.minimum(low + 1, len(self.wrench) - 1)
+        return self.wrench[low] + (instant - low)[:, None] * (self.wrench[high] - self.wrench[low])
+
+
 @dataclass(frozen=True)
 class Shown:
-    """A motion: the expected wrench, and the sensor's reading (N, 6), in its own frame and less its
-    tare.
-    """
+    """A motion: the expected wrench, and the reading (N, 6) in the sensor's frame less its tare."""
 
     expected: Expected
     reading: Array
@@ -55,12 +83,8 @@ class Shown:
 
 @dataclass(frozen=True)
 class Number:
-    """A gain (``source`` = ``axis``) or a crosstalk: estimate, and half the width of its 95 %
-    interval.
-
-    Attributes:
-        or_else: (source, axis) of other numbers that would fit equally well: the motions cannot
-            distinguish them.
+    """A gain (``source`` = ``axis``) or a crosstalk: estimate, half the width of its 95 % interval,
+    and (source, axis) of those that would fit equally well: the motions cannot distinguish them.
     """
 
     source: str
@@ -79,9 +103,8 @@ class SensorFit:
             and crosstalk, in P.
         residual, reading: (6,) rms of the residual and of the reading, in the sensor's frame.
             misfit: residual sum of squares, in units of the noise variance.
-        turn_deg: (3,) rotation vector of the sensor's axes against the given ones; the numbers then
-            refer to the given axes;
-        None: the numbers refer to P's axes.
+        turn_deg: (3,) rotation vector of the sensor's axes against the given ones, to which the
+            numbers then refer; None: they refer to P's axes.
     """
 
     sign: int
@@ -99,10 +122,8 @@ class SensorFit:
         """Whether the axes differ significantly from the given ones."""
         if self.turn_deg is None:
             return False
-        spread = [SIGNIFICANT / 1.96 * ci95 for ci95 in self.attitude_ci95_deg]
-        return any(
-            abs(angle) > max(LEAST_TURN, s) for angle, s in zip(self.turn_deg, spread, strict=True)
-        )
+        spread = SIGNIFICANT / 1.96 * np.array(self.attitude_ci95_deg)
+        return bool(np.any(np.abs(self.turn_deg) > np.maximum(LEAST_TURN, spread)))
 
 
 def fit_sensor(
@@ -130,38 +151,31 @@ def fit_sensor(
         chosen.append(candidate)
         others.append(rivals)
     spread = best.spread()
-    numbers = tuple(
-        Number(
-            AXES[i],
-            AXES[j],
-            float(v) + (i == j),
-            float(s),
-            tuple((AXES[a], AXES[b]) for a, b in rivals),
-        )
-        for (i, j), v, s, rivals in zip(chosen, best.p[4:], spread[4:], others, strict=True)
-    )
+    numbers = []
+    for (i, j), v, ci95, rivals in zip(chosen, best.p[4:], spread[4:], others, strict=True):
+        or_else = tuple((AXES[a], AXES[b]) for a, b in rivals)
+        numbers.append(Number(AXES[i], AXES[j], float(v) + (i == j), float(ci95), or_else))
+    turn = None
+    if data.given is not None:
+        turn = np.degrees(rotation_vectors(_quaternion(best.rotation @ data.given.T)))
     return SensorFit(
         sign=sign,
         attitude=_quaternion(best.rotation),
         attitude_ci95_deg=np.degrees(spread[:3]).tolist(),
         delay=best.delay,
         delay_ci95=float(spread[3] * 1e-3),
-        numbers=numbers,
+        numbers=tuple(numbers),
         residual=data.rms(best).tolist(),
         reading=np.sqrt(np.mean(data.reading**2, axis=0)).tolist(),
         misfit=best.square,
-        turn_deg=None
-        if data.given is None
-        else tuple(
-            np.degrees(rotation_vectors(_quaternion(best.rotation @ data.given.T))).tolist()
-        ),
+        turn_deg=None if turn is None else tuple(turn.tolist()),
     )
 
 
 @dataclass
 class _Fit:
-    """p: (4 + numbers,) rotation vector relative to the start of the fit, delay [ms], numbers.
-    rotation: matrix of S in P.
+    """``p``: (4 + numbers,) rotation vector relative to the start of the fit, delay [ms], numbers;
+    ``rotation``: matrix of S in P.
     """
 
     p: Array
@@ -172,12 +186,7 @@ class _Fit:
 
     def spread(self) -> Array:
         """(4 + numbers,) half widths of the 95 % intervals."""
-        rows, columns = self.jacobian.shape
-        return 1.96 * np.sqrt(
-            np.diag(np.linalg.pinv(self.jacobian.T @ self.jacobian))
-            * self.square
-            / max(rows - columns, 1)
-        )
+        return spread_of(self.jacobian, self.square)
 
     def holds(self) -> bool:
         """Whether the number added last is significant."""
@@ -196,17 +205,14 @@ class _Data:
             for m in motions
         ]
         self._position = position
-        self.reading = np.concatenate(
-            [_centred(reading[ticks.astype(int)]) for _, ticks, reading in self._parts]
-        )
+        readings = [_centred(reading[ticks.astype(int)]) for _, ticks, reading in self._parts]
+        self.reading = np.concatenate(readings)
         rms = np.sqrt(np.mean(self.reading**2, axis=0))
         floor = FLOOR * np.repeat([rms[:3].max(), rms[3:].max()], 3)
         self._weight = 1.0 / np.maximum(np.maximum(noise, floor), 1e-12)
 
     def first_guess(self) -> tuple[int, Array, float]:
-        """Sign, rotation matrix of S in P and delay [s] that fit the readings best, without
-        gains.
-        """
+        """Sign, rotation matrix of S in P and delay [s] that fit the readings best."""
         found = []
         for delay in np.arange(0.0, LONGEST, 0.001):
             felt = self._at_sensor(self._wrench(delay))
@@ -225,9 +231,7 @@ class _Data:
         chosen: Sequence[Element],
         before: _Fit | None,
     ) -> _Fit:
-        """Least squares over rotation, delay and the ``chosen`` numbers, starting from a fit with
-        one number less.
-        """
+        """Least squares over rotation, delay and ``chosen``, from a fit with one number less."""
 
         def residuals(p: Array) -> Array:
             shown = self._shown(rotation @ _turn(p[:3]), 1e-3 * p[3], _calibration(chosen, p[4:]))
@@ -238,13 +242,8 @@ class _Data:
         if before is not None:
             start[4 : 4 + len(before.p) - 4] = before.p[4:]
         fit = least_squares(residuals, start, method="lm")
-        return _Fit(
-            fit.x,
-            rotation @ _turn(fit.x[:3]),
-            float(1e-3 * fit.x[3]),
-            float(2.0 * fit.cost),
-            fit.jac,
-        )
+        found = rotation @ _turn(fit.x[:3]), float(1e-3 * fit.x[3])
+        return _Fit(fit.x, *found, float(2.0 * fit.cost), fit.jac)
 
     def most_telling(self, sign: int, fit: _Fit, chosen: Sequence[Element]) -> list[Element]:
         """The number that would reduce the sum of squares most, to first order and in addition to
@@ -252,24 +251,19 @@ class _Data:
 
         Among equals, crosstalk from a force precedes crosstalk from a torque: if the force has only
         one direction, a rotation with crosstalk of the force resembles another rotation with
-        crosstalk of the torque. A number five times as large as another comes
-        last: where a rotation puts a little of fz on x, a gain of 2 has the same result as
-            crosstalk of 5 %.
+        crosstalk of the torque. A number :data:`FAR` times as large as another comes last: where a
+        rotation puts a little of fz on x, a gain of 2 has the same result as crosstalk of 5 %.
         """
-        calibration = _calibration(chosen, fit.p[4:])
-        left = (
-            (self.reading - sign * self._shown(fit.rotation, fit.delay, calibration)) * self._weight
-        ).ravel()
+        shown = self._shown(fit.rotation, fit.delay, _calibration(chosen, fit.p[4:]))
+        left = ((self.reading - sign * shown) * self._weight).ravel()
         basis, _ = np.linalg.qr(fit.jacobian)
         gains, sizes = {}, {}
         for candidate in ((i, j) for i in range(6) for j in range(6)):
             if candidate in chosen:
                 continue
-            column = (
-                sign
-                * self._shown(fit.rotation, fit.delay, _calibration([candidate], [1.0]) - np.eye(6))
-                * self._weight
-            ).ravel()
+            unit = _calibration([candidate], [1.0]) - np.eye(6)
+            column = sign * self._shown(fit.rotation, fit.delay, unit) * self._weight
+            column = column.ravel()
             own = column - basis @ (basis.T @ column)
             square = float(own @ own)
             independent = square > 1e-9 * float(column @ column)
@@ -279,16 +273,12 @@ class _Data:
         most = max(gains.values())
         equal = [c for c in gains if gains[c] >= TIE * most]
         least = min((sizes[c] for c in equal if c in sizes), default=0.0)
-        return sorted(
-            equal,
-            key=lambda c: (
-                sizes.get(c, 0.0) > FAR * least,
-                c[0] != c[1],
-                c[0] > 2,
-                c[1] > 2,
-                -gains[c],
-            ),
-        )
+
+        def order(c: Element) -> tuple[bool, bool, bool, bool, float]:
+            far = sizes.get(c, 0.0) > FAR * least
+            return far, c[0] != c[1], c[0] > 2, c[1] > 2, -gains[c]
+
+        return sorted(equal, key=order)
 
     def rms(self, fit: _Fit) -> Array:
         """(6,) rms of the residual of each channel."""
@@ -296,29 +286,24 @@ class _Data:
         return np.sqrt(fit.square / (6.0 * rows - columns)) / self._weight
 
     def _wrench(self, delay: float) -> Array:
-        return np.concatenate(
-            [_centred(expected.at(ticks, delay)) for expected, ticks, _ in self._parts]
-        )
+        parts = [_centred(expected.at(ticks, delay)) for expected, ticks, _ in self._parts]
+        return np.concatenate(parts)
 
     def _at_sensor(self, wrench: Array) -> Array:
         """The wrench in P's axes, at the sensor's origin."""
-        return np.concatenate(
-            [wrench[:, :3], wrench[:, 3:] - np.cross(self._position, wrench[:, :3])], axis=1
-        )
+        force = wrench[:, :3]
+        return np.hstack([force, wrench[:, 3:] - np.cross(self._position, force)])
 
     def _shown(self, rotation: Array, delay: float, calibration: Array) -> Array:
         wrench = self._wrench(delay)
         if self.given is None:
             return _turned(self._at_sensor(wrench @ calibration.T), rotation)
-        return _turned(
-            self._at_sensor(_turned(wrench, rotation @ self.given.T) @ calibration.T), self.given
-        )
+        wrench = _turned(wrench, rotation @ self.given.T) @ calibration.T
+        return _turned(self._at_sensor(wrench), self.given)
 
 
 def _calibration(chosen: Sequence[Element], values: Sequence[float] | Array) -> Array:
-    """(6, 6) calibration matrix from the wrench to the reading, with ``values`` for the ``chosen``
-    (source, axis).
-    """
+    """(6, 6) matrix from wrench to reading, with ``values`` for the ``chosen`` (source, axis)."""
     out = np.eye(6)
     for (i, j), value in zip(chosen, values, strict=True):
         out[j, i] += value
@@ -327,7 +312,7 @@ def _calibration(chosen: Sequence[Element], values: Sequence[float] | Array) -> 
 
 def _turned(wrench: Array, rotation: Array) -> Array:
     """(N, 6) a wrench expressed in the axes of a frame with the given rotation matrix."""
-    return np.concatenate([wrench[:, :3] @ rotation, wrench[:, 3:] @ rotation], axis=1)
+    return np.hstack([wrench[:, :3] @ rotation, wrench[:, 3:] @ rotation])
 
 
 def _centred(values: Array) -> Array:
@@ -353,6 +338,4 @@ def _turn(vector: Array) -> Array:
 
 def _quaternion(rotation: Array) -> Array:
     """Quaternion (4,) of a rotation matrix."""
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_matrix(rotation).as_quat()

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.config.piecewise import Pairs
-from hiltestbed.contact.effects.learned import ContactMap
-from hiltestbed.diagnosis.learned.curves import Block
-from hiltestbed.diagnosis.learned.selection import Choices
+from hiltestbed.contact.effects.law import ContactMap
+from hiltestbed.diagnosis.learned.selection import Block, Choices
 from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual
@@ -21,8 +20,7 @@ from hiltestbed.diagnosis.settings import REACHES_TRIED
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
 from hiltestbed.platform.effects.learned import LearnedResponse
-from hiltestbed.sensor.effects.calibration import WRENCH_AXES
-from hiltestbed.sensor.effects.learned import SensorMap
+from hiltestbed.sensor.effects import WRENCH_AXES, SensorMap
 
 # chosen: knots of a curve at most; of a slider's curve while its reach is sought
 FINE_KNOTS, COARSE_KNOTS = 17, 9

@@ -18,7 +18,7 @@ from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import MIN_EXPLAINED
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
-from hiltestbed.sensor.effects.calibration import WRENCH_AXES
+from hiltestbed.sensor.effects import WRENCH_AXES
 
 MAX_SAMPLES = 3000  # chosen: drawn under a curve
 DIGITS = 6  # significant, of the numbers in a scenario

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.diagnosis.heldout import mean_square, resampled
-from hiltestbed.diagnosis.learned.curves import roughness
 from hiltestbed.diagnosis.learned.families import (
     COARSE_KNOTS,
     FINE_KNOTS,
@@ -26,6 +25,7 @@ from hiltestbed.diagnosis.learned.selection import (
     Normal,
     Selected,
     normal_equations,
+    roughness,
     select,
     shape,
     solve,

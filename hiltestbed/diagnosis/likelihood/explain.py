@@ -21,8 +21,7 @@ from hiltestbed.inference.conclude import Conclusion, conclude
 from hiltestbed.inference.likelihood import Fit, Likelihood, independent
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.inference.search import search
-from hiltestbed.sensor.effects.additions import SensorHum
-from hiltestbed.sensor.effects.delay import SensorJitter
+from hiltestbed.sensor.effects import SensorHum, SensorJitter
 
 Progress = Callable[[str], None]
 JITTERS = (0.3, 1.0, 3.0)  # [rows] from which a jitter is sought

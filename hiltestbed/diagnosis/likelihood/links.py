@@ -16,7 +16,8 @@ from hiltestbed.measured import MeasuredRun, Record
 from hiltestbed.replay.compensation import needs
 from hiltestbed.signals import GROUPS
 
-# of the noise: what lies between two rows has its own, and half of that of each beside
+# of the variance of the noise: what lies between two rows has its own, and a quarter of that of
+# each of the two beside
 LOST_NOISE = 1.5
 FORGOTTEN = 0.01  # of the variance of a reading, below which a compensation has forgotten it
 STEP_SIGMA = 1.0 / math.sqrt(12.0)  # of a step, standard deviation of the error by rounding to it

@@ -29,7 +29,7 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Fit
 from hiltestbed.inference.model import Hypothesis, Model
-from hiltestbed.sensor.effects.delay import SensorDelay, SensorJitter
+from hiltestbed.sensor.effects import SensorDelay, SensorJitter
 
 SLOW_SHAPES = 3  # degree of the polynomials by which a model's error varies along a contact
 TIME_ERROR = 0.05  # [rows] error in time of an integration in steps
@@ -52,9 +52,9 @@ COLOUR_ORDER = 16  # of the filter that makes noise white
 # another colour: a neighbour correlation of 0.9 and as much white noise have 1.4
 COLOURED_LEVEL = 2.0
 OUTSIDE, INSIDE = "outside", "in"
-# the same of a sample in a fit, of those that exceed as many rms: one normal one in 5e8
-CLIPPED = 6.0
 OUTLYING = 4.0  # robust standard deviations at which a sample is clipped: one normal one in 16,000
+# the same of a sample in a fit, in rms: one normal one in 5e8
+CLIPPED = 6.0
 # probability with which white noise exceeds a limit: of some 50 limits of a set one in 3000 sets
 ALLOWED = 7e-6
 

@@ -40,14 +40,8 @@ class Discriminator:
 
 def springs_for_delay(f: Facts) -> Plan:
     low, high = f.new_springs()
-    late = max(
-        f.estimate(
-            "sensor.delay",
-            "delay",
-            f.estimate("log.skew", "delay", f.estimate("platform.delay", "delay", f.tick)),
-        ),
-        1e-5,
-    )
+    late = f.estimate("sensor.delay delay", "log.skew delay", "platform.delay delay", other=f.tick)
+    late = max(late, 1e-5)
     text = (
         f"Run the same approach ({f.fast:g} m/s) on two other known springs, k = {low:g} and "
         f"{high:g} N/m, damper unchanged. A delay of {1e3 * late:.3g} ms changes the apparent "
@@ -59,7 +53,7 @@ def springs_for_delay(f: Facts) -> Plan:
 
 
 def fast_contact_for_lag(f: Facts) -> Plan:
-    tau = f.estimate("sensor.lag", "time_constant", f.estimate("sensor.delay", "delay", f.tick))
+    tau = f.estimate("sensor.lag time_constant", "sensor.delay delay", other=f.tick)
     stiff = rounded(f.mass * (LAG_PHASE / tau) ** 2)
     light = rounded(f.stiffness * (tau / LAG_PHASE) ** 2)
     speed = rounded(min(f.fast, f.peak / math.sqrt(stiff * f.mass)))
@@ -76,7 +70,7 @@ def fast_contact_for_lag(f: Facts) -> Plan:
 
 def known_weight(f: Facts) -> Plan:
     load = rounded(f.peak)
-    factor = f.estimate("sensor.gain", "factor", 1.05)
+    factor = f.estimate("sensor.gain factor", other=1.05)
     text = (
         f"Set a known weight of {load:g} N ({load / 9.81:.2g} kg) on the sensor, no contact: a "
         f"scale error of {factor:.4g} reads {load * factor:.4g} N, a different spring reads "
@@ -108,7 +102,7 @@ def both_ways_sideways(f: Facts) -> Plan:
 
 
 def rebound(f: Facts) -> Plan:
-    late = f.estimate("log.skew", "delay", f.estimate("sensor.delay", "delay", f.tick))
+    late = f.estimate("log.skew delay", "sensor.delay delay", other=f.tick)
     factor = math.exp(0.5 * math.pi * f.frequency * late)
     stiff = rounded(4 * f.stiffness)
     record = (
@@ -127,7 +121,7 @@ def rebound(f: Facts) -> Plan:
 
 
 def repeated_edges(f: Facts) -> Plan:
-    late = f.estimate("sensor.jitter", "sigma", f.estimate("sensor.delay", "delay", f.tick))
+    late = f.estimate("sensor.jitter sigma", "sensor.delay delay", other=f.tick)
     text = (
         "Tap the sensor with a hammer 100 times and log the tap by a second sensor on the same "
         f"clock at {1 / f.tick:g} Hz. The edge of wrench_meas follows that of the tap: with jitter "
@@ -167,7 +161,7 @@ def cycles(f: Facts) -> Plan:
 
 def springs_for_frame(f: Facts) -> Plan:
     low, high = f.new_springs()
-    frame = f.estimate("frame.compliance", "stiffness", 20.0 * f.stiffness)
+    frame = f.estimate("frame.compliance stiffness", other=20.0 * f.stiffness)
     text = (
         f"Run known springs of k = {low:g} and {high:g} N/m. A frame of {frame:.3g} N/m in series "
         f"takes {100 * low / (low + frame):.2g} % off the one and "
@@ -180,11 +174,8 @@ def springs_for_frame(f: Facts) -> Plan:
 
 def touch_detector(f: Facts) -> Plan:
     low, high = f.new_springs()
-    offset = f.estimate(
-        "contact.touch_offset",
-        "offset",
-        f.estimate("contact.preload", "force", 0.02 * f.peak) / f.stiffness,
-    )
+    preload = f.estimate("contact.preload force", other=0.02 * f.peak)
+    offset = f.estimate("contact.touch_offset offset", other=preload / f.stiffness)
     text = (
         "Detect the touch by itself: an electrical contact across the ports, read at "
         f"{1 / f.tick:g} Hz, at {f.slow:g} m/s. An offset of {1e3 * offset:.3g} mm moves the "
@@ -196,9 +187,8 @@ def touch_detector(f: Facts) -> Plan:
 
 
 def press_and_hold(f: Facts) -> Plan:
-    time = f.estimate(
-        "contact.relaxation", "time_constant", f.estimate("sensor.highpass", "time_constant", 0.5)
-    )
+    kinds = "contact.relaxation time_constant", "sensor.highpass time_constant"
+    time = f.estimate(*kinds, other=0.5)
     text = (
         f"Press to {1e3 * f.depth:.2g} mm and hold the pose for {rounded(5 * time):g} s, then hold "
         f"a dead weight of {rounded(0.5 * f.peak):g} N on the sensor as long. A relaxing contact "
@@ -222,12 +212,8 @@ def long_free(f: Facts) -> Plan:
 
 
 def weights_ladder(f: Facts) -> Plan:
-    width = max(
-        f.estimate("sensor.deadzone", "width", 0.0),
-        f.estimate("loop.deadzone", "width", 0.0),
-        4 * f.noise,
-    )
-    limit = f.estimate("sensor.saturation", "limit", f.peak)
+    width = f.largest("sensor.deadzone width", "loop.deadzone width", least=4 * f.noise)
+    limit = f.estimate("sensor.saturation limit", other=f.peak)
     loads = ", ".join(
         f"{rounded(w):g}"
         for w in sorted(
@@ -282,11 +268,7 @@ def beyond_the_data(f: Facts) -> Plan:
 
 
 def travel_in_air(f: Facts) -> Plan:
-    width = max(
-        f.estimate("platform.backlash", "width", 0.0),
-        f.estimate("contact.backlash", "width", 0.0),
-        5e-5,
-    )
+    width = f.largest("platform.backlash width", "contact.backlash width", least=5e-5)
     text = (
         f"Move the platform in air, ports apart, along {f.axis} in slow triangles of "
         f"{1e3 * rounded(20 * width):g} mm and compare pose_act "
@@ -352,7 +334,7 @@ def model_alone(f: Facts) -> Plan:
 
 def air_sweep(f: Facts) -> Plan:
     top = min(0.2 / f.tick, 100.0)
-    late = f.estimate("platform.delay", "delay", 2 * f.tick)
+    late = f.estimate("platform.delay delay", other=2 * f.tick)
     text = (
         f"Sweep the platform in air, no contact: {f.axis} amplitude {1e3 * f.stroke:g} mm from 0.5 "
         f"to {rounded(top):g} Hz in 60 s, and read pose_act over pose_cmd. A pure delay of "
@@ -364,11 +346,7 @@ def air_sweep(f: Facts) -> Plan:
 
 
 def reversals(f: Facts) -> Plan:
-    width = max(
-        f.estimate("platform.backlash", "width", 0.0),
-        f.estimate("platform.friction", "stick", 0.0),
-        5e-5,
-    )
+    width = f.largest("platform.backlash width", "platform.friction stick", least=5e-5)
     text = (
         f"Move the platform in air in slow triangles of {1e3 * rounded(20 * width):g} mm at "
         f"{rounded(20 * width):g} m/s and read pose_act over pose_cmd. Play holds the pose for "
@@ -400,7 +378,7 @@ def off_centre(f: Facts) -> Plan:
 
 
 def long_after(f: Facts) -> Plan:
-    tone = f.estimate("dynamics.appendage", "frequency", 0.3)
+    tone = f.estimate("dynamics.appendage frequency", other=0.3)
     text = (
         f"Record {rounded(max(4 / tone, 2.0)):g} s of free flight after the contact. An appendage "
         f"on a spring makes pose_cmd oscillate at about {tone:.2g} Hz without a force; a force "
@@ -447,37 +425,34 @@ def rule(first: str, second: str, plan: Callable[[Facts], Plan]) -> Discriminato
     return Discriminator(frozenset(first.split()), frozenset(second.split()), plan)
 
 
+def among(effects: str, plan: Callable[[Facts], Plan], others: str = "") -> Discriminator:
+    """The rule for any two of ``effects``, and for one of these and one of the ``others``."""
+    return rule(effects, f"{effects} {others}", plan)
+
+
 _LATE = (
     "sensor.delay sensor.lag platform.delay platform.lag dynamics.step_delay dynamics.integrator"
 )
 _LOSS = "contact.damping contact.hunt_crossley contact.dry_friction"
 _TOUCH = "contact.touch_offset contact.preload"
-_NO_RING = "sensor.highpass sensor.hum sensor.lag sensor.delay"
+_SOFT = "contact.stiffness contact.power_law contact.relaxation"
 _CURVED = "contact.power_law contact.hard_stop"
-_PLAY = "platform.backlash platform.friction"
-_RESPONSE = "platform.delay platform.lag platform.mode platform.speed_limit"
+_DRIVEN = "platform.lag platform.delay platform.mode"
 _TOUCHING = (
     "contact.misalignment contact.surface_friction frame.compliance "
     "contact.stiffness contact.damping"
 )
+_LATCHED = "contact.touch_offset contact.backlash"
 
 RULES = (
     rule("log.skew", "sensor.delay sensor.lag sensor.jitter dynamics.step_delay", rebound),
     rule("sensor.lag", "sensor.delay", fast_contact_for_lag),
     rule("sensor.jitter", "sensor.delay sensor.lag", repeated_edges),
     rule("contact.damping", f"{_LATE} log.skew", springs_for_delay),
-    rule(
-        "sensor.gain",
-        "contact.stiffness contact.damping contact.power_law frame.compliance contact.relaxation",
-        known_weight,
-    ),
-    rule(_TOUCH, _TOUCH, touch_detector),
+    rule("sensor.gain", f"{_SOFT} contact.damping frame.compliance", known_weight),
+    among(_TOUCH, touch_detector),
     rule("contact.touch_offset", "frame.compliance contact.dry_friction", touch_detector),
-    rule(
-        "frame.compliance",
-        "contact.stiffness contact.power_law contact.relaxation contact.preload",
-        springs_for_frame,
-    ),
+    rule("frame.compliance", f"{_SOFT} contact.preload", springs_for_frame),
     rule(
         "contact.surface_friction",
         "sensor.crosstalk contact.misalignment sensor.bias",
@@ -491,64 +466,39 @@ RULES = (
     ),
     rule(
         "contact.relaxation",
-        f"contact.stiffness sensor.highpass {_LOSS} sensor.lag",
+        f"contact.stiffness sensor.highpass sensor.lag {_LOSS}",
         press_and_hold,
     ),
     rule("contact.adhesion", f"sensor.highpass sensor.bias {_LOSS}", slow_parting),
     rule(
         "sensor.deadzone",
-        "loop.deadzone contact.touch_offset contact.backlash contact.preload contact.power_law",
+        f"loop.deadzone contact.power_law contact.preload {_LATCHED}",
         weights_ladder,
     ),
-    rule(
-        "sensor.map",
-        "sensor.gain sensor.saturation sensor.deadzone contact.power_law contact.hard_stop",
-        weights_ladder,
-    ),
-    rule(
-        "sensor.saturation",
-        "contact.hard_stop contact.power_law contact.stiffness sensor.gain",
-        weights_ladder,
-    ),
-    rule(
-        "sensor.bias sensor.drift sensor.hum sensor.highpass",
-        "sensor.bias sensor.drift sensor.hum sensor.highpass",
-        long_free,
-    ),
+    rule("sensor.map", f"sensor.gain sensor.saturation sensor.deadzone {_CURVED}", weights_ladder),
+    rule("sensor.saturation", f"{_CURVED} contact.stiffness sensor.gain", weights_ladder),
+    among("sensor.bias sensor.drift sensor.hum sensor.highpass", long_free),
     rule(
         "frame.mode",
-        f"platform.mode frame.compliance contact.adhesion contact.damping {_NO_RING}",
+        "platform.mode frame.compliance contact.adhesion contact.damping sensor.highpass "
+        "sensor.hum sensor.lag sensor.delay",
         tap,
     ),
-    rule(f"{_LOSS} contact.preload", f"{_LOSS} contact.preload", speed_ladder),
-    rule(_CURVED, f"{_CURVED} {_TOUCH} contact.stiffness", speed_ladder),
+    among(f"{_LOSS} contact.preload", speed_ladder),
+    among(_CURVED, speed_ladder, f"{_TOUCH} contact.stiffness"),
     rule("contact.map", f"{_CURVED} contact.damping contact.dry_friction", beyond_the_data),
-    rule(
-        "contact.touch_offset contact.backlash", "platform.scale platform.backlash", travel_in_air
+    rule(_LATCHED, "platform.scale platform.backlash", travel_in_air),
+    rule("platform.drive", f"{_DRIVEN} platform.backlash platform.friction", sweeps_of_a_drive),
+    rule("platform.response", _DRIVEN, wider_sweep),
+    among(
+        "platform.backlash platform.friction",
+        reversals,
+        "platform.scale platform.delay platform.lag",
     ),
-    rule(
-        "platform.drive",
-        "platform.lag platform.backlash platform.friction platform.mode platform.delay",
-        sweeps_of_a_drive,
-    ),
-    rule("platform.response", "platform.lag platform.delay platform.mode", wider_sweep),
-    rule(_PLAY, f"{_PLAY} platform.scale platform.delay platform.lag", reversals),
-    rule(_RESPONSE, f"{_RESPONSE} platform.scale", air_sweep),
-    rule(
-        "dynamics.appendage dynamics.force",
-        "dynamics.appendage dynamics.force dynamics.mass",
-        long_after,
-    ),
-    rule(
-        "dynamics.inertia dynamics.port_offset",
-        "dynamics.inertia dynamics.port_offset dynamics.mass",
-        off_centre,
-    ),
-    rule(
-        "dynamics.integrator dynamics.step_delay",
-        "dynamics.integrator dynamics.step_delay dynamics.mass",
-        other_rate,
-    ),
+    among(f"{_DRIVEN} platform.speed_limit", air_sweep, "platform.scale"),
+    among("dynamics.appendage dynamics.force", long_after, "dynamics.mass"),
+    among("dynamics.inertia dynamics.port_offset", off_centre, "dynamics.mass"),
+    among("dynamics.integrator dynamics.step_delay", other_rate, "dynamics.mass"),
 )
 
 # where no rule applies and two effects act on different links: the link that can be tested by

@@ -50,10 +50,20 @@ class Facts:
     lacking: frozenset[str] = frozenset()
     estimates: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
-    def estimate(self, effect: str, parameter: str, otherwise: float) -> float:
-        """Magnitude of an estimate; `otherwise` where that effect has none, or is zero."""
+    def estimate(self, *names: str, other: float) -> float:
+        """Magnitude of the first parameter, by `effect parameter`, whose estimate is there and not
+        zero; `other` where there is none.
+        """
+        return next((v for v in map(self._size, names) if v), other)
+
+    def largest(self, *names: str, least: float) -> float:
+        """The largest magnitude of some parameters' estimates, not below `least`."""
+        return max(*map(self._size, names), least)
+
+    def _size(self, name: str) -> float:
+        effect, parameter = name.split()
         value = self.estimates.get(effect, {}).get(parameter)
-        return abs(float(value)) if isinstance(value, (int, float)) and value else otherwise
+        return abs(float(value)) if isinstance(value, (int, float)) else 0.0
 
     def log(self, channel: str) -> str:
         """Words that ask for a channel, where it was not recorded."""

@@ -23,7 +23,7 @@ from hiltestbed.diagnosis.report.sentence import (
     rivals_of,
     verdict_sentence,
 )
-from hiltestbed.diagnosis.result import Cause, Figures, Finding, Isolable
+from hiltestbed.diagnosis.result import Cause, Figures, Finding, Heldout, Isolable
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.report.page import Report
 
@@ -67,14 +67,8 @@ def _summary(d: Conclusion) -> str:
             f"is{f', on average over {runs} runs,' if runs > 1 else ''}"
         )
         text = f"{mean} {measured:.4f} measured and {nominal:.4f} simulated"
-        parts.append(
-            text
-            + (
-                f", {extended:.4f} with the extended model."
-                if d.finding.extends and extended is not None
-                else "."
-            )
-        )
+        shown = d.finding.extends and extended is not None
+        parts.append(text + (f", {extended:.4f} with the extended model." if shown else "."))
     if d.next_experiment:
         parts.append(
             "What remains open, and the run that would settle it, is under Next experiment."
@@ -117,25 +111,12 @@ def _cause_table(report: Report, causes: Sequence[Cause], title: str, rivals: bo
     report.heading(title)
     for cause in causes:
         report.text(f"{cause.effect}: {meaning(cause.effect)} {EFFECTS[cause.effect].equation}")
-    rows = [
-        (
-            c.effect,
-            name,
-            in_words(p),
-            f"{c.probability:.2f}",
-            ", ".join(rivals_of(c)) or "nothing else",
-        )
-        for c in causes
-        for name, p in (c.parameters or {"": None}).items()
-        for p in ([p] if p is not None else [])
-    ]
-    header = (
-        "effect",
-        "parameter",
-        "estimate (95 % interval)",
-        "probability",
-        "indistinguishable from",
-    )
+    rows = []
+    for c in causes:
+        among = f"{c.probability:.2f}", ", ".join(rivals_of(c)) or "nothing else"
+        rows += [(c.effect, name, in_words(p), *among) for name, p in c.parameters.items()]
+    header = ("effect", "parameter", "estimate (95 % interval)")
+    header = (*header, "probability", "indistinguishable from")
     if rows:
         shown = len(header) if rivals else 3
         report.table(header[:shown], [row[:shown] for row in rows])
@@ -195,41 +176,28 @@ def _ranking(report: Report, d: Conclusion) -> None:
             f"Link {LINK_NAMES.get(link, link) or d.link}: shorter is better; within a few units "
             f"of the best they cannot be told apart.",
         )
-        rows = [
-            (
-                " + ".join(r.effects),
-                r.parameters,
-                f"{r.score - min(x.score for x in mine):.3g}",
-                _number(r.heldout),
-                _yes(r.adequate),
-            )
-            for r in mine
-        ]
-        report.table(
-            ("hypothesis", "parameters", "worse by", "left-out rms / noise", "leaves only noise"),
-            rows,
-        )
+        best, rows = min(x.score for x in mine), []
+        for r in mine:
+            worse = f"{r.score - best:.3g}", _number(r.heldout), _yes(r.adequate)
+            rows.append((" + ".join(r.effects), r.parameters, *worse))
+        header = ("hypothesis", "parameters", "worse by", "left-out rms / noise")
+        report.table((*header, "leaves only noise"), rows)
 
 
 def _gain(report: Report, d: Conclusion) -> None:
     report.heading("Gain")
     report.text(gain_sentence(d.heldout, d.finding.names))
+
+    def bars(gain: Heldout, caption: str) -> None:
+        report.figure(pictures.heldout_bars(gain, d.dataset.names), caption)
+
     if d.finding.learned is not None:
-        report.figure(
-            pictures.heldout_bars(d.finding.learned.heldout, d.dataset.names),
-            "The learned law on runs that were left out of its fit.",
-        )
+        bars(d.finding.learned.heldout, "The learned law on runs that were left out of its fit.")
     if d.finding.partial_gain is not None:
         report.text(partial_sentence(d.finding.partial, d.finding.partial_gain))
-        report.figure(
-            pictures.heldout_bars(d.finding.partial_gain, d.dataset.names),
-            "The best explanation on runs that were left out of its fit.",
-        )
+        bars(d.finding.partial_gain, "The best explanation on runs that were left out of its fit.")
     if d.heldout is not None and d.heldout.per_run:
-        report.figure(
-            pictures.heldout_bars(d.heldout, d.dataset.names),
-            "Residual of the departing link on runs that were left out of the fit.",
-        )
+        bars(d.heldout, "Residual of the departing link on runs that were left out of the fit.")
     figure = pictures.closed_loop_figures(d.closed_loop, d.finding.extends)
     if figure is None:
         return
@@ -244,17 +212,10 @@ def _gain(report: Report, d: Conclusion) -> None:
         rows = []
         for i, run in enumerate(d.closed_loop.runs):
             figures: list[Figures] = [getattr(d.closed_loop, source)[i] for source in sources]
-            rows.append(
-                [
-                    d.dataset.names[run],
-                    *(_number(getattr(f, name), 5) for name in pair for f in figures),
-                ]
-            )
-        report.table(
-            ["run", *(f"{names[name]} {source}" for name in pair for source in sources)],
-            rows,
-            caption,
-        )
+            values = (_number(getattr(f, name), 5) for name in pair for f in figures)
+            rows.append([d.dataset.names[run], *values])
+        header = ["run", *(f"{names[name]} {source}" for name in pair for source in sources)]
+        report.table(header, rows, caption)
 
 
 def _next(report: Report, d: Conclusion) -> None:
@@ -280,11 +241,8 @@ def _isolability(report: Report, finding: Finding) -> None:
         report.text(f"No sizes can be stated for the effects of the {link}: {why}.")
     if not table:
         return
-    rows = [
-        (i.effect, i.parameter, _size(i),
-         ", ".join(i.confused_with) or "none")
-        for i in sorted(table, key=lambda i: (i.effect.partition(".")[0], i.effect))
-    ]  # fmt: skip
+    table = sorted(table, key=lambda i: (i.effect.partition(".")[0], i.effect))
+    rows = [(i.effect, i.parameter, _size(i), ", ".join(i.confused_with) or "none") for i in table]
     report.table(
         ("effect", "parameter", "size that is detected", "look-alikes at that size"),
         rows,
@@ -301,33 +259,13 @@ def _channels(report: Report, d: Conclusion) -> None:
     report.figure(
         pictures.channels_overview(d.residuals), "Residual of each channel, in units of its noise."
     )
-    rows = [
-        (
-            r.channel,
-            r.unit,
-            _number(r.noise_floor),
-            _number(r.rms),
-            _number(r.rms_free),
-            _number(r.rms_contact),
-            _number(r.rms_after),
-            _yes(r.white),
-            _number(r.rms_extended),
-            _yes(r.white_extended),
-        )
-        for r in d.residuals
-    ]
-    header = (
-        "channel",
-        "unit",
-        "noise",
-        "rms",
-        "before touch",
-        "in contact",
-        "after",
-        "only noise",
-        "rms extended",
-        "only noise",
-    )
+    rows = []
+    for r in d.residuals:
+        sizes = r.noise_floor, r.rms, r.rms_free, r.rms_contact, r.rms_after
+        extended = _yes(r.white), _number(r.rms_extended), _yes(r.white_extended)
+        rows.append((r.channel, r.unit, *map(_number, sizes), *extended))
+    header = ("channel", "unit", "noise", "rms", "before touch", "in contact", "after")
+    header = (*header, "only noise", "rms extended", "only noise")
     report.table(
         header,
         rows,
@@ -343,16 +281,9 @@ def _data(report: Report, d: Conclusion) -> None:
         contacts = run.survey.contacts
         peak = max((abs(c.peak_force or 0.0) for c in contacts), default=None)
         speed, spring = run.scenario.approach.velocity[2], run.scenario.mechanism.contact.stiffness
-        cells = (
-            run.name,
-            run.record.ticks,
-            f"{run.record.sample_rate:.6g}",
-            f"{speed:.3g}",
-            f"{spring:.4g}",
-            len(contacts),
-            _number(peak),
-        )
-        rows.append(cells)
+        rate = f"{run.record.sample_rate:.6g}"
+        way = f"{speed:.3g}", f"{spring:.4g}", len(contacts), _number(peak)
+        rows.append((run.name, run.record.ticks, rate, *way))
     report.table(
         ("run", "ticks", "samples [Hz]", "speed [m/s]", "spring [N/m]", "contacts", "peak [N]"),
         rows,
@@ -391,10 +322,6 @@ def _size(i: Isolable) -> str:
 
 
 def _yaml(value: object) -> str:
-    return (
-        "[" + ", ".join(f"{v:g}" for v in value) + "]"
-        if isinstance(value, (list, tuple))
-        else f"{value:g}"
-        if isinstance(value, float)
-        else str(value)
-    )
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(f"{v:g}" for v in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -20,6 +20,7 @@ from hiltestbed.diagnosis.result import (
     Series,
 )
 from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset
 from hiltestbed.report.page import new_figure
 
@@ -73,9 +74,7 @@ def residuals_over_time(series: Sequence[Series], compared: str, names: Sequence
                 s.t, in_sigma(s, True), color=EXTENDED, lw=0.9, label=f"measured less {compared}"
             )
         axes.set_ylabel(f"{channel}\n{names[run]} [sigma]")
-    grid[0, 0].legend(
-        loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=2, frameon=False
-    )
+    _legend(grid[0, 0], above=2)
     grid[-1, 0].set_xlabel("time [s]")
     return figure
 
@@ -113,38 +112,32 @@ def plot_channel(
 
         _, axes = plt.subplots(figsize=(9.0, 3.2), layout="constrained")
     pose = channel.startswith("pose")
-    rows, less, factor = (
-        _around_contact(s),
-        s.nominal if pose else np.zeros(len(s.t)),
-        1e3 if pose else 1.0,
-    )
+    rows = _around_contact(s)
     _shade(axes, s)
-    axes.plot(
-        s.t[rows],
-        factor * (s.measured - less)[rows],
-        color=MEASURED,
-        lw=2.4,
-        alpha=0.35,
-        label="measured",
-    )
-    axes.plot(s.t[rows], factor * (s.nominal - less)[rows], color=NOMINAL, lw=1.2, label="nominal")
-    if compared:
-        axes.plot(
-            s.t[rows],
-            factor * (s.extended - less)[rows],
-            color=EXTENDED,
-            lw=1.2,
-            ls="--",
-            label=compared,
-        )
+    _lines(axes, s, s.t[rows], rows, compared, pose)
     axes.set_xlim(s.t[rows][0], s.t[rows][-1])
     unit = f"m{s.unit}" if pose else s.unit
     axes.set(
         xlabel="time [s]",
         ylabel=f"{channel}{', less nominal' if pose else ''}\n{names[s.run]} [{unit}]",
     )
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=3, frameon=False)
+    _legend(axes, above=3)
     return axes
+
+
+def _lines(
+    axes: Axes, s: Series, x: Array, rows: np.ndarray, compared: str, pose: bool = False
+) -> None:
+    """Measured, nominal and extended over ``x``; a pose relative to the nominal one, in mm."""
+    less, factor = (s.nominal, 1e3) if pose else (0.0, 1.0)
+    ways = [
+        ("measured", s.measured, {"color": MEASURED, "lw": 2.4, "alpha": 0.35}),
+        ("nominal", s.nominal, {"color": NOMINAL, "lw": 1.2}),
+        (compared, s.extended, {"color": EXTENDED, "lw": 1.2, "ls": "--"}),
+    ]
+    for label, values, style in ways:
+        if label:
+            axes.plot(x, (factor * (values - less))[rows], label=label, **style)
 
 
 def force_against_penetration(
@@ -170,10 +163,7 @@ def force_against_penetration(
         rows = np.flatnonzero(s.touching & np.isfinite(s.measured))
         late = round(run.scenario.sensor.delay * run.scenario.rate)
         x = 1e3 * run.record.filled("pose_act")[np.maximum(rows - late, 0), 2]
-        axes.plot(x, s.measured[rows], color=MEASURED, lw=2.6, alpha=0.35, label="measured")
-        axes.plot(x, s.nominal[rows], color=NOMINAL, lw=1.1, label="nominal")
-        if compared:
-            axes.plot(x, s.extended[rows], color=EXTENDED, lw=1.1, ls="--", label=compared)
+        _lines(axes, s, x, rows, compared)
         contact = run.scenario.mechanism.contact.stiffness
         speed = abs(run.scenario.approach.velocity[2])
         axes.set_title(
@@ -181,7 +171,7 @@ def force_against_penetration(
         )
         axes.set_xlabel("penetration [mm]")
     grid[0, 0].set_ylabel("force along z [N]")
-    grid[0, 0].legend(fontsize=8, frameon=False)
+    _legend(grid[0, 0])
     return figure
 
 
@@ -192,26 +182,19 @@ def channels_overview(residuals: Sequence[ChannelResidual]) -> Figure:
     place = np.arange(len(shown))[::-1]
     before = [max(r.rms / r.noise_floor, 1e-2) for r in shown]
     axes.plot(before, place, "o", color=NOMINAL, label="nominal")
-    after = [
-        (p, r.rms_extended / r.noise_floor)
+    after = {
+        p: max(r.rms_extended / r.noise_floor, 1e-2)
         for p, r in zip(place, shown, strict=True)
         if r.rms_extended is not None
-    ]
+    }
     if after:
-        axes.plot(
-            [max(v, 1e-2) for _, v in after],
-            [p for p, _ in after],
-            "D",
-            mfc="none",
-            color=EXTENDED,
-            label="extended",
-        )
+        axes.plot([*after.values()], [*after], "D", mfc="none", color=EXTENDED, label="extended")
     axes.axvline(1.0, color=FLOOR, lw=1)
     axes.set_xscale("log")
     axes.set_yticks(place, [r.channel for r in shown], fontsize=8)
     axes.set_xlabel("rms of the residual over the noise floor (1: only noise)")
     axes.grid(axis="x", alpha=0.3)
-    axes.legend(fontsize=8, frameon=False)
+    _legend(axes)
     return figure
 
 
@@ -223,12 +206,8 @@ def ranking_bars(ranking: Sequence[Ranked]) -> Figure:
     figure, axes = new_figure(9.0, 0.36 * len(shown) + 1.2)
     place = np.arange(len(shown))[::-1]
     worse = [r.score - shown[0].score for r in shown]
-    axes.barh(
-        place,
-        [w + 1.0 for w in worse],
-        color=[EXTENDED if i == 0 else "#b9c6d0" for i in range(len(shown))],
-        height=0.65,
-    )
+    colors = [EXTENDED, *["#b9c6d0"] * (len(shown) - 1)]
+    axes.barh(place, [w + 1.0 for w in worse], color=colors, height=0.65)
     axes.set_xscale("log")
     axes.set_yticks(place, [" + ".join(r.effects) or "nothing" for r in shown], fontsize=9)
     for p, w, r in zip(place, worse, shown, strict=True):
@@ -244,20 +223,14 @@ def heldout_bars(heldout: Heldout, names: Sequence[str]) -> Figure:
     runs = sorted(heldout.per_run)
     figure, axes = new_figure(9.0, 3.0)
     place = np.arange(len(runs))
-    axes.bar(
-        place - 0.2, [heldout.per_run[r][0] for r in runs], 0.38, color=NOMINAL, label="nominal"
-    )
-    axes.bar(
-        place + 0.2,
-        [heldout.per_run[r][1] for r in runs],
-        0.38,
-        color=EXTENDED,
-        label="extended, fitted to the other runs",
-    )
+    before, after = np.array([heldout.per_run[r] for r in runs]).reshape(-1, 2).T
+    axes.bar(place - 0.2, before, 0.38, color=NOMINAL, label="nominal")
+    label = "extended, fitted to the other runs"
+    axes.bar(place + 0.2, after, 0.38, color=EXTENDED, label=label)
     axes.axhline(1.0, color=FLOOR, lw=1)
     axes.set_xticks(place, [names[r] for r in runs], rotation=30 if len(runs) > 6 else 0)
     axes.set_ylabel("rms over noise floor")
-    axes.legend(fontsize=8, frameon=False)
+    _legend(axes)
     return figure
 
 
@@ -276,32 +249,17 @@ def learned_curves(learned: Learned) -> Figure:
         3.3 * len(learned.curves) + 0.6, 3.2, nrows=1, ncols=len(learned.curves), squeeze=False
     )
     for axes, curve in zip(grid[0], learned.curves, strict=True):
-        factor, unit = (
-            (1e3, f"m{curve.units[0]}") if curve.units[0].startswith("m") else (1.0, curve.units[0])
-        )
+        milli = curve.units[0].startswith("m")
+        factor, unit = (1e3, f"m{curve.units[0]}") if milli else (1.0, curve.units[0])
         if len(curve.data):
-            axes.plot(
-                factor * curve.data[:, 0],
-                curve.data[:, 1],
-                ".",
-                ms=1.5,
-                color=MEASURED,
-                alpha=0.3,
-                label="data",
-            )
-        axes.plot(
-            factor * curve.knots[:, 0],
-            curve.knots[:, 1],
-            "o-",
-            ms=4,
-            color=EXTENDED,
-            lw=1.4,
-            label="learned",
-        )
+            x, y = curve.data.T
+            axes.plot(factor * x, y, ".", ms=1.5, color=MEASURED, alpha=0.3, label="data")
+        x, y = curve.knots.T
+        axes.plot(factor * x, y, "o-", ms=4, color=EXTENDED, lw=1.4, label="learned")
         x, y = over.get(curve.over, (curve.over, learned.effect))
         axes.set(xlabel=f"{x} [{unit}]", ylabel=f"{y} [{curve.units[1]}]")
         axes.grid(alpha=0.3)
-    grid[0, 0].legend(fontsize=8, frameon=False)
+    _legend(grid[0, 0])
     return figure
 
 
@@ -313,34 +271,27 @@ def closed_loop_figures(loop: ClosedLoop, extends: bool) -> Figure | None:
     names = [name for name in labels if any(getattr(f, name) is not None for f in loop.measured)]
     if not names:
         return None
-    figure, axes_of = new_figure(4.5 * len(names), 3.2, nrows=1, ncols=len(names), squeeze=False)
-    grid = axes_of[0]
+    figure, grid = new_figure(4.5 * len(names), 3.2, nrows=1, ncols=len(names), squeeze=False)
     sources = [
         ("measured", loop.measured, "s", MEASURED, 9),
         ("nominal", loop.nominal, "o", NOMINAL, 6),
     ]
     sources += [("extended", loop.extended, "D", EXTENDED, 5)] if extends else []
-    for axes, name in zip(grid, names, strict=True):
+    for axes, name in zip(grid[0], names, strict=True):
         for source, rows, marker, color, size in sources:
-            known = [
-                (r, v)
-                for r, v in ((r, getattr(f, name)) for r, f in zip(loop.runs, rows, strict=True))
-                if v is not None
-            ]
+            values = [np.nan if v is None else v for v in (getattr(f, name) for f in rows)]
             fill = "none" if source == "measured" else color
-            axes.plot(
-                [r for r, _ in known],
-                [v for _, v in known],
-                marker,
-                ms=size,
-                mfc=fill,
-                color=color,
-                label=source,
-            )
+            axes.plot(loop.runs, values, marker, ms=size, mfc=fill, color=color, label=source)
         axes.set(xlabel="run", ylabel=labels[name], xticks=list(loop.runs))
         axes.grid(alpha=0.3)
-    grid[0].legend(fontsize=8, frameon=False)
+    _legend(grid[0, 0])
     return figure
+
+
+def _legend(axes: Axes, above: int = 0) -> None:
+    """``above``: columns of one above the axes; 0: within them."""
+    where = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": above} if above else {}
+    axes.legend(fontsize=8, frameon=False, **where)
 
 
 def _shade(axes: Axes, s: Series) -> None:
@@ -362,13 +313,5 @@ def _around_contact(s: Series) -> np.ndarray:
 def _spread(runs: Sequence[int], dataset: MeasuredDataset) -> list[int]:
     """At most MAX_SHOWN runs, from the slowest to the fastest."""
     ordered = sorted(runs, key=lambda i: abs(dataset.runs[i].scenario.approach.velocity[2]))
-    return (
-        [
-            ordered[j]
-            for j in np.unique(
-                np.linspace(0, len(ordered) - 1, min(MAX_SHOWN, len(ordered))).astype(int)
-            )
-        ]
-        if ordered
-        else []
-    )
+    places = np.linspace(0, len(ordered) - 1, min(MAX_SHOWN, len(ordered))).astype(int)
+    return [ordered[j] for j in np.unique(places)]

@@ -20,8 +20,7 @@ from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.viewer import colors
 from hiltestbed.viewer.blueprint import rig_view
-from hiltestbed.viewer.file import recording_file
-from hiltestbed.viewer.forces import force_scale, send_force
+from hiltestbed.viewer.drawing import force_scale, recording_file, send_force
 from hiltestbed.viewer.rig import CONTACT_FORCE, RigScene
 
 MEASURED, NOMINAL, EXTENDED = colors.MEASURED, colors.PHYSICAL, colors.USED

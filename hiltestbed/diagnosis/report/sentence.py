@@ -33,7 +33,9 @@ WHERE = {
 def verdict_sentence(diagnosis: Conclusion) -> str:
     """The verdict in one or two self-contained sentences."""
     finding = diagnosis.finding
-    where = WHERE.get(finding.link or "", "the loop")
+    where = _capital(WHERE.get(finding.link or "", "the loop"))
+    left = f" {_capital(finding.left).rstrip('.')}." if finding.left else ""
+    named = " and ".join(named_cause(c) for c in finding.causes)
     if finding.verdict == "no_discrepancy":
         text = (
             "The simulation explains these data: every link was judged, and the residual "
@@ -41,9 +43,8 @@ def verdict_sentence(diagnosis: Conclusion) -> str:
         )
         return " ".join([text, *(f"But {offset.sentence()}." for offset in finding.timing)])
     if finding.verdict == "inconclusive":
-        if not diagnosis.residuals:
-            text = "No link of the loop could be judged with these channels."
-        else:
+        text = "No link of the loop could be judged with these channels."
+        if diagnosis.residuals:
             text = (
                 "Nothing departs on the links that could be judged, but these are not "
                 "the whole loop."
@@ -52,34 +53,28 @@ def verdict_sentence(diagnosis: Conclusion) -> str:
             [text, *(f"Not judged: {link} ({why})." for link, why in finding.not_judged.items())]
         )
     if finding.verdict == "unknown":
-        left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
-        text = (
-            f"{where[0].upper()}{where[1:]} departs from its model, and no effect of the "
-            f"vocabulary leaves only noise.{left}"
-        )
-        named = " and ".join(named_cause(c) for c in finding.causes)
-        return text + (f" Elsewhere: {named}." if named else "")
+        text = f"{where} departs from its model, and no effect of the vocabulary leaves only noise."
+        return f"{text}{left}" + (f" Elsewhere: {named}." if named else "")
     if finding.verdict == "named_in_part":
-        named = " and ".join(named_cause(c) for c in finding.causes)
         share = (
             f", {100.0 * finding.explained:.0f} % of the departure on left-out runs,"
             if finding.explained
             else ""
         )
-        left = f" {finding.left[0].upper()}{finding.left[1:].rstrip('.')}." if finding.left else ""
-        text = (
-            f"{where[0].upper()}{where[1:]} departs from its model. In part{share} this is {named}"
-        )
+        text = f"{where} departs from its model. In part{share} this is {named}"
         return f"{text}; something else acts as well.{left}"
     parts = []
     for link in dict.fromkeys(_link(c) for c in finding.causes):
         found = " and ".join(named_cause(c) for c in finding.causes if _link(c) == link)
         parts.append(f"{WHERE.get(link, link)} departs from its model: {found}")
-    text = "; ".join(parts)
-    open_ = (
-        " These data cannot decide which of them it is." if finding.verdict == "ambiguous" else ""
-    )
-    return f"{text[0].upper()}{text[1:]}.{open_}"
+    text = f"{_capital('; '.join(parts))}."
+    if finding.verdict == "ambiguous":
+        text += " These data cannot decide which of them it is."
+    return text
+
+
+def _capital(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}"
 
 
 def _link(cause: Cause) -> str:

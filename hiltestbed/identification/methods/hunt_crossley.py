@@ -62,33 +62,21 @@ class HuntCrossleyFit:
         self.source = ContactSamples(scenarios)
         self._sums = np.zeros((n, 6, 9))
         self._deepest = np.zeros((n, 6))
-        self.exponent, self.coefficient, self.alpha = (
-            np.full((n, 6), np.nan),
-            np.full((n, 6), np.nan),
-            np.full((n, 6), np.nan),
-        )
-        self.stiffness, self.damping = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
+        self._found = np.full((5, n, 6), np.nan)
+        self.exponent, self.coefficient, self.alpha, self.stiffness, self.damping = self._found
         self.samples = np.zeros((n, 6))
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
         """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         self.source.take(wrench, pose, twist)
-        _fit(
-            self.source.ready,
-            self.source.sample,
-            self._sums,
-            self._deepest,
-            self.samples,
-            self.exponent,
-            self.coefficient,
-            self.alpha,
-            self.stiffness,
-            self.damping,
-        )
+        source = self.source
+        _fit(source.ready, source.sample, self._sums, self._deepest, self.samples, self._found)
 
 
 @njit(cache=True)
-def _fit(ready, sample, sums, deepest, samples, exponent, coefficient, alpha, stiffness, damping):
+def _fit(ready, sample, sums, deepest, samples, found):
+    exponent, coefficient, alpha = found[0], found[1], found[2]
+    stiffness, damping = found[3], found[4]
     for i in range(sample.shape[0]):
         if not ready[i]:
             continue

@@ -92,16 +92,12 @@ def _accumulate(ready, sample, lags, past, length, sums, samples, stiffness, dam
 def _solve(s, n, stiffness, damping, j):
     """Eliminate the intercept, then solve two equations for k and c."""
     one = s[2, 2]
-    xx, xv, xy = (
-        s[0, 0] - s[0, 2] * s[2, 0] / one,
-        s[0, 1] - s[0, 2] * s[2, 1] / one,
-        s[0, 3] - s[0, 2] * s[2, 3] / one,
-    )
-    vx, vv, vy = (
-        s[1, 0] - s[1, 2] * s[2, 0] / one,
-        s[1, 1] - s[1, 2] * s[2, 1] / one,
-        s[1, 3] - s[1, 2] * s[2, 3] / one,
-    )
+    xx = s[0, 0] - s[0, 2] * s[2, 0] / one
+    xv = s[0, 1] - s[0, 2] * s[2, 1] / one
+    xy = s[0, 3] - s[0, 2] * s[2, 3] / one
+    vx = s[1, 0] - s[1, 2] * s[2, 0] / one
+    vv = s[1, 1] - s[1, 2] * s[2, 1] / one
+    vy = s[1, 3] - s[1, 2] * s[2, 3] / one
     det = xx * vv - xv * vx
     if xx < n * MINIMUM_TRAVEL**2 or abs(det) <= 1e-10 * abs(xx * vv):
         return

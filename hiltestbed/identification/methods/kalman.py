@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
+from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative
 from hiltestbed.frames import Array
@@ -49,6 +50,17 @@ class KalmanIdentifier(Identifier):
         return AdaptiveKalman(scenarios)
 
 
+class _State(NamedTuple):
+    """The state of the filters, ``(n, 6, ...)``."""
+
+    state: Array
+    covariance: Array
+    noise: Array  # variance of the force
+    speed: Array  # that scales the columns; 0: not yet known
+    samples: Array
+    found: Array  # (4, n, 6) k, c and their standard deviations
+
+
 class AdaptiveKalman:
     """Estimates on six axes for ``n`` runs; attributes as in :class:`RecursiveLeastSquares`."""
 
@@ -56,12 +68,8 @@ class AdaptiveKalman:
         n = len(scenarios)
         self.source = ContactSamples(scenarios)
         self._wander = np.array([o.wander for o in identifier_of(scenarios, KalmanIdentifier)])
-        self._state = np.zeros((n, 6, 3))
-        self._covariance = np.tile(P0 * np.eye(3), (n, 6, 1, 1))
-        self._noise = np.zeros((n, 6))
-        self._speed = np.zeros((n, 6))
-        self.stiffness, self.damping = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
-        self.stiffness_sd, self.damping_sd = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
+        found = np.full((4, n, 6), np.nan)
+        self.stiffness, self.damping, self.stiffness_sd, self.damping_sd = found
         self.samples = np.zeros((n, 6))
         self._floor = np.array(
             [
@@ -69,43 +77,20 @@ class AdaptiveKalman:
                 for s in scenarios
             ]
         )
+        covariance, noise, speed = np.tile(P0 * np.eye(3), (n, 6, 1, 1)), *np.zeros((2, n, 6))
+        self._state = _State(np.zeros((n, 6, 3)), covariance, noise, speed, self.samples, found)
+        given = (self.source.ready, self.source.sample, self._wander, self._floor)
+        self._filter = bound(_filter, *given, self._state)
 
     def update(self, wrench: Array, pose: Array, twist: Array) -> None:
         """Process the measurements at t_k: wrench ``(n, 6)``, pose ``(n, 7)``, twist ``(n, 6)``."""
         self.source.take(wrench, pose, twist)
-        _filter(
-            self.source.ready,
-            self.source.sample,
-            self._wander,
-            self._floor,
-            self._state,
-            self._covariance,
-            self._noise,
-            self._speed,
-            self.samples,
-            self.stiffness,
-            self.damping,
-            self.stiffness_sd,
-            self.damping_sd,
-        )
+        self._filter()
 
 
 @njit(cache=True)
-def _filter(
-    ready,
-    sample,
-    wander,
-    floor,
-    state,
-    covariance,
-    noise,
-    speed,
-    samples,
-    stiffness,
-    damping,
-    stiffness_sd,
-    damping_sd,
-):
+def _filter(ready, sample, wander, floor, now):
+    state, covariance, noise, speed, samples, found = now
     phi, gain = np.empty(3), np.empty(3)
     for i in range(sample.shape[0]):
         if not ready[i]:
@@ -140,7 +125,8 @@ def _filter(
                 continue
             k, sd = theta[0] / (s * TIME_SCALE), math.sqrt(max(P[0, 0], 0.0)) / (s * TIME_SCALE)
             if k > 0.0 and sd < ACCEPTED * k:
-                stiffness[i, j], stiffness_sd[i, j] = k, sd
-                damping[i, j], damping_sd[i, j] = theta[1] / s, math.sqrt(max(P[1, 1], 0.0)) / s
+                found[0, i, j], found[1, i, j] = k, theta[1] / s
+                found[2, i, j], found[3, i, j] = sd, math.sqrt(max(P[1, 1], 0.0)) / s
             else:
-                stiffness[i, j] = damping[i, j] = stiffness_sd[i, j] = damping_sd[i, j] = np.nan
+                for q in range(4):
+                    found[q, i, j] = np.nan

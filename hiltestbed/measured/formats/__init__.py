@@ -27,9 +27,8 @@ def read_columns(path: Path, wanted: Set[str], given: DataFormat | None = None) 
     if not path.is_file():
         raise unreadable(path, "is not a file", "check the name in the dataset")
     if path.stat().st_size == 0:
-        raise unreadable(
-            path, "is empty (0 bytes)", "record the run again or take it out of the dataset"
-        )
+        do = "record the run again or take it out of the dataset"
+        raise unreadable(path, "is empty (0 bytes)", do)
     return read_apart(form, path, wanted) if form.apart else form.read(path, wanted)
 
 
@@ -40,9 +39,8 @@ def format_of(path: Path) -> DataFormat:
         if suffix in form.suffixes:
             return form.model_validate({"kind": kind})
     allowed = ", ".join(sorted(s for form in FORMATS.values() for s in form.suffixes))
-    raise unreadable(
-        path,
-        f"has a format that is not known (got suffix {path.suffix!r})",
+    do = (
         f"allowed: {allowed}; or name its format in the dataset, such as format: {{kind: text}} "
-        f"(one of {', '.join(FORMATS)})",
+        f"(one of {', '.join(FORMATS)})"
     )
+    raise unreadable(path, f"has a format that is not known (got suffix {path.suffix!r})", do)

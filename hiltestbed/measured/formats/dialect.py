@@ -123,9 +123,7 @@ def _line(text: str, delimiter: str, decimal: str) -> _Line:
 
 
 def _headers(table: Sequence[_Line], given: int | None) -> list[int]:
-    """The lines that may hold the names: without numbers and no row of units, or the first with a
-    number and text.
-    """
+    """The lines that may hold the names: without numbers, or the first with some and text."""
     if given is not None:
         return [given - 1] if given <= len(table) else []
     numbered = next((k for k, line in enumerate(table) if line.score), 0)

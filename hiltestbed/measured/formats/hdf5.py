@@ -33,9 +33,7 @@ class Hdf5(DataFormat):
 
 
 def read_datasets(path: Path, wanted: Set[str], rows: int) -> Columns:
-    """The columns ``wanted`` of the datasets in an HDF5 file, whose rows are usually along the axis
-    ``rows`` of two.
-    """
+    """The columns ``wanted`` of an HDF5 file; ``rows``: the axis that usually has them."""
     try:
         import h5py
     except ImportError as error:
@@ -46,9 +44,8 @@ def read_datasets(path: Path, wanted: Set[str], rows: int) -> Columns:
             _collect(arrays, "", file, ())
             return arrays.columns(path, wanted)
     except BROKEN as error:
-        raise unreadable(
-            path, f"is not a whole HDF5 file ({error})", "copy or record it again"
-        ) from error
+        what = f"is not a whole HDF5 file ({error})"
+        raise unreadable(path, what, "copy or record it again") from error
 
 
 def _collect(arrays: Arrays, name: str, item: Any, around: tuple[Any, ...]) -> None:

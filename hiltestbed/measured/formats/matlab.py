@@ -52,17 +52,13 @@ def _read_version_5(path: Path, wanted: Set[str]) -> Columns:
 
     try:
         variables = {name: shape for name, shape, _ in scipy.io.whosmat(path)}
-        needed = [
-            v
-            for v, shape in variables.items()
-            if shape == (1, 1) or any(is_under(n, v) for n in wanted)
-        ]
+        used = {v for v in variables if any(is_under(n, v) for n in wanted)}
+        needed = [v for v, shape in variables.items() if v in used or shape == (1, 1)]
         refuse_large(path, sum(int(np.prod(variables[v])) for v in needed), 1)
         content = scipy.io.loadmat(path, variable_names=needed, simplify_cells=True)
     except (MatReadError, *BROKEN) as error:
-        raise unreadable(
-            path, f"is not a whole MATLAB file ({error})", "save it again, with -v7 or -v7.3"
-        ) from error
+        what = f"is not a whole MATLAB file ({error})"
+        raise unreadable(path, what, "save it again, with -v7 or -v7.3") from error
     arrays = Arrays()
     for name in needed:
         _collect(name, content[name], arrays)

@@ -28,9 +28,7 @@ class Mdf(DataFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".mf4", ".mdf")
 
     def read(self, path: Path, wanted: Set[str]) -> Columns:
-        """The channels ``wanted``. Raises InputError, also for one that is in several groups;
-        MissingExtra.
-        """
+        """The channels ``wanted``. Raises InputError, also if in several groups; MissingExtra."""
         try:
             from asammdf import MDF
             from asammdf.blocks.utils import MdfException
@@ -47,18 +45,14 @@ class Mdf(DataFormat):
                 here = [name for name in names if any(is_under(w, name) for w in wanted)]
                 for name in here:
                     if len(places[name]) > 1:
-                        raise unreadable(
-                            path,
-                            f"has channel {name!r} in {len(places[name])} groups",
-                            "export it once, under one name",
-                        )
+                        what = f"has channel {name!r} in {len(places[name])} groups"
+                        raise unreadable(path, what, "export it once, under one name")
                 rows = (file.groups[places[n][0][0]].channel_group.cycles_nr for n in here)
                 refuse_large(path, max(rows, default=0), 2 * len(here))
                 signals = {name: file.get(name, *places[name][0]) for name in here}
         except (MdfException, *BROKEN) as error:
-            raise unreadable(
-                path, f"is not a whole MDF file ({error})", "copy or export it again"
-            ) from error
+            what = f"is not a whole MDF file ({error})"
+            raise unreadable(path, what, "copy or export it again") from error
         return _columns(path, wanted, names, signals)
 
 

@@ -45,21 +45,17 @@ class Parquet(DataFormat):
             with pq.ParquetFile(path) as file:
                 names = file.schema_arrow.names
                 places = match_names(path, names, wanted)
-                nested = [
-                    k
-                    for k, name in enumerate(names)
-                    if pa.types.is_nested(file.schema_arrow.types[k])
-                    and any(is_under(w, name) for w in wanted)
-                ]
+                types = enumerate(file.schema_arrow.types)
+                nested = [k for k, kind in types if pa.types.is_nested(kind)]
+                nested = [k for k in nested if any(is_under(w, names[k]) for w in wanted)]
                 indices = list(dict.fromkeys([*places.values(), *nested]))
                 refuse_large(path, file.metadata.num_rows, len(indices))
                 # names may be there twice: whoever maps others need not mind
                 table = file.read([names[k] for k in indices]) if indices else None
             return _columns(path, wanted, names, places, table)
         except (pa.ArrowException, *BROKEN) as error:
-            raise unreadable(
-                path, f"is not a whole Parquet file ({error})", "copy or record it again"
-            ) from error
+            what = f"is not a whole Parquet file ({error})"
+            raise unreadable(path, what, "copy or record it again") from error
 
 
 def _columns(

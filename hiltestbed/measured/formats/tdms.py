@@ -29,9 +29,7 @@ class Tdms(DataFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".tdms",)
 
     def read(self, path: Path, wanted: Set[str]) -> Columns:
-        """The channels ``wanted``; a waveform's increment and start are its clock. Raises
-        InputError, MissingExtra.
-        """
+        """The channels ``wanted``, a waveform with its clock. Raises InputError, MissingExtra."""
         try:
             from nptdms import TdmsFile
             from nptdms.log import log_manager
@@ -40,17 +38,10 @@ class Tdms(DataFormat):
         log_manager.set_level(logging.ERROR)  # its warnings quote the bytes that it cannot read
         try:
             with TdmsFile.open(path) as file:
-                channels = {
-                    f"{group.name}.{channel.name}": channel
-                    for group in file.groups()
-                    for channel in group.channels()
-                }
-                single = Counter(channel.name for channel in channels.values())
-                channels |= {
-                    channel.name: channel
-                    for channel in list(channels.values())
-                    if single[channel.name] == 1
-                }
+                found = [(g.name, c) for g in file.groups() for c in g.channels()]
+                single = Counter(c.name for _, c in found)
+                channels = {f"{group}.{c.name}": c for group, c in found}
+                channels |= {c.name: c for _, c in found if single[c.name] == 1}
                 here = {name: c for name, c in channels.items() if name in wanted}
                 _refuse_unscaled(path, here, file.properties)
                 refuse_large(path, max(map(len, here.values()), default=0), len(here))
@@ -59,9 +50,8 @@ class Tdms(DataFormat):
                 units = {n: str(c.properties[k]) for n, c in here.items() for k in UNIT
                          if k in c.properties}  # fmt: skip
         except BROKEN as error:
-            raise unreadable(
-                path, f"is not a whole TDMS file ({error})", "copy or export it again"
-            ) from error
+            what = f"is not a whole TDMS file ({error})"
+            raise unreadable(path, what, "copy or export it again") from error
         return Columns(tuple(channels), data, clock, units, notes=notes)
 
 
@@ -73,11 +63,8 @@ def _refuse_unscaled(path: Path, channels: Mapping[str, Any], of_file: Mapping[s
         kinds = [str(v) for k, v in channel.properties.items() if k.endswith("_Scale_Type")]
         done = channel.properties.get("NI_Scaling_Status") == "scaled"
         if kinds and not done and get_scaling(channel.properties, {}, of_file) is None:
-            raise unreadable(
-                path,
-                f"{name} is scaled by {', '.join(kinds)}, which cannot be computed here",
-                "export it with scaled values, or as CSV",
-            )
+            what = f"{name} is scaled by {', '.join(kinds)}, which cannot be computed here"
+            raise unreadable(path, what, "export it with scaled values, or as CSV")
 
 
 def _clocks(path: Path, channels: Mapping[str, Any]) -> tuple[dict[str, Array], tuple[str, ...]]:

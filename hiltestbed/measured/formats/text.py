@@ -16,10 +16,15 @@ import numpy as np
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
-from hiltestbed.measured.columns import Columns, match_names, refuse_large, unreadable
+from hiltestbed.measured.columns import (
+    Columns,
+    match_names,
+    refuse_large,
+    seconds,
+    unreadable,
+)
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.measured.formats.dialect import COMMENTS, MISSING, Dialect, recognise
-from hiltestbed.measured.stamps import seconds
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
@@ -81,11 +86,8 @@ class Text(DataFormat):
         encoding = self.encoding or _encoding_of(head)
         text = head.decode(encoding, errors="replace")
         if "\0" in text or encoding == "":
-            raise unreadable(
-                path,
-                "is not text",
-                f"name the format of a binary file, such as format: {{kind: mdf}}; of text, {KEYS}",
-            )
+            do = f"name the format of a binary file, such as format: {{kind: mdf}}; of text, {KEYS}"
+            raise unreadable(path, "is not text", do)
         lines = re.split(r"\r\n|\n|\r", text)
         del lines[len(lines) - (len(head) == PROBE) :]  # the last may be cut
         found = self._dialect(path, lines, wanted)
@@ -112,14 +114,13 @@ class Text(DataFormat):
             raise unreadable(path, "holds no names and no rows", "the first line names the columns")
         bare = recognise(*options, 0)
         top = next(k for k, s in enumerate(sample) if s.strip())
+        shown = sample[top][:60]
         if self.header is None and bare is not None and bare.first == top:
-            raise unreadable(
-                path,
-                f"has no header (got {sample[top][:60]!r} as first line)",
+            do = (
                 "name the columns in the first line, or give format: {kind: text, header: 0} and "
-                "map the columns 1, 2, ...",
+                "map the columns 1, 2, ..."
             )
-        shown = next(s for s in sample if s.strip())[:60]
+            raise unreadable(path, f"has no header (got {shown!r} as first line)", do)
         what = f"is no table of numbers below a line of names (begins with {shown!r})"
         if bare is not None and bare.rows >= HALF * (rows - bare.first):
             what += f"; its rows have {bare.width} cells, {bare}, and no line above as many names"
@@ -167,18 +168,17 @@ class Text(DataFormat):
         try:
             return pc.cast(plain, pa.float64()).to_numpy()
         except pa.ArrowInvalid:
-            row, text = next(
-                (k, t)
-                for k, t in enumerate(texts.to_pylist())
-                if not _is_number(t, dialect.decimal)
-            )
-        raise unreadable(
-            path,
+            found = ((k, t) for k, t in enumerate(texts.to_pylist()) if not _is_number(t, dialect))
+            row, text = next(found)
+        what = (
             f"has text in place of a number in column {name!r} (got {text!r} in row {row + 1} "
-            f"below line {dialect.first})",
-            f"if it marks a missing sample, give format: {{kind: text, marks: [{text!r}]}}; if it "
-            f"is a number, {KEYS}",
+            f"below line {dialect.first})"
         )
+        do = (
+            f"if it marks a missing sample, give format: {{kind: text, marks: [{text!r}]}}; if it "
+            f"is a number, {KEYS}"
+        )
+        raise unreadable(path, what, do)
 
 
 def _encoding_of(head: bytes) -> str:
@@ -187,9 +187,8 @@ def _encoding_of(head: bytes) -> str:
         if head.startswith(mark):
             return encoding
     if b"\0" in head:  # every other byte of UTF-16 is zero in plain text
-        zeros = [
-            np.mean(np.frombuffer(head[: len(head) // 2 * 2], np.uint8)[k::2] == 0) for k in (0, 1)
-        ]
+        pairs = np.frombuffer(head[: len(head) // 2 * 2], np.uint8).reshape(-1, 2)
+        zeros = [float(share) for share in np.mean(pairs == 0, axis=0)]
         low, high = min(zeros), max(zeros)
         return "" if high < 0.9 or low > 0.1 else "utf-16-be" if zeros[0] == high else "utf-16-le"
     try:
@@ -212,21 +211,18 @@ def _batches(
     source: Any = path
     if dialect.delimiter == " ":
         source, encoding = io.BufferedReader(_SingleBlanks(path, encoding), BLOCK), "utf-8"
-    with pa_csv.open_csv(
-        source,
-        pa_csv.ReadOptions(
-            block_size=BLOCK, skip_rows=dialect.first, column_names=columns, encoding=encoding
-        ),
-        pa_csv.ParseOptions(
-            delimiter=dialect.delimiter,
-            invalid_row_handler=lambda row: (
-                "skip" if row.text.lstrip().startswith(COMMENTS) else "error"
-            ),
-        ),
-        pa_csv.ConvertOptions(
-            include_columns=kept, column_types={name: pa.string() for name in kept}
-        ),
-    ) as stream:
+
+    def invalid(row: Any) -> str:
+        return "skip" if row.text.lstrip().startswith(COMMENTS) else "error"
+
+    read = pa_csv.ReadOptions(
+        block_size=BLOCK, skip_rows=dialect.first, column_names=columns, encoding=encoding
+    )
+    parse = pa_csv.ParseOptions(delimiter=dialect.delimiter, invalid_row_handler=invalid)
+    texts = pa_csv.ConvertOptions(
+        include_columns=kept, column_types=dict.fromkeys(kept, pa.string())
+    )
+    with pa_csv.open_csv(source, read, parse, texts) as stream:
         yield from stream
 
 
@@ -254,9 +250,9 @@ class _SingleBlanks(io.RawIOBase):
         super().close()
 
 
-def _is_number(text: str | None, decimal: str) -> bool:
+def _is_number(text: str | None, dialect: Dialect) -> bool:
     try:
-        float("nan" if text is None else re.sub("[dD]", "e", text.replace(decimal, ".")))
+        float("nan" if text is None else re.sub("[dD]", "e", text.replace(dialect.decimal, ".")))
     except ValueError:
         return False
     return True

@@ -3,7 +3,7 @@
 Only runs whose upper platform is not clamped at home are stepped. The control law of a drive is
 that of the lower platform (:mod:`hiltestbed.platform.pss33.servo`), with feed-forward of the forces
 for the planned motion and gravity. The payload's weight and inertia in the planned motion
-(:mod:`hiltestbed.platform.prs3.payload`) are subtracted from the sensor's reading; the residual is
+(:mod:`hiltestbed.platform.payload`) are subtracted from the sensor's reading; the residual is
 due to the difference between planned and actual acceleration. The passive mechanism moves with the
 platform as one
 rigid body: a compliant mount is assumed locked until the upper platform is clamped.
@@ -184,7 +184,7 @@ class UpperDrives:
     """The driven upper platforms of `n` runs.
 
     Attributes:
-        payload: (13,) load on the sensor (:func:`hiltestbed.platform.prs3.payload.load_of`).
+        payload: (13,) load on the sensor (:func:`hiltestbed.platform.payload.load_of`).
         residual: (n, m, 6) residual of the payload in the reading, at the m instants of the tick,
             in P at P's origin [N, N m].
         left: (n, 2) its largest force [N] and torque [N m] so far.

@@ -50,9 +50,7 @@ def turned_cone(segments: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def places(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (count, 3) [m] of a ball that is DEPTH in the straight part of the cone, and the
-    normals there, by hand.
-    """
+    """Centres (count, 3) [m] of a ball DEPTH in the straight part, and the normals, by hand."""
     rng = np.random.default_rng(4)
     azimuth, along = rng.uniform(0.0, 2.0 * math.pi, count), rng.uniform(0.04, 0.18, count)
     sin, cos = math.sin(HALF_ANGLE), math.cos(HALF_ANGLE)
@@ -109,12 +107,10 @@ def _coal(segments: int) -> Row:
     tree.addVertices(vertices)
     tree.addTriangles(faces)
     tree.endModel()
-    point, request, still, turned = (
-        coal.Sphere(1e-9),
-        coal.DistanceRequest(),
-        coal.Transform3s(),
-        np.eye(3),
-    )
+    point = coal.Sphere(1e-9)
+    request = coal.DistanceRequest()
+    still = coal.Transform3s()
+    turned = np.eye(3)
 
     def query(p: np.ndarray) -> tuple[float, np.ndarray]:
         result = coal.DistanceResult()

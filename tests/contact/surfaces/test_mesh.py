@@ -66,16 +66,12 @@ def test_beyond_reach_a_bound_is_told_and_within_it_the_distance() -> None:
 
 
 def test_the_bound_of_a_segment_is_no_more_than_the_least_of_its_points() -> None:
-    """And it tells most of those that are away from what can touch: a rod of 18 mm before or in a
-    cone.
-    """
-    tree, normal, rng, told, away = (
-        plant(*turned_cone(256)),
-        np.zeros(3),
-        np.random.default_rng(4),
-        0,
-        0,
-    )
+    """And it tells most that are away: a rod of 18 mm before or in a cone."""
+    tree = plant(*turned_cone(256))
+    normal = np.zeros(3)
+    rng = np.random.default_rng(4)
+    told = 0
+    away = 0
     for start in rng.uniform(-0.2, 0.2, (300, 3)):
         end = start + rng.normal(scale=0.1, size=3)
         points = start + np.linspace(0.0, 1.0, 65)[:, None] * (end - start)
@@ -113,10 +109,8 @@ def test_rod_against_the_rim_is_the_least_of_its_points() -> None:
     normal, nearest, scratch = np.zeros(3), np.zeros(3), np.zeros(3)
     rng = np.random.default_rng(2)
     for _ in range(30):
-        start, end = (
-            rng.uniform([-0.2, -0.2, -0.1], [0.2, 0.2, 0.1]),
-            rng.uniform([-0.2, -0.2, -0.5], [0.2, 0.2, -0.2]),
-        )
+        start = rng.uniform([-0.2, -0.2, -0.1], [0.2, 0.2, 0.1])
+        end = rng.uniform([-0.2, -0.2, -0.5], [0.2, 0.2, -0.2])
         least = segment_distance(surface, start, end, math.inf, normal, nearest)
         along = start + np.linspace(0.0, 1.0, 3001)[:, None] * (end - start)
         sampled = min(profile_distance(surface.profile, p, scratch) for p in along)
@@ -129,9 +123,7 @@ def test_rod_against_the_rim_is_the_least_of_its_points() -> None:
 
 
 def test_rod_across_a_box_edge() -> None:
-    """Closed form: a line at the height h over the edge, at right angles to it and at 45 degrees to
-    both faces.
-    """
+    """A line at a height over the edge, across it and at 45 degrees to both faces."""
     start, end = np.array([2.0 + 0.1, 0.0, 0.1]), np.array([0.1, 0.0, 2.0 + 0.1])
     normal, nearest = np.zeros(3), np.zeros(3)
     least = segment_distance(of_geom(6, np.ones(3)), start, end, 1.0, normal, nearest)

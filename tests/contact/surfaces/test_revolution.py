@@ -124,10 +124,8 @@ def test_the_corners_of_a_rectangle_are_no_circle() -> None:
 
 
 def test_a_ball_with_a_hollow() -> None:
-    outer, inner = (
-        turn(polyline(BALL, math.radians(6.0)), 48),
-        turn(polyline(BALL, math.radians(6.0)), 48),
-    )
+    outer = turn(polyline(BALL, math.radians(6.0)), 48)
+    inner = turn(polyline(BALL, math.radians(6.0)), 48)
     vertices = np.concatenate([outer[0], 0.5 * inner[0]])
     hollow = recognise(vertices, np.concatenate([outer[1], inner[1][:, ::-1] + len(outer[0])]))
     assert hollow is not None

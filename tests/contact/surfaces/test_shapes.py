@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from hiltestbed.contact.surfaces.shapes import (
+from hiltestbed.contact.surfaces.surface import (
     BOX,
     CAPSULE,
     CYLINDER,
@@ -103,14 +103,7 @@ def test_ellipsoid_against_a_constrained_minimiser() -> None:
 @pytest.mark.parametrize("kind", SIZES)
 def test_the_sizes_are_those_of_mujoco(kind: int) -> None:
     """MuJoCo's own distance of a small ball from the geom."""
-    name = {
-        PLANE: "plane",
-        SPHERE: "sphere",
-        CAPSULE: "capsule",
-        CYLINDER: "cylinder",
-        BOX: "box",
-        ELLIPSOID: "ellipsoid",
-    }[kind]
+    name = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
     size = "1 1 1" if kind == PLANE else " ".join(map(str, SIZES[kind]))
     model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody><geom type="{name}" size="{size}"/>
         <body><freejoint/><geom type="sphere" size="0.01"/></body></worldbody></mujoco>""")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.report.page import Report, new_figure
-from tests.equipment.diagnosis.reliability import reliability_plot
+from tests.equipment.diagnosis.summary import reliability_plot
 
 RATES = {
     "named_rate": "one hidden effect, named (alone or in a set of three)",
@@ -52,27 +52,12 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
             f"{summary['done']} of {summary['planned']} sets, in random order, were done in the "
             f"given time."
         )
-    rows = [
-        [
-            g["rig"],
-            g["kind"],
-            g["sets"],
-            g["right"],
-            f"{g['low']:.2f} to {g['high']:.2f}",
-            f"{g['cpu_median']:.0f}",
-            f"{g['cpu_longest']:.0f}",
-        ]
-        for g in summary["groups"]
-    ]
-    columns = [
-        "rig",
-        "hidden",
-        "sets",
-        "correct",
-        "95 % interval of the share",
-        "CPU s, median",
-        "longest",
-    ]
+    rows = []
+    for g in summary["groups"]:
+        share, cpu = f"{g['low']:.2f} to {g['high']:.2f}", (g["cpu_median"], g["cpu_longest"])
+        rows.append([g["rig"], g["kind"], g["sets"], g["right"], share, *(f"{c:.0f}" for c in cpu)])
+    columns = ["rig", "hidden", "sets", "correct", "95 % interval of the share"]
+    columns += ["CPU s, median", "longest"]
     report.table(columns, rows, "Each kind of set on each kind of rig.")
     report.figure(
         _strengths(records),
@@ -108,22 +93,13 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
         small,
         "The smallest size at which each effect was named.",
     )
-    wrong = [
-        [
-            r["seed"],
-            f"{r['kind']}, {_rig(r)}",
-            _names(r["hidden"]),
-            r["verdict"],
-            _names(r["causes"], "effect"),
-        ]
-        for r in records
-        if not r["right"]
-    ]
-    report.table(
-        ["seed", "kind", "hidden", "verdict", "named"],
-        wrong,
-        "All sets that were judged wrongly, or whose effect was not found.",
-    )
+    wrong = []
+    for r in records:
+        if not r["right"]:
+            names = _names(r["hidden"]), r["verdict"], _names(r["causes"], "effect")
+            wrong.append([r["seed"], f"{r['kind']}, {_rig(r)}", *names])
+    caption = "All sets that were judged wrongly, or whose effect was not found."
+    report.table(["seed", "kind", "hidden", "verdict", "named"], wrong, caption)
     return report
 
 

@@ -42,11 +42,10 @@ from tests.equipment.independent_rig.closed_loop import simulate
 from tests.equipment.independent_rig.compensation import METHODS
 from tests.equipment.independent_rig.docking_facility import DockingFacility, draw_docking_facility
 from tests.equipment.independent_rig.facility import Facility, draw_facility
-from tests.equipment.independent_rig.foreign import FOREIGN
-from tests.equipment.independent_rig.further_foreign import foreign_in
+from tests.equipment.independent_rig.foreign import FOREIGN, foreign_in
 from tests.equipment.independent_rig.hidden import EFFECTS
 from tests.equipment.independent_rig.links import Noise, Records, Rig, silence
-from tests.equipment.independent_rig.log import Log, log_of
+from tests.equipment.independent_rig.log import Log, log_of, write_set
 from tests.equipment.independent_rig.look_alikes import LOOK_ALIKES, draw_look_alike
 from tests.equipment.independent_rig.noise_kinds import NOISE_KINDS, NoiseKind
 from tests.equipment.independent_rig.nuisances import Nuisances, draw_nuisances, with_nuisances
@@ -63,7 +62,6 @@ from tests.equipment.independent_rig.sets import (
     with_effect,
 )
 from tests.equipment.independent_rig.sizes import SIZES, alike
-from tests.equipment.independent_rig.writing import write_set
 
 __all__ = [
     "EFFECTS",

@@ -14,8 +14,15 @@ from tests.equipment.independent_rig import platform as drive
 from tests.equipment.independent_rig import sensor as gauge
 from tests.equipment.independent_rig import six_axes
 from tests.equipment.independent_rig.links import Noise, Records, Rig
-from tests.equipment.independent_rig.measured_pose import all_noisy, noisy, slope
-from tests.equipment.independent_rig.rotation import inverse, product, turn, turn_of
+from tests.equipment.independent_rig.rotation import (
+    all_noisy,
+    inverse,
+    noisy,
+    product,
+    slope,
+    turn,
+    turn_of,
+)
 
 
 @njit(cache=True)
@@ -64,8 +71,9 @@ def _sharpen(place, last, timing, h, velocity):
 
 
 @njit(cache=True)
-def _advance(platform, law, node, velocity, k, h, timing, axes, place, states, pushed):
+def _advance(platform, path, node, k, h, timing, axes, pushed):
     """Advance platform and contact from t_k to t_(k+1)."""
+    law, place, states, velocity = path
     substeps = timing.substeps
     dt = h / substeps
     for i in range(1, substeps + 1):
@@ -87,51 +95,39 @@ def _advance(platform, law, node, velocity, k, h, timing, axes, place, states, p
 
 
 @njit(cache=True)
-def _loop(
-    bodies,
-    platform,
-    law,
-    sensor,
-    comp,
-    state,
-    start,
-    velocity,
-    h,
-    ticks,
-    noise,
-    imposed_cmd,
-    imposed_comp,
-    timing,
-    keep,
-):
-    """The records of a run. Imposed poses (ticks, 7) replace the platform's commands; an imposed
-    wrench (ticks, 6) drives the model.
+def _loop(links, begin, grid, noise, imposed, keep):
+    """The records of a run.
+
+    Args:
+        links: numerical model, platform, contact, sensor, compensator. begin: state of the bodies,
+            pose and velocity. grid: tick [s], ticks, and timing within one.
+        imposed: poses (ticks, 7) that replace the platform's commands, and a wrench (ticks, 6) that
+            drives the model; empty for none.
     """
+    bodies, platform, law, sensor, comp = links
+    state, start, velocity = begin
+    h, ticks, timing = grid
+    imposed_cmd, imposed_comp = imposed
     pose_cmd, pose_act = np.empty((ticks, 7)), np.empty((ticks, 7))
-    used, logged, comp_out, physical = (
-        np.empty((ticks, 6)),
-        np.empty((ticks, 6)),
-        np.empty((ticks, 6)),
-        np.empty((ticks, 6)),
-    )
+    used, logged = np.empty((ticks, 6)), np.empty((ticks, 6))
+    comp_out, physical = np.empty((ticks, 6)), np.empty((ticks, 6))
     substeps = timing.substeps
     touching = np.zeros(ticks, dtype=np.bool_)
     node = np.zeros((ticks + 1, 3))
     node[0] = start[:3]
-    place, states = (
-        np.empty((ticks * substeps + 1, 3)),
-        np.zeros((ticks * substeps + 1, touch.STATES)),
-    )
+    place = np.empty((ticks * substeps + 1, 3))
+    states = np.zeros((ticks * substeps + 1, touch.STATES))
     place[0] = start[:3]
     axes = drive.initial(start[:3], velocity)
-    chain, record, last = np.zeros((gauge.STATES, 6)), np.zeros((gauge.STATES, 6)), np.zeros((2, 6))
+    chains = np.zeros((2, gauge.STATES, 6))
     model_pose = np.empty((ticks + 1, 7))
     model_pose[0] = start
     attitude, attitude_before = start[3:].copy(), start[3:].copy()
     origin = state[model.CHASER, model.R].copy()
-    raw, where, driven = np.empty(6), np.empty(3), np.zeros(6)
-    pushed, still, zero = np.zeros(2), 0, np.zeros(6)
+    raw, where, raw_log, where_log = np.empty(6), np.empty(3), np.empty(6), np.empty(3)
+    driven, pushed, still = np.zeros(6), np.zeros(2), 0
     felt, motion, still_pose = start.copy(), np.zeros(6), start.copy()
+    path = law, place, states, velocity
     for k in range(ticks):
         t = k * h
         pose_act[k, :3], pose_act[k, 3:] = place[k * substeps], attitude
@@ -141,56 +137,23 @@ def _loop(
             pose_act[k, 3:] = _between(
                 attitude_before, attitude, 1.0 - min(timing.encoder + timing.move, 1.0)
             )
-        _physical(law, place, states, velocity, t, h, timing, physical[k], where)
+        _physical(*path, t, h, timing, physical[k], where)
         touching[k] = np.any(physical[k] != 0.0)
         pushed[0], pushed[1] = pushed[1], physical[k, 2]
-        late = max(
-            sensor.delay + sensor.jitter * noise.delay[k] + sensor.heavy * abs(physical[k, 2]), 0.0
-        )
-        _physical(law, place, states, velocity, t - late, h, timing, raw, where)
-        gauge.read(sensor, raw, where, noise.reading[k], t, h, chain, used[k])
-        if sensor.repeat > 0.0:
-            if still > 0:
-                used[k], still = used[k - 1], still - 1
-            elif k > 0 and noise.repeat[k] < 0.01:
-                still = int(sensor.repeat / h)
-        logged[k] = used[k]
-        if sensor.skew > 0.0 or sensor.stretch != 0.0:
-            stamp = t * (1.0 - sensor.stretch) - sensor.skew
-            back = k - int((t - stamp) / h + 0.5)
-            _physical(law, place, states, velocity, min(stamp - late, t), h, timing, raw, where)
-            gauge.read(
-                sensor,
-                raw,
-                where,
-                noise.reading[back] if 0 <= back < ticks else zero,
-                stamp,
-                h,
-                record,
-                logged[k],
-            )
-        if sensor.freeze > 0.0 and k > 0 and (t % 0.1) < sensor.freeze:
-            logged[k] = logged[k - 1]
-        if comp.method == method.LEAD:
-            method.compensate(comp, used[k], h, last, driven)
-        else:
-            noisy(pose_act[k], noise.pose[k], felt)
-            slope(still_pose, felt, h, motion)
-            if k == 0:
-                motion[:3], motion[3:] = velocity, model.relative_twist(bodies, state)[3:]
-            still_pose[:] = felt
-            method.drive(
-                comp,
-                k,
-                used[k],
-                felt,
-                motion,
-                model.relative_twist(bodies, state),
-                law.latched,
-                h,
-                keep,
-                driven,
-            )
+        late = gauge.lateness(sensor, noise.delay[k], physical[k, 2])
+        _physical(*path, t - late, h, timing, raw, where)
+        if gauge.logs_apart(sensor):
+            then = min(gauge.stamped(sensor, t) - late, t)
+            _physical(*path, then, h, timing, raw_log, where_log)
+        seen = raw, where, raw_log, where_log
+        still = gauge.sense(sensor, noise, k, h, seen, chains, still, used, logged)
+        noisy(pose_act[k], noise.pose[k], felt)
+        slope(still_pose, felt, h, motion)
+        own = model.relative_twist(bodies, state)
+        if k == 0:
+            motion[:3], motion[3:] = velocity, own[3:]
+        still_pose[:] = felt
+        method.drive(comp, k, used[k], (felt, motion, own), law.latched, h, keep, driven)
         comp_out[k] = driven
         model.step(bodies, state, imposed_comp[k] if len(imposed_comp) else driven, h, t, origin)
         model_pose[k + 1] = model.relative_pose(bodies, state)
@@ -201,7 +164,7 @@ def _loop(
         towards = imposed_cmd[k] if len(imposed_cmd) else pose_cmd[k]
         node[k + 1] = towards[:3]
         attitude_before, attitude = attitude, towards[3:].copy()
-        _advance(platform, law, node, velocity, k, h, timing, axes, place, states, pushed)
+        _advance(platform, path, node, k, h, timing, axes, pushed)
     return pose_cmd, pose_act, logged, comp_out, used, physical, touching
 
 
@@ -243,22 +206,8 @@ def simulate(
     keep = method.memory(rig.compensator, h)
     if rig.docking is not None:
         return six_axes.simulate(rig, noise, state, pose, cut_cmd, cut_comp, keep)
-    found = _loop(
-        rig.bodies,
-        rig.platform,
-        rig.contact,
-        rig.sensor,
-        rig.compensator,
-        state,
-        pose,
-        velocity,
-        h,
-        rig.ticks,
-        noise,
-        cut_cmd,
-        cut_comp,
-        rig.timing,
-        keep,
-    )
+    links = rig.bodies, rig.platform, rig.contact, rig.sensor, rig.compensator
+    grid = h, rig.ticks, rig.timing
+    found = _loop(links, (state, pose, velocity), grid, noise, (cut_cmd, cut_comp), keep)
     records = Records(*found, captured=-1 if rig.contact.latched else rig.ticks)
     return records._replace(pose_act=all_noisy(found[1], noise.pose))

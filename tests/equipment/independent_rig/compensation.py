@@ -12,8 +12,12 @@ differences over a tick h:
                         A; the difference may pass the lead
     VIRTUAL             u + a spring and damper along z at A beyond the nominal touch
     PASSIVITY           damping that restores the energy h sum of u . v as soon as it is negative
-    RECONSTRUCTION      as SMITH on six axes, M as identified so far (`identification`); an axis
-                        without an estimate passes the lead
+    RECONSTRUCTION      as SMITH on six axes, M as identified so far; an axis without an estimate
+                        passes the lead
+
+The identification in the loop is a least-squares fit of F = k x + c v + b on each axis. Force and
+pose refer to the same instant (the pose is delayed). A sample is used if there is contact one tick
+before and after it. The sums are accumulated, so that the estimate uses all samples so far.
 
 The dead zone of the loop (an effect) is applied before the method, the foreign gain and slew limit
 after it.
@@ -27,34 +31,25 @@ from typing import NamedTuple
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
-from tests.equipment.independent_rig.identification import SUMS, estimate, take
 from tests.equipment.independent_rig.rotation import turn_of
 
-(
-    LEAD,
-    NONE,
-    PHASE_LEAD,
-    SECOND_ORDER_LEAD,
-    POLYNOMIAL,
-    DEAD_ZONE,
-    SMITH,
-    VIRTUAL,
-    PASSIVITY,
-    RECONSTRUCTION,
-) = range(-1, 9)
 METHODS = {
-    "none": NONE,
-    "phase_lead": PHASE_LEAD,
-    "second_order_lead": SECOND_ORDER_LEAD,
-    "polynomial": POLYNOMIAL,
-    "dead_zone": DEAD_ZONE,
-    "smith_predictor": SMITH,
-    "virtual_contact": VIRTUAL,
-    "passivity_control": PASSIVITY,
-    "reconstruction": RECONSTRUCTION,
+    "none": (NONE := 0),
+    "phase_lead": (PHASE_LEAD := 1),
+    "second_order_lead": (SECOND_ORDER_LEAD := 2),
+    "polynomial": (POLYNOMIAL := 3),
+    "dead_zone": (DEAD_ZONE := 4),
+    "smith_predictor": (SMITH := 5),
+    "virtual_contact": (VIRTUAL := 6),
+    "passivity_control": (PASSIVITY := 7),
+    "reconstruction": (RECONSTRUCTION := 8),
 }
 INPUT, OUTPUT = 0, 2  # first rows of the last two inputs and of the last two outputs in `past`
 ENERGY, PEAK, GATED, HELD = range(4)  # entries of `tally`
+SUMS = 10  # 1, x, v, y, xx, xv, vv, xy, vy, yy
+LEAST = 8  # samples
+TRAVEL = 1e-6  # m, rad: standard deviation of x below which an axis is not excited
+EXPLAINED = 0.9  # smallest fraction of the force's variance that a valid estimate explains
 MOST_DAMPING = 0.5  # fraction of the damping that would stop the bodies in one tick
 
 
@@ -63,11 +58,10 @@ class Compensator(NamedTuple):
 
     t1: float
     t2: float
-    lead: bool = True  # if `method` is LEAD: phase lead, or no compensation
     deadzone: float = 0.0
     gain: float = 1.0  # foreign
     slew: float = 0.0  # N/s, foreign: limit of the output's rate
-    method: int = LEAD
+    method: int = NONE
     delay: float = 0.0  # nominal
     order: int = 3
     stiffness: float = 0.0
@@ -205,7 +199,8 @@ def _passive(comp, u, twist, h, tally, out):
 
 
 @njit(cache=True)
-def _reconstruct(comp, k, u, pose, twist, latched, h, keep, out):
+def _reconstruct(comp, k, u, felt, latched, h, keep, out):
+    pose, twist, _ = felt
     now, late = np.empty(12), np.empty(12)
     now[:3], now[3:6], now[6:] = pose[:3], turn_of(pose[3:7]), twist
     led = np.empty(6)
@@ -231,6 +226,52 @@ def _reconstruct(comp, k, u, pose, twist, latched, h, keep, out):
 
 
 @njit(cache=True)
+def take(pending, sums, gated, late, rate, force):
+    """Store this tick's samples and accumulate those of the tick before, once the contact has
+    lasted three ticks.
+
+    pending: (2, 6, 3) x, v, F of this tick and of the one before. late: (12,) pose at the force's
+        instant. rate: (6,). force: (6,).
+    """
+    pending[1] = pending[0]
+    for i in range(6):
+        pending[0, i, 0] = late[i] if gated > 0.0 else 0.0
+        pending[0, i, 1] = rate[i] if gated > 0.0 else 0.0
+        pending[0, i, 2] = force[i]
+    if gated < 3.0:
+        return
+    for i in range(6):
+        x, v, y = pending[1, i, 0], pending[1, i, 1], pending[1, i, 2]
+        terms = (1.0, x, v, y, x * x, x * v, v * v, x * y, v * y, y * y)
+        for j in range(SUMS):
+            sums[i, j] += terms[j]
+
+
+@njit(cache=True)
+def estimate(gated, sums, found):
+    """Solve for stiffness and damping, `found` (6, 2); NaN for an axis whose force they do not
+    explain.
+    """
+    if gated < 3.0:
+        return
+    for i in range(6):
+        n = sums[i, 0]
+        if n < LEAST:
+            continue
+        x, v, y = sums[i, 1] / n, sums[i, 2] / n, sums[i, 3] / n
+        xx, xv, vv = sums[i, 4] - n * x * x, sums[i, 5] - n * x * v, sums[i, 6] - n * v * v
+        xy, vy, yy = sums[i, 7] - n * x * y, sums[i, 8] - n * v * y, sums[i, 9] - n * y * y
+        det = xx * vv - xv * xv
+        if xx < n * TRAVEL**2 or det <= 1e-10 * xx * vv:
+            continue
+        stiffness, damping = (vv * xy - xv * vy) / det, (xx * vy - xv * xy) / det
+        if stiffness * xy + damping * vy < EXPLAINED * yy:
+            found[i] = math.nan
+        else:
+            found[i, 0], found[i, 1] = stiffness, damping
+
+
+@njit(cache=True)
 def _gate(comp, force, latched, h, tally):
     """Count the ticks of the contact: a force above noise threshold and 2 % of its peak, or a latch
     closed for longer than the delay.
@@ -243,14 +284,14 @@ def _gate(comp, force, latched, h, tally):
 
 
 @njit(cache=True)
-def drive(comp, k, reading, pose, twist, model_twist, latched, h, keep, out):
+def drive(comp, k, reading, felt, latched, h, keep, out):
     """The wrench `out` (6,) that drives the numerical model at tick k; on input, that of the tick
     before.
 
-    Args:
-        pose, twist: (7,), (6,) of A in P as measured by the facility. model_twist: (6,) of the
-            numerical model.
+    ``felt``: (7,), (6,) pose and twist of A in P as measured by the facility, and (6,) the twist of
+    the numerical model.
     """
+    pose, twist, model_twist = felt
     u, y = reading.copy(), np.empty(6)
     for i in range(3):
         if abs(u[i]) < comp.deadzone:
@@ -276,7 +317,7 @@ def drive(comp, k, reading, pose, twist, model_twist, latched, h, keep, out):
     elif comp.method == PASSIVITY:
         _passive(comp, u, model_twist, h, keep.tally, y)
     elif comp.method == RECONSTRUCTION:
-        _reconstruct(comp, k, u, pose, twist, latched, h, keep, y)
+        _reconstruct(comp, k, u, felt, latched, h, keep, y)
     else:
         y[:] = u
     for i in range(6):
@@ -284,24 +325,3 @@ def drive(comp, k, reading, pose, twist, model_twist, latched, h, keep, out):
         if comp.slew > 0.0:
             y[i] = min(max(y[i], out[i] - comp.slew * h), out[i] + comp.slew * h)
         out[i] = y[i]
-
-
-@njit(cache=True)
-def compensate(comp, reading, h, last, out):
-    """The lead alone; `last` (2, 6) contains input and output of the tick before, `out` (6,) is
-    written.
-    """
-    for a in range(6):
-        u = reading[a]
-        if a < 3 and abs(u) < comp.deadzone:
-            u = 0.0
-        y = u
-        if comp.lead:
-            y = (last[1, a] * comp.t2 / h + u + comp.t1 * (u - last[0, a]) / h) / (
-                1.0 + comp.t2 / h
-            )
-        last[0, a], last[1, a] = u, y
-        y *= comp.gain
-        if comp.slew > 0.0:
-            y = min(max(y, out[a] - comp.slew * h), out[a] + comp.slew * h)
-        out[a] = y

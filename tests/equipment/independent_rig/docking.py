@@ -184,10 +184,13 @@ def relate(pose, twist, y, tilt, pose_out, twist_out):
 
 
 @njit(cache=True)
-def wrench_in_place(law, docking, pose, twist, y, latched, hold, states, out, seen):
+def wrench_in_place(sides, pose, twist, y, latched, hold, states, out, seen):
     """Wrench (6,) of active on passive side in P at P's origin, for the pose (7,) and twist (6,) of
     A in P and the state y (13,) of S.
+
+    ``sides``: law and docking.
     """
+    law, docking = sides
     local_pose, local_twist, local = np.empty(7), np.empty(6), np.empty(6)
     into = relate(pose, twist, y, law.tilt, local_pose, local_twist)
     if latched:
@@ -202,10 +205,11 @@ def wrench_in_place(law, docking, pose, twist, y, latched, hold, states, out, se
 
 
 @njit(cache=True)
-def close(docking, law, pose, twist, y, states, hold):
+def close(sides, pose, twist, y, states, hold):
     """Close the latch if its condition holds, and return whether it does: `hold` (7,) is set so
     that its springs take over the contact's current force.
     """
+    law, docking = sides
     local_pose, local_twist, wrench, seen = np.empty(7), np.empty(6), np.empty(6), np.empty((2, 2))
     relate(pose, twist, y, law.tilt, local_pose, local_twist)
     if not due(docking, local_pose, local_twist):

@@ -16,7 +16,14 @@ from numpy.random import Generator
 
 from tests.equipment.independent_rig.closed_loop import simulate
 from tests.equipment.independent_rig.cone import Surfaces, clearance
-from tests.equipment.independent_rig.facility import METHODS, Facility, rounded
+from tests.equipment.independent_rig.facility import (
+    METHODS,
+    Facility,
+    draw_body,
+    log_uniform,
+    rounded,
+    scenario_of,
+)
 from tests.equipment.independent_rig.links import Records, silence
 from tests.equipment.independent_rig.rig import docking_rig, overridden
 from tests.equipment.independent_rig.rotation import from_attitude, matrix, product, turn
@@ -97,7 +104,7 @@ def draw_docking_facility(
     for _ in range(100):
         scenario = _scenario(rng, design, method, response)
         touch_time = rng.uniform(0.12, 0.25)
-        fast = _log(rng, 0.05, 0.1) if design != "held" else _log(rng, 0.01, 0.04)
+        fast = log_uniform(rng, 0.05, 0.1) if design != "held" else log_uniform(rng, 0.01, 0.04)
         speeds = [rounded(fast * part, 3) for part in SPEEDS]
         runs = [_run(rng, i, v, touch_time, design, scenario) for i, v in enumerate(speeds)]
         healthy = _all_healthy(scenario, runs)
@@ -110,7 +117,9 @@ def draw_docking_facility(
         if min(t.sum() for t in inside) < FEWEST or min(peaks) < LOWEST:
             continue
         spans = tuple(float(t.sum() / scenario["rate"]) for t in inside)
-        noise = rounded(min(max(_log(rng, 8e-4, 2.5e-3) * float(np.median(peaks)), 0.03), 1.0), 2)
+        noise = rounded(
+            min(max(log_uniform(rng, 8e-4, 2.5e-3) * float(np.median(peaks)), 0.03), 1.0), 2
+        )
         torque_noise = rounded(noise * rng.uniform(0.04, 0.1), 2)
         scenario["sensor"] |= {"noise": noise, "torque_noise": torque_noise}
         pose = rng.uniform(1e-6, 2.5e-6)
@@ -129,14 +138,16 @@ def draw_docking_facility(
     raise RuntimeError(f"no {design} facility in 100 draws")
 
 
-def _log(rng: Generator, low: float, high: float) -> float:
-    return float(math.exp(rng.uniform(math.log(low), math.log(high))))
-
-
 def _scenario(rng: Generator, design: str, method: str, response) -> dict:
     while True:
-        chaser, target = rounded(_log(rng, 300.0, 2000.0), 3), rounded(_log(rng, 1000.0, 8000.0), 3)
-        stiffness, delay = rounded(_log(rng, 2e4, 1e5), 3), float(rng.integers(1, 6)) / 1000.0
+        chaser, target = (
+            rounded(log_uniform(rng, 300.0, 2000.0), 3),
+            rounded(log_uniform(rng, 1000.0, 8000.0), 3),
+        )
+        stiffness, delay = (
+            rounded(log_uniform(rng, 2e4, 1e5), 3),
+            float(rng.integers(1, 6)) / 1000.0,
+        )
         rate = int(rng.choice([1000, 2000]))
         reduced = 1.0 / (1.0 / chaser + 1.0 / target)
         fastest = math.sqrt(2.0 * stiffness / (CONE_SHARE * reduced))
@@ -163,37 +174,23 @@ def _scenario(rng: Generator, design: str, method: str, response) -> dict:
             "bandwidth": float(response[0]),
             "damping_ratio": float(response[1]),
         }
-    return {
-        "name": "facility",
-        "description": DESCRIPTION,
-        "seed": 1,
-        "duration": SCREENED,
-        "rate": rate,
-        "physics_rate": 4 * rate,
-        "spacecraft": {"chaser": _body(rng, chaser, 1.0), "target": _body(rng, target, -1.0)},
-        "approach": {
-            "gap": 0.05,
-            "velocity": [0.0, 0.0, 0.05],
-            "offset": [0.0, 0.0],
-            "attitude_deg": [0, 0, 0],
-            "rate_deg": [0, 0, 0],
-        },
-        "mechanism": mechanism,
-        "rig": {"platform": {"kind": "pss33", **tracking}},
-        "sensor": {
+    of_body = (0.3, 0.8), 0.08, (0.8, 1.5)
+    return scenario_of(
+        DESCRIPTION,
+        (SCREENED, rate, 4 * rate),
+        (draw_body(rng, chaser, 1.0, *of_body), draw_body(rng, target, -1.0, *of_body)),
+        (0.05, 0.05),
+        mechanism=mechanism,
+        platform=tracking,
+        sensor={
             "delay": delay,
             "lowpass": None,
             "time_constant": None,
             "noise": 0.1,
             "torque_noise": 0.01,
         },
-        "compensation": {
-            "force": {"kind": method, **METHODS[method](rng, stiffness, damping)},
-            "motion": {"kind": "none"},
-        },
-        "identification": {"kind": "rls"},
-        "effects": [],
-    }
+        compensation={"kind": method, **METHODS[method](rng, stiffness, damping)},
+    )
 
 
 def _mount(rng: Generator, stiffness: float) -> dict:
@@ -214,17 +211,6 @@ def _mount(rng: Generator, stiffness: float) -> dict:
             for k, m in zip(springs, inertias, strict=True)
         ],
     }
-
-
-def _body(rng: Generator, mass: float, side: float) -> dict:
-    size = _log(rng, 0.3, 0.8)  # m^2
-    inertia = [rounded(mass * size * rng.uniform(0.8, 1.1), 2) for _ in range(3)]
-    across = [rounded(v, 2) for v in rng.uniform(-0.08, 0.08, 2)]
-    port = {
-        "position": [*across, side * rounded(rng.uniform(0.8, 1.5), 2)],
-        "attitude_deg": [0, 0, 0],
-    }
-    return {"mass": mass, "inertia": inertia, "port": port}
 
 
 def _run(

@@ -12,9 +12,9 @@ import math
 from numpy.random import Generator
 
 from tests.equipment.independent_rig.docking_facility import DockingFacility
-from tests.equipment.independent_rig.facility import rounded
+from tests.equipment.independent_rig.facility import rounded, sign
 from tests.equipment.independent_rig.sizes import SIZES as AXIAL
-from tests.equipment.independent_rig.sizes import Draw
+from tests.equipment.independent_rig.sizes import Draw, either_body, factor
 
 HELD_ONLY = {"contact.backlash"}
 NOT_HELD = {
@@ -25,14 +25,6 @@ NOT_HELD = {
     "contact.misalignment",
 }
 AXES = ("x", "y", "z")
-
-
-def _sign(rng: Generator) -> float:
-    return 1.0 if rng.random() < 0.5 else -1.0
-
-
-def _factor(rng: Generator, s: float, low: float, high: float) -> float:
-    return rounded(1.0 + s * _sign(rng) * rng.uniform(low, high))
 
 
 def _axis(rng: Generator) -> str:
@@ -50,27 +42,21 @@ def _lateness(rng: Generator, f: DockingFacility, s: float) -> float:
 
 def _port_offset(rng: Generator, f: DockingFacility, s: float) -> dict:
     return {
-        "offset": [
-            rounded(s * _sign(rng) * rng.uniform(0.02, 0.06), 3),
-            rounded(s * _sign(rng) * rng.uniform(0.02, 0.06), 3),
-            0.0,
-        ],
-        "body": str(rng.choice(["chaser", "target"])),
+        "offset": [*(rounded(s * sign(rng) * rng.uniform(0.02, 0.06), 3) for _ in "xy"), 0.0],
+        "body": either_body(rng),
     }
 
 
 def _bias(rng: Generator, f: DockingFacility, s: float) -> dict:
-    force = [rounded(s * _sign(rng) * rng.uniform(6.0, 12.0) * f.noise, 3) for _ in range(3)]
-    torque = [
-        rounded(s * _sign(rng) * rng.uniform(6.0, 12.0) * f.torque_noise, 3) for _ in range(3)
-    ]
+    force = [rounded(s * sign(rng) * rng.uniform(6.0, 12.0) * f.noise, 3) for _ in range(3)]
+    torque = [rounded(s * sign(rng) * rng.uniform(6.0, 12.0) * f.torque_noise, 3) for _ in range(3)]
     return {"force": force, "torque": torque}
 
 
 def _crosstalk(rng: Generator, f: DockingFacility, s: float) -> dict:
     source, axis = (str(v) for v in rng.choice(AXES, 2, replace=False))
     return {
-        "ratio": rounded(s * _sign(rng) * rng.uniform(0.03, 0.08)),
+        "ratio": rounded(s * sign(rng) * rng.uniform(0.03, 0.08)),
         "source": source,
         "axis": axis,
     }
@@ -90,7 +76,7 @@ SIZES: dict[str, Draw] = AXIAL | {
         "time_constant": rounded(f.span * rng.uniform(1.0, 4.0) / s)
     },
     "sensor.bias": _bias,
-    "sensor.gain": lambda rng, f, s: {"factor": _factor(rng, s, 0.05, 0.15), "axis": _axis(rng)},
+    "sensor.gain": lambda rng, f, s: {"factor": factor(rng, s, 0.05, 0.15), "axis": _axis(rng)},
     "sensor.crosstalk": _crosstalk,
     "sensor.deadzone": lambda rng, f, s: {
         "width": rounded(s * max(rng.uniform(0.02, 0.06) * f.peak, 6.0 * f.noise))
@@ -112,7 +98,7 @@ SIZES: dict[str, Draw] = AXIAL | {
     },
     "contact.adhesion": lambda rng, f, s: {"force": rounded(s * rng.uniform(0.15, 0.4) * f.peak)},
     "contact.touch_offset": lambda rng, f, s: {
-        "offset": rounded(s * _sign(rng) * rng.uniform(0.05, 0.2) * f.depth)
+        "offset": rounded(s * sign(rng) * rng.uniform(0.05, 0.2) * f.depth)
     },
     "frame.mode": _frame_mode,
     "platform.delay": lambda rng, f, s: {"delay": _lateness(rng, f, s)},
@@ -129,22 +115,22 @@ SIZES: dict[str, Draw] = AXIAL | {
         "damping_ratio": rounded(rng.uniform(0.03, 0.1)),
     },
     "platform.scale": lambda rng, f, s: {
-        "factor": _factor(rng, s, 0.005, 0.02),
+        "factor": factor(rng, s, 0.005, 0.02),
         "axis": _axis(rng),
     },
     "platform.speed_limit": lambda rng, f, s: {
         "speed": rounded(f.top_speed * (1.0 - min(s * rng.uniform(0.1, 0.3), 0.9)))
     },
     "contact.misalignment": lambda rng, f, s: {
-        "angles_deg": [rounded(s * _sign(rng) * rng.uniform(0.3, 1.5), 3) for _ in range(2)]
+        "angles_deg": [rounded(s * sign(rng) * rng.uniform(0.3, 1.5), 3) for _ in range(2)]
     },
     "dynamics.mass": lambda rng, f, s: {
-        "factor": _factor(rng, s, 0.05, 0.2),
-        "body": str(rng.choice(["chaser", "target"])),
+        "factor": factor(rng, s, 0.05, 0.2),
+        "body": either_body(rng),
     },
     "dynamics.inertia": lambda rng, f, s: {
-        "factor": _factor(rng, s, 0.1, 0.3),
-        "body": str(rng.choice(["chaser", "target"])),
+        "factor": factor(rng, s, 0.1, 0.3),
+        "body": either_body(rng),
     },
     "dynamics.port_offset": _port_offset,
     "dynamics.appendage": lambda rng, f, s: {

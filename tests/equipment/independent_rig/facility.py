@@ -17,6 +17,16 @@ def rounded(value: float, digits: int = 4) -> float:
     return float(f"{value:.{digits}g}")
 
 
+def sign(rng: Generator) -> float:
+    """1 or -1."""
+    return 1.0 if rng.random() < 0.5 else -1.0
+
+
+def log_uniform(rng: Generator, low: float, high: float) -> float:
+    """A number whose logarithm is uniform."""
+    return float(math.exp(rng.uniform(math.log(low), math.log(high))))
+
+
 METHODS: dict[str, Any] = {
     "none": lambda rng, k, c: {},
     "phase_lead": lambda rng, k, c: {},
@@ -135,8 +145,8 @@ def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_l
     delay; `method` of compensation.
     """
     while True:
-        chaser, target = _log(rng, 200.0, 1500.0), _log(rng, 500.0, 10000.0)
-        stiffness, delay = _log(rng, 2e4, 5e5), float(rng.integers(1, 11)) / 1000.0
+        chaser, target = log_uniform(rng, 200.0, 1500.0), log_uniform(rng, 500.0, 10000.0)
+        stiffness, delay = log_uniform(rng, 2e4, 5e5), float(rng.integers(1, 11)) / 1000.0
         rate = int(rng.choice([1000, 2000]))
         reduced = 1.0 / (1.0 / chaser + 1.0 / target)
         # rad/s, with the stiffer of the known springs
@@ -144,47 +154,34 @@ def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_l
         if fastest * delay < 0.4 and math.pi / fastest * rate >= 40.0 and fastest > 12.0:
             break
     chaser, target, stiffness = (rounded(v, 3) for v in (chaser, target, stiffness))
-    ratio = _log(rng, 0.02, 0.15)
+    ratio = log_uniform(rng, 0.02, 0.15)
     damping = rounded(2.0 * ratio * math.sqrt(stiffness * reduced), 3)
-    fast = _log(rng, 0.06, 0.1)
+    fast = log_uniform(rng, 0.06, 0.1)
     speeds = [rounded(fast * part, 2) for part in (0.25, 0.375, 0.625, 1.0, 0.5, 0.5)]
     touch_time = 0.1 + 0.1 * rng.random()
     longest = math.pi / (fastest / 2.0)
     noise = rounded(
-        min(max(_log(rng, 2e-4, 7e-4) * fast * math.sqrt(stiffness * reduced), 0.05), 1.5), 2
+        min(max(log_uniform(rng, 2e-4, 7e-4) * fast * math.sqrt(stiffness * reduced), 0.05), 1.5), 2
     )
     friction = rounded(rng.uniform(0.05, 0.2), 2) if "friction" in design else 0.0
     latched = "latched" in design
-    scenario = {
-        "name": "facility",
-        "description": DESCRIPTION,
-        "seed": 1,
-        "duration": round(
-            math.ceil((touch_time + (2.0 if latched else 1.3) * longest + 0.3) * 10.0) / 10.0, 1
-        ),
-        "rate": rate,
-        "physics_rate": 4 * rate if rng.random() < 0.5 else 2 * rate,
-        "spacecraft": {
-            "chaser": _body(rng, chaser, 1.0, design),
-            "target": _body(rng, target, -1.0, design),
-        },
-        "approach": {
-            "gap": rounded(speeds[1] * touch_time, 2),
-            "velocity": [0.0, 0.0, speeds[1]],
-            "offset": [0.0, 0.0],
-            "attitude_deg": [0, 0, 0],
-            "rate_deg": [0, 0, 0],
-        },
-        "mechanism": {
+    duration = touch_time + (2.0 if latched else 1.3) * longest + 0.3
+    fine = 4 * rate if rng.random() < 0.5 else 2 * rate
+    timing = round(math.ceil(duration * 10.0) / 10.0, 1), rate, fine
+    of_body = (0.25, 0.6), 0.12, (0.7, 1.4), "offset" not in design
+    scenario = scenario_of(
+        DESCRIPTION,
+        timing,
+        (draw_body(rng, chaser, 1.0, *of_body), draw_body(rng, target, -1.0, *of_body)),
+        (rounded(speeds[1] * touch_time, 2), speeds[1]),
+        mechanism={
             "kind": "latched" if latched else "bumper",
             "contact": {"stiffness": stiffness, "damping": damping, "friction": friction},
         },
-        "rig": {"platform": {"kind": "pss33", "tracking": "ideal"}},
-        "sensor": {"delay": delay, "lowpass": None, "time_constant": None, "noise": noise},
-        "compensation": {"force": {"kind": "phase_lead"}, "motion": {"kind": "none"}},
-        "identification": {"kind": "rls"},
-        "effects": [],
-    }
+        platform={"tracking": "ideal"},
+        sensor={"delay": delay, "lowpass": None, "time_constant": None, "noise": noise},
+        compensation={"kind": "phase_lead"},
+    )
     runs = [_run(rng, i, v, touch_time, design, scenario) for i, v in enumerate(speeds)]
     if method != "phase_lead":
         scenario["compensation"]["force"] = {
@@ -197,21 +194,58 @@ def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_l
     )
 
 
-def _log(rng: Generator, low: float, high: float) -> float:
-    return float(math.exp(rng.uniform(math.log(low), math.log(high))))
+def draw_body(
+    rng: Generator,
+    mass: float,
+    side: float,
+    sizes: tuple[float, float],
+    across: float,
+    reach: tuple[float, float],
+    centred: bool = False,
+) -> dict:
+    """A body of a scenario: mass [kg], and a port on its `side` of it.
 
-
-def _body(rng: Generator, mass: float, side: float, design: frozenset[str]) -> dict:
-    size = _log(rng, 0.25, 0.6)  # m^2
+    ``sizes`` [m^2]: range of inertia over mass. ``across`` [m]: largest distance of the port from
+    the axis, so that the contact rotates this body as well; `centred`: none. ``reach`` [m]: range
+    of its distance along the axis.
+    """
+    size = log_uniform(rng, *sizes)
     inertia = [rounded(mass * size * rng.uniform(0.8, 1.1), 2) for _ in range(3)]
-    # A port off the axis: the contact rotates this body as well, not only the one that is hit
-    # off-centre.
-    across = [rounded(v, 2) if "offset" in design else 0.0 for v in rng.uniform(-0.12, 0.12, 2)]
+    place = [0.0 if centred else rounded(v, 2) for v in rng.uniform(-across, across, 2)]
     port = {
-        "position": [*across, side * rounded(rng.uniform(0.7, 1.4), 2)],
+        "position": [*place, side * rounded(rng.uniform(*reach), 2)],
         "attitude_deg": [0, 0, 0],
     }
     return {"mass": mass, "inertia": inertia, "port": port}
+
+
+def scenario_of(description: str, timing: tuple, bodies: tuple, start: tuple, **more: Any) -> dict:
+    """A scenario. ``timing``: duration, rate and physics rate. ``bodies``: chaser and target.
+    ``start``: gap and speed. ``more``: mechanism, platform, sensor, compensation.
+    """
+    (duration, rate, physics_rate), (chaser, target), (gap, speed) = timing, bodies, start
+    return {
+        "name": "facility",
+        "description": description,
+        "seed": 1,
+        "duration": duration,
+        "rate": rate,
+        "physics_rate": physics_rate,
+        "spacecraft": {"chaser": chaser, "target": target},
+        "approach": {
+            "gap": gap,
+            "velocity": [0.0, 0.0, speed],
+            "offset": [0.0, 0.0],
+            "attitude_deg": [0, 0, 0],
+            "rate_deg": [0, 0, 0],
+        },
+        "mechanism": more["mechanism"],
+        "rig": {"platform": {"kind": "pss33", **more["platform"]}},
+        "sensor": more["sensor"],
+        "compensation": {"force": more["compensation"], "motion": {"kind": "none"}},
+        "identification": {"kind": "rls"},
+        "effects": [],
+    }
 
 
 def _run(
@@ -227,10 +261,7 @@ def _run(
     """
     slides = number in (1, 3) and "slide" in design
     sideways = [
-        rounded(rng.uniform(0.1, 0.25) * speed, 1) * (1 if rng.random() < 0.5 else -1)
-        if slides
-        else 0.0
-        for _ in range(2)
+        rounded(rng.uniform(0.1, 0.25) * speed, 1) * sign(rng) if slides else 0.0 for _ in range(2)
     ]
     if rng.random() < 0.5:
         sideways[1] = 0.0

@@ -1,5 +1,5 @@
 """Generates the records and logs of a facility's runs, with hidden effects and the facility's way
-of computing.
+of computing; and the strength of an effect in them.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.random import Generator
 
 from tests.equipment.independent_rig.closed_loop import simulate
+from tests.equipment.independent_rig.compensation import METHODS
 from tests.equipment.independent_rig.docking_facility import SIX, DockingFacility
 from tests.equipment.independent_rig.facility import Facility
-from tests.equipment.independent_rig.foreign import FOREIGN
-from tests.equipment.independent_rig.further_foreign import IN_DOCKING
+from tests.equipment.independent_rig.foreign import FOREIGN, IN_DOCKING
 from tests.equipment.independent_rig.hidden import EFFECTS
-from tests.equipment.independent_rig.links import Noise, Records, Rig
+from tests.equipment.independent_rig.links import Noise, Records, Rig, silence
 from tests.equipment.independent_rig.log import Log, log_of
 from tests.equipment.independent_rig.noise_kinds import NOISE_KINDS
 from tests.equipment.independent_rig.nuisances import PLAIN as AS_TODAY
@@ -29,6 +29,9 @@ PLAIN = {"coarse": False, "quiet_zone": False, "lever": 1.0, "frame_rate": 0.0, 
 MOST_OVERLOAD = 2.5
 LEAST_LOAD = 0.2  # smallest likewise
 ALL_FOREIGN = FOREIGN | IN_DOCKING
+MODEL_NOISE = 2e-6  # m, reference for pose_cmd, which is computed and has no noise
+RUNS = (1, 3, 4)  # runs that are evaluated
+AMPLIFYING = (METHODS["phase_lead"], METHODS["reconstruction"])
 
 
 def link_of(kind: str) -> str:
@@ -175,3 +178,47 @@ def _axial_peak(facility: Facility, run: int) -> float:
         / facility.stiffness
     )
     return factor * facility.peak * facility.speeds[run] / facility.middle_speed
+
+
+def strength(
+    facility: Facility, effects: list[dict[str, Any]], which: int, variants: dict[str, Any]
+) -> float:
+    """Size of effect `which` relative to the noise in its link's records, in the run where it is
+    largest; see `HiddenSet`.
+    """
+    rest = [e for i, e in enumerate(effects) if i != which]
+    return max(
+        _strength(facility, run, effects, rest, link_of(effects[which]["kind"]), variants)
+        for run in RUNS
+    )
+
+
+def _strength(
+    facility: Facility, run: int, effects: list, rest: list, link: str, variants: dict[str, Any]
+) -> float:
+    without, full = (rig_of(facility, run, e, variants) for e in (rest, effects))
+    drawn = draw_noise(np.random.default_rng(run), facility, full.ticks)
+    quiet = silence(full.ticks)._replace(delay=drawn.delay, repeat=drawn.repeat)
+    plain = simulate(without, quiet)
+    cut = simulate(full, quiet, pose_cmd=plain.pose_cmd, wrench_comp=plain.wrench_comp)
+    forces = sigma_of(facility)
+    if link == "platform":
+        change = (cut.pose_act - plain.pose_act)[:, :3] / facility.pose_noise
+    elif link == "dynamics":
+        change = (cut.pose_cmd - plain.pose_cmd)[:, :3] / MODEL_NOISE
+    elif link == "compensation":
+        change = (cut.wrench_comp - plain.wrench_comp) / forces / _amplification(full)
+    else:
+        change = (cut.wrench_meas - plain.wrench_meas) / forces
+    on = plain.touching | cut.touching
+    return float(np.sqrt(np.max(np.mean(change[on] ** 2, axis=0)))) if on.any() else 0.0
+
+
+def _amplification(rig: Rig) -> float:
+    """Factor by which the method amplifies the noise of a row."""
+    comp = rig.compensator
+    # on a plane, a facility without a method is rated as one with a lead
+    unrated = comp.method == METHODS["none"] and rig.docking is None
+    if comp.method not in AMPLIFYING and not unrated:
+        return 1.0
+    return (comp.t1 * rig.rate + 1.0) / (comp.t2 * rig.rate + 1.0)

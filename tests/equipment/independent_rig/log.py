@@ -1,19 +1,32 @@
-"""A facility's log of a run: stamps and channels, as written by its logger."""
+"""A facility's log of a run, stamps and channels, and the files in which a set is delivered."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tests.equipment.independent_rig.links import Records
-from tests.equipment.independent_rig.measured_pose import slope
+from tests.equipment.independent_rig.rotation import slope
+
+if TYPE_CHECKING:
+    from tests.equipment.independent_rig.sets import HiddenSet
 
 POSES, WRENCHES, TWISTS = (
     ("pose_cmd", "pose_act"),
     ("wrench_meas", "wrench_comp"),
     ("twist_cmd", "twist_act"),
 )
+
+
+PARTS = {
+    "pose": ("px", "py", "pz", "qx", "qy", "qz", "qw"),
+    "wrench": ("fx", "fy", "fz", "tx", "ty", "tz"),
+    "twist": ("vx", "vy", "vz", "wx", "wy", "wz"),
+}
+STAMP_DIGITS = 5  # significant, at least, so that stamps of a text file increase
 
 
 @dataclass(frozen=True)
@@ -85,3 +98,72 @@ def _rates(pose: np.ndarray, h: float) -> np.ndarray:
         slope(pose[k - 1], pose[k], h, out[k])
     out[0] = out[1]
     return out
+
+
+def write_set(folder: str | Path, hidden: HiddenSet, truth: bool = False) -> Path:
+    """Write nominal.yaml, dataset.yaml and run_N.parquet (run_N.csv for a text log); with `truth`
+    also truth.yaml.
+    """
+    from ruamel.yaml import YAML
+
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    yaml = YAML(typ="safe")
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    entries = [
+        {"file": _write_log(folder, log), "set": hidden.facility.runs[log.run]}
+        for log in hidden.logs
+    ]
+    pages = {
+        "nominal.yaml": hidden.facility.scenario,
+        "dataset.yaml": {"scenario": "nominal.yaml", "runs": entries},
+    }
+    for name, content in (pages | ({"truth.yaml": hidden.truth} if truth else {})).items():
+        with (folder / name).open("w", encoding="utf-8") as file:
+            yaml.dump(plain(content), file)
+    return folder
+
+
+def columns_of(log: Log) -> dict[str, np.ndarray]:
+    """The columns of a log by name, t first."""
+    columns, channels = {"t": log.t}, log.channels()
+    for name in (*POSES, *TWISTS, *WRENCHES):
+        if name in channels:
+            columns |= {
+                f"{name}.{part}": channels[name][:, j].copy()
+                for j, part in enumerate(PARTS[name.split("_")[0]])
+            }
+    return columns
+
+
+def _write_log(folder: Path, log: Log) -> str:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = columns_of(log)
+    if log.digits is None:
+        pq.write_table(pa.table(columns), folder / f"run_{log.run}.parquet")
+        return f"run_{log.run}.parquet"
+    with (folder / f"run_{log.run}.csv").open("w", encoding="utf-8") as file:
+        formats = [
+            f"%.{max(log.digits, STAMP_DIGITS)}g",
+            *[f"%.{log.digits}g"] * (len(columns) - 1),
+        ]
+        np.savetxt(
+            file,
+            np.stack(list(columns.values()), axis=1),
+            formats,
+            ",",
+            header=",".join(columns),
+            comments="",
+        )
+    return f"run_{log.run}.csv"
+
+
+def plain(value: Any) -> Any:
+    """`value` without NumPy's types, which YAML cannot write."""
+    if isinstance(value, dict):
+        return {k: plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    return value.item() if isinstance(value, np.generic) else value

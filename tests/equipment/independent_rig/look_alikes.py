@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from numpy.random import Generator
 
-from tests.equipment.independent_rig.facility import Facility, rounded
+from tests.equipment.independent_rig.facility import Facility, rounded, sign
 
 Pair = tuple[str, str]
 SHORTEST, LONGEST = 1.2e-3, 6e-3  # s
@@ -24,10 +24,6 @@ def _time(rng: Generator, f: Facility, s: float) -> float:
     )
 
 
-def _sign(rng: Generator) -> float:
-    return 1.0 if rng.random() < 0.5 else -1.0
-
-
 def _delay_or_damping(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
     """A force delayed by t corresponds to the damping c - k t."""
     time = min(_time(rng, f, s), 0.9 * f.damping / f.stiffness)
@@ -37,7 +33,7 @@ def _delay_or_damping(rng: Generator, f: Facility, s: float) -> tuple[dict, dict
 
 
 def _gain_or_stiffness(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    factor = rounded(1.0 + s * _sign(rng) * rng.uniform(0.05, 0.15))
+    factor = rounded(1.0 + s * sign(rng) * rng.uniform(0.05, 0.15))
     return {"factor": factor, "axis": "z"}, {"factor": factor}
 
 
@@ -61,7 +57,7 @@ def _either_mass(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
     """Masses of chaser or target that give the same reduced mass."""
     chaser, target = (float(f.scenario["spacecraft"][b]["mass"]) for b in ("chaser", "target"))
     for _ in range(100):
-        factor = rounded(1.0 + s * _sign(rng) * rng.uniform(0.05, 0.2))
+        factor = rounded(1.0 + s * sign(rng) * rng.uniform(0.05, 0.2))
         rest = 1.0 / (factor * chaser) + 1.0 / target - 1.0 / chaser
         if rest > 0.2 / target:
             return {"factor": factor, "body": "chaser"}, {

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy import signal
 
-from tests.equipment.independent_rig.log import Log
+from tests.equipment.independent_rig.log import STAMP_DIGITS, Log
 from tests.equipment.independent_rig.nuisances import shifted
 
 Apply = Callable[[Log, float, Generator], Log]
@@ -28,7 +28,6 @@ SLOW_DELAY = 2.6131259
 SPIKE = (10.0, 30.0)  # sigma
 LONGEST_HOLD = 5  # rows
 MAINS = 50.0  # Hz
-STAMP_DIGITS = 5
 HARMONICS = (1, 2, 3, 5)
 
 

@@ -24,7 +24,6 @@ from tests.equipment.independent_rig.platform import Platform
 from tests.equipment.independent_rig.sensor import Sensor
 
 LEAD_T2 = 0.0005  # s, unless the scenario sets it
-PLAIN = ("none", "phase_lead")  # methods for which the loop on a plane has its own code
 MIDDLE = 0.5  # lever of a healthy docking: the force acts in the middle of the overlap
 BUMPER_TIP = 0.02  # m, radius
 # mass, inertia about its centre, centre from P
@@ -55,9 +54,7 @@ def nominal_rig(scenario: dict) -> Rig:
     """
     contact = scenario["mechanism"]["contact"]
     delay = float(scenario["sensor"]["delay"])
-    force = scenario["compensation"]["force"]
     rate = float(scenario["rate"])
-    t2 = float(force.get("t2", LEAD_T2))
     return Rig(
         bodies.from_scenario(scenario["spacecraft"]),
         Platform(np.ones(3)),
@@ -69,9 +66,7 @@ def nominal_rig(scenario: dict) -> Rig:
             scenario["mechanism"]["kind"] == "latched",
         ),
         Sensor(np.ones(6), np.zeros((6, 6)), np.zeros(3), np.zeros(6), np.zeros(3), delay),
-        Compensator(delay + t2, t2, force["kind"] == "phase_lead")
-        if force["kind"] in PLAIN
-        else compensator_of(scenario),
+        compensator_of(scenario),
         scenario["approach"],
         rate,
         round(float(scenario["duration"]) * rate),
@@ -119,7 +114,6 @@ def docking_rig(scenario: dict) -> Rig:
     rig = flat._replace(
         contact=contact,
         platform=flat.platform._replace(**response),
-        compensator=compensator_of(scenario),
         docking=_docking(mechanism, contact),
     )
     return with_held(rig)

@@ -107,3 +107,47 @@ def read(sensor, raw, place, noise, t, h, state, out):
     if sensor.quantum > 0.0:
         for a in range(3):
             out[a] = sensor.quantum * math.floor(out[a] / sensor.quantum + 0.5)
+
+
+@njit(cache=True)
+def lateness(sensor, drawn, force):
+    """Delay [s] of a reading, with a random number for its jitter, under a force [N]."""
+    return max(sensor.delay + sensor.jitter * drawn + sensor.heavy * abs(force), 0.0)
+
+
+@njit(cache=True)
+def logs_apart(sensor):
+    """Whether the log reads the sensor at another time than the loop."""
+    return sensor.skew > 0.0 or sensor.stretch != 0.0
+
+
+@njit(cache=True)
+def stamped(sensor, t):
+    """The time [s] that the log shows in its row of `t`."""
+    return t * (1.0 - sensor.stretch) - sensor.skew
+
+
+@njit(cache=True)
+def sense(sensor, noise, k, h, felt, chains, still, used, logged):
+    """Read tick k to `used` and `logged` (ticks, 6).
+
+    felt: wrench and place for the loop, and those for the log. chains: (STATES, 6) of both.
+        still: ticks for which a held reading still repeats; returned anew.
+    """
+    raw, where, raw_log, where_log = felt
+    t = k * h
+    read(sensor, raw, where, noise.reading[k], t, h, chains[0], used[k])
+    if sensor.repeat > 0.0:
+        if still > 0:
+            used[k], still = used[k - 1], still - 1
+        elif k > 0 and noise.repeat[k] < 0.01:
+            still = int(sensor.repeat / h)
+    logged[k] = used[k]
+    if logs_apart(sensor):
+        stamp = stamped(sensor, t)
+        back = k - int((t - stamp) / h + 0.5)
+        then = noise.reading[back] if 0 <= back < len(noise.reading) else np.zeros(6)
+        read(sensor, raw_log, where_log, then, stamp, h, chains[1], logged[k])
+    if sensor.freeze > 0.0 and k > 0 and (t % 0.1) < sensor.freeze:
+        logged[k] = logged[k - 1]
+    return still

@@ -11,8 +11,13 @@ from numpy.random import Generator
 from tests.equipment.independent_rig import docking_sizes
 from tests.equipment.independent_rig.docking_facility import SIX, draw_docking_facility
 from tests.equipment.independent_rig.facility import Facility, draw_facility
-from tests.equipment.independent_rig.foreign import FOREIGN, Foreign
-from tests.equipment.independent_rig.further_foreign import IN_DOCKING, LEAD_ALONE, foreign_in
+from tests.equipment.independent_rig.foreign import (
+    FOREIGN,
+    IN_DOCKING,
+    LEAD_ALONE,
+    Foreign,
+    foreign_in,
+)
 from tests.equipment.independent_rig.generation import (
     PLAIN,
     draw_noise,
@@ -22,6 +27,7 @@ from tests.equipment.independent_rig.generation import (
     record,
     rig_of,
     stable,
+    strength,
     with_effect,
 )
 from tests.equipment.independent_rig.hidden import EFFECTS
@@ -32,7 +38,6 @@ from tests.equipment.independent_rig.noise_kinds import NOISE_KINDS
 from tests.equipment.independent_rig.nuisances import PLAIN as AS_TODAY
 from tests.equipment.independent_rig.nuisances import Nuisances
 from tests.equipment.independent_rig.sizes import NEEDS, SIZES, alike
-from tests.equipment.independent_rig.strengths import strength
 
 Kind = Literal["healthy", "single", "pair", "triple", "foreign", "alike"]
 Design = Literal["bumper", "docking", "mounted", "held"]

@@ -22,8 +22,15 @@ from tests.equipment.independent_rig import mount as mounting
 from tests.equipment.independent_rig import platform as drive
 from tests.equipment.independent_rig import sensor as gauge
 from tests.equipment.independent_rig.links import Noise, Records, Rig
-from tests.equipment.independent_rig.measured_pose import all_noisy, noisy, slope
-from tests.equipment.independent_rig.rotation import inverse, product, turn, turn_of
+from tests.equipment.independent_rig.rotation import (
+    all_noisy,
+    inverse,
+    noisy,
+    product,
+    slope,
+    turn,
+    turn_of,
+)
 
 STOPPED = 5e4  # N, at which a facility stops its run: the records are NaN from then on
 # s of the trail kept in addition to the delays, for the look-back of a stretched or skewed record
@@ -73,10 +80,11 @@ def pose_at(trail, t, h, timing, pose, twist):
 
 
 @njit(cache=True)
-def wrench_at(law, docking, trail, t, h, timing, out, where):
+def wrench_at(sides, trail, t, h, timing, out, where):
     """The wrench (6,) on the sensor at `t`, zero before the start; `where` (3,) is the position of
-    A then.
+    A then. ``sides``: law and docking.
     """
+    docking = sides[1]
     out[:] = 0.0
     where[:] = trail.place[0]
     if t < 0.0:
@@ -96,19 +104,20 @@ def wrench_at(law, docking, trail, t, h, timing, out, where):
         return
     states = trail.states[j] + part * (trail.states[ahead] - trail.states[j])
     latched = t > trail.closed[0] * h * (1.0 + 1e-12) or docking.from_start
-    meeting.wrench_in_place(
-        law, docking, pose, twist, y, latched, trail.hold, states, out, np.empty((2, 2))
-    )
+    seen = np.empty((2, 2))
+    meeting.wrench_in_place(sides, pose, twist, y, latched, trail.hold, states, out, seen)
 
 
 @njit(cache=True)
-def _shake(law, docking, trail, latched, pose, twist, y, states, dt, scheme, out):
-    """The mounted body over dt from y (13,), with A starting at pose (7,) with the twist (6,):
-    midpoint rule or semi-implicit Euler.
+def _shake(sides, trail, latched, pose, twist, states, dt, scheme, y, out):
+    """The mounted body over dt from y (13,) to `out`, with A starting at pose (7,) with the twist
+    (6,): midpoint rule or semi-implicit Euler.
     """
+    law, docking = sides
     wrench, seen, a, b = np.empty(6), np.empty((2, 2)), np.empty(6), np.empty(6)
     at, half = np.empty(7), np.empty(13)
-    meeting.wrench_in_place(law, docking, pose, twist, y, latched, trail.hold, states, wrench, seen)
+    hold = latched, trail.hold, states
+    meeting.wrench_in_place(sides, pose, twist, y, *hold, wrench, seen)
     rub = (
         law.friction * math.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2) / law_of.SLIDING
     )
@@ -119,9 +128,7 @@ def _shake(law, docking, trail, latched, pose, twist, y, states, dt, scheme, out
     for s in range(inner):
         if s > 0:
             _along(pose, twist, s * step, at)
-            meeting.wrench_in_place(
-                law, docking, at, twist, out, latched, trail.hold, states, wrench, seen
-            )
+            meeting.wrench_in_place(sides, at, twist, out, *hold, wrench, seen)
         mounting.derivative(docking.mount, out, wrench, a)
         if scheme == drive.SEMI_IMPLICIT:
             for i in range(6):
@@ -130,9 +137,7 @@ def _shake(law, docking, trail, latched, pose, twist, y, states, dt, scheme, out
             continue
         mounting.moved(out, out[7:], a, 0.5 * step, half)
         _along(pose, twist, (s + 0.5) * step, at)
-        meeting.wrench_in_place(
-            law, docking, at, twist, half, latched, trail.hold, states, wrench, seen
-        )
+        meeting.wrench_in_place(sides, at, twist, half, *hold, wrench, seen)
         mounting.derivative(docking.mount, half, wrench, b)
         mounting.moved(out, half[7:], b, step, out)
 
@@ -145,8 +150,9 @@ def _along(pose, twist, time, out):
 
 
 @njit(cache=True)
-def _settle(law, docking, trail, latched, k, h, timing, stateful, scheme):
+def _settle(sides, trail, latched, k, h, timing, stateful, scheme):
     """The mounted body and the states of the law over the tick from t_k."""
+    law, docking = sides
     m, length = timing.substeps, len(trail.place)
     dt = h / m
     pose, twist, wrench, seen = np.empty(7), np.empty(6), np.empty(6), np.empty((2, 2))
@@ -156,56 +162,33 @@ def _settle(law, docking, trail, latched, k, h, timing, stateful, scheme):
         if not docking.mount.there and not stateful:
             continue
         pose_at(trail, (k * m + i + 1) * dt, h, timing, pose, twist)
+        y, states = trail.mounted[there], trail.states[there]
         if docking.mount.there:
             pace = twist.copy()  # the path's own twist, independent of the rate used by the contact
             from_pose = pose.copy()
             pace[:3] = (trail.place[there] - trail.place[here]) / dt
             _along(pose, pace, -dt, from_pose)
-            _shake(
-                law,
-                docking,
-                trail,
-                latched,
-                from_pose,
-                pace,
-                trail.mounted[here],
-                trail.states[here],
-                dt,
-                scheme,
-                trail.mounted[there],
-            )
+            before = trail.states[here], dt, scheme, trail.mounted[here]
+            _shake(sides, trail, latched, from_pose, pace, *before, y)
         if not stateful:
             continue
-        meeting.wrench_in_place(
-            law,
-            docking,
-            pose,
-            twist,
-            trail.mounted[there],
-            latched,
-            trail.hold,
-            trail.states[there],
-            wrench,
-            seen,
-        )
+        meeting.wrench_in_place(sides, pose, twist, y, latched, trail.hold, states, wrench, seen)
         for which in range(2):
-            touch_law = docking.held if latched else law
-            law_of.advance_along(
-                touch_law,
-                trail.seen[which, 0],
-                seen[which, 0],
-                seen[which, 1],
-                trail.states[there, which],
-                dt,
-            )
+            own = docking.held if latched else law
+            x, rate = seen[which, 0], seen[which, 1]
+            law_of.advance_along(own, trail.seen[which, 0], x, rate, states[which], dt)
         trail.seen[:] = seen
 
 
 @njit(cache=True)
-def _follow(platform, node, turned, aim, velocity, k, h, timing, axes, trail, pushed, wheel):
-    """The platform from t_k to t_(k+1); `node`: commanded positions, `turned`: commanded rotation
-    vectors from the start.
+def _follow(platform, commands, aim, velocity, k, h, timing, trail, moving):
+    """The platform from t_k to t_(k+1).
+
+    commands: positions, and rotation vectors from the start. moving: states of the axes, pushes at
+        the last two ticks, and rotation with its rate.
     """
+    node, turned = commands
+    axes, pushed, wheel = moving
     m, length = timing.substeps, len(trail.place)
     dt = h / m
     for i in range(1, m + 1):
@@ -220,16 +203,10 @@ def _follow(platform, node, turned, aim, velocity, k, h, timing, axes, trail, pu
             w0 = drive.command_at(turned, velocity[3:], t0 - timing.move * h, h)
             w1 = drive.command_at(turned, velocity[3:], t1 - timing.move * h, h)
             for a in range(3):
+                rate = (w1[a] - w0[a]) / dt
+                w, zeta = platform.response_w, platform.response_zeta
                 wheel[a, 0], wheel[a, 1] = drive.respond(
-                    platform,
-                    wheel[a, 0],
-                    wheel[a, 1],
-                    w0[a],
-                    (w1[a] - w0[a]) / dt,
-                    dt,
-                    platform.response_w,
-                    platform.response_zeta,
-                    0.0,
+                    platform, wheel[a, 0], wheel[a, 1], w0[a], rate, dt, w, zeta, 0.0
                 )
     trail.attitude[k + 1] = aim
     if timing.move > 0.0:
@@ -257,116 +234,60 @@ def _read_pose(trail, k, h, timing, velocity, out):
 
 
 @njit(cache=True)
-def _loop(
-    bodies,
-    platform,
-    law,
-    docking,
-    sensor,
-    comp,
-    state,
-    start,
-    velocity,
-    h,
-    ticks,
-    noise,
-    cut_cmd,
-    cut_comp,
-    timing,
-    keep,
-    trail,
-    stateful,
-):
-    """The records of a run; arguments as for the loop on a plane, but `velocity` (6,)."""
+def _loop(links, begin, grid, noise, cuts, keep, trail, stateful):
+    """The records of a run; arguments as for the loop on a plane, but a docking among the links and
+    a velocity (6,).
+    """
+    bodies, platform, law, docking, sensor, comp = links
+    state, start, velocity = begin
+    h, ticks, timing = grid
+    cut_cmd, cut_comp = cuts
+    sides = law, docking
     pose_cmd, pose_act = np.empty((ticks, 7)), np.empty((ticks, 7))
-    used, logged, comp_out, physical = (
-        np.empty((ticks, 6)),
-        np.empty((ticks, 6)),
-        np.empty((ticks, 6)),
-        np.empty((ticks, 6)),
-    )
+    used, logged = np.empty((ticks, 6)), np.empty((ticks, 6))
+    comp_out, physical = np.empty((ticks, 6)), np.empty((ticks, 6))
     touching = np.zeros(ticks, dtype=np.bool_)
     node, turned = np.zeros((ticks + 1, 3)), np.zeros((ticks + 1, 3))
     node[0] = start[:3]
-    axes, wheel = drive.initial(start[:3], velocity[:3]), np.zeros((3, 2))
+    axes, wheel, pushed = drive.initial(start[:3], velocity[:3]), np.zeros((3, 2)), np.zeros(2)
     wheel[:, 1] = velocity[3:]
-    chain, record = np.zeros((gauge.STATES, 6)), np.zeros((gauge.STATES, 6))
+    chains = np.zeros((2, gauge.STATES, 6))
     model_pose = np.empty((ticks + 1, 7))
     model_pose[0] = start
     origin = state[model.CHASER, model.R].copy()
-    raw, where, driven, local = np.empty(6), np.empty(3), np.zeros(6), np.empty(6)
-    pushed, still, zero = np.zeros(2), 0, np.zeros(6)
+    raw, where, raw_log, where_log = np.empty(6), np.empty(3), np.empty(6), np.empty(3)
+    driven, local, still = np.zeros(6), np.empty(6), 0
     felt, motion, felt_before = start.copy(), np.zeros(6), start.copy()
     length, m = len(trail.place), timing.substeps
     latched = docking.from_start
     for k in range(ticks):
         t = k * h
         _read_pose(trail, k, h, timing, velocity, pose_act[k])
-        wrench_at(law, docking, trail, t, h, timing, physical[k], where)
+        wrench_at(sides, trail, t, h, timing, physical[k], where)
         if not np.max(np.abs(physical[k, :3])) < STOPPED:
             for rows in (pose_cmd, pose_act, physical, used, logged, comp_out):
                 rows[k:] = np.nan
             break
         here = (k * m) % length
         pose_at(trail, t, h, timing, felt, motion)
-        meeting.wrench_in_place(
-            law,
-            docking,
-            felt,
-            motion,
-            trail.mounted[here],
-            latched,
-            trail.hold,
-            trail.states[here],
-            local,
-            trail.seen,
-        )
+        hold = trail.mounted[here], latched, trail.hold, trail.states[here]
+        meeting.wrench_in_place(sides, felt, motion, *hold, local, trail.seen)
         touching[k] = latched or trail.seen[0, 0] > 0.0 or trail.seen[1, 0] > 0.0
         pushed[0], pushed[1] = pushed[1], physical[k, 2]
-        late = max(
-            sensor.delay + sensor.jitter * noise.delay[k] + sensor.heavy * abs(physical[k, 2]), 0.0
-        )
-        wrench_at(law, docking, trail, t - late, h, timing, raw, where)
-        gauge.read(sensor, raw, where, noise.reading[k], t, h, chain, used[k])
-        if sensor.repeat > 0.0:
-            if still > 0:
-                used[k], still = used[k - 1], still - 1
-            elif k > 0 and noise.repeat[k] < 0.01:
-                still = int(sensor.repeat / h)
-        logged[k] = used[k]
-        if sensor.skew > 0.0 or sensor.stretch != 0.0:
-            stamp = t * (1.0 - sensor.stretch) - sensor.skew
-            back = k - int((t - stamp) / h + 0.5)
-            wrench_at(law, docking, trail, min(stamp - late, t), h, timing, raw, where)
-            gauge.read(
-                sensor,
-                raw,
-                where,
-                noise.reading[back] if 0 <= back < ticks else zero,
-                stamp,
-                h,
-                record,
-                logged[k],
-            )
-        if sensor.freeze > 0.0 and k > 0 and (t % 0.1) < sensor.freeze:
-            logged[k] = logged[k - 1]
+        late = gauge.lateness(sensor, noise.delay[k], physical[k, 2])
+        wrench_at(sides, trail, t - late, h, timing, raw, where)
+        if gauge.logs_apart(sensor):
+            then = min(gauge.stamped(sensor, t) - late, t)
+            wrench_at(sides, trail, then, h, timing, raw_log, where_log)
+        seen = raw, where, raw_log, where_log
+        still = gauge.sense(sensor, noise, k, h, seen, chains, still, used, logged)
         noisy(pose_act[k], noise.pose[k], felt)
         slope(felt_before, felt, h, motion)
         if k == 0:
             motion[:] = velocity
         felt_before[:] = felt
-        method.drive(
-            comp,
-            k,
-            used[k],
-            felt,
-            motion,
-            model.relative_twist(bodies, state),
-            latched,
-            h,
-            keep,
-            driven,
-        )
+        own = model.relative_twist(bodies, state)
+        method.drive(comp, k, used[k], (felt, motion, own), latched, h, keep, driven)
         comp_out[k] = driven
         model.step(bodies, state, cut_comp[k] if len(cut_comp) else driven, h, t, origin)
         model_pose[k + 1] = model.relative_pose(bodies, state)
@@ -378,32 +299,21 @@ def _loop(
         towards = cut_cmd[k] if len(cut_cmd) else pose_cmd[k]
         node[k + 1] = towards[:3]
         turned[k + 1] = turn_of(product(towards[3:7], inverse(start[3:])))
-        _follow(
-            platform, node, turned, towards[3:7], velocity, k, h, timing, axes, trail, pushed, wheel
-        )
-        _settle(law, docking, trail, latched, k, h, timing, stateful, platform.scheme)
+        moving = axes, pushed, wheel
+        _follow(platform, (node, turned), towards[3:7], velocity, k, h, timing, trail, moving)
+        _settle(sides, trail, latched, k, h, timing, stateful, platform.scheme)
         if docking.captures and not latched:
             there = ((k + 1) * m) % length
+            y, states = trail.mounted[there], trail.states[there]
             pose_at(trail, (k + 1) * h, h, timing, felt, motion)
-            latched = meeting.close(
-                docking, law, felt, motion, trail.mounted[there], trail.states[there], trail.hold
-            )
+            latched = meeting.close(sides, felt, motion, y, states, trail.hold)
             if latched:
                 trail.closed[0] = k + 1
                 meeting.wrench_in_place(
-                    law,
-                    docking,
-                    felt,
-                    motion,
-                    trail.mounted[there],
-                    True,
-                    trail.hold,
-                    trail.states[there],
-                    local,
-                    trail.seen,
+                    sides, felt, motion, y, True, trail.hold, states, local, trail.seen
                 )
-                trail.states[there, 0, law_of.BRANCH] = trail.states[there, 0, law_of.AGE] = 0.0
-                trail.states[there, 0, law_of.SLIDER] = trail.seen[0, 0]
+                states[0, law_of.BRANCH] = states[0, law_of.AGE] = 0.0
+                states[0, law_of.SLIDER] = trail.seen[0, 0]
     return pose_cmd, pose_act, logged, comp_out, used, physical, touching
 
 
@@ -440,26 +350,9 @@ def simulate(rig: Rig, noise: Noise, state, start, cut_cmd, cut_comp, keep) -> R
         dtype=float,
     )
     trail = _trail(rig, start, velocity)
-    found = _loop(
-        rig.bodies,
-        rig.platform,
-        rig.contact,
-        rig.docking,
-        rig.sensor,
-        rig.compensator,
-        state,
-        start,
-        velocity,
-        1.0 / rig.rate,
-        rig.ticks,
-        noise,
-        cut_cmd,
-        cut_comp,
-        rig.timing,
-        keep,
-        trail,
-        _keeps_state(rig),
-    )
+    links = rig.bodies, rig.platform, rig.contact, rig.docking, rig.sensor, rig.compensator
+    begin, grid = (state, start, velocity), (1.0 / rig.rate, rig.ticks, rig.timing)
+    found = _loop(links, begin, grid, noise, (cut_cmd, cut_comp), keep, trail, _keeps_state(rig))
     from_start = rig.docking is not None and rig.docking.from_start
     records = Records(*found, captured=-1 if from_start else min(int(trail.closed[0]), rig.ticks))
     return records._replace(pose_act=all_noisy(found[1], noise.pose))

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from numpy.random import Generator
 
-from tests.equipment.independent_rig.facility import Facility, rounded
+from tests.equipment.independent_rig.facility import Facility, rounded, sign
 
 Draw = Callable[[Generator, Facility, float], dict]
 
@@ -66,10 +66,6 @@ def alike(a: str, b: str) -> bool:
     return a == b or any(a in group and b in group for group in ALIKE)
 
 
-def _sign(rng: Generator) -> float:
-    return 1.0 if rng.random() < 0.5 else -1.0
-
-
 def _lateness(rng: Generator, f: Facility, s: float, low: float = 0.04, high: float = 0.1) -> float:
     """A time [s] that is a small phase of the contact's oscillation, but not too short to be
     observable in the loop.
@@ -83,8 +79,9 @@ def _jitter(rng: Generator, f: Facility, s: float) -> dict:
     return {"sigma": rounded(s * min(time, f.scenario["sensor"]["delay"] / 3.0))}
 
 
-def _factor(rng: Generator, s: float, low: float, high: float) -> float:
-    return rounded(1.0 + s * _sign(rng) * rng.uniform(low, high))
+def factor(rng: Generator, s: float, low: float, high: float) -> float:
+    """A factor that departs from 1 either way."""
+    return rounded(1.0 + s * sign(rng) * rng.uniform(low, high))
 
 
 def _damping(rng: Generator, f: Facility, s: float) -> dict:
@@ -121,28 +118,26 @@ def _power_law(rng: Generator, f: Facility, s: float) -> dict:
 
 def _bias(rng: Generator, f: Facility, s: float) -> dict:
     size = s * max(6.0 * f.noise, 0.008 * f.peak)
-    force = [rounded(size * _sign(rng) * rng.uniform(0.7, 1.5), 3) for _ in range(3)]
-    torque = [
-        rounded(s * f.torque_noise * _sign(rng) * rng.uniform(5.0, 15.0), 3) for _ in range(3)
-    ]
+    force = [rounded(size * sign(rng) * rng.uniform(0.7, 1.5), 3) for _ in range(3)]
+    torque = [rounded(s * f.torque_noise * sign(rng) * rng.uniform(5.0, 15.0), 3) for _ in range(3)]
     return {"force": force, "torque": torque}
 
 
 def _misalignment(rng: Generator, f: Facility, s: float) -> dict:
-    return {"angles_deg": [rounded(s * _sign(rng) * rng.uniform(0.7, 3.0), 3) for _ in range(2)]}
+    return {"angles_deg": [rounded(s * sign(rng) * rng.uniform(0.7, 3.0), 3) for _ in range(2)]}
 
 
 def _crosstalk(rng: Generator, f: Facility, s: float) -> dict:
     return {
-        "ratio": rounded(s * _sign(rng) * rng.uniform(0.02, 0.06)),
+        "ratio": rounded(s * sign(rng) * rng.uniform(0.02, 0.06)),
         "source": "z",
         "axis": str(rng.choice(["x", "y"])),
     }
 
 
 def _port_offset(rng: Generator, f: Facility, s: float) -> dict:
-    side = [rounded(s * _sign(rng) * rng.uniform(0.03, 0.12), 3) for _ in range(2)]
-    return {"offset": [*side, 0.0], "body": _body(rng)}
+    side = [rounded(s * sign(rng) * rng.uniform(0.03, 0.12), 3) for _ in range(2)]
+    return {"offset": [*side, 0.0], "body": either_body(rng)}
 
 
 def _appendage(rng: Generator, f: Facility, s: float) -> dict:
@@ -154,13 +149,14 @@ def _appendage(rng: Generator, f: Facility, s: float) -> dict:
     }
 
 
-def _body(rng: Generator) -> str:
+def either_body(rng: Generator) -> str:
+    """One of the two bodies."""
     return str(rng.choice(["chaser", "target"]))
 
 
 def _scale(rng: Generator, f: Facility, s: float) -> dict:
     axis = str(rng.choice(["x", "z"], p=[0.25, 0.75])) if "slide" in f.design else "z"
-    return {"factor": _factor(rng, s, 0.02, 0.07), "axis": axis}
+    return {"factor": factor(rng, s, 0.02, 0.07), "axis": axis}
 
 
 def _hum(rng: Generator, f: Facility, s: float) -> dict:
@@ -173,7 +169,7 @@ def _hum(rng: Generator, f: Facility, s: float) -> dict:
 
 
 def _drift(rng: Generator, f: Facility, s: float) -> dict:
-    rate = s * _sign(rng) * rng.uniform(20.0, 60.0) * f.noise / f.scenario["duration"]
+    rate = s * sign(rng) * rng.uniform(20.0, 60.0) * f.noise / f.scenario["duration"]
     return {"rate": rounded(rate), "axis": str(rng.choice(["x", "y", "z"], p=[0.2, 0.2, 0.6]))}
 
 
@@ -185,7 +181,7 @@ SIZES: dict[str, Draw] = {
     },
     "sensor.drift": _drift,
     "sensor.bias": _bias,
-    "sensor.gain": lambda rng, f, s: {"factor": _factor(rng, s, 0.05, 0.15), "axis": "z"},
+    "sensor.gain": lambda rng, f, s: {"factor": factor(rng, s, 0.05, 0.15), "axis": "z"},
     "sensor.crosstalk": _crosstalk,
     "sensor.deadzone": lambda rng, f, s: {
         "width": rounded(s * max(rng.uniform(0.02, 0.06) * f.peak, 6.0 * f.noise))
@@ -195,7 +191,7 @@ SIZES: dict[str, Draw] = {
     },
     "sensor.hum": _hum,
     "sensor.jitter": _jitter,
-    "contact.stiffness": lambda rng, f, s: {"factor": _factor(rng, s, 0.08, 0.3)},
+    "contact.stiffness": lambda rng, f, s: {"factor": factor(rng, s, 0.08, 0.3)},
     "contact.damping": _damping,
     "contact.power_law": _power_law,
     "contact.hunt_crossley": lambda rng, f, s: {
@@ -222,7 +218,7 @@ SIZES: dict[str, Draw] = {
         )
     },
     "contact.touch_offset": lambda rng, f, s: {
-        "offset": rounded(s * _sign(rng) * rng.uniform(0.07, 0.2) * f.depth)
+        "offset": rounded(s * sign(rng) * rng.uniform(0.07, 0.2) * f.depth)
     },
     "contact.backlash": lambda rng, f, s: {"width": rounded(s * rng.uniform(0.1, 0.3) * f.depth)},
     "contact.misalignment": _misalignment,
@@ -245,8 +241,14 @@ SIZES: dict[str, Draw] = {
     "platform.speed_limit": lambda rng, f, s: {
         "speed": rounded(f.top_speed * (1.0 - min(s * rng.uniform(0.04, 0.15), 0.9)))
     },
-    "dynamics.mass": lambda rng, f, s: {"factor": _factor(rng, s, 0.08, 0.25), "body": _body(rng)},
-    "dynamics.inertia": lambda rng, f, s: {"factor": _factor(rng, s, 0.2, 0.5), "body": _body(rng)},
+    "dynamics.mass": lambda rng, f, s: {
+        "factor": factor(rng, s, 0.08, 0.25),
+        "body": either_body(rng),
+    },
+    "dynamics.inertia": lambda rng, f, s: {
+        "factor": factor(rng, s, 0.2, 0.5),
+        "body": either_body(rng),
+    },
     "dynamics.port_offset": _port_offset,
     "dynamics.appendage": _appendage,
     "dynamics.step_delay": lambda rng, f, s: {

@@ -116,13 +116,8 @@ def in_pythons_own_start(err: str) -> bool:
 def started(arguments: list[str]) -> subprocess.Popen[bytes]:
     """Start the command in a process group of its own."""
     order = [sys.executable, "-m", "hiltestbed.cli", *arguments]
-    return subprocess.Popen(
-        order,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
+    none, pipe = subprocess.DEVNULL, subprocess.PIPE
+    return subprocess.Popen(order, stdin=none, stdout=none, stderr=pipe, start_new_session=True)
 
 
 def _ended_early(process: subprocess.Popen[bytes], after: float, hard: bool, twice: float) -> str:
@@ -184,11 +179,8 @@ def _whole(name: str, inputs: Path) -> tuple[float, str]:
                 if status not in command.statuses:
                     raise KillError(f"{name}, left alone: status {status}: {err[-300:]}")
             lasts = time.monotonic() - begin
-            known.write_text(
-                json.dumps(
-                    [lasts, digest(Path(place) / "out" / command.same) if command.same else ""]
-                )
-            )
+            made = digest(Path(place) / "out" / command.same) if command.same else ""
+            known.write_text(json.dumps([lasts, made]))
     lasts, made = json.loads(known.read_text())
     return lasts, made
 
@@ -219,16 +211,11 @@ def good_set(shared: Path) -> Path:
     if not place.exists():
         import numpy as np
 
+        from tests.equipment.independent_rig.log import write_set
         from tests.equipment.independent_rig.sets import draw_set
-        from tests.equipment.independent_rig.writing import write_set
 
-        _in_place(
-            write_set(
-                Path(tempfile.mkdtemp(dir=shared)) / "set",
-                draw_set(np.random.default_rng(3), "healthy"),
-            ),
-            place,
-        )
+        made = Path(tempfile.mkdtemp(dir=shared)) / "set"
+        _in_place(write_set(made, draw_set(np.random.default_rng(3), "healthy")), place)
     return place
 
 
@@ -242,16 +229,8 @@ def _run(inputs: Path, out: Path) -> list[str]:
 
 
 def _sweep(inputs: Path, out: Path) -> list[str]:
-    return [
-        "sweep",
-        str(inputs / "campaign.yaml"),
-        "--workers",
-        "1",
-        "--chunk",
-        "1",
-        "--out",
-        str(out),
-    ]
+    campaign = str(inputs / "campaign.yaml")
+    return ["sweep", campaign, "--workers", "1", "--chunk", "1", "--out", str(out)]
 
 
 def _diagnose(inputs: Path, out: Path) -> list[str]:
@@ -263,32 +242,13 @@ def _bench(inputs: Path, out: Path) -> list[str]:
 
 
 def _live(inputs: Path, out: Path) -> list[str]:
-    sensor, platform, listen, heard = _ports(inputs)
-    urls = [
-        "--sensor",
-        f"udp://127.0.0.1:{sensor}?listen={listen}",
-        "--platform",
-        f"udp://127.0.0.1:{platform}?listen={heard}",
-    ]
-    return [
-        "live",
-        "02-bumper",
-        "--set",
-        "rate=250",
-        "--set",
-        "devices.communication.misses_in_window=1000",
-        "--for",
-        "1",
-        "--arm",
-        "--no-rerun",
-        "--out",
-        str(out),
-        *urls,
-    ]
-
-
-def _ports(inputs: Path) -> list[int]:
-    return json.loads((inputs / "ports.json").read_text())
+    sensor, platform, listen, heard = json.loads((inputs / "ports.json").read_text())
+    words = (
+        "live 02-bumper --set rate=250 --set devices.communication.misses_in_window=1000 --for 1 "
+        f"--arm --no-rerun --sensor udp://127.0.0.1:{sensor}?listen={listen} "
+        f"--platform udp://127.0.0.1:{platform}?listen={heard} --out"
+    )
+    return [*words.split(), str(out)]
 
 
 @contextmanager
@@ -302,15 +262,12 @@ def _devices(inputs: Path) -> Iterator[None]:
         one.close()
     (inputs / "ports.json").write_text(json.dumps(ports))
     sensor, platform, listen, heard = ports
-    urls = [
-        "--sensor",
-        f"udp://127.0.0.1:{sensor}?peer={listen}",
-        "--platform",
-        f"udp://127.0.0.1:{platform}?peer={heard}",
-    ]
-    process = started(
-        ["emulate", "02-bumper", "--set", "rate=250", "--for", f"{PATIENCE:g}", *urls]
+    words = (
+        f"emulate 02-bumper --set rate=250 --for {PATIENCE:g} "
+        f"--sensor udp://127.0.0.1:{sensor}?peer={listen} "
+        f"--platform udp://127.0.0.1:{platform}?peer={heard}"
     )
+    process = started(words.split())
     try:
         if process.stderr is None or not process.stderr.readline():
             raise KillError("the emulated devices did not start")

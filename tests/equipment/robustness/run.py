@@ -260,14 +260,8 @@ def _answers(
     """The messages of a worker, and ``lost`` with the reason if it ends too early; ``shared``: a
     folder of all workers.
     """
-    order = [
-        sys.executable,
-        str(Path(__file__).with_name("worker.py")),
-        kind,
-        str(first),
-        str(count),
-        str(shared),
-    ]
+    worker = Path(__file__).with_name("worker.py")
+    order = [sys.executable, *map(str, (worker, kind, first, count, shared))]
     places = [str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH", "")]
     with subprocess.Popen(
         order,
@@ -320,10 +314,7 @@ def _result(tallies: dict[str, Tally], wall: float, workers: int) -> BenchResult
         for kind, t in tallies.items()
     ]
     faults = [fault for t in tallies.values() for fault in t.faults.values()]
-    tried, failed = (
-        sum(t.tried for t in tallies.values()),
-        sum(t.ended["failed"] for t in tallies.values()),
-    )
+    tried, failed = (sum(r[name] for r in records) for name in ("tried", "failed"))
     summary = {
         "tried": tried,
         "failed": failed,
@@ -338,18 +329,8 @@ def _result(tallies: dict[str, Tally], wall: float, workers: int) -> BenchResult
         f"refusal."
     )
     report.text(f"{wall / 60.0:.1f} minutes with {workers} processes.")
-    columns = (
-        "kind",
-        "tried",
-        "wanted",
-        "survived",
-        "refused",
-        "remarked",
-        "stopped",
-        "contained",
-        "failed",
-    )
-    report.table(list(columns), [[str(r[c]) for c in columns] for r in records])
+    columns = [name for name in records[0] if name not in ("wall", "other")]
+    report.table(columns, [[str(r[c]) for c in columns] for r in records])
     if faults:
         rows = [
             [f["kind"], _few(f["numbers"]), str(len(f["numbers"])), f["fault"]]

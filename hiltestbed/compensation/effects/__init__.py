@@ -1,1 +1,0 @@
-"""Effects between the measured wrench and the compensated wrench."""

@@ -1,1 +1,0 @@
-"""The shipped mechanisms, one per module."""

@@ -1,1 +1,0 @@
-"""Effects of the force sensor, in the order of its chain."""
