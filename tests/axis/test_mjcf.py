@@ -103,6 +103,9 @@ SERVOS = {
     "friction and load": [LAG | {"friction": 0.01, "offset": -0.02}],
     "limited acceleration": [LAG | {"acceleration_limit": 20.0}],
     "integral action": [LAG | {"integral_time": 0.3, "friction": 0.01}],
+    "integral action and a limit": [
+        LAG | {"integral_time": 0.3, "friction": 0.03, "acceleration_limit": 60.0}
+    ],
     "feed-forward": [{"kind": "platform.delay", "delay": 0.02}, LAG | {"feed_forward": 0.8}],
     "play": [LAG, {"kind": "platform.backlash", "width": 0.04}],
     "scale and offset": [
