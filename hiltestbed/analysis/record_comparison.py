@@ -24,7 +24,6 @@ from scipy.signal import correlate
 from hiltestbed.config.dataset import Channel, load_dataset
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
-from hiltestbed.measured.columns import near
 from hiltestbed.measured.formats import read_columns
 from hiltestbed.measured.values import SAME, signal
 from hiltestbed.run_folder.store import SUMMARY, read_run
@@ -233,7 +232,7 @@ def _read(path: Path, channels: Mapping[str, Channel], tick: float | None) -> Re
         if t is None:
             if time not in columns.data:
                 what = (
-                    f"no column {time!r} of times; {near([time], columns.names)}; name it in "
+                    f"no column {time!r} of times; {columns.nearest([time])}; name it in "
                     f"--channels DATASET, channels: {{t: {{column: ...}}}}"
                 )
                 raise InputError(Fault(str(path), None, None, "t", what))
@@ -247,7 +246,7 @@ def _read(path: Path, channels: Mapping[str, Channel], tick: float | None) -> Re
     if not found:
         what = (
             f"holds none of the columns {', '.join(f'{g}.*' for g in GROUPS_READ)} "
-            f"({near(['pose_act'], columns.names)}); map them with --channels DATASET"
+            f"({columns.nearest(['pose_act'])}); map them with --channels DATASET"
         )
         raise InputError(Fault(str(path), None, None, "channels", what))
     return _ends(found, tick)

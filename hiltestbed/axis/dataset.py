@@ -25,8 +25,9 @@ from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
-from hiltestbed.measured.columns import Columns, near
+from hiltestbed.measured.columns import Columns
 from hiltestbed.measured.formats import AnyFormat, read_columns
+from hiltestbed.measured.formats.ros2 import data_file, no_file
 from hiltestbed.measured.outliers import declared
 from hiltestbed.measured.units import UNITS, split_unit, unit_named
 from hiltestbed.plugins import OneOf, depends
@@ -85,8 +86,8 @@ class AxisRunEntry(Strictly):
     """One file of measured data."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
-        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, relative to the folder of this "
-        "file; ${NAME}: an environment variable"
+        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, or a folder of a ROS 2 bag with "
+        "one MCAP file, relative to the folder of this file; ${NAME}: an environment variable"
     )
     format: AnyFormat | None = Field(
         default=None, description="format of this file, where it differs from the others"
@@ -157,9 +158,13 @@ class LoadedAxis:
     def model(self) -> AxisModel:
         """The nominal model of the records."""
         spec = self.spec
-        given = spec.nominal.model_dump()
-        nominal = {k: given[k] for k in NUMBERS[spec.axis] if given[k] is not None}
-        return model_of(spec.axis, self.records, nominal, spec.rotates, spec.effects)
+        return model_of(spec.axis, self.records, nominal_of(spec), spec.rotates, spec.effects)
+
+
+def nominal_of(spec: AxisDataset) -> dict[str, float]:
+    """The numbers that its owner believes, by name."""
+    given = spec.nominal.model_dump()
+    return {k: given[k] for k in NUMBERS[spec.axis] if given[k] is not None}
 
 
 def is_axis(source: Source) -> bool:
@@ -217,18 +222,19 @@ def _faults(spec: AxisDataset, source: Source) -> Iterator[Fault]:
                 f"does not act on a {spec.axis} (got {effect.kind}); allowed: {', '.join(kinds)}",
             )
     for index, run in enumerate(spec.runs):
-        where = source.folder / os.path.expandvars(run.file)
+        where = data_file(source.folder / os.path.expandvars(run.file))
         if not is_file(where):
             yield source.fault(
-                ("runs", index, "file"), f"names no file (got {run.file!r}); looked for {where}"
+                ("runs", index, "file"), f"names no file (got {run.file!r}); {no_file(where)}"
             )
 
 
 def _read(spec: AxisDataset, run: AxisRunEntry, source: Source) -> tuple[AxisRun, list[str]]:
-    path = source.folder / os.path.expandvars(run.file)
+    path = data_file(source.folder / os.path.expandvars(run.file))
     channels = {**spec.channels, **run.channels}
     names = {s: (channels[s].column if s in channels else None) or s for s in ("t", *SIGNALS)}
     columns = read_columns(path, frozenset(names.values()), run.format or spec.format)
+    columns.refuse_others(path, names.values())
     missing = [s for s in SIGNALS if names[s] not in columns.data]
     if missing:
         wanted = [names[s] for s in missing]
@@ -239,7 +245,7 @@ def _read(spec: AxisDataset, run: AxisRunEntry, source: Source) -> tuple[AxisRun
                 None,
                 ", ".join(f"channels.{s}" for s in missing),
                 f"names no column of the file (got {', '.join(map(repr, wanted))}); "
-                f"{near(wanted, columns.names)}",
+                f"{columns.nearest(wanted)}",
             )
         )
     quantities = QUANTITIES[spec.axis]
@@ -248,9 +254,10 @@ def _read(spec: AxisDataset, run: AxisRunEntry, source: Source) -> tuple[AxisRun
         for s, q in zip(SIGNALS, quantities, strict=True)
     )
     t = _times(path, columns, names, channels.get("t", Channel()), spec.rate, len(y))
+    u = _at_times(spec.axis, columns, names, t, u)
     count = min(len(t), len(u), len(y))
     good = np.isfinite(t[:count]) & np.isfinite(u[:count]) & np.isfinite(y[:count])
-    remarks = []
+    remarks = [f"{path.name}: {note}" for note in columns.notes]
     if not good.all():
         remarks.append(f"{path.name}: {int((~good).sum())} of {count} rows lack a sample")
     t, u, y = t[:count][good], u[:count][good], y[:count][good]
@@ -303,9 +310,25 @@ def _times(
         path,
         "channels.t",
         f"names no column of the file (got {names['t']!r}), and no rate is given; "
-        f"{near([names['t']], columns.names)}",
+        f"{columns.nearest([names['t']])}",
         "name the column of times there, or give the sample rate [Hz] as rate",
     )
+
+
+def _at_times(
+    axis: AxisKind, columns: Columns, names: Mapping[str, str], t: Array, u: Array
+) -> Array:
+    """The input ``u`` at the times ``t`` of the output, where it has other times of its own: a
+    displacement is interpolated, a command stands until the next. NaN before the first.
+    """
+    if names["t"] in columns.data or names["input"] not in columns.clock:
+        return u
+    own = columns.clock[names["input"]]
+    if np.array_equal(own, t):
+        return u
+    if axis == "damper":
+        return np.interp(t, own, u, left=np.nan, right=np.nan)
+    return np.r_[np.nan, u][np.searchsorted(own, t, side="right")]
 
 
 def _in_si(

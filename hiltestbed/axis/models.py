@@ -166,6 +166,33 @@ def _largest(values: Sequence[Array]) -> float:
     return max(float(np.quantile(np.abs(v), 0.999)) for v in values) or 1e-12
 
 
+def damper_law(nominal: Mapping[str, float], effects: Sequence[Departure]) -> Law:
+    """The law of a damper with these nominal numbers and ``effects``."""
+    law = Law(0.0, 1.0, nominal.get("stiffness", 0.0))
+    law.numbers[[VISCOUS, VISCOUS_BACK, BEYOND, BEYOND_BACK]] = nominal.get("damping", 0.0)
+    law.numbers[OFFSET] += nominal.get("preload", 0.0)
+    return applied(effects, law)
+
+
+def drive_law(nominal: Mapping[str, float], effects: Sequence[Departure]) -> Law:
+    """The law of a drive with these nominal numbers and ``effects``."""
+    law = Law(nominal.get("mass", 1.0), nominal.get("gain", 1.0))
+    believed = {k: v for k, v in nominal.items() if k in RESISTANCES}
+    if believed:
+        AXIS_EFFECTS["dynamics.force"].hypothesis({}, **believed).apply(law)
+    return applied(effects, law)
+
+
+def servo_numbers(nominal: Mapping[str, float], effects: Sequence[Departure]) -> Array:
+    """The numbers of the response of a servo with these nominal numbers and ``effects``."""
+    p = servo.following()
+    p[servo.DELAY] = nominal.get("delay", 0.0)
+    if "bandwidth" in nominal:
+        p[servo.BANDWIDTH] = 2.0 * math.pi * nominal["bandwidth"]
+        p[servo.ZETA] = nominal.get("damping_ratio", 0.7)
+    return applied(effects, p)
+
+
 class DamperModel(AxisModel):
     """Force over displacement; nominal: ``stiffness``, ``damping``, ``preload``."""
 
@@ -195,10 +222,7 @@ class DamperModel(AxisModel):
 
     def law(self, effects: Sequence[Departure]) -> Law:
         """The law with ``effects``."""
-        law = Law(0.0, 1.0, self.nominal.get("stiffness", 0.0))
-        law.numbers[[VISCOUS, VISCOUS_BACK, BEYOND, BEYOND_BACK]] = self.nominal.get("damping", 0.0)
-        law.numbers[OFFSET] += self.nominal.get("preload", 0.0)
-        return applied((*self.believed, *effects), law)
+        return damper_law(self.nominal, (*self.believed, *effects))
 
     def _force(self, of: Hypothesis) -> list[Array]:
         """(N,) at the even times."""
@@ -262,11 +286,7 @@ class DriveModel(AxisModel):
 
     def law(self, effects: Sequence[Departure]) -> Law:
         """The law with ``effects``."""
-        law = Law(self.nominal.get("mass", 1.0), self.nominal.get("gain", 1.0))
-        believed = {k: v for k, v in self.nominal.items() if k in RESISTANCES}
-        if believed:
-            AXIS_EFFECTS["dynamics.force"].hypothesis({}, **believed).apply(law)
-        return applied((*self.believed, *effects), law)
+        return drive_law(self.nominal, (*self.believed, *effects))
 
     def residuals(self, of: Hypothesis) -> list[Array]:
         law, late = self.law(of.effects()), float(of.nuisances[0])
@@ -334,12 +354,7 @@ class ServoModel(AxisModel):
 
     def numbers(self, effects: Sequence[Departure]) -> Array:
         """The numbers of the response with ``effects``."""
-        p = servo.following()
-        p[servo.DELAY] = self.nominal.get("delay", 0.0)
-        if "bandwidth" in self.nominal:
-            p[servo.BANDWIDTH] = 2.0 * math.pi * self.nominal["bandwidth"]
-            p[servo.ZETA] = self.nominal.get("damping_ratio", 0.7)
-        return applied((*self.believed, *effects), p)
+        return servo_numbers(self.nominal, (*self.believed, *effects))
 
     def predicted(self, of: Hypothesis) -> list[Array]:
         p, late = self.numbers(of.effects()), float(of.nuisances[0])

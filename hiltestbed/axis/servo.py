@@ -130,6 +130,8 @@ def response(t, u, y0, p, longest):
             level = p[FRICTION] if v != 0.0 else max(p[FRICTION], p[STATIC])
             pull = before - x + q + p[LOAD]
             if v == 0.0 and abs(second - x + q + p[LOAD]) <= level and abs(pull) <= level:
+                if p[INTEGRAL] < np.inf:  # it goes on at rest, until it breaks the axis loose
+                    q += h * (second - x) / p[INTEGRAL]
                 continue
             way = math.copysign(1.0, v if v != 0.0 else second - x + q + p[LOAD])
             if abs(w * w * (0.5 * (before + second) - x + q)) > most:

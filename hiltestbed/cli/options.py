@@ -92,22 +92,24 @@ def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -
     refuse_unknown(file, scenario_names() if case is None else campaign_names())
     source = read_source(find_scenario(file))
     kind = file_kind(source)
+    one = "an axis" if kind == "axis" else f"a {kind}"
     if kind == "campaign" and case is not None:
         from hiltestbed.campaign.schema import campaign_from
         from hiltestbed.campaign.sweep import case_scenario
 
         return case_scenario(campaign_from(source), case, overrides(sets))
     if case is not None:
-        raise InputError(source.fault((), f"is a {kind} (got its keys); --case is for campaigns"))
+        raise InputError(source.fault((), f"is {one} (got its keys); --case is for campaigns"))
     if kind != "scenario":
         other = {
             "campaign": "sweep FILE` or `hiltestbed run FILE --case N",
             "dataset": "diagnose FILE",
+            "axis": "diagnose FILE",
         }[kind]
         raise InputError(
             source.fault(
                 (),
-                f"is a {kind} (got its keys); a scenario is expected here; for a {kind}: "
+                f"is {one} (got its keys); a scenario is expected here; for {one}: "
                 f"`hiltestbed {other}`",
             )
         )

@@ -313,9 +313,29 @@ def new(
     name: Annotated[
         str, typer.Argument(metavar="NAME", help="Name of the scenario; NAME.yaml is written.")
     ],
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            "--from", metavar="LOG", help="Measured data: NAME.yaml is a dataset for `diagnose`."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a commented scenario to start from."""
+    """Write a commented scenario to start from; or from a log, a commented dataset with its
+    guesses.
+
+    hiltestbed new my-rig; hiltestbed new my-axis --from log.csv
+    """
+    if log is not None:
+        from hiltestbed.config.from_log import write_from_log
+
+        written = write_from_log(name, log)
+        path = written.files[0]
+        if as_json:
+            print(json.dumps(written.to_json()))
+        else:
+            print("".join(f"{line}\n" for line in written.lines()), end="")
+        return
     from hiltestbed.config.template import write_template
 
     path = write_template(name)

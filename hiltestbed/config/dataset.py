@@ -20,6 +20,7 @@ from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import KeyPath, Source, read_source, referenced_source
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.measured.formats import AnyFormat
+from hiltestbed.measured.formats.ros2 import data_file, no_file
 from hiltestbed.plugins import depends
 from hiltestbed.run_folder.folders import is_file
 from hiltestbed.scenario import Scenario, scenario_from
@@ -58,8 +59,8 @@ class RunEntry(Strictly):
     """One file of measured data."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
-        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, relative to the dataset's "
-        "folder; ${NAME}: an environment variable"
+        description="CSV, Parquet, HDF5, MAT, MDF4, TDMS or MCAP, or a folder of a ROS 2 bag with "
+        "one MCAP file, relative to the dataset's folder; ${NAME}: an environment variable"
     )
     format: AnyFormat | None = Field(
         default=None, description="format of this file, where it differs from the others"
@@ -157,14 +158,14 @@ def dataset_from(source: Source, on_record: bool = True) -> LoadedDataset:
 
 
 def _data_file(run: RunEntry, source: Source) -> Path:
-    return source.folder / os.path.expandvars(run.file)
+    return data_file(source.folder / os.path.expandvars(run.file))
 
 
 def _missing_files(spec: Dataset, source: Source) -> Iterator[Fault]:
     for index, run in enumerate(spec.runs):
         where = _data_file(run, source)
         if not is_file(where):
-            what = f"names no file (got {run.file!r}); looked for {where}"
+            what = f"names no file (got {run.file!r}); {no_file(where)}"
             yield source.fault(("runs", index, "file"), what)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,15 +50,15 @@ HEAD = """\
 """
 
 
-def template(name: str) -> str:
-    """The scenario ``name`` as YAML text."""
-    data = START | {"name": name}
+def template(name: str, changes: Mapping[str, Any] | None = None) -> str:
+    """The scenario ``name`` as YAML text; ``changes``: keys that differ from :data:`START`."""
+    data = START | {"name": name} | dict(changes or {})
     return HEAD.format(file=f"{name}.yaml") + "\n".join(_lines(data, (), data)) + "\n"
 
 
-def write_template(name: str) -> Path:
-    """Write NAME.yaml into the current folder. Raises InputError if it exists or the name is not a
-    valid file name.
+def free_file(name: str) -> Path:
+    """NAME.yaml in the current folder. Raises InputError if it exists or the name is not a valid
+    file name.
     """
     stem = name.removesuffix(".yaml")
     if safe_name(stem) != stem:
@@ -69,7 +69,13 @@ def write_template(name: str) -> Path:
     path = Path(f"{stem}.yaml")
     if path.exists():
         raise InputError(f"{path}: exists already; choose another name")
-    path.write_text(template(stem), encoding="utf-8")
+    return path
+
+
+def write_template(name: str) -> Path:
+    """Write NAME.yaml into the current folder. Raises InputError, see :func:`free_file`."""
+    path = free_file(name)
+    path.write_text(template(path.stem), encoding="utf-8")
     return path
 
 

@@ -41,7 +41,7 @@ BROKEN = (
 )
 SAMPLE_LIMIT = 32_000_000  # numbers that may be loaded from one file: 256 MB
 DAY = 86400.0  # [s]
-_STAMP = re.compile(
+STAMP = re.compile(
     r"(?:(\d{1,4})[-./](\d{1,2})[-./](\d{1,4})[T ]+)?"
     r"(\d{1,2}):(\d{2})(?::(\d{2}(?:[.,]\d+)?))?\s*([AaPp][Mm])?\s*(?:Z|UTC|[+-]\d{2}:?\d{2})?"
 )
@@ -61,6 +61,7 @@ class Columns:
         missing: name to the values that stand for a missing sample, by the file itself.
         others: name of what the file holds but is no column to what it is and what to do.
         notes: how the file was read, where that is not obvious.
+        topics: those of a bag, of which each column is a field, with the type of its messages.
     """
 
     names: tuple[str, ...]
@@ -70,6 +71,41 @@ class Columns:
     missing: dict[str, tuple[float, ...]] = field(default_factory=dict)
     others: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    topics: dict[str, str] = field(default_factory=dict)
+
+    def nearest(self, wanted: Sequence[str]) -> str:
+        """What the file has in place of the ``wanted`` columns, for an error message: the topics,
+        if one is of none of them; else the nearest columns, of the same topic.
+        """
+        if not self.topics:
+            return near(wanted, self.names)
+        dotted = [column_of(name) for name in wanted]
+        own = {t for t in self.topics if any(is_under(name, t) for name in dotted)}
+        if not all(any(is_under(name, t) for t in own) for name in dotted):
+            listed = (f"/{t.replace('.', '/')} ({kind})" for t, kind in sorted(self.topics.items()))
+            return f"the topics are {', '.join(listed)}"
+        return near(dotted, [n for n in self.names if any(is_under(n, t) for t in own)])
+
+    def refuse_others(self, path: Path, wanted: Iterable[str]) -> None:
+        """Raises InputError, a fault for each thing in the file that has the name of a ``wanted``
+        column, or of what it is a part of, and is no column.
+        """
+        names = [column_of(name) if self.topics else name for name in wanted]
+        found = [
+            Fault(str(path), None, None, other, what)
+            for other, what in self.others.items()
+            if any(is_under(name, other) for name in names)
+            and not any(is_under(column, other) for column in self.data)
+        ]
+        if found:
+            raise InputError(found)
+
+
+def column_of(text: str) -> str:
+    """The name of a topic's field, where ``text`` separates topic and fields by dots or strokes:
+    ``/ft/wrench/force/z`` is ``ft.wrench.force.z``.
+    """
+    return text.strip("/").replace("/", ".")
 
 
 def unreadable(path: Path, what: str, do: str) -> InputError:
@@ -123,7 +159,7 @@ def seconds(values: np.ndarray) -> Array | None:
         text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
         if text is None or text == "":
             continue
-        found = _STAMP.fullmatch(text.strip()) if isinstance(text, str) else None
+        found = STAMP.fullmatch(text.strip()) if isinstance(text, str) else None
         if found is None:
             return None
         *day, hour, minute, second, half = found.groups()

@@ -13,7 +13,7 @@ from hiltestbed.config.dataset import Channel
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array, quat_from_attitude_deg
 from hiltestbed.measured.clock import Clock, check_clock, start_of_run, unrolled
-from hiltestbed.measured.columns import Columns, is_under, near, unreadable
+from hiltestbed.measured.columns import Columns, unreadable
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.measured.formats import read_columns
 from hiltestbed.measured.noise import digits_of, step_of, white_noise
@@ -76,7 +76,7 @@ def read_record(
             remarks += found
     if not values:
         what = "holds none of the channels " + ", ".join(f"{group}.*" for group in MEASURED_GROUPS)
-        what = f"{what} ({near(['pose_act'], columns.names)}); name its columns there"
+        what = f"{what} ({columns.nearest(['pose_act'])}); name its columns there"
         raise _refused(file, "channels", what)
     values, source = _attitudes(file, values, source)
     values, held = without_held(run, values)
@@ -107,20 +107,13 @@ def _refuse_missing(
     """Raises InputError, one fault for all columns that the channel map names and the file lacks,
     and one for each thing in the file whose name is that of wanted columns but is none.
     """
-    others = [
-        Fault(str(file), None, None, name, what)
-        for name, what in columns.others.items()
-        if any(is_under(column, name) for column in source.values())
-        and not any(is_under(column, name) for column in columns.data)
-    ]
-    if others:
-        raise InputError(others)
+    columns.refuse_others(file, source.values())
     mapped = {n: source[n] for n, channel in channels.items() if n in source and channel.column}
     missing = {name: column for name, column in mapped.items() if column not in columns.data}
     if missing:
         what = (
             f"names no column of the file (got {', '.join(map(repr, missing.values()))}); "
-            f"{near(list(missing.values()), columns.names)}"
+            f"{columns.nearest(list(missing.values()))}"
         )
         raise _refused(file, ", ".join(f"channels.{name}" for name in missing), what)
 
@@ -162,7 +155,7 @@ def _stamps(
     """
     shared = columns.data.get(source["t"])
     if shared is None and not all(source[name] in columns.clock for name in values):
-        what = f"has no time column {source['t']!r}; {near([source['t']], columns.names)}"
+        what = f"has no time column {source['t']!r}; {columns.nearest([source['t']])}"
         raise _refused(file, "t", f"{what}; name it under channels: {{t: {{column: ...}}}}")
     known: dict[bytes, Array] = {}
     stamps, faults, remarks = {}, [], []

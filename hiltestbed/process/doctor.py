@@ -15,6 +15,7 @@ EXTRAS = {  # optional package, to its purpose and the extra that installs it
     "asammdf": ("MDF4 data", "mdf"),
     "nptdms": ("TDMS data", "tdms"),
     "mcap": ("MCAP data", "mcap"),
+    "mcap_ros2": ("ROS 2 bags", "mcap"),
     "distributed": ("campaigns on a cluster", "cluster"),
     "pandas": ("to_pandas()", "pandas"),
     "xarray": ("to_xarray()", "xarray"),

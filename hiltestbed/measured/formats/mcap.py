@@ -1,5 +1,6 @@
-"""MCAP with JSON messages: the field ``fz`` of topic ``/wrench_meas`` is ``wrench_meas.fz``; its
-clock is the message's log time, or its publish time if that is the more regular one.
+"""MCAP with messages in JSON or of ROS 2: the field ``fz`` of topic ``/wrench_meas`` is
+``wrench_meas.fz``; its clock is ``header.stamp`` of a ROS 2 message, else the log time, or the
+publish time if that is the more regular one.
 """
 
 from __future__ import annotations
@@ -13,14 +14,22 @@ import numpy as np
 
 from hiltestbed.errors import MissingExtra
 from hiltestbed.frames import Array
-from hiltestbed.measured.columns import BROKEN, SAMPLE_LIMIT, Columns, refuse_large, unreadable
+from hiltestbed.measured.columns import (
+    BROKEN,
+    SAMPLE_LIMIT,
+    Columns,
+    column_of,
+    refuse_large,
+    unreadable,
+)
 from hiltestbed.measured.data_format import DataFormat
+from hiltestbed.measured.formats.ros2 import Decoder, clock_of
 from hiltestbed.plugins import register
 
 
 @register
 class Mcap(DataFormat):
-    """MCAP: topics with JSON messages."""
+    """MCAP: topics with messages in JSON or of ROS 2."""
 
     kind: Literal["mcap"] = "mcap"
     suffixes: ClassVar[tuple[str, ...]] = (".mcap",)
@@ -35,27 +44,29 @@ class Mcap(DataFormat):
             from zstandard import ZstdError
         except ImportError as error:
             raise MissingExtra(f"{path}: MCAP", "mcap") from error
-        # log time, publish time, value
-        samples: dict[str, list[tuple[int, int, float]]] = {}
-        others: dict[str, str] = {}
+        # log time, publish time and header.stamp [ns], value
+        samples: dict[str, list[tuple[int, int, int | None, float]]] = {}
+        spelled = {column_of(name): name for name in wanted}
+        decoder = Decoder(path, wanted)
         start: int | None = None
         count = 0
         try:
             with path.open("rb") as file:
-                for _, channel, message in make_reader(file).iter_messages():
-                    topic = channel.topic.strip("/").replace("/", ".")
-                    if channel.message_encoding != "json":
-                        others[topic] = (
-                            f"is encoded as {channel.message_encoding!r}; allowed is json: export "
-                            f"the topic as JSON, or as CSV or Parquet"
-                        )
-                        continue
-                    start = message.log_time if start is None else start
-                    for name, value in _numbers(topic, json.loads(message.data)):
+                for schema, channel, message in make_reader(file).iter_messages():
+                    topic, stamp = column_of(channel.topic), None
+                    if channel.message_encoding == "json":
+                        decoder.topics[topic] = "json"
+                        numbers = dict(_numbers(topic, json.loads(message.data)))
+                    else:
+                        how = channel.message_encoding, schema
+                        numbers, stamp = decoder.numbers(topic, *how, message.data)
+                    if numbers and start is None:
+                        start = message.log_time
+                    for name, value in numbers.items():
+                        name = name if name in wanted else spelled.get(name, name)
                         kept = samples.setdefault(name, [])
                         if name in wanted:
-                            times = message.log_time - start, message.publish_time - start
-                            kept.append((*times, value))
+                            kept.append((message.log_time, message.publish_time, stamp, value))
                             count += 1
                     # a Python tuple takes about eight times the memory of the number in it
                     if count > SAMPLE_LIMIT // 8:
@@ -64,20 +75,21 @@ class Mcap(DataFormat):
             raise unreadable(
                 path, f"is not a whole MCAP file ({error})", "copy or record it again"
             ) from error
-        return _columns(samples, others)
+        return _columns(samples, start or 0, decoder)
 
 
 def _columns(
-    samples: Mapping[str, list[tuple[int, int, float]]], others: dict[str, str]
+    samples: Mapping[str, list[tuple[int, int, int | None, float]]], start: int, decoder: Decoder
 ) -> Columns:
     kept = {name: rows for name, rows in samples.items() if rows}
-    data = {name: np.array([value for _, _, value in rows]) for name, rows in kept.items()}
-    log, publish = (
+    data = {name: np.array([value for *_, value in rows]) for name, rows in kept.items()}
+    log, publish, stamps = (
         {
-            name: np.array([r[k] for r in rows], dtype=np.float64) * 1e-9
+            name: np.array([t - start for t in times if t is not None], dtype=np.float64) * 1e-9
             for name, rows in kept.items()
+            if None not in (times := [r[k] for r in rows])
         }
-        for k in (0, 1)
+        for k in (0, 1, 2)
     )
     notes = ()
     if _unevenness(publish) < 0.5 * _unevenness(log):
@@ -85,7 +97,15 @@ def _columns(
         notes = (
             "the log times are those of a buffer, the publish times are even: the latter are used",
         )
-    return Columns(tuple(samples), data, log, others=others, notes=notes)
+    clock, said = clock_of(log, stamps, decoder.topics)
+    return Columns(
+        tuple(samples),
+        data,
+        clock,
+        others=decoder.others,
+        notes=(said,) if said else notes,
+        topics=decoder.topics,
+    )
 
 
 def _unevenness(clock: Mapping[str, Array]) -> float:

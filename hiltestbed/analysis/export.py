@@ -1,0 +1,255 @@
+"""The extended model of a diagnosis as MJCF: what MuJoCo can say of it, and what it cannot.
+
+Of one axis see :mod:`hiltestbed.axis.mjcf`. Of a docking rig both vehicles float, a ball on a plate
+stands for the mechanism with its stiffness, damping and friction as solref and solimp, and a
+platform that departs from its nominal response is an axis of its own beside them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from hiltestbed.analysis.mujoco_contact import mujoco_parameters
+from hiltestbed.analysis.spring_damper import SpringDamper, reduced_mass
+from hiltestbed.axis.dataset import AxisDataset, is_axis
+from hiltestbed.axis.mjcf import axis_mjcf, axis_model, listed, mjcf_text, number
+from hiltestbed.config.validation import validate
+from hiltestbed.config.yaml_source import read_source
+from hiltestbed.effects import EFFECTS, Effect
+from hiltestbed.errors import InputError
+from hiltestbed.scenario import Scenario, scenario_from
+
+DIAGNOSIS, EXTENDED = "diagnosis.json", "extended.yaml"
+RADIUS = 0.05  # [m] of the ball that stands for the active mechanism
+LIGHT = 1e-6  # [kg] of the active port, on which the sensor reads the force
+LAG_RATIO = 0.7  # damping ratio of platform.lag
+STEPS = 200  # of a contact: its CoR is then right to 1e-3
+# effects on the platform that are those of a servo, by the parameters that they share
+ON_PLATFORM = {
+    "platform.delay": ("delay",),
+    "platform.lag": ("bandwidth",),
+    "platform.drive": (
+        "bandwidth",
+        "damping_ratio",
+        "friction",
+        "offset",
+        "acceleration_limit",
+        "integral_time",
+        "static",
+    ),
+    "platform.backlash": ("width",),
+    "platform.scale": ("factor",),
+    "platform.speed_limit": ("speed",),
+}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """An MJCF file: its text, what it says of the extended model, and what it cannot say."""
+
+    text: str
+    said: tuple[str, ...]
+    unsaid: tuple[str, ...]
+
+
+def export_mjcf(folder: Path, file: Path) -> Exported:
+    """Write the extended model of a diagnosis folder to an MJCF file.
+
+    Raises InputError if the folder is no diagnosis, names no cause, or the file exists.
+    """
+    if file.exists():
+        raise InputError(f"{file}: exists already; choose another name")
+    found = exported(folder)
+    try:
+        with file.open("x", encoding="utf-8") as opened:
+            opened.write(found.text)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written ({error.strerror})") from error
+    return found
+
+
+def exported(folder: Path) -> Exported:
+    """The extended model of a diagnosis folder. Raises InputError."""
+    missing = [name for name in (DIAGNOSIS, EXTENDED) if not (folder / name).is_file()]
+    if missing:
+        raise InputError(
+            f"{folder}: is no diagnosis (it lacks {' and '.join(missing)}); allowed is a folder "
+            f"that `hiltestbed diagnose` has written"
+        )
+    try:
+        about = json.loads((folder / DIAGNOSIS).read_text(encoding="utf-8"))
+        extended, verdict = about["extended_scenario"], about["verdict"]
+    except (ValueError, LookupError, TypeError) as error:
+        raise InputError(f"{folder / DIAGNOSIS}: is not that of a diagnosis ({error})") from error
+    if not extended:
+        raise InputError(
+            f"{folder}: names no cause (verdict {verdict}), so that there is no extended model"
+        )
+    head = [f"Extended model of the diagnosis {about.get('name', '')}, written by hiltestbed."]
+    source = read_source(folder / EXTENDED)
+    if is_axis(source):
+        text, said, unsaid = axis_mjcf(validate(AxisDataset, source), head)
+        return Exported(text, tuple(said), tuple(unsaid))
+    return _rig(scenario_from(source), head)
+
+
+def _rig(s: Scenario, head: Sequence[str]) -> Exported:
+    said, unsaid, servo = [], [], []
+    factors = {"k": 1.0, "c": 1.0}
+    mass = {"chaser": s.spacecraft.chaser.mass, "target": s.spacecraft.target.mass}
+    turning = dict.fromkeys(mass, 1.0)
+    ports = {b: list(getattr(s.spacecraft, b).port.position) for b in mass}
+    friction, delay, limit = s.mechanism.contact.friction, s.sensor.delay, None
+    for e in s.effects:
+        kind, p = e.kind, e.model_dump()
+        if kind in ("contact.stiffness", "contact.damping"):
+            factors["k" if kind.endswith("stiffness") else "c"] *= p["factor"]
+        elif kind == "contact.surface_friction":
+            friction = p["coefficient"]
+        elif kind == "dynamics.mass":
+            mass[p["body"]] *= p["factor"]
+        elif kind == "dynamics.inertia":
+            turning[p["body"]] *= p["factor"]
+        elif kind == "dynamics.port_offset":
+            moved = zip(ports[p["body"]], p["offset"], strict=True)
+            ports[p["body"]] = [a + b for a, b in moved]
+        elif kind == "sensor.delay":
+            delay += p["delay"]
+        elif kind == "sensor.saturation":
+            limit = p["limit"] if limit is None else min(limit, p["limit"])
+        elif kind in ON_PLATFORM and p.get("axis", "all") in ("all", "z"):
+            servo.append(_as_servo(kind, p))
+        else:
+            unsaid.append(_unsaid(e))
+            continue
+        said.append(_stated(e))
+    contact = SpringDamper(
+        factors["k"] * s.mechanism.contact.stiffness,
+        factors["c"] * s.mechanism.contact.damping,
+        reduced_mass(mass["chaser"], mass["target"]),
+    )
+    step = min(1.0 / s.physics_rate, contact.contact_time / STEPS)
+    unsaid += _nominal(s)
+    platform = None
+    if servo:
+        spec = {"axis": "servo", "runs": [{"file": "-"}], "effects": servo}
+        platform = axis_model(AxisDataset.model_validate(spec))
+        step = min(step, platform.step)
+        said += [f"platform: {text}" for text in platform.said]
+        unsaid += [f"platform: {text}" for text in platform.unsaid]
+    vehicles = [
+        _vehicle(name, s, mass[name], turning[name], ports[name], part)
+        for name, part in (("chaser", _ball()), ("target", _plate()))
+    ]
+    sections = {
+        "worldbody": [*vehicles, *(platform.body() if platform else ())],
+        "contact": [_pair(contact, friction, vehicles)],
+        "tendon": platform.tendons if platform else [],
+        "actuator": platform.actuators if platform else [],
+        "sensor": [_sensor(delay, limit, step), *([platform.sensor()] if platform else ())],
+        "keyframe": [_start(s, ports, 1 + len(platform.bodies) if platform else 0)],
+    }
+    option = f'<option timestep="{number(step)}" integrator="implicitfast" gravity="0 0 0"/>'
+    return Exported(mjcf_text(option, sections, head, said, unsaid), tuple(said), tuple(unsaid))
+
+
+def _as_servo(kind: str, p: dict[str, Any]) -> dict[str, Any]:
+    """An effect on the platform as that on a servo."""
+    given = {name: p[name] for name in ON_PLATFORM[kind]}
+    if kind == "platform.lag":
+        return {"kind": "platform.drive", "damping_ratio": LAG_RATIO, **given}
+    return {"kind": kind, **given}
+
+
+def _stated(e: Effect) -> str:
+    given = e.model_dump(exclude={"kind"}, exclude_none=True)
+    return f"{e.kind}: {', '.join(f'{name} {value}' for name, value in given.items())}"
+
+
+def _unsaid(e: Effect) -> str:
+    return f"{_stated(e)}. {EFFECTS[e.kind].meaning()}"
+
+
+def _nominal(s: Scenario) -> list[str]:
+    """What is believed of the rig and is not in the file."""
+    out = [f"the surfaces of the {s.mechanism.kind}: a ball on a plate stands for them"]
+    out += ["the compliance of the mount"] if s.mechanism.mount is not None else []
+    out.append(f"the nominal drives of the platform {s.rig.platform.kind}, and the compensation")
+    turned = [b for b in ("chaser", "target") if any(getattr(s.spacecraft, b).port.attitude_deg)]
+    turned += ["approach"] if any((*s.approach.attitude_deg, *s.approach.rate_deg)) else []
+    out += [f"the attitude of {', '.join(turned)}"] if turned else []
+    filters = s.sensor.lowpass or s.sensor.time_constant
+    return [*out, *(["the nominal filter of the sensor"] if filters else [])]
+
+
+def _vehicle(
+    name: str, s: Scenario, mass: float, turning: float, port: Sequence[float], part: str
+) -> str:
+    """A vehicle that floats, with its port at ``port`` [m] from its centre of mass."""
+    six = [*getattr(s.spacecraft, name).inertia, 0.0, 0.0, 0.0][:6]
+    inertial = f'mass="{number(mass)}" fullinertia="{listed([turning * i for i in six])}"'
+    return (
+        f'<body name="{name}"><freejoint/><inertial pos="0 0 0" {inertial}/>'
+        f'<body name="{name}_port" pos="{listed(port)}">{part}</body></body>'
+    )
+
+
+def _ball() -> str:
+    """The foremost point of the ball is the origin of A, at which the sensor is."""
+    light = f'mass="{LIGHT}" diaginertia="{LIGHT} {LIGHT} {LIGHT}"'
+    return (
+        f'<inertial pos="0 0 0" {light}/><geom name="A" type="sphere" size="{RADIUS}" '
+        f'pos="0 0 -{RADIUS}" contype="0" conaffinity="0"/><site name="A"/>'
+    )
+
+
+def _plate() -> str:
+    """The face of the plate holds the origin of P."""
+    return (
+        f'<geom name="P" type="box" size="0.5 0.5 {RADIUS}" pos="0 0 {RADIUS}" mass="0" '
+        f'contype="0" conaffinity="0"/>'
+    )
+
+
+def _pair(contact: SpringDamper, friction: float, vehicles: Sequence[str]) -> str:
+    """The contact for the mass that MuJoCo takes for the reduced one: of bodies off the centre of
+    mass it is an estimate, by which solref is multiplied.
+    """
+    text = mjcf_text("", {"worldbody": vehicles}, (), (), ())
+    model = mujoco.MjModel.from_xml_string(text)
+    inverse = sum(float(model.body_invweight0[model.geom(g).bodyid[0], 0]) for g in "AP")
+    taken = SpringDamper(contact.stiffness, contact.damping, 1.0 / inverse)
+    given = mujoco_parameters(taken)
+    slides = f' condim="3" friction="{friction} {friction}"' if friction else ' condim="1"'
+    return (
+        f'<pair geom1="A" geom2="P" solref="{listed(given.solref)}" '
+        f'solimp="{listed(given.solimp)}"{slides}/>'
+    )
+
+
+def _sensor(delay: float, limit: float | None, step: float) -> str:
+    """The force of the active on the passive side: MuJoCo's is that of a body on its child."""
+    late = ""
+    if delay:
+        count = math.ceil(delay / step) + 1
+        late = f' delay="{number(delay)}" nsample="{count}" interp="linear"'
+    cut = "" if limit is None else f' cutoff="{number(limit)}"'
+    return f'<force name="wrench" site="A"{late}{cut}/>'
+
+
+def _start(s: Scenario, ports: dict[str, list[float]], joints: int) -> str:
+    """The approach: P at the origin, A before it; ``joints`` of the platform at zero."""
+    here = (*s.approach.offset, -s.approach.gap)
+    chaser = [a - b for a, b in zip(here, ports["chaser"], strict=True)]
+    upright, rest = [1.0, 0.0, 0.0, 0.0], [0.0] * joints
+    target = [-x for x in ports["target"]]
+    place = listed([*chaser, *upright, *target, *upright, *rest])
+    speed = listed([*s.approach.velocity, *[0.0] * 9, *rest])
+    return f'<key name="approach" qpos="{place}" qvel="{speed}"/>'

@@ -1,0 +1,396 @@
+"""A dataset from a log: the columns that it may hold, as commented YAML with guesses to correct.
+
+An axis (drive, servo or damper) by default; a docking dataset, with a scenario beside it, where the
+log holds a pose and a wrench.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hiltestbed.config.template import free_file, template
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
+from hiltestbed.measured.columns import STAMP, Columns
+from hiltestbed.measured.formats import read_columns
+from hiltestbed.measured.formats.ros2 import data_file, no_file
+from hiltestbed.measured.roles import (
+    COMPENSATED,
+    PUSHES,
+    Role,
+    angle_unit,
+    length_unit,
+    role_of,
+    time_unit,
+)
+from hiltestbed.measured.units import SI_UNIT, UNITS
+
+SHOWN = 12  # columns that a comment lists
+FREE = 20  # rows at the start of a run from which the approach is taken
+DAMPER = re.compile(r"damper|displac|disp\b|stroke|deflect", re.IGNORECASE)
+KINDS = (
+    "drive: force or current to position; servo: command to position; damper: displacement to force"
+)
+BELIEVED = {  # of an axis
+    "drive": "state {mass: ...} [kg], or inertia [kg m^2]; gain, viscous, coulomb, offset",
+    "servo": "delay [s], bandwidth [Hz], damping_ratio; left out: it follows its command",
+    "damper": "stiffness [N/m], damping [N s/m], preload [N]",
+    "": "what you believe of it",
+}
+
+
+class Log(NamedTuple):
+    """A log: its file, the names of its columns, and of those that move the roles and values.
+
+    Attributes:
+        own: whether each column has times of its own. dates: whether it writes dates or times.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    roles: dict[str, Role]
+    data: Mapping[str, Array]
+    own: bool
+    dates: bool
+
+
+class Entry(NamedTuple):
+    """A channel: its column, the unit, and why; no column: the choices that there are."""
+
+    channel: str
+    column: str
+    unit: str
+    why: str
+
+
+@dataclass(frozen=True)
+class FromLog:
+    """What was written: the file and those beside it, its kind, its guesses, and what is open."""
+
+    files: tuple[Path, ...]
+    kind: str
+    guesses: dict[str, str]
+    open: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """As `--json` prints it."""
+        return {
+            "file": str(self.files[0]),
+            "files": [str(file) for file in self.files],
+            "kind": self.kind,
+            "channels": self.guesses,
+            "open": list(self.open),
+        }
+
+    def lines(self) -> Iterator[str]:
+        """For the terminal."""
+        files = " and ".join(map(str, self.files))
+        yield f"{files}: written; {self.kind}, with these guesses:"
+        yield from (f"  {channel}: {column}" for channel, column in self.guesses.items())
+        if self.open:
+            yield f"  not found: {', '.join(self.open)}; the file lists the choices"
+        yield f"next: correct {files}, then hiltestbed check {self.files[0]}"
+
+
+def write_from_log(name: str, log: Path) -> FromLog:
+    """Write NAME.yaml for a log, and NAME-scenario.yaml if it is of a docking rig.
+
+    Raises InputError if the log cannot be read or a file exists.
+    """
+    path = free_file(name)
+    found = read_log(log)
+    where = os.path.relpath(log)
+    docking = _docking(found)
+    if docking:
+        beside = free_file(f"{path.stem}-scenario")
+        text = _dataset_text(path, beside, where, found, docking)
+        beside.write_text(template(beside.stem, _start(found, docking)), encoding="utf-8")
+        files, kind, entries = (path, beside), "dataset", docking
+    else:
+        kind, rotates, entries = _axis(found)
+        text = _axis_text(path, where, found, kind, rotates, entries)
+        files, kind = (path,), f"axis: {kind}" if kind else "axis"
+    path.write_text(text, encoding="utf-8")
+    lacking = [e.channel for e in entries if not e.column]
+    lacking += [] if found.own or any(e.channel == "t" for e in entries) else ["t"]
+    return FromLog(files, kind, {e.channel: e.column for e in entries if e.column}, tuple(lacking))
+
+
+def read_log(path: Path) -> Log:
+    """The columns of a log. Raises InputError if it cannot be read."""
+    file = data_file(path)
+    if not file.is_file():
+        raise InputError(f"--from {path}: names no file; {no_file(file)}")
+    names = read_columns(file, frozenset()).names
+    columns = _loaded(file, names)
+    roles = {
+        name: role_of(name, columns.units.get(name, ""))
+        for name in names
+        if name in columns.data and _moves(columns.data[name])
+    }
+    with file.open("rb") as opened:
+        head = opened.read(4096).decode("utf-8", "replace")
+    return Log(file, names, roles, columns.data, bool(columns.clock), bool(STAMP.search(head)))
+
+
+def _moves(values: Array) -> bool:
+    known = _known(values)
+    return len(known) > 1 and float(np.ptp(known)) > 0.0
+
+
+def _loaded(file: Path, names: Sequence[str]) -> Columns:
+    """All columns; one after the other, without those that are no numbers, if need be."""
+    try:
+        return read_columns(file, frozenset(names))
+    except InputError:
+        found = Columns(tuple(names), {})
+        for name in names:
+            try:
+                one = read_columns(file, frozenset({name}))
+            except InputError:
+                continue
+            found.data |= one.data
+            found.clock |= one.clock
+            found.units |= one.units
+        return found
+
+
+def _time(log: Log) -> list[Entry]:
+    """The entry of the times, if the log has one column of them."""
+    for name, role in log.roles.items():
+        values = log.data[name]
+        if log.own or role.quantity != "time" or (np.diff(_known(values)) < 0).any():
+            continue
+        if role.unit:
+            return [Entry("t", name, role.unit, "unit as stated")]
+        if log.dates and values.max() > 60.0:
+            why = "dates or times of day, read as seconds from the midnight before the first row"
+            return [Entry("t", name, "", why)]
+        unit, why = time_unit(values)
+        return [Entry("t", name, unit, f"guess: unit {why}")]
+    return []
+
+
+def _axis(log: Log) -> tuple[str, bool, list[Entry]]:
+    """The kind of axis, "" if it cannot be guessed, whether it turns, and its channels."""
+    roles = list(log.roles.values())
+    commands = [r for r in roles if r.commanded and r.quantity in ("position", "")]
+    places = [r for r in roles if not r.commanded and r.quantity == "position"]
+    places += [r for r in roles if r.commanded is False and not r.quantity]
+    pushes = [r for q in PUSHES for r in roles if r.quantity == q and not r.commanded]
+    pushes += [r for q in PUSHES for r in roles if r.quantity == q and r.commanded]
+    place = places[0] if places else None
+    partners = commands or pushes
+    partner = max(partners, key=lambda r: _likeness(r, place), default=None)
+    if place is not None and commands:
+        kind, ends = "servo", (partner, place)
+    elif place is not None and pushes:
+        damper = DAMPER.search(f"{log.path.name} {place.column}") and pushes[0].quantity == "force"
+        kind, ends = ("damper", (place, partner)) if damper else ("drive", (partner, place))
+    else:
+        kind, ends = "", (partner, place)
+    rotates = any(r is not None and (r.angular or r.quantity == "torque") for r in ends)
+    ends_of = {r.column for r in ends if r is not None}
+    rest = [n for n, r in log.roles.items() if n not in ends_of and r.quantity != "time"]
+    channels = [
+        _channel(channel, role, rotates, log, rest)
+        for channel, role in zip(("input", "output"), ends, strict=True)
+    ]
+    if kind == "servo":
+        channels = _together(channels, ("input", "output"), log)
+    return kind, rotates, [*_time(log), *channels]
+
+
+def _likeness(role: Role, other: Role | None) -> float:
+    if other is None:
+        return 0.0
+    return difflib.SequenceMatcher(None, role.column, other.column).ratio()
+
+
+def _channel(
+    channel: str, role: Role | None, rotates: bool, log: Log, rest: Sequence[str]
+) -> Entry:
+    if role is None:
+        return Entry(channel, "", "", f"could not be guessed; choices: {_listed(rest)}")
+    values = log.data[role.column]
+    if role.quantity in ("position", ""):
+        si = "rad" if rotates else "m"
+    else:
+        si = {"force": "N", "torque": "N m", "current": "A"}[role.quantity]
+    return _in_unit(channel, role, si, values)
+
+
+def _in_unit(channel: str, role: Role, si: str, values: Array) -> Entry:
+    """The entry of a column in its unit: as it is stated, or by its size, or the SI unit."""
+    if role.unit:
+        unit, why = role.unit, "unit as stated"
+    elif si == "1":
+        unit, why = "", "a quaternion"
+    else:
+        by_size = {"rad": angle_unit, "m": length_unit}
+        unit, why = by_size[si](values) if si in by_size else (si, "not stated")
+        why = f"guess: unit {why}"
+    return Entry(channel, role.column, unit, f"{_range(values)}; {why}")
+
+
+def _together(entries: Sequence[Entry], channels: Sequence[str], log: Log) -> list[Entry]:
+    """The entries with one unit for ``channels`` that state none: the one that is stated for one of
+    them, or that of the largest.
+    """
+    own = [e for e in entries if e.channel in channels and e.column and e.unit]
+    if not own:
+        return list(entries)
+    stated = [e for e in own if log.roles[e.column].unit]
+    unit = (stated or sorted(own, key=lambda e: -np.ptp(_known(log.data[e.column]))))[0].unit
+    return [
+        e._replace(unit=unit) if e in own and not log.roles[e.column].unit else e for e in entries
+    ]
+
+
+def _known(values: Array) -> Array:
+    return values[np.isfinite(values)]
+
+
+def _docking(log: Log) -> list[Entry]:
+    """The channels of a pose and a wrench, and the times; none if the log does not hold both."""
+    taken: dict[str, Entry] = {}
+    for name, role in log.roles.items():
+        if not role.part or role.quantity == "other":
+            continue
+        if role.part[0] in "ft":
+            used = set(re.findall("[a-z]+", name.lower())) & set(COMPENSATED.split())
+            channel = f"{'wrench_comp' if used else 'wrench_meas'}.{role.part}"
+        else:
+            channel = f"{'pose_cmd' if role.commanded else 'pose_act'}.{role.part}"
+        if channel not in taken:
+            taken[channel] = _in_unit(channel, role, SI_UNIT[channel], log.data[name])
+    exact = any(c == e.column for c, e in taken.items())
+    least = 1 if exact else 2
+    sides = ("wrench_", "fz"), ("pose_", "pz")
+    if not all(
+        sum(c.startswith(side) for c in taken) >= least
+        and any(c.startswith(side) and c.endswith(part) for c in taken)
+        for side, part in sides
+    ):
+        return []
+    entries = [taken[c] for c in SI_UNIT if c in taken]
+    for group in ("pose_cmd", "pose_act"):
+        for parts in ("p", "r"):
+            entries = _together(entries, [f"{group}.{parts}{axis}" for axis in "xyz"], log)
+    return [*_time(log), *entries]
+
+
+def _start(log: Log, entries: Sequence[Entry]) -> dict[str, Any]:
+    """What the log shows of its scenario: rate, duration and approach."""
+    found = {e.channel: e for e in entries}
+    if "t" not in found:
+        return {}
+    t = log.data[found["t"].column] * UNITS["s"].get(found["t"].unit or "s", 1.0)
+    step = float(np.median(np.diff(t)))
+    rate = float(f"{1.0 / step:.4g}") if step > 0.0 else 0.0
+    out: dict[str, Any] = {"duration": float(f"{t[-1] - t[0]:.6g}")}
+    out |= {"rate": int(rate) if rate == int(rate) else rate} if rate else {}
+    group = "pose_cmd" if "pose_cmd.pz" in found else "pose_act"
+    # a command is reached a tick later
+    at = t[0] - (step if group == "pose_cmd" else 0.0)
+    place, speed = [0.0] * 3, [0.0] * 3
+    for axis, letter in enumerate("xyz"):
+        entry = found.get(f"{group}.p{letter}")
+        if entry is not None:
+            values = log.data[entry.column][:FREE] * UNITS["m"][entry.unit]
+            slope, begin = np.polyfit(t[:FREE] - at, values, 1)
+            place[axis], speed[axis] = float(f"{begin:.6g}"), float(f"{slope:.6g}")
+    approach = {"velocity": speed, "offset": place[:2]}
+    return out | {"approach": ({"gap": -place[2]} if place[2] < 0.0 else {"gap": 0.01}) | approach}
+
+
+def _dataset_text(path: Path, beside: Path, where: str, log: Log, entries: Sequence[Entry]) -> str:
+    lines = [
+        *_head(path, log),
+        f"# {beside}: rate, duration and approach are those of the log; the rest is an example:",
+        "# state what you believe of your rig, its masses and inertias first.",
+        f"scenario: {beside}",
+        "runs:",
+        f"  - {{file: {_quoted(where)}}}",
+        "  # - {file: ..., set: {approach.velocity.2: 0.05}}   # a further run, and what differs",
+        "channels:   # pushing gives fz > 0; if not, scale: -1 for all forces and torques",
+        *_lines(entries, log),
+    ]
+    return "\n".join([*lines, *_rest(log, entries)]) + "\n"
+
+
+def _axis_text(
+    path: Path, where: str, log: Log, kind: str, rotates: bool, entries: Sequence[Entry]
+) -> str:
+    said = "guess" if kind else "could not be guessed; state one of them"
+    lines = [
+        *_head(path, log),
+        f"# {KINDS}",
+        f"axis: {kind}   # {said}",
+        f"rotates: {str(rotates).lower()}   # guess; true: positions in rad, forces in N m",
+        f"nominal: {{}}   # {BELIEVED[kind]}",
+        "runs:",
+        f"  - {{file: {_quoted(where)}}}",
+        "  # - {file: ...}   # further runs; three of different motions are better",
+        "channels:",
+        *_lines(entries, log),
+    ]
+    if not log.own and not any(e.channel == "t" for e in entries):
+        lines.append(
+            "# rate: 1000.0      # [Hz] the log has no column of times: state its rate here"
+        )
+    return "\n".join([*lines, *_rest(log, entries)]) + "\n"
+
+
+def _head(path: Path, log: Log) -> list[str]:
+    rows = max((len(v) for v in log.data.values()), default=0)
+    return [
+        f"# From {log.path.name}: {len(log.names)} columns, {rows} rows. Correct the guesses:",
+        f"#   hiltestbed check {path} && hiltestbed diagnose {path}",
+    ]
+
+
+def _lines(entries: Sequence[Entry], log: Log) -> Iterator[str]:
+    if not any(e.channel == "t" for e in entries):
+        have = "the columns have times of their own" if log.own else (
+            f"no column of times was found; choices: {_listed(list(log.roles))}"
+        )  # fmt: skip
+        yield f"  # t: {have}"
+    for e in entries:
+        if not e.column:
+            yield f"  # {e.channel}: {{column: ...}}   # {e.why}"
+            continue
+        unit = f", unit: {e.unit}" if e.unit else ""
+        yield f"  {e.channel}: {{column: {_quoted(e.column)}{unit}}}   # {e.why}"
+
+
+def _rest(log: Log, entries: Sequence[Entry]) -> list[str]:
+    """What is not used."""
+    used = {e.column for e in entries}
+    moving = [n for n in log.names if n not in used and n in log.roles]
+    still = [n for n in log.names if n not in used and n not in log.roles]
+    out = [f"# not used: {_listed(moving)}"] if moving else []
+    return out + ([f"# constant, empty or no numbers: {_listed(still)}"] if still else [])
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return (", ".join(map(_quoted, names[:SHOWN])) or "none") + more
+
+
+def _range(values: Array) -> str:
+    return f"from {np.nanmin(values):.4g} to {np.nanmax(values):.4g}"
+
+
+def _quoted(text: str) -> str:
+    """A YAML scalar, on one line in a comment, too."""
+    return text if re.fullmatch(r"[A-Za-z][\w./]*", text) else json.dumps(text)

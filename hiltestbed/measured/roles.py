@@ -1,0 +1,140 @@
+"""What a column of a log may be, by its name and the unit that the file or the name states."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from hiltestbed.frames import Array
+from hiltestbed.measured.units import UNITS, split_unit, unit_named
+
+# what words in a name stand for; of several, the last one counts
+# ("current_position" is a position), and a letter only alone
+WORDS = {
+    "time": "t time times timestamp timestamps stamp clock elapsed zeit tijd temps",
+    "position": "position positions pos q x angle angles theta phi displacement disp stroke travel "
+    "encoder path weg winkel place deflection",
+    "velocity": "velocity velocities vel speed omega dq qd v",
+    "acceleration": "acceleration accel acc ddq qdd",
+    "force": "force forces f load kraft",
+    "torque": "torque torques tau effort efforts moment drehmoment trq",
+    "current": "current currents iq i strom amps",
+    "other": "temperature temp voltage volt volts stiffness damping est estimate true",
+}
+COMMANDED = "cmd command commanded commands des desired ref reference setpoint sp target goal soll"
+REACHED = "act actual achieved measured meas reached feedback fb ist"
+ANGULAR = (
+    "angle angles theta phi q winkel joint joints rad deg roll pitch yaw servo rotation elbow "
+    "shoulder wrist"
+)
+PUSHES = ("torque", "force", "current")  # what drives an axis, the likeliest first
+COMPENSATED = "comp compensated used numerical"
+# tokens at the end of a name that are its unit: "force_N", "time_ms"
+SUFFIXES = {
+    token.replace(" ", "").replace("/", "").lower(): unit
+    for si in ("s", "m", "rad", "N", "N m")
+    for token in UNITS[si]
+    if token not in ("d", "h", "min", "in")
+    for unit in (token,)
+} | {"sec": "s", "seconds": "s", "degrees": "deg", "degree": "deg", "a": "A", "ma": "mA", "v": "V"}
+NO_MECHANICAL = {"A": "current", "mA": "current", "V": "other", "mV": "other"}
+QUANTITY_OF = {"s": "time", "m": "position", "rad": "position", "N": "force", "N m": "torque"}
+ANGLES = {"roll": "rx", "pitch": "ry", "yaw": "rz", "rx": "rx", "ry": "ry", "rz": "rz"}
+_ARROW = {"force": "f", "torque": "t", "position": "p"}
+_TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|°|µ")
+
+
+class Role(NamedTuple):
+    """What a column may be.
+
+    Attributes:
+        quantity: a key of :data:`WORDS`, "" if its name says nothing. commanded: whether it is a
+            command; None: the name does not say. angular: whether its name is that of an angle.
+        part: of a pose or a wrench, such as fz, pz, qw or rx; "". unit: that is stated; "".
+    """
+
+    column: str
+    quantity: str
+    commanded: bool | None
+    angular: bool
+    part: str
+    unit: str
+
+
+def role_of(column: str, stated: str = "") -> Role:
+    """The role of a ``column`` whose unit the file has ``stated``."""
+    bare, unit = split_unit(column)
+    tokens = [found.lower() for found in _TOKEN.findall(bare)]
+    unit = stated.strip("[]() ") or unit
+    unit = unit if unit in NO_MECHANICAL else unit_named(unit) or unit if unit else ""
+    after = re.search(r"[_ ]([A-Za-z]+)$", bare)
+    if not unit and after and tokens and tokens[-1] == after[1].lower() in SUFFIXES:
+        unit = SUFFIXES[tokens.pop()]
+    words = set(tokens)
+    by_length = sorted(reversed(tokens), key=lambda token: len(token) == 1)
+    named = (q for token in by_length for q, known in _KNOWN.items() if token in known)
+    quantity = next(named, "")
+    si = next((si for si, known in UNITS.items() if unit in known), "")
+    if unit in NO_MECHANICAL:
+        quantity = NO_MECHANICAL[unit]
+    elif si in QUANTITY_OF and (not quantity or quantity != QUANTITY_OF[si]):
+        quantity = QUANTITY_OF[si] if quantity in ("", "position", "force", "torque") else ""
+    commanded = True if words & _COMMANDED else False if words & _REACHED else None
+    if "header" in words:  # of a message, not of the machine
+        quantity = ""
+    angular = bool(words & _ANGULAR) or si == "rad"
+    return Role(column, quantity, commanded, angular, _part(tokens, quantity), unit)
+
+
+def _part(tokens: list[str], quantity: str) -> str:
+    last = "".join(tokens[-1:])
+    if last in ANGLES:
+        return ANGLES[last]
+    if re.fullmatch(r"[fpt][xyz]|q[xyzw]|m[xyz]", last):
+        return last.replace("m", "t")
+    if last in tuple("xyzw"):
+        before = set(tokens[:-1])
+        if before & {"orientation", "quaternion", "quat", "rotation"}:
+            return f"q{last}"
+        words = {q for token in before for q, known in _KNOWN.items() if token in known}
+        for found in ("torque", "force", "position"):
+            if found in words and last != "w":
+                return _ARROW[found] + last
+        return "" if last == "w" or words or quantity not in ("", "position") else f"p{last}"
+    return ""
+
+
+def _set(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+_KNOWN: Mapping[str, frozenset[str]] = {q: _set(words) for q, words in WORDS.items()}
+_COMMANDED, _REACHED, _ANGULAR = _set(COMMANDED), _set(REACHED), _set(ANGULAR)
+
+
+def time_unit(t: Array) -> tuple[str, str]:
+    """The unit of stamps ``(rows,)`` that state none, and why: the one in which the sample rate
+    lies between 2 Hz and 20 kHz, the largest where several do.
+    """
+    known = t[np.isfinite(t)]
+    step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    for unit, rate in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        if step > 0.0 and 2.0 <= rate / step <= 2e4:
+            return unit, f"by its steps of {step:.4g}, {rate / step:.4g} Hz"
+    return "s", f"its steps of {step:.4g} fit none"
+
+
+def angle_unit(values: Array) -> tuple[str, str]:
+    """The unit of angles that state none, and why: three turns in rad are taken for degrees."""
+    largest = float(np.nanmax(np.abs(values)))
+    unit = "rad" if largest < 6.0 * np.pi else "deg"
+    return unit, f"by its size, up to {largest:.3g}"
+
+
+def length_unit(values: Array) -> tuple[str, str]:
+    """The unit of a position that states none, and why: a travel above 2 m is taken for mm."""
+    travel = float(np.nanmax(values) - np.nanmin(values))
+    return ("m" if travel < 2.0 else "mm"), f"by its travel of {travel:.3g}"

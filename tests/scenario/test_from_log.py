@@ -1,0 +1,181 @@
+"""`hiltestbed new NAME --from LOG`: what it writes is valid, or the check names what is missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from hiltestbed.axis.dataset import load_axis
+from hiltestbed.cli.program import app
+from hiltestbed.config.check import look_at
+from hiltestbed.config.from_log import write_from_log
+from hiltestbed.errors import InputError
+from hiltestbed.measured.roles import role_of, time_unit
+from tests.axis import machines
+from tests.measured import bounce
+
+SERVO, DAMPER, DRIVE = machines.servo(0), machines.damper(0), machines.carriage(0)
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def log(**columns) -> Path:
+    pd.DataFrame(columns).to_csv("log.csv", index=False)
+    return Path("log.csv")
+
+
+def test_a_servo_is_read_as_it_was_written() -> None:
+    """Milliseconds and degrees, by the suffixes of the names."""
+    stamps, u, y = 1e3 * SERVO.t, np.degrees(SERVO.u), np.degrees(SERVO.y)
+    path = log(time_ms=stamps, q_cmd_deg=u, q_deg=y, temperature=20.0 + SERVO.t)
+    found = write_from_log("arm", path)
+    assert (found.kind, found.open) == ("axis: servo", ())
+    loaded = load_axis("arm.yaml")
+    assert loaded.spec.rotates
+    np.testing.assert_allclose(loaded.records[0].t, SERVO.t, atol=1e-9)
+    np.testing.assert_allclose(loaded.records[0].u, SERVO.u, atol=1e-9)
+    np.testing.assert_allclose(loaded.records[0].y, SERVO.y, atol=1e-9)
+    assert "not used: temperature" in Path("arm.yaml").read_text()
+
+
+def test_a_damper_in_millimetres_is_read_as_it_was_written() -> None:
+    found = write_from_log(
+        "d", log(**{"t": DAMPER.t, "Stroke [mm]": 1e3 * DAMPER.u, "F": DAMPER.y})
+    )
+    assert found.kind == "axis: damper"
+    record = load_axis("d.yaml").records[0]
+    np.testing.assert_allclose(record.u, DAMPER.u, atol=1e-9)
+    np.testing.assert_allclose(record.y, DAMPER.y, atol=1e-9)
+
+
+def test_a_drive_lacks_only_what_a_log_cannot_say() -> None:
+    write_from_log("c", log(t=DRIVE.t, motor_force_N=DRIVE.u, position=DRIVE.y))
+    faults = look_at("c.yaml").faults
+    assert [f.key for f in faults] == ["nominal"]
+    assert "lacks mass" in faults[0].message
+    text = Path("c.yaml").read_text().replace("nominal: {}", "nominal: {mass: 40.0}")
+    Path("c.yaml").write_text(text)
+    assert not look_at("c.yaml").faults
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "rad"), (180.0 / np.pi, "deg")])
+def test_an_angle_without_a_unit_is_told_by_its_size(scale: float, unit: str) -> None:
+    turn = 4.0 * SERVO.u
+    write_from_log("arm", log(t=SERVO.t, angle_target=scale * turn, angle_actual=scale * turn))
+    assert load_axis("arm.yaml", data=False).spec.channels["input"].unit == unit
+
+
+@pytest.mark.parametrize(
+    ("factor", "rate", "unit"),
+    [(1.0, 1000, "s"), (1e3, 1000, "ms"), (1e3, 50, "ms"), (1e6, 100, "us"), (1e9, 1000, "ns")],
+)
+def test_the_unit_of_stamps_is_told_by_their_steps(factor: float, rate: int, unit: str) -> None:
+    assert time_unit(factor * np.arange(100) / rate)[0] == unit
+
+
+def test_dates_are_a_clock() -> None:
+    stamps = pd.Timestamp("2026-03-01T09:59:58") + pd.to_timedelta(SERVO.t, unit="s")
+    write_from_log("arm", log(timestamp=stamps, command=SERVO.u, position=SERVO.y))
+    assert "dates or times of day" in Path("arm.yaml").read_text()
+    np.testing.assert_allclose(load_axis("arm.yaml").records[0].t, SERVO.t, atol=1e-6)
+
+
+def test_a_log_without_a_clock_needs_its_rate_and_no_more() -> None:
+    found = write_from_log("arm", log(command=SERVO.u, position=SERVO.y))
+    assert found.open == ("t",)
+    (fault,) = look_at("arm.yaml").faults
+    assert "sample rate" in fault.message
+    Path("arm.yaml").write_text(Path("arm.yaml").read_text().replace("# rate: 1000.0", "rate: 100"))
+    assert not look_at("arm.yaml").faults
+
+
+def test_what_cannot_be_guessed_stands_as_a_comment_with_the_choices() -> None:
+    found = write_from_log("odd", log(t=SERVO.t, foo=SERVO.u, bar=SERVO.y))
+    assert found.open == ("input", "output")
+    text = Path("odd.yaml").read_text()
+    assert "# input: {column: ...}   # could not be guessed; choices: foo, bar" in text
+    assert any(f.key == "axis" and "drive" in f.message for f in look_at("odd.yaml").faults)
+    filled = text.replace("# input: {column: ...}", "input: {column: foo}")
+    filled = filled.replace("# output: {column: ...}", "output: {column: bar}")
+    Path("odd.yaml").write_text(filled.replace("axis:", "axis: servo"))
+    assert not look_at("odd.yaml").faults
+
+
+def test_text_among_the_columns_is_left_out() -> None:
+    write_from_log("arm", log(t=SERVO.t, cmd=SERVO.u, position=SERVO.y, mode="auto"))
+    assert "constant, empty or no numbers: mode" in Path("arm.yaml").read_text()
+    assert not look_at("arm.yaml").faults
+
+
+def test_a_rig_is_read_as_it_was_written_with_a_scenario_beside_it() -> None:
+    """Foreign names, millimetres and kilonewtons; the masses of the example are those of the log."""
+    table, out = bounce.columns(), {}
+    out["Time [ms]"] = 1e3 * table["t"]
+    for axis in "xyz":
+        out[f"X_cmd_{axis} [mm]".replace("X", "pos")] = 1e3 * table[f"pose_cmd.p{axis}"]
+        out[f"pos_act_{axis} [mm]"] = 1e3 * table[f"pose_act.p{axis}"]
+        out[f"Force {axis.upper()} (kN)"] = 1e-3 * table[f"wrench_meas.f{axis}"]
+        out[f"M{axis}_Nm"] = table[f"wrench_meas.t{axis}"]
+    found = write_from_log("rig", log(**out))
+    assert found.kind == "dataset"
+    assert found.guesses["wrench_meas.tx"] == "Mx_Nm"
+    assert found.guesses["pose_cmd.pz"] == "pos_cmd_z [mm]"
+    assert not look_at("rig-scenario.yaml").faults
+    looked = look_at("rig.yaml")
+    assert not looked.faults, looked.faults
+    from hiltestbed.config.dataset import load_dataset
+
+    approach = load_dataset("rig.yaml").nominal.approach
+    assert approach.gap == pytest.approx(bounce.GAP, rel=1e-3)
+    assert approach.velocity[2] == pytest.approx(bounce.SPEED, rel=1e-3)
+
+
+def test_nothing_is_overwritten() -> None:
+    Path("arm.yaml").write_text("mine")
+    with pytest.raises(InputError, match="exists already"):
+        write_from_log("arm", log(t=SERVO.t, cmd=SERVO.u, position=SERVO.y))
+    assert Path("arm.yaml").read_text() == "mine"
+
+
+def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
+    path = log(t=SERVO.t, cmd=SERVO.u, position=SERVO.y)
+    found = CliRunner().invoke(app, ["new", "arm", "--from", str(path), "--json"])
+    assert found.exit_code == 0
+    assert json.loads(found.stdout) == {
+        "file": "arm.yaml",
+        "files": ["arm.yaml"],
+        "kind": "axis: servo",
+        "channels": {"t": "t", "input": "cmd", "output": "position"},
+        "open": [],
+    }
+    with pytest.raises(InputError, match=r"--from absent\.csv: names no file"):
+        write_from_log("other", Path("absent.csv"))
+
+
+@pytest.mark.parametrize(
+    ("column", "quantity", "part", "unit"),
+    [
+        ("current_position", "position", "", ""),
+        ("motor_current_A", "current", "", "A"),
+        ("Fz [kN]", "force", "fz", "kN"),
+        ("ft.wrench.torque.x", "torque", "tx", ""),
+        ("pose.pose.orientation.w", "", "qw", ""),
+        ("joint_states.effort.elbow", "torque", "", ""),
+        ("joint_states.position.a", "position", "", ""),
+        ("wrench_true.fz", "other", "fz", ""),
+        ("speed_rpm", "velocity", "", ""),
+        ("displacement_m", "position", "", "m"),
+        ("force_V", "other", "", "V"),
+    ],
+)
+def test_names_say_what_a_column_is(column: str, quantity: str, part: str, unit: str) -> None:
+    role = role_of(column)
+    assert (role.quantity, role.part, role.unit) == (quantity, part, unit)
