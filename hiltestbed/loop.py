@@ -29,7 +29,7 @@ from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.platform.free_motion import FreeMotion
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario
-from hiltestbed.sensor.sensor import Sensor
+from hiltestbed.sensor.sensor import Sensors
 from hiltestbed.signals import Trace
 from hiltestbed.supervision.monitoring import ProcessMonitor
 from hiltestbed.supervision.safety import Safety
@@ -64,7 +64,7 @@ class RigSide(Protocol):
 
 
 class SensorSide(Protocol):
-    """The force sensor, :class:`~hiltestbed.sensor.sensor.Sensor`, as seen by the loop."""
+    """The force sensor, :class:`~hiltestbed.sensor.sensor.Sensors`, as seen by the loop."""
 
     reading: Array
 
@@ -72,20 +72,20 @@ class SensorSide(Protocol):
     def feel(self, k: int, wrench: Array) -> None: ...
 
 
-class Watch(Protocol):
+class Supervisor(Protocol):
     """The monitor that stops a run; :class:`~hiltestbed.supervision.safety.Safety` is one."""
 
     def passed(self, plant: Any, pose_before: Array, energy: Array) -> bool: ...
     def reason(self, i: int) -> str | None: ...
 
 
-Side = tuple[SensorSide, RigSide, Watch]
+Side = tuple[SensorSide, RigSide, Supervisor]
 MakeSide = Callable[[Sequence[Scenario], int], Side]
 
 
 def simulated(scenarios: Sequence[Scenario], nthread: int) -> Side:
     """The simulated physical side."""
-    sensor = Sensor(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
+    sensor = Sensors(scenarios, [np.random.default_rng(s.seed) for s in scenarios])
     return sensor, Plant(scenarios, nthread, late=sensor.late), Safety(scenarios)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.analysis.assessment import monitored
-from hiltestbed.bench.contacts import Contact, bounce
+from hiltestbed.bench.contacts import BenchContact, bounce
 from hiltestbed.loop import Loop
 from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.monitoring import ContactEstimate
@@ -31,7 +31,7 @@ def test_a_bounce_is_a_touch_and_no_more() -> None:
     """Touch is said two readings after the force arrives, a delay after it was there; nothing
     seats, nothing is captured.
     """
-    contacts = [Contact(4.0, d, 0.05, seed=i) for i, d in enumerate([0.002, 0.01] * 20)]
+    contacts = [BenchContact(4.0, d, 0.05, seed=i) for i, d in enumerate([0.002, 0.01] * 20)]
     monitor, loop = _watch([c.scenario(FORCE) for c in contacts])
     truth = loop.tally.first_tick / contacts[0].scenario(FORCE).rate
     late = monitor.touch - truth - np.array([c.delay for c in contacts])
@@ -51,7 +51,7 @@ def test_noise_alone_is_no_touch() -> None:
 
 def test_a_stop_behind_a_spring_is_a_seat() -> None:
     """A second spring, 5 k, 0.5 mm in: the stiffness over 20 ms rises from k to 6 k."""
-    contact = Contact(2.0, 0.005, 0.05)
+    contact = BenchContact(2.0, 0.005, 0.05)
     stop = {"kind": "contact.hard_stop", "position": 1.2e-3, "stiffness": 5.0 * contact.stiffness}
     scenario = replace(contact, changes={"effects": [stop]}).scenario(FORCE)
     monitor, loop = _watch([scenario])
@@ -68,7 +68,7 @@ def test_a_mechanism_that_pulls_has_captured() -> None:
     assert monitor.touch[0] < monitor.capture[0] < 0.3
 
 
-def _estimates(contact: Contact, seeds: range) -> list[ContactEstimate]:
+def _estimates(contact: BenchContact, seeds: range) -> list[ContactEstimate]:
     result = bounce([replace(contact, seed=seed).scenario(FORCE) for seed in seeds])
     e = result.loop.identification
     assert e is not None
@@ -108,7 +108,7 @@ def test_wear_is_told_and_its_false_alarms_are_as_rare_as_promised() -> None:
     """At 5 %, 400 healthy contacts raise 20 alarms, three standard deviations 13. A spring that is
     1 % softer is always told: 20 sigma.
     """
-    contact = Contact(4.0, 0.01, 0.05)
+    contact = BenchContact(4.0, 0.01, 0.05)
     baseline, healthy = _estimates(contact, range(1000, 1010)), _estimates(contact, range(400))
     alarms = sum(wear(baseline, one, false_alarm_rate=0.05).alarm for one in healthy)
     assert 7 <= alarms <= 33

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from numba.core.event import unregister
 
-from hiltestbed.bench.contacts import Contact, bounce, effort
+from hiltestbed.bench.contacts import BenchContact, bounce, effort
 from hiltestbed.compiled import warm as kernels
-from hiltestbed.process.progress import Pace
+from hiltestbed.process.progress import UnitTime
 
 from .slow import SLOW
 
 
-def pace_of(times: list[float], done: list[float]) -> Pace:
+def pace_of(times: list[float], done: list[float]) -> UnitTime:
     clock = iter(times)
-    pace = Pace(lambda: next(clock))
+    pace = UnitTime(lambda: next(clock))
     for units in done:
         pace.update(units)
     return pace
@@ -69,7 +69,7 @@ def test_the_first_time_that_is_told_is_right_by_a_factor_of_two(spread) -> None
             ends.append(free[worker])
         ends.sort()
         clock = iter(ends)
-        pace = Pace(lambda clock=clock: next(clock))
+        pace = UnitTime(lambda clock=clock: next(clock))
         for i, now in enumerate(ends[:-8], 1):
             pace.update(i)
             told = pace.left(len(ends) - i)
@@ -85,7 +85,7 @@ def test_the_effort_of_a_batch_is_what_it_takes() -> None:
     ratio that is assumed.
     """
     cases = [
-        [Contact(f, 0.005, 0.05, tracking=t)] * n
+        [BenchContact(f, 0.005, 0.05, tracking=t)] * n
         for f, t, n in ((2.0, "ideal", 4), (1.0, "ideal", 48), (2.0, "servo", 16))
     ]
     bounce([c.scenario({"kind": "none"}) for c in cases[0]])

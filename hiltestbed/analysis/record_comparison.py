@@ -63,7 +63,7 @@ class Shift:
 
 
 @dataclass(frozen=True)
-class Delay:
+class MeasuredDelay:
     """A delay [s] with its standard deviation [s]; ``damping``: -k tau [N s/m], None without k."""
 
     what: str
@@ -89,8 +89,8 @@ class RecordComparison:
     stiffness: float | None
     aligned_by: str
     clock: Shift
-    between: tuple[Delay, ...]
-    within: tuple[Delay, ...]
+    between: tuple[MeasuredDelay, ...]
+    within: tuple[MeasuredDelay, ...]
 
     def to_json(self) -> dict[str, Any]:
         """SI units."""
@@ -190,8 +190,8 @@ def compare_records(
     return RecordComparison(names, axis, k, _column(by), clock, between, within)
 
 
-def _delay(what: str, delay: float, sd: float, k: float | None) -> Delay:
-    return Delay(what, delay, sd, None if k is None else -k * delay)
+def _delay(what: str, delay: float, sd: float, k: float | None) -> MeasuredDelay:
+    return MeasuredDelay(what, delay, sd, None if k is None else -k * delay)
 
 
 Record = dict[str, tuple[Array, Array]]  # group.axis to its times [s] and values

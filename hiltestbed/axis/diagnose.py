@@ -22,7 +22,7 @@ from hiltestbed.axis.dataset import LoadedAxis, load_axis
 from hiltestbed.axis.models import AxisModel
 from hiltestbed.axis.result import CLOSE, AxisCause, AxisFinding
 from hiltestbed.frames import Array
-from hiltestbed.inference.conclude import Conclusion, Confirmed, conclude
+from hiltestbed.inference.conclude import Confirmed, SearchConclusion, conclude
 from hiltestbed.inference.likelihood import Likelihood, independent
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.inference.search import Searched, search
@@ -75,7 +75,7 @@ class Diagnosed(NamedTuple):
 
     verdict: str
     causes: tuple[AxisCause, ...]
-    conclusion: Conclusion | None
+    conclusion: SearchConclusion | None
     constant: Array
     floors: Array
     remarks: tuple[str, ...]
@@ -119,7 +119,7 @@ def tells_nothing(model: AxisModel) -> str | None:
 
 
 def decide(
-    model: AxisModel, found: Searched, c: Conclusion, constant: Array
+    model: AxisModel, found: Searched, c: SearchConclusion, constant: Array
 ) -> tuple[str, tuple[AxisCause, ...], Array, tuple[str, ...]]:
     """Verdict, causes, noise floors and remarks."""
     floors = np.maximum(model.floors, repeatability(model))

@@ -62,7 +62,7 @@ FORCE, STIFFNESS, SHAPE = range(3)  # of a slider; SHAPE 0: elastic until it sli
 BRANCH, TIME = range(2)  # of a Maxwell branch: [N/m], [s]
 
 
-class Law:
+class AxisLaw:
     """The numbers of a law; effects change them in place.
 
     Attributes:

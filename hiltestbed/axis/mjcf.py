@@ -18,7 +18,7 @@ import numpy as np
 from hiltestbed.axis import law as of
 from hiltestbed.axis import servo
 from hiltestbed.axis.dataset import AxisDataset, nominal_of
-from hiltestbed.axis.law import Law
+from hiltestbed.axis.law import AxisLaw
 from hiltestbed.axis.models import damper_law, drive_law, servo_numbers
 from hiltestbed.frames import Array
 
@@ -149,7 +149,7 @@ def axis_model(spec: AxisDataset) -> Model:
     return model
 
 
-def _resistance(model: Model, law: Law) -> None:
+def _resistance(model: Model, law: AxisLaw) -> None:
     """Damping, friction, spring and a constant force: of a drive and of a damper."""
     n = law.numbers
     forward, back = n[of.VISCOUS], n[of.VISCOUS_BACK]
@@ -194,7 +194,7 @@ def _resistance(model: Model, law: Law) -> None:
             model.unsaid.append(f"{what}: left out")
 
 
-def _drive(model: Model, law: Law) -> None:
+def _drive(model: Model, law: AxisLaw) -> None:
     n = law.numbers
     model.actuators.append(f'<motor name="input" joint="axis" gear="{number(n[of.GAIN])}"/>')
     model.said.append(f"input of the drive: control of the motor, gear {n[of.GAIN]:.6g}")
@@ -309,7 +309,7 @@ def _play(model: Model, width: float) -> None:
     model.said.append(f"play of {width:.6g}: a second joint, output, held by a limited tendon")
 
 
-def _damper(model: Model, law: Law) -> None:
+def _damper(model: Model, law: AxisLaw) -> None:
     mass = law.numbers[of.MASS]
     model.said.append(
         "its motion is given: set qpos and qvel of the joint axis at each step, and read the force "

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hiltestbed.axis import servo
-from hiltestbed.axis.effects.base import AXIS_EFFECTS, AxisKind, Reach, applied
+from hiltestbed.axis.effects.base import AXIS_EFFECTS, AxisKind, RecordScale, applied
 from hiltestbed.axis.law import (
     BEYOND,
     BEYOND_BACK,
@@ -19,7 +19,7 @@ from hiltestbed.axis.law import (
     RESOLVED,
     VISCOUS,
     VISCOUS_BACK,
-    Law,
+    AxisLaw,
     force_along,
     motion_under,
 )
@@ -99,7 +99,7 @@ class AxisModel(Model):
 
     @property
     @abstractmethod
-    def reach(self) -> Reach:
+    def reach(self) -> RecordScale:
         """Orders of magnitude of the records."""
 
     @abstractmethod
@@ -138,10 +138,12 @@ class AxisModel(Model):
         pairs = zip(self._compared(of), self._zeros(), strict=True)
         return [_tared(x, 2.0 * zero) for x, zero in pairs]
 
-    def _reach(self, places: Sequence[Array], motions: Sequence[Motion], **more: Any) -> Reach:
+    def _reach(
+        self, places: Sequence[Array], motions: Sequence[Motion], **more: Any
+    ) -> RecordScale:
         """Of recorded places and the motions through them."""
         speed = _largest([m.v for m in motions])
-        return Reach(
+        return RecordScale(
             travel=_span(places),
             speed=speed,
             slow=0.1 * speed,
@@ -166,17 +168,17 @@ def _largest(values: Sequence[Array]) -> float:
     return max(float(np.quantile(np.abs(v), 0.999)) for v in values) or 1e-12
 
 
-def damper_law(nominal: Mapping[str, float], effects: Sequence[Departure]) -> Law:
+def damper_law(nominal: Mapping[str, float], effects: Sequence[Departure]) -> AxisLaw:
     """The law of a damper with these nominal numbers and ``effects``."""
-    law = Law(0.0, 1.0, nominal.get("stiffness", 0.0))
+    law = AxisLaw(0.0, 1.0, nominal.get("stiffness", 0.0))
     law.numbers[[VISCOUS, VISCOUS_BACK, BEYOND, BEYOND_BACK]] = nominal.get("damping", 0.0)
     law.numbers[OFFSET] += nominal.get("preload", 0.0)
     return applied(effects, law)
 
 
-def drive_law(nominal: Mapping[str, float], effects: Sequence[Departure]) -> Law:
+def drive_law(nominal: Mapping[str, float], effects: Sequence[Departure]) -> AxisLaw:
     """The law of a drive with these nominal numbers and ``effects``."""
-    law = Law(nominal.get("mass", 1.0), nominal.get("gain", 1.0))
+    law = AxisLaw(nominal.get("mass", 1.0), nominal.get("gain", 1.0))
     believed = {k: v for k, v in nominal.items() if k in RESISTANCES}
     if believed:
         AXIS_EFFECTS["dynamics.force"].hypothesis({}, **believed).apply(law)
@@ -209,7 +211,7 @@ class DamperModel(AxisModel):
         self.floors = np.array([noise_of(r.y) for r in self.records])
 
     @property
-    def reach(self) -> Reach:
+    def reach(self) -> RecordScale:
         m = self._motions
         return self._reach(
             [x.x for x in m],
@@ -220,7 +222,7 @@ class DamperModel(AxisModel):
             damping=self.nominal.get("damping", 0.0),
         )
 
-    def law(self, effects: Sequence[Departure]) -> Law:
+    def law(self, effects: Sequence[Departure]) -> AxisLaw:
         """The law with ``effects``."""
         return damper_law(self.nominal, (*self.believed, *effects))
 
@@ -274,7 +276,7 @@ class DriveModel(AxisModel):
         self.floors = np.array(noise)
 
     @property
-    def reach(self) -> Reach:
+    def reach(self) -> RecordScale:
         m = self._motions
         return self._reach(
             [x.x for x in m],
@@ -284,7 +286,7 @@ class DriveModel(AxisModel):
             resists=any(self.nominal.get(k, 0.0) for k in RESISTANCES) or bool(self.believed),
         )
 
-    def law(self, effects: Sequence[Departure]) -> Law:
+    def law(self, effects: Sequence[Departure]) -> AxisLaw:
         """The law with ``effects``."""
         return drive_law(self.nominal, (*self.believed, *effects))
 
@@ -344,7 +346,7 @@ class ServoModel(AxisModel):
         self.floors = np.array([noise_of(r.y) for r in self.records])
 
     @property
-    def reach(self) -> Reach:
+    def reach(self) -> RecordScale:
         return self._reach(
             [r.y for r in self.records],
             [motion_of(*even(r.t, r.y)) for r in self.records],

@@ -14,7 +14,7 @@ from hiltestbed.axis.dataset import LoadedAxis
 from hiltestbed.axis.models import AxisModel
 from hiltestbed.diagnosis.plain import finite
 from hiltestbed.frames import Array
-from hiltestbed.inference.conclude import Conclusion
+from hiltestbed.inference.conclude import SearchConclusion
 from hiltestbed.run_folder.versions import versions
 
 # times the noise: a residual that a test engineer calls noise
@@ -92,7 +92,7 @@ class AxisFinding:
     model: AxisModel
     verdict: str
     causes: tuple[AxisCause, ...]
-    conclusion: Conclusion | None
+    conclusion: SearchConclusion | None
     constant: Array
     floors: Array
     remarks: tuple[str, ...] = ()

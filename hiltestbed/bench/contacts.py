@@ -30,7 +30,7 @@ ARM = 0.05  # [m] ratio of torque noise to force noise
 
 
 @dataclass(frozen=True)
-class Contact:
+class BenchContact:
     """One contact and the knowledge of the delay.
 
     Attributes:
@@ -133,13 +133,13 @@ def _body(mass: float, port: list[float]) -> dict[str, Any]:
 
 def grid(
     frequencies: tuple[float, ...] = FREQUENCIES, delays: tuple[float, ...] = DELAYS, **same: Any
-) -> list[Contact]:
+) -> list[BenchContact]:
     """Every combination of frequency, delay and damping ratio."""
     ratios = same.pop("damping_ratios", DAMPING_RATIOS)
-    return [Contact(f, d, z, **same) for z in ratios for f in frequencies for d in delays]
+    return [BenchContact(f, d, z, **same) for z in ratios for f in frequencies for d in delays]
 
 
-def random_rigs(count: int, seed: int) -> list[Contact]:
+def random_rigs(count: int, seed: int) -> list[BenchContact]:
     """Random rigs: masses, contact, delay, speed, off-axis hits with tilt, sliding and friction."""
     rng = np.random.default_rng(seed)
     rigs = []
@@ -159,7 +159,7 @@ def random_rigs(count: int, seed: int) -> list[Contact]:
         )
         speed = float(np.exp(rng.uniform(*np.log([0.01, 0.06]))))
         rigs.append(
-            Contact(
+            BenchContact(
                 frequency,
                 delay,
                 ratio,
@@ -173,7 +173,7 @@ def random_rigs(count: int, seed: int) -> list[Contact]:
     return rigs
 
 
-def effort(contacts: Sequence[Contact], ticks: float | None = None) -> float:
+def effort(contacts: Sequence[BenchContact], ticks: float | None = None) -> float:
     """Estimated time of a batch of bounces, roughly in seconds of one core; ``ticks``: number of
     ticks, by default from their duration.
 
@@ -229,7 +229,7 @@ def bounce(scenarios: list[Scenario], nthread: int = 1, trace: bool = False) -> 
     return BenchRuns(figures, velocity, start, loop, rows)
 
 
-def effective_contact(contact: Contact) -> float:
+def effective_contact(contact: BenchContact) -> float:
     """w tau of a contact, including the lever arms of an off-axis hit."""
     scenario = contact.scenario({"kind": "none"})
     return (

@@ -12,7 +12,7 @@ from hiltestbed.compensation.settings import FORCE_METHODS, ForceMethod
 BEST = "resynchronised"
 
 
-class Contact(Protocol):
+class Briefing(Protocol):
     """What a method may be told: k [N/m], c [N s/m], peak force [N] and nominal delay [s]."""
 
     @property
@@ -37,12 +37,12 @@ class Contender:
 
     name: str
     contact: str
-    force: Callable[[Contact], dict[str, Any]]
+    force: Callable[[Briefing], dict[str, Any]]
     estimates_delay: bool = False
     own: bool = False
 
 
-def _model(c: Contact) -> dict[str, float]:
+def _model(c: Briefing) -> dict[str, float]:
     return {"stiffness": c.stiffness, "damping": c.damping}
 
 

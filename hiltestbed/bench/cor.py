@@ -23,8 +23,8 @@ import numpy as np
 from hiltestbed.bench.contacts import (
     DELAYS,
     FREQUENCIES,
+    BenchContact,
     BenchRuns,
-    Contact,
     bounce,
     effective_contact,
     effort,
@@ -147,7 +147,7 @@ def _takes_part(contender: Contender, condition: tuple[str, str], quick: bool) -
 
 
 def measure(
-    contender: Contender, contacts: Sequence[Contact], reference: BenchRuns
+    contender: Contender, contacts: Sequence[BenchContact], reference: BenchRuns
 ) -> list[dict[str, Any]]:
     """One record per contact."""
     servo = contacts[0].tracking == "servo"
@@ -159,7 +159,7 @@ def measure(
 
 
 def _record(
-    contender: Contender, contact: Contact, result: BenchRuns, reference: BenchRuns, i: int
+    contender: Contender, contact: BenchContact, result: BenchRuns, reference: BenchRuns, i: int
 ) -> dict[str, Any]:
     figures, ideal = result.figures[i], reference.figures[i]
     return {
@@ -208,7 +208,7 @@ def _tracking(result: BenchRuns, i: int) -> dict[str, float]:
     }
 
 
-def measure_random(contender: Contender, rigs: Sequence[Contact]) -> list[dict[str, Any]]:
+def measure_random(contender: Contender, rigs: Sequence[BenchContact]) -> list[dict[str, Any]]:
     """One record per rig; ``twist_error``: relative error of a body's change of velocity, linear or
     angular, the larger of both bodies'.
     """
@@ -278,16 +278,16 @@ def stability_boundary(points: int) -> dict[str, Any]:
     return out
 
 
-def _boundary(points: int) -> list[Contact]:
+def _boundary(points: int) -> list[BenchContact]:
     """The contacts of the fine grid, frequency by frequency."""
     frequencies = np.geomspace(FREQUENCIES[0], FREQUENCIES[-1], points)
     delays = np.geomspace(0.5 * DELAYS[0], 1.5 * DELAYS[-1], points)
-    return [Contact(float(f), float(d), 0.05, noise=0.0) for f in frequencies for d in delays]
+    return [BenchContact(float(f), float(d), 0.05, noise=0.0) for f in frequencies for d in delays]
 
 
-def _costly() -> list[Contact]:
+def _costly() -> list[BenchContact]:
     """The contacts on which the cost of a method is measured."""
-    return [Contact(4.0, 0.02, 0.05, seed=i) for i in range(COST_RUNS)]
+    return [BenchContact(4.0, 0.02, 0.05, seed=i) for i in range(COST_RUNS)]
 
 
 def cost(contender: Contender, ticks: int = COST_TICKS) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.bench.contacts import Contact, bounce, grid
+from hiltestbed.bench.contacts import BenchContact, bounce, grid
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.report.page import Report, new_figure
 
@@ -33,7 +33,7 @@ METHODS: dict[str, dict[str, Any]] = {
 NOISES = (0.001, 0.002, 0.005, 0.02)  # of the peak force
 NORMAL_95 = 1.96
 AXIAL = 2
-CALIBRATION = Contact(4.0, 0.01, 0.05)
+CALIBRATION = BenchContact(4.0, 0.01, 0.05)
 
 
 def identification(quick: bool = False, progress: Progress | None = None) -> BenchResult:
@@ -68,7 +68,7 @@ def identification(quick: bool = False, progress: Progress | None = None) -> Ben
 
 
 def measure(
-    method: str, contacts: Sequence[Contact], noise: float, seeds: int
+    method: str, contacts: Sequence[BenchContact], noise: float, seeds: int
 ) -> list[dict[str, Any]]:
     """One record per contact: median and 95 % spread over the seeds."""
     # the nominal delay is then 20 % off the one to be estimated

@@ -42,7 +42,7 @@ class Knowledge:
 
 
 @dataclass(frozen=True)
-class Ranked:
+class RankedMethod:
     """A method on the scenario.
 
     Attributes:
@@ -102,14 +102,14 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
         if method.estimates_delay or method.name in ("none", "dead_zone"):
             needs = "nothing"
         section = {"force": method.force(known), "motion": own["motion"]}
-        row = Ranked("force", method.name, needs, section, "completed")
+        row = RankedMethod("force", method.name, needs, section, "completed")
         forces.append(_measured(scenario, reference, row))
         if progress:
             progress(done + 1.0, whole)
     forces.sort(key=lambda row: row.order)
     for done, kind in enumerate(motions):
         section = {"force": forces[0].section["force"], "motion": {"kind": kind}}
-        row = Ranked("motion", kind, "", section, "completed")
+        row = RankedMethod("motion", kind, "", section, "completed")
         others.append(_measured(scenario, reference, row))
         if progress:
             progress(len(methods) + done + 1.0, whole)
@@ -133,7 +133,7 @@ def _knowledge(scenario: Scenario) -> Knowledge:
     return Knowledge(stiffness, damping, peak, scenario.sensor.delay)
 
 
-def _measured(scenario: Scenario, reference: Batch, row: Ranked) -> Ranked:
+def _measured(scenario: Scenario, reference: Batch, row: RankedMethod) -> RankedMethod:
     """A method on the scenario, with the known delay and with a longer one."""
     data = resolved(scenario) | {"compensation": row.section}
     late = {"kind": "sensor.delay", "delay": UNKNOWN * scenario.sensor.delay}

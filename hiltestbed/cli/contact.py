@@ -71,7 +71,7 @@ def contact(
     """
     from hiltestbed.analysis.mujoco_contact import pair_in_mjcf
     from hiltestbed.analysis.spring_damper import SpringDamper, reduced_mass
-    from hiltestbed.report.contact import CONTACT, ContactFigures, write_contact
+    from hiltestbed.report.contact import CONTACT, ContactSheet, write_contact
     from hiltestbed.run_folder.store import refuse_foreign
 
     _above_zero("--speed", speed, "m/s")
@@ -91,7 +91,7 @@ def contact(
         drop, both = None, given
         found = _stated(stiffness, damping, cor, solref, reduced_mass(*given))
     engines = tuple((name, _cor_in(name, found, both, speed)) for name in engine or [])
-    figures = ContactFigures(found, both, speed, drop, engines)
+    figures = ContactSheet(found, both, speed, drop, engines)
     if out is not None:
         write_contact(figures, out)
     if as_json:

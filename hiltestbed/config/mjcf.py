@@ -36,7 +36,7 @@ DIGITS = 12  # of the hash in a file's name: 48 bits
 
 
 @dataclass(frozen=True)
-class Packed:
+class PackedMjcf:
     """An MJCF file with all that it names.
 
     Attributes:
@@ -61,13 +61,13 @@ class Packed:
         assets = {name: content for name, content in self.files.items() if name not in models}
         return mujoco.MjSpec.from_string(self.text, include=models, assets=assets)
 
-    def part(self) -> Packed:
+    def part(self) -> PackedMjcf:
         """The same without the settings of a whole model, which a part of another does not have."""
         files = {
             name: _without_settings(content.decode()).encode() if name.endswith(".xml") else content
             for name, content in self.files.items()
         }
-        return Packed(_without_settings(self.text), files, self.sources)
+        return PackedMjcf(_without_settings(self.text), files, self.sources)
 
     def settings(self) -> list[str]:
         """The settings that :meth:`part` leaves out, as ``element attribute``."""
@@ -86,7 +86,7 @@ class Packed:
         return folder / name
 
 
-def packed(file: Path) -> Packed:
+def packed(file: Path) -> PackedMjcf:
     """The model in an MJCF ``file``. Raises InputError if a file that it needs cannot be read."""
     found = _MEMORY.get(file)
     if found is None or found[0] != _state(found[1].sources):
@@ -96,14 +96,14 @@ def packed(file: Path) -> Packed:
         except RecursionError:
             raise InputError(f"{file}: its elements are nested too deeply") from None
         sources = tuple(reader.sources)
-        found = _state(sources), Packed(text, reader.files, sources)
+        found = _state(sources), PackedMjcf(text, reader.files, sources)
         _MEMORY[file] = found
         while len(_MEMORY) > KEPT:
             _MEMORY.popitem(last=False)
     return found[1]
 
 
-_MEMORY: OrderedDict[Path, tuple[object, Packed]] = OrderedDict()
+_MEMORY: OrderedDict[Path, tuple[object, PackedMjcf]] = OrderedDict()
 
 
 def _state(files: tuple[Path, ...]) -> object:
@@ -128,7 +128,7 @@ def _without_settings(text: str) -> str:
 
 @dataclass
 class _Reader:
-    """Reads one model; ``files`` and ``sources`` as in :class:`Packed`."""
+    """Reads one model; ``files`` and ``sources`` as in :class:`PackedMjcf`."""
 
     files: dict[str, bytes] = field(default_factory=dict)
     sources: list[Path] = field(default_factory=list)

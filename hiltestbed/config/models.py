@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hiltestbed.config.mjcf import Packed, packed
+from hiltestbed.config.mjcf import PackedMjcf, packed
 from hiltestbed.config.trial import refuse_unfit
 from hiltestbed.errors import InputError
 
@@ -34,7 +34,7 @@ def load(name: str) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(models_folder() / f"{name}.xml"))
 
 
-def model_of(file: Path) -> Packed:
+def model_of(file: Path) -> PackedMjcf:
     """The model in an MJCF ``file``; raises InputError if a user's does not fit the limits."""
     found = packed(file)
     remarks_on(file)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import mujoco
 
-from hiltestbed.config.mjcf import Packed
+from hiltestbed.config.mjcf import PackedMjcf
 from hiltestbed.config.models import model_of
 from hiltestbed.errors import InputError
 
@@ -33,7 +33,7 @@ _RESOLVED: OrderedDict[str, tuple[mujoco.MjSpec, mujoco.MjModel]] = OrderedDict(
 KEPT = 16  # parts that are kept in memory
 
 
-def _resolved(part: Packed, file: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+def _resolved(part: PackedMjcf, file: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """The specification and the model of a part, in which every mass is written out: what the
     compiler settings of the file make of all its bodies together would be lost in another model.
     """

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.config.mjcf import Packed
+from hiltestbed.config.mjcf import PackedMjcf
 from hiltestbed.errors import InputError
 
 # chosen: compiling 200,000 triangles, the most that a surface may have, takes 3 s and 0.5 GB
@@ -35,7 +35,7 @@ BODY = (
 )
 
 
-def refuse_unfit(file: Path, model: Packed) -> tuple[str, ...]:
+def refuse_unfit(file: Path, model: PackedMjcf) -> tuple[str, ...]:
     """Raise InputError if the ``model`` in an MJCF ``file`` does not compile within the limits, or
     compiles to numbers that no body has; returns MuJoCo's remarks on it.
     """
@@ -99,12 +99,12 @@ def _serve() -> None:
     limit_resources(CPU=TIME, AS=MEMORY)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        answer = _compiled(Packed(order["text"], files), order["file"])
+        answer = _compiled(PackedMjcf(order["text"], files), order["file"])
     said = dict.fromkeys(" ".join(str(w.message).split()) for w in caught)
     sys.stdout.write("\n" + json.dumps({"remarks": list(said)} | answer) + "\n")
 
 
-def _compiled(packed: Packed, file: str) -> dict:
+def _compiled(packed: PackedMjcf, file: str) -> dict:
     import mujoco
 
     try:

@@ -99,7 +99,7 @@ class Structure:
 
 
 @dataclass(frozen=True)
-class Closure:
+class ComposedClosure:
     """One of a mechanism's closures.
 
     Attributes:
@@ -121,17 +121,17 @@ class Closure:
     together: bool = False
 
 
-def closures_of(structure: Structure) -> list[Closure]:
+def closures_of(structure: Structure) -> list[ComposedClosure]:
     """The closures of a mechanism."""
     found = []
     if structure.latched:
-        found.append(Closure(LATCH, (A, S), np.array([SITE, SITE]), LATCH_RADIUS, law=True))
+        found.append(ComposedClosure(LATCH, (A, S), np.array([SITE, SITE]), LATCH_RADIUS, law=True))
     sites = structure.sides.sites
     for phase in structure.mechanism.phases():
         if (close := phase.close) is not None:
             (a, at_a), (p, at_p) = sites["A", close.active], sites["P", close.passive]
             found.append(
-                Closure(
+                ComposedClosure(
                     phase.name,
                     (a, p),
                     np.array([at_a, at_p]),

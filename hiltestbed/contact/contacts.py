@@ -15,7 +15,7 @@ from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import ACTIVE, Structure, set_linear
 from hiltestbed.contact.engagement import Engagement
-from hiltestbed.contact.mount import Mount
+from hiltestbed.contact.mount import Mounts
 from hiltestbed.contact.wrench import load_body, to_frame
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotate, rotate_back
@@ -63,7 +63,7 @@ class Contacts:
         tilt = (
             engagement.tilt if engagement else np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
         )
-        self.mount = Mount(batch, scenarios, tilt)
+        self.mount = Mounts(batch, scenarios, tilt)
         self.written = engagement is not None or force is not None or self.mount.moves
         self.stage = engagement.stage if engagement else int(mujoco.mjtStage.mjSTAGE_NONE)
         self.touching = engagement.touching if engagement else np.zeros(n, dtype=bool)

@@ -153,14 +153,14 @@ class Phase(_Strict):
         return [(port, name) for pair in pairs for port, name in zip("AP", pair, strict=True)]
 
 
-class Mechanism(_Strict):
+class MechanismFile(_Strict):
     """The content of ``mechanism.yaml``."""
 
     contact: list[Touching] = Field(min_length=1)
     phases: list[Phase] = Field(default_factory=list)
 
     @model_validator(mode="after")
-    def _names(self) -> Mechanism:
+    def _names(self) -> MechanismFile:
         names = [p.name for p in self.phases]
         if len(set(names)) != len(names):
             raise ValueError(
@@ -170,11 +170,11 @@ class Mechanism(_Strict):
         return self
 
 
-def read(path: Path) -> Mechanism:
+def read(path: Path) -> MechanismFile:
     """The description in the file ``path``. Raises InputError with all its faults."""
     try:
         tree = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-        return Mechanism.model_validate(tree)
+        return MechanismFile.model_validate(tree)
     except FileNotFoundError:
         raise InputError(
             f"{path}: no such file; a mechanism has mechanism.yaml beside active.xml and "

@@ -38,7 +38,15 @@ from hiltestbed.contact.composition import (
     Structure,
     inverse_mass,
 )  # fmt: skip
-from hiltestbed.contact.facets import MET, Bodies, Felt, Inputs, Laws, touch_facets, touch_natively
+from hiltestbed.contact.facets import (
+    MET,
+    CarriedFrames,
+    FacetState,
+    Inputs,
+    Laws,
+    touch_facets,
+    touch_natively,
+)
 from hiltestbed.contact.geometry import ACTIVE as A
 from hiltestbed.contact.geometry import FRAMES
 from hiltestbed.contact.geometry import PASSIVE as S
@@ -133,7 +141,7 @@ class Engagement:
         b, p = self._bodies, self._pairs
         found = [bound(_none, self.wrench, self.pull, self.touching)]
         laws = Laws(dt, least_creep, self.parameters, self.linear, self._live, p.gain)
-        felt = Felt(self.state, self.met, self.wrench, self.pull, self.touching)
+        felt = FacetState(self.state, self.met, self.wrench, self.pull, self.touching)
         if self._facets:
             found = [bound(touch_facets, self._geometry, laws, b.bodies, p.inputs, felt)]
         if p.reading.shape[1]:
@@ -226,7 +234,7 @@ class _Bodies:
             q = np.empty(4)
             quat_mul(carry[i, S, 3:7], tilt[i, 3:7], q)
             carry[i, S, 3:7] = q
-        self.bodies = Bodies(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
+        self.bodies = CarriedFrames(np.zeros((n, count, 7)), np.zeros((n, count, 6)), carry)
         ids = np.array([m.body(PREFIXES[side] + body).id for side, body in names], dtype=np.int64)
         self.moving: list[Callable[[], None]] = []
         if names:

@@ -44,7 +44,7 @@ class Laws(NamedTuple):
     gain: Array  # (n, T) g [1/kg]
 
 
-class Bodies(NamedTuple):
+class CarriedFrames(NamedTuple):
     """The frames to which geoms and sites are fixed: A, S and moving parts."""
 
     frames: Array  # (n, F, 7) poses in W
@@ -62,7 +62,7 @@ class Inputs(NamedTuple):
     friction: Array  # pair_solreffriction (n, npair, 2)
 
 
-class Felt(NamedTuple):
+class FacetState(NamedTuple):
     """State and results, as in :class:`~hiltestbed.contact.engagement.Engagement`."""
 
     state: Array  # (n, T + 1, STATES) of the laws

@@ -27,7 +27,7 @@ from hiltestbed.contact.composition import (
     closures_of,
     inverse_mass,
 )
-from hiltestbed.contact.facets import Bodies
+from hiltestbed.contact.facets import CarriedFrames
 from hiltestbed.contact.law import STATES, contact_force
 from hiltestbed.contact.parameters import DAMPING, STIFFNESS
 from hiltestbed.contact.wrench import relate_one
@@ -134,7 +134,7 @@ class Latches:
             self.hold[which, k, :3] -= force[which] / self.springs[which, k, :1]
         self.closed[which, k] = self._closing[which, k] = True
 
-    def holding(self, dt: float, bodies: Bodies) -> Callable[[], None]:
+    def holding(self, dt: float, bodies: CarriedFrames) -> Callable[[], None]:
         """A call, once per instant, that updates the sites' relative poses and the anchors of
         closed closures; its arrays are reused.
         """

@@ -46,7 +46,7 @@ class Described(_Shipped):
         return {**data, "contact": _numbers(cls.described().contact[0]).model_dump()}
 
     @classmethod
-    def described(cls) -> description.Mechanism:
+    def described(cls) -> description.MechanismFile:
         """The content of mechanism.yaml. Raises InputError."""
         file = models_folder() / cls.folder / "mechanism.yaml"
         return _read(file, file.stat().st_mtime_ns if file.is_file() else 0)
@@ -72,7 +72,7 @@ def _numbers(touching: Touching) -> Contact:
 
 
 @lru_cache(maxsize=32)
-def _read(file: Path, stamp: int) -> description.Mechanism:
+def _read(file: Path, stamp: int) -> description.MechanismFile:
     return description.read(file)
 
 

@@ -37,7 +37,7 @@ def add_joints(body: mujoco.MjsBody) -> None:
         )
 
 
-class Mount:
+class Mounts:
     """The mounts of `n` runs.
 
     Attributes:

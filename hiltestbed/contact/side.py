@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.config.part import compiled
 from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE
-from hiltestbed.contact.surfaces import Finding, Surface, hollow, of_geom, of_mesh
+from hiltestbed.contact.surfaces import MeshFault, Surface, hollow, of_geom, of_mesh
 from hiltestbed.contact.surfaces.surface import KINDS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_mujoco
@@ -53,7 +53,7 @@ class Side:
             )
         self.origin = self.data.site_xpos[found].copy()
         self.axes = self.data.site_xmat[found].reshape(3, 3).copy()
-        self.findings: dict[str, list[Finding]] = {}
+        self.findings: dict[str, list[MeshFault]] = {}
         self._surfaces: dict[int, Surface] = {}
 
     def pose(self) -> Array:

@@ -38,7 +38,7 @@ from hiltestbed.contact.geometry import (
     packed,
 )
 from hiltestbed.contact.side import Frames, Side, quaternion
-from hiltestbed.contact.surfaces import Finding
+from hiltestbed.contact.surfaces import MeshFault
 from hiltestbed.contact.surfaces.surface import KINDS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
@@ -107,7 +107,7 @@ class Sides:
     ports: Array
     moving: bool
     releases: bool
-    findings: tuple[tuple[str, Finding], ...]
+    findings: tuple[tuple[str, MeshFault], ...]
     apart: tuple[tuple[str, str], ...]
 
     @property

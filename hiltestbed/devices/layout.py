@@ -166,7 +166,7 @@ def default_layout() -> Layout:
     return validate(Layout, Source("the default layout", data))
 
 
-class Record:
+class WireRecord:
     """One record, ready to be packed and unpacked.
 
     Attributes:

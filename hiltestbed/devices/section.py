@@ -14,7 +14,7 @@ from hiltestbed.devices.watch import CommunicationLimits
 _NONE = (0.0, 0.0, 0.0)
 
 
-class Placed(Strictly):
+class PlacedPose(Strictly):
     """A pose; the key states of which frame, in which frame."""
 
     position: Vector3 = Field(default=_NONE, description="Origin [m]")
@@ -48,8 +48,12 @@ class SensorDevice(Strictly):
 class PlatformDevice(Strictly):
     """Mounting of the platform, and its motion to the start of a run."""
 
-    base: Placed = Field(default=Placed(), description="Pose of the platform's base frame in P")
-    tool: Placed = Field(default=Placed(), description="Pose of A in the platform's tool frame")
+    base: PlacedPose = Field(
+        default=PlacedPose(), description="Pose of the platform's base frame in P"
+    )
+    tool: PlacedPose = Field(
+        default=PlacedPose(), description="Pose of A in the platform's tool frame"
+    )
     travel_speed: Positive = Field(
         default=0.05, description="Highest speed on the way to the start [m/s]"
     )

@@ -27,7 +27,7 @@ from hiltestbed.devices.interface import (
     SensorClient,
     SensorServer,
 )
-from hiltestbed.devices.layout import LARGEST, Record, RecordKind, default_layout, read_layout
+from hiltestbed.devices.layout import LARGEST, RecordKind, WireRecord, default_layout, read_layout
 from hiltestbed.devices.numbered import NumberedClient, NumberedKeeper, NumberedServer
 from hiltestbed.devices.sequence import Advancing, Sequence
 from hiltestbed.devices.url import LOOPBACK, DeviceSettings, refused
@@ -61,13 +61,13 @@ class UdpSettings(DeviceSettings):
     connect: Positive = Field(default=2.0, description="time to wait for the first record [s]")
 
 
-def record_of(settings: UdpSettings, kind: RecordKind) -> Record:
+def record_of(settings: UdpSettings, kind: RecordKind) -> WireRecord:
     """The record of ``kind``. Raises InputError if the layout has none."""
     layout = read_layout(settings.layout) if settings.layout is not None else default_layout()
     if not getattr(layout, kind):
         message = f"the layout {settings.layout} has no {kind} record; describe it there"
         raise refused(settings.where, message, "layout")
-    record = Record(layout, kind)
+    record = WireRecord(layout, kind)
     if record.size > LARGEST:
         message = (
             f"the {kind} record has {record.size} bytes; at most {LARGEST} go into one datagram"
@@ -99,7 +99,7 @@ class Receiver(sockets.Datagrams):
     _largest = LARGEST
     settings: UdpSettings
 
-    def _expect(self, record: Record) -> None:
+    def _expect(self, record: WireRecord) -> None:
         self._record = record
         self._sender: sockets.Address = (self.settings.host, self.settings.port)
         self._sequence = Sequence(self.counts, bits=record.sequence_bits or 32)

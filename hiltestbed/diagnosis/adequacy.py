@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiltestbed.diagnosis.links import AxisLink, CompensationLink, Link, WrenchLink
+from hiltestbed.diagnosis.links import AxisLink, CompensationLink, ModelLink, WrenchLink
 from hiltestbed.diagnosis.links.base import NO_SHIFT, Effects
 from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.residual import Residual
@@ -165,7 +165,7 @@ def contact_leftovers(residual: Residual, effects: Effects) -> dict[str, Leftove
     return out
 
 
-def _read_from(link: Link) -> int:
+def _read_from(link: ModelLink) -> int:
     """Samples from which the noise floor was estimated: those away from contacts, or all where
     these are too few. A log that is slower than the loop has fewer of them than rows.
     """

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from hiltestbed.diagnosis.links import Link, LinkRun
+from hiltestbed.diagnosis.links import LinkRun, ModelLink
 from hiltestbed.diagnosis.nuisances import Aside
 from hiltestbed.diagnosis.settings import CORRELATED_ROWS, SMOOTHING_ROWS
 from hiltestbed.frames import Array
@@ -39,7 +39,7 @@ KINK_RATIO = 7.0
 
 def bridged(
     runs: Sequence[LinkRun],
-    fed: Callable[[Sequence[Array]], Link],
+    fed: Callable[[Sequence[Array]], ModelLink],
     wrenches: Sequence[Array],
     missing: Sequence[np.ndarray],
     between: Sequence[Array],
@@ -124,7 +124,7 @@ def kink_errors(record: Record, group: str) -> Array:
     return np.where(peak > KINK_RATIO * usual, 2.0 * peak, 0.0)
 
 
-def rms_differences(link: Link, other: Link) -> list[Array]:
+def rms_differences(link: ModelLink, other: ModelLink) -> list[Array]:
     """``(N, channels)`` difference of two links in each run, rms about each row."""
     pairs = zip(link.shown_in_all(), other.shown_in_all(), strict=True)
     return [

@@ -55,7 +55,7 @@ class RunSignals:
 
 
 @dataclass(frozen=True)
-class FirstContact:
+class FirstRebound:
     """A contact: before, after: the rows [first, end) from which the speeds are estimated.
     approach_speed, rebound_speed [m/s]: both positive; None where one cannot be estimated.
     """
@@ -176,7 +176,7 @@ def restitution(motion: RunSignals, scenario: Scenario) -> float | None:
     return rows.rebound_speed / rows.approach_speed
 
 
-def bounce_of(motion: RunSignals, scenario: Scenario) -> FirstContact | None:
+def bounce_of(motion: RunSignals, scenario: Scenario) -> FirstRebound | None:
     """The first contact of a motion with the speeds before and after it; None without one."""
     z = motion.command if motion.command is not None else motion.reached
     if z is None or motion.span is None:
@@ -187,7 +187,7 @@ def bounce_of(motion: RunSignals, scenario: Scenario) -> FirstContact | None:
     before = (max(0, start - 1 - window), start - 1)
     after = (first, min(until, len(z), first + window))
     approach, rebound = _slope(motion.t, z, *before), _slope(motion.t, z, *after)
-    return FirstContact(
+    return FirstRebound(
         before,
         after,
         None if approach is None or approach <= 0.0 else approach,

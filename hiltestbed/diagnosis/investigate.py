@@ -31,7 +31,7 @@ from hiltestbed.diagnosis.grow import Richer
 from hiltestbed.diagnosis.jitter_and_hum import hum_beside, jitter_beside, lines
 from hiltestbed.diagnosis.lacking import too_little
 from hiltestbed.diagnosis.layout import (
-    Layout,
+    DatasetLayout,
     compensation_link,
     dynamics_link,
     lay_out,
@@ -44,7 +44,7 @@ from hiltestbed.diagnosis.links import (
     AxisLink,
     CompensationLink,
     DynamicsLink,
-    Link,
+    ModelLink,
     PlatformLink,
     Timing,
     WrenchLink,
@@ -126,10 +126,10 @@ class Findings:
             the rebound told apart.
     """
 
-    layout: Layout
+    layout: DatasetLayout
     explanations: dict[str, Explanation]
     missing: dict[str, str]
-    whole: dict[str, Link]
+    whole: dict[str, ModelLink]
     weighed: tuple[str, ...] = ()
 
     @property
@@ -144,7 +144,7 @@ def investigate(
     """Explain every link that the data allow; stamps: whether a late record may be its stamps."""
     layout = lay_out(dataset)
     found: dict[str, Explanation] = {}
-    whole: dict[str, Link] = {}
+    whole: dict[str, ModelLink] = {}
     if "compensation" not in layout.missing:
         candidates = candidates_of(layout.scales, ("compensation", "log"))
         found["compensation"] = _explain_compensation(
@@ -179,8 +179,10 @@ def investigate(
 
 
 def _whole(
-    make: Callable[[Layout, Sequence[int]], Link], layout: Layout, explanation: Explanation
-) -> Link:
+    make: Callable[[DatasetLayout, Sequence[int]], ModelLink],
+    layout: DatasetLayout,
+    explanation: Explanation,
+) -> ModelLink:
     """A link on whole runs, with the timing of its explanation."""
     return make(layout, layout.whole).with_timing(explanation.residual.link.timing)
 
@@ -196,7 +198,7 @@ def candidates_of(
 
 
 def _begin(
-    progress: Progress | None, layout: Layout, link: str, words: str = ""
+    progress: Progress | None, layout: DatasetLayout, link: str, words: str = ""
 ) -> Progress | None:
     """Tell that a link is begun; the callback for what is done on it."""
     judged = [name for name in ORDER if name not in layout.missing]
@@ -208,7 +210,7 @@ def _begin(
     return told
 
 
-def with_stiction(layout: Layout, link: PlatformLink) -> tuple[Scales, Timing | None]:
+def with_stiction(layout: DatasetLayout, link: PlatformLink) -> tuple[Scales, Timing | None]:
     """Scales with starts for stiction from the data, and the timing that its jumps show, if any."""
     noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
     sticks = sticking(link, noise, layout.scales.substeps)
@@ -216,8 +218,8 @@ def with_stiction(layout: Layout, link: PlatformLink) -> tuple[Scales, Timing | 
 
 
 def _explain_platform(
-    layout: Layout, link: PlatformLink, progress: Progress | None
-) -> tuple[Explanation, Link]:
+    layout: DatasetLayout, link: PlatformLink, progress: Progress | None
+) -> tuple[Explanation, ModelLink]:
     """The explanation of the platform, and that link on whole runs."""
     scales, timing = with_stiction(layout, link)
     link = link if timing is None else link.with_timing(timing)
@@ -233,8 +235,8 @@ def _explain_platform(
 
 
 def _explain_dynamics(
-    layout: Layout, found: dict[str, Explanation], progress: Progress | None
-) -> tuple[Explanation, Link]:
+    layout: DatasetLayout, found: dict[str, Explanation], progress: Progress | None
+) -> tuple[Explanation, ModelLink]:
     """The explanation of the numerical model, or of a driven axis; and that link on whole runs.
 
     found: of the compensation, which may show that stamps are off: then a departure no larger than
@@ -257,7 +259,7 @@ def _explain_dynamics(
     return explanation, _whole(dynamics_link, layout, explanation)
 
 
-def _stamped_dynamics(layout: Layout, found: dict[str, Explanation]) -> DynamicsLink:
+def _stamped_dynamics(layout: DatasetLayout, found: dict[str, Explanation]) -> DynamicsLink:
     """The numerical model with the stamps of wrench_comp that the compensation shows.
 
     Whole rows by which both of its channels are late do not show there: those are taken, for
@@ -277,12 +279,12 @@ def _stamped_dynamics(layout: Layout, found: dict[str, Explanation]) -> Dynamics
     return links[best]
 
 
-def _with_unknown_start(layout: Layout, link: DynamicsLink) -> DynamicsLink:
+def _with_unknown_start(layout: DatasetLayout, link: DynamicsLink) -> DynamicsLink:
     """The numerical model where the wrench that acted first may not be on record."""
     return link.with_unknown_start(LOST_START * levels(layout, "wrench_comp"))
 
 
-def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanation, AxisLink]:
+def _explain_axis(layout: DatasetLayout, progress: Progress | None) -> tuple[Explanation, AxisLink]:
     """A driven axis: its mass and what resists it, sought from the estimates of a regression."""
     link = axis_link(layout.runs)
     candidates = tuple(
@@ -305,7 +307,7 @@ def _explain_axis(layout: Layout, progress: Progress | None) -> tuple[Explanatio
 
 
 def _explain_compensation(
-    layout: Layout,
+    layout: DatasetLayout,
     link: CompensationLink,
     candidates: Sequence[Candidate],
     progress: Progress | None,
@@ -332,7 +334,7 @@ def _explain_compensation(
     )
 
 
-def _with_noise_of_residual(layout: Layout, path: BestPath) -> Layout:
+def _with_noise_of_residual(layout: DatasetLayout, path: BestPath) -> DatasetLayout:
     """The layout with the noise of a latched mechanism's force beside its believed contact."""
     if not any(r.scenario.mechanism.captured for r in layout.runs):
         return layout
@@ -345,10 +347,10 @@ def _with_noise_of_residual(layout: Layout, path: BestPath) -> Layout:
 
 
 def _investigate_wrench(
-    layout: Layout,
+    layout: DatasetLayout,
     path: BestPath,
     found: dict[str, Explanation],
-    whole: dict[str, Link],
+    whole: dict[str, ModelLink],
     progress: Progress | None,
 ) -> str | None:
     """Contact and sensor, which the data cannot separate into two links; and the compensation again
@@ -429,7 +431,10 @@ def _as_stamped(link: WrenchLink, found: Mapping[str, Explanation]) -> WrenchLin
 
 
 def _choose_path(
-    layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
+    layout: DatasetLayout,
+    found: dict[str, Explanation],
+    whole: dict[str, ModelLink],
+    progress: Progress | None,
 ) -> BestPath:
     """The path that fits contact and sensor best; and the platform explained to match it."""
     best = best_path(layout, found.get("platform"))
@@ -451,15 +456,15 @@ def _choose_path(
     return with_filter_error(layout, with_clocks_off(layout, best) if off else best)
 
 
-def _stamped_platform(layout: Layout, found: Mapping[str, Explanation]) -> PlatformLink:
+def _stamped_platform(layout: DatasetLayout, found: Mapping[str, Explanation]) -> PlatformLink:
     """The platform with the stamps of pose_cmd that the numerical model shows."""
     link, stamps = platform_link(layout, layout.rows), stamps_known(found)
     return link.stamped(before=-stamps["pose_cmd"]) if "pose_cmd" in stamps else link
 
 
 def _stamped_elsewhere(
-    layout: Layout, found: Mapping[str, Explanation], progress: Progress | None
-) -> tuple[Explanation, Link]:
+    layout: DatasetLayout, found: Mapping[str, Explanation], progress: Progress | None
+) -> tuple[Explanation, ModelLink]:
     """The platform, if what little it is late is its stamp: explained again, and on whole runs."""
     platform = found["platform"]
     timing = platform.residual.link.timing
@@ -471,10 +476,10 @@ def _stamped_elsewhere(
 
 
 def _by_its_stamp(
-    layout: Layout,
+    layout: DatasetLayout,
     link: WrenchLink,
     found: dict[str, Explanation],
-    whole: dict[str, Link],
+    whole: dict[str, ModelLink],
     late: Fit,
     progress: Progress | None,
 ) -> bool:
@@ -501,10 +506,10 @@ def _by_its_stamp(
 
 
 def _settle_compensation(
-    layout: Layout,
+    layout: DatasetLayout,
     path: BestPath,
     found: dict[str, Explanation],
-    whole: dict[str, Link],
+    whole: dict[str, ModelLink],
     progress: Progress | None,
 ) -> None:
     """The compensation under the readings that the loop used, if the contact shows these late."""
@@ -534,8 +539,11 @@ def _settle_compensation(
 
 
 def _settle_platform(
-    layout: Layout, found: dict[str, Explanation], whole: dict[str, Link], progress: Progress | None
-) -> Layout:
+    layout: DatasetLayout,
+    found: dict[str, Explanation],
+    whole: dict[str, ModelLink],
+    progress: Progress | None,
+) -> DatasetLayout:
     """The platform explained again, if the sensor reads another wrench than the drives bear; and
     the layout with the latter.
 

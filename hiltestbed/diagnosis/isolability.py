@@ -21,7 +21,7 @@ from hiltestbed.diagnosis.search import Progress
 from hiltestbed.diagnosis.settings import DETECTION, PENALTY
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.process.progress import Pace, time_left_text
+from hiltestbed.process.progress import UnitTime, time_left_text
 
 # chosen: of two residuals, above which effects are look-alikes: a tenth of the smaller one's energy
 # is its own
@@ -139,7 +139,7 @@ def _smallest(
         best[i] = d if square(d) > need[i] else None
         high[i] = 1.0 if c.names else 0.0
     open_ = [i for i, c in enumerate(candidates) if c.names and best[i] is not None]
-    pace = Pace()
+    pace = UnitTime()
     for done in range(BISECTIONS):
         if progress:
             pace.update(done)

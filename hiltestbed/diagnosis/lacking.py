@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.links import Link
+from hiltestbed.diagnosis.links import ModelLink
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.momentum import centred
 from hiltestbed.replay import can_carry, follows_exactly
@@ -72,7 +72,7 @@ def lacking(runs: Sequence[MeasuredRun]) -> dict[str, str]:
     return out | _lacking_of_wrench(runs)
 
 
-def too_little(link: Link) -> str | None:
+def too_little(link: ModelLink) -> str | None:
     """Why a link on which nothing departs is not judged: losses left too little of the rows in
     which its effects show, those in contact or, of a platform, all; None where they did not.
     """

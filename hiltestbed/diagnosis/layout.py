@@ -63,7 +63,7 @@ ROTATIONS = ("rx", "ry", "rz")
 
 
 @dataclass(frozen=True)
-class Layout:
+class DatasetLayout:
     """One dataset as the links see it.
 
     Attributes:
@@ -107,7 +107,7 @@ class Layout:
         return tuple(r.record.ticks for r in self.runs)
 
 
-def lay_out(dataset: MeasuredDataset) -> Layout:
+def lay_out(dataset: MeasuredDataset) -> DatasetLayout:
     """Rows, noise floors and scales of a dataset, and which links can be replayed."""
     runs = dataset.runs
     force = force_noise(runs)
@@ -135,7 +135,7 @@ def lay_out(dataset: MeasuredDataset) -> Layout:
     scales = scales_of(runs, noise)
     if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
         scales = replace(scales, driven=regression(runs))
-    layout = Layout(
+    layout = DatasetLayout(
         runs, tuple(_rows(r) for r in runs), scales, noise, force, engaged, given, missing
     )
     if "compensation" in missing:
@@ -173,13 +173,13 @@ def _logger_filter(link: CompensationLink) -> LowPass | None:
     return low_pass_between([run.measured for run in link.runs], behind, known)
 
 
-def with_readings(layout: Layout, readings: Sequence[Array]) -> Layout | None:
+def with_readings(layout: DatasetLayout, readings: Sequence[Array]) -> DatasetLayout | None:
     """The same if the sensor had shown ``readings`` (N, 6); None: the rig cannot follow then."""
     given, lost = _deflections(layout.runs, layout.noise, layout.engaged, readings)
     return replace(layout, deflection=given) if lost is None else None
 
 
-def with_noise_beside(layout: Layout, shown: Sequence[Array]) -> Layout:
+def with_noise_beside(layout: DatasetLayout, shown: Sequence[Array]) -> DatasetLayout:
     """The same with a latched mechanism's noise beside readings ``shown`` (N, 6) by the contact."""
     force, before = force_noise(layout.runs, layout.logged, shown), layout.force.levels()
     others = {c: v for c, v in layout.noise.items() if c not in before}
@@ -203,7 +203,7 @@ def _deflections(
     return tuple(found), None
 
 
-def platform_link(layout: Layout, rows: Sequence[int]) -> PlatformLink:
+def platform_link(layout: DatasetLayout, rows: Sequence[int]) -> PlatformLink:
     """The platform on the first ``rows`` of each run."""
     assert layout.deflection is not None  # else the link is missing
     runs, commands, away = [], [], []
@@ -240,7 +240,7 @@ def _from_where_it_stood(run: MeasuredRun) -> Scenario:
     return scenario.model_copy(update={"approach": moved})
 
 
-def compensation_link(layout: Layout, rows: Sequence[int]) -> CompensationLink:
+def compensation_link(layout: DatasetLayout, rows: Sequence[int]) -> CompensationLink:
     """The compensation on the first ``rows`` of each run."""
     level = COMPENSATION_FLOOR * max(layout.noise.get("wrench_meas.fz", 0.0), 1e-6)
     level *= CORRELATION_FACTOR
@@ -305,7 +305,7 @@ def _late(force: Array, logged: LowPass) -> Array:
     return np.asarray(logged.delay_error * np.gradient(force, axis=0))
 
 
-def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
+def dynamics_link(layout: DatasetLayout, rows: Sequence[int]) -> DynamicsLink:
     """The numerical model on the first ``rows`` of each run."""
     level = DYNAMICS_FLOOR * CORRELATION_FACTOR
     pairs = list(zip(layout.runs, rows, strict=True))
@@ -339,7 +339,7 @@ def dynamics_link(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
 
 
 def wrench_link(
-    layout: Layout,
+    layout: DatasetLayout,
     paths: Sequence[Array],
     rows: Sequence[int],
     jumps: Sequence[Array] | None = None,
@@ -364,12 +364,12 @@ def wrench_link(
     )
 
 
-def levels(layout: Layout, group: str) -> Array:
+def levels(layout: DatasetLayout, group: str) -> Array:
     """(6,) noise of the wrench of a group."""
     return np.array([layout.noise.get(name, 0.0) for name in GROUPS[group].columns])
 
 
-def _filled(layout: Layout, group: str, rows: Sequence[int]) -> list[Array]:
+def _filled(layout: DatasetLayout, group: str, rows: Sequence[int]) -> list[Array]:
     """The first ``rows`` of a group in each run, with gaps bridged."""
     return _cut([r.record.filled(group) for r in layout.runs], rows)
 
@@ -387,7 +387,7 @@ def _rows(run: MeasuredRun) -> int:
     )
 
 
-def _force_run(run: MeasuredRun, layout: Layout, i: int, rows: int, least: Array) -> LinkRun:
+def _force_run(run: MeasuredRun, layout: DatasetLayout, i: int, rows: int, least: Array) -> LinkRun:
     """A measured force less the offset of this run, with its noise."""
     level = np.maximum(levels(layout, "wrench_meas"), least) * layout.force.colour
     reading = np.nan_to_num(run.record.data["wrench_meas"][:rows]) - layout.force.offset[i]

@@ -16,7 +16,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.bridged import interpolation_errors, rms_differences
-from hiltestbed.diagnosis.layout import Layout, wrench_link
+from hiltestbed.diagnosis.layout import DatasetLayout, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.settings import (
@@ -70,7 +70,7 @@ class Path:
     yielded: Sequence[Array] = ()
 
 
-def noise_of(layout: Layout, path: Path) -> list[Array]:
+def noise_of(layout: DatasetLayout, path: Path) -> list[Array]:
     """(N, 6) noise of the reading of each run that a path adds: by replays of perturbed copies, and
     by interpolation between samples.
     """
@@ -93,7 +93,7 @@ def noise_of(layout: Layout, path: Path) -> list[Array]:
     return both(noise, _between_samples(layout, path))
 
 
-def rate_noise(layout: Layout, path: Path) -> list[Array] | None:
+def rate_noise(layout: DatasetLayout, path: Path) -> list[Array] | None:
     """(N, 6) noise of the reading of each run because how A moved within a tick is not on record:
     its rate at t_k is known to a tick.
 
@@ -131,7 +131,9 @@ def _lasting_rms(away: Sequence[Sequence[Array]]) -> list[Array]:
 
 
 def _perturbed(
-    layout: Layout, path: Path, moved: Callable[[Array, Array | None], tuple[Array, Array | None]]
+    layout: DatasetLayout,
+    path: Path,
+    moved: Callable[[Array, Array | None], tuple[Array, Array | None]],
 ) -> tuple[WrenchLink, list[list[Array]]]:
     """Contact and sensor on a path, and for each run the changes (N, 6) of its readings on copies
     of the path, whose poses and rates ``moved`` gives.
@@ -156,7 +158,7 @@ def _perturbed(
     ]
 
 
-def diverged(layout: Layout, path: Path) -> list[np.ndarray]:
+def diverged(layout: DatasetLayout, path: Path) -> list[np.ndarray]:
     """(N,) bool of each run: rows at which barely perturbed copies of a path have diverged, and for
     some time after.
 
@@ -190,7 +192,7 @@ def diverged(layout: Layout, path: Path) -> list[np.ndarray]:
     ]
 
 
-def command_noise(layout: Layout, path: Path) -> list[Array] | None:
+def command_noise(layout: DatasetLayout, path: Path) -> list[Array] | None:
     """(N, 6) noise of the reading of each run due to a command with few digits, or logged between
     ticks; None: there is none.
 
@@ -205,12 +207,12 @@ def command_noise(layout: Layout, path: Path) -> list[Array] | None:
     )
 
 
-def _interpolated(layout: Layout, path: Path) -> bool:
+def _interpolated(layout: DatasetLayout, path: Path) -> bool:
     """Whether a path lies between the rows of a log whose rows are not the ticks of the loop."""
     return any(b.any() for b in interpolation_errors(layout.runs, path.source, layout.whole))
 
 
-def _between_samples(layout: Layout, path: Path) -> list[Array]:
+def _between_samples(layout: DatasetLayout, path: Path) -> list[Array]:
     """(N, 6) change of the readings of each run with linear interpolation between the samples."""
     bends = interpolation_errors(layout.runs, path.source, layout.whole)
     straight = [
@@ -221,7 +223,7 @@ def _between_samples(layout: Layout, path: Path) -> list[Array]:
 
 
 def _apart(
-    layout: Layout, path: Path, poses: Sequence[Array], rates: Sequence[Array] | None
+    layout: DatasetLayout, path: Path, poses: Sequence[Array], rates: Sequence[Array] | None
 ) -> list[Array]:
     """(N, 6) difference of the readings on a path and another, rms about each row."""
     links = [
@@ -236,7 +238,7 @@ def smoothed(values: Array) -> Array:
     return np.asarray(savgol_filter(values, SMOOTHING_ROWS, 3, axis=0))
 
 
-def smoothed_noise(layout: Layout, path: Path, commanded: bool) -> list[Array]:
+def smoothed_noise(layout: DatasetLayout, path: Path, commanded: bool) -> list[Array]:
     """(N, 6) noise of the reading of each run due to a smoothed pose: to its noise, by replays of
     perturbed copies, and to the bends of a ``commanded`` motion, which smoothing cuts off; a motion
     that was only measured is taken as smooth.
@@ -280,7 +282,7 @@ def _cut_off(run: MeasuredRun, smooth: Array) -> Array:
     return np.where(maximum_filter1d(bends, SMOOTHING_ROWS, axis=0), off, 0.0)
 
 
-def deflection_noise(layout: Layout, path: Path) -> list[Array]:
+def deflection_noise(layout: DatasetLayout, path: Path) -> list[Array]:
     """(N, 6) noise of the reading of each run due to the uncertainty of the deflection of drives
     whose pose was not measured, or was too noisy. What is not known of it varies with the bandwidth
     of the drives, and so makes the rate uncertain as well.
@@ -305,7 +307,7 @@ def misread(yielded: Sequence[Array], tick: float) -> list[list[Array]]:
     return [[shifted(y, MAX_READING_SHIFT / tick) - y, MAX_GAIN_ERROR * y] for y in yielded]
 
 
-def not_where_unsettled(layout: Layout, noise: Sequence[Array]) -> list[Array]:
+def not_where_unsettled(layout: DatasetLayout, noise: Sequence[Array]) -> list[Array]:
     """The ``noise`` (N, 6) of each run; infinite in contact before the drives have settled."""
     assert layout.deflection is not None  # else the link is missing
     settled = [np.isfinite(found.doubt).all(axis=1) for found in layout.deflection]
@@ -315,14 +317,14 @@ def not_where_unsettled(layout: Layout, noise: Sequence[Array]) -> list[Array]:
     ]
 
 
-def central_rates_of(layout: Layout, paths: Sequence[Array]) -> list[Array] | None:
+def central_rates_of(layout: DatasetLayout, paths: Sequence[Array]) -> list[Array] | None:
     """(N, 6) twists at t_k by central differences; None where A moves uniformly within a tick."""
     if moves_uniformly(layout):
         return None
     return [central_rates(run.scenario, path) for run, path in zip(layout.runs, paths, strict=True)]
 
 
-def moves_uniformly(layout: Layout) -> bool:
+def moves_uniformly(layout: DatasetLayout) -> bool:
     """Whether A is known to move uniformly within a tick: a facility that was commanded is believed
     to; of a motion that was only measured nothing is known but that it is smooth.
     """

@@ -17,7 +17,7 @@ import numpy as np
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.decimation import decimated
 from hiltestbed.diagnosis.lacking import all_axes
-from hiltestbed.diagnosis.layout import Layout, platform_link, wrench_link
+from hiltestbed.diagnosis.layout import DatasetLayout, platform_link, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
 from hiltestbed.diagnosis.links.base import NO_SHIFT, Effects, Timing
 from hiltestbed.diagnosis.links.platform import poses_of
@@ -76,7 +76,7 @@ class BestPath:
     clocks_off: bool = False
 
 
-def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
+def best_path(layout: DatasetLayout, platform: Explanation | None) -> BestPath:
     """The path with the least noise that the data allow, with the poses as they are stamped."""
     explained = platform is not None and platform.adequate
     follows = all(follows_exactly(r.scenario) for r in layout.runs)
@@ -120,13 +120,13 @@ def best_path(layout: Layout, platform: Explanation | None) -> BestPath:
     return BestPath(path, extra, _jumped(platform, path))
 
 
-def _explained(layout: Layout, platform: Explanation) -> list[Array]:
+def _explained(layout: DatasetLayout, platform: Explanation) -> list[Array]:
     """(N, 7) the poses of each run that the explained platform reaches."""
     link = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing)
     return link.paths(platform.chosen.effects())
 
 
-def too_divergent(layout: Layout, best: BestPath) -> str | None:
+def too_divergent(layout: DatasetLayout, best: BestPath) -> str | None:
     """Why contact and sensor are not judged, where too few rows in contact can be compared."""
     if best.path_noise is None:
         return None
@@ -144,7 +144,7 @@ def too_divergent(layout: Layout, best: BestPath) -> str | None:
 
 
 def path_without_delay(
-    layout: Layout, platform: Explanation | None, best: BestPath
+    layout: DatasetLayout, platform: Explanation | None, best: BestPath
 ) -> BestPath | None:
     """The path if fractions of a tick between pose_act and its command are only its stamp's; None
     where there are none.
@@ -167,7 +167,7 @@ def path_without_delay(
     return BestPath(path, best.path_noise, _jumped(platform, path))
 
 
-def with_clocks_off(layout: Layout, best: BestPath) -> BestPath:
+def with_clocks_off(layout: DatasetLayout, best: BestPath) -> BestPath:
     """The same path with added noise for channels that are stamped between rows, where a reading is
     not on record and interpolation smooths the motion. The error is alike over many rows, and
     counts like noise that is larger by the root of a block. The instant at which a facility takes
@@ -180,7 +180,7 @@ def with_clocks_off(layout: Layout, best: BestPath) -> BestPath:
     return replace(best, path_noise=both(error, best.path_noise), clocks_off=True)
 
 
-def with_filter_error(layout: Layout, best: BestPath) -> BestPath:
+def with_filter_error(layout: DatasetLayout, best: BestPath) -> BestPath:
     """The same path with added noise for a logger's filter, which is known to about one order."""
     if layout.logged is None:
         return best
@@ -200,7 +200,7 @@ def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
 
 
 def make_wrench_link(
-    layout: Layout, best: BestPath, rows: Sequence[int], decimate: bool = False
+    layout: DatasetLayout, best: BestPath, rows: Sequence[int], decimate: bool = False
 ) -> WrenchLink:
     """Contact and sensor on a path; decimate: where no other link continues from its rows."""
     link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise)
@@ -214,13 +214,13 @@ def make_wrench_link(
     return decimated(link) if decimate and best.jumps is None else link
 
 
-def _only_commanded(layout: Layout) -> bool:
+def _only_commanded(layout: DatasetLayout) -> bool:
     """Whether only the command shows where A went."""
     return all(r.record.has("pose_cmd") and not r.record.has("pose_act") for r in layout.runs)
 
 
 def path_under(
-    layout: Layout, best: BestPath, link: WrenchLink, effects: Effects
+    layout: DatasetLayout, best: BestPath, link: WrenchLink, effects: Effects
 ) -> BestPath | None:
     """The commanded path with its yielding to the force that was found: of the contact with
     ``effects``, read as by ``link``; None where nothing yields, or nothing was found.
@@ -232,7 +232,7 @@ def path_under(
 
 
 def _under_the_contact(
-    layout: Layout,
+    layout: DatasetLayout,
     path: Path,
     noise: Sequence[Array],
     like: WrenchLink | None = None,
@@ -273,7 +273,7 @@ def _under_the_contact(
     return out
 
 
-def _followed(layout: Layout) -> list[Array]:
+def _followed(layout: DatasetLayout) -> list[Array]:
     """(N, 7) of each run: the command, moved by what the believed drives make of it without a
     force; row k is reached at t_(k+1).
 
@@ -290,7 +290,7 @@ def _followed(layout: Layout) -> list[Array]:
     return out
 
 
-def _measured(layout: Layout) -> list[Path]:
+def _measured(layout: DatasetLayout) -> list[Path]:
     """The measured poses with measured rates, and with differences; none if an axis is missing."""
     runs, tick = layout.runs, layout.scales.tick
     if not all(r.record.whole("pose_act") and all_axes(r, "pose_act") for r in runs):
@@ -307,7 +307,9 @@ def _measured(layout: Layout) -> list[Path]:
     return out
 
 
-def _least_noisy(layout: Layout, paths: Sequence[Path]) -> tuple[Path | None, list[Array] | None]:
+def _least_noisy(
+    layout: DatasetLayout, paths: Sequence[Path]
+) -> tuple[Path | None, list[Array] | None]:
     """The first path whose noise is small, or else the one with the least; and its noise."""
     best, least, noise = None, math.inf, None
     for path in paths:
@@ -321,7 +323,7 @@ def _least_noisy(layout: Layout, paths: Sequence[Path]) -> tuple[Path | None, li
 
 
 def _replay_is_better(
-    layout: Layout, measured: Path, path_noise: Sequence[Array], explained: bool
+    layout: DatasetLayout, measured: Path, path_noise: Sequence[Array], explained: bool
 ) -> bool:
     """Whether the replayed platform, or the smoothed pose, has less noise than the measured."""
     share = _noise_ratio(layout, path_noise)
@@ -333,7 +335,7 @@ def _replay_is_better(
     return max(d.noise for d in layout.deflection) < measured.place
 
 
-def _noise_ratio(layout: Layout, path_noise: Sequence[Array]) -> float:
+def _noise_ratio(layout: DatasetLayout, path_noise: Sequence[Array]) -> float:
     """Noise due to the path over that of the force, rms in contact, on its largest force axis."""
     inside = [b[r.touching(len(b)), :3] for r, b in zip(layout.runs, path_noise, strict=True)]
     squares = np.mean(np.concatenate(inside) ** 2, axis=0)
@@ -354,7 +356,9 @@ def _jumps(path: Array) -> Array:
     return np.linalg.norm(np.diff(path[:, :3], axis=0, prepend=path[:1, :3]), axis=1)
 
 
-def _smooth_paths(layout: Layout, platform: Explanation | None) -> tuple[list[Array], list[Array]]:
+def _smooth_paths(
+    layout: DatasetLayout, platform: Explanation | None
+) -> tuple[list[Array], list[Array]]:
     """(N, 7) of each run: the measured pose, smoothed about the best explanation of the platform
     where there is one; and (N, 6) what that cut off, roughly: what it cuts off once more (J. W.
     Tukey, Exploratory Data Analysis, 1977, "twicing").

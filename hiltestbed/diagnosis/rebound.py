@@ -29,7 +29,7 @@ from hiltestbed.diagnosis.closed_loop import (
 from hiltestbed.diagnosis.fit import Fit, fit, inflation
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.jitter_and_hum import hum_beside, jitter_beside
-from hiltestbed.diagnosis.layout import Layout
+from hiltestbed.diagnosis.layout import DatasetLayout
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.plain import entry
 from hiltestbed.diagnosis.readings import reinterpreted
@@ -133,7 +133,7 @@ def _uncontradicted(findings: Findings) -> Findings:
     return replace(findings, explanations=explanations, weighed=(*findings.weighed, words))
 
 
-def _apart(shown: Array, layout: Layout, rebounds: Sequence[Rebound | None]) -> float:
+def _apart(shown: Array, layout: DatasetLayout, rebounds: Sequence[Rebound | None]) -> float:
     """Chi-square of the rebounds on record against the ``shown`` (runs,) ones; infinite without.
 
     When in a tick h a facility reads and obeys is not known: a delay of the loop of standard
@@ -163,7 +163,7 @@ def _left(found: Explanation, other: Fit) -> dict[str, Leftover]:
     return contact_leftovers(found.residual, other.effects())
 
 
-def _rebound(layout: Layout, i: int) -> Rebound | None:
+def _rebound(layout: DatasetLayout, i: int) -> Rebound | None:
     """The bounce of a run; None where the record has none, or where its approach is not the
     scenario's: no loop was closed then.
 
@@ -211,7 +211,10 @@ def _others(explanations: Mapping[str, Explanation], name: str) -> list[Effect]:
 
 
 def _weighed(
-    found: Explanation, beside: Sequence[Effect], layout: Layout, rebounds: Sequence[Rebound | None]
+    found: Explanation,
+    beside: Sequence[Effect],
+    layout: DatasetLayout,
+    rebounds: Sequence[Rebound | None],
 ) -> tuple[Explanation, list[str]]:
     """The explanation with the rebound in its scores, and in a sentence what that decided."""
     fits = [found.chosen, *(f for rivals in found.rivals for f in rivals)]

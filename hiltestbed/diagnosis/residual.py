@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.links import Link
+from hiltestbed.diagnosis.links import ModelLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.noise import softened
 from hiltestbed.diagnosis.nuisances import Aside
@@ -27,7 +27,10 @@ class Residual:
     """
 
     def __init__(
-        self, link: Link, runs: Sequence[int] | None = None, weight: Sequence[Array] | None = None
+        self,
+        link: ModelLink,
+        runs: Sequence[int] | None = None,
+        weight: Sequence[Array] | None = None,
     ) -> None:
         self.link = link
         self.runs = tuple(range(len(link.runs)) if runs is None else runs)
@@ -64,7 +67,7 @@ class Residual:
             i: slice(end - size, end) for i, size, end in zip(self.runs, sizes, ends, strict=True)
         }
 
-    def through(self, link: Link) -> Residual:
+    def through(self, link: ModelLink) -> Residual:
         """Of another interpretation of the link, with the same weights."""
         return Residual(link, self.runs, self.weight)
 

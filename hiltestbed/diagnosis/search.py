@@ -30,7 +30,7 @@ from hiltestbed.diagnosis.settings import (
     SELECTION_INADEQUATE,
 )
 from hiltestbed.effects.search import Candidate
-from hiltestbed.process.progress import Pace, time_left_text
+from hiltestbed.process.progress import UnitTime, time_left_text
 
 # calibrated: selection threshold of a further cause where the causes so far already leave only
 # noise
@@ -320,7 +320,7 @@ class Search:
             most,
             sum(min(n, MAX_FITS_PER_EFFECT) for n in Counter(c.kind for _, c, _ in rated).values()),
         )
-        pace = Pace()
+        pace = UnitTime()
         for gain, c, starts in rated:
             count[c.kind] = count.get(c.kind, 0) + 1
             if count[c.kind] > MAX_FITS_PER_EFFECT or len(fits) >= most or _beaten(c, base, fits):

@@ -17,8 +17,8 @@ import numpy as np
 from hiltestbed.diagnosis.adequacy import Leftover
 from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, fit, inflation, null_fit, refit
 from hiltestbed.diagnosis.jitter_and_hum import JITTER
-from hiltestbed.diagnosis.layout import Layout
-from hiltestbed.diagnosis.links import CompensationLink, Link, LinkRun, Timing, WrenchLink
+from hiltestbed.diagnosis.layout import DatasetLayout
+from hiltestbed.diagnosis.links import CompensationLink, LinkRun, ModelLink, Timing, WrenchLink
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.noise import OUTLIER_SIGMA
 from hiltestbed.diagnosis.residual import Residual, square
@@ -149,14 +149,14 @@ def rows_in_common(stamps: Mapping[str, float], tick: float) -> list[int]:
     ]
 
 
-def least_left(links: Sequence[Link]) -> int:
+def least_left(links: Sequence[ModelLink]) -> int:
     """The index of the computed link of which least is left under its best timing: 0 unless another
     leaves clearly less.
 
     Its output follows exactly, so that less than a single sample's rounding tells them apart.
     """
 
-    def left(link: Link) -> float:
+    def left(link: ModelLink) -> float:
         residual = without_ends(Residual(link))
         null = null_fit(residual)
         return min(
@@ -171,7 +171,9 @@ def least_left(links: Sequence[Link]) -> int:
     return least if chi2[least] < min(chi2[0] - 1.0, 0.5 * chi2[0]) else 0
 
 
-def stamped_late(layout: Layout, link: WrenchLink, compensation: Explanation | None) -> list[Fit]:
+def stamped_late(
+    layout: DatasetLayout, link: WrenchLink, compensation: Explanation | None
+) -> list[Fit]:
     """The hypotheses of a record that is stamped late, the likelier first; none where the
     compensation shows no late record.
 

@@ -20,7 +20,7 @@ import numpy as np
 from hiltestbed.analysis.ledger import contact_frequency
 from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.fit import BOUND_TOLERANCE, Fit, at_bound, fit, inflation, null_fit, refit
-from hiltestbed.diagnosis.links import Link, Timing
+from hiltestbed.diagnosis.links import ModelLink, Timing
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search, first_of_each
@@ -225,7 +225,7 @@ def _better_timing(
     return link.timing.plus(_fitted_timing(best)) if cost(best) < cost(here) - need else None
 
 
-def _comparable_score(link: Link) -> Callable[[Fit], float]:
+def _comparable_score(link: ModelLink) -> Callable[[Fit], float]:
     """The score of a fit on ``link``, corrected for the noise that interpolation removes."""
 
     def cost(f: Fit) -> float:
@@ -237,19 +237,19 @@ def _comparable_score(link: Link) -> Callable[[Fit], float]:
     return cost
 
 
-def _in_rows(place: Timing, link: Link) -> Array:
+def _in_rows(place: Timing, link: ModelLink) -> Array:
     tick = link.tick
     return np.array([place.delay / tick, place.before / tick, place.obeyed / tick, place.old])
 
 
-def timing_candidates(link: Link) -> list[Candidate]:
+def timing_candidates(link: ModelLink) -> list[Candidate]:
     """The timings that are tried, as hypotheses."""
     ways = SHIFTS_AS_STAMPED if link.known and link.name == "wrench" else SHIFTS[link.name]
     free = [{name: ends for name, ends in way.items() if name not in link.known} for way in ways]
     return [shift_candidate(link, way) for n, way in enumerate(free) if way and way not in free[:n]]
 
 
-def shift_candidate(link: Link, way: Mapping[str, tuple[float, float]]) -> Candidate:
+def shift_candidate(link: ModelLink, way: Mapping[str, tuple[float, float]]) -> Candidate:
     """The shifts named in ``way`` together, each within its range, as a hypothesis."""
     tick, now = link.tick, link.timing.parameters()
     names, ends = tuple(way), tuple(way.values())
@@ -275,7 +275,7 @@ def _bases(found: Explanation) -> list[Fit]:
     return [null_fit(found.residual), *once.values()]
 
 
-def timing_found(link: Link) -> Candidate | None:
+def timing_found(link: ModelLink) -> Candidate | None:
     """What of a link's timing its own record shows, as a hypothesis; None: nothing."""
     off = {
         name for name, value in link.timing.parameters().items() if value and name not in link.known
@@ -298,7 +298,7 @@ def fit_with_timing(
     return fit(residual, (*base.causes, later), begun, tries=2, known=known)
 
 
-def within_range(link: Link, found: Fit) -> bool:
+def within_range(link: ModelLink, found: Fit) -> bool:
     """Whether stamps and instants are off by less than the largest shifts."""
     shift = found.causes[-1]
     timing = link.timing.plus(_fitted_timing(found))
@@ -325,7 +325,7 @@ def output_shift_rows(explanation: Explanation) -> float:
     return float(_in_rows(explanation.residual.link.timing, explanation.residual.link).sum())
 
 
-def _stamp_shift_rows(link: Link) -> float:
+def _stamp_shift_rows(link: ModelLink) -> float:
     """Rows by which the output is stamped later than the input, without those of old twists."""
     return float(_in_rows(link.timing, link)[:-1].sum())
 
@@ -372,13 +372,13 @@ def part_of_a_tick(effect: Effect, tick: float, most: float = MAX_UNNAMED_DELAY_
     return effect.kind not in TICK_EFFECTS and rows is not None and 0.0 < rows <= most
 
 
-def may_be_stamp(effect: Effect, link: Link) -> bool:
+def may_be_stamp(effect: Effect, link: ModelLink) -> bool:
     """Whether a delay may be the stamp's: by a row more where other links show stamps off."""
     more = MAX_STAMP_ROWS if link.known else 0.0
     return part_of_a_tick(effect, link.tick, MAX_UNNAMED_DELAY_ROWS + more)
 
 
-def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
+def best_placed(links: Sequence[ModelLink], candidates: Sequence[Candidate]) -> int:
     """The index of the link that leaves least under its best timing, with no other cause known: 0
     unless another is clearly better.
 
@@ -386,7 +386,7 @@ def best_placed(links: Sequence[Link], candidates: Sequence[Candidate]) -> int:
         more than the first link does with another size of it.
     """
 
-    def best(link: Link) -> Fit:
+    def best(link: ModelLink) -> Fit:
         residual = without_ends(Residual(link))
         null = null_fit(residual)
         placed = [fit_with_timing(residual, null, place) for place in timing_candidates(link)]

@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.likelihood import Fit, Likelihood, independent
+from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 from hiltestbed.inference.model import Model, places
 from hiltestbed.inference.search import Searched, extended, named, without
 
@@ -62,11 +62,11 @@ class Confirmed:
     gain: float
     probability: float
     rivals: tuple[str, ...]
-    others: tuple[Fit, ...] = ()
+    others: tuple[PosteriorFit, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class Conclusion:
+class SearchConclusion:
     """What a search and the left-out runs say together.
 
     Attributes:
@@ -76,12 +76,12 @@ class Conclusion:
             compared.
     """
 
-    fit: Fit
-    null: Fit
+    fit: PosteriorFit
+    null: PosteriorFit
     causes: tuple[Confirmed, ...]
     before: Array
     after: Array
-    visited: tuple[Fit, ...]
+    visited: tuple[PosteriorFit, ...]
 
 
 class LeftOut:
@@ -89,7 +89,7 @@ class LeftOut:
 
     def __init__(self, likelihood: Likelihood, folds: Sequence[Fold]) -> None:
         """folds: names, the runs to fit, and those that are left out."""
-        self._known: dict[tuple[str, ...], list[Fit]] = {}
+        self._known: dict[tuple[str, ...], list[PosteriorFit]] = {}
         counts = dict(zip(likelihood.model.runs, likelihood.counts, strict=True))
 
         def of(model: Model) -> Likelihood:
@@ -97,7 +97,7 @@ class LeftOut:
 
         self._folds = [(of(a), of(b)) for _, a, b in folds]
 
-    def fits(self, found: Fit) -> list[Fit]:
+    def fits(self, found: PosteriorFit) -> list[PosteriorFit]:
         """The hypothesis fitted to each set of runs."""
         if found.keys not in self._known:
             self._known[found.keys] = [
@@ -106,12 +106,12 @@ class LeftOut:
             ]
         return self._known[found.keys]
 
-    def rms(self, found: Fit) -> Array:
+    def rms(self, found: PosteriorFit) -> Array:
         """(F,) of each left-out part, as its owner would compare it, in the unit of the record."""
         pairs = zip(self.fits(found), self._folds, strict=True)
         return np.array([_rms(left.model.departure(fit.of)) for fit, (_, left) in pairs])
 
-    def score(self, found: Fit) -> float:
+    def score(self, found: PosteriorFit) -> float:
         """Mean logarithm of the rms of the residuals of the left-out parts; where the noise is
         known, half their cost an independent sample, which above the noise is the same.
         """
@@ -133,7 +133,7 @@ def conclude(
     folds: Sequence[Fold],
     candidates: Sequence[Candidate],
     progress: Progress | None = None,
-) -> Conclusion:
+) -> SearchConclusion:
     """What holds of the best hypothesis: causes are left out, the least useful first, while the
     runs that were not fitted are predicted as well without them.
     """
@@ -198,16 +198,16 @@ def conclude(
             Confirmed(cause, estimates, gain, probability, tuple(others), tuple(others.values()))
         )
     causes.sort(key=lambda c: -c.gain)
-    return Conclusion(fit, null, tuple(causes), before, after, found.visited)
+    return SearchConclusion(fit, null, tuple(causes), before, after, found.visited)
 
 
-def _more_left(likelihood: Likelihood, fewer: Fit, fit: Fit) -> float:
+def _more_left(likelihood: Likelihood, fewer: PosteriorFit, fit: PosteriorFit) -> float:
     """What a fit with fewer causes leaves more, as the mean logarithm of the rms."""
     costs = [likelihood.cost(f.left) for f in (fewer, fit)]
     return (costs[0] - costs[1]) / (2.0 * float(likelihood.counts.sum()))
 
 
-def undetermined(fit: Fit, ends: Array) -> int | None:
+def undetermined(fit: PosteriorFit, ends: Array) -> int | None:
     """The last cause of a fit whose size may be none, or of which an interval is as wide as that of
     a uniform prior: the data do not determine it. None where all are determined.
     """
@@ -227,11 +227,11 @@ def undetermined(fit: Fit, ends: Array) -> int | None:
     return None
 
 
-def _pool(found: Searched) -> list[Fit]:
+def _pool(found: Searched) -> list[PosteriorFit]:
     """The hypotheses that are compared on left-out runs: of each set of effects the one with the
     most evidence.
     """
-    first: dict[frozenset[str], Fit] = {}
+    first: dict[frozenset[str], PosteriorFit] = {}
     for f in found.visited:
         first.setdefault(frozenset(c.kind for c in f.causes), f)
     return list(first.values())[:POOL]
@@ -249,7 +249,7 @@ def _in_time(found: Searched, folds: Sequence[Fold]) -> tuple[Likelihood, LeftOu
     return likelihood, LeftOut(likelihood, [(n, a, b) for n, a, b in moved if a is not None])
 
 
-def intervals(likelihood: Likelihood, fit: Fit, held: LeftOut) -> Array:
+def intervals(likelihood: Likelihood, fit: PosteriorFit, held: LeftOut) -> Array:
     """(P, 2) ends of the 95 % intervals: of the curvature, or of the scatter of the fits that leave
     one run out (the jackknife: B. Efron, C. Stein, Ann. Stat. 9, 1981), whichever is wider. The
     latter holds where the model is wrong as well.
@@ -276,15 +276,19 @@ def intervals(likelihood: Likelihood, fit: Fit, held: LeftOut) -> Array:
 
 
 def _rivals(
-    likelihood: Likelihood, fit: Fit, index: int, fewer: Fit, candidates: Sequence[Candidate]
-) -> tuple[dict[str, Fit], float]:
+    likelihood: Likelihood,
+    fit: PosteriorFit,
+    index: int,
+    fewer: PosteriorFit,
+    candidates: Sequence[Candidate],
+) -> tuple[dict[str, PosteriorFit], float]:
     """Effects that do as well beside the ``fewer`` in the place of a cause, the best first, each
     with its fit; and the probability of the cause beside them. Another place of the same effect is
     one of them.
     """
     cause, here = fit.causes[index], likelihood.again(fit)
     others = [c for c in candidates if c.kind != cause.kind or c.place != cause.place]
-    close: dict[str, tuple[float, Fit]] = {}
+    close: dict[str, tuple[float, PosteriorFit]] = {}
     least = here.evidence - TOLD_APART if likelihood.model.noise_known else -math.inf
     for other in extended(likelihood, fewer, others, RIVALS, least):
         gap = other.evidence - here.evidence

@@ -49,7 +49,7 @@ LEAST_COUNT = 4.0  # a run of which fewer samples are independent tells no varia
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class PosteriorFit:
     """A hypothesis at its maximum of the posterior.
 
     Attributes:
@@ -129,7 +129,7 @@ class Likelihood:
             np.concatenate([log, np.zeros(len(most), bool)]),
         )
 
-    def start(self) -> Fit:
+    def start(self) -> PosteriorFit:
         """Nothing departs, with the nuisances as the data have them."""
         return self.fit((), [np.zeros(0)])
 
@@ -154,13 +154,13 @@ class Likelihood:
         ways = sum(math.log((self.choices if c.sigma is None else 1) * c.choices) for c in causes)
         return -0.5 * cost - price - ways
 
-    def most_gain(self, found: Fit) -> float:
+    def most_gain(self, found: PosteriorFit) -> float:
         """What any further cause could add to the log likelihood of a fit: with no residual left,
         the noise of each run is its floor.
         """
         return 0.5 * (found.cost - float(self.counts @ np.log(self._squares)))
 
-    def least_gain(self, found: Fit) -> float:
+    def least_gain(self, found: PosteriorFit) -> float:
         """Of the log likelihood, by which a further cause has to raise it: where the noise is known
         and far more than noise is left, causes that remove a small share of it chase what has no
         name.
@@ -175,7 +175,7 @@ class Likelihood:
         """What the cheapest of further causes costs in evidence."""
         return min((-self.evidence(0.0, (c,)) for c in candidates), default=math.inf)
 
-    def again(self, found: Fit) -> Fit:
+    def again(self, found: PosteriorFit) -> PosteriorFit:
         """A fit of another likelihood, scored by this one as it stands."""
         cost = self.cost(found.left)
         ended = found.evidence == -math.inf
@@ -188,7 +188,7 @@ class Likelihood:
         starts: Sequence[Array],
         nuisances: Array | None = None,
         iterations: int = ITERATIONS,
-    ) -> Fit:
+    ) -> PosteriorFit:
         """The maximum that Levenberg's and Marquardt's descent reaches from the best of
         ``starts``.
         """
@@ -205,7 +205,7 @@ class Likelihood:
             x, left, least = self._scanned(causes, x, left, least, (low, high))
         count = len(x) - len(eta)
         evidence = -math.inf if _ended(x, low, high, log) else self.evidence(least, causes)
-        return Fit(Hypothesis(causes, x[:count], x[count:]), least, evidence, tuple(left))
+        return PosteriorFit(Hypothesis(causes, x[:count], x[count:]), least, evidence, tuple(left))
 
     def _left(self, causes: tuple[Candidate, ...], x: Array) -> list[Array]:
         return self._lefts(causes, [x])[0]
@@ -281,7 +281,9 @@ class Likelihood:
         out[len(x) - len(self._sigma) :] = self._sigma
         return out
 
-    def promises(self, base: Fit, moves: Sequence[Move]) -> list[tuple[float, Move, list[Array]]]:
+    def promises(
+        self, base: PosteriorFit, moves: Sequence[Move]
+    ) -> list[tuple[float, Move, list[Array]]]:
         """Of each move beside ``base`` the evidence that it promises, the best first, and the
         starts to fit it from: to first order at each start, all numbers of ``base`` following.
         """
@@ -320,7 +322,7 @@ class Likelihood:
 
     def _promised(
         self,
-        base: Fit,
+        base: PosteriorFit,
         known: Sequence[Array],
         move: Move,
         at: tuple[tuple[Candidate, ...], Array],

@@ -12,7 +12,7 @@ import numpy as np
 
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.likelihood import Fit, Likelihood, Move, independent
+from hiltestbed.inference.likelihood import Likelihood, Move, PosteriorFit, independent
 from hiltestbed.inference.model import places
 
 Progress = Callable[[str], None]
@@ -35,16 +35,16 @@ class Searched:
     """
 
     likelihood: Likelihood
-    best: Fit
-    visited: tuple[Fit, ...]
-    null: Fit
+    best: PosteriorFit
+    visited: tuple[PosteriorFit, ...]
+    null: PosteriorFit
 
 
 def search(
     likelihood: Likelihood,
     candidates: Sequence[Candidate],
     progress: Progress | None = None,
-    start: Fit | None = None,
+    start: PosteriorFit | None = None,
 ) -> Searched:
     """The hypothesis with the most evidence that is reached from ``start``, by default from
     nothing, by adding a cause, adding two, leaving one out, or putting another one in its place.
@@ -56,7 +56,7 @@ def search(
     )
     null = likelihood.start()
     best = null if start is None else pruned(likelihood, start)
-    visited: dict[tuple[str, ...], Fit] = {}
+    visited: dict[tuple[str, ...], PosteriorFit] = {}
     tried: set[tuple[str, ...]] = set()
     while len(best.causes) < MOST_CAUSES:
         # the counts are those of what the present hypothesis leaves: it is smoother than what a
@@ -97,30 +97,30 @@ WORDS = {
 }
 
 
-def _added(here, best, candidates, visited) -> list[Fit]:
+def _added(here, best, candidates, visited) -> list[PosteriorFit]:
     noise = here.model.leaves_noise(best.left)
     fits = extended(here, best, candidates, least=best.evidence if noise else -math.inf)
     visited.update({f.keys: f for f in fits})
     return fits
 
 
-def _paired(here, best, candidates, visited) -> list[Fit]:
+def _paired(here, best, candidates, visited) -> list[PosteriorFit]:
     """Two more causes, where each alone costs more than it explains."""
-    out: list[Fit] = []
+    out: list[PosteriorFit] = []
     for first in [visited[k] for k in list(visited) if _beside(visited[k], best)][:PAIRED]:
         out += extended(here, here.again(first), candidates)[:1]
     visited.update({f.keys: f for f in out})
     return out
 
 
-def _beside(found: Fit, base: Fit) -> bool:
+def _beside(found: PosteriorFit, base: PosteriorFit) -> bool:
     """Whether a fit has the causes of ``base`` and one more."""
     return len(found.causes) == len(base.causes) + 1 and set(base.keys) <= set(found.keys)
 
 
-def _exchanged(here, best, candidates, visited) -> list[Fit]:
+def _exchanged(here, best, candidates, visited) -> list[PosteriorFit]:
     """Another cause in place of each one and of what is a part of it."""
-    out: list[Fit] = []
+    out: list[PosteriorFit] = []
     for index in range(len(best.causes)):
         fewer = without(here, best, index)
         visited[fewer.keys] = fewer
@@ -133,11 +133,11 @@ def _exchanged(here, best, candidates, visited) -> list[Fit]:
 
 def extended(
     here: Likelihood,
-    base: Fit,
+    base: PosteriorFit,
     candidates: Sequence[Candidate],
     most: int = KEPT,
     least: float = -math.inf,
-) -> list[Fit]:
+) -> list[PosteriorFit]:
     """Fits of ``base`` with one more cause, the most evidence first: those are fitted that promise
     most to first order at the best of their starts, and more than ``least``.
     """
@@ -152,7 +152,7 @@ def extended(
 
 
 def _screened(
-    here: Likelihood, base: Fit, rated: Sequence[tuple[float, Move, list[Array]]]
+    here: Likelihood, base: PosteriorFit, rated: Sequence[tuple[float, Move, list[Array]]]
 ) -> list[tuple[float, Move, list[Array]]]:
     """The moves that promise most after a few steps of their descents, from where these end
     (successive halving: K. Jamieson, A. Talwalkar, AISTATS 2016).
@@ -201,7 +201,7 @@ def _may_join(c: Candidate, causes: Sequence[Candidate]) -> bool:
     )
 
 
-def pruned(here: Likelihood, found: Fit) -> Fit:
+def pruned(here: Likelihood, found: PosteriorFit) -> PosteriorFit:
     """Without the causes that the others have made needless."""
     for index in range(len(found.causes)):
         fewer = without(here, found, index)
@@ -210,7 +210,7 @@ def pruned(here: Likelihood, found: Fit) -> Fit:
     return found
 
 
-def without(here: Likelihood, found: Fit, index: int) -> Fit:
+def without(here: Likelihood, found: PosteriorFit, index: int) -> PosteriorFit:
     """The other causes fitted again from where they stand, without those that are parts of it."""
     gone = {index}
     while True:
@@ -225,7 +225,7 @@ def without(here: Likelihood, found: Fit, index: int) -> Fit:
     return here.fit(rest, [np.delete(found.of.theta, lost)], found.of.nuisances)
 
 
-def named(fit: Fit) -> str:
+def named(fit: PosteriorFit) -> str:
     """The causes of a fit in words."""
     parts = [f"{c.kind}({', '.join(c.names)})" for c in fit.causes]
     return " + ".join(parts) or "nothing"

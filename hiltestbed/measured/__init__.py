@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from hiltestbed.measured.noise import Noise
     from hiltestbed.measured.record import Record
     from hiltestbed.measured.remark import Remark
-    from hiltestbed.measured.survey import Contact, Survey
+    from hiltestbed.measured.survey import ContactSpan, Survey
 
 __all__ = [
-    "Contact",
+    "ContactSpan",
     "MeasuredDataset",
     "MeasuredRun",
     "Noise",
@@ -56,7 +56,7 @@ __all__ = [
 
 # all others: load
 _HOME = {
-    "Contact": "survey",
+    "ContactSpan": "survey",
     "Noise": "noise",
     "Record": "record",
     "Remark": "remark",

@@ -39,7 +39,7 @@ WITHIN = 2.0  # median intervals by which the step across it may differ from one
 
 
 @dataclass(frozen=True)
-class Clock:
+class UsableRows:
     """The usable rows of a file, in time order.
 
     Attributes:
@@ -82,7 +82,7 @@ def unrolled(run: int, t: Array) -> tuple[Array, list[Remark]]:
 
 def check_clock(
     run: int, t: Array, tick: float, duration: float
-) -> tuple[Clock | None, list[Remark]]:
+) -> tuple[UsableRows | None, list[Remark]]:
     """The usable rows of time stamps ``(rows,)`` [s] (None if there are none), and the remarks on
     them.
 
@@ -129,7 +129,7 @@ def check_clock(
     scale = _wrong_length(run, stamps, interval, tick, duration)
     if scale is not None:
         return None, [*remarks, scale]
-    return Clock(stamps, rows, interval), [*remarks, *_sampling(run, stamps, interval, tick)]
+    return UsableRows(stamps, rows, interval), [*remarks, *_sampling(run, stamps, interval, tick)]
 
 
 def _repeated(run: int, t: Array, steps: Array) -> Remark:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hiltestbed.config.dataset import Channel
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array, quat_from_attitude_deg
-from hiltestbed.measured.clock import Clock, check_clock, start_of_run, unrolled
+from hiltestbed.measured.clock import UsableRows, check_clock, start_of_run, unrolled
 from hiltestbed.measured.columns import Columns, unreadable
 from hiltestbed.measured.data_format import DataFormat
 from hiltestbed.measured.formats import read_columns
@@ -86,7 +86,7 @@ def read_record(
     usable = {name: (values[name], clock) for name, clock in clocks.items() if clock is not None}
     if len(usable) < len(values):
         return None, remarks
-    shared: dict[int, tuple[Clock, dict[str, Array]]] = {}
+    shared: dict[int, tuple[UsableRows, dict[str, Array]]] = {}
     for name, (column, clock) in usable.items():
         shared.setdefault(id(clock), (clock, {}))[1][name] = column
     regular, found = as_ticks(run, list(shared.values()), scenario.tick)
@@ -178,7 +178,7 @@ def _stamps(
 
 def _clocks(
     run: int, stamps: Mapping[str, Array], scenario: Scenario
-) -> tuple[dict[str, Clock | None], list[Remark]]:
+) -> tuple[dict[str, UsableRows | None], list[Remark]]:
     """The clock of each channel, from the start of the run, and the remarks on them, once."""
     tick, duration = scenario.tick, scenario.duration
     given = {id(t): t for t in stamps.values()}
@@ -187,7 +187,7 @@ def _clocks(
     firsts = [float(t[np.isfinite(t)][0]) for t, _ in distinct.values() if np.isfinite(t).any()]
     shift, found = start_of_run(run, min(firsts), tick, duration) if firsts else (0.0, [])
     remarks += found
-    checked: dict[int, Clock | None] = {}
+    checked: dict[int, UsableRows | None] = {}
     for key, (t, _) in distinct.items():
         checked[key], found = check_clock(run, t - shift if shift else t, tick, duration)
         remarks += found
@@ -195,10 +195,12 @@ def _clocks(
     return {name: checked[id(t)] for name, t in stamps.items()}, once
 
 
-def _losses(run: int, channels: Mapping[str, tuple[Array, Clock]]) -> tuple[set[str], list[Remark]]:
+def _losses(
+    run: int, channels: Mapping[str, tuple[Array, UsableRows]]
+) -> tuple[set[str], list[Remark]]:
     """Channels that lack too many samples, and remarks, one for those that lack the same."""
     lost: set[str] = set()
-    patterns: dict[bytes, tuple[NDArray[np.bool_], Clock, list[str]]] = {}
+    patterns: dict[bytes, tuple[NDArray[np.bool_], UsableRows, list[str]]] = {}
     for name, (column, clock) in channels.items():
         missing = ~np.isfinite(column[clock.rows])
         if missing.sum() > MISSING_LIMIT * len(missing):
@@ -220,7 +222,7 @@ def _losses(run: int, channels: Mapping[str, tuple[Array, Clock]]) -> tuple[set[
 
 
 def _on_ticks(
-    run: int, file: Path, channels: Mapping[str, tuple[Array, Clock]], scenario: Scenario
+    run: int, file: Path, channels: Mapping[str, tuple[Array, UsableRows]], scenario: Scenario
 ) -> Record:
     tick, clocks = scenario.tick, [clock for _, clock in channels.values()]
     ticks = round(max(float(clock.t[-1]) for clock in clocks) * scenario.rate) + 1

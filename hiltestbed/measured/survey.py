@@ -22,7 +22,7 @@ Spans = list[tuple[int, int]]  # first tick of each, and the one after its last
 
 
 @dataclass(frozen=True)
-class Contact:
+class ContactSpan:
     """One contact: ticks ``start`` to ``end`` (exclusive), its peaks along z, and the largest force
     along any of the axes that show it; None for a figure without its channel.
     """
@@ -50,7 +50,7 @@ class Survey:
 
     free: int
     noise: dict[str, Noise]
-    contacts: tuple[Contact, ...]
+    contacts: tuple[ContactSpan, ...]
     excited: tuple[str, ...]
     phase: float
 
@@ -218,7 +218,7 @@ def _contact(
     depth: Array | None,
     scenario: Scenario,
     felt: tuple[str, ...],
-) -> Contact:
+) -> ContactSpan:
     start, end = span
     late = round(scenario.sensor.delay * scenario.rate)
     speed = deepest = None
@@ -235,7 +235,7 @@ def _contact(
         if len(before) > 4:
             speed = float(np.polyfit(record.t[before] - record.t[start], depth[before], 1)[0])
     largest = max(map(abs, forces.values()), default=None)
-    return Contact(start, end, forces.get(FORCES[0]), deepest, speed, largest)
+    return ContactSpan(start, end, forces.get(FORCES[0]), deepest, speed, largest)
 
 
 def _bridged(values: Array) -> Array:

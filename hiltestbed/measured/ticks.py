@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from hiltestbed.frames import Array
-from hiltestbed.measured.clock import GAP, Clock
+from hiltestbed.measured.clock import GAP, UsableRows
 from hiltestbed.measured.remark import Remark, note
 
 ON_TICK = 1e-6  # of a tick: a sample this close to a tick is used for it without interpolation
@@ -32,8 +32,8 @@ NEIGHBOURS = (-2, -1, 1, 2)
 
 
 def as_ticks(
-    run: int, clocks: Sequence[tuple[Clock, Mapping[str, Array]]], tick: float
-) -> tuple[dict[int, Clock], list[Remark]]:
+    run: int, clocks: Sequence[tuple[UsableRows, Mapping[str, Array]]], tick: float
+) -> tuple[dict[int, UsableRows], list[Remark]]:
     """Clocks by the id of those given, with stamps on the loop's ticks if their rows are ticks, and
     a remark on each changed clock.
 
@@ -52,7 +52,7 @@ def as_ticks(
     return out, remarks
 
 
-def _on_ticks(clock: Clock, columns: Mapping[str, Array], tick: float) -> Clock:
+def _on_ticks(clock: UsableRows, columns: Mapping[str, Array], tick: float) -> UsableRows:
     """The clock with each row on its tick; unchanged if rows are no ticks, or are there."""
     t = clock.t
     if len(t) < 30 or abs(clock.interval / tick - 1.0) > UNEVEN:
@@ -87,7 +87,7 @@ def _numbers(t: Array, interval: float) -> Array | None:
     return None
 
 
-def _as_smooth(clock: Clock, columns: Mapping[str, Array], ticks: Array) -> bool:
+def _as_smooth(clock: UsableRows, columns: Mapping[str, Array], ticks: Array) -> bool:
     """Whether the position that moves most is about as smooth over the ticks as over the stamps."""
     positions = ("px", "py", "pz")
     places = [

@@ -66,7 +66,7 @@ class PlatformParameters:
 
 
 @dataclass(frozen=True)
-class Response:
+class ResponseParameters:
     """Parameters of n platforms as kernel inputs: delay, speed, play, stick, begun (n,), scale (n,
     3), drive (n, 3, NUMBERS), lag and mode (n, S, 2), a frequency of 0 meaning none, step (n,
     PACKED).
@@ -84,7 +84,7 @@ class Response:
     begun: Array
 
 
-def stack(platforms: Sequence[PlatformParameters]) -> Response:
+def stack(platforms: Sequence[PlatformParameters]) -> ResponseParameters:
     """Parameters of several platforms as arrays with the run as leading axis."""
 
     def filled(rows: list[list[tuple[float, float]]]) -> Array:
@@ -101,4 +101,4 @@ def stack(platforms: Sequence[PlatformParameters]) -> Response:
         name: rows(name)
         for name in ("delay", "speed", "play", "stick", "scale", "drive", "step", "begun")
     }
-    return Response(**alone, lag=lag, mode=mode)
+    return ResponseParameters(**alone, lag=lag, mode=mode)

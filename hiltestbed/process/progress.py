@@ -27,7 +27,7 @@ FEWEST_INTERVALS = 3  # intervals, at least, for an estimate
 LARGEST_SPREAD = 0.5  # largest 95 % interval of the pace, relative to it, for an estimate
 
 
-class Pace:
+class UnitTime:
     """How long a unit of work takes, from the latest updates."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -102,7 +102,7 @@ def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
     shown = time.monotonic()
     first: int | None = None
     on_terminal = terminal()
-    pace = Pace()
+    pace = UnitTime()
 
     def update(done: int, total: int, statuses: Mapping[str, int]) -> None:
         nonlocal shown, first
@@ -163,7 +163,7 @@ def _bar_or_lines(
 ) -> Iterator[Callable[[float, float], None]]:
     start = shown = time.monotonic()
     bar = None
-    pace = Pace()
+    pace = UnitTime()
 
     def update(done: float, total: float) -> None:
         nonlocal bar, shown

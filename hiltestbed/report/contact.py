@@ -22,7 +22,7 @@ OTHER_LAW = 0.005
 
 
 @dataclass(frozen=True)
-class ContactFigures:
+class ContactSheet:
     """A contact at an approach ``speed`` [m/s]; ``drop``: as measured in MuJoCo, if it was;
     ``engines``: name to the CoR of the same bounce there.
     """
@@ -110,7 +110,7 @@ class ContactFigures:
         return rows
 
 
-def write_contact(figures: ContactFigures, path: Path) -> None:
+def write_contact(figures: ContactSheet, path: Path) -> None:
     """Write contact.json and report.html. Raises InputError if the folder has other contents."""
     with whole_folder(path, mark=CONTACT) as folder:
         text = json.dumps(figures.to_json(), indent=1, allow_nan=False)
@@ -126,7 +126,7 @@ def write_contact(figures: ContactFigures, path: Path) -> None:
         page.write(folder / "report.html")
 
 
-def _figure(figures: ContactFigures) -> Any:
+def _figure(figures: ContactSheet) -> Any:
     of, speed = figures.contact, figures.speed
     figure, (force, step, delay) = new_figure(11.0, 3.4, ncols=3)
     z, w = of.damping_ratio, of.frequency

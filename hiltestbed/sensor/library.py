@@ -19,7 +19,7 @@ from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 from hiltestbed.scenario import load_scenario
-from hiltestbed.sensor.sensor import Sensor
+from hiltestbed.sensor.sensor import Sensors
 from hiltestbed.sensor.settings import Sensor as Settings
 
 # samples of a segment of the spectrum of noise, at most: 1 s of a sensor at 2 kHz
@@ -95,7 +95,8 @@ class ForceSensor:
 
     def reset(self) -> None:
         """Begin anew: no force before the start, filters at rest, the same noise again."""
-        self._sensor = Sensor([self._described], [np.random.default_rng(self._seed)])  # type: ignore[list-item]
+        generators = [np.random.default_rng(self._seed)]
+        self._sensor = Sensors([self._described], generators)  # type: ignore[list-item]
         self._wrench = np.zeros((1, self.substeps, 6))
         self.samples = 0
 

@@ -42,7 +42,7 @@ class _Delay(NamedTuple):
     arrived: Array  # (n, m, 6) the wrench that arrives in a tick
 
 
-class Sensor:
+class Sensors:
     """The sensors of `n` runs.
 
     Attributes:

@@ -16,8 +16,8 @@ import pytest
 from hiltestbed.bench.hildock.door import UdpEntrant
 from hiltestbed.bench.hildock.methods import (
     METHODS,
-    PhaseLead,
-    Resynchronised,
+    PhaseLeadEntrant,
+    ResynchronisedEntrant,
     TouchFitted,
     Uncompensated,
     shipped,
@@ -86,7 +86,7 @@ def test_the_prediction_beats_the_lead_where_the_delay_is_known() -> None:
     for method in METHODS:
         found = [indices(c, play(c, method()), reference(c))["cor_log_error"] for c in exact]
         worst[method] = max(map(abs, found))
-    assert worst[Resynchronised] < 0.1 * worst[PhaseLead] < 0.1 * worst[Uncompensated]
+    assert worst[ResynchronisedEntrant] < 0.1 * worst[PhaseLeadEntrant] < 0.1 * worst[Uncompensated]
 
 
 def test_a_fitted_delay_need_not_be_told() -> None:
@@ -99,7 +99,7 @@ def test_a_fitted_delay_need_not_be_told() -> None:
         assert abs(error) < 0.005
 
 
-@pytest.mark.parametrize("method", [Uncompensated, PhaseLead])
+@pytest.mark.parametrize("method", [Uncompensated, PhaseLeadEntrant])
 def test_a_block_of_the_package_does_what_its_axis_does_alone(method: type) -> None:
     """Three bodies in six axes move as the reduced mass does, but for round-off."""
     block = next(s for s in shipped() if s.name == f"shipped {method.name}")
@@ -134,7 +134,11 @@ def test_an_entrant_in_c_scores_the_digits_of_the_method_it_copies(tmp_path: Pat
         assert running.stdout is not None
         foreign = UdpEntrant(f"udp://127.0.0.1:{int(running.stdout.readline())}", deadline=10.0)
         for case in QUICK[:: len(QUICK) // 12]:
-            ours, theirs, ideal = play(case, PhaseLead()), play(case, foreign), reference(case)
+            ours, theirs, ideal = (
+                play(case, PhaseLeadEntrant()),
+                play(case, foreign),
+                reference(case),
+            )
             assert indices(case, ours, ideal) == indices(case, theirs, ideal)
         foreign.close()
         assert running.wait(10) == 0

@@ -1,4 +1,4 @@
-"""Real machines: what the manifest must hold without the data; experts on machines simulated here."""
+"""Real machines: what the manifest must hold without the data; experts on simulated machines."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hiltestbed.bench.real import DEVICES, experts
-from hiltestbed.bench.real.device import Device, Record, split
+from hiltestbed.bench.real.device import AxisRecord, Device, split
 
 UNITS = {
     "drive": ({"N", "N m", "A", "V"}, {"m", "rad"}),
@@ -56,13 +56,13 @@ def test_a_file_that_is_not_the_described_one_is_absent(tmp_path: Path) -> None:
 
 def test_parts_of_a_record_are_the_record() -> None:
     t = np.asarray([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6], dtype=np.float64)
-    parts = split(Record("whole", t, np.sin(t), np.cos(t)), "a", "b")
+    parts = split(AxisRecord("whole", t, np.sin(t), np.cos(t)), "a", "b")
     assert [p.name for p in parts] == ["a", "b"]
     assert all(p.t[0] == 0 for p in parts)
     np.testing.assert_array_equal(np.concatenate([p.y for p in parts]), np.cos(t))
 
 
-def _moved(mass: float, viscous: float, forwards: float, backwards: float) -> Record:
+def _moved(mass: float, viscous: float, forwards: float, backwards: float) -> AxisRecord:
     """A carriage pushed by a force of two frequencies: integrated by SciPy, with a steep sign."""
     t = np.asarray(np.arange(8000) * 1e-3, dtype=np.float64)
 
@@ -75,7 +75,7 @@ def _moved(mass: float, viscous: float, forwards: float, backwards: float) -> Re
         return [v, (force(time) - viscous * v - dry) / mass]
 
     y = solve_ivp(motion, (0, t[-1]), [0, 0], t_eval=t, method="LSODA", rtol=1e-7).y[0]
-    return Record("moved", t, np.array([force(x) for x in t]), y)
+    return AxisRecord("moved", t, np.array([force(x) for x in t]), y)
 
 
 def test_the_drive_expert_finds_mass_and_friction_each_way() -> None:
@@ -102,7 +102,7 @@ def test_the_servo_law_without_play_and_limit_is_the_second_order_step() -> None
     t = np.arange(0, 1, 0.01)
     y = experts.servo(
         np.array([omega, damping, 0.05, 0.0, 1e3, 0.0, 1.0]),
-        Record("step", t, np.where(t > 0, 1.0, 0.0), 0 * t),
+        AxisRecord("step", t, np.where(t > 0, 1.0, 0.0), 0 * t),
         steps=100,
     )
     after = np.maximum(t - 0.06, 0)
@@ -118,6 +118,6 @@ def test_bouc_wen_at_constant_speed_is_its_dashpots_and_its_force() -> None:
     t = np.linspace(0, 1, 1001)
     x = 0.1 * t
     p = np.array([alpha, 1e-3, 2.0, damping, dashpot, stiffness, offset])
-    force = experts.bouc_wen(p, Record("ramp", t, x, 0 * t))
+    force = experts.bouc_wen(p, AxisRecord("ramp", t, x, 0 * t))
     behind = (dashpot * 0.1 - alpha) / (damping + dashpot)
     assert force[-1] == pytest.approx(alpha + damping * behind + stiffness * 0.1 + offset, rel=1e-3)

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed import load_scenario
-from hiltestbed.bench.contacts import Contact, bounce
+from hiltestbed.bench.contacts import BenchContact, bounce
 from hiltestbed.bench.contenders import CONTENDERS
 from hiltestbed.compensation.force_methods.added_force import bounce as design_bounce
 from hiltestbed.compensation.force_methods.kalman import KalmanBlock, steady_gain
@@ -133,7 +133,7 @@ def test_the_smith_predictor_is_stable_and_slightly_convergent_past_the_leads_th
     """w tau = 1: the lead returns more than came in; a predictor whose contact is 10 % too stiff
     returns a little less than it should.
     """
-    contact = Contact(8.0, 0.02, 0.05)
+    contact = BenchContact(8.0, 0.02, 0.05)
     reference = _cors([reference_scenario(contact.scenario({"kind": "none"}))])[0]
     by_name = {
         c.name: _cors([contact.scenario(c.force(contact))])[0]
@@ -148,7 +148,7 @@ def test_the_smith_predictor_is_stable_and_slightly_convergent_past_the_leads_th
 
 def test_passivity_control_keeps_the_rebound_below_the_approach_whatever_it_should_be() -> None:
     """It cannot know that e should be 0.86, and holds it near 1; without it, e is 1.3 to 3.4."""
-    contacts = [Contact(8.0, d, 0.05) for d in (0.005, 0.01, 0.02)]
+    contacts = [BenchContact(8.0, d, 0.05) for d in (0.005, 0.01, 0.02)]
     bare = _cors([c.scenario({"kind": "none"}) for c in contacts])
     held = _cors([c.scenario({"kind": "passivity_control"}) for c in contacts])
     assert min(bare) > 1.2
@@ -157,7 +157,7 @@ def test_passivity_control_keeps_the_rebound_below_the_approach_whatever_it_shou
 
 
 def test_normalised_passivity_balances_a_short_delay() -> None:
-    contact = Contact(2.0, 0.005, 0.05)  # w tau = 0.06: uncompensated +0.10
+    contact = BenchContact(2.0, 0.005, 0.05)  # w tau = 0.06: uncompensated +0.10
     reference = _cors([reference_scenario(contact.scenario({"kind": "none"}))])[0]
     assert (
         abs(math.log(_cors([contact.scenario({"kind": "normalised_passivity"})])[0] / reference))
@@ -166,7 +166,7 @@ def test_normalised_passivity_balances_a_short_delay() -> None:
 
 
 def test_a_virtual_damper_of_k_tau_gives_back_what_the_delay_takes() -> None:
-    contact = Contact(2.0, 0.005, 0.05)
+    contact = BenchContact(2.0, 0.005, 0.05)
     reference = _cors([reference_scenario(contact.scenario({"kind": "none"}))])[0]
     force = {"kind": "virtual_contact", "damping": contact.stiffness * contact.delay}
     assert abs(math.log(_cors([contact.scenario(force)])[0] / reference)) < 0.003
@@ -181,7 +181,7 @@ def test_the_design_model_without_delay_is_the_closed_form(zeta: float) -> None:
 
 @pytest.mark.parametrize("desired", [None, 0.7])
 def test_the_designed_damper_gives_the_desired_restitution(desired: float | None) -> None:
-    contact = Contact(4.0, 0.01, 0.05)
+    contact = BenchContact(4.0, 0.01, 0.05)
     force = {
         "kind": "cor_designed",
         "stiffness": contact.stiffness,
@@ -194,7 +194,9 @@ def test_the_designed_damper_gives_the_desired_restitution(desired: float | None
 
 
 def test_a_dead_zone_takes_small_forces_for_none_and_leaves_the_others() -> None:
-    scenario = Contact(4.0, 0.005, 0.05, noise=0.0).scenario({"kind": "dead_zone", "width": 50.0})
+    scenario = BenchContact(4.0, 0.005, 0.05, noise=0.0).scenario(
+        {"kind": "dead_zone", "width": 50.0}
+    )
     trace = simulate([scenario], trace=True).trace
     assert trace is not None
     measured, used = trace["wrench_meas"][:, 0, 2], trace["wrench_comp"][:, 0, 2]
@@ -203,7 +205,11 @@ def test_a_dead_zone_takes_small_forces_for_none_and_leaves_the_others() -> None
 
 
 def test_reconstruction_halves_the_error_of_the_bare_delay() -> None:
-    for contact in (Contact(2.0, 0.005, 0.05), Contact(4.0, 0.01, 0.05), Contact(8.0, 0.02, 0.05)):
+    for contact in (
+        BenchContact(2.0, 0.005, 0.05),
+        BenchContact(4.0, 0.01, 0.05),
+        BenchContact(8.0, 0.02, 0.05),
+    ):
         bare, ours, reference = (
             bounce([s]).figures[0].cor
             for s in (

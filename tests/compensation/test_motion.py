@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario, run
-from hiltestbed.bench.contacts import Contact, bounce
+from hiltestbed.bench.contacts import BenchContact, bounce
 from hiltestbed.compiled.state import arrays_of
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario
@@ -18,7 +18,7 @@ BARE = {"kind": "none"}
 
 
 def _with(
-    contact: Contact, motion: dict[str, object], force: dict[str, object] | None = None
+    contact: BenchContact, motion: dict[str, object], force: dict[str, object] | None = None
 ) -> Scenario:
     return replace(contact, changes={"compensation.motion": motion}).scenario(force or BARE)
 
@@ -42,14 +42,14 @@ def _error(scenario: Scenario) -> float:
 )
 def test_the_lag_of_the_platform_is_taken_out(motion: dict[str, object]) -> None:
     """2 zeta/w of the position loop, 8 ms, would leave (pi/2) w 8 ms = 0.16 at 2 Hz."""
-    contact = Contact(2.0, 0.0, 0.05, tracking="servo")
+    contact = BenchContact(2.0, 0.0, 0.05, tracking="servo")
     bare = _error(_with(contact, {"kind": "none"}))
     assert bare == pytest.approx(0.5 * math.pi * contact.w * 2.0 / (2.0 * math.pi * 40.0), rel=0.05)
     assert abs(_error(_with(contact, motion))) < 0.02 * bare
 
 
 def test_correcting_the_force_makes_up_for_a_lagging_platform() -> None:
-    contact = Contact(2.0, 0.0, 0.05, tracking="servo")
+    contact = BenchContact(2.0, 0.0, 0.05, tracking="servo")
     assert abs(_error(_with(contact, {"kind": "contact_correction"}))) < 0.1 * _error(
         _with(contact, {"kind": "none"})
     )
@@ -72,7 +72,7 @@ def test_after_a_contact_noise_is_not_corrected_for_the_lag() -> None:
 
 def test_the_adaptive_series_finds_the_platforms_response() -> None:
     """A position loop 1/(1 + s/w)^2 at 40 Hz: a0 = 1, a1 = 2/w = 8.0 ms, from a start of 4 ms."""
-    contact = Contact(
+    contact = BenchContact(
         2.0,
         0.0,
         0.05,
@@ -88,7 +88,7 @@ def test_the_adaptive_series_finds_the_platforms_response() -> None:
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 @pytest.mark.parametrize("kind", ["phase_lead", "resynchronised"])
 def test_a_compliant_platform_holds_the_peak_force(tracking: str, kind: str) -> None:
-    contact = Contact(4.0, 0.005, 0.05, tracking=tracking)
+    contact = BenchContact(4.0, 0.005, 0.05, tracking=tracking)
     limit = 0.6 * contact.peak
     free = bounce([contact.scenario({"kind": kind})]).figures[0]
     held = bounce([_with(contact, {"kind": "admittance", "limit": limit}, {"kind": kind})]).figures[
@@ -100,7 +100,7 @@ def test_a_compliant_platform_holds_the_peak_force(tracking: str, kind: str) -> 
 
 def test_the_numerical_model_need_not_notice_that_the_platform_yields() -> None:
     """The force is corrected for the platform's place: the rebound is that without a limit."""
-    contact = Contact(4.0, 0.005, 0.05)
+    contact = BenchContact(4.0, 0.005, 0.05)
     assert (
         abs(
             _error(
@@ -116,7 +116,7 @@ def test_the_numerical_model_need_not_notice_that_the_platform_yields() -> None:
 
 
 def test_feed_forward_tells_the_velocity_of_the_tick() -> None:
-    result = bounce([Contact(4.0, 0.0, 0.05, tracking="servo").scenario(BARE)], trace=True)
+    result = bounce([BenchContact(4.0, 0.0, 0.05, tracking="servo").scenario(BARE)], trace=True)
     assert result.trace is not None
     error = np.abs(result.trace["pose_cmd"][:-1, 0, 2] - result.trace["pose_act"][1:, 0, 2])[
         : result.loop.k - 1

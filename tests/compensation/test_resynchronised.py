@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.bench.contacts import Contact, bounce, grid
+from hiltestbed.bench.contacts import BenchContact, bounce, grid
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario, simulate
 
 
-def _known(contact: Contact) -> dict[str, object]:
+def _known(contact: BenchContact) -> dict[str, object]:
     return {
         "kind": "resynchronised",
         "contact": {"stiffness": contact.stiffness, "damping": contact.damping},
@@ -51,7 +51,7 @@ def test_the_servo_of_the_platform_does_not_matter() -> None:
 
 def test_a_platform_that_lags_by_8_ms_does_not_matter() -> None:
     """Position loop of 40 Hz: uncorrected it would leave (pi/2) w 8 ms = 0.31 at 4 Hz."""
-    contacts = [Contact(f, 0.005, 0.05, tracking="servo") for f in (1.0, 2.0, 4.0)]
+    contacts = [BenchContact(f, 0.005, 0.05, tracking="servo") for f in (1.0, 2.0, 4.0)]
     assert (
         _errors([c.scenario({"kind": "resynchronised"}, motion="none") for c in contacts]).max()
         < 0.01
@@ -62,14 +62,16 @@ def test_a_platform_that_lags_by_8_ms_does_not_matter() -> None:
 def test_a_delay_need_not_be_whole_ticks(delay: float) -> None:
     """A fiftieth of a tick of delay left would show as (pi/2) w h/50 = 4e-4."""
     assert (
-        _errors([Contact(4.0, delay, 0.05, noise=0.0).scenario({"kind": "resynchronised"})]).max()
+        _errors(
+            [BenchContact(4.0, delay, 0.05, noise=0.0).scenario({"kind": "resynchronised"})]
+        ).max()
         < 4e-4
     )
 
 
 def test_the_sensors_low_pass_does_not_matter() -> None:
     # 2.7 ms more: (pi/2) w 2.7 ms = 0.10
-    contact = Contact(4.0, 0.005, 0.05, changes={"sensor.lowpass": 60.0})
+    contact = BenchContact(4.0, 0.005, 0.05, changes={"sensor.lowpass": 60.0})
     assert _errors([contact.scenario({"kind": "resynchronised"})]).max() < 0.01
 
 
@@ -132,7 +134,7 @@ def test_free_flight_is_undisturbed_by_noise() -> None:
 
 
 def test_a_run_is_the_run_in_a_batch_bit_for_bit() -> None:
-    contacts = [Contact(4.0, 0.001 + 1e-4 * i, 0.05, seed=i) for i in range(20)]
+    contacts = [BenchContact(4.0, 0.001 + 1e-4 * i, 0.05, seed=i) for i in range(20)]
     scenarios = [
         c.scenario({"kind": "resynchronised"}).model_copy(update={"duration": 0.25})
         for c in contacts

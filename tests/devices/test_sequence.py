@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.devices.interface import Event
-from hiltestbed.devices.layout import Layout, Record
+from hiltestbed.devices.layout import Layout, WireRecord
 from hiltestbed.devices.sequence import Advancing, Sequence
 from hiltestbed.devices.udp import Receiver, UdpSettings
 
@@ -118,8 +118,8 @@ def test_records_without_a_number_are_ordered_by_their_time(kind: str, scale: fl
         def _accept(self) -> bool:
             return True
 
-    receiver, sent = Accepting("here"), Record(layout, "sensor")
-    receiver._expect(Record(layout, "sensor"))
+    receiver, sent = Accepting("here"), WireRecord(layout, "sensor")
+    receiver._expect(WireRecord(layout, "sensor"))
     counts = receiver.counts
 
     def is_news(seconds: float) -> bool:

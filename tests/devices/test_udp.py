@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.devices.interface import DeviceError, Event
-from hiltestbed.devices.layout import Record, default_layout, read_layout
+from hiltestbed.devices.layout import WireRecord, default_layout, read_layout
 from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
 from hiltestbed.errors import InputError
 from tests.devices.running import START, free_ports, going, until
@@ -69,7 +69,7 @@ def _crc16(data: bytes) -> int:
 
 
 def test_a_sensor_record_by_hand(tmp_path: Path) -> None:
-    record = Record(read_layout(_file(tmp_path)), "sensor")
+    record = WireRecord(read_layout(_file(tmp_path)), "sensor")
     body = struct.pack(">HB3xIhhifff", 0x5AA5, 200, 2_500_000, 105, -3, 310_125, 0.5, -0.125, 7.75)
     data = body + struct.pack(">H", _crc16(body))
     assert record.size == len(data)
@@ -84,7 +84,7 @@ def test_a_sensor_record_by_hand(tmp_path: Path) -> None:
 
 
 def test_whole_numbers_are_rounded_and_end_at_their_limits(tmp_path: Path) -> None:
-    record = Record(read_layout(_file(tmp_path)), "sensor")
+    record = WireRecord(read_layout(_file(tmp_path)), "sensor")
     record.unpack(record.pack(np.array([1e9, -1e9, 0.0004, 0.0, 0.0, 0.0]), 300, 1e9))
     np.testing.assert_allclose(record.values[:3], [3276.7, -3276.8, 0.0])
     assert (record.sequence, record.time) == (300 - 256, pytest.approx(4294.967295))
@@ -92,7 +92,7 @@ def test_whole_numbers_are_rounded_and_end_at_their_limits(tmp_path: Path) -> No
 
 def test_poses_as_rotation_vector_and_as_quaternion(tmp_path: Path) -> None:
     layout = read_layout(_file(tmp_path))
-    state, command = Record(layout, "state"), Record(layout, "command")
+    state, command = WireRecord(layout, "state"), WireRecord(layout, "command")
     turn = Rotation.from_quat(START[3:])
     assert state.unpack(struct.pack(">I6d", 3, *(1e3 * START[:3]), *turn.as_rotvec()))
     np.testing.assert_allclose(state.values, START, atol=1e-12)
@@ -105,7 +105,7 @@ def test_poses_as_rotation_vector_and_as_quaternion(tmp_path: Path) -> None:
 
 
 def test_the_default_layout_ends_with_the_crc_32_of_all_before_it() -> None:
-    record = Record(default_layout(), "sensor")
+    record = WireRecord(default_layout(), "sensor")
     data = record.pack(np.arange(6.0), 7, 0.25, flag=0)
     assert data[:-4] == struct.pack("<IdI6d", 7, 0.25, 0, *range(6))
     assert int.from_bytes(data[-4:], "little") == zlib.crc32(data[:-4])

@@ -16,7 +16,7 @@ import pytest
 from hiltestbed.devices import poses
 from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.interface import Event
-from hiltestbed.devices.layout import Record, default_layout
+from hiltestbed.devices.layout import WireRecord, default_layout
 from hiltestbed.devices.session import Session, _written
 from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
 from hiltestbed.devices.watch import CommunicationLimits, CommunicationWatch
@@ -124,7 +124,7 @@ def test_a_value_that_is_not_physical_is_never_taken(
 
 @pytest.mark.parametrize("at", [15, 700])  # on the way to the start, and in contact
 def test_the_folder_is_written_whatever_was_received(at: int, tmp_path: Path) -> None:
-    record, huge = Record(default_layout(), "state"), np.array([0.0, 1e160, 0, 0, 0, 0, 1.0])
+    record, huge = WireRecord(default_layout(), "state"), np.array([0.0, 1e160, 0, 0, 0, 0, 1.0])
 
     def change(data: bytes) -> list[bytes]:
         """The platform's state replaced, its number kept."""

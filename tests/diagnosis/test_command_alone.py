@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import hiltestbed
-from hiltestbed.diagnosis.layout import Layout, lay_out
+from hiltestbed.diagnosis.layout import DatasetLayout, lay_out
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
 from hiltestbed.measured import load_dataset
@@ -25,7 +25,7 @@ SERVO = NOMINAL | {"rig": {"platform": {"kind": "pss33", "tracking": "servo"}}}
 LATE: dict[str, Any] = {"kind": "platform.delay", "delay": 0.004}
 
 
-def replayed(folder: Path, effects: list[dict[str, Any]]) -> tuple[Layout, WrenchLink]:
+def replayed(folder: Path, effects: list[dict[str, Any]]) -> tuple[DatasetLayout, WrenchLink]:
     layout = lay_out(load_dataset(recorded(folder, effects, SERVO, ("pose_act", "twist_act"))))
     return layout, make_wrench_link(layout, best_path(layout, None), layout.whole)
 

@@ -15,7 +15,7 @@ from hiltestbed.diagnosis.bridged import GAP_SIGMA, bridged
 from hiltestbed.diagnosis.find import judge
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.lacking import too_little
-from hiltestbed.diagnosis.links.base import Lane, Link
+from hiltestbed.diagnosis.links.base import Lane, ModelLink
 from hiltestbed.frames import Array
 from hiltestbed.measured.record import MAX_BRIDGED, Record
 from tests.slow import slow
@@ -55,7 +55,7 @@ def test_a_short_gap_of_a_pose_lies_on_its_motion_and_a_long_one_is_unknown() ->
     assert not long.only_short_gaps("pose_act")
 
 
-class Integral(Link):
+class Integral(ModelLink):
     """A link whose output is its wrench, integrated twice."""
 
     name, channels = "integral", ("fx", "fy", "fz", "tx", "ty", "tz")

@@ -15,7 +15,7 @@ from scipy.signal import savgol_coeffs
 
 import hiltestbed
 from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
-from hiltestbed.diagnosis.layout import Layout, lay_out
+from hiltestbed.diagnosis.layout import DatasetLayout, lay_out
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.path_noise import smoothed_noise
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
@@ -53,7 +53,7 @@ def bounce() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def layout_of(
     folder: Path, t: np.ndarray, place: np.ndarray, force: np.ndarray, noise: float
-) -> Layout:
+) -> DatasetLayout:
     """One record of a motion and its force, both with noise."""
     rng = np.random.default_rng(3)
     measured = {
@@ -105,7 +105,7 @@ def test_what_smoothing_cuts_off_is_known_up_to_its_own_share(tmp_path: Path) ->
     assert size == pytest.approx(1e-4 * passed * (1.0 - passed), rel=0.01)
 
 
-def link_of(layout: Layout) -> WrenchLink:
+def link_of(layout: DatasetLayout) -> WrenchLink:
     """Contact and sensor on the best path."""
     return make_wrench_link(layout, best_path(layout, None), layout.whole)
 

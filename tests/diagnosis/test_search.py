@@ -15,7 +15,7 @@ from hiltestbed.diagnosis import search
 from hiltestbed.diagnosis.adequacy import Leftover
 from hiltestbed.diagnosis.fit import fit, null_fit
 from hiltestbed.diagnosis.jitter_and_hum import hum_beside, jitter_beside, lines
-from hiltestbed.diagnosis.links import Link, WrenchLink
+from hiltestbed.diagnosis.links import ModelLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects, Lane
 from hiltestbed.diagnosis.rating import rate
 from hiltestbed.diagnosis.residual import Residual, square
@@ -30,7 +30,7 @@ from tests.slow import SLOW
 from .made import NOISE, SCALES, H, bounce, contact_link, effect, link_run, reread, scenario
 
 
-class Along(Link):
+class Along(ModelLink):
     """A link whose output is a vector's components, each on a channel of its own, in units of the
     noise.
     """

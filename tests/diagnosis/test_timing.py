@@ -22,7 +22,7 @@ from hiltestbed.diagnosis.fit import Fit, fit, null_fit
 from hiltestbed.diagnosis.floors import smooth_levels
 from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.links import CompensationLink, DynamicsLink, Timing
-from hiltestbed.diagnosis.links.base import Link, moved
+from hiltestbed.diagnosis.links.base import ModelLink, moved
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.search import Explanation, Search
 from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS
@@ -225,7 +225,7 @@ def test_channels_have_no_row_in_common_beyond_what_one_may_be_off() -> None:
 
 
 def explained(
-    link: Link, *effects: tuple[str, dict[str, Any]], adequate: bool = True
+    link: ModelLink, *effects: tuple[str, dict[str, Any]], adequate: bool = True
 ) -> Explanation:
     """An explanation with these causes."""
     causes = tuple(
@@ -238,7 +238,7 @@ def explained(
 
 
 def test_a_stamp_and_the_instants_of_encoder_and_platform_are_told_from_a_mode() -> None:
-    """A row and 0.22 of a row late, and 0.4 of a tick: together more than a single instant can be."""
+    """A row and 0.22 of a row late, and 0.4 of a tick: more than one instant can be."""
     hidden = effect("platform.mode", frequency=9.3, damping_ratio=0.1)
     link = platform_link([hidden, Timing(delay=1.22 * H, obeyed=0.4 * H)])
     scales = Scales(force=300.0, depth=3e-3, stiffness=1e5, tick=H, noise=0.1, slow=0.03, fast=0.06)
@@ -386,7 +386,7 @@ def test_the_noise_of_poses_between_two_samples_is_judged_by_that_of_the_samples
 def test_a_shift_that_would_have_to_be_larger_than_the_largest_is_none(
     rows: float, stamp: bool
 ) -> None:
-    """Beside a scale, the platform is late by three rows, which no stamp is; or by a part of a row."""
+    """Beside a scale, the platform is late by three rows, which no stamp is; or by part of one."""
     residual = Residual(
         platform_link(
             [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hiltestbed.bench.contacts import RATE, Contact, bounce, grid
+from hiltestbed.bench.contacts import RATE, BenchContact, bounce, grid
 from hiltestbed.bench.identification import interval_coverage
 from hiltestbed.identification.least_squares import RecursiveLeastSquares
 from hiltestbed.identification.methods.hunt_crossley import HuntCrossleyFit
@@ -19,7 +19,7 @@ RESYNCHRONISED = {"kind": "resynchronised"}
 
 
 def _errors(
-    contacts: list[Contact], identification: dict[str, object]
+    contacts: list[BenchContact], identification: dict[str, object]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Relative errors of k and c."""
     estimate = bounce(
@@ -42,14 +42,18 @@ def test_one_contact_tells_k_and_c_over_the_whole_grid(kind: str) -> None:
 
 def test_without_alignment_a_delay_is_a_damping() -> None:
     """c + k (-tau) in place of c: relative error -w tau/(2 zeta), to first order in w tau."""
-    contacts = [Contact(1.0, 0.002, 0.05), Contact(2.0, 0.002, 0.05), Contact(1.0, 0.005, 0.05)]
+    contacts = [
+        BenchContact(1.0, 0.002, 0.05),
+        BenchContact(2.0, 0.002, 0.05),
+        BenchContact(1.0, 0.005, 0.05),
+    ]
     k, c = _errors(contacts, {"kind": "rls_raw"})
     expected = [-x.w * x.delay / (2.0 * x.damping_ratio) for x in contacts]
     assert c == pytest.approx(expected, rel=0.05)
     assert np.abs(k).max() < 0.01
 
 
-def _stiffness_behind_a_lead(contact: Contact, lag: float) -> float:
+def _stiffness_behind_a_lead(contact: BenchContact, lag: float) -> float:
     """Relative error of k by least squares on x and v of a bounce in closed form, its force late
     and led tick by tick.
 
@@ -84,7 +88,7 @@ def test_the_lead_stiffens_the_contact_by_what_it_does_to_a_bounce(
 
     The aligned regression is off by parts of one, in c as well, which the lead shifts by per cents.
     """
-    contacts = [Contact(*contact, seed=i) for i in range(6)]
+    contacts = [BenchContact(*contact, seed=i) for i in range(6)]
     k_lead, c_lead = (np.median(e) for e in _errors(contacts, {"kind": "rls_lead"}))
     k, c = (np.median(e) for e in _errors(contacts, {"kind": "rls"}))
     assert k_lead == pytest.approx(_stiffness_behind_a_lead(contacts[0], 0.0005), rel=0.12)
@@ -115,7 +119,7 @@ def test_a_delay_that_is_not_known_is_found_from_the_touch() -> None:
 
 def test_where_the_force_rises_slowly_the_delay_is_told_to_be_uncertain() -> None:
     """No step at touch: at 1 Hz the force takes 1.6 ms to come out of 5 sigma of 0.2 %."""
-    contact = Contact(1.0, 0.01, 1e-9, delay_knowledge="off")
+    contact = BenchContact(1.0, 0.01, 1e-9, delay_knowledge="off")
     estimate = bounce(
         [contact.scenario(RESYNCHRONISED, {"kind": "rls", "delay": "estimate"})]
     ).loop.identification
@@ -148,7 +152,7 @@ def test_hunt_crossley_finds_its_own_law() -> None:
     k, n, alpha = 3.0e6, 1.5, 0.8
     x, v = _half_sine(400)
     force = np.where(x > 0, k * np.abs(x) ** n * (1.0 + alpha * v), 0.0)
-    scenario = Contact(4.0, 0.0, 0.05, noise=0.0).scenario(
+    scenario = BenchContact(4.0, 0.0, 0.05, noise=0.0).scenario(
         {"kind": "none"}, {"kind": "hunt_crossley"}
     )
     estimator = IDENTIFIERS[scenario.identification.kind].start([scenario])
@@ -171,7 +175,9 @@ def test_instruments_take_out_the_bias_of_a_noisy_pose() -> None:
     noisy = x + 5e-5 * rng.normal(size=x.size), v + 1.25e-3 * rng.normal(size=v.size)
     errors = {}
     for kind in ("rls", "instrumental"):
-        scenario = Contact(4.0, 0.0, 0.05, noise=0.0).scenario({"kind": "none"}, {"kind": kind})
+        scenario = BenchContact(4.0, 0.0, 0.05, noise=0.0).scenario(
+            {"kind": "none"}, {"kind": kind}
+        )
         estimator = IDENTIFIERS[scenario.identification.kind].start([scenario])
         assert isinstance(estimator, InstrumentVariables | RecursiveLeastSquares)
         _feed(estimator, *noisy, force)
@@ -181,7 +187,7 @@ def test_instruments_take_out_the_bias_of_a_noisy_pose() -> None:
 
 
 def test_a_method_in_a_batch_is_the_method_alone_bit_for_bit() -> None:
-    contacts = [Contact(4.0, 0.005, 0.05, seed=i) for i in range(5)]
+    contacts = [BenchContact(4.0, 0.005, 0.05, seed=i) for i in range(5)]
     for kind in ("rls", "rls_lead", "kalman", "hunt_crossley", "instrumental"):
         together = bounce(
             [c.scenario({"kind": "none"}, {"kind": kind}) for c in contacts]

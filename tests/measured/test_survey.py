@@ -9,7 +9,7 @@ import pytest
 
 from hiltestbed.measured.noise import white_noise
 from hiltestbed.measured.record import Record
-from hiltestbed.measured.survey import Contact, Survey, look
+from hiltestbed.measured.survey import ContactSpan, Survey, look
 from hiltestbed.scenario import Scenario, load_scenario
 
 
@@ -27,7 +27,7 @@ def _record(scenario: Scenario, pz: np.ndarray, **forces: np.ndarray) -> Record:
 
 @pytest.mark.parametrize("peak", [200.0, -200.0, None])
 def test_what_pulls_touches_as_well_as_what_pushes(peak: float | None) -> None:
-    contact = Contact(10, 20, peak, 1e-3, None, None if peak is None else abs(peak))
+    contact = ContactSpan(10, 20, peak, 1e-3, None, None if peak is None else abs(peak))
     survey = Survey(0, {}, (contact,), (), 0.0)
     assert survey.touching(40, late=4, least=50.0).sum() == 10 + 2 + 4 + 3
     assert survey.touching(40, late=4, least=500.0).any() == (peak is None)

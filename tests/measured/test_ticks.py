@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.measured.clock import Clock
+from hiltestbed.measured.clock import UsableRows
 from hiltestbed.measured.noise import digits_of, last_digit
 from hiltestbed.measured.reading import read_record
 from hiltestbed.measured.ticks import as_ticks
@@ -28,8 +28,8 @@ def _motion(t: np.ndarray) -> np.ndarray:
     return 0.05 * t + 0.002 * np.sin(20.0 * t) + noise
 
 
-def _read(stamps: np.ndarray, motion: np.ndarray) -> Clock:
-    clock = Clock(stamps, np.arange(len(stamps)), float(np.median(np.diff(stamps))))
+def _read(stamps: np.ndarray, motion: np.ndarray) -> UsableRows:
+    clock = UsableRows(stamps, np.arange(len(stamps)), float(np.median(np.diff(stamps))))
     found, _ = as_ticks(0, [(clock, {"pose_act.pz": motion})], TICK)
     return found[id(clock)]
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.mjcf import Mjcf
+from hiltestbed.platform.facilities.mjcf import MjcfFacility
 from hiltestbed.platform.facilities.serial_arm import SerialArm
 from hiltestbed.platform.facilities.stewart import Stewart
 from hiltestbed.platform.facilities.two_arms import TwoArms
@@ -94,8 +94,8 @@ def arms(command: dict[str, Any] | None = None, share: Any = 0.5, **controller: 
     return TwoArms(TwoArmsSettings.model_validate(given))
 
 
-def own(path) -> Mjcf:
-    return Mjcf(MjcfSettings(kind="mjcf", model=str(path)))
+def own(path) -> MjcfFacility:
+    return MjcfFacility(MjcfSettings(kind="mjcf", model=str(path)))
 
 
 def poses(n: int, reach: float, turn_deg: float, seed: int = 3) -> Array:

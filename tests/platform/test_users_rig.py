@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from hiltestbed.config.models import models_folder
 from hiltestbed.errors import InputError
 from hiltestbed.platform.facilities.facility import MOUNT_HOME, compiled
-from hiltestbed.platform.facilities.mjcf import Mjcf
+from hiltestbed.platform.facilities.mjcf import MjcfFacility
 from hiltestbed.platform.facilities.stand import Stand
 from tests.platform.halls import GANTRY, UPRIGHT, apart, own
 
@@ -20,7 +20,7 @@ B_JOINT = '<joint name="b" axis="0 1 0" range="-1 1"/>'
 
 @pytest.fixture
 def rig(tmp_path):
-    def write(text: str) -> Mjcf:
+    def write(text: str) -> MjcfFacility:
         path = tmp_path / "rig.xml"
         path.write_text(text)
         return own(path)

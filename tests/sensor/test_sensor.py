@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lsim
 
 from hiltestbed.scenario import scenario_from
-from hiltestbed.sensor.sensor import Sensor
+from hiltestbed.sensor.sensor import Sensors
 
 RATE, SUBSTEPS = 1000.0, 4
 
@@ -41,7 +41,7 @@ def scenario(
 def readings(signal, ticks=200, scenarios=None, seed=5):
     """(ticks, n, 6) readings of the wrench `signal(t)` -> (..., 6)."""
     scenarios = scenarios or [scenario()]
-    sensor = Sensor(scenarios, [np.random.default_rng(seed + i) for i in range(len(scenarios))])
+    sensor = Sensors(scenarios, [np.random.default_rng(seed + i) for i in range(len(scenarios))])
     out = np.empty((ticks, len(scenarios), 6))
     rate, substeps = scenarios[0].rate, scenarios[0].substeps
     for k in range(ticks):

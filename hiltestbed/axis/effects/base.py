@@ -14,7 +14,7 @@ AxisKind = Literal["drive", "servo", "damper"]
 
 
 @dataclass(frozen=True)
-class Reach:
+class RecordScale:
     """Orders of magnitude of a record, from which a search takes its starts and bounds.
 
     Attributes:
@@ -58,7 +58,7 @@ class AxisEffect(Departure):
 
     @classmethod
     @placeholder
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         """The parts of the effect that a diagnosis searches: free parameters, bounds and starting
         points, scaled to the data. A part of which another one makes sense only with it names that
         in ``needs``.

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from hiltestbed.axis import law
-from hiltestbed.axis.effects.base import DamperEffect, Reach
+from hiltestbed.axis.effects.base import DamperEffect, RecordScale
 from hiltestbed.effects.base import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
@@ -24,11 +24,11 @@ class DamperStiffness(DamperEffect):
     equation = "k -> factor k"
     reference = "Hooke"
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.SPRING] *= self.factor
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         if reach.stiffness:
             yield candidate(cls, {"factor": [0.0, 1.0]})
 
@@ -42,11 +42,11 @@ class DamperDamping(DamperEffect):
     equation = "c -> factor c"
     reference = "viscous damper"
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[[law.VISCOUS, law.VISCOUS_BACK, law.BEYOND, law.BEYOND_BACK]] *= self.factor
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         if reach.damping:
             yield candidate(cls, {"factor": [0.1, 1.0]})
 
@@ -69,11 +69,11 @@ class DamperFriction(DamperEffect):
     repeats = True
     parallel = True
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.add(p.sliders, (self.force, self.stiffness, 0.0))
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         f, x = reach.force, reach.travel
         yield candidate(
             cls,
@@ -99,11 +99,11 @@ class DamperBoucWen(DamperEffect):
     repeats = True
     parallel = True
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.add(p.sliders, (self.force, self.stiffness, self.exponent))
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         f, x = reach.force, reach.travel
         yield candidate(
             cls,
@@ -122,11 +122,11 @@ class DamperPlay(DamperEffect):
     equation = "the spring of a slider is bent by what exceeds width/2 to either side"
     reference = "backlash of a joint"
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.PLAY] += self.width
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         x = reach.travel
         yield candidate(
             cls,
@@ -151,11 +151,11 @@ class DamperRelaxation(DamperEffect):
     repeats = True
     parallel = True
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.add(p.branches, (self.stiffness, self.time_constant))
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         k = reach.force / reach.travel
         slow = reach.travel / max(reach.speed, 1e-12)
         yield candidate(
@@ -184,13 +184,13 @@ class DamperViscous(DamperEffect):
     reference = "viscous damper"
     resembles = ("contact.damping", "contact.dry_friction")
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[[law.VISCOUS, law.VISCOUS_BACK]] += self.damping
         if self.exponent is not None:
             p.numbers[law.POWER] = self.exponent
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         if not reach.damping:
             c = reach.force / max(reach.speed, 1e-12)
             yield candidate(cls, {"damping": [0.0]}, bounds={"damping": (0.0, 50.0 * c)})
@@ -208,11 +208,11 @@ class DamperRebound(DamperEffect):
     equation = "c -> factor c where v < 0"
     reference = "J. C. Dixon, The Shock Absorber Handbook, 2007"
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[[law.VISCOUS_BACK, law.BEYOND_BACK]] *= self.factor
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         yield candidate(cls, {"factor": [1.0]})
 
 
@@ -232,7 +232,7 @@ class DamperKnee(DamperEffect):
     equation = "F = c v up to the speed, slope c after it"
     reference = "J. C. Dixon, The Shock Absorber Handbook, 2007"
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         n = p.numbers
         n[law.KNEE], n[law.BEYOND] = self.speed, self.slope * n[law.VISCOUS]
         n[law.KNEE_BACK] = self.speed if self.rebound_speed is None else self.rebound_speed
@@ -240,7 +240,7 @@ class DamperKnee(DamperEffect):
         n[law.BEYOND_BACK] = slope * n[law.VISCOUS_BACK]
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         v = reach.speed
         speeds, ends = [q * v for q in (0.05, 0.15, 0.3, 0.6)], (SLOWEST_KNEE * v, v)
         yield candidate(cls, {"speed": speeds, "slope": [0.3]}, bounds={"speed": ends})
@@ -262,11 +262,11 @@ class DamperPreload(DamperEffect):
     reference = "gas pressure times the rod's cross-section"
     resembles = ("sensor.bias",)
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.OFFSET] += self.force
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         yield candidate(
             cls, {"force": [0.0]}, bounds={"force": (-2.0 * reach.force, 2.0 * reach.force)}
         )
@@ -283,12 +283,12 @@ class DamperSpring(DamperEffect):
     resembles = ("contact.stiffness",)
     excludes = ("contact.stiffness",)
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.SPRING] += self.stiffness
         p.numbers[law.REST] = 0.0
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         if not reach.stiffness:
             k = 10.0 * reach.force / reach.travel
             yield candidate(cls, {"stiffness": [0.0]}, bounds={"stiffness": (-k, k)})
@@ -304,11 +304,11 @@ class DamperOilLag(DamperEffect):
     reference = "bulk modulus of the oil column in series with the valve"
     resembles = ("contact.relaxation",)
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.LAG] += self.time_constant
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         slow = reach.travel / max(reach.speed, 1e-12)
         yield candidate(
             cls,
@@ -327,10 +327,10 @@ class DamperDrift(DamperEffect):
     equation = "F += rate t"
     reference = "charge-amplifier leakage current, or a gas that warms up"
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.RAMP] += self.rate
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         most = 0.5 * reach.force / reach.duration
         yield candidate(cls, {"rate": [0.0]}, bounds={"rate": (-most, most)})

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from hiltestbed.axis import law
-from hiltestbed.axis.effects.base import DamperEffect, DriveEffect, Reach
+from hiltestbed.axis.effects.base import DamperEffect, DriveEffect, RecordScale
 from hiltestbed.effects.base import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
@@ -30,11 +30,11 @@ class AxisMass(DriveEffect):
     resembles = ("dynamics.gain",)
     same = ("dynamics.gain",)
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.MASS] *= self.factor
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         yield candidate(cls, {"factor": FACTORS})
 
 
@@ -50,11 +50,11 @@ class AxisGain(DriveEffect):
     reference = "torque constant of a motor with its gear"
     resembles = ("dynamics.mass",)
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.GAIN] *= self.factor
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         # where nothing resists nominally, it is a factor on mass and resistance together
         if reach.resists:
             yield candidate(cls, {"factor": FACTORS})
@@ -69,10 +69,10 @@ class AxisMovedMass(DamperEffect):
     equation = "F += mass x''"
     reference = "Newton"
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.MASS] += self.mass
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         most = INERTIA * reach.force / max(reach.acceleration, 1e-12)
         yield candidate(cls, {"mass": [0.1 * most]}, bounds={"mass": (0.0, most)})

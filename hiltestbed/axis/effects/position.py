@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from hiltestbed.axis import law
-from hiltestbed.axis.effects.base import DriveEffect, Reach
+from hiltestbed.axis.effects.base import DriveEffect, RecordScale
 from hiltestbed.axis.effects.resistance import PHASES, PITCHES
 from hiltestbed.effects.base import quantity
 from hiltestbed.effects.search import Candidate, candidate
@@ -24,12 +24,12 @@ class AxisGravity(DriveEffect):
     reference = "m g l of a rigid load"
     resembles = ("dynamics.spring",)
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.GRAVITY_SIN] += self.sine
         p.numbers[law.GRAVITY_COS] += self.cosine
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         if reach.rotates:
             most = 2.0 * reach.force
             yield candidate(
@@ -50,12 +50,12 @@ class AxisSpring(DriveEffect):
     reference = "Hooke"
     resembles = ("dynamics.gravity",)
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.SPRING] += self.stiffness
         p.numbers[law.REST] = self.rest
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         most = 10.0 * reach.force / reach.travel
         yield candidate(cls, {"stiffness": [0.0]}, bounds={"stiffness": (-most, most)}, rest=0.0)
 
@@ -71,11 +71,11 @@ class AxisCogging(DriveEffect):
     equation = "R += amplitude sin(2 pi x/pitch + phase)"
     reference = "first harmonic of a cogging force"
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[[law.COG, law.COG_PITCH, law.COG_PHASE]] = self.amplitude, self.pitch, self.phase
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         yield candidate(
             cls,
             {

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from hiltestbed.axis import law
-from hiltestbed.axis.effects.base import AxisEffect, DriveEffect, Reach
+from hiltestbed.axis.effects.base import AxisEffect, DriveEffect, RecordScale
 from hiltestbed.effects.base import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
@@ -59,7 +59,7 @@ class AxisForce(DriveEffect):
         "M. Gautier, M. Brunot, 2019"
     )
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         n = p.numbers
         n[law.VISCOUS] += self.viscous * (1.0 - self.viscous_asymmetry)
         n[law.VISCOUS_BACK] += self.viscous * (1.0 + self.viscous_asymmetry)
@@ -70,7 +70,7 @@ class AxisForce(DriveEffect):
             n[law.RISE], n[law.STRIBECK] = max(self.static - self.coulomb, 0.0), self.stribeck_speed
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         f, v = reach.force, max(reach.speed, 1e-12)
         yield candidate(cls, {"viscous": [0.05 * f / v]}, bounds={"viscous": (0.0, 10.0 * f / v)})
         yield candidate(cls, {"coulomb": [0.05 * f]}, bounds={"coulomb": (0.0, f)})
@@ -105,11 +105,11 @@ class AxisLoadFriction(DriveEffect):
     reference = "M. Duclusaud and others, Extended Friction Models for Servo Actuators, 2024"
     resembles = ("dynamics.gain", "dynamics.mass")
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.LOAD] += self.coefficient
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         yield candidate(cls, {"coefficient": [0.05]})
 
 
@@ -124,11 +124,11 @@ class AxisFrictionWave(DriveEffect):
     equation = "coulomb -> coulomb (1 + share sin(2 pi x/pitch + phase))"
     reference = "first harmonic of a friction that depends on the position"
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[[law.WAVE, law.WAVE_PITCH, law.WAVE_PHASE]] = self.share, self.pitch, self.phase
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         yield candidate(
             cls,
             {"share": [0.2], "pitch": [q * reach.travel for q in PITCHES], "phase": PHASES},
@@ -148,10 +148,10 @@ class AxisFade(AxisEffect):
     equation = "dissipative forces -> (1 + rate t) times themselves"
     reference = "first order in time"
 
-    def apply(self, p: law.Law) -> None:
+    def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.FADE] += self.rate
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         most = FADES / reach.duration
         yield candidate(cls, {"rate": [0.0]}, bounds={"rate": (-most, most)})

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any, Literal
 
 from hiltestbed.axis import servo
-from hiltestbed.axis.effects.base import Reach, ServoEffect
+from hiltestbed.axis.effects.base import RecordScale, ServoEffect
 from hiltestbed.effects.base import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
@@ -17,12 +17,12 @@ BANDWIDTHS = (0.3, 0.8, 2.0, 5.0, 12.0, 30.0, 80.0, 200.0)
 MOST_PHASE = 2.0  # [rad] of a response over a row: a faster one is not resolved
 
 
-def bandwidths(reach: Reach) -> list[float]:
+def bandwidths(reach: RecordScale) -> list[float]:
     """[Hz] that the rows of a record resolve."""
     return [f for f in BANDWIDTHS if 2.0 * math.pi * f * reach.tick < MOST_PHASE]
 
 
-def _fastest(reach: Reach) -> float:
+def _fastest(reach: RecordScale) -> float:
     return MOST_PHASE / (2.0 * math.pi * reach.tick)
 
 
@@ -40,7 +40,7 @@ class ServoDelay(ServoEffect):
         p[servo.DELAY] += self.delay
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         h = reach.tick
         most = max(40.0 * h, 0.5)
         starts = [h * n for n in (1.0, 2.0, 4.0, 8.0, 16.0, 32.0) if h * n < most]
@@ -96,7 +96,7 @@ class ServoDrive(ServoEffect):
             p[servo.INTEGRAL] = self.integral_time
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         found, x = bandwidths(reach), reach.travel
         if not found:
             return
@@ -149,7 +149,7 @@ class ServoPoles(ServoEffect):
         p[servo.POLE], p[servo.SECOND_POLE] = self.first, self.second
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         times = [1.0 / (2.0 * math.pi * f) for f in bandwidths(reach)]
         if not times:
             return
@@ -177,7 +177,7 @@ class ServoPlay(ServoEffect):
         p[servo.PLAY] += self.width
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         x = reach.travel
         yield candidate(
             cls, {"width": [0.003 * x, 0.01 * x, 0.05 * x]}, bounds={"width": (0.0, 0.5 * x)}
@@ -197,7 +197,7 @@ class ServoScale(ServoEffect):
         p[servo.SCALE] *= self.factor
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         yield candidate(cls, {"factor": [1.0]})
 
 
@@ -217,7 +217,7 @@ class ServoOffset(ServoEffect):
         p[servo.OFFSET] += self.offset
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         x = reach.travel
         yield candidate(cls, {"offset": [0.0]}, bounds={"offset": (-x, x)})
 
@@ -236,7 +236,7 @@ class ServoSpeedLimit(ServoEffect):
         p[servo.SPEED] = min(p[servo.SPEED], self.speed)
 
     @classmethod
-    def parts(cls, reach: Reach) -> Iterator[Candidate]:
+    def parts(cls, reach: RecordScale) -> Iterator[Candidate]:
         v = reach.speed
         yield candidate(
             cls, {"speed": [0.9 * v, 0.5 * v, 0.2 * v]}, bounds={"speed": (1e-3 * v, 1.5 * v)}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from hiltestbed.bench.contacts import ARM, Contact
+from hiltestbed.bench.contacts import ARM, BenchContact
 from hiltestbed.bench.contenders import CONTENDERS, Contender
 from hiltestbed.bench.hildock.problem import MASS, SPEED, START, TICK
 from hiltestbed.compensation.blocks import make_drive
@@ -26,7 +26,7 @@ NEAR = 4  # [ticks] to either side in which a later fit searches
 GROWTH = 1.25  # samples of contact until the next fit, over those until the last
 AXIAL = 2
 # a scenario needs a contact, which no method for a first contact reads
-UNREAD = Contact(1.0, 0.01, 0.05)
+UNREAD = BenchContact(1.0, 0.01, 0.05)
 
 
 class Uncompensated:
@@ -50,7 +50,7 @@ class Uncompensated:
         return None
 
 
-class PhaseLead(Uncompensated):
+class PhaseLeadEntrant(Uncompensated):
     """(T1 s + 1)/(T2 s + 1), T1 = delay + T2, by backward differences (C. Qi et al., J. Intell.
     Robot. Syst. 2016).
     """
@@ -88,7 +88,7 @@ class Extrapolation(Uncompensated):
         return 3.0 * force - 3.0 * one + two
 
 
-class Resynchronised:
+class ResynchronisedEntrant:
     """A delayed copy of the model, driven by the force as what it is, and a prediction over the
     delay with k and c identified from force and position of the same instant.
     """
@@ -154,7 +154,7 @@ def advance(x: float, v: float, force: float, h: float) -> tuple[float, float]:
     return x + h * v, v
 
 
-class TouchFitted(Resynchronised):
+class TouchFitted(ResynchronisedEntrant):
     """The prediction, run again from the start whenever the delay, a third unknown beside k and c,
     is fitted anew.
 
@@ -268,7 +268,7 @@ class Shipped:
             "approach.gap": -START,
             "duration": (ticks + 1) * TICK,
         }
-        contact = Contact(1.0, delay, 0.05, changes=changes)
+        contact = BenchContact(1.0, delay, 0.05, changes=changes)
         runs = [contact.scenario(self._contender.force(UNREAD))]
         model = NumericalModel(runs)
         self._drive = make_drive(runs, model)
@@ -301,4 +301,4 @@ def shipped() -> list[Shipped]:
     return [Shipped(c) for c in CONTENDERS if c.contact == "first" and c.name != "dead_zone"]
 
 
-METHODS = (Uncompensated, PhaseLead, Extrapolation, Resynchronised)
+METHODS = (Uncompensated, PhaseLeadEntrant, Extrapolation, ResynchronisedEntrant)

@@ -3,8 +3,8 @@ model beside each.
 """
 
 from hiltestbed.bench.real import dampers, drives, servos
-from hiltestbed.bench.real.device import Device, Record
+from hiltestbed.bench.real.device import AxisRecord, Device
 
 DEVICES: tuple[Device, ...] = (*drives.DEVICES, *servos.DEVICES, *dampers.DEVICES)
 
-__all__ = ["DEVICES", "Device", "Record"]
+__all__ = ["DEVICES", "AxisRecord", "Device"]

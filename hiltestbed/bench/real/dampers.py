@@ -16,7 +16,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hiltestbed.bench.real import experts
-from hiltestbed.bench.real.device import Array, Device, Predictor, Record, files, split
+from hiltestbed.bench.real.device import Array, AxisRecord, Device, Predictor, files, split
 
 # `nominal` of each: k x + c v by least squares over the first record to fit
 UNITS = ("m", "N")
@@ -27,24 +27,24 @@ INCH = 0.0254  # m, exact
 KIP = 4448.2216  # N, 1000 lbf
 
 
-def _brake_record(data: Path, file: str, name: str) -> Record:
+def _brake_record(data: Path, file: str, name: str) -> AxisRecord:
     path = data / "friction_damper" / f"{file}.json"
     t, x, force = np.array(json.loads(path.read_text())["data"], dtype=float)[:, :3].T
-    return Record(name, t - t[0], x * INCH, force * KIP)
+    return AxisRecord(name, t - t[0], x * INCH, force * KIP)
 
 
-def _halves(data: Path, tension: str) -> list[Record]:
+def _halves(data: Path, tension: str) -> list[AxisRecord]:
     runs = [_brake_record(data, f"{f}{tension}tension", f) for f in ("0.5Hz", "1Hz")]
     return [part for run in runs for part in split(run, f"{run.name}_a", f"{run.name}_b")]
 
 
-def _earthquakes(data: Path) -> list[Record]:
+def _earthquakes(data: Path) -> list[AxisRecord]:
     sines = {f: f"{f}36lbtension1amplitude" for f in ("0.5Hz", "1Hz")}
     quakes = {quake: quake for quake in ("KocaeliDBE", "ImperialValleyDBE")}
     return [_brake_record(data, file, name) for name, file in (sines | quakes).items()]
 
 
-def _brake_expert(records: Sequence[Record]) -> Predictor:
+def _brake_expert(records: Sequence[AxisRecord]) -> Predictor:
     """One slider behind a spring with play; beside it a dashpot, a spring and an offset.
 
     Six numbers, from several starts of stiffness and play. A record that starts below a twentieth
@@ -54,7 +54,7 @@ def _brake_expert(records: Sequence[Record]) -> Predictor:
     force = np.concatenate([r.y for r in records])
     idle = 0.05 * np.max(np.abs(force))
 
-    def model(p: Array, record: Record) -> Array:
+    def model(p: Array, record: AxisRecord) -> Array:
         stiffness, limit, play, damping, spring, offset = p
         speed, _ = experts.derivatives(record, 0.02, "u")
         first = record.y[0] - offset if abs(record.y[0]) > idle else 0.0
@@ -112,15 +112,15 @@ MR_LEFT_OUT = ("25mm0x1Hz", "25mm0x5Hz", "2mm5Hz")
 CENTIMETRE = 0.01  # m
 
 
-def _mr_records(data: Path, current: str) -> list[Record]:
+def _mr_records(data: Path, current: str) -> list[AxisRecord]:
     found = []
     for run in MR_FIT + MR_LEFT_OUT:
         t, x, _, force = np.loadtxt(data / "mr_damper" / f"{run}{current}.txt").T
-        found.append(Record(run, t - t[0], x * CENTIMETRE, force))
+        found.append(AxisRecord(run, t - t[0], x * CENTIMETRE, force))
     return found
 
 
-def _mr_expert(records: Sequence[Record]) -> Predictor:
+def _mr_expert(records: Sequence[AxisRecord]) -> Predictor:
     """Modified Bouc-Wen, seven numbers for all amplitudes."""
     peak = float(np.mean([np.quantile(np.abs(r.y), 0.95) for r in records]))
     starts = [[0.8 * peak, reach, 2.0, 2.0 * peak, 50 * peak, 0.0, 0.0] for reach in (2e-4, 1e-3)]
@@ -151,7 +151,7 @@ def _mr(current: str, stiffness: float, damping: float) -> Device:
 MILLIMETRE = 1e-3  # m
 
 
-def _dyno_record(data: Path, log: str, name: str) -> Record:
+def _dyno_record(data: Path, log: str, name: str) -> AxisRecord:
     """The load cell's sign is the opposite of the yoke's: the displacement is turned about."""
     with (data / "dyno_damper" / f"{log}_n10_100psi.csv").open(newline="") as file:
         rows = list(csv.reader(file))[1:]
@@ -159,19 +159,19 @@ def _dyno_record(data: Path, log: str, name: str) -> Record:
     t = np.array([(stamp - stamps[0]).total_seconds() for stamp in stamps])
     force, x = (np.array([float(row[column]) for row in rows]) for column in (2, 4))
     sign = -1.0 if np.mean(np.gradient(x) * force) < 0 else 1.0
-    return Record(name, t, sign * (x - x.mean()) * MILLIMETRE, force)
+    return AxisRecord(name, t, sign * (x - x.mean()) * MILLIMETRE, force)
 
 
-def _open_records(data: Path) -> list[Record]:
+def _open_records(data: Path) -> list[AxisRecord]:
     slow = _dyno_record(data, "t1_1_1_18_18_s1", "slow")
     fast = _dyno_record(data, "t1_1_1_18_18_s6", "fast")
     return [*split(slow, "slow_a", "slow_b"), *split(fast, "fast_a", "fast_b")]
 
 
-def _dyno_expert(records: Sequence[Record]) -> Predictor:
+def _dyno_expert(records: Sequence[AxisRecord]) -> Predictor:
     """A valve with a knee and a slope of its own each way, gas preload, gas spring, oil's lag."""
 
-    def model(p: Array, record: Record) -> Array:
+    def model(p: Array, record: AxisRecord) -> Array:
         preload, spring, tau, knee, *slopes = p
         speed, _ = experts.derivatives(record, 0.05, "u")
         shape = np.tanh(speed / abs(knee))

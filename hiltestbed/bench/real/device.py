@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Predictor = Callable[["Record"], Array]
+Predictor = Callable[["AxisRecord"], Array]
 
 
-class Record(NamedTuple):
+class AxisRecord(NamedTuple):
     """One run of one axis: times [s], recorded input and output in SI units, each of shape (N,)."""
 
     name: str
@@ -48,8 +48,8 @@ class Device:
     units: tuple[str, str]
     fit: tuple[str, ...]
     left_out: tuple[str, ...]
-    records: Callable[[Path], list[Record]]
-    expert: Callable[[Sequence[Record]], Predictor]
+    records: Callable[[Path], list[AxisRecord]]
+    expert: Callable[[Sequence[AxisRecord]], Predictor]
     nominal: Mapping[str, float] = field(default_factory=dict)
     published: Mapping[str, float] = field(default_factory=dict)
 
@@ -72,16 +72,16 @@ def _is(path: Path, sha256: str) -> bool:
     return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == sha256
 
 
-def split(record: Record, *names: str) -> list[Record]:
+def split(record: AxisRecord, *names: str) -> list[AxisRecord]:
     """The record cut into parts of equal numbers of rows, one a name; each starts at t = 0."""
     rows = np.array_split(np.arange(record.t.size), len(names))
     parts = zip(names, rows, strict=True)
-    return [Record(n, record.t[i] - record.t[i[0]], record.u[i], record.y[i]) for n, i in parts]
+    return [AxisRecord(n, record.t[i] - record.t[i[0]], record.u[i], record.y[i]) for n, i in parts]
 
 
-def evenly(record: Record, period: float) -> Record:
+def evenly(record: AxisRecord, period: float) -> AxisRecord:
     """The record on an even grid [s], linear between its rows."""
     t = np.arange(record.t[0], record.t[-1], period)
-    return Record(
+    return AxisRecord(
         record.name, t - t[0], np.interp(t, record.t, record.u), np.interp(t, record.t, record.y)
     )

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.io
 
 from hiltestbed.bench.real import experts
-from hiltestbed.bench.real.device import Array, Device, Predictor, Record, evenly, files, split
+from hiltestbed.bench.real.device import Array, AxisRecord, Device, Predictor, evenly, files, split
 
 # --- EMPS
 
@@ -23,20 +23,20 @@ KP = 160.18
 EMPS = {"mass": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset": -3.1648}
 
 
-def _emps_records(data: Path, loop: bool) -> list[Record]:
+def _emps_records(data: Path, loop: bool) -> list[AxisRecord]:
     found = []
     for name, file in (("steps", "DATA_EMPS.mat"), ("pulses", "DATA_EMPS_PULSES.mat")):
         table = scipy.io.loadmat(data / "emps" / file)
         keys = ("t", "vir", "qm", "qg", "gtau")
         t, vir, qm, qg, gtau = (table[key].ravel().astype(float) for key in keys)
-        found.append(Record(name, t - t[0], qg if loop else gtau * vir, qm))
+        found.append(AxisRecord(name, t - t[0], qg if loop else gtau * vir, qm))
     return [found[0], *split(found[1], "pulses_a", "pulses_b")]
 
 
-def _emps_expert(records: Sequence[Record]) -> Predictor:
+def _emps_expert(records: Sequence[AxisRecord]) -> Predictor:
     """Mass, viscous and dry friction each way: by regression first, then by the simulated path."""
 
-    def model(p: Array, record: Record) -> Array:
+    def model(p: Array, record: AxisRecord) -> Array:
         return experts.drive(p, record, window=0.01)
 
     return experts.best_of(
@@ -59,7 +59,7 @@ def _loop(p: Array, t: Array, u: Array, start: float) -> Array:
     return y
 
 
-def _loop_expert(records: Sequence[Record]) -> Predictor:
+def _loop_expert(records: Sequence[AxisRecord]) -> Predictor:
     """q'' = a (kp (reference - q) - q') - b q' - c sign q', kp of the position loop known."""
     # kv gtau / mass, viscous / mass and coulomb / mass of the published values
     start = [243.45 * 35.15 / 95.1, 2.1, 0.18, 0.25]
@@ -103,20 +103,20 @@ UR10E = {
 }
 
 
-def _ur10e_records(data: Path, joint: int) -> list[Record]:
+def _ur10e_records(data: Path, joint: int) -> list[AxisRecord]:
     table = np.loadtxt(data / "ur10e" / f"ur-20_01_22-joint_{joint}.csv", delimiter=",")
     t = table[:, 0] - table[0, 0]
     begin, end = SPANS[joint]
     rows = (t >= begin) & (t <= end)
     # columns: time, six angles, six speeds, six currents, six currents expected
-    whole = Record("whole", t[rows], table[rows, 12 + joint], table[rows, joint])
+    whole = AxisRecord("whole", t[rows], table[rows, 12 + joint], table[rows, joint])
     return split(evenly(whole, PERIOD), *PARTS)
 
 
-def _ur10e_expert(records: Sequence[Record]) -> Predictor:
+def _ur10e_expert(records: Sequence[AxisRecord]) -> Predictor:
     """Inertia per gain, viscous and dry friction: regression, then the simulated path."""
 
-    def model(p: Array, record: Record) -> Array:
+    def model(p: Array, record: AxisRecord) -> Array:
         return experts.drive(p, record, window=0.1)
 
     start = experts.drive_regression(records, window=0.3, slow=0.02)
@@ -149,19 +149,19 @@ def _ur10e(joint: int) -> Device:
 STEPS = ("neg_0.04", "neg_0.045", "pos_0.06", "pos_0.065")
 
 
-def _hsm150_records(data: Path) -> list[Record]:
+def _hsm150_records(data: Path) -> list[AxisRecord]:
     found = []
     for run in (f"{step}_{number}" for number in (1, 2, 3) for step in STEPS):
         table = scipy.io.loadmat(data / "hsm150" / f"idf_{run}.mat")["data"]
         t, _, y, _, u = table[:, :5].astype(float).T
-        found.append(Record(run, t - t[0], np.ascontiguousarray(u), np.ascontiguousarray(y)))
+        found.append(AxisRecord(run, t - t[0], np.ascontiguousarray(u), np.ascontiguousarray(y)))
     return found
 
 
-def _hsm150_expert(records: Sequence[Record]) -> Predictor:
+def _hsm150_expert(records: Sequence[AxisRecord]) -> Predictor:
     """Inertia, viscous and dry friction each way, by the simulated path."""
 
-    def model(p: Array, record: Record) -> Array:
+    def model(p: Array, record: AxisRecord) -> Array:
         return experts.drive(np.abs(p), record, window=0.0)
 
     # the catalogue's inertia 1.2e-4 kg m^2; friction from the speeds of the two levels of a run

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
-from hiltestbed.bench.real.device import Array, Predictor, Record
+from hiltestbed.bench.real.device import Array, AxisRecord, Predictor
 
 
 def fitted(
-    model: Callable[[Array, Record], Array],
-    records: Sequence[Record],
+    model: Callable[[Array, AxisRecord], Array],
+    records: Sequence[AxisRecord],
     start: Sequence[float] | Array,
     bounds: tuple[Sequence[float] | float, Sequence[float] | float] = (-np.inf, np.inf),
 ) -> Array:
@@ -39,8 +39,8 @@ def fitted(
 
 
 def best_of(
-    model: Callable[[Array, Record], Array],
-    records: Sequence[Record],
+    model: Callable[[Array, AxisRecord], Array],
+    records: Sequence[AxisRecord],
     starts: Sequence[Sequence[float] | Array],
     bounds: tuple[Sequence[float], Sequence[float]] | None = None,
     also: Sequence[Array] = (),
@@ -57,7 +57,7 @@ def best_of(
     return lambda record: model(p, record)
 
 
-def derivatives(record: Record, window: float, column: str = "y") -> tuple[Array, Array]:
+def derivatives(record: AxisRecord, window: float, column: str = "y") -> tuple[Array, Array]:
     """First and second derivative of a column, by a cubic over a window [s] of even rows."""
     period = float(np.median(np.diff(record.t)))
     length = max(5, 2 * int(window / period / 2) + 1)
@@ -67,7 +67,7 @@ def derivatives(record: Record, window: float, column: str = "y") -> tuple[Array
     return first, second
 
 
-def initial_speed(record: Record, window: float) -> float:
+def initial_speed(record: AxisRecord, window: float) -> float:
     """Slope of a straight line through the output of the first `window` seconds; 0 without rows."""
     rows = record.t - record.t[0] <= window
     if np.count_nonzero(rows) < 2:
@@ -91,7 +91,7 @@ def _drive(p: Array, t: Array, u: Array, start: float, speed: float, steps: int)
     return y
 
 
-def drive(p: Array, record: Record, window: float, steps: int = 1) -> Array:
+def drive(p: Array, record: AxisRecord, window: float, steps: int = 1) -> Array:
     """Position of q'' = a u - b q' - c sign q' - d sin q - e cos q, all per inertia, from the
     input alone.
 
@@ -105,7 +105,7 @@ def drive(p: Array, record: Record, window: float, steps: int = 1) -> Array:
 
 
 def drive_regression(
-    records: Sequence[Record], window: float, slow: float, gravity: bool = False
+    records: Sequence[AxisRecord], window: float, slow: float, gravity: bool = False
 ) -> Array:
     """The parameters of `drive` by linear least squares (inverse dynamics, rows faster than
     `slow`).
@@ -149,7 +149,7 @@ def _servo(p: Array, t: Array, u: Array, start: float, steps: int) -> Array:
     return y
 
 
-def servo(p: Array, record: Record, steps: int = 10) -> Array:
+def servo(p: Array, record: AxisRecord, steps: int = 10) -> Array:
     """Position reached: the command, held between rows, delayed, through a second order with a
     limited speed and a play.
 
@@ -203,7 +203,7 @@ def _bouc_wen(p: Array, t: Array, u: Array, steps: int) -> Array:
     return force
 
 
-def bouc_wen(p: Array, record: Record, steps: int = 4) -> Array:
+def bouc_wen(p: Array, record: AxisRecord, steps: int = 4) -> Array:
     """Force of the modified Bouc-Wen damper at the recorded displacement.
 
     `p` = (force of the hysteretic element [N], its reach [m], exponent, damping beside it,

@@ -15,7 +15,7 @@ import numpy as np
 from hiltestbed.axis.diagnose import diagnosed
 from hiltestbed.axis.models import AxisRun, model_of
 from hiltestbed.bench.real import DEVICES
-from hiltestbed.bench.real.device import Array, Device, Record
+from hiltestbed.bench.real.device import Array, AxisRecord, Device
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.errors import InputError
 from hiltestbed.report.page import Report, new_figure
@@ -155,7 +155,7 @@ def measured(device: Device, data: Path) -> tuple[dict[str, Any], Figure]:
     return record, picture(out[0], nominal[0], shown[0], product[0], device.units[1])
 
 
-def as_run(r: Record) -> AxisRun:
+def as_run(r: AxisRecord) -> AxisRun:
     """A record as the axis takes it."""
     return AxisRun(r.name, r.t, r.u, r.y)
 
@@ -170,7 +170,7 @@ def geometric(values: Sequence[float]) -> float:
     return math.exp(float(np.mean(np.log(np.maximum(values, 1e-300)))))
 
 
-def picture(r: Record, nominal: Array, expert: Array, product: Array, unit: str) -> Figure:
+def picture(r: AxisRecord, nominal: Array, expert: Array, product: Array, unit: str) -> Figure:
     """A left-out record, and below what nominal, expert and product leave of it."""
     rows = slice(0, min(len(r.t), SHOWN))
     figure, (top, below) = new_figure(9.0, 4.2, nrows=2, ncols=1)

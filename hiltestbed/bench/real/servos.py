@@ -16,22 +16,22 @@ import numpy as np
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from hiltestbed.bench.real import experts
-from hiltestbed.bench.real.device import Array, Device, Predictor, Record, evenly, files, split
+from hiltestbed.bench.real.device import Array, AxisRecord, Device, Predictor, evenly, files, split
 
 
-def _offset(records: Sequence[Record]) -> float:
+def _offset(records: Sequence[AxisRecord]) -> float:
     return float(np.mean([np.mean(r.y - r.u) for r in records]))
 
 
 def _with_unit_gain(
-    records: Sequence[Record],
+    records: Sequence[AxisRecord],
     starts: Sequence[Sequence[float]],
     bounds: tuple[Sequence[float], Sequence[float]],
     steps: int,
 ) -> Predictor:
     """Second order with delay, play, speed limit and offset: six numbers, from several starts."""
 
-    def model(p: Array, record: Record) -> Array:
+    def model(p: Array, record: AxisRecord) -> Array:
         return experts.servo(np.append(p, 1.0), record, steps)
 
     return experts.best_of(model, records, starts, bounds)
@@ -50,18 +50,18 @@ def _so101_column(path: Path, joint: int) -> tuple[Array, Array]:
     return t, np.array([json.loads(row["positions"])[joint] for row in rows])
 
 
-def _so101_records(data: Path, joint: int) -> list[Record]:
+def _so101_records(data: Path, joint: int) -> list[AxisRecord]:
     found = []
     for motion in MOTIONS:
         folder = data / "so101_servo" / motion
         sent, u = _so101_column(folder / "control.csv", joint)
         t, y = _so101_column(folder / "state_motor.csv", joint)
         held = np.clip(np.searchsorted(sent, t, side="right") - 1, 0, sent.size - 1)
-        found.append(Record(motion, t - t[0], u[held], y))
+        found.append(AxisRecord(motion, t - t[0], u[held], y))
     return found
 
 
-def _so101_expert(records: Sequence[Record]) -> Predictor:
+def _so101_expert(records: Sequence[AxisRecord]) -> Predictor:
     offset = _offset(records)
     bounds = ([1.0, 0.05, 0.0, 0.0, 0.2, -0.3], [200.0, 5.0, 0.2, 0.3, 20.0, 0.3])
     starts = [[w, 0.7, 0.02, 0.02, 1.6, offset] for w in (12.0, 22.0, 40.0)]
@@ -89,7 +89,7 @@ def _so101(joint: int, name: str, title: str) -> Device:
 COUNT = 2 * np.pi / 4096  # rad, 12 bits a turn
 
 
-def _sts3215_record(data: Path, log: str, motor: int, name: str) -> Record:
+def _sts3215_record(data: Path, log: str, motor: int, name: str) -> AxisRecord:
     with (data / "sts3215" / f"motor_telemetry_{log}.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row[f"pos ({motor})"]]
     stamps = [datetime.fromisoformat(row["timestamp"].replace("Z", "+00:00")) for row in rows]
@@ -98,10 +98,10 @@ def _sts3215_record(data: Path, log: str, motor: int, name: str) -> Record:
         np.array([float(row[f"{column} ({motor})"]) for row in rows]) * COUNT
         for column in ("pos", "target pos")
     )
-    return Record(name, t, u, y)
+    return AxisRecord(name, t, u, y)
 
 
-def _sts3215_expert(records: Sequence[Record]) -> Predictor:
+def _sts3215_expert(records: Sequence[AxisRecord]) -> Predictor:
     offset = _offset(records)
     bounds = ([2.0, 0.2, 0.0, 0.0, 0.1, -0.1], [60.0, 3.0, 0.3, 0.1, 10.0, 0.1])
     starts = [
@@ -160,7 +160,7 @@ CAMBER = {
 }  # fmt: skip
 
 
-def _camber_records(data: Path, actuator: str) -> list[Record]:
+def _camber_records(data: Path, actuator: str) -> list[AxisRecord]:
     prefix, runs, scale = CAMBER[actuator]
     found = []
     for run in runs:
@@ -168,11 +168,11 @@ def _camber_records(data: Path, actuator: str) -> list[Record]:
         # columns: time, target, demand of the profile, position, speed, current
         t, target, demand, y = table[:, :4].T
         u = (target if actuator == "LinD" else demand) * scale
-        found.append(evenly(Record(run, t * MILLISECOND, u, y * scale), PERIOD))
+        found.append(evenly(AxisRecord(run, t * MILLISECOND, u, y * scale), PERIOD))
     return found
 
 
-def _camber_expert(records: Sequence[Record]) -> Predictor:
+def _camber_expert(records: Sequence[AxisRecord]) -> Predictor:
     """Second order with delay, a speed limit, play, gain and offset."""
     fastest = max(float(np.max(np.abs(np.gradient(r.y, r.t)))) for r in records)
     size = float(np.std(np.concatenate([r.y for r in records])))
@@ -210,20 +210,20 @@ RATE = 1000.0  # Hz, the header's sampling rate
 CENTIMETRE = 0.01  # m
 
 
-def _press_records(data: Path) -> list[Record]:
+def _press_records(data: Path) -> list[AxisRecord]:
     found = {}
     for name, file in PRESS_RUNS.items():
         path = data / "press" / file
         table = np.loadtxt(path, delimiter=",", skiprows=7, usecols=(2, 4)) * CENTIMETRE
-        found[name] = Record(name, np.arange(len(table)) / RATE, table[:, 1], table[:, 0])
+        found[name] = AxisRecord(name, np.arange(len(table)) / RATE, table[:, 1], table[:, 0])
     chirp = split(found.pop("chirp_0A"), "chirp_0A_a", "chirp_0A_b")
     return [*chirp, *found.values()]
 
 
-def _press_expert(records: Sequence[Record]) -> Predictor:
+def _press_expert(records: Sequence[AxisRecord]) -> Predictor:
     """Two real poles, a gain and an offset."""
 
-    def model(p: Array, record: Record) -> Array:
+    def model(p: Array, record: AxisRecord) -> Array:
         one, two, gain, offset = p
         b, a = bilinear([gain * one * two], [1.0, one + two, one * two], RATE)
         before = lfilter_zi(b, a) * record.u[0]

@@ -62,7 +62,7 @@ SYNC_LIMIT = 0.5  # largest blending rate per tick at which the semi-implicit st
 Integers = NDArray[np.int64]
 
 
-class Bodies(NamedTuple):
+class NominalBodies(NamedTuple):
     """Nominal parameters of both vehicles, ``(n, 2, ...)``."""
 
     port: Array
@@ -122,7 +122,7 @@ class Copy(NamedTuple):
     fixed: bool
     ideal: bool
     substeps: float
-    bodies: Bodies
+    bodies: NominalBodies
     setup: Setup
     state: State
 
@@ -164,7 +164,7 @@ class ResynchronisedDrive:
         self.predicted_pose, self.predicted_twist = np.zeros((n, 7)), np.zeros((n, 6))
         self._predicted = np.zeros((n, 6))
         setup = _setup(scenarios, given, h)
-        bodies = Bodies(
+        bodies = NominalBodies(
             model.port, model.mass, model.inertia, np.linalg.inv(model.inertia).astype(np.float64)
         )
         self.state = _state(scenarios, given, model, int(setup.late.max()))

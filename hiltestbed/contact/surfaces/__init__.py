@@ -3,7 +3,7 @@ the mesh's triangles.
 """
 
 from hiltestbed.contact.surfaces.revolution import Revolution, recognise
-from hiltestbed.contact.surfaces.soundness import Finding, examine
+from hiltestbed.contact.surfaces.soundness import MeshFault, examine
 from hiltestbed.contact.surfaces.surface import (
     Surface,
     hollow,
@@ -14,7 +14,7 @@ from hiltestbed.contact.surfaces.surface import (
 )
 
 __all__ = [
-    "Finding",
+    "MeshFault",
     "Revolution",
     "Surface",
     "examine",

@@ -16,7 +16,7 @@ SAME_PLACE = 1e-7  # of the mesh's size: vertices closer than that are merged
 
 
 @dataclass(frozen=True)
-class Finding:
+class MeshFault:
     """One fault of a mesh.
 
     Attributes:
@@ -57,7 +57,7 @@ def volume(vertices: Array, faces: NDArray[np.int_]) -> float:
     return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
 
 
-def examine(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
+def examine(vertices: Array, faces: NDArray[np.int_]) -> list[MeshFault]:
     """All faults of a mesh (nv, 3) [m], (nf, 3); empty for a valid closed one."""
     vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=int)
     if len(faces) > MOST_TRIANGLES:
@@ -65,10 +65,10 @@ def examine(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
             f"{len(faces)} triangles; at most {MOST_TRIANGLES} are taken: simplify the "
             f"mesh, or split it into geoms"
         )
-        return [Finding("too_large", len(faces), what, usable=False)]
+        return [MeshFault("too_large", len(faces), what, usable=False)]
     if len(faces) < FEWEST_TRIANGLES:
         return [
-            Finding(
+            MeshFault(
                 "too_small",
                 len(faces),
                 f"{len(faces)} triangles bound no solid; the fewest are {FEWEST_TRIANGLES}",
@@ -78,22 +78,24 @@ def examine(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
     lost = int((~np.isfinite(vertices)).any(axis=1).sum())
     if lost:
         return [
-            Finding("not_finite", lost, f"{lost} vertices are not finite numbers", usable=False)
+            MeshFault("not_finite", lost, f"{lost} vertices are not finite numbers", usable=False)
         ]
     sound, kept = welded(vertices, faces)
     findings = []
     flat = len(faces) - len(kept)
     if flat:
         findings.append(
-            Finding("flat", flat, f"{flat} triangles without area; they are left out", usable=True)
+            MeshFault(
+                "flat", flat, f"{flat} triangles without area; they are left out", usable=True
+            )
         )
     if len(kept) < FEWEST_TRIANGLES:
         what = f"only {len(kept)} triangles have an area"
-        return [*findings, Finding("too_small", len(kept), what, usable=False)]
+        return [*findings, MeshFault("too_small", len(kept), what, usable=False)]
     return findings + _edges(kept) + _orientation(sound, kept)
 
 
-def _edges(faces: NDArray[np.int_]) -> list[Finding]:
+def _edges(faces: NDArray[np.int_]) -> list[MeshFault]:
     directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     _, number, count = np.unique(
         np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
@@ -107,24 +109,24 @@ def _edges(faces: NDArray[np.int_]) -> list[Finding]:
             f"{n} edges belong to one triangle only: the mesh is not closed, so inside "
             f"and outside are undefined; close it"
         )
-        findings.append(Finding("open", n, what, usable=False))
+        findings.append(MeshFault("open", n, what, usable=False))
     if n := int((count > 2).sum()):
         what = (
             f"{n} edges belong to more than two triangles: surfaces branch there; make "
             f"the mesh one boundary of one solid"
         )
-        findings.append(Finding("branched", n, what, usable=False))
+        findings.append(MeshFault("branched", n, what, usable=False))
     if n := int(((count == 2) & (forward != 1.0)).sum()):
         what = f"{n} edges lie between triangles of opposite orientation; flip the inverted faces"
-        findings.append(Finding("crossed", n, what, usable=False))
+        findings.append(MeshFault("crossed", n, what, usable=False))
     return findings
 
 
-def _orientation(vertices: Array, faces: NDArray[np.int_]) -> list[Finding]:
+def _orientation(vertices: Array, faces: NDArray[np.int_]) -> list[MeshFault]:
     if volume(vertices - vertices.mean(axis=0), faces) < 0.0:
         what = (
             "the normals of all faces point inwards: the enclosed volume is negative; "
             "flip the faces"
         )
-        return [Finding("inverted", len(faces), what, usable=False)]
+        return [MeshFault("inverted", len(faces), what, usable=False)]
     return []

@@ -22,7 +22,7 @@ from hiltestbed.contact.surfaces import mesh, profile
 from hiltestbed.contact.surfaces.mesh import Tree, mesh_beyond, mesh_distance
 from hiltestbed.contact.surfaces.profile import COLUMNS, TURNED, between, profile_distance
 from hiltestbed.contact.surfaces.revolution import recognise
-from hiltestbed.contact.surfaces.soundness import Finding, examine
+from hiltestbed.contact.surfaces.soundness import MeshFault, examine
 from hiltestbed.frames import Array
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -178,7 +178,7 @@ def of_geom(kind: int, sizes: Array) -> Surface:
     return Surface(kind, own, np.empty((0, COLUMNS)), mesh.no_tree())
 
 
-def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, list[Finding]]:
+def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, list[MeshFault]]:
     """The surface of a mesh, exact if it is one of revolution, and its faults; None: unusable."""
     findings = examine(vertices, faces)
     if not all(f.usable for f in findings):

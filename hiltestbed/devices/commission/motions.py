@@ -34,7 +34,7 @@ FREE_TIME = 3.0  # [s]
 
 
 @dataclass(frozen=True)
-class Motion:
+class TestMotion:
     """A named path that begins and ends at rest at the same pose.
 
     Attributes:
@@ -54,22 +54,22 @@ class Motion:
             pose_step(self.start, offset, 1.0, out)
             yield out
 
-    def after_rest(self, ticks: int) -> Motion:
+    def after_rest(self, ticks: int) -> TestMotion:
         """The same motion after a rest of ``ticks``."""
         return replace(self, offsets=np.concatenate([np.zeros((ticks, 6)), self.offsets]))
 
 
-def motions(scenario: Scenario, force: float) -> list[Motion]:
+def motions(scenario: Scenario, force: float) -> list[TestMotion]:
     """The motions for the mechanism of ``scenario``, with presses of about ``force`` [N]."""
     if scenario.mechanism.captured:
         return [_shaken(scenario, force).after_rest(round(REST / scenario.tick))]
     depth = min(force / scenario.mechanism.contact.stiffness, LARGEST)
     away = -(CLEAR + 2.0 * FREE)
-    found = [Motion("open", _at(0.0, 0.0, away), _oscillations(scenario.tick), touches=False)]
+    found = [TestMotion("open", _at(0.0, 0.0, away), _oscillations(scenario.tick), touches=False)]
     arms = [(0.0, 0.0), (ARM, 0.0), (0.0, ARM), (-ARM, -0.8 * ARM)]
     press = _press(scenario.tick, depth)
     for number, (x, y) in enumerate(arms if scenario.mechanism.flat else arms[:1]):
-        found.append(Motion(f"press {number}", _at(x, y, -CLEAR), press, touches=True))
+        found.append(TestMotion(f"press {number}", _at(x, y, -CLEAR), press, touches=True))
     return [motion.after_rest(round(REST / scenario.tick)) for motion in found]
 
 
@@ -109,7 +109,7 @@ def _press(tick: float, depth: float) -> Array:
     return out
 
 
-def _shaken(scenario: Scenario, force: float) -> Motion:
+def _shaken(scenario: Scenario, force: float) -> TestMotion:
     """Oscillate one axis after the other, as far as ``force`` or its torque allows."""
     tick, truth = scenario.tick, axis_truth(scenario)
     duration = PRESS_PERIODS / PRESS_FREQUENCY
@@ -121,4 +121,4 @@ def _shaken(scenario: Scenario, force: float) -> Motion:
         stiffness = known[0] if known is not None else scenario.mechanism.contact.stiffness
         size = min(force / stiffness, LARGEST) if axis < 3 else min(ARM * force / stiffness, WIDEST)
         out[axis * len(t) : (axis + 1) * len(t), axis] = size * wave
-    return Motion("shaken", _at(0.0, 0.0, 0.0), out, touches=True)
+    return TestMotion("shaken", _at(0.0, 0.0, 0.0), out, touches=True)

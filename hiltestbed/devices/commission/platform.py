@@ -14,7 +14,7 @@ LONGEST = 0.2  # [s] largest delay that is fitted
 
 
 @dataclass(frozen=True)
-class Path:
+class TestedPath:
     """A motion from rest: command (N, 7), row k for t_(k+1); pose (N, 7) and wrench (N, 6), in P,
     at t_k; whether it touches.
     """
@@ -44,7 +44,7 @@ class PlatformFit:
     residual: float
 
 
-def fit_platform(paths: Sequence[Path], tick: float) -> PlatformFit:
+def fit_platform(paths: Sequence[TestedPath], tick: float) -> PlatformFit:
     """Delay, scale and compliance that fit all ``paths`` best: pose(t) = scale command(t - delay) +
     offset - compliance force.
     """

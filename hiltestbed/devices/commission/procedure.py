@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.devices.commission.motions import SETTLED, Motion, motions
-from hiltestbed.devices.commission.platform import Path, PlatformFit, fit_platform
+from hiltestbed.devices.commission.motions import SETTLED, TestMotion, motions
+from hiltestbed.devices.commission.platform import PlatformFit, TestedPath, fit_platform
 from hiltestbed.devices.commission.sensor import Expected, SensorFit, Shown, fit_sensor
 from hiltestbed.devices.interface import DeviceError
 from hiltestbed.devices.live import rehearse
@@ -52,7 +52,7 @@ class Commissioned:
     observed: Observed
     sensor: SensorFit
     platform: PlatformFit
-    paths: dict[str, Path]
+    paths: dict[str, TestedPath]
     starts: dict[str, Array]
     departures: tuple[dict[str, Any], ...] = ()
 
@@ -92,7 +92,7 @@ def commission(
 
 
 def _play(
-    session: Session, planned: Sequence[Motion], rows: dict[str, list[Row]], progress: Progress
+    session: Session, planned: Sequence[TestMotion], rows: dict[str, list[Row]], progress: Progress
 ) -> None:
     home = session.rig.last.copy()
     for motion in planned:
@@ -104,7 +104,10 @@ def _play(
 
 
 def _fitted(
-    scenario: Scenario, planned: Sequence[Motion], rows: dict[str, list[Row]], observed: Observed
+    scenario: Scenario,
+    planned: Sequence[TestMotion],
+    rows: dict[str, list[Row]],
+    observed: Observed,
 ) -> Commissioned:
     touched, noise = [], observed.shown_noise
     for motion in planned:
@@ -115,7 +118,7 @@ def _fitted(
     sensor = fit_sensor(touched, np.array(scenario.devices.sensor.position), noise)
     begin = round(SETTLED / scenario.tick)  # excludes what remains of the travel to the start
 
-    def paths(mounted: Scenario) -> dict[str, Path]:
+    def paths(mounted: Scenario) -> dict[str, TestedPath]:
         mounting = Mounting(mounted.devices)
         return {
             m.name: _path(rows[m.name][begin:], mounting, observed.shown, m.touches)
@@ -168,12 +171,12 @@ def _departures(nominal: Scenario, believed: Scenario, ci95: float) -> tuple[dic
     return (*delay, *(effect.model_dump(mode="json") for effect in nominal.effects))
 
 
-def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> Path:
+def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> TestedPath:
     wrench = np.zeros((len(rows), 6))
     for k, row in enumerate(rows):
         mounting.wrench_in_P(row.shown - tare, wrench[k])
     command, pose = (np.array([getattr(row, name) for row in rows]) for name in ("command", "pose"))
-    return Path(command, pose, wrench, touches)
+    return TestedPath(command, pose, wrench, touches)
 
 
 def _mounted(scenario: Scenario, sensor: SensorFit | None, noise: Array) -> Scenario:

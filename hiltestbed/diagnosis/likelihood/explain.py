@@ -12,14 +12,14 @@ import numpy as np
 
 from hiltestbed.diagnosis.jitter_and_hum import MIN_FREQUENCY, MIN_SPECTRUM_ROWS, strongest_lines
 from hiltestbed.diagnosis.likelihood.model import LinkModel
-from hiltestbed.diagnosis.links import Link, Timing, WrenchLink
+from hiltestbed.diagnosis.links import ModelLink, Timing, WrenchLink
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.search import Progress
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.conclude import Conclusion, conclude
-from hiltestbed.inference.likelihood import Fit, Likelihood, independent
+from hiltestbed.inference.conclude import SearchConclusion, conclude
+from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.inference.search import search
 from hiltestbed.sensor.effects import SensorHum
@@ -41,17 +41,17 @@ class Explained:
 
     model: LinkModel
     candidates: tuple[Candidate, ...]
-    conclusion: Conclusion
+    conclusion: SearchConclusion
     adequate: bool
     excess: float
 
     @property
-    def link(self) -> Link:
+    def link(self) -> ModelLink:
         """The link, as the facility computes it."""
         return self.model.link
 
     @property
-    def fit(self) -> Fit:
+    def fit(self) -> PosteriorFit:
         """The hypothesis."""
         return self.conclusion.fit
 
@@ -122,7 +122,7 @@ def explain(
     )
 
 
-def with_noise_of_the_log(model: LinkModel, best: Fit) -> LinkModel:
+def with_noise_of_the_log(model: LinkModel, best: PosteriorFit) -> LinkModel:
     """The model with the noise that a hypothesis leaves; itself where what is left is no noise."""
     if isinstance(model.link, WrenchLink) or model.link.computed:
         return model
@@ -133,7 +133,7 @@ def with_noise_of_the_log(model: LinkModel, best: Fit) -> LinkModel:
     return other if other.leaves_noise(other.residuals(best.of)) else model
 
 
-def interpreted(model: LinkModel, found: Fit) -> LinkModel:
+def interpreted(model: LinkModel, found: PosteriorFit) -> LinkModel:
     """The model with the interpretation of the facility that suits a hypothesis best."""
     if not isinstance(model.link, WrenchLink):
         return model

@@ -16,7 +16,7 @@ from hiltestbed.diagnosis.fit import Fit, fit, null_fit
 from hiltestbed.diagnosis.investigate import ORDER, Findings, candidates_of, with_stiction
 from hiltestbed.diagnosis.lacking import too_little
 from hiltestbed.diagnosis.layout import (
-    Layout,
+    DatasetLayout,
     compensation_link,
     lay_out,
     levels,
@@ -30,8 +30,8 @@ from hiltestbed.diagnosis.likelihood.model import LinkModel
 from hiltestbed.diagnosis.links import (
     CompensationLink,
     DynamicsLink,
-    Link,
     LinkRun,
+    ModelLink,
     WrenchLink,
     flat_pose,
 )
@@ -43,7 +43,7 @@ from hiltestbed.diagnosis.search import Explanation, Progress, labelled
 from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS, DYNAMICS_FLOOR
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.likelihood import Fit as LikelyFit
+from hiltestbed.inference.likelihood import PosteriorFit as LikelyFit
 from hiltestbed.inference.model import Hypothesis
 from hiltestbed.measured import MeasuredDataset, MeasuredRun, Record
 from hiltestbed.replay.compensation import needs
@@ -71,7 +71,7 @@ def investigate_by_likelihood(
     layout = lay_out(dataset)
     judged = [name for name in ORDER if name not in layout.missing]
     found: dict[str, Explained] = {}
-    whole: dict[str, Link] = {}
+    whole: dict[str, ModelLink] = {}
     missing = dict(layout.missing)
 
     def told(name: str) -> Progress | None:
@@ -215,7 +215,7 @@ def _wrench_candidates(
     return [c for c in found if not (late and c.kind == "sensor.delay")]
 
 
-def _path(layout: Layout, found: Mapping[str, Explained]) -> tuple[Layout, BestPath]:
+def _path(layout: DatasetLayout, found: Mapping[str, Explained]) -> tuple[DatasetLayout, BestPath]:
     """The path of A, and the layout with the noise of a latched mechanism's force from what the
     believed contact on that path leaves of the readings.
     """
@@ -228,7 +228,7 @@ def _path(layout: Layout, found: Mapping[str, Explained]) -> tuple[Layout, BestP
     return with_noise_beside(layout, shown), path
 
 
-def compensation(layout: Layout, rows: Sequence[int]) -> CompensationLink:
+def compensation(layout: DatasetLayout, rows: Sequence[int]) -> CompensationLink:
     """The compensation on the first ``rows`` of each run; that of the rules where it does not
     respond linearly to the readings. Rows do not count that depend on readings which are not on
     record: one wrong reading shows in many rows of the output.
@@ -253,7 +253,7 @@ def compensation(layout: Layout, rows: Sequence[int]) -> CompensationLink:
     return CompensationLink(runs, wrenches, {})
 
 
-def dynamics(layout: Layout, rows: Sequence[int]) -> DynamicsLink:
+def dynamics(layout: DatasetLayout, rows: Sequence[int]) -> DynamicsLink:
     """The numerical model on the first ``rows`` of each run."""
     level = DYNAMICS_FLOOR * math.sqrt(CORRELATED_ROWS)
     noise, runs, wrenches, variance = levels(layout, "wrench_comp"), [], [], []

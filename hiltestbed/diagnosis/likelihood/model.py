@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, gamma
 
 from hiltestbed.diagnosis.layout import UNUSED_END_ROWS
-from hiltestbed.diagnosis.links import Link, LinkRun, Timing, WrenchLink
+from hiltestbed.diagnosis.links import LinkRun, ModelLink, Timing, WrenchLink
 from hiltestbed.diagnosis.links.base import whitening_filter
 from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
 from hiltestbed.diagnosis.noise import OUTLIER_SIGMA, softened
@@ -30,7 +30,7 @@ from hiltestbed.diagnosis.timing import MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.likelihood import Fit
+from hiltestbed.inference.likelihood import PosteriorFit
 from hiltestbed.inference.model import Hypothesis, Model
 from hiltestbed.measured.noise import MAD_TO_SIGMA
 from hiltestbed.sensor.effects import SensorDelay, SensorJitter
@@ -123,7 +123,7 @@ class LinkModel(Model):
 
     def __init__(
         self,
-        link: Link,
+        link: ModelLink,
         members: Sequence[int] | None = None,
         doubt: Sequence[Array | None] | None = None,
         colour: Sequence[Array] | None = None,
@@ -176,7 +176,7 @@ class LinkModel(Model):
     def on(self, runs: Sequence[int]) -> LinkModel:
         return LinkModel(self.link, [self.members[i] for i in runs], self.doubt, self._colour)
 
-    def through(self, link: Link) -> LinkModel:
+    def through(self, link: ModelLink) -> LinkModel:
         """The same samples of another interpretation of the link."""
         return LinkModel(link, self.members, self.doubt, self._colour)
 
@@ -347,7 +347,7 @@ class LinkModel(Model):
             worst = max(worst, (1.0 - after / before) / FOLLOWING)
         return worst
 
-    def deviance(self, found: Fit) -> float:
+    def deviance(self, found: PosteriorFit) -> float:
         """-2 log of the likelihood of a fit, with the deviations of the noise."""
         weights = [self.link.weights(i) for i in self.members]
         weights = [

@@ -3,7 +3,7 @@ leaks from one link into another.
 """
 
 from hiltestbed.diagnosis.links.axis import AxisLink
-from hiltestbed.diagnosis.links.base import Link, LinkRun, Timing, flat_pose
+from hiltestbed.diagnosis.links.base import LinkRun, ModelLink, Timing, flat_pose
 from hiltestbed.diagnosis.links.compensation import CompensationLink
 from hiltestbed.diagnosis.links.numerical_model import DynamicsLink
 from hiltestbed.diagnosis.links.platform import PlatformLink
@@ -13,8 +13,8 @@ __all__ = [
     "AxisLink",
     "CompensationLink",
     "DynamicsLink",
-    "Link",
     "LinkRun",
+    "ModelLink",
     "PlatformLink",
     "Timing",
     "WrenchLink",

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded
+from hiltestbed.diagnosis.links.base import Effects, Lane, LinkRun, ModelLink, padded
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.parameters import DynamicsParameters, stack
 from hiltestbed.replay import Departing, replay_axis
@@ -26,7 +26,7 @@ START_TIME = 0.5
 SPEED_STEP = 1e-4  # chosen: [m/s] of the initial speed, for its derivative
 
 
-class AxisLink(Link):
+class AxisLink(ModelLink):
     """The numerical model along z alone, from the position and speed at the start of the record."""
 
     name = "dynamics"
@@ -49,7 +49,7 @@ class AxisLink(Link):
         self._places = self
 
     @property
-    def whole(self) -> Link:
+    def whole(self) -> ModelLink:
         return self._places
 
     def over(self, span: float) -> AxisLink:

@@ -106,7 +106,7 @@ class LinkRun:
         )
 
 
-class Link(ABC):
+class ModelLink(ABC):
     """One link on measured inputs.
 
     Attributes:
@@ -179,7 +179,7 @@ class Link(ABC):
         return False
 
     @property
-    def whole(self) -> Link:
+    def whole(self) -> ModelLink:
         """The form of the link on which adequacy is judged; itself as a rule."""
         return self
 
@@ -210,7 +210,7 @@ class Link(ABC):
             return None
         return variance_among(self._with_errors(i), effects)
 
-    def _with_errors(self, i: int) -> Link:
+    def _with_errors(self, i: int) -> ModelLink:
         """Run i on its input, and on copies of it with rounding errors."""
         raise NotImplementedError(f"the input of the link {self.name} has no rounding errors")
 
@@ -225,7 +225,7 @@ class Link(ABC):
         """
         return 1.0
 
-    def noisier(self, left: Sequence[tuple[int, Array]]) -> Link:
+    def noisier(self, left: Sequence[tuple[int, Array]]) -> ModelLink:
         """The same link with as much noise of its input as departures (N, C) of its runs show."""
         return self
 
@@ -255,7 +255,7 @@ def perturbed(poses: Array, sigma: Array) -> list[Array]:
     return [poses, *(np.column_stack([poses[:, :3] + e, poses[:, 3:]]) for e in errors)]
 
 
-def variance_among(copies: Link, effects: Effects) -> Array:
+def variance_among(copies: ModelLink, effects: Effects) -> Array:
     """(N, C) variance of the output of the runs of ``copies`` about that of the first."""
     exact, *others = copies.shown_in_all(effects)
     return np.asarray(np.mean([np.square(other - exact) for other in others], axis=0))

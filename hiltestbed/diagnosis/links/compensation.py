@@ -9,7 +9,14 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hiltestbed.compensation.input import InputParameters
-from hiltestbed.diagnosis.links.base import Effects, Lane, Link, LinkRun, padded, whitening_filter
+from hiltestbed.diagnosis.links.base import (
+    Effects,
+    Lane,
+    LinkRun,
+    ModelLink,
+    padded,
+    whitening_filter,
+)
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array
 from hiltestbed.replay import moves_linearly, replay_compensation
@@ -23,7 +30,7 @@ COLOUR_ORDER = 12  # of the filter that makes noise behind a compensation white
 RESPONSE_ROWS = 400  # chosen: within which the response to an impulse decays
 
 
-class CompensationLink(Link):
+class CompensationLink(ModelLink):
     """The believed compensation, and the loop's dead zone before it."""
 
     name = "compensation"

@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 from hiltestbed.compiled.jit import njit
 from hiltestbed.diagnosis.links.base import (
     Lane,
-    Link,
     LinkRun,
+    ModelLink,
     flat_channels,
     flat_pose,
     moved,
@@ -33,7 +33,7 @@ NOISE_TRIALS = 80
 ARMS = np.array([1.0] * 3 + [LEVER_ARM] * 3)  # noise of forces to that of torques [m]
 
 
-class DynamicsLink(Link):
+class DynamicsLink(ModelLink):
     """The numerical model: position, and attitude as a small rotation vector."""
 
     name = "dynamics"

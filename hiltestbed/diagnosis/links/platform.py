@@ -10,8 +10,8 @@ from hiltestbed.diagnosis.links.base import (
     NO_SHIFT,
     Effects,
     Lane,
-    Link,
     LinkRun,
+    ModelLink,
     Timing,
     flat_channels,
     flat_pose,
@@ -34,7 +34,7 @@ JUMP_INSTANT_ERROR = 0.25
 JUMP_READING_ERROR = 0.5
 
 
-class PlatformLink(Link):
+class PlatformLink(ModelLink):
     """The motion platform: its response to the command, and the believed deflection."""
 
     name = "platform"

@@ -18,8 +18,8 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.links.base import (
     Effects,
     Lane,
-    Link,
     LinkRun,
+    ModelLink,
     Timing,
     flat_pose,
     moved,
@@ -80,7 +80,7 @@ def _lateness(lane: FeltLane) -> float:
     return lane.sensor.delay + lane.later + lane.log.skew * lane.log.reread
 
 
-class WrenchLink(Link):
+class WrenchLink(ModelLink):
     """Contact and sensor on the paths of A.
 
     A mechanism whose wrench does not follow from the pose of A alone is simulated as in its MJCF;

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hiltestbed.diagnosis.adequacy import leftover
-from hiltestbed.diagnosis.links import Link
+from hiltestbed.diagnosis.links import ModelLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.result import ChannelResidual, Series
 from hiltestbed.frames import Array
@@ -16,7 +16,7 @@ FREE, CONTACT, AFTER = "free", "contact", "after"
 UNITS = {"p": "m", "q": "1", "r": "rad", "f": "N", "t": "N m"}
 
 
-def link_series(link: Link, effects: Effects = ()) -> list[Series]:
+def link_series(link: ModelLink, effects: Effects = ()) -> list[Series]:
     """Every channel of every run of a link.
 
     Args:

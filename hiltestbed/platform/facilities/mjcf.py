@@ -49,7 +49,7 @@ NEARBY = 0.1
 SCALAR = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 
 
-class Mjcf(Facility):
+class MjcfFacility(Facility):
     """A rig from an MJCF file."""
 
     settings: MjcfSettings

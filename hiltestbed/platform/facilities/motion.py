@@ -11,7 +11,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_mul, quat_normalise, rotate
-from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, Integers, Tree
+from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, Integers, JointTree
 
 SPARE = 27
 
@@ -43,13 +43,13 @@ class Scratch(NamedTuple):
     spare: Array
 
 
-def row_count(tree: Tree) -> int:
+def row_count(tree: JointTree) -> int:
     """Number of equations: loops, coupled joints, tools, prescribed joints."""
     loops = sum(6 if kind == FRAME else 3 for kind in tree.loops[:, 0])
     return loops + len(tree.coupled) + 6 * len(tree.tools) + len(tree.prescribed)
 
 
-def scratch(tree: Tree) -> Scratch:
+def scratch(tree: JointTree) -> Scratch:
     """Work space for one tree."""
     nb, nj, nv, u, r = (
         len(tree.bodies),
@@ -77,7 +77,7 @@ def scratch(tree: Tree) -> Scratch:
     )
 
 
-def packed(tree: Tree) -> tuple[Integers, Array, Array]:
+def packed(tree: JointTree) -> tuple[Integers, Array, Array]:
     """A tree and its work space as three flat arrays: integers, numbers, room. Passing many arrays
     costs more than a tick's computation.
     """
@@ -149,7 +149,7 @@ def unpack(integers, numbers, room):
     f += 14 * nl
     polynomial = _next(numbers, f, ne, 5)
     tool_frames = _next(numbers, f + 5 * ne, nt, 7)
-    tree = Tree(
+    tree = JointTree(
         bodies,
         frames,
         masses,

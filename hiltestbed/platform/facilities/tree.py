@@ -25,7 +25,7 @@ POINT, FRAME = 0, 1  # loops: two points coincide (3 rows), two frames coincide 
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
-class Tree(NamedTuple):
+class JointTree(NamedTuple):
     """Constants of a kinematic tree of nb bodies, nj joints, nl loops, ne coupled joints, nt tools
     and np prescribed joints.
 
@@ -62,7 +62,7 @@ class Tree(NamedTuple):
     prescribed: Integers
     unknown: Integers
 
-    def towards_tools(self) -> Tree:
+    def towards_tools(self) -> JointTree:
         """The subtree that determines poses and velocities of the tools for known joints: the
         bodies between them and the world.
         """
@@ -102,7 +102,7 @@ def build_tree(
     tools: Sequence[str],
     prescribed: Sequence[str] = (),
     locked: Sequence[str] = (),
-) -> Tree:
+) -> JointTree:
     """The tree of a compiled model.
 
     Args:
@@ -123,7 +123,7 @@ def build_tree(
     sites = [m.site(name).id for name in tools]
     held = {m.joint(name).id for name in locked}
     unknown = [d for d in range(m.nv) if int(m.dof_jntid[d]) not in held]
-    return Tree(
+    return JointTree(
         bodies=np.column_stack([m.body_parentid, m.body_jntadr, m.body_jntnum]).astype(np.int64),
         frames=np.hstack([m.body_pos, quat_from_mujoco(m.body_quat)]),
         masses=np.hstack(

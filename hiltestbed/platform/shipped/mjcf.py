@@ -14,7 +14,7 @@ from hiltestbed.platform.facilities.settings import CommandPath, Driven
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.mjcf import Mjcf
+    from hiltestbed.platform.facilities.mjcf import MjcfFacility
 
 
 @register
@@ -63,7 +63,7 @@ class MjcfSettings(Driven):
             else super().contest()
         )
 
-    def build(self) -> Mjcf:
-        from hiltestbed.platform.facilities.mjcf import Mjcf
+    def build(self) -> MjcfFacility:
+        from hiltestbed.platform.facilities.mjcf import MjcfFacility
 
-        return Mjcf(self)
+        return MjcfFacility(self)

@@ -290,12 +290,12 @@ def campaign(rng: Generator, folder: Path) -> str:
 def packet(rng: Generator, folder: Path) -> str:
     """Valid messages with some bytes changed, for the parsers of the device protocols."""
     from hiltestbed.devices import rdt_page, rtde_wire
-    from hiltestbed.devices.layout import Record, default_layout
+    from hiltestbed.devices.layout import WireRecord, default_layout
     from hiltestbed.devices.rsi_telegram import answer, read_telegram
 
     which = int(rng.integers(4))
     if which == 0:
-        record = Record(default_layout(), "sensor")
+        record = WireRecord(default_layout(), "sensor")
         return (
             SURVIVED
             if record.unpack(mutated(record.pack(np.arange(6.0), 1, 0.5), rng))
