@@ -187,6 +187,14 @@ def test_check_knows_the_kind_of_a_file_by_its_keys(folder: Path, call) -> None:
     assert "run.csv" in out
 
 
+def test_run_says_what_to_do_with_an_axis(folder: Path, call) -> None:
+    Path("axis.yaml").write_text("axis: drive\nnominal: {mass: 1.0}\nruns: [{file: run.csv}]\n")
+    status, _, told = call("run", "axis.yaml")
+    assert status == 2
+    assert "is an axis" in told
+    assert "hiltestbed diagnose FILE" in " ".join(told.split())
+
+
 def test_check_follows_a_campaign_and_a_dataset_into_their_scenario(folder: Path, call) -> None:
     Path("c.yaml").write_text(CAMPAIGN.replace("sensor.delay", "sensor.dealy"))
     Path("d.yaml").write_text(DATASET.replace("run.csv", "gone.csv").replace("0.01", "-1"))

@@ -254,7 +254,7 @@ def _read(spec: AxisDataset, run: AxisRunEntry, source: Source) -> tuple[AxisRun
         for s, q in zip(SIGNALS, quantities, strict=True)
     )
     t = _times(path, columns, names, channels.get("t", Channel()), spec.rate, len(y))
-    u = _at_times(spec.axis, columns, names, t, u)
+    u = _at_times(path, spec.axis, columns, names, t, u)
     count = min(len(t), len(u), len(y))
     good = np.isfinite(t[:count]) & np.isfinite(u[:count]) & np.isfinite(y[:count])
     remarks = [f"{path.name}: {note}" for note in columns.notes]
@@ -316,16 +316,25 @@ def _times(
 
 
 def _at_times(
-    axis: AxisKind, columns: Columns, names: Mapping[str, str], t: Array, u: Array
+    path: Path, axis: AxisKind, columns: Columns, names: Mapping[str, str], t: Array, u: Array
 ) -> Array:
     """The input ``u`` at the times ``t`` of the output, where it has other times of its own: a
     displacement is interpolated, a command stands until the next. NaN before the first.
+
+    Raises InputError if its times run backwards.
     """
     if names["t"] in columns.data or names["input"] not in columns.clock:
         return u
     own = columns.clock[names["input"]]
     if np.array_equal(own, t):
         return u
+    if np.any(np.diff(own) < 0.0):
+        raise _unusable(
+            path,
+            "channels.input",
+            "has times of its own that run backwards",
+            "allowed are messages in order of time; split the file where a second record begins",
+        )
     if axis == "damper":
         return np.interp(t, own, u, left=np.nan, right=np.nan)
     return np.r_[np.nan, u][np.searchsorted(own, t, side="right")]

@@ -33,7 +33,7 @@ OVERDAMPED = 0.01  # of a step: time in which the mass between a spring and a da
 
 
 @dataclass
-class Model:
+class MjcfModel:
     """A model under construction.
 
     Attributes:
@@ -137,9 +137,9 @@ def axis_mjcf(spec: AxisDataset, head: Sequence[str] = ()) -> tuple[str, list[st
     return text, model.said, model.unsaid
 
 
-def axis_model(spec: AxisDataset) -> Model:
+def axis_model(spec: AxisDataset) -> MjcfModel:
     """The elements of an axis."""
-    model, nominal = Model(spec.rotates), nominal_of(spec)
+    model, nominal = MjcfModel(spec.rotates), nominal_of(spec)
     if spec.axis == "servo":
         _servo(model, servo_numbers(nominal, spec.effects))
     elif spec.axis == "drive":
@@ -149,7 +149,7 @@ def axis_model(spec: AxisDataset) -> Model:
     return model
 
 
-def _resistance(model: Model, law: AxisLaw) -> None:
+def _resistance(model: MjcfModel, law: AxisLaw) -> None:
     """Damping, friction, spring and a constant force: of a drive and of a damper."""
     n = law.numbers
     forward, back = n[of.VISCOUS], n[of.VISCOUS_BACK]
@@ -194,7 +194,7 @@ def _resistance(model: Model, law: AxisLaw) -> None:
             model.unsaid.append(f"{what}: left out")
 
 
-def _drive(model: Model, law: AxisLaw) -> None:
+def _drive(model: MjcfModel, law: AxisLaw) -> None:
     n = law.numbers
     model.actuators.append(f'<motor name="input" joint="axis" gear="{number(n[of.GAIN])}"/>')
     model.said.append(f"input of the drive: control of the motor, gear {n[of.GAIN]:.6g}")
@@ -202,7 +202,7 @@ def _drive(model: Model, law: AxisLaw) -> None:
     _resistance(model, law)
 
 
-def _inertia(model: Model, inertia: float, sine: float, cosine: float) -> None:
+def _inertia(model: MjcfModel, inertia: float, sine: float, cosine: float) -> None:
     """The moved mass; a weight on a hinge is an eccentric one, of half the inertia."""
     what = "inertia" if model.rotates else "mass"
     model.inertia, model.said = inertia, [*model.said, f"{what}: {inertia:.6g}"]
@@ -220,7 +220,7 @@ def _inertia(model: Model, inertia: float, sine: float, cosine: float) -> None:
     model.said.append(f"gravity: a centre of mass {arm:.4g} m off the hinge")
 
 
-def _servo(model: Model, p: Array) -> None:
+def _servo(model: MjcfModel, p: Array) -> None:
     """A unit mass under a position controller, in the coordinate of the output."""
     scale, w = p[servo.SCALE], p[servo.BANDWIDTH]
     first, second, zeta, delay = p[servo.POLE], p[servo.SECOND_POLE], p[servo.ZETA], p[servo.DELAY]
@@ -297,7 +297,7 @@ def _servo(model: Model, p: Array) -> None:
         _play(model, p[servo.PLAY] * abs(scale))
 
 
-def _play(model: Model, width: float) -> None:
+def _play(model: MjcfModel, width: float) -> None:
     model.follower("output", LIGHT / (2.0 * model.step), LIGHT)
     half = number(0.5 * width)
     hard = f'solreflimit="{number(2.0 * model.step)} 1" solimplimit="{HARD} {HARD} 0.001"'
@@ -309,7 +309,7 @@ def _play(model: Model, width: float) -> None:
     model.said.append(f"play of {width:.6g}: a second joint, output, held by a limited tendon")
 
 
-def _damper(model: Model, law: AxisLaw) -> None:
+def _damper(model: MjcfModel, law: AxisLaw) -> None:
     mass = law.numbers[of.MASS]
     model.said.append(
         "its motion is given: set qpos and qvel of the joint axis at each step, and read the force "

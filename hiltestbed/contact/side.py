@@ -49,7 +49,8 @@ class Side:
         if m.body_weldid[m.site_bodyid[found]] != 0:
             raise InputError(
                 f"{file}: the site {site!r} is on a part that moves; the port's frame must be "
-                f"fixed to its side"
+                f"fixed to its side; put the site on a body without joints, at the place of the "
+                f"tip at rest"
             )
         self.origin = self.data.site_xpos[found].copy()
         self.axes = self.data.site_xmat[found].reshape(3, 3).copy()

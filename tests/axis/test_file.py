@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
 
-from hiltestbed.axis.dataset import load_axis
+from hiltestbed.axis.dataset import _at_times, load_axis
 from hiltestbed.axis.diagnose import diagnose_axis
 from hiltestbed.config.check import check_file, look_at
 from hiltestbed.errors import InputError
+from hiltestbed.measured.columns import Columns
 from tests.axis import machines
 
 
@@ -100,3 +102,17 @@ def test_a_log_without_a_clock_asks_for_its_rate(tmp_path):
     loaded = load_axis(written(tmp_path, data | {"rate": 500.0}))
     assert loaded.records[0].t[1] == pytest.approx(0.002)
     assert check_file(tmp_path / "axis.yaml")[0] == "axis"
+
+
+@pytest.mark.parametrize(
+    ("axis", "expected"),
+    [("servo", [np.nan, 1.0, 1.0, 3.0, 3.0]), ("damper", [np.nan, 1.0, 2.0, 3.0, np.nan])],
+)
+def test_an_input_with_a_clock_of_its_own_is_taken_at_the_times_of_the_output(axis, expected):
+    columns = Columns(("u",), {"u": np.array([1.0, 3.0])}, clock={"u": np.array([1.0, 3.0])})
+    names, t = {"t": "t", "input": "u", "output": "y"}, np.arange(5.0)
+    found = _at_times(Path("log"), axis, columns, names, t, columns.data["u"])
+    assert np.array_equal(found, expected, equal_nan=True)
+    columns.clock["u"][:] = 3.0, 1.0
+    with pytest.raises(InputError, match="run backwards"):
+        _at_times(Path("log"), axis, columns, names, t, columns.data["u"])
