@@ -30,6 +30,14 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def is_folder(path: Path) -> bool:
+    """Whether a folder exists; False for a name that the file system does not accept."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 def free_folder(path: Path) -> Path:
     """`path`, or the first of path-2, path-3, ... that does not exist."""
     number, candidate = 1, path

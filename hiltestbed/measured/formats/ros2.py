@@ -17,6 +17,7 @@ import numpy as np
 from hiltestbed.errors import MissingExtra
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import column_of, is_under
+from hiltestbed.run_folder.folders import is_folder
 
 LABELS = ("name", "joint_names", "interface_names")  # of arrays beside or below them
 LONGEST = 64  # elements of an array that are listed as columns, if none of them is wanted
@@ -24,13 +25,13 @@ LONGEST = 64  # elements of an array that are listed as columns, if none of them
 
 def data_file(path: Path) -> Path:
     """The file of a run: ``path``, or the only MCAP file of a bag's folder."""
-    files = sorted(path.glob("*.mcap")) if path.is_dir() else []
+    files = sorted(path.glob("*.mcap")) if is_folder(path) else []
     return files[0] if len(files) == 1 else path
 
 
 def no_file(path: Path) -> str:
     """What to do if ``path`` is no file."""
-    if not path.is_dir():
+    if not is_folder(path):
         return f"looked for {path}"
     return (
         f"{path} is a folder with {len(list(path.glob('*.mcap')))} MCAP files; allowed is a bag "
