@@ -24,12 +24,12 @@ from hiltestbed.config.validation import validate
 from hiltestbed.config.yaml_source import read_source
 from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.errors import InputError
+from hiltestbed.platform.effects.response import LAG_DAMPING
 from hiltestbed.scenario import Scenario, scenario_from
 
 DIAGNOSIS, EXTENDED = "diagnosis.json", "extended.yaml"
 RADIUS = 0.05  # [m] of the ball that stands for the active mechanism
 LIGHT = 1e-6  # [kg] of the active port, on which the sensor reads the force
-LAG_RATIO = 0.7  # damping ratio of platform.lag
 STEPS = 200  # of a contact: its CoR is then right to 1e-3
 # effects on the platform that are those of a servo, by the parameters that they share
 ON_PLATFORM = {
@@ -164,7 +164,7 @@ def _as_servo(kind: str, p: dict[str, Any]) -> dict[str, Any]:
     """An effect on the platform as that on a servo."""
     given = {name: p[name] for name in ON_PLATFORM[kind]}
     if kind == "platform.lag":
-        return {"kind": "platform.drive", "damping_ratio": LAG_RATIO, **given}
+        return {"kind": "platform.drive", "damping_ratio": LAG_DAMPING, **given}
     return {"kind": kind, **given}
 
 

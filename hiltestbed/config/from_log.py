@@ -137,6 +137,11 @@ def read_log(path: Path) -> Log:
         for name in names
         if name in columns.data and _moves(columns.data[name])
     }
+    if not roles:
+        raise InputError(
+            f"{path}: holds no column of numbers that change (columns: {_listed(names)}); allowed "
+            "is a log of at least two rows of a motion; record the run again"
+        )
     with file.open("rb") as opened:
         head = opened.read(4096).decode("utf-8", "replace")
     return Log(file, names, roles, columns.data, bool(columns.clock), bool(STAMP.search(head)))
@@ -295,19 +300,23 @@ def _start(log: Log, entries: Sequence[Entry]) -> dict[str, Any]:
     if "t" not in found:
         return {}
     t = log.data[found["t"].column] * UNITS["s"].get(found["t"].unit or "s", 1.0)
-    step = float(np.median(np.diff(t)))
+    ticks = _known(t)
+    step = float(np.median(np.diff(ticks)))
     rate = float(f"{1.0 / step:.4g}") if step > 0.0 else 0.0
-    out: dict[str, Any] = {"duration": float(f"{t[-1] - t[0]:.6g}")}
+    out: dict[str, Any] = {"duration": float(f"{ticks[-1] - ticks[0]:.6g}")}
     out |= {"rate": int(rate) if rate == int(rate) else rate} if rate else {}
     group = "pose_cmd" if "pose_cmd.pz" in found else "pose_act"
     # a command is reached a tick later
-    at = t[0] - (step if group == "pose_cmd" else 0.0)
+    at = ticks[0] - (step if group == "pose_cmd" else 0.0)
     place, speed = [0.0] * 3, [0.0] * 3
     for axis, letter in enumerate("xyz"):
         entry = found.get(f"{group}.p{letter}")
         if entry is not None:
-            values = log.data[entry.column][:FREE] * UNITS["m"][entry.unit]
-            slope, begin = np.polyfit(t[:FREE] - at, values, 1)
+            values = log.data[entry.column] * UNITS["m"][entry.unit]
+            known = np.flatnonzero(np.isfinite(values) & np.isfinite(t))[:FREE]
+            if len(known) < 2:
+                continue
+            slope, begin = np.polyfit(t[known] - at, values[known], 1)
             place[axis], speed[axis] = float(f"{begin:.6g}"), float(f"{slope:.6g}")
     approach = {"velocity": speed, "offset": place[:2]}
     return out | {"approach": ({"gap": -place[2]} if place[2] < 0.0 else {"gap": 0.01}) | approach}

@@ -138,6 +138,35 @@ def test_a_rig_is_read_as_it_was_written_with_a_scenario_beside_it() -> None:
     assert approach.velocity[2] == pytest.approx(bounce.SPEED, rel=1e-3)
 
 
+def test_missing_samples_hide_no_approach() -> None:
+    """Rows without a time or a position are passed over; both sides of them tell the speed."""
+    from hiltestbed.config.dataset import load_dataset
+
+    t = np.arange(400) * 1e-3
+    pz = -0.01 + 0.03 * t
+    t[3], pz[1:10:2] = np.nan, np.nan
+    write_from_log("rig", log(**{"t": t, "pose_act.pz": pz, "wrench_meas.fz": np.sin(t)}))
+    approach = load_dataset("rig.yaml").nominal.approach
+    assert approach.gap == pytest.approx(0.01, rel=1e-3)
+    assert approach.velocity[2] == pytest.approx(0.03, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (bytes(range(256)) * 9, "is not text"),
+        (b"", "is empty"),
+        (b"time,pos,current\n", "is no table of numbers"),
+        (b"time,pos,current\n0,1,2\n", "holds no column of numbers that change"),
+    ],
+)
+def test_what_is_no_record_of_a_motion_is_refused(text: bytes, said: str) -> None:
+    Path("log.csv").write_bytes(text)
+    with pytest.raises(InputError, match=said):
+        write_from_log("arm", Path("log.csv"))
+    assert not Path("arm.yaml").exists()
+
+
 def test_nothing_is_overwritten() -> None:
     Path("arm.yaml").write_text("mine")
     with pytest.raises(InputError, match="exists already"):

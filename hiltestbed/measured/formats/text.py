@@ -84,8 +84,8 @@ class Text(DataFormat):
         with path.open("rb") as file:
             head = file.read(PROBE)
         encoding = self.encoding or _encoding_of(head)
-        text = head.decode(encoding, errors="replace")
-        if "\0" in text or encoding == "":
+        text = head.decode(encoding, errors="replace") if encoding else ""
+        if not encoding or "\0" in text:
             do = f"name the format of a binary file, such as format: {{kind: mdf}}; of text, {KEYS}"
             raise unreadable(path, "is not text", do)
         lines = re.split(r"\r\n|\n|\r", text)
