@@ -40,8 +40,8 @@ class MjcfModel:
         rotates: whether the joint is a hinge. inertia: of the joint [kg] or [kg m^2]. pos: centre
             of mass [m] in the body's frame, for the moment of gravity. joint: its attributes.
             actuators, bodies, tendons: elements. output: joint that is the position. mass: of the
-            axis's body [kg]. step: [s]. gravity: [m/s^2], along -z. said: what MuJoCo says, and how;
-            unsaid: what it cannot, and why.
+            axis's body [kg]. step: [s]. gravity: [m/s^2], along -z. said: what MuJoCo
+            says, and how; unsaid: what it cannot, and why.
     """
 
     rotates: bool
