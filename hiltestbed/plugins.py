@@ -19,7 +19,9 @@ import importlib.util
 import inspect
 import os
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -29,7 +31,7 @@ from typing import Any, Generic, TypeVar, get_args
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from hiltestbed.errors import InputError
+from hiltestbed.errors import HiltestbedError, InputError
 
 T = TypeVar("T")
 GROUP = "hiltestbed.plugins"
@@ -211,6 +213,24 @@ def _absolute(name: str) -> str:
 def is_users(cls: type) -> bool:
     """Whether a class comes from a user's module, not from hiltestbed itself."""
     return cls.__module__ in _LOADED.values() or not cls.__module__.startswith("hiltestbed.")
+
+
+@contextmanager
+def calling(cls: type, where: str) -> Iterator[None]:
+    """Around a call of ``cls``: what a user's class raises becomes an InputError with its file and
+    line, and ``where`` in the scenario it is called.
+    """
+    try:
+        yield
+    except HiltestbedError:
+        raise
+    except Exception as error:
+        if not is_users(cls):
+            raise
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        raise InputError(
+            f"{where}: {last.filename}:{last.lineno}: {type(error).__name__}: {error}"
+        ) from error
 
 
 def _import(name: str, where: str) -> str:

@@ -13,6 +13,7 @@ from hiltestbed.analysis.ledger import delay_ledger, predicted_log_error
 from hiltestbed.analysis.metrics import ContactFigures
 from hiltestbed.analysis.moving_parts import MovingParts
 from hiltestbed.analysis.stability import stability
+from hiltestbed.compensation.resynchronised.drive import ResynchronisedDrive
 from hiltestbed.config.budget import refuse_beyond, run_budget
 from hiltestbed.config.sense import warnings
 from hiltestbed.contact.directions import acting_along_z
@@ -46,6 +47,7 @@ class Batch:
     figures: list[ContactFigures]
     trouble: dict[int, tuple[int, str, str]]
     identification: list[dict[str, Any]]
+    force_delay: list[dict[str, float] | None]
     outcomes: list[dict[str, Any]]
     payload: list[dict[str, float] | None]
     ticks: int
@@ -180,6 +182,7 @@ def collected(loop: Loop, rows: Any, wall: float, failures: dict[int, Snapshot])
         figures=[loop.tally.figures(i) for i in runs],
         trouble=loop.trouble,
         identification=[_identified(loop, i) for i in runs],
+        force_delay=[_force_delay(loop, i) for i in runs],
         outcomes=[
             outcomes.summary(i) | _capture(loop, i) | _along_normal(loop, i) | _monitored(loop, i)
             for i in runs
@@ -254,6 +257,20 @@ def _identified(loop: Loop, i: int) -> dict[str, Any]:
             "samples": int(estimate.samples[i, j]) if estimate else 0,
         }
     return out
+
+
+def _force_delay(loop: Loop, i: int) -> dict[str, float] | None:
+    """The delay of the force [s] that the compensation was told, the one that it found, and half
+    the width of its interval, 0 where the told one stood; None of one that does not look.
+    """
+    drive = loop.drive
+    if not isinstance(drive, ResynchronisedDrive):
+        return None
+    return {
+        "told": loop.scenarios[i].sensor.delay,
+        "estimated": float(drive.delay[i]),
+        "half_width": float(drive.delay_sd[i]),
+    }
 
 
 def _truth(loop: Loop, i: int) -> list[tuple[float, float] | None]:
@@ -378,6 +395,7 @@ def concluded(
         "warnings": [*warnings(scenario), *remarks],
         "delay_ledger": [vars(entry) for entry in ledger],
         "identification": batch.identification[i],
+        "force_delay": batch.force_delay[i],
         "timing": {
             "ticks": batch.ticks,
             "wall": wall,

@@ -155,6 +155,12 @@ def _warnings(summary: dict[str, Any]) -> list[str]:
         share = energy_share(summary)
         size = "" if share is None else f", {100.0 * share:.2g} % of the approach energy"
         out.append(f"the rig is active: it made {summary['energy_generated']:.3g} J{size}")
+    late = summary.get("force_delay")
+    if late and late["half_width"]:
+        out.append(
+            f"the force is {1e3 * late['estimated']:.4g} ms (+-{1e3 * late['half_width']:.2g} ms) "
+            f"late, not the {1e3 * late['told']:.4g} ms of sensor.delay: the contact refused them"
+        )
     stability = summary.get("stability")
     if stability and stability["stable"] is False:
         out.append(f"the loop is {stability['verdict']}")

@@ -12,6 +12,7 @@ import numpy as np
 
 from hiltestbed.axis.dataset import LoadedAxis
 from hiltestbed.axis.models import AxisModel
+from hiltestbed.axis.motion import noise_of
 from hiltestbed.diagnosis.plain import finite
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import SearchConclusion
@@ -181,6 +182,7 @@ class AxisFinding:
         out["heldout"] = heldout([name for name, _, _ in self.model.folds()], before, after)
         out["explained"] = 1.0 - float(np.sum(after**2) / np.sum(before**2))
         left = [np.asarray(x) for x in c.fit.left[:-1]]
+        noise = [noise_of(r.y) for r in self.model.records] if not self._compared() else self.floors
         out["residuals"] = [
             {
                 "channel": "output",
@@ -189,17 +191,18 @@ class AxisFinding:
                 "rms": b,
                 "rms_extended": a,
                 "constant": k,
-                "noise_floor": f,
+                "noise_floor": y,
                 "rms_free": None,
                 "rms_contact": None,
                 "white": bool(float(np.sqrt(np.mean(x * x))) <= CLOSE * f),
             }
-            for run, b, a, k, f, x in zip(
+            for run, b, a, k, f, y, x in zip(
                 [name for name, _, _ in self.model.folds()],
                 before,
                 after,
                 self.constant,
                 self.floors,
+                noise,
                 left,
                 strict=False,
             )

@@ -38,7 +38,6 @@ class Contender:
     name: str
     contact: str
     force: Callable[[Briefing], dict[str, Any]]
-    estimates_delay: bool = False
     own: bool = False
 
 
@@ -81,10 +80,9 @@ CONTENDERS = (
     ),
     Contender(BEST, "known", lambda c: {"kind": BEST, "contact": _model(c)}),
     Contender(
-        f"{BEST}_delay_estimated",
+        f"{BEST}_delay_known",
         "first",
-        lambda c: {"kind": BEST, "delay": "estimate"},
-        estimates_delay=True,
+        lambda c: {"kind": BEST, "delay": "known"},
     ),
 )
 

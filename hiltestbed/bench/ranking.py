@@ -99,7 +99,7 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
     forces, others = [], []
     for done, method in enumerate(methods):
         needs = "delay, k, c" if method.contact == "known" else "delay"
-        if method.estimates_delay or method.name in ("none", "dead_zone"):
+        if method.name in ("none", "dead_zone"):
             needs = "nothing"
         section = {"force": method.force(known), "motion": own["motion"]}
         row = RankedMethod("force", method.name, needs, section, "completed")
@@ -122,7 +122,7 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
         **asdict(known),
     }
     records = [asdict(row) for row in (*forces, *others)]
-    return BenchResult("rank", records, summary, _report(scenario, records, summary))
+    return BenchResult("rank", records, summary, _report(scenario, records, summary), command="")
 
 
 def _knowledge(scenario: Scenario) -> Knowledge:
@@ -186,7 +186,7 @@ def table(records: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 
 def left_out(records: Sequence[Mapping[str, Any]]) -> list[str]:
     """Why a method could not run on this scenario, one line each."""
-    return [f"{r['method']}: not here: {r['status']}" for r in records if r["status"] not in RAN]
+    return [f"{r['method']}: left out, {r['status']}" for r in records if r["status"] not in RAN]
 
 
 def _report(

@@ -29,6 +29,7 @@ class BenchResult:
         lines: (label, value) pairs to print.
         failed: methods of the user that could not be measured, with the reason; the command then
             ends with an error.
+        command: that it is a part of, if any.
     """
 
     name: str
@@ -37,6 +38,7 @@ class BenchResult:
     report: Report
     lines: list[tuple[str, str]] = field(default_factory=list)
     failed: Mapping[str, str] = field(default_factory=dict)
+    command: str = "bench"
 
 
 def write_bench(
@@ -49,7 +51,7 @@ def write_bench(
     page = deepcopy(result.report)
     page.heading("How it was made")
     flags = [f"--{n}" if value is True else f"--{n} {value}" for n, value in options.items()]
-    called = " ".join(["bench", result.name, *flags])
+    called = " ".join([result.command, result.name, *flags]).strip()
     rows = [("command", called), *provenance(made["versions"], made["plugins"])]
     page.table(("item", "version, or start of the SHA-256"), rows)
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"

@@ -4,7 +4,6 @@ scenario selects (:mod:`hiltestbed.compensation.interfaces`).
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -14,8 +13,9 @@ from hiltestbed.compensation.interfaces import Drive, ForceBlock
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.motion_methods.contact_correction import Gate, correct_for_platform
 from hiltestbed.compensation.settings import FORCE_METHODS, MOTION_METHODS
-from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.plugins import calling, is_users
 
 if TYPE_CHECKING:
     from hiltestbed.numerical_model.model import NumericalModel
@@ -33,7 +33,7 @@ class ForceDrive:
         self.pose = model.pose
         self.twist = model.twist
         self.wrench = np.zeros_like(model.twist)
-        self._foreign = not type(method).__module__.startswith("hiltestbed.")
+        self._foreign = is_users(type(method))
 
     def _looked_at(self, measurement: Measurement) -> Array:
         """``(n, 6)`` the checked output of a method from outside this package.
@@ -43,15 +43,8 @@ class ForceDrive:
                 one finite wrench per run.
         """
         name = f"compensation.force: {type(self.method).__name__}.compensate"
-        try:
+        with calling(type(self.method), name):
             given = self.method.compensate(measurement)
-        except HiltestbedError:
-            raise
-        except Exception as error:
-            last = traceback.extract_tb(error.__traceback__)[-1]
-            raise InputError(
-                f"{name}: {last.filename}:{last.lineno}: {type(error).__name__}: {error}"
-            ) from error
         if getattr(given, "shape", None) != self.wrench.shape:
             what = (
                 f"an array {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
@@ -82,7 +75,9 @@ class ForceDrive:
 def make_drive(scenarios: Sequence[Scenario], model: NumericalModel) -> Drive:
     """The drive that ``compensation`` selects; one kind for all runs of a batch."""
     compensation = scenarios[0].compensation
-    method = FORCE_METHODS[compensation.force.kind].start(scenarios, model)
+    own = FORCE_METHODS[compensation.force.kind]
+    with calling(own, f"compensation.force: {own.__name__}.start"):
+        method = own.start(scenarios, model)
     if isinstance(method, Drive):
         return method
     corrects = MOTION_METHODS[compensation.motion.kind].corrects_force

@@ -65,7 +65,8 @@ def tell_of_compiling() -> Any:
             if not self.notified and self.spent + time.monotonic() - self.begun > PATIENCE:
                 self.notified = True
                 overwrite(
-                    "compiling inner loops: takes about a minute, and is kept for later runs", "\n"
+                    "compiling inner loops not needed before: takes about a minute; they are kept",
+                    "\n",
                 )
 
     listener = CompileListener()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.bench.hildock.door import UdpEntrant
-from hiltestbed.bench.hildock.methods import METHODS, TouchFitted, shipped
+from hiltestbed.bench.hildock.methods import METHODS, shipped
 from hiltestbed.bench.hildock.problem import (
     TRACKS,
     Entrant,
@@ -37,7 +37,7 @@ def hildock(
     todo = cases(quick)
     foreign = UdpEntrant(enter) if enter is not None else None
     entrants: list[Entrant] = [m() for m in METHODS]
-    entrants = [foreign, *entrants] if foreign else [*entrants, TouchFitted(), *shipped()]
+    entrants = [foreign, *entrants] if foreign else [*entrants, *shipped()]
     work, ideal = len(entrants) * len(todo), [reference(c) for c in todo]
     records: list[dict[str, Any]] = []
     effort = {}

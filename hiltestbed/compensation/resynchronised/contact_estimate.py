@@ -32,7 +32,23 @@ import numpy as np
 from hiltestbed.compiled.jit import njit
 
 # Columns of a run's row in ``law``.
-STIFFNESS, DAMPING, TOUCH, KNOWN, ARMED, STIFFNESS_SD, DAMPING_SD, FRICTION, LAW = range(9)
+# DEEPENING [N s/m2] grows with the depth, STOP [N/m] acts beyond the depth KNOT [m]; FITTED says
+# that they hold: then samples are not taken for those of k x + c v.
+(
+    STIFFNESS,
+    DAMPING,
+    TOUCH,
+    KNOWN,
+    ARMED,
+    STIFFNESS_SD,
+    DAMPING_SD,
+    FRICTION,
+    DEEPENING,
+    STOP,
+    KNOT,
+    FITTED,
+    LAW,
+) = range(13)
 # Columns of ``fit``: sums over the contact of products of x, v, 1 (all passed through the model of
 # the sensor's filters) and y.
 (
@@ -84,7 +100,10 @@ def size(law, s, rate):
     x = s - law[TOUCH]
     if law[ARMED] == 0.0 or x <= 0.0:
         return 0.0
-    return max(0.0, law[STIFFNESS] * x + law[DAMPING] * rate)
+    force = law[STIFFNESS] * x + law[DAMPING] * rate
+    if law[FITTED] == 1.0:
+        force += law[DEEPENING] * x * rate + law[STOP] * max(x - law[KNOT], 0.0)
+    return max(0.0, force)
 
 
 @njit(cache=True)
@@ -93,16 +112,22 @@ def touch(fit, law, count, x, v, h):
     count[CONTACTS] += 1
     if law[ARMED] == 1.0:
         return
-    fit[:REFERENCE] = 0.0
-    fit[REFERENCE] = x - 0.5 * h * v  # on average the force began half a tick ago
+    restart(fit, count, x - 0.5 * h * v)  # on average the force began half a tick ago
     fit[TRAVEL] = abs(v) * h
     fit[SD_X] = 0.0
-    count[SAMPLES] = 0
     if law[KNOWN] == 1.0:
         fit[PRIOR_K], fit[PRIOR_C] = law[STIFFNESS], law[DAMPING]
         fit[SD_K] = max(law[STIFFNESS_SD], LEARNT_K * law[STIFFNESS])
         fit[SD_C] = max(law[DAMPING_SD], LEARNT_C * abs(law[DAMPING]))
         law[TOUCH], law[ARMED] = fit[REFERENCE], 1.0
+
+
+@njit(cache=True, inline="always")
+def restart(fit, count, reference):
+    """Forget the samples; reference: [m] the touch point that is believed."""
+    fit[:REFERENCE] = 0.0
+    fit[REFERENCE] = reference
+    count[SAMPLES] = 0
 
 
 @njit(cache=True)
@@ -120,6 +145,8 @@ def learn(fit, law, count, sample, sigma):
     fit[OY] += o * y
     count[SAMPLES] += 1
     if count[SAMPLES] < MINIMUM_SAMPLES and law[KNOWN] == 0.0:
+        return
+    if law[FITTED] == 1.0:
         return
     variance = sigma * sigma + (MODEL_ERROR * fit[PEAK]) ** 2
     k = law[STIFFNESS] if law[KNOWN] == 1.0 else _spring_alone(fit)

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
+from hiltestbed.compensation.resynchronised import contact_fit as cf
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import rotation_vector
 from hiltestbed.numerical_model.kernels import (
@@ -23,9 +24,10 @@ from hiltestbed.numerical_model.kernels import (
 from hiltestbed.sensor.chain import filtered
 
 HISTORY = 512  # ticks of a contact that can be re-run
+FIRST_FIT = 8  # samples of contact: twice the unknowns of the richest law
 # Columns of ``tick``: ticks done, tick of the delayed model, tick of the touch, number of samples
-# at which the next re-run is due.
-DONE, DELAYED, ANCHOR, NEXT_RERUN, TICK = range(5)
+# at which the next re-run and the next fit are due, tick of the first reading of this contact.
+DONE, DELAYED, ANCHOR, NEXT_RERUN, NEXT_FIT, FELT, TICK = range(7)
 
 
 @njit(cache=True, inline="always")
@@ -54,26 +56,34 @@ def along(fixed, line, x):
     )
 
 
+@njit(cache=True)
+def _acted(i, m, k, rows):
+    """Position, rate and wrench at A (rows 0 to 2) when the force read at tick ``k`` acted; returns
+    the force [N].
+    """
+    setup, state = m.setup, m.state
+    part, w, length = setup.part[i], setup.weight[i], state.x.shape[1]
+    j = k - setup.late[i]
+    now = min(j + 1, k) % length
+    for c in range(6):
+        early, late = state.x[i, j % length, c], state.x[i, now, c]
+        rows[0, c] = (1.0 - part) * early + part * late
+        rows[1, c] = (1.0 - w) * state.rate[i, j % length, c] + w * state.rate[i, now, c]
+    at_A = rows[2]
+    wrench_at_A(state.wrench[i, k % length], rows[0], at_A)
+    return at_A[2] if m.fixed else math.sqrt(at_A[0] ** 2 + at_A[1] ** 2 + at_A[2] ** 2)
+
+
 @njit(cache=True, inline="always")
 def identify(i, m, work, rows):
     """Identify the contact from this tick's reading and the pose at the time the force acted."""
     h, fixed, setup, state = m.tick, m.fixed, m.setup, m.state
-    k, late, part = state.tick[i, DONE], setup.late[i], setup.part[i]
-    j = k - late
-    if j < 0:
+    k = state.tick[i, DONE]
+    if k < setup.late[i]:
         return
-    length = state.x.shape[1]
     line, fit, law, count = state.line[i], state.fit[i], state.law[i], state.count[i]
-    early, now = state.x[i, j % length], state.x[i, min(j + 1, k) % length]
-    position, rate, at_A = rows[0], rows[1], rows[2]
-    w = setup.weight[i]
-    for c in range(6):
-        position[c] = (1.0 - part) * early[c] + part * now[c]
-        rate[c] = (1.0 - w) * state.rate[i, j % length, c] + w * state.rate[
-            i, min(j + 1, k) % length, c
-        ]
-    wrench_at_A(state.wrench[i, k % length], position, at_A)
-    y = at_A[2] if fixed else math.sqrt(at_A[0] ** 2 + at_A[1] ** 2 + at_A[2] ** 2)
+    y = _acted(i, m, k, rows)
+    rate, at_A = rows[1], rows[2]
     fit[ce.PEAK] = max(fit[ce.PEAK], y)
     slow = setup.smooth[i, 0] < 1.0
     gate = (
@@ -92,44 +102,121 @@ def identify(i, m, work, rows):
     ce.direct(line, at_A, y, fixed, fade, (sigma[0] * sigma[0], sigma[1] * sigma[1]))
     if fixed:
         ce.rub(fit, law, line, at_A, rate, y, setup.sigma[i, 0])
-    s, u = along(fixed, line, position), along(fixed, line, rate)
+    if count[ce.ABOVE] == 0:
+        _touched(i, m, along(fixed, line, rows[0]), along(fixed, line, rate), work)
+    _take(i, m, rows, y)
+    if count[ce.ABOVE] >= state.tick[i, NEXT_FIT] and fixed and state.told[i] > 0.0:
+        state.tick[i, NEXT_FIT] = int(cf.GROWTH * count[ce.ABOVE]) + 1
+        _refit(i, m, work, rows)
+
+
+@njit(cache=True, inline="always")
+def _take(i, m, rows, y):
+    """Take the sample in ``rows`` into the fit of k x + c v."""
+    setup, state, count = m.setup, m.state, m.state.count[i]
     count[ce.ABOVE] += 1
-    if count[ce.ABOVE] == 1:
-        _touched(i, m, s, u, work)
-        if setup.late[i] != late or setup.part[i] != part:
-            s = fit[ce.REFERENCE] + 0.5 * h * u
     # the last sample of a contact is left out: it may be clipped
     if count[ce.ABOVE] > 2 + setup.skip[i]:
-        ce.learn(fit, law, count, state.pending[i], setup.sigma[i, 0])
+        ce.learn(state.fit[i], state.law[i], count, state.pending[i], setup.sigma[i, 0])
+    s, u = along(m.fixed, state.line[i], rows[0]), along(m.fixed, state.line[i], rows[1])
     _felt(s, u, setup.smooth[i], setup.leak[i], state.regressor[i], state.pending[i])
     state.pending[i, 3] = y
 
 
 @njit(cache=True)
 def _touched(i, m, s, u, work):
-    """Start a contact: correct the delay if requested, save the state for a re-run."""
-    h, setup, state = m.tick, m.setup, m.state
-    fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
-    if setup.estimate[i] == 1 and count[ce.CONTACTS] == 0 and u > 0.0:
-        late = setup.late[i]
-        expected = law[ce.TOUCH] if law[ce.ARMED] == 1.0 else 0.0
-        correction = (s - expected) / u - 0.5 * h  # on average the force began half a tick ago
-        spare = (state.x.shape[1] - HISTORY) // 2
-        delay = min(max(state.delay[i] + correction, 0.0), (spare - 2) * h)
-        state.delay[i] = delay
-        set_delay(i, delay, h, m.ideal, m.substeps, setup)
-        back = setup.late[i] - late
-        if tick[DELAYED] - back < 0:
-            back = tick[DELAYED]
-        _move_back(i, m, back, work)
-        s = expected + 0.5 * h * u
-    ce.touch(fit, law, count, s, u, h)
+    """Start a contact: save the state for a re-run."""
+    state, tick = m.state, m.state.tick[i]
+    ce.touch(state.fit[i], state.law[i], state.count[i], s, u, m.tick)
     _rewind(i, m, s, u, work)
+    _anchor(i, state)
+    tick[NEXT_RERUN] = ce.MINIMUM_SAMPLES
+    tick[NEXT_FIT], tick[FELT] = FIRST_FIT, tick[DONE]
+    state.told[i] = state.delay[i]
+
+
+@njit(cache=True, inline="always")
+def _anchor(i, state):
+    """Re-runs start from where the delayed model is."""
     state.q[i, 1] = state.q[i, 0]
     state.v[i, 1] = state.v[i, 0]
     state.filtered[i, 1] = state.filtered[i, 0]
-    tick[ANCHOR] = tick[DELAYED]
-    tick[NEXT_RERUN] = ce.MINIMUM_SAMPLES
+    state.tick[i, ANCHOR] = state.tick[i, DELAYED]
+
+
+@njit(cache=True)
+def _refit(i, m, work, rows):
+    """Fit delay and law to this contact so far; what the samples refuse is replaced, and the
+    delayed model is run again from before the touch.
+    """
+    h, setup, state = m.tick, m.setup, m.state
+    fit, law, count, tick = state.fit[i], state.law[i], state.count[i], state.tick[i]
+    samples = _samples(i, m)
+    n = samples.s.shape[0]
+    if n > state.x.shape[1]:
+        return
+    shown, law4, best = np.empty((n, cf.COLUMNS)), np.zeros(cf.COLUMNS), np.zeros(cf.SOLUTION)
+    used = cf.fit(samples, setup.estimate[i] == 1, shown, law4, best)
+    if law4[0] <= 0.0:
+        return
+    delay = best[cf.DELAY] * h
+    moved = abs(delay - state.delay[i]) > 1e-12  # [s] round-off of the division by h
+    if used == 2 and not moved and law[ce.FITTED] == 0.0:
+        return
+    state.delay[i], state.delay_sd[i] = delay, best[cf.SPREAD] * h
+    set_delay(i, delay, h, m.ideal, m.substeps, setup)
+    law[ce.STIFFNESS], law[ce.DAMPING], law[ce.TOUCH] = law4[0], law4[1], best[cf.POINT]
+    law[ce.DEEPENING], law[ce.STOP], law[ce.KNOT] = law4[2], law4[3], best[cf.KNOT]
+    law[ce.KNOWN], law[ce.ARMED], law[ce.FITTED] = 1.0, 1.0, 1.0 if used > 2 else 0.0
+    ce.restart(fit, count, best[cf.POINT] if fit[ce.SD_X] == 0.0 else fit[ce.REFERENCE])
+    state.regressor[i] = 0.0
+    count[ce.ABOVE] = 0
+    for k in range(tick[FELT], tick[DONE] + 1):
+        _take(i, m, rows, _acted(i, m, k, rows))
+    _restore(i, state)
+    _move_back(i, m, tick[ANCHOR] - max(tick[FELT] - setup.late[i] - cf.LATE, 0), work)
+    _anchor(i, state)
+
+
+@njit(cache=True)
+def _samples(i, m):
+    """This contact so far, from before the touch on."""
+    setup, state, law = m.setup, m.state, m.state.law[i]
+    tick, told, sigma = state.tick[i], state.told[i] / m.tick, setup.sigma[i, 0]
+    length = state.x.shape[1]
+    begin = max(tick[FELT] - int((1.0 - cf.NARROW) * told) - cf.BEFORE, 0)
+    start = max(begin - int(cf.WIDE * told) - cf.BEFORE, 0)
+    n = tick[DONE] + 1 - start
+    s, u, y = np.empty(n), np.empty(n), np.empty(n)
+    peak = 0.0
+    for j in range(n):
+        slot = (start + j) % length
+        s[j], u[j] = state.x[i, slot, 2], state.rate[i, slot, 2]
+        y[j] = state.wrench[i, slot, 2]
+        peak = max(peak, y[j])
+    return cf.ContactWindow(
+        s,
+        u,
+        y,
+        max(sigma * sigma, (ce.MODEL_ERROR * peak) ** 2),
+        begin - start,
+        tick[FELT] - start,
+        m.substeps,
+        m.ideal,
+        setup.smooth[i],
+        setup.leak[i],
+        told,
+        law[ce.TOUCH] if law[ce.ARMED] == 1.0 and state.count[i, ce.CONTACTS] > 1 else 0.0,
+    )
+
+
+@njit(cache=True, inline="always")
+def _restore(i, state):
+    """The delayed model as it was before the touch."""
+    state.q[i, 0] = state.q[i, 1]
+    state.v[i, 0] = state.v[i, 1]
+    state.filtered[i, 0] = state.filtered[i, 1]
+    state.tick[i, DELAYED] = state.tick[i, ANCHOR]
 
 
 @njit(cache=True)
@@ -142,13 +229,14 @@ def _rewind(i, m, s, u, work):
     rotation_vector(pose[3:7], at[3:6])
     reached = along(fixed, state.line[i], at)
     ticks = int(min((reached - s) / (u * h), min(HISTORY // 4, tick[DELAYED]))) if u > 0.0 else 0
-    if ticks >= 1:
-        _move_back(i, m, ticks, work)
+    _move_back(i, m, ticks, work)
 
 
 @njit(cache=True)
 def _move_back(i, m, ticks, work):
     """Move the delayed model back by ``ticks``, in free flight."""
+    if ticks < 1:
+        return
     none, bodies, q, v = m.state.used[i], m.bodies, m.state.q[i, 0], m.state.v[i, 0]
     none[:] = 0.0
     mass, inverse = bodies.mass[i], bodies.inverse[i]
@@ -179,10 +267,7 @@ def catch_up(i, m, work, rows):
     ):
         tick[NEXT_RERUN] = 2 * count[ce.SAMPLES]
         if last - tick[ANCHOR] < HISTORY:
-            state.q[i, 0] = state.q[i, 1]
-            state.v[i, 0] = state.v[i, 1]
-            state.filtered[i, 0] = state.filtered[i, 1]
-            tick[DELAYED] = tick[ANCHOR]
+            _restore(i, state)
     while tick[DELAYED] <= last:
         _step_delayed(i, m, tick[DELAYED], work, rows)
         tick[DELAYED] += 1

@@ -18,6 +18,10 @@ are used:
 After capture all six axes act at once, and :mod:`hiltestbed.compensation.resynchronised.captured`
 provides the wrench.
 
+The delay that the scenario states need not be right: delay and contact are fitted together
+(:mod:`~hiltestbed.compensation.resynchronised.contact_fit`), and a delay that the samples refuse is
+replaced.
+
 No force is differentiated, and the impulse is exact. Once a first contact is identified, the
 delayed model is re-run from the touch with the contact law, which removes the effect of the first
 tau, in which no force had been measured yet. The method was developed for this project; the idea of
@@ -82,7 +86,7 @@ class Setup(NamedTuple):
     skip: Integers  # samples skipped after the touch because of the low-pass's memory
     sigma: Array  # (n, 2) noise of forces and torques
     blend: Array  # [rad/s]
-    estimate: Array  # whether the instant of touch corrects the delay
+    estimate: Array  # whether the delay is fitted
 
 
 class State(NamedTuple):
@@ -106,6 +110,8 @@ class State(NamedTuple):
         Array  # (n, 2, FILTERED) filter states of the law's force at the rig, now and at the touch
     )
     delay: Array  # (n,) [s] nominal or estimated
+    delay_sd: Array  # (n,) [s] of an estimated delay; 0: nominal
+    told: Array  # (n,) [s] delay as it was believed when this contact began
     used: Array  # (n, 6) wrench in the delayed model's last step
     creep: Array  # (n, 1) [N s/m] viscous friction at low slip
 
@@ -147,8 +153,9 @@ class ResynchronisedDrive:
     Attributes:
         stiffness, damping, touch: ``(n,)`` of the contact law identified so far; 0 before the first
             estimate.
-        delay: ``(n,)`` [s] of the force, nominal, or estimated from the instant of touch if the
-            scenario asks for it.
+        delay: ``(n,)`` [s] of the force, nominal, or estimated where a contact refused that.
+        delay_sd: ``(n,)`` [s] half the width of the interval of an estimated delay, 0 of a nominal
+            one.
     """
 
     def __init__(
@@ -179,7 +186,7 @@ class ResynchronisedDrive:
         self.stiffness = law[:, ce.STIFFNESS]
         self.damping = law[:, ce.DAMPING]
         self.touch = law[:, ce.TOUCH]
-        self.delay = self.state.delay
+        self.delay, self.delay_sd = self.state.delay, self.state.delay_sd
 
     def advance(self, measurement: Measurement) -> None:
         """Advance by one tick."""
@@ -240,6 +247,8 @@ def _state(
         pending=np.zeros((n, 4)),
         filtered=np.zeros((n, 2, FILTERED)),
         delay=np.array([s.sensor.delay for s in scenarios]),
+        delay_sd=np.zeros(n),
+        told=np.array([s.sensor.delay for s in scenarios]),
         used=np.zeros((n, 6)),
         creep=np.zeros((n, 1)),
     )

@@ -70,12 +70,8 @@ def _press(ticks, h, fixed, line, law, s, u, matrix, sums):
         for b in range(6):
             slope = (1.0 if a == 2 else 0.0) if fixed else line[0, a]
             gain += slope * matrix[a, b] * line[0, b]
-    stiffness, damping, touch = law[ce.STIFFNESS], law[ce.DAMPING], law[ce.TOUCH]
-    if law[ce.ARMED] == 0.0:
-        touch = np.inf
     for _ in range(ticks):
-        x = s - touch
-        force = max(0.0, stiffness * x + damping * u) if x > 0.0 else 0.0
+        force = ce.size(law, s, u)
         u -= h * gain * force
         s += h * u
         impulse += h * force

@@ -45,9 +45,9 @@ class Resynchronised(ForceMethod):
         "the run",
     )
     delay: Literal["known", "estimate"] = Field(
-        default="known",
+        default="estimate",
         description="Delay of the force. known: sensor.delay is taken as exact; estimate: it is "
-        "corrected from the instant of first touch",
+        "fitted together with the contact, and replaced if the samples refuse it",
     )
     blending: Positive = Field(
         default=0.002,
