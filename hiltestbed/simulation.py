@@ -269,7 +269,7 @@ def _force_delay(loop: Loop, i: int) -> dict[str, float] | None:
     return {
         "told": loop.scenarios[i].sensor.delay,
         "estimated": float(drive.delay[i]),
-        "half_width": float(drive.delay_sd[i]),
+        "half_width": float(drive.delay_half_width[i]),
     }
 
 

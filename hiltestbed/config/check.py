@@ -76,7 +76,7 @@ def _scenario(source: Source, data: bool) -> FileReport:
         return FileReport("scenario", ())
     models = [file for file, kind in user_files(scenario).values() if kind.mjcf]
     said = (f"{file}: {text}" for file in models for text in remarks_on(file))
-    remarked = (*_as_warnings(warnings(scenario)), *remarks(scenario.mechanism), *said)
+    remarked = (*_as_warnings(warnings(scenario)), *remarks(scenario), *said)
     return _within(FileReport("scenario", (), remarked, run_budget([scenario])), source)
 
 

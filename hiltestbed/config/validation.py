@@ -81,8 +81,8 @@ class UserFile(NamedTuple):
             return name
         raise PydanticCustomError(
             "no_file",
-            "no such file (got {name}, looked for {path})",
-            {"name": repr(name), "path": str(path)},
+            "no such file (looked for {path})",
+            {"path": str(path)},
         )
 
 

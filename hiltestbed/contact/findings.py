@@ -13,7 +13,7 @@ from hiltestbed.config.models import model_of, stamp
 from hiltestbed.contact.composition import ACTIVE, PASSIVE, PREFIXES, Structure, add_side, drawn
 from hiltestbed.contact.phases import actuators_of, dropped_by, joints_of
 from hiltestbed.contact.sides import Pair, Sides, sides_of
-from hiltestbed.contact.touch import Meeting
+from hiltestbed.contact.touch import BEYOND, Meeting, nothing_met
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_attitude_deg, quat_to_mujoco
 
@@ -113,10 +113,11 @@ def _compiled(structure: Structure, stamps: tuple[str, ...]) -> mujoco.MjModel:
         ) from error
 
 
-def remarks(mechanism: Mechanism) -> list[str]:
-    """Remarks on a mechanism's contacts: which geoms may touch and how, pairs that divide their
-    stiffness among points, meshes.
+def remarks(scenario: ScenarioLike) -> list[str]:
+    """Remarks on a mechanism's contacts: which geoms may touch and how, an approach on which they
+    do not, pairs that divide their stiffness among points, meshes.
     """
+    mechanism = scenario.mechanism
     sides = sides_of(mechanism)
     contacts, out = mechanism.contacts(), []
     for what, pairs in (("nearest point", sides.facets), ("MuJoCo's own collision", sides.native)):
@@ -130,6 +131,12 @@ def remarks(mechanism: Mechanism) -> list[str]:
                     f"can meet ({what}; {contact.stiffness:g} N/m, {contact.damping:g} N s/m, "
                     f"friction {contact.friction:g}): {shown}"
                 )
+    if nothing_met(scenario):
+        out.append(
+            f"nothing touches on the straight way along z from the start to {1e3 * BEYOND:g} mm "
+            f"beyond the nominal touch: look where the sites A and P stand (at the foremost points "
+            f"of their sides, z of both along the insertion), at the offset and at the attitude"
+        )
     shared = [p for p in sides.native if not p.single]
     if shared:
         out.append(

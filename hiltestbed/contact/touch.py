@@ -75,6 +75,14 @@ def first_touch(scenario: Scenario, centred: bool = False) -> Touch | None:
     return _found(_Asked(scenario, start, json.dumps([data, start.tolist()])))
 
 
+def nothing_met(scenario: Scenario) -> bool:
+    """Whether nothing touches on the way of :func:`first_touch`."""
+    if scenario.mechanism.captured or _bare(scenario):
+        return False
+    meeting, pose = _meeting(scenario), approach_state(scenario)[:7].copy()
+    return _reached(scenario, _deepest(meeting, pose)) is None
+
+
 class _Asked:
     """A scenario and a start, equal to another if all that a touch depends on is equal."""
 
@@ -91,15 +99,10 @@ class _Asked:
 @lru_cache(maxsize=256)
 def _found(asked: _Asked) -> Touch | None:
     scenario, pose = asked.scenario, asked.start.copy()
-    rigid = sides_of(scenario.mechanism).rigid
-    if rigid and not sides_of(scenario.mechanism).geometry.count:
+    if _bare(scenario):
         return None
-    meeting = Meeting(sides_of(scenario.mechanism)) if rigid else _Parts(scenario)
-
-    def deepest(z: float) -> float:
-        pose[2] = z
-        return meeting.deepest(pose)
-
+    meeting = _meeting(scenario)
+    deepest = _deepest(meeting, pose)
     reach = _reached(scenario, deepest)
     if reach is None:
         return None
@@ -117,6 +120,27 @@ def _found(asked: _Asked) -> Touch | None:
         int(np.count_nonzero(meeting.depth > 0.0)),
         0.0 if isinstance(meeting, Meeting) else meeting.fastest(),
     )
+
+
+def _bare(scenario: Scenario) -> bool:
+    """Whether no surface may touch another."""
+    sides = sides_of(scenario.mechanism)
+    return sides.rigid and not sides.geometry.count
+
+
+def _meeting(scenario: Scenario) -> Meeting | _Parts:
+    sides = sides_of(scenario.mechanism)
+    return Meeting(sides) if sides.rigid else _Parts(scenario)
+
+
+def _deepest(meeting: Meeting | _Parts, pose: Array) -> Callable[[float], float]:
+    """The largest penetration [m] with A at z [m] of ``pose`` (7,), in which z is written."""
+
+    def deepest(z: float) -> float:
+        pose[2] = z
+        return meeting.deepest(pose)
+
+    return deepest
 
 
 def _reached(scenario: Scenario, deepest: Callable[[float], float]) -> float | None:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiltestbed import Scenario, run
+from hiltestbed import Scenario, load_scenario, run
 from hiltestbed.contact.directions import acting_along_z
+from hiltestbed.contact.findings import remarks
 from hiltestbed.contact.resolution import error_bound, unconverged
 from hiltestbed.contact.touch import first_touch
 from hiltestbed.report.run import run_report
@@ -156,3 +157,28 @@ def test_the_report_says_why_nothing_was_identified(tmp_path: Path) -> None:
     page = (tmp_path / "run.html").read_text()
     assert "the pose does not show how far" in page
     assert "long enough" not in page
+
+
+def test_an_approach_on_which_nothing_meets_is_said(tmp_path: Path) -> None:
+    """A probe whose site A stands at its base has passed the plate at the start."""
+    for name, base in (("tip", 0.265), ("base", 0.0)):
+        (tmp_path / f"{name}.xml").write_text(
+            '<mujoco><worldbody><body name="probe"><geom name="tip" type="sphere" size=".015" '
+            f'pos="0 0 .25" mass="1.5"/><site name="A" pos="0 0 {base}"/></body></worldbody></mujoco>'
+        )
+    (tmp_path / "plate.xml").write_text(
+        '<mujoco><worldbody><body name="plate"><geom name="plate" type="cylinder" '
+        'size=".15 .01" pos="0 0 .01" mass="4"/><site name="P"/></body></worldbody></mujoco>'
+    )
+    found = {}
+    for name in ("tip", "base"):
+        contact = {"active": "tip", "passive": "plate", "stiffness": 1e6, "damping": 1e3}
+        own = {
+            "kind": "mjcf",
+            "active": str(tmp_path / f"{name}.xml"),
+            "passive": str(tmp_path / "plate.xml"),
+            "pairs": [contact],
+        }
+        scenario = load_scenario("02-bumper", set={"mechanism": own, "approach.gap": 0.02})
+        found[name] = any("nothing touches" in remark for remark in remarks(scenario))
+    assert found == {"tip": False, "base": True}

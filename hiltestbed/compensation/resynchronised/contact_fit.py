@@ -31,6 +31,7 @@ from hiltestbed.sensor.chain import FILTERED, filtered
 
 COLUMNS = 4
 LAWS = np.array([2, 3, 4])  # columns of each law
+CERTAIN = 3.84  # rise of chi-square at the ends of a 95 % interval of one parameter
 REFUSED = 9.0  # fall of chi-square: three standard deviations of one parameter
 EXPLAINED = 0.9  # share of the misfit beyond the noise: what is left then changes c by a third
 TOUCH_SD = 5e-5  # [m] of the touch point of a known or flat surface: that of a good alignment
@@ -213,11 +214,11 @@ def _searched(m, used, loose, rows, law, best):
 
 @njit(cache=True)
 def _centre(m, used, loose, rows, law, best):
-    """Move the delay to the middle of those whose chi-square is within one of the least, per degree
-    of freedom: between two readings the force may set in at any instant.
+    """Move the delay to the middle of its 95 % interval, whose half width is SPREAD: between two
+    readings the force may set in at any instant, with the same chi-square.
     """
     trial = np.zeros(SOLUTION)
-    limit = best[CHI] + max(1.0, best[CHI] / degrees(m))
+    limit = best[CHI] + CERTAIN * max(1.0, best[CHI] / degrees(m))
     ends = np.empty(2)
     for e in range(2):
         inside = best[DELAY]

@@ -163,7 +163,7 @@ def _refit(i, m, work, rows):
     moved = abs(delay - state.delay[i]) > 1e-12  # [s] round-off of the division by h
     if used == 2 and not moved and law[ce.FITTED] == 0.0:
         return
-    state.delay[i], state.delay_sd[i] = delay, best[cf.SPREAD] * h
+    state.delay[i], state.delay_half_width[i] = delay, best[cf.SPREAD] * h
     set_delay(i, delay, h, m.ideal, m.substeps, setup)
     law[ce.STIFFNESS], law[ce.DAMPING], law[ce.TOUCH] = law4[0], law4[1], best[cf.POINT]
     law[ce.DEEPENING], law[ce.STOP], law[ce.KNOT] = law4[2], law4[3], best[cf.KNOT]

@@ -110,7 +110,7 @@ class State(NamedTuple):
         Array  # (n, 2, FILTERED) filter states of the law's force at the rig, now and at the touch
     )
     delay: Array  # (n,) [s] nominal or estimated
-    delay_sd: Array  # (n,) [s] of an estimated delay; 0: nominal
+    delay_half_width: Array  # (n,) [s] of an estimated delay; 0: nominal
     told: Array  # (n,) [s] delay as it was believed when this contact began
     used: Array  # (n, 6) wrench in the delayed model's last step
     creep: Array  # (n, 1) [N s/m] viscous friction at low slip
@@ -154,7 +154,7 @@ class ResynchronisedDrive:
         stiffness, damping, touch: ``(n,)`` of the contact law identified so far; 0 before the first
             estimate.
         delay: ``(n,)`` [s] of the force, nominal, or estimated where a contact refused that.
-        delay_sd: ``(n,)`` [s] half the width of the interval of an estimated delay, 0 of a nominal
+        delay_half_width: ``(n,)`` [s] of the 95 % interval of an estimated delay, 0 of a nominal
             one.
     """
 
@@ -186,7 +186,7 @@ class ResynchronisedDrive:
         self.stiffness = law[:, ce.STIFFNESS]
         self.damping = law[:, ce.DAMPING]
         self.touch = law[:, ce.TOUCH]
-        self.delay, self.delay_sd = self.state.delay, self.state.delay_sd
+        self.delay, self.delay_half_width = self.state.delay, self.state.delay_half_width
 
     def advance(self, measurement: Measurement) -> None:
         """Advance by one tick."""
@@ -247,7 +247,7 @@ def _state(
         pending=np.zeros((n, 4)),
         filtered=np.zeros((n, 2, FILTERED)),
         delay=np.array([s.sensor.delay for s in scenarios]),
-        delay_sd=np.zeros(n),
+        delay_half_width=np.zeros(n),
         told=np.array([s.sensor.delay for s in scenarios]),
         used=np.zeros((n, 6)),
         creep=np.zeros((n, 1)),
