@@ -103,6 +103,16 @@ def test_the_interval_of_a_delay_holds_the_true_one(off: float) -> None:
     assert any("the contact refused them" in warning for warning in found.assessment.warnings)
 
 
+def test_a_known_contact_need_not_touch_at_zero() -> None:
+    """Told where it touches, a millimetre early, the fit refuses neither that nor the delay."""
+    early = {"kind": "contact.touch_offset", "offset": 0.001}
+    contact = BenchContact(4.0, 0.01, 0.05, changes={"effects": [early]})
+    known = {"stiffness": contact.stiffness, "damping": contact.damping, "touch": 0.001}
+    found = run(contact.scenario({"kind": "resynchronised", "contact": known})).summary
+    assert found["force_delay"] == {"told": 0.01, "estimated": 0.01, "half_width": 0.0}
+    assert abs(found["cor_log_error"]) < 0.003  # of a known contact that touches at zero
+
+
 def test_a_delay_that_is_right_stands_to_the_byte() -> None:
     """What the contact does not refuse is not touched: as if the delay were known."""
     contacts = grid((2.0, 8.0), (0.005, 0.02), damping_ratios=(0.05,))

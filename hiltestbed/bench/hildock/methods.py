@@ -150,10 +150,8 @@ class Shipped:
     """
 
     def __init__(self, contender: Contender) -> None:
-        self.name, self._contender = (
-            ("own " if contender.own else "shipped ") + contender.name,
-            contender,
-        )
+        self.name = f"{'own' if contender.own else 'shipped'} {contender.name}"
+        self._contender = contender
 
     def start(self, case: int, ticks: int, delay: float, noise: float) -> None:
         changes: dict[str, Any] = {

@@ -28,6 +28,9 @@ FIRST_FIT = 8  # samples of contact: twice the unknowns of the richest law
 # Columns of ``tick``: ticks done, tick of the delayed model, tick of the touch, number of samples
 # at which the next re-run and the next fit are due, tick of the first reading of this contact.
 DONE, DELAYED, ANCHOR, NEXT_RERUN, NEXT_FIT, FELT, TICK = range(7)
+# Columns of ``told``: what was believed when this contact began: delay [s], half the width of its
+# interval [s], touch point [m].
+BELIEVED, HALF_WIDTH, EXPECTED, TOLD = range(4)
 
 
 @njit(cache=True, inline="always")
@@ -105,7 +108,7 @@ def identify(i, m, work, rows):
     if count[ce.ABOVE] == 0:
         _touched(i, m, along(fixed, line, rows[0]), along(fixed, line, rate), work)
     _take(i, m, rows, y)
-    if count[ce.ABOVE] >= state.tick[i, NEXT_FIT] and fixed and state.told[i] > 0.0:
+    if count[ce.ABOVE] >= state.tick[i, NEXT_FIT] and fixed and state.told[i, BELIEVED] > 0.0:
         state.tick[i, NEXT_FIT] = int(cf.GROWTH * count[ce.ABOVE]) + 1
         _refit(i, m, work, rows)
 
@@ -126,13 +129,15 @@ def _take(i, m, rows, y):
 @njit(cache=True)
 def _touched(i, m, s, u, work):
     """Start a contact: save the state for a re-run."""
-    state, tick = m.state, m.state.tick[i]
-    ce.touch(state.fit[i], state.law[i], state.count[i], s, u, m.tick)
+    state, tick, law = m.state, m.state.tick[i], m.state.law[i]
+    told = state.told[i]
+    told[BELIEVED], told[HALF_WIDTH] = state.delay[i], state.delay_half_width[i]
+    told[EXPECTED] = law[ce.TOUCH] if law[ce.ARMED] == 1.0 else 0.0
+    ce.touch(state.fit[i], law, state.count[i], s, u, m.tick)
     _rewind(i, m, s, u, work)
     _anchor(i, state)
     tick[NEXT_RERUN] = ce.MINIMUM_SAMPLES
     tick[NEXT_FIT], tick[FELT] = FIRST_FIT, tick[DONE]
-    state.told[i] = state.delay[i]
 
 
 @njit(cache=True, inline="always")
@@ -161,13 +166,16 @@ def _refit(i, m, work, rows):
         return
     delay = best[cf.DELAY] * h
     moved = abs(delay - state.delay[i]) > 1e-12  # [s] round-off of the division by h
-    if used == 2 and not moved and law[ce.FITTED] == 0.0:
+    linear = used == cf.LAWS[0]
+    if linear and not moved and law[ce.FITTED] == 0.0:
         return
-    state.delay[i], state.delay_half_width[i] = delay, best[cf.SPREAD] * h
+    freed = best[cf.SPREAD] > 0.0
+    state.delay_half_width[i] = best[cf.SPREAD] * h if freed else state.told[i, HALF_WIDTH]
+    state.delay[i] = delay
     set_delay(i, delay, h, m.ideal, m.substeps, setup)
     law[ce.STIFFNESS], law[ce.DAMPING], law[ce.TOUCH] = law4[0], law4[1], best[cf.POINT]
     law[ce.DEEPENING], law[ce.STOP], law[ce.KNOT] = law4[2], law4[3], best[cf.KNOT]
-    law[ce.KNOWN], law[ce.ARMED], law[ce.FITTED] = 1.0, 1.0, 1.0 if used > 2 else 0.0
+    law[ce.KNOWN], law[ce.ARMED], law[ce.FITTED] = 1.0, 1.0, 0.0 if linear else 1.0
     ce.restart(fit, count, best[cf.POINT] if fit[ce.SD_X] == 0.0 else fit[ce.REFERENCE])
     state.regressor[i] = 0.0
     count[ce.ABOVE] = 0
@@ -181,8 +189,8 @@ def _refit(i, m, work, rows):
 @njit(cache=True)
 def _samples(i, m):
     """This contact so far, from before the touch on."""
-    setup, state, law = m.setup, m.state, m.state.law[i]
-    tick, told, sigma = state.tick[i], state.told[i] / m.tick, setup.sigma[i, 0]
+    setup, state = m.setup, m.state
+    tick, told, sigma = state.tick[i], state.told[i, BELIEVED] / m.tick, setup.sigma[i, 0]
     length = state.x.shape[1]
     begin = max(tick[FELT] - int((1.0 - cf.NARROW) * told) - cf.BEFORE, 0)
     start = max(begin - int(cf.WIDE * told) - cf.BEFORE, 0)
@@ -206,7 +214,7 @@ def _samples(i, m):
         setup.smooth[i],
         setup.leak[i],
         told,
-        law[ce.TOUCH] if law[ce.ARMED] == 1.0 and state.count[i, ce.CONTACTS] > 1 else 0.0,
+        state.told[i, EXPECTED],
     )
 
 

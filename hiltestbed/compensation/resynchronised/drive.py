@@ -46,6 +46,7 @@ from hiltestbed.compensation.resynchronised.delayed_model import (
     DONE,
     HISTORY,
     TICK,
+    TOLD,
     catch_up,
     identify,
     remember,
@@ -111,7 +112,7 @@ class State(NamedTuple):
     )
     delay: Array  # (n,) [s] nominal or estimated
     delay_half_width: Array  # (n,) [s] of an estimated delay; 0: nominal
-    told: Array  # (n,) [s] delay as it was believed when this contact began
+    told: Array  # (n, TOLD) what was believed when this contact began
     used: Array  # (n, 6) wrench in the delayed model's last step
     creep: Array  # (n, 1) [N s/m] viscous friction at low slip
 
@@ -248,7 +249,7 @@ def _state(
         filtered=np.zeros((n, 2, FILTERED)),
         delay=np.array([s.sensor.delay for s in scenarios]),
         delay_half_width=np.zeros(n),
-        told=np.array([s.sensor.delay for s in scenarios]),
+        told=np.zeros((n, TOLD)),
         used=np.zeros((n, 6)),
         creep=np.zeros((n, 1)),
     )
