@@ -53,11 +53,10 @@ from hiltestbed.frames import Array
     COG_PHASE,
     LAG,  # [s] time constant of the dissipative force: of an oil column
     PLAY,  # [m] in series with the sliders
-    RESOLVED,  # [m/s] speed below which the sign of the motion is not resolved
     NUMBERS,
-) = range(31)
-MOST = 4  # sliders, and branches
+) = range(30)
 STILL = 1e-30  # [m/s] stands for no speed, with a direction
+MOST = 4  # sliders, and branches
 FORCE, STIFFNESS, SHAPE = range(3)  # of a slider; SHAPE 0: elastic until it slips
 BRANCH, TIME = range(2)  # of a Maxwell branch: [N/m], [s]
 
@@ -129,8 +128,10 @@ def held(p, x, t):
 
 
 @njit(cache=True)
-def force_along(t, x, v, a, p, sliders, branches):
-    """``(N,)`` force [N] along a motion: time [s], position, speed, acceleration (N,)."""
+def force_along(t, x, v, a, way, p, sliders, branches):
+    """``(N,)`` force [N] along a motion: time [s], position, speed, acceleration (N,), and the mean
+    sign of the speed (N,) over what each row stands for, -1 to 1.
+    """
     n = len(t)
     out = np.empty(n)
     at = np.full(sliders.shape[0], x[0])  # where each slider stands
@@ -142,9 +143,9 @@ def force_along(t, x, v, a, p, sliders, branches):
         step = x[k] - x[k - 1] if k > 0 else 0.0
         loss = viscous(p, v[k])
         rest = p[MASS] * a[k] + held(p, x[k], t[k])
-        level = friction(p, x[k], v[k], rest)
-        if level > 0.0:
-            loss += level * (math.tanh(v[k] / p[RESOLVED]) if p[RESOLVED] > 0.0 else np.sign(v[k]))
+        speed = abs(v[k])
+        loss += 0.5 * (1.0 + way[k]) * friction(p, x[k], speed, rest)
+        loss -= 0.5 * (1.0 - way[k]) * friction(p, x[k], -speed, rest)
         for i in range(sliders.shape[0]):
             most, stiff, shape = sliders[i, FORCE], sliders[i, STIFFNESS], sliders[i, SHAPE]
             if most == 0.0:
@@ -182,35 +183,57 @@ def force_along(t, x, v, a, p, sliders, branches):
 
 
 @njit(cache=True)
-def motion_under(t, u, x0, v0, p, h):
-    """``(N,)`` positions of an axis that a recorded force ``u`` (N,), linear between the rows,
-    drives from ``x0`` at ``v0``: implicit Euler in steps of at most ``h`` [s], in which dry
-    friction holds the axis exactly. Sliders and branches are not part of it.
+def _pushed(v, force, drag, mass, step):
+    """Speed after a ``step`` [s] under a constant ``force`` and a linear ``drag``: exact."""
+    lost = step * drag / mass
+    fed = (1.0 - math.exp(-lost)) / lost if lost > 1e-9 else 1.0
+    return v * math.exp(-lost) + step / mass * force * fed
+
+
+@njit(cache=True)
+def motion_under(t, u, late, x0, v0, p, h):
+    """``(N,)`` positions of an axis that a recorded force ``u`` (N,) drives from ``x0`` at ``v0``;
+    each value is held from ``late`` [s] after its row until the next, as a controller holds it.
+
+    In steps of at most ``h`` [s] of second order: the forces are those of the middle of a step (L.
+    Verlet, Phys. Rev. 159, 1967), the drag is exact, and dry friction stops and holds the axis
+    exactly. Sliders and branches are not part of it.
     """
     n = len(t)
     out = np.empty(n)
     out[0] = x0
     x, v, mass = x0, v0, p[MASS]
+    row = 0  # whose input acts
     for k in range(1, n):
-        dt = t[k] - t[k - 1]
-        pieces = max(1, int(math.ceil(dt / h - 1e-9)))
-        step = dt / pieces
-        for i in range(pieces):
-            part = (i + 0.5) / pieces
-            force = p[GAIN] * (u[k - 1] + part * (u[k] - u[k - 1]))
-            net = force - held(p, x, t[k - 1] + part * dt)
-            fade = 1.0 + p[FADE] * t[k]
-            drag = viscous(p, v) / v * fade if v != 0.0 else 0.0
-            level = friction(p, x, v if v != 0.0 else math.copysign(STILL, net), net) * fade
-            loss = 1.0 + step * drag / mass
-            ahead = (v + step / mass * (net - level)) / loss
-            behind = (v + step / mass * (net + level)) / loss
-            if ahead > 0.0:
-                v = ahead
-            elif behind < 0.0:
-                v = behind
-            else:
-                v = 0.0
-            x += step * v
+        at = t[k - 1]
+        while at < t[k]:
+            while row + 1 < n and t[row + 1] + late <= at:
+                row += 1
+            until = min(t[k], t[row + 1] + late) if row + 1 < n else t[k]
+            pieces = max(1, int(math.ceil((until - at) / h - 1e-9)))
+            step = (until - at) / pieces
+            for i in range(pieces):
+                middle = at + (i + 0.5) * step
+                net = p[GAIN] * u[row] - held(p, x + 0.5 * step * v, middle)
+                fade = 1.0 + p[FADE] * middle
+                left = step
+                if v != 0.0:
+                    drag, level = viscous(p, v) / v * fade, friction(p, x, v, net) * fade
+                    way = math.copysign(level, v)
+                    new = _pushed(v, net - way, drag, mass, left)
+                    if new * v > 0.0:
+                        x += 0.5 * left * (v + new)
+                        v = new
+                        continue
+                    part = v / (v - new)  # of the step, after which it stops
+                    x += 0.5 * part * left * v
+                    v, left = 0.0, (1.0 - part) * left
+                level = friction(p, x, math.copysign(STILL, net), net) * fade
+                if abs(net) > level:
+                    trial = left / mass * (net - math.copysign(level, net))
+                    drag = viscous(p, trial) / trial * fade if trial != 0.0 else 0.0
+                    v = _pushed(0.0, net - math.copysign(level, net), drag, mass, left)
+                    x += 0.5 * left * v
+            at = until
         out[k] = x
     return out

@@ -199,7 +199,9 @@ def _resistance(model: MjcfModel, law: AxisLaw) -> None:
 def _drive(model: MjcfModel, law: AxisLaw) -> None:
     n = law.numbers
     model.actuators.append(f'<motor name="input" joint="axis" gear="{number(n[of.GAIN])}"/>')
-    model.said.append(f"input of the drive: control of the motor, gear {n[of.GAIN]:.6g}")
+    model.said.append(
+        f"input of the drive: control of the motor, held from row to row, gear {n[of.GAIN]:.6g}"
+    )
     _inertia(model, n[of.MASS], n[of.GRAVITY_SIN], n[of.GRAVITY_COS])
     _resistance(model, law)
 

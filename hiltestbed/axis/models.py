@@ -16,14 +16,13 @@ from hiltestbed.axis.law import (
     BEYOND_BACK,
     GAIN,
     OFFSET,
-    RESOLVED,
     VISCOUS,
     VISCOUS_BACK,
     AxisLaw,
     force_along,
     motion_under,
 )
-from hiltestbed.axis.motion import Motion, even, motion_of, noise_of, smoothed
+from hiltestbed.axis.motion import Motion, averaged, even, motion_of, noise_of, weights_of
 from hiltestbed.effects.base import Departure
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
@@ -42,6 +41,8 @@ RESISTANCES = ("viscous", "coulomb", "offset")  # numbers of a nominal drive
 LONGEST_STEP = 1e-3  # [s] of an integration; friction and controllers of machines are slower
 STEPS_A_RADIAN = 4.0  # steps of an integration per radian of the fastest response
 START_ROWS = 24  # rows from which a speed at the start is estimated
+START_STEPS = 2  # of Gauss-Newton: a motion is all but linear in its start
+START_NUDGE = 1e-3  # of the mean speed of the first rows, by which their slope is a difference
 # standard deviations of the speed below which the sign of a motion is not known
 RESOLVED_SIGMA = 3.0
 
@@ -229,13 +230,7 @@ class DamperModel(AxisModel):
     def _force(self, of: Hypothesis) -> list[Array]:
         """(N,) at the even times."""
         law, late = self.law(of.effects()), float(of.nuisances[0])
-        out = []
-        for m in self._motions:
-            n = law.numbers.copy()
-            n[RESOLVED] = max(m.resolved, 1e-12)
-            force = force_along(m.t, m.x, m.v, m.a, n, law.sliders, law.branches)
-            out.append(_shifted(m.t, force, late))
-        return out
+        return [_shifted(m.t, _along(m, law), late) for m in self._motions]
 
     def _compared(self, of: Hypothesis) -> list[Array]:
         return [y - f for (_, _, y), f in zip(self._even, self._force(of), strict=True)]
@@ -260,19 +255,23 @@ class DriveModel(AxisModel):
     stretches = 4  # it integrates: what is left out has to last, or its neighbours tell it
 
     def _prepare(self) -> None:
-        self._motions, self._inputs, noise = [], [], []
+        self._motions, self._inputs, self._moves, noise = [], [], [], []
         for r in self.records:
             t, u, y = even(r.t, r.u, r.y)
             motion = motion_of(t, y)
             few = slice(None, None, max(1, motion.window // ROWS_A_WINDOW))
-            self._inputs.append(smoothed(u, motion.window)[few])
+            about = 0.5 * (u + np.r_[u[:1], u[:-1]])  # what is held before and after each row
+            self._inputs.append(averaged(about, motion.window)[few])
+            motion = motion._replace(way=averaged(np.sign(motion.v), motion.window))
+            # where dry friction holds the axis, its force is not that of a motion
+            moves = np.abs(motion.v) > RESOLVED_SIGMA * motion.resolved
+            moves[: motion.window // 2] = moves[len(moves) - motion.window // 2 :] = False
+            self._moves.append(moves[few])
             self._motions.append(motion.thinned(few))
             # of the input, and of the acceleration that it is compared with
             inertial = self.nominal.get("mass", 0.0) / self.nominal.get("gain", 1.0)
-            own = noise_of(u) / math.sqrt(motion.window)
+            own = noise_of(u) * float(np.linalg.norm(weights_of(motion.window)))
             noise.append(math.hypot(own, inertial * motion.shaken))
-        # where dry friction holds the axis, its force is not that of a motion
-        self._moves = [np.abs(m.v) > RESOLVED_SIGMA * m.resolved for m in self._motions]
         self.floors = np.array(noise)
 
     @property
@@ -294,10 +293,7 @@ class DriveModel(AxisModel):
         law, late = self.law(of.effects()), float(of.nuisances[0])
         out = []
         for m, u, moves in zip(self._motions, self._inputs, self._moves, strict=True):
-            n = law.numbers.copy()
-            n[RESOLVED] = 0.0
-            force = force_along(m.t, m.x, m.v, m.a, n, law.sliders, law.branches)
-            shown = _shifted(m.t, force / n[GAIN], -late)
+            shown = _shifted(m.t, _along(m, law) / law.numbers[GAIN], -late)
             out.append((u - shown)[moves])
         return [*out, of.nuisances / self.prior_sigma()]
 
@@ -314,9 +310,8 @@ class DriveModel(AxisModel):
         law, late = self.law(of.effects()), float(of.nuisances[0])
         out = []
         for r in self.records:
-            x0, v0 = started(r.t, r.y)
-            drive = _shifted(r.t, r.u, late)
-            out.append(motion_under(r.t, drive, x0, v0, law.numbers, LONGEST_STEP))
+            x0, v0 = started(r, late, law.numbers)
+            out.append(motion_under(r.t, r.u, late, x0, v0, law.numbers, LONGEST_STEP))
         return out
 
 
@@ -366,12 +361,26 @@ class ServoModel(AxisModel):
         return [servo.response(r.t, r.u, float(r.y[0]), p, step) for r in self.records]
 
 
-def started(t: Array, y: Array) -> tuple[float, float]:
-    """Position and speed at the first row: of a parabola through the first rows."""
-    n = min(START_ROWS, len(t))
-    at = t[:n] - t[0]
-    _, speed, place = np.polyfit(at, y[:n], 2)
-    return float(place), float(speed)
+def started(r: AxisRun, late: float, law: Array) -> tuple[float, float]:
+    """Position and speed at the first row of a record, of the motion by the numbers of the ``law``
+    that comes closest to the first rows; its input acts ``late`` [s].
+    """
+    t, u, y = r.t[:START_ROWS], r.u[:START_ROWS], r.y[:START_ROWS]
+    start = np.array([y[0], float(np.polyfit(t - t[0], y, 2)[1])])
+    nudge = START_NUDGE * float(np.ptp(y)) / (t[-1] - t[0]) or START_NUDGE
+    for _ in range(START_STEPS):
+        there, faster = (
+            motion_under(t, u, late, start[0], start[1] + more, law, LONGEST_STEP)
+            for more in (0.0, nudge)
+        )
+        slopes = np.column_stack([np.ones(len(t)), (faster - there) / nudge])
+        start += np.linalg.lstsq(slopes, y - there, rcond=None)[0]
+    return float(start[0]), float(start[1])
+
+
+def _along(m: Motion, law: AxisLaw) -> Array:
+    """(N,) force of a ``law`` along a motion."""
+    return force_along(m.t, m.x, m.v, m.a, m.way, law.numbers, law.sliders, law.branches)
 
 
 def _shifted(t: Array, values: Array, late: float) -> Array:

@@ -23,23 +23,24 @@ class Motion(NamedTuple):
     """A smooth motion through a recorded position: (N,) each, at even times.
 
     Attributes:
-        window: rows over which it was smoothed; other signals are compared with it after the same
-            smoothing. resolved, shaken: [m/s], [m/s^2] standard deviations of speed and
-            acceleration.
+        way: sign of the speed, less than 1 where its noise leaves it open, or the mean over what a
+            row stands for. window: rows over which it was smoothed. resolved, shaken: [m/s],
+            [m/s^2] standard deviations of speed and acceleration.
     """
 
     t: Array
     x: Array
     v: Array
     a: Array
+    way: Array
     window: int
     resolved: float
     shaken: float
 
     def thinned(self, rows: slice) -> Motion:
         """Some of its rows."""
-        t, x, v, a = (np.ascontiguousarray(part[rows]) for part in self[:4])
-        return Motion(t, x, v, a, self.window, self.resolved, self.shaken)
+        t, x, v, a, way = (np.ascontiguousarray(part[rows]) for part in self[:5])
+        return Motion(t, x, v, a, way, self.window, self.resolved, self.shaken)
 
 
 def even(t: Array, *signals: Array) -> tuple[Array, ...]:
@@ -83,7 +84,32 @@ def motion_of(t: Array, x: Array) -> Motion:
         float(np.linalg.norm(np.asarray(savgol_filter(impulse, window, ORDER, d, tick))))
         for d in (1, 2)
     ]
-    return Motion(t, smooth, v, a, window, gains[0] * noise, gains[1] * noise)
+    resolved = gains[0] * noise
+    way = np.tanh(v / max(resolved, 1e-12))
+    return Motion(t, smooth, v, a, way, window, resolved, gains[1] * noise)
+
+
+def weights_of(window: int) -> Array:
+    """Weights (window,) with which an acceleration of :func:`motion_of` averages the true one over
+    its window: the second sum of the coefficients of the second derivative. What is averaged by the
+    same can be compared with it, also where it jumps.
+    """
+    impulse = np.zeros(2 * window + 1)
+    impulse[window] = 1.0
+    second = np.asarray(savgol_filter(impulse, window, ORDER, 2))
+    first = window // 2 + 1
+    return np.cumsum(np.cumsum(second[first : first + window]))
+
+
+def averaged(y: Array, window: int) -> Array:
+    """(N,) a signal averaged as the acceleration of a motion is; as it is over the half window at
+    each end.
+    """
+    weights = weights_of(window)
+    # the second sum ends two rows before the window does
+    out, half = np.array(y, dtype=float), window // 2
+    out[half : len(out) - half] = np.convolve(y, weights[:-2], mode="same")[half : len(out) - half]
+    return out
 
 
 def smoothed(y: Array, window: int) -> Array:
