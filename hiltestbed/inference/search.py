@@ -1,5 +1,5 @@
-"""The causes that have the most evidence: hypotheses grow by one cause at a time, or by two where
-neither helps alone, and shrink by any that the others have made needless.
+"""The causes that have the most evidence: hypotheses grow by one cause at a time, or by several
+where none helps alone, and shrink by any that the others have made needless.
 """
 
 from __future__ import annotations
@@ -21,6 +21,10 @@ MOST_PARALLEL = 3  # effects of one kind that act side by side
 KEPT = 4  # candidates that are fitted beside a hypothesis
 # moves of which a few steps are made before the best are fitted, those of one kind, and the steps
 SCREENED, SAME_KIND, SCREENED_STEPS = 24, 2, 3
+AHEAD = 3  # causes that are added before the evidence has to have risen
+# starts of all causes of a hypothesis, those of the best of which a few steps are made, and the
+# hypotheses for which that is done beside each
+SCATTERED, BEGUN, ANEW = 24, 6, 2
 PAIRED = 3  # candidates beside which a second one is sought where none helps alone
 
 
@@ -47,7 +51,7 @@ def search(
     start: PosteriorFit | None = None,
 ) -> Searched:
     """The hypothesis with the most evidence that is reached from ``start``, by default from
-    nothing, by adding a cause, adding two, leaving one out, or putting another one in its place.
+    nothing, by adding one cause or several, leaving one out, or putting another one in its place.
     """
     likelihood = Likelihood(
         likelihood.model,
@@ -70,7 +74,12 @@ def search(
         better = None
         if here.most_gain(best) < here.least_price(candidates):
             break
-        ways = (_added,) if here.model.leaves_noise(best.left) else (_added, _paired, _exchanged)
+        if here.model.leaves_noise(best.left):
+            ways = (_added,)
+        elif here.model.noise_known:
+            ways = (_added, _paired, _exchanged)
+        else:
+            ways = (_added, _exchanged, _further)
         for way in ways:
             if progress:
                 progress(f"{WORDS[way.__name__]} {named(best)}")
@@ -94,6 +103,7 @@ WORDS = {
     "_added": "another cause beside",
     "_paired": "two more beside",
     "_exchanged": "another in place of one of",
+    "_further": "several more beside",
 }
 
 
@@ -129,6 +139,43 @@ def _exchanged(here, best, candidates, visited) -> list[PosteriorFit]:
         out += extended(here, fewer, others)
     visited.update({f.keys: f for f in out})
     return out
+
+
+def _further(here, best, candidates, visited) -> list[PosteriorFit]:
+    """Several more causes, each the one that explains most, though the first ones cost more than
+    they explain (floating search: P. Pudil, J. Novovicova, J. Kittler, Pattern Recogn. Lett. 15,
+    1994).
+    """
+    out: list[PosteriorFit] = []
+    for _ in range(AHEAD):
+        fits = extended(here, out[-1] if out else best, candidates)
+        # what one more cause changes in the others may be another minimum
+        fits += [_anew(here, f.causes, f.of.nuisances) for f in fits[:ANEW]]
+        for f in fits:
+            if f.keys not in visited or f.evidence > here.again(visited[f.keys]).evidence:
+                visited[f.keys] = f
+        if not fits:
+            break
+        out.append(min(fits, key=lambda f: f.cost))
+    return out
+
+
+def _anew(here: Likelihood, causes: Move, nuisances: Array) -> PosteriorFit:
+    """The fit of ``causes`` from starts all over their grids: from the best of them after a few
+    steps (successive halving, as in :func:`_screened`).
+    """
+    sizes = [len(c.grid) for c in causes]
+    count = math.prod(sizes)
+    picked = np.unique(np.linspace(0, count - 1, min(count, SCATTERED)).astype(int))
+    grids = [[np.ravel(np.array(point, dtype=float)) for point in c.grid] for c in causes]
+    starts = [
+        np.concatenate([grid[i] for grid, i in zip(grids, at, strict=True)])
+        for at in zip(*np.unravel_index(picked, sizes), strict=True)
+    ]
+    first = sorted((here.fit(causes, [s], nuisances, 0) for s in starts), key=lambda f: f.cost)
+    begun = [here.fit(causes, [f.of.theta], nuisances, SCREENED_STEPS) for f in first[:BEGUN]]
+    best = min(begun, key=lambda f: f.cost)
+    return here.fit(causes, [best.of.theta], best.of.nuisances)
 
 
 def extended(
