@@ -15,6 +15,7 @@ from hiltestbed.analysis.stability import stability
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.simulation import simulate
+from tests.slow import slow
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "02-bumper.yaml"
 W = math.sqrt(1.0e5 / 400.0)
@@ -45,7 +46,7 @@ def undelayed(rate: float, physics_rate: float) -> float:
         {"rate": 1000, "physics_rate": 4000, "effects": [{"kind": "dynamics.integrator"}]},
         {"sensor.delay": 0.008, "compensation.force": {"kind": "phase_lead", "lead": 0.004}},
         {"sensor.delay": 0.008, "compensation.force": {"kind": "second_order_lead"}},
-        {"sensor.delay": 0.008, "compensation.force": {"kind": "resynchronised"}},
+        slow({"sensor.delay": 0.008, "compensation.force": {"kind": "resynchronised"}}),
         {
             "sensor.delay": 0.008,
             "compensation.force": {"kind": "virtual_contact", "damping": 500.0},

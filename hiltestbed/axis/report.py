@@ -113,14 +113,18 @@ def page_of(d: AxisFinding) -> Report:
     report.table(("run", f"constant [{unit}]", f"nominal [{unit}]", f"extended [{unit}]"), rows)
     report.heading("Hypotheses that were compared")
     report.table(
-        ("causes", "log of the evidence, below the best"),
+        ("causes", "log of the evidence, below the best", "named"),
         [
             (
                 " + ".join(f"{x.kind} ({', '.join(x.names)})" for x in f.causes) or "nothing",
                 f"{c.visited[0].evidence - f.evidence:.1f}",
+                "yes" if d.causes and f.keys == c.fit.keys else "",
             )
             for f in (*c.visited[:8], *([c.null] if c.null not in c.visited[:8] else []))
         ],
+        "The evidence is that of the runs that were fitted. Named is what also predicts runs that "
+        "were left out, less the causes without which it predicts them as well; it may be none of "
+        "these.",
     )
     if d.remarks:
         report.heading("Remarks")

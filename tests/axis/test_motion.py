@@ -83,16 +83,15 @@ def held(seed: int) -> AxisRun:
             new = v + h / MASS * (force - VISCOUS * v - COULOMB * way)
             new = 0.0 if v * new < 0.0 else new
             x, v = x + 0.5 * h * (v + new), new
-    return AxisRun(
-        f"run {seed}", np.arange(len(u)) * ROW, u, y + 2e-6 * rng.standard_normal(len(u))
-    )
+    y += 2e-6 * rng.standard_normal(len(u))
+    return AxisRun(f"run {seed}", rows((len(u) - 1) * ROW), u, y)
 
 
 def test_an_acceleration_is_compared_with_what_is_averaged_like_it():
     rng = np.random.default_rng(3)
     a = rng.normal(size=600)
     x = np.concatenate([[0.0, 0.0], np.cumsum(np.cumsum(a))]) * ROW**2
-    motion = motion_of(np.arange(len(x)) * ROW, x)
+    motion = motion_of(rows((len(x) - 1) * ROW), x)
     half = motion.window // 2 + 1
     # the second difference about a row is the acceleration that begins there
     expected = averaged(a, motion.window)[half:-half]

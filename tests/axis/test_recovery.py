@@ -9,6 +9,7 @@ from hiltestbed.axis.diagnose import decide, searched, spread, tells_nothing
 from hiltestbed.axis.models import AxisRun, model_of
 from hiltestbed.inference.conclude import conclude
 from tests.axis import machines
+from tests.slow import slow
 
 
 def found(kind, runs, nominal, rotates=False):
@@ -62,7 +63,7 @@ def test_a_delay_and_a_bandwidth_are_told_apart():
     ("planted", "named", "other"),
     [
         ({"friction": 0.02}, "platform.drive", "platform.backlash"),
-        ({"play": 0.04}, "platform.backlash", None),
+        slow({"play": 0.04}, "platform.backlash", None),
     ],
 )
 def test_play_and_dry_friction_are_told_apart(planted, named, other):

@@ -162,7 +162,12 @@ def test_what_the_drives_yield_to_must_be_on_record_where_the_pose_is_not(tmp_pa
 
 @pytest.mark.parametrize(
     ("effect", "kept"),
-    [(STIFFER, MEASURED), slow(LATE, MEASURED), slow(STIFFER, NOT_REACHED), (LATE, NOT_REACHED)],
+    [
+        (STIFFER, MEASURED),
+        slow(LATE, MEASURED),
+        slow(STIFFER, NOT_REACHED),
+        slow(LATE, NOT_REACHED),
+    ],
 )
 def test_a_hidden_effect_is_named(
     tmp_path: Path, effect: dict[str, Any], kept: Sequence[str]

@@ -135,7 +135,7 @@ def test_a_delay_that_varies_has_the_likelihood_of_its_variance(healthy: Measure
 @pytest.mark.parametrize(
     "change",
     [
-        lost(0.1),
+        slow(lost(0.1)),
         slow(lost(0.2)),
         of_the_reading(0.01),
         slow(of_the_reading(0.01, "wrench_comp")),
