@@ -42,7 +42,8 @@ LONGEST_STEP = 1e-3  # [s] of an integration; friction and controllers of machin
 STEPS_A_RADIAN = 4.0  # steps of an integration per radian of the fastest response
 START_ROWS = 24  # rows from which a speed at the start is estimated
 START_STEPS = 2  # of Gauss-Newton: a motion is all but linear in its start
-START_NUDGE = 1e-3  # of the mean speed of the first rows, by which their slope is a difference
+# of the mean speed of the first rows, by which their slope is a difference; [m/s] of rows at rest
+START_NUDGE = 1e-3
 # standard deviations of the speed below which the sign of a motion is not known
 RESOLVED_SIGMA = 3.0
 
@@ -363,7 +364,7 @@ class ServoModel(AxisModel):
 
 def started(r: AxisRun, late: float, law: Array) -> tuple[float, float]:
     """Position and speed at the first row of a record, of the motion by the numbers of the ``law``
-    that comes closest to the first rows; its input acts ``late`` [s].
+    that comes closest to the first rows; its input acts ``late`` [s] after its stamps.
     """
     t, u, y = r.t[:START_ROWS], r.u[:START_ROWS], r.y[:START_ROWS]
     start = np.array([y[0], float(np.polyfit(t - t[0], y, 2)[1])])

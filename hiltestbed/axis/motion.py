@@ -90,25 +90,24 @@ def motion_of(t: Array, x: Array) -> Motion:
 
 
 def weights_of(window: int) -> Array:
-    """Weights (window,) with which an acceleration of :func:`motion_of` averages the true one over
-    its window: the second sum of the coefficients of the second derivative. What is averaged by the
-    same can be compared with it, also where it jumps.
+    """Weights (window - 2,) with which an acceleration of :func:`motion_of` averages the second
+    difference over its window: the second sum of the coefficients of the second derivative. What is
+    averaged by the same can be compared with it, also where it jumps.
     """
     impulse = np.zeros(2 * window + 1)
     impulse[window] = 1.0
     second = np.asarray(savgol_filter(impulse, window, ORDER, 2))
     first = window // 2 + 1
-    return np.cumsum(np.cumsum(second[first : first + window]))
+    return np.cumsum(np.cumsum(second[first : first + window]))[:-2]
 
 
 def averaged(y: Array, window: int) -> Array:
     """(N,) a signal averaged as the acceleration of a motion is; as it is over the half window at
     each end.
     """
-    weights = weights_of(window)
-    # the second sum ends two rows before the window does
     out, half = np.array(y, dtype=float), window // 2
-    out[half : len(out) - half] = np.convolve(y, weights[:-2], mode="same")[half : len(out) - half]
+    inner = slice(half, len(out) - half)
+    out[inner] = np.convolve(y, weights_of(window), mode="same")[inner]
     return out
 
 
