@@ -394,8 +394,10 @@ def _model_terms(run: LinkRun) -> Array:
         return np.zeros((*run.measured.shape, 0))
     places = np.clip(2.0 * (np.arange(run.rows) - at[0]) / max(at[-1] - at[0], 1) - 1.0, -1.0, 1.0)
     slow = MODEL_ERROR * legendre.legvander(places, SLOW_SHAPES)
-    terms = run.measured[:, :, None] * slow[:, None, :]
-    late = TIME_ERROR * np.gradient(run.measured, axis=0)
+    # outside it a reading is noise, to which no error of a model is proportional
+    force = np.where(run.touching[:, None], run.measured, 0.0)
+    terms = force[:, :, None] * slow[:, None, :]
+    late = TIME_ERROR * np.gradient(force, axis=0)
     return np.concatenate([terms, late[:, :, None]], axis=2)
 
 
