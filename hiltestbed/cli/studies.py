@@ -221,14 +221,6 @@ def diagnose(
             "--out", metavar="DIR", help="Folder to write; left out: runs/diagnosis-NAME."
         ),
     ] = None,
-    likelihood: Annotated[
-        bool | None,
-        typer.Option(
-            "--likelihood/--rules",
-            help="Explain the links by one likelihood or by rules; left out: by the likelihood "
-            "where the log has errors of its own, such as lost rows.",
-        ),
-    ] = None,
     as_json: Json = False,
 ) -> None:
     """Compare measured data with the simulation: where they deviate, the cause, and the gain of an
@@ -248,17 +240,8 @@ def diagnose(
     folder = result_folder(out, f"diagnosis-{safe_name(label)}")
     refuse_foreign(folder, DIAGNOSIS)
     source = read_source(dataset)
-    if likelihood is not None and is_axis(source):
-        raise InputError(
-            f"{dataset}: is one axis; --likelihood and --rules are about the links of a rig; leave "
-            f"them out"
-        )
     with step_line(label) as progress:
-        found = (
-            _of_axis(source, progress)
-            if is_axis(source)
-            else _of_rig(source, folder, progress, likelihood)
-        )
+        found = _of_axis(source, progress) if is_axis(source) else _of_rig(source, folder, progress)
         progress("report and recording")
         found.write(folder)
         result = found.to_json()
@@ -278,7 +261,7 @@ def _of_axis(source: Source, progress: Callable[[str], None]) -> AxisDiagnosis:
 
 
 def _of_rig(
-    source: Source, folder: Path, progress: Callable[[str], None], likelihood: bool | None
+    source: Source, folder: Path, progress: Callable[[str], None]
 ) -> Diagnosis | AxisDiagnosis:
     from hiltestbed.config.budget import dataset_budget, refuse_beyond
     from hiltestbed.config.dataset import dataset_from
@@ -286,4 +269,4 @@ def _of_rig(
 
     loaded = dataset_from(source)
     refuse_beyond(dataset_budget(loaded), source.file, "fewer or shorter runs need less", folder)
-    return run_diagnosis(loaded, progress, likelihood)
+    return run_diagnosis(loaded, progress)

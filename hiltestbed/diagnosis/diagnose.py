@@ -5,13 +5,12 @@ The stages, in order, with the module in which to read each:
 1. layout: which rows, noise floors and scales the links get (:mod:`hiltestbed.diagnosis.layout`);
 2. replay: each link of the loop predicts its output from measured inputs
 (:mod:`hiltestbed.diagnosis.links`, `residual`);
-3. fit: least squares of a hypothesis, a list of effects, on the residual of a link
-(:mod:`hiltestbed.diagnosis.fit`);
-4. select: which effects explain a link, down to the noise (:mod:`hiltestbed.diagnosis.search`, link
-by link in `investigate`);
-5. decide: from the explanations of the links to a verdict and its evidence
+3. explain: the causes of each link that have the most evidence by one likelihood, as far as they
+carry over to runs that were not fitted (:mod:`hiltestbed.diagnosis.link_model`, `explain`; link by
+link in `investigate`);
+4. decide: from the explanations of the links to a verdict and its evidence
 (:mod:`hiltestbed.diagnosis.verdict`, `find`);
-6. report: both models in closed loop, the next experiment, the folder
+5. report: both models in closed loop, the next experiment, the folder
 (:mod:`hiltestbed.diagnosis.report`).
 """
 
@@ -27,11 +26,10 @@ from hiltestbed.axis.dataset import is_axis, load_axis
 from hiltestbed.config.dataset import LoadedDataset, dataset_from
 from hiltestbed.config.yaml_source import read_source
 from hiltestbed.diagnosis.find import CLOSING_STEPS, find
-from hiltestbed.diagnosis.investigate import Findings, investigate
-from hiltestbed.diagnosis.likelihood.investigate import investigate_by_likelihood, log_has_errors
+from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.report.conclude import conclude
 from hiltestbed.diagnosis.report.diagnosis import Diagnosis
-from hiltestbed.diagnosis.search import Progress
+from hiltestbed.inference.search import Progress
 from hiltestbed.measured import MeasuredDataset, load_dataset
 
 if TYPE_CHECKING:
@@ -40,33 +38,23 @@ if TYPE_CHECKING:
 
 @overload
 def diagnose(
-    dataset: LoadedDataset | MeasuredDataset,
-    progress: Progress | None = None,
-    likelihood: bool | None = None,
+    dataset: LoadedDataset | MeasuredDataset, progress: Progress | None = None
 ) -> Diagnosis: ...
 
 
 @overload
-def diagnose(
-    dataset: str | Path, progress: Progress | None = None, likelihood: bool | None = None
-) -> Any: ...
+def diagnose(dataset: str | Path, progress: Progress | None = None) -> Any: ...
 
 
 def diagnose(
-    dataset: str | Path | LoadedDataset | MeasuredDataset,
-    progress: Progress | None = None,
-    likelihood: bool | None = None,
+    dataset: str | Path | LoadedDataset | MeasuredDataset, progress: Progress | None = None
 ) -> Diagnosis | AxisDiagnosis:
     """The diagnosis of a dataset, or of the dataset in a file; `progress` is called with a line on
     what is being done.
 
     It is a :class:`Diagnosis`, or an :class:`~hiltestbed.axis.diagnose.AxisDiagnosis` where the
-    file is one of a single axis. `investigate` runs the stages 1 to 4 of the list above, `find` the
-    fifth and `conclude` the last. No stage changes its input.
-
-    Args:
-        likelihood: whether the stages 3 and 4 are those of :mod:`hiltestbed.diagnosis.likelihood`;
-            None: where the log has errors of its own.
+    file is one of a single axis. `investigate` runs the stages 1 to 3 of the list above, `find` the
+    fourth and `conclude` the last. No stage changes its input.
 
     Raises:
         InputError: a file cannot be read, or its data contradict the physics.
@@ -86,16 +74,7 @@ def diagnose(
         dataset = load_dataset(dataset)
     # hypotheses far from the truth may overflow; their misfit is clipped, and they are not selected
     with np.errstate(all="ignore"):
-        finding = find(investigated(dataset, progress, likelihood), progress)
+        finding = find(investigate(dataset, progress), progress)
     if progress:
         progress(f"closing step 3 of {CLOSING_STEPS}: nominal and extended runs in closed loop")
     return conclude(dataset, finding, time.monotonic() - start)
-
-
-def investigated(
-    dataset: MeasuredDataset, progress: Progress | None = None, likelihood: bool | None = None
-) -> Findings:
-    """The explanations of the links, by the likelihood or by the rules; see :func:`diagnose`."""
-    if likelihood is None:
-        likelihood = log_has_errors(dataset)
-    return (investigate_by_likelihood if likelihood else investigate)(dataset, progress)

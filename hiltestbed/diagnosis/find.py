@@ -6,19 +6,15 @@ ranking of hypotheses, and which effects the data can tell apart.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import gmean
 
-from hiltestbed.diagnosis import timing
-from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
-from hiltestbed.diagnosis.certainty import Certainties, spans_its_range
-from hiltestbed.diagnosis.fit import Fit
-from hiltestbed.diagnosis.grow import far_off, grow
-from hiltestbed.diagnosis.heldout import heldout, placebo_of
-from hiltestbed.diagnosis.in_part import confirmed, explained, holding
+from hiltestbed.diagnosis.certainty import certainty
+from hiltestbed.diagnosis.explain import Explanation, effects_of
+from hiltestbed.diagnosis.heldout import heldout
+from hiltestbed.diagnosis.in_part import explained
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.isolability import isolability
 from hiltestbed.diagnosis.learned.finding import learned_on
@@ -36,11 +32,15 @@ from hiltestbed.diagnosis.result import (
     Parameter,
     Ranked,
 )
-from hiltestbed.diagnosis.search import Explanation, Progress, Search, labelled
 from hiltestbed.diagnosis.settings import MIN_HELDOUT_GAIN
+from hiltestbed.diagnosis.timing import clock_offsets
 from hiltestbed.diagnosis.unexplained import describe
 from hiltestbed.diagnosis.verdict import Named, Verdict, decide
 from hiltestbed.effects.base import Effect
+from hiltestbed.inference.conclude import Confirmed, Estimate
+from hiltestbed.inference.likelihood import PosteriorFit
+from hiltestbed.inference.search import Progress
+from hiltestbed.process.progress import labelled
 
 CLOSING_STEPS = 4  # after the links: intervals, smallest sizes, closed loop, report
 MAX_RANKED = 6  # hypotheses of a link that are listed
@@ -51,14 +51,12 @@ MEASURED_LINKS = ("platform", "wrench")
 
 @dataclass(frozen=True)
 class Judged:
-    """The verdict on a dataset, before intervals and series are added.
+    """The verdict on a dataset, before series are added.
 
     Attributes:
-        findings: the explanations, with the one to which causes were added, if any. verdict: with
-            its causes.
-        nearest: the effects that come nearest where the worst link departs and nothing is named.
-        share: of the departure, explained by the causes that are named in part. learned: the law
-            learned beside the causes, if any.
+        findings: the explanations. verdict: with its causes. nearest: the effect that comes nearest
+            where the worst link departs and nothing is named. share: of the departure, explained by
+            the causes that are named in part. learned: the law learned beside the causes, if any.
         law: the effect by which that law extends the model.
     """
 
@@ -74,11 +72,9 @@ def judge(findings: Findings, progress: Progress | None = None) -> Judged:
     """The verdict; where few effects do not explain a link, with what holds, or a learned law."""
     findings = with_rebounds(findings)
     verdict = decide(findings)
-    findings, nearest = _nearest(findings, verdict, progress)
-    # more causes than were searched together explain it
-    if verdict.verdict == "unknown" and not nearest:
-        verdict = decide(findings)
-    verdict, share = _in_part(findings, verdict, nearest)
+    nearest = _nearest(findings, verdict)
+    in_part = [c for c in verdict.causes if not findings.explanations[c.link].adequate]
+    share = explained(findings.explanations[in_part[0].link]) if in_part else None
     verdict, share, learned, law = _learned(findings, verdict, share, progress)
     return Judged(findings, verdict, nearest, share, learned, law)
 
@@ -89,16 +85,14 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
     findings, verdict, nearest, law = judged.findings, judged.verdict, judged.nearest, judged.law
     if progress:
         progress(f"closing step 1 of {CLOSING_STEPS}: intervals and left-out runs")
-    offsets = timing.clock_offsets(findings.explanations)
-    certain = Certainties(findings.explanations)
-    verdict = _determined(verdict, certain)
-    causes = tuple(cause_of(findings, c, certain, verdict.causes) for c in verdict.causes)
-    once = {c.effect: c for c in [*nearest, *verdict.causes]}  # a stamp delay shows on two links
-    once = {c.effect: c for c in verdict.causes} if law else once
-    # as the links take them, with their variants
-    effects = [*(c.fit.effects()[c.index] for c in once.values()), *law]
+    explanations = findings.explanations
+    offsets = clock_offsets(explanations)
+    causes = tuple(cause_of(c, verdict.causes) for c in verdict.causes)
+    # a stamp delay shows on two links
+    once = {c.effect: c for c in [*([] if law else nearest), *verdict.causes]}
+    effects = [*(c.fitted for c in once.values()), *law]
     series = [s for link in findings.whole.values() for s in link_series(link, effects)]
-    departed = {name: e for name, e in findings.explanations.items() if e.departs}
+    departed = {name: e for name, e in explanations.items() if e.departs}
     left = "; ".join(describe(e, LINK_NAMES[n]) for n, e in departed.items() if not e.adequate)
     return Finding(
         verdict=verdict.verdict,
@@ -106,15 +100,13 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
         causes=causes,
         series=series,
         noise=findings.noise,
-        heldout=gain_of(
-            findings, nearest if verdict.verdict == "named_in_part" else verdict.causes
-        ),
+        heldout=gain_of(findings, verdict.causes),
         ranking=tuple(r for n, e in departed.items() for r in _ranking(n, e)),
         isolability=_isolability(findings, progress),
         unsized=_unsized(findings),
         left=left,
         not_judged={LINK_NAMES[name]: why for name, why in verdict.not_judged.items()},
-        partial=tuple(cause_of(findings, c, certain) for c in nearest),
+        partial=tuple(cause_of(c) for c in nearest),
         partial_gain=gain_of(findings, nearest),
         explained=judged.share,
         learned=judged.learned,
@@ -124,21 +116,9 @@ def find(findings: Findings, progress: Progress | None = None) -> Finding:
             *findings.weighed,
             *_left_out(findings),
         ),
-        certainty=tuple(certain),
+        certainty=tuple(certainty(n, e) for n, e in departed.items() if e.causes),
         timing=offsets,
     )
-
-
-def _determined(verdict: Verdict, certain: Certainties) -> Verdict:
-    """The verdict without causes whose size the data do not determine."""
-    kept = tuple(
-        c
-        for c in verdict.causes
-        if not spans_its_range(c.fit, c.index, certain.of(c.link, c.fit).ends)
-    )
-    if len(kept) == len(verdict.causes):
-        return verdict
-    return replace(verdict, verdict="unknown", causes=kept)
 
 
 def _left_out(findings: Findings) -> tuple[str, ...]:
@@ -170,40 +150,30 @@ def _left_out(findings: Findings) -> tuple[str, ...]:
     )
 
 
-def _nearest(
-    findings: Findings, verdict: Verdict, progress: Progress | None
-) -> tuple[Findings, tuple[Named, ...]]:
-    """Where a link departs and nothing is named: the effects that come nearest on the worst link,
-    as many as lower its misfit enough.
-
-    No effects are returned if these leave only noise and each is confirmed; the findings then hold
-    them as the explanation of that link.
-    """
+def _nearest(findings: Findings, verdict: Verdict) -> tuple[Named, ...]:
+    """The effect that comes nearest where the worst link departs and nothing is named on it."""
     if verdict.verdict != "unknown":
-        return findings, ()
-    open_ = {
-        n: e
-        for n, e in findings.explanations.items()
-        if e.departs and not e.adequate and e.chosen.causes
-    }
-    if not open_:
-        return findings, ()
-    name = max(open_, key=lambda n: open_[n].worst)
-    if name in MEASURED_LINKS and far_off(open_[name]):
-        grown = _grown(open_[name], progress)
-        whole = confirmed(replace(grown, adequate=noise_alone(grown.leftovers)))
-        findings = replace(findings, explanations={**findings.explanations, name: whole or grown})
-        if whole:
-            return findings, ()
-    fit = findings.explanations[name].chosen
-    return findings, tuple(Named(kind, name, fit, index) for index, kind in enumerate(fit.kinds))
+        return ()
+    open_ = {n: e for n, e in findings.explanations.items() if e.departs and not e.adequate}
+    name = max(open_, key=lambda n: open_[n].excess)
+    e = open_[name]
+    best = next((f for f in e.singles() if f.evidence > e.conclusion.null.evidence), None)
+    return () if best is None else (Named(name, _as_fitted(best)),)
+
+
+def _as_fitted(found: PosteriorFit) -> Confirmed:
+    """The cause of a fit of one, which nothing confirms."""
+    (cause,) = (c for c in found.causes if c.sigma is None)
+    values = zip(cause.names, found.of.theta, strict=False)
+    estimates = tuple(Estimate(n, float(v), float(v), float(v)) for n, v in values)
+    return Confirmed(cause, estimates, 0.0, 1.0, ())
 
 
 def _learned(
     findings: Findings, verdict: Verdict, share: float | None, progress: Progress | None
 ) -> tuple[Verdict, float | None, Learned | None, tuple[Effect, ...]]:
-    """The law learned on a link that departs beyond its confirmed causes, and the effect that
-    extends the model.
+    """The law learned on a link that departs beyond its causes, and the effect that extends the
+    model.
 
     A cause named in part is dropped if curves alone do as well as curves beside it, with fewer
     numbers: it was a part of them.
@@ -220,13 +190,13 @@ def _learned(
     if progress:
         progress(f"{LINK_NAMES[name]}: learning a law")
     causes = [c for c in verdict.causes if c.link == name]
-    known = [c.fit.effects()[c.index] for c in causes]
+    known = [c.fitted for c in causes]
     result = learned_on(found, known)
     alone = learned_on(found, ()) if known and result is not None else None
     if (
         result is not None
         and alone is not None
-        and needless(result[0], alone[0], sum(len(c.fit.part(c.index)) for c in causes))
+        and needless(result[0], alone[0], sum(len(c.cause.estimates) for c in causes))
     ):
         others = tuple(c for c in verdict.causes if c.link != name)
         verdict = Verdict("unknown", verdict.link, others, verdict.not_judged)
@@ -254,42 +224,13 @@ def _left(law: Learned) -> float:
     return float(gmean([after for _, after in law.heldout.per_run.values()]))
 
 
-def _in_part(
-    findings: Findings, verdict: Verdict, nearest: tuple[Named, ...]
-) -> tuple[Verdict, float | None]:
-    """The verdict with those of the nearest causes that hold, and the share that they explain."""
-    if not nearest:
-        return verdict, None
-    e = findings.explanations[nearest[0].link]
-    parts_of_ticks = timing.delays_not_causes(findings.explanations).get(nearest[0].link, {})
-    kept = [i for i in holding(e) if nearest[i].effect not in parts_of_ticks]
-    if not kept:
-        return verdict, None
-    causes = tuple(replace(nearest[i], probability=1.0) for i in kept)
-    others = tuple(c for c in verdict.causes if c.effect not in {n.effect for n in causes})
-    return Verdict(
-        "named_in_part", verdict.link, (*causes, *others), verdict.not_judged
-    ), explained(e)
-
-
-def _grown(e: Explanation, progress: Progress | None) -> Explanation:
-    """The explanation of a link with the best fit of several effects."""
-    best = grow(e, Search(e.candidates, progress=labelled(progress, "further causes")))
-    return replace(e, chosen=best, leftovers=contact_leftovers(e.residual, best.effects()))
-
-
-def cause_of(
-    findings: Findings, c: Named, certain: Certainties | None = None, beside: tuple[Named, ...] = ()
-) -> Cause:
-    """A cause with the 95 % intervals of its parameters; `certain` caches the intervals of each
-    fit.
+def cause_of(c: Named, beside: tuple[Named, ...] = ()) -> Cause:
+    """A cause with the 95 % intervals of its parameters.
 
     beside: all named causes, for the complete explanations that have a rival in place of this one.
     """
-    ends = (certain or Certainties(findings.explanations)).of(c.link, c.fit).ends
-    start = c.fit.place(c.index).start
-    names = c.fit.causes[c.index].names
-    effect = c.fit.effects()[c.index]
+    effect = c.fitted
+    ends: dict[str, Interval] = {e.name: (e.low, e.high) for e in c.cause.estimates}
     found: dict[str, Parameter] = {}
     for name, value in effect.parameters().items():
         unit = effect.unit(name)
@@ -298,45 +239,42 @@ def cause_of(
         if isinstance(value, str):
             found[name] = Parameter(value, None, "")
         elif isinstance(value, tuple):
-            ci = tuple(_interval(ends, names, start, f"{name}.{j}", v) for j, v in enumerate(value))
+            ci = tuple(ends.get(f"{name}.{j}", (float(v), float(v))) for j, v in enumerate(value))
             found[name] = Parameter(tuple(float(v) for v in value), ci, unit)
         else:
-            found[name] = Parameter(value, _interval(ends, names, start, name, value), unit)
-    elsewhere = [o.fit.effects()[o.index] for o in beside if o.link != c.link]
+            found[name] = Parameter(value, ends.get(name, (float(value), float(value))), unit)
+    elsewhere = [o.fitted for o in beside if o.link != c.link]
     alternatives = tuple(
-        tuple(entry(e) for e in (*rival.effects(), *elsewhere)) for rival in c.rivals
+        tuple(entry(e) for e in (*effects_of(rival), *elsewhere)) for _, rival in c.rivals
     )
-    return Cause(c.effect, found, c.probability, tuple(c.indistinguishable_from), alternatives)
-
-
-def _interval(ends: Any, names: tuple[str, ...], start: int, name: str, value: float) -> Interval:
-    if name not in names:
-        return (float(value), float(value))
-    low, high = ends[start + names.index(name)]
-    return (float(low), float(high))
+    probability, alike = c.cause.probability, c.indistinguishable_from
+    return Cause(c.effect, found, probability, alike, alternatives)
 
 
 def gain_of(findings: Findings, causes: tuple[Named, ...]) -> Heldout | None:
     """The gain on left-out runs, on the link of the strongest cause; None without a cause."""
     if not causes:
         return None
-    strongest = causes[0]
-    e = findings.explanations[strongest.link]
-    return heldout(e.residual, strongest.fit, placebo_of(e.singles, strongest.fit))
+    e = findings.explanations[causes[0].link]
+    if e.causes:
+        return heldout(e)
+    return heldout(e, next(f for f in e.singles() if effects_of(f)[0].kind == causes[0].effect))
 
 
 def _ranking(name: str, e: Explanation) -> list[Ranked]:
-    pool: list[Fit] = sorted([*e.singles, *e.more], key=lambda f: f.score)
     seen, out = set(), []
-    for f in [e.chosen, *pool]:
-        key = tuple(sorted(f.kinds))
+    fits = sorted(e.conclusion.visited, key=lambda f: -f.evidence)
+    for f in [e.fit, *(f for f in fits if np.isfinite(f.evidence))]:
+        effects = effects_of(f)
+        key = tuple(sorted(x.kind for x in effects))
         if not key or key in seen or len(out) >= MAX_RANKED:
             continue
         seen.add(key)
-        gain = heldout(e.residual, f, None) if len(out) < MAX_RANKED_HELDOUT else None
-        words = "; ".join(listed(effect.parameters()) for effect in f.effects())
-        after, adequate = gain.rms_after if gain else None, e.adequate if f is e.chosen else None
-        out.append(Ranked(f.kinds, f.score - e.chosen.score, name, words, after, adequate))
+        gain = heldout(e, f) if len(out) < MAX_RANKED_HELDOUT else None
+        words = "; ".join(listed(effect.parameters()) for effect in effects)
+        after, adequate = gain.rms_after if gain else None, e.adequate if f is e.fit else None
+        worse = 2.0 * (e.likelihood().again(e.fit).evidence - e.likelihood().again(f).evidence)
+        out.append(Ranked(tuple(x.kind for x in effects), worse, name, words, after, adequate))
     return out
 
 
@@ -345,7 +283,7 @@ def _isolability(findings: Findings, progress: Progress | None) -> tuple[Isolabl
     for name, e in findings.explanations.items():
         if e.adequate:
             out += isolability(
-                e.residual,
+                e.residual(),
                 e.candidates,
                 labelled(progress, f"closing step 2 of {CLOSING_STEPS}: sizes, {LINK_NAMES[name]}"),
             )

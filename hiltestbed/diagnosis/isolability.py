@@ -13,14 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiltestbed.diagnosis.fit import effects_at
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.residual import Residual, square
 from hiltestbed.diagnosis.result import Isolable
-from hiltestbed.diagnosis.search import Progress
 from hiltestbed.diagnosis.settings import DETECTION, PENALTY
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
+from hiltestbed.inference.search import Progress
 from hiltestbed.process.progress import UnitTime, time_left_text
 
 # chosen: of two residuals, above which effects are look-alikes: a tenth of the smaller one's energy
@@ -72,7 +71,7 @@ class Detectable:
     @property
     def effects(self) -> Effects:
         """The effect at that size."""
-        return effects_at((self.candidate,), self.theta)
+        return [self.candidate.at(self.theta)]
 
     @property
     def size(self) -> float | None:
@@ -169,9 +168,7 @@ def _changes(
     """(M,) change of the residual by each candidate at its size, from 0 (next to nothing) to 1 (the
     largest that is searched).
     """
-    effects = [
-        effects_at((c,), _at(c, float(size))) for c, size in zip(candidates, sizes, strict=True)
-    ]
+    effects = [[c.at(_at(c, float(size)))] for c, size in zip(candidates, sizes, strict=True)]
     return [r - null for r in residual.many(effects)] if effects else []
 
 

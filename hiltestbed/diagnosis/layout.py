@@ -20,7 +20,6 @@ from hiltestbed.diagnosis.bridged import (
     kink_errors,
     rms_differences,
 )
-from hiltestbed.diagnosis.driven import regression
 from hiltestbed.diagnosis.floors import floors, repetition_factor
 from hiltestbed.diagnosis.lacking import every_run_has, lacking, on_record
 from hiltestbed.diagnosis.links import (
@@ -39,7 +38,6 @@ from hiltestbed.diagnosis.yielding import Deflection, deflection, engagement
 from hiltestbed.effects.search import Scales
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredDataset, MeasuredRun
-from hiltestbed.measured.driven import is_driven
 from hiltestbed.replay import Engaged
 from hiltestbed.replay.compensation import needs
 from hiltestbed.scenario import Scenario
@@ -133,8 +131,6 @@ def lay_out(dataset: MeasuredDataset) -> DatasetLayout:
                 f"{lost.name}"
             )
     scales = scales_of(runs, noise)
-    if "dynamics" not in missing and all(is_driven(r.record, r.scenario) for r in runs):
-        scales = replace(scales, driven=regression(runs))
     layout = DatasetLayout(
         runs, tuple(_rows(r) for r in runs), scales, noise, force, engaged, given, missing
     )
@@ -173,12 +169,6 @@ def _logger_filter(link: CompensationLink) -> LowPass | None:
     return low_pass_between([run.measured for run in link.runs], behind, known)
 
 
-def with_readings(layout: DatasetLayout, readings: Sequence[Array]) -> DatasetLayout | None:
-    """The same if the sensor had shown ``readings`` (N, 6); None: the rig cannot follow then."""
-    given, lost = _deflections(layout.runs, layout.noise, layout.engaged, readings)
-    return replace(layout, deflection=given) if lost is None else None
-
-
 def with_noise_beside(layout: DatasetLayout, shown: Sequence[Array]) -> DatasetLayout:
     """The same with a latched mechanism's noise beside readings ``shown`` (N, 6) by the contact."""
     force, before = force_noise(layout.runs, layout.logged, shown), layout.force.levels()
@@ -190,13 +180,11 @@ def _deflections(
     runs: Sequence[MeasuredRun],
     noise: Mapping[str, float],
     engaged: Sequence[Engaged | None],
-    readings: Sequence[Array] | None = None,
 ) -> tuple[tuple[Deflection, ...] | None, MeasuredRun | None]:
     """The believed rig's departure from its command in each run, or a run it cannot follow."""
     found = []
     for i, run in enumerate(runs):
-        reading = None if readings is None else readings[i]
-        one = deflection(run, noise.get("wrench_meas.fz", 0.0), reading, engaged[i])
+        one = deflection(run, noise.get("wrench_meas.fz", 0.0), None, engaged[i])
         if one is None:
             return None, run
         found.append(one)

@@ -15,11 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hiltestbed.contact.sides import sides_of
-from hiltestbed.diagnosis.decimation import decimated
+from hiltestbed.diagnosis.explain import Explanation
 from hiltestbed.diagnosis.lacking import all_axes
 from hiltestbed.diagnosis.layout import DatasetLayout, platform_link, wrench_link
 from hiltestbed.diagnosis.links import WrenchLink, flat_pose
-from hiltestbed.diagnosis.links.base import NO_SHIFT, Effects, Timing
 from hiltestbed.diagnosis.links.platform import poses_of
 from hiltestbed.diagnosis.path_noise import (
     Path,
@@ -39,9 +38,7 @@ from hiltestbed.diagnosis.path_noise import (
 )
 from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
 from hiltestbed.diagnosis.residual import Residual, square
-from hiltestbed.diagnosis.search import Explanation
-from hiltestbed.diagnosis.settings import BLOCK_ROWS, DETECTION, LEVER_ARM, MODEL_ERROR
-from hiltestbed.diagnosis.timing import may_be_stamp
+from hiltestbed.diagnosis.settings import DETECTION, LEVER_ARM
 from hiltestbed.diagnosis.yielding import told_pose, yielded_under
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
@@ -67,13 +64,11 @@ class BestPath:
         path_noise: (N, 6) of each run, noise of the reading that is due to the path; None: none.
             jumps: (N,) of each run, distance by which a platform with stiction jumped [m] in the
             tick that ends at each row; None: it has no stiction.
-        clocks_off: whether channels are stamped, or instants lie, between rows.
     """
 
     path: Path
     path_noise: Sequence[Array] | None
     jumps: Sequence[Array] | None
-    clocks_off: bool = False
 
 
 def best_path(layout: DatasetLayout, platform: Explanation | None) -> BestPath:
@@ -122,8 +117,8 @@ def best_path(layout: DatasetLayout, platform: Explanation | None) -> BestPath:
 
 def _explained(layout: DatasetLayout, platform: Explanation) -> list[Array]:
     """(N, 7) the poses of each run that the explained platform reaches."""
-    link = platform_link(layout, layout.whole).with_timing(platform.residual.link.timing)
-    return link.paths(platform.chosen.effects())
+    link = platform_link(layout, layout.whole).with_timing(platform.timing())
+    return link.paths(platform.effects())
 
 
 def too_divergent(layout: DatasetLayout, best: BestPath) -> str | None:
@@ -143,43 +138,6 @@ def too_divergent(layout: DatasetLayout, best: BestPath) -> str | None:
     )
 
 
-def path_without_delay(
-    layout: DatasetLayout, platform: Explanation | None, best: BestPath
-) -> BestPath | None:
-    """The path if fractions of a tick between pose_act and its command are only its stamp's; None
-    where there are none.
-
-    A path that is resampled between rows is flatter than the one that was taken.
-    """
-    if platform is None or not platform.adequate or best.path.source != "pose_cmd":
-        return None
-    found = platform.residual.link
-    effects = [e for e in platform.chosen.effects() if not may_be_stamp(e, found)]
-    if len(effects) == len(platform.chosen.causes) and found.timing == NO_SHIFT:
-        return None
-    loop = Timing(
-        obeyed=found.timing.obeyed, before=found.timing.before if "before" in found.known else 0.0
-    )
-    poses = platform_link(layout, layout.whole).with_timing(loop).paths(effects)
-    path = Path(
-        poses, central_rates_of(layout, poses), source="pose_cmd", rounding=best.path.rounding
-    )
-    return BestPath(path, best.path_noise, _jumped(platform, path))
-
-
-def with_clocks_off(layout: DatasetLayout, best: BestPath) -> BestPath:
-    """The same path with added noise for channels that are stamped between rows, where a reading is
-    not on record and interpolation smooths the motion. The error is alike over many rows, and
-    counts like noise that is larger by the root of a block. The instant at which a facility takes
-    the rate of the contact is not known either, see :meth:`WrenchLink.with_unknown_rate`.
-    """
-    error = [
-        math.sqrt(BLOCK_ROWS) * MODEL_ERROR * np.abs(np.nan_to_num(r.record.data["wrench_meas"]))
-        for r in layout.runs
-    ]
-    return replace(best, path_noise=both(error, best.path_noise), clocks_off=True)
-
-
 def with_filter_error(layout: DatasetLayout, best: BestPath) -> BestPath:
     """The same path with added noise for a logger's filter, which is known to about one order."""
     if layout.logged is None:
@@ -193,25 +151,21 @@ def with_filter_error(layout: DatasetLayout, best: BestPath) -> BestPath:
 
 def _jumped(platform: Explanation | None, path: Path) -> list[Array] | None:
     """`jumps` of :class:`BestPath`."""
-    sticks = (
-        platform is not None and platform.adequate and "platform.friction" in platform.chosen.kinds
-    )
+    sticks = platform is not None and platform.adequate and "platform.friction" in platform.kinds
     return [_jumps(p) for p in path.poses] if sticks else None
 
 
-def make_wrench_link(
-    layout: DatasetLayout, best: BestPath, rows: Sequence[int], decimate: bool = False
-) -> WrenchLink:
-    """Contact and sensor on a path; decimate: where no other link continues from its rows."""
+def make_wrench_link(layout: DatasetLayout, best: BestPath, rows: Sequence[int]) -> WrenchLink:
+    """Contact and sensor on a path."""
     link = wrench_link(layout, best.path.poses, rows, best.jumps, best.path.rates, best.path_noise)
     link = link.through(layout.logged).with_rounding(best.path.rounding)
-    if best.clocks_off or (differentiated(best.path) and best.jumps is None):
+    if differentiated(best.path) and best.jumps is None:
         link = link.with_unknown_rate()
     if best.path.unknown:
         link = link.with_unknown_paths(best.path.unknown)
     if best.path.yielded:
         return link.commanded(_followed(layout), best.path.yielded)
-    return decimated(link) if decimate and best.jumps is None else link
+    return link
 
 
 def _only_commanded(layout: DatasetLayout) -> bool:
@@ -219,28 +173,14 @@ def _only_commanded(layout: DatasetLayout) -> bool:
     return all(r.record.has("pose_cmd") and not r.record.has("pose_act") for r in layout.runs)
 
 
-def path_under(
-    layout: DatasetLayout, best: BestPath, link: WrenchLink, effects: Effects
-) -> BestPath | None:
-    """The commanded path with its yielding to the force that was found: of the contact with
-    ``effects``, read as by ``link``; None where nothing yields, or nothing was found.
-    """
-    if not effects or not best.path.unknown or not best.path.yielded:
-        return None
-    assert best.path_noise is not None  # as something yields
-    return replace(best, path=_under_the_contact(layout, best.path, best.path_noise, link, effects))
-
-
 def _under_the_contact(
     layout: DatasetLayout,
     path: Path,
     noise: Sequence[Array],
-    like: WrenchLink | None = None,
-    effects: Effects = (),
 ) -> Path:
     """A commanded ``path`` with its yielding to a force, and changes for a force misread: with the
-    force of the contact with ``effects``, where the readings then show no more than with the force
-    of the given path.
+    force of the believed contact, where the readings then show no more than with the force of the
+    given path.
 
     The noise of the recorded force is in a path that yields to it as well as in the readings, and
     what filters it would explain them. The force and the yielding to it are found in turn, which
@@ -248,20 +188,19 @@ def _under_the_contact(
     """
     assert layout.deflection is not None  # else the link is missing
     level, tick = layout.noise.get("wrench_meas.fz", 0.0), layout.scales.tick
-    borne = [e for e in effects if e.link not in ("sensor", "log")]
     out, tried, least = path, path, math.inf
     for _ in range(CONTACT_ROUNDS):
         link = wrench_link(layout, tried.poses, layout.whole, None, tried.rates, noise).commanded(
             _followed(layout), tried.yielded
         )
-        link = link.as_interpreted(like) if like else choose_steps(choose_ring(choose_lever(link)))
-        shown = link.shown_in_all(borne)
+        link = choose_steps(choose_ring(choose_lever(link)))
+        shown = link.shown_in_all()
         again = [
             yielded_under(*each, level)
             for each in zip(layout.runs, layout.deflection, shown, strict=True)
         ]
         tried = replace(tried, unknown=misread(again, tick))
-        left = square(Residual(link.with_unknown_paths(tried.unknown))(effects))
+        left = square(Residual(link.with_unknown_paths(tried.unknown))(()))
         if left > least + DETECTION:
             break
         out, least = tried, min(left, least)

@@ -27,12 +27,13 @@ from hiltestbed.diagnosis.investigate import investigate
 from hiltestbed.diagnosis.isolability import LOOK_ALIKE_COSINE, Detectable, detectable
 from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.search import Progress, labelled
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.frames import Array
+from hiltestbed.inference.search import Progress
 from hiltestbed.measured import examine, load_dataset
 from hiltestbed.measured.record import MEASURED_GROUPS
+from hiltestbed.process.progress import labelled
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.signals import GROUPS
 from hiltestbed.simulation import simulate
@@ -182,10 +183,10 @@ def plan(task: Scenario | LoadedDataset, progress: Progress | None = None) -> Pl
             missing[name] = "its replay of the nominal simulation leaves more than noise"
             continue
         told = labelled(progress, f"sizes, {LINK_NAMES[name]}")
-        planned = found.residual.on(range(len(scenarios)))
+        planned = found.residual().on(range(len(scenarios)))
         every_effect = detectable(planned, found.candidates, told)
         shown = [s for s in every_effect if s.size is not None]
-        alike = _LinkPlan(name, shown, _products(found.residual, shown))
+        alike = _LinkPlan(name, shown, _products(found.residual(), shown))
         links.append((every_effect, alike))
     own = range(len(scenarios))
     return Plan(

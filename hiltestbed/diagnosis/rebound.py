@@ -1,10 +1,10 @@
-"""Stage "decide": the rebound as evidence between rivals.
+"""Stage "decide": the rebound as evidence between explanations.
 
 A link is replayed alone, on measured inputs, so that what the closed loop made of a departure does
-not enter. Rivals that leave the same residual may differ in just that: a sensor that is late makes
-the vehicles part faster, a record that is stamped late does not. The scenario extended by each
-rival is simulated up to the rebound, and its coefficient of restitution compared with that on
-record.
+not enter. Explanations that leave the same residual may differ in just that: a sensor that is late
+makes the vehicles part faster, a record that is stamped late does not. The scenario extended by
+each is simulated up to the rebound, and its coefficient of restitution is one more residual beside
+those of the link.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.analysis.ledger import contact_frequency
-from hiltestbed.diagnosis.adequacy import Leftover, contact_leftovers, noise_alone
 from hiltestbed.diagnosis.closed_loop import (
     bounce_of,
     measured_motion,
@@ -26,30 +25,28 @@ from hiltestbed.diagnosis.closed_loop import (
     traces_of,
     with_entries,
 )
-from hiltestbed.diagnosis.fit import Fit, fit, inflation
+from hiltestbed.diagnosis.explain import Explanation, effects_of
 from hiltestbed.diagnosis.investigate import Findings
-from hiltestbed.diagnosis.jitter_and_hum import hum_beside, jitter_beside
 from hiltestbed.diagnosis.layout import DatasetLayout
-from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.plain import entry
-from hiltestbed.diagnosis.readings import reinterpreted
-from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.search import Explanation, Search
-from hiltestbed.diagnosis.settings import AMBIGUITY, MODEL_ERROR
+from hiltestbed.diagnosis.settings import MODEL_ERROR
 from hiltestbed.diagnosis.timing import delays_not_causes
 from hiltestbed.effects.base import Effect
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.inference.conclude import TOLD_APART, Confirmed, conclude
+from hiltestbed.inference.likelihood import PosteriorFit
+from hiltestbed.inference.search import Searched
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.momentum import mobility
 from hiltestbed.scenario import Scenario
 
-# chosen: of the approach speed, beyond which the motion on record is not that of the scenario's
-# loop
+# of the approach speed, beyond which the motion on record is not that of the scenario's loop
 MAX_APPROACH_ERROR = 0.05
-# chosen: fits that are simulated in place of one that the rebound contradicts
-MAX_TRIED = 8
-LONGER = 0.25  # chosen: of a bounce, by which it may last longer in a simulation than on record
+MAX_TRIED = 8  # explanations that are simulated in place of one that the rebound contradicts
+LONGER = 0.25  # of a bounce, by which it may last longer in a simulation than on record
+# of chi-square, beyond which a rebound contradicts: odds of 1 : 400
+CONTRADICTED = 2.0 * math.log(400.0)
 
 
 @dataclass(frozen=True)
@@ -62,75 +59,105 @@ class Rebound:
 
 
 def with_rebounds(findings: Findings) -> Findings:
-    """The findings with rivals weighed by the rebound, and without what it contradicts."""
-    return _uncontradicted(_with_rivals_weighed(findings))
-
-
-def _with_rivals_weighed(findings: Findings) -> Findings:
-    """The findings without rivals that the rebound refutes, and with one that it prefers chosen."""
+    """The findings with the rebound in the evidence of the explanations of each link."""
     layout, explanations = findings.layout, dict(findings.explanations)
+    departing = {n: e for n, e in explanations.items() if e.departs}
+    if not all(e.adequate for e in departing.values()):
+        return findings  # what is not explained spoils the comparison
     # what is attributed to the timing of the facility needs no decision
     shifts = delays_not_causes(explanations)
-    rivals = {n: e for n, e in explanations.items() if e.departs and e.adequate and any(e.rivals)}
-    open_ = [n for n, e in rivals.items() if not set(e.chosen.kinds) & {*shifts.get(n, ())}]
+    open_ = [
+        n
+        for n, e in departing.items()
+        if not set(e.kinds) & {*shifts.get(n, ())}
+        and (n == "wrench" or any(c.others for c in e.causes))
+    ]
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))] if open_ else []
-    if not any(rebounds):
-        return findings
-    words = []
-    for name in open_:
-        weighed, told = _weighed(explanations[name], _others(explanations, name), layout, rebounds)
-        explanations[name], words = weighed, [*words, *told]
+    words: list[str] = []
+    for name in open_ if any(rebounds) else ():
+        judge = _Loop(layout, rebounds, _others(explanations, name))
+        explanations[name], told = _weighed(explanations[name], judge)
+        words += told
     return replace(findings, explanations=explanations, weighed=tuple(words))
 
 
-def _uncontradicted(findings: Findings) -> Findings:
-    """The findings with an explanation of contact and sensor that the rebound does not contradict,
-    and in a sentence what it contradicts.
+@dataclass(frozen=True)
+class _Loop:
+    """The rebounds on record, and the causes on the other links beside which a link is judged."""
 
-    It contradicts causes if it departs by more than :data:`AMBIGUITY` in chi-square from the loop
-    without them and with them, and is not nearer to the latter by as much. Stamps that are off do
-    not act in the loop: where the link has such, it is explained again as stamped. Else the best of
-    the fits that leave only noise and that the rebound does not contradict is chosen; where there
-    is none, the link is not explained.
+    layout: DatasetLayout
+    rebounds: Sequence[Rebound | None]
+    beside: Sequence[Effect]
+
+    def chi2(self, fits: Sequence[PosteriorFit]) -> Array:
+        """(fits,) of the rebounds on record against the loop with each explanation."""
+        shown = _simulated(fits, self.beside, self.layout.runs, self.rebounds)
+        return np.array([_apart(row, self.layout, self.rebounds) for row in shown])
+
+
+def _weighed(e: Explanation, loop: _Loop) -> tuple[Explanation, list[str]]:
+    """The explanation with the most evidence of link and rebound together, its rivals, and in
+    sentences what the rebound decided.
+
+    It contradicts an explanation if it departs from the loop without it and with it, and is not
+    nearer to the latter. Where it contradicts the chosen one, others that leave only noise are
+    tried; where there is none, the link is not explained.
     """
-    layout, explanations = findings.layout, dict(findings.explanations)
-    found = explanations.get("wrench")
-    if found is None or not (found.departs and found.adequate and found.chosen.causes):
-        return findings
-    if any(e.departs and not e.adequate for e in explanations.values()):
-        return findings  # what is not explained spoils the comparison
-    rebounds = [_rebound(layout, i) for i in range(len(layout.runs))]
-    if not any(rebounds):
-        return findings
-    beside = _others(explanations, "wrench")
+    rivals = {f.keys: f for c in e.causes for f in c.others}
+    fits = [e.fit, *rivals.values()]
+    without, *apart = loop.chi2([e.conclusion.null, *fits])
+    limit = max(CONTRADICTED, without - CONTRADICTED)
+    words = []
+    if without > CONTRADICTED and min(apart) > limit:
+        words = [
+            f"the rebound contradicts {' + '.join(e.kinds)}: with it the loop parts no nearer to "
+            "the coefficient of restitution on record than without it"
+        ]
+        more = [
+            f for f in e.conclusion.visited if f.causes and f.keys not in {g.keys for g in fits}
+        ]
+        more = [f for f in more if e.model.leaves_noise(f.left)][:MAX_TRIED]
+        kept = [
+            (f, x)
+            for f, x in zip([*fits, *more], [*apart, *loop.chi2(more)], strict=True)
+            if x <= limit
+        ]
+        if not kept:
+            return replace(e, adequate=False), words
+        fits, apart = [f for f, _ in kept], [x for _, x in kept]
+    elif not rivals:
+        return e, []
+    least = min(apart)
+    # something else in the loop spoils the comparison
+    scale = max(1.0, least / max(1, sum(r is not None for r in loop.rebounds)))
+    total = {
+        f.keys: f.evidence - 0.5 * (x - least) / scale for f, x in zip(fits, apart, strict=True)
+    }
+    best = max(fits, key=lambda f: total[f.keys])
+    if best.keys != e.fit.keys:
+        found = Searched(e.likelihood(), best, e.conclusion.visited, e.conclusion.null)
+        e = replace(e, conclusion=conclude(found, e.model.folds(), e.candidates))
+    causes = tuple(_told_apart(c, total, total[best.keys]) for c in e.causes)
+    decided = sum(len(c.others) for c in causes) < len(rivals) or best.keys != fits[0].keys
+    if decided and not words:
+        each = ", ".join(
+            f"{' + '.join(x.kind for x in effects_of(f))} {x:.3g}"
+            for f, x in zip(fits, apart, strict=True)
+        )
+        words = [f"the rebound decides: chi-square of the coefficients of restitution {each}"]
+    return replace(e, conclusion=replace(e.conclusion, causes=causes)), words
 
-    def distance(fits: Sequence[Fit]) -> list[float]:
-        """Chi-square of the rebounds on record against the loop with each fit."""
-        shown = _simulated(fits, beside, layout.runs, rebounds)
-        return [_apart(row, layout, rebounds) for row in shown]
 
-    without, chosen = distance((found.null, found.chosen))
-    limit = max(AMBIGUITY, without - AMBIGUITY)
-    if without <= AMBIGUITY or chosen <= limit:
-        return findings
-    words = (
-        f"the rebound contradicts {' + '.join(found.chosen.kinds)}: with it the loop parts no "
-        "nearer to the coefficient of restitution on record than without it"
+def _told_apart(c: Confirmed, total: Mapping[tuple[str, ...], float], own: float) -> Confirmed:
+    """A cause without the rivals that link and rebound together refute."""
+    gaps = [total.get(f.keys, -math.inf) - own for f in c.others]
+    kept = [n for n, gap in enumerate(gaps) if gap > -TOLD_APART]
+    return replace(
+        c,
+        rivals=tuple(c.rivals[n] for n in kept),
+        others=tuple(c.others[n] for n in kept),
+        probability=1.0 / (1.0 + sum(math.exp(min(gaps[n], 0.0)) for n in kept)),
     )
-    again = _as_stamped(found)
-    if again is not None and again.adequate and distance((again.chosen,))[0] <= limit:
-        explanations["wrench"] = again
-        return replace(findings, explanations=explanations, weighed=(*findings.weighed, words))
-    known = {id(found.chosen), *(id(f) for rivals in found.rivals for f in rivals)}
-    others = sorted((*found.more, *found.singles), key=lambda f: f.score)
-    others = [f for f in others if id(f) not in known and noise_alone(_left(found, f))]
-    better = next((f for f in others[:MAX_TRIED] if distance((f,))[0] <= limit), None)
-    explanations["wrench"] = (
-        replace(found, adequate=False)
-        if better is None
-        else replace(found, chosen=better, leftovers=_left(found, better), rivals=())
-    )
-    return replace(findings, explanations=explanations, weighed=(*findings.weighed, words))
 
 
 def _apart(shown: Array, layout: DatasetLayout, rebounds: Sequence[Rebound | None]) -> float:
@@ -147,20 +174,6 @@ def _apart(shown: Array, layout: DatasetLayout, rebounds: Sequence[Rebound | Non
     scenario = layout.runs[known[0][0]].scenario
     common = 0.5 * math.pi * contact_frequency(scenario) * scenario.tick / math.sqrt(12.0) / errors
     return float(off @ off - (off @ common) ** 2 / (1.0 + common @ common))
-
-
-def _as_stamped(found: Explanation) -> Explanation | None:
-    """The link explained again with the stamps as believed; None where it has no others."""
-    link = found.residual.link
-    if link.timing == NO_SHIFT:
-        return None
-    search = Search(found.candidates, special=(jitter_beside, hum_beside), reread=reinterpreted)
-    return search.explain(Residual(link.with_timing(NO_SHIFT)))
-
-
-def _left(found: Explanation, other: Fit) -> dict[str, Leftover]:
-    """What another fit leaves of the link."""
-    return contact_leftovers(found.residual, other.effects())
 
 
 def _rebound(layout: DatasetLayout, i: int) -> Rebound | None:
@@ -200,96 +213,18 @@ def speed_noise(scenario: Scenario, force: float, rows: float) -> float:
 
 def _others(explanations: Mapping[str, Explanation], name: str) -> list[Effect]:
     """The causes on the other links."""
-    known, shifts = set(explanations[name].chosen.kinds), delays_not_causes(explanations)
-    others = [(n, e) for n, e in explanations.items() if n != name and e.departs and e.adequate]
+    known, shifts = set(explanations[name].kinds), delays_not_causes(explanations)
     return [
-        c
-        for n, e in others
-        for c in e.chosen.effects()
-        if c.kind not in known and c.kind not in shifts.get(n, ())
+        effect
+        for n, e in explanations.items()
+        if n != name and e.departs and e.adequate
+        for effect in e.effects()
+        if effect.kind not in known and effect.kind not in shifts.get(n, ())
     ]
 
 
-def _weighed(
-    found: Explanation,
-    beside: Sequence[Effect],
-    layout: DatasetLayout,
-    rebounds: Sequence[Rebound | None],
-) -> tuple[Explanation, list[str]]:
-    """The explanation with the rebound in its scores, and in a sentence what that decided."""
-    fits = [found.chosen, *(f for rivals in found.rivals for f in rivals)]
-    shown = _simulated(fits, beside, layout.runs, rebounds)
-    there = [i for i in range(len(rebounds)) if np.isfinite(shown[:, i]).all()]
-    pairs = [(i, r.cor, r.error) for i in there if (r := rebounds[i]) is not None]
-    if not pairs:
-        return found, []
-    known, cor, error = (np.array(x) for x in zip(*pairs, strict=True))
-    chi2 = np.sum(((shown[:, known] - cor) / error) ** 2, axis=1)
-    # something else in the loop spoils the comparison
-    scale = max(1.0, float(chi2.min()) / len(known)) / inflation(found.chosen)
-    told = {
-        id(f): replace(f, elsewhere=f.elsewhere + float(c - chi2.min()) / scale)
-        for f, c in zip(fits, chi2, strict=True)
-    }
-    weighed = _rechosen(
-        found, told[id(found.chosen)], [[told[id(f)] for f in rivals] for rivals in found.rivals]
-    )
-    if (
-        sum(map(len, weighed.rivals)) == sum(map(len, found.rivals))
-        and weighed.chosen.kinds == found.chosen.kinds
-    ):
-        return weighed, []
-    each = ", ".join(
-        f"{' + '.join(f.kinds)} {np.mean(s[known]):.4f}" for f, s in zip(fits, shown, strict=True)
-    )
-    words = (
-        f"the rebound decides: coefficient of restitution {np.mean(cor):.4f} on record, "
-        f"standard error of a run {np.mean(error):.2g}"
-    )
-    return weighed, [f"{words}; simulated with {each}"]
-
-
-def _rechosen(found: Explanation, chosen: Fit, rivals: Sequence[Sequence[Fit]]) -> Explanation:
-    """The explanation with the best of the fits as the chosen one, and the rivals that remain."""
-    i, best = min(
-        ((i, f) for i, others in enumerate(rivals) for f in (chosen, *others)),
-        key=lambda item: item[1].score,
-    )
-    losers: list[list[Fit]] = [list(others) for others in rivals]
-    if best is not chosen:
-        own = next(c for c in best.causes if c.key not in {c.key for c in chosen.causes})
-        winner = best
-        best = best.ordered([own if j == i else c for j, c in enumerate(chosen.causes)])
-        losers = [
-            [chosen, *(f for f in others if f is not winner)]
-            if j == i
-            else [_exchanged(found, best, f, chosen, j) for f in others]
-            for j, others in enumerate(losers)
-        ]
-    most = AMBIGUITY * inflation(best)
-    kept = tuple(tuple(f for f in others if f.score - best.score < most) for others in losers)
-    fits = (chosen, best, *(f for others in rivals for f in others))
-    known = {f.keys: f.elsewhere for f in fits}
-    singles, more = (
-        tuple(replace(f, elsewhere=known.get(f.keys, f.elsewhere)) for f in fits)
-        for fits in (found.singles, found.more)
-    )
-    return replace(found, chosen=best, rivals=kept, singles=singles, more=more)
-
-
-def _exchanged(found: Explanation, best: Fit, rival: Fit, chosen: Fit, j: int) -> Fit:
-    """``best`` with the cause of ``rival`` in place of cause j, fitted."""
-    keys = {c.key for c in chosen.causes}
-    index, own = next((n, c) for n, c in enumerate(rival.causes) if c.key not in keys)
-    causes = (*best.causes[:j], own, *best.causes[j + 1 :])
-    start = np.concatenate(
-        [rival.part(index) if n == j else best.part(n) for n in range(len(causes))]
-    )
-    return replace(fit(found.residual, causes, [start], tries=1), elsewhere=rival.elsewhere)
-
-
 def _simulated(
-    fits: Sequence[Fit],
+    fits: Sequence[PosteriorFit],
     beside: Sequence[Effect],
     runs: Sequence[MeasuredRun],
     rebounds: Sequence[Rebound | None],
@@ -297,7 +232,7 @@ def _simulated(
     """(fits, runs) coefficients of restitution in closed loop; NaN where there is none."""
     out, lanes = np.full((len(fits), len(runs)), np.nan), []
     for n, f in enumerate(fits):
-        entries = [entry(e) for e in (*f.effects(), *beside)]
+        entries = [entry(e) for e in (*effects_of(f), *beside)]
         for i, (run, rebound) in enumerate(zip(runs, rebounds, strict=True)):
             scenario = _extended(run.scenario, entries, rebound.rows) if rebound else None
             if scenario is not None:

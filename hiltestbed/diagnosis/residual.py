@@ -37,43 +37,9 @@ class Residual:
         self.weight = tuple([r.weight for r in link.runs] if weight is None else weight)
         self._aside: dict[int, Aside] = {}
 
-    def downweighted(self, effects: Effects) -> Residual:
-        """With less weight on what the prediction under ``effects`` leaves open; or itself."""
-        doubts = {i: self.link.doubt(i, effects) for i in self.runs}
-        scaled = {i: d * self.weight[i] for i, d in doubts.items() if d is not None}
-        if not any(np.any(u > 1.0) for u in scaled.values()):
-            return self
-        weight = [
-            w / np.sqrt(1.0 + scaled[i] ** 2) if i in scaled else w
-            for i, w in enumerate(self.weight)
-        ]
-        return Residual(self.link, self.runs, weight)
-
-    def with_noise(self, noise: Array) -> Residual:
-        """With additional ``noise`` (C,) in every sample [units of the channels]."""
-        return Residual(
-            self.link, self.runs, [w / np.sqrt(1.0 + (w * noise) ** 2) for w in self.weight]
-        )
-
     def on(self, runs: Sequence[int]) -> Residual:
         """On a subset of the runs."""
         return Residual(self.link, runs, self.weight)
-
-    def parts(self) -> dict[int, slice]:
-        """Of a concatenated residual (M,), each run."""
-        sizes = [self.link.runs[i].measured.size for i in self.runs]
-        ends = np.cumsum(sizes).tolist()
-        return {
-            i: slice(end - size, end) for i, size, end in zip(self.runs, sizes, ends, strict=True)
-        }
-
-    def through(self, link: ModelLink) -> Residual:
-        """Of another interpretation of the link, with the same weights."""
-        return Residual(link, self.runs, self.weight)
-
-    def as_judged(self) -> Residual:
-        """Of the form of the link on which adequacy is judged, if another one was fitted."""
-        return self if self.link.whole is self.link else Residual(self.link.whole, self.runs)
 
     def by_run(self, hypotheses: Sequence[Effects]) -> list[list[Array]]:
         """(N, C) for each hypothesis and run; clipped to MAX_RESIDUAL where a prediction is not
@@ -92,21 +58,6 @@ class Residual:
                 )
                 at += 1
             out.append(rows)
-        return out
-
-    def smoothed_away(self, effects: Effects) -> float:
-        """Chi-square that ``effects`` are expected to take off by smoothing the noise of the input
-        on record, whether they act or not.
-
-        Least squares with errors in the variables prefer a response that smooths (W. A. Fuller,
-        Measurement Error Models, 1987).
-        """
-        out = 0.0
-        for i in self.runs if effects else ():
-            believed = self.link.passed_from_input(i, ())
-            found = self.link.passed_from_input(i, effects)
-            if believed is not None and found is not None:
-                out += float(np.sum(self.weight[i] ** 2 * (believed - found)))
         return out
 
     def left(self, i: int, shown: Array) -> Array:

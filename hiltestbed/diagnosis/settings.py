@@ -15,24 +15,16 @@ import math
 # calibrated: detection threshold of one effect, beyond its penalty; the best wrong one reached 3.6
 # on 460 healthy rigs
 DETECTION = 30.0
-# calibrated: of a further cause, where those found leave more than noise; a factor of 150 in
-# likelihood
-SELECTION_INADEQUATE = 10.0
-# derived: ambiguity threshold: a likelihood ratio of 1 : 400; within it hypotheses of as many
-# parameters look the same
-AMBIGUITY = 12.0
 # derived: for each parameter, by the Bayesian information criterion for some thousand independent
 # samples
 PENALTY = math.log(1000.0)
-MAX_CAUSES = 3  # chosen: on one link; a fourth was never right on a link of the benchmark
 
-# Search
-# derived: chi-square of one parameter at 99.5 %; a smaller reduction by linearisation is noise
-MIN_LINEAR_GAIN = 8.0
-MAX_PARTNERS = 6  # chosen: second causes that are fitted with each first one
-# chosen: chi-square from the best, within which hypotheses are fitted to convergence; others while
-# they may reach it
-CLOSE_CHI2 = 60.0
+
+# Timing
+# derived: [rows] two channels, each stamped up to a row off; a record with more is refused
+MAX_STAMP_SHIFT_ROWS = 2.25
+# chosen: [rows] two instants, each up to half a tick off, and the error due to noise
+MAX_UNNAMED_DELAY_ROWS = 1.05
 
 # Noise
 MIN_FREE_ROWS = 30  # chosen: rows away from contacts from which a noise floor is estimated
@@ -70,9 +62,6 @@ SMOOTHING_ROWS = 31
 # chosen: share of the residual on left-out runs (geometric mean) by which a further cause has to
 # lower it
 MIN_HELDOUT_GAIN = 0.02
-# chosen: times the limit of adequacy: below it a further cause would fit the error of the noise
-# floor
-MIN_EXCESS_TO_GROW = 10.0
 
 # Parts of an explanation that hold
 MIN_EXPLAINED = 0.3  # chosen: share of the departure on left-out runs, below which no part is named

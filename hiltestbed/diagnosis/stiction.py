@@ -1,4 +1,4 @@
-"""Stage "select": starts for the fit of a platform with stiction.
+"""Stage "explain": starts for the fit of a platform with stiction.
 
 Each jump begins where the last one ended, so that some hundred jumps in a row end in the right
 place only for a stick that is right to 1e-5 and for the right instants within a tick: chi-square is

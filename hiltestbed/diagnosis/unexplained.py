@@ -6,15 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from hiltestbed.diagnosis.adequacy import JITTER, contact_leftovers, noise_alone
-from hiltestbed.diagnosis.fit import Fit, fit
+from hiltestbed.diagnosis.explain import Explanation, effects_of
 from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.plain import listed
 from hiltestbed.diagnosis.residual import Residual
-from hiltestbed.diagnosis.search import Explanation, first_of_each
-from hiltestbed.diagnosis.settings import DETECTION, PENALTY
 from hiltestbed.frames import Array
+from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 
 BINS = 100  # of the travel; a range is then known to 1 % of it
 HALF = 0.5  # of the sum of squares of a residual
@@ -24,9 +22,9 @@ MIN_CORRELATION = 0.6  # chosen: from which a quantity is named
 
 def describe(explanation: Explanation, name: str) -> str:
     """A sentence on the residual of the chosen explanation."""
-    residual, effects = explanation.residual, explanation.chosen.effects()
-    link = residual.link
-    channel = max(explanation.leftovers, key=lambda c: explanation.leftovers[c].excess)
+    residual, effects = explanation.residual(), explanation.effects()
+    link, leftovers = residual.link, explanation.leftovers()
+    channel = max(leftovers, key=lambda c: leftovers[c].excess)
     column = link.channels.index(channel)
     phases, shape = _phases(residual, effects, column), _shape(residual, effects, column)
     worst = max(phases, key=lambda p: phases[p])
@@ -34,7 +32,7 @@ def describe(explanation: Explanation, name: str) -> str:
     along = shape or "none of penetration, rate, their product, force or time"
     contrary = contradiction(explanation)
     contradicted = f"; {contrary}" if contrary else ""
-    words = " and ".join(explanation.chosen.kinds)
+    words = " and ".join(explanation.kinds)
     taken = f"with {words} removed, " if words else ""
     return (
         f"{name}: {taken}the largest residual is on {channel}, {worst} (times the noise: "
@@ -124,43 +122,36 @@ def contradiction(found: Explanation) -> str:
     """One effect that leaves only noise in each run alone, with sizes that differ, in words; empty
     where no single effect does, or where there is one run.
 
-    Sizes differ where those of their own take more off chi-square than so many more parameters of
-    any effect have to: the threshold of a further effect, and the penalty of each parameter.
+    Sizes differ where the evidence of fits to each run exceeds that of one fit to all.
     """
-    if len(found.residual.runs) < 2:
+    count = len(found.model.members)
+    if count < 2:
         return ""
-    for known in first_of_each([f for f in found.singles if f.causes], "kinds"):
-        alone = _in_each_run(found, known)
-        if not alone:
+    for known in found.singles():
+        alone = [_alone(found, known, n) for n in range(count)]
+        each = [f for f in alone if f is not None]
+        if len(each) < count:
             continue
-        joint = fit(found.residual, known.causes, [known.theta], tries=1)
-        if joint.chi2 - sum(f.chi2 for f in alone) > DETECTION + PENALTY * len(known.theta) * (
-            len(alone) - 1
-        ):
+        joint = found.likelihood().fit(known.causes, [known.of.theta])
+        if sum(f.evidence for f in each) > joint.evidence:
             sizes = ", ".join(
-                f"{listed(f.effects()[0].parameters())} in run {i}"
-                for i, f in zip(found.residual.runs, alone, strict=True)
+                f"{listed(effects_of(f)[0].parameters())} in run {i}"
+                for i, f in zip(found.model.members, each, strict=True)
             )
             return (
-                f"the runs contradict each other: {known.kinds[0]} explains each of them alone, "
-                f"with a size that changes from run to run, or with what differs between them "
-                f"({sizes})"
+                f"the runs contradict each other: {effects_of(known)[0].kind} explains each of "
+                f"them alone, with a size that changes from run to run, or with what differs "
+                f"between them ({sizes})"
             )
     return ""
 
 
-def _in_each_run(found: Explanation, known: Fit) -> list[Fit] | None:
-    """The fits of one cause to each run alone; None where one of them leaves more than noise."""
-    if JITTER in known.kinds:
-        return None
-    out = []
-    for i in found.residual.runs:
-        run = found.residual.on([i])
-        alone = fit(run, known.causes, [known.theta], tries=1)
-        if not noise_alone(contact_leftovers(run, alone.effects())):
-            return None
-        out.append(alone)
-    return out
+def _alone(found: Explanation, known: PosteriorFit, n: int) -> PosteriorFit | None:
+    """The fit of one cause to a run alone; None where it leaves more than noise."""
+    model = found.model.on([n])
+    likelihood = Likelihood(model, independent(model.residuals(known.of), noise_known=True))
+    fit = likelihood.fit(known.causes, [known.of.theta])
+    return fit if model.leaves_noise(fit.left) else None
 
 
 def range_of_half(position: Array, residual: Array) -> tuple[float, float]:

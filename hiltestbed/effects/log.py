@@ -49,9 +49,7 @@ class LogSkew(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        late, h = scales.late, scales.tick
-        starts = scales.delays if late is None else [late]
-        ends = (0.0, scales.longest_delay) if late is None else (max(0.0, late - h), late + h)
+        starts, ends = scales.delays, (0.0, scales.longest_delay)
         for variant in ({}, {"reread": True}):
             yield candidate(cls, {"delay": starts}, bounds={"delay": ends}, variant=variant)
 

@@ -21,27 +21,6 @@ if TYPE_CHECKING:
     from hiltestbed.effects.base import Departure
 
 
-@dataclass(frozen=True)
-class DrivenAxis:
-    """Regression of the force on the motion of an axis that a force drives, as the starting point
-    of a search.
-
-    Attributes:
-        factor: of the chaser's mass. viscous: [N s/m]. coulomb, offset: [N]. fastest: highest
-            recorded speed [m/s].
-        stamp: [s] by which the log reads the position later than the numerical model outputs it;
-            stamps: [s] searched to each side.
-    """
-
-    factor: float
-    viscous: float
-    coulomb: float
-    offset: float
-    fastest: float
-    stamp: float
-    stamps: float
-
-
 # [s], ticks: the larger bounds the search for a delay of the reading
 LONGEST_DELAY, LONGEST_TICKS = 0.03, 20.0
 # ticks: so dense because F(delay) jumps at whole ticks
@@ -61,13 +40,9 @@ class Scales:
             nominal physics steps per tick.
         captured: whether the mechanism is captured. slides: whether the tip moves across the
             surface.
-        lines: force axis to frequency [Hz], amplitude [N] and phase [rad] of the strongest spectral
-            line of the residual.
         sticks: instants per tick at which a platform may move, and their phase, see
             `PlatformParameters`, to starting values for its stiction [m], where the data show any.
-        late: delay of the force record [s], known to within a tick from another link, or None.
         jumps: whether the mechanism moves in jumps, as on a platform that sticks.
-        driven: an axis that a force drives, of which only position and force are recorded, or None.
     """
 
     force: float
@@ -83,10 +58,7 @@ class Scales:
     substeps: int = 1
     captured: bool = False
     slides: bool = True
-    lines: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     sticks: Mapping[tuple[int, float], Sequence[float]] = field(default_factory=dict)
-    late: float | None = None
-    driven: DrivenAxis | None = None
     jumps: bool = False
 
     @property

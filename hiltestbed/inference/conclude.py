@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
@@ -64,6 +65,11 @@ class Confirmed:
     rivals: tuple[str, ...]
     others: tuple[PosteriorFit, ...] = ()
 
+    @property
+    def effect(self) -> Any:
+        """The cause with its estimates."""
+        return self.cause.at(np.array([e.value for e in self.estimates]))
+
 
 @dataclass(frozen=True, eq=False)
 class SearchConclusion:
@@ -73,7 +79,7 @@ class SearchConclusion:
         fit: the hypothesis that is offered, fitted to all runs; null: nothing departs.
         causes: of the fit, those that remove most first. before, after: (R,) rms of each run when
             it is left out, in the unit of the record, of the null and of the fit. visited: what was
-            compared.
+            compared. ends: (P, 2) of the 95 % intervals of the parameters of the fit.
     """
 
     fit: PosteriorFit
@@ -82,6 +88,7 @@ class SearchConclusion:
     before: Array
     after: Array
     visited: tuple[PosteriorFit, ...]
+    ends: Array
 
 
 class LeftOut:
@@ -188,7 +195,7 @@ def conclude(
             Estimate(name, float(v), float(low), float(high))
             for name, v, (low, high) in zip(cause.names, fit.of.theta[own], ends[own], strict=True)
         )
-        if cause.sigma is not None:
+        if cause.sigma is not None or likelihood.model.negligible(fit.of, i):
             continue
         fewer_ = without(likelihood, fit, i)
         worse = judge.score(fewer_) - score if not known else _more_left(likelihood, fewer_, fit)
@@ -198,7 +205,7 @@ def conclude(
             Confirmed(cause, estimates, gain, probability, tuple(others), tuple(others.values()))
         )
     causes.sort(key=lambda c: -c.gain)
-    return SearchConclusion(fit, null, tuple(causes), before, after, found.visited)
+    return SearchConclusion(fit, null, tuple(causes), before, after, found.visited, ends)
 
 
 def _more_left(likelihood: Likelihood, fewer: PosteriorFit, fit: PosteriorFit) -> float:
@@ -217,12 +224,15 @@ def undetermined(fit: PosteriorFit, ends: Array) -> int | None:
         if not cause.names:
             continue
         neutral = 1.0 if cause.names[0] == "factor" else 0.0
-        none = not cause.effect.vanishes and own[0, 0] <= neutral <= own[0, 1]
+        # of a vector: all of its components
+        size = own if cause.vector else own[:1]
+        may_be_none = bool(np.all((size[:, 0] <= neutral) & (neutral <= size[:, 1])))
+        none = not cause.effect.vanishes and may_be_none
         rows = np.column_stack([own, cause.low, cause.high])
         rows[cause.log] = np.log(rows[cause.log])
         width = rows[:, 3] - rows[:, 2]
         spans = (rows[:, 1] - rows[:, 0]) >= PRIOR_SHARE * width
-        if none or spans.any():
+        if none or (spans.all() if cause.vector else spans.any()):
             return index
     return None
 
@@ -252,7 +262,8 @@ def _in_time(found: Searched, folds: Sequence[Fold]) -> tuple[Likelihood, LeftOu
 def intervals(likelihood: Likelihood, fit: PosteriorFit, held: LeftOut) -> Array:
     """(P, 2) ends of the 95 % intervals: of the curvature, or of the scatter of the fits that leave
     one run out (the jackknife: B. Efron, C. Stein, Ann. Stat. 9, 1981), whichever is wider. The
-    latter holds where the model is wrong as well.
+    latter holds where the model is wrong as well; where it is wrong in all runs alike, by what that
+    moves the estimates.
     """
     count = len(fit.of.theta)
     if not count:
@@ -270,6 +281,11 @@ def intervals(likelihood: Likelihood, fit: PosteriorFit, held: LeftOut) -> Array
     jack = math.sqrt((runs - 1) / runs) * np.linalg.norm(thetas - thetas.mean(axis=0), axis=0)
     quantile = min(float(student.ppf(0.975, max(runs - 1, 1))), MOST_QUANTILE)
     half = np.maximum(curved, quantile * jack)
+    weights = likelihood.weights(fit.left)[:-1] ** 2
+    for errors in likelihood.model.common_errors(fit.of):
+        parts = zip(weights, slopes[:-1], errors, strict=True)
+        gradient = sum(w * np.einsum("mi,m->i", s, e) for w, s, e in parts)
+        half = np.hypot(half, 1.96 * np.abs(inverse @ gradient)[:count] * scale[:count])
     return np.column_stack(
         [np.maximum(fit.of.theta - half, low), np.minimum(fit.of.theta + half, high)]
     )

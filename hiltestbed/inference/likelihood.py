@@ -23,6 +23,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -110,12 +111,17 @@ class Likelihood:
 
     def __init__(self, model: Model, counts: Array, choices: int = 1) -> None:
         self.model, self.counts, self.choices = model, counts, choices
+        # what moves change alone, of the residuals, of the model's own priors and of further ones;
+        # kept for all likelihoods of one model
+        self._alone: dict[tuple[Any, ...], tuple[list[Any], Array, Array]] = {}
         self._squares = np.maximum(np.asarray(model.floors) ** 2, np.finfo(float).tiny)
         self._sigma = model.prior_sigma()
 
     def counting(self, counts: Array) -> Likelihood:
         """The same with other ``counts``."""
-        return Likelihood(self.model, counts, self.choices)
+        out = Likelihood(self.model, counts, self.choices)
+        out._alone = self._alone
+        return out
 
     def bounds(self, causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:
         """Bounds of the parameters of ``causes`` and of the nuisances, and which are searched by
@@ -151,7 +157,7 @@ class Likelihood:
         """Log of the evidence of a fit of ``causes``."""
         numbers = sum(max(1, len(c.names)) for c in causes)
         price = 0.5 * numbers * math.log(float(self.counts.sum()))
-        ways = sum(math.log((self.choices if c.sigma is None else 1) * c.choices) for c in causes)
+        ways = sum(math.log(self.choices * c.choices) for c in causes)
         return -0.5 * cost - price - ways
 
     def most_gain(self, found: PosteriorFit) -> float:
@@ -196,7 +202,7 @@ class Likelihood:
         eta = np.zeros(len(self._sigma)) if nuisances is None else nuisances
         low, high, log = self.bounds(causes)
         begun = [np.clip(np.concatenate([theta, eta]), low, high) for theta in starts]
-        shown = self._lefts(causes, begun)
+        shown = self.lefts(causes, begun)
         costs = [self.cost(left) for left in shown]
         first = int(np.argmin(costs))
         x, left, least = begun[first], shown[first], costs[first]
@@ -204,13 +210,14 @@ class Likelihood:
         if iterations == ITERATIONS:
             x, left, least = self._scanned(causes, x, left, least, (low, high))
         count = len(x) - len(eta)
-        evidence = -math.inf if _ended(x, low, high, log) else self.evidence(least, causes)
+        ended = _ended(x, low, high, log) or (self.model.noise_known and _at_end(causes, x))
+        evidence = -math.inf if ended else self.evidence(least, causes)
         return PosteriorFit(Hypothesis(causes, x[:count], x[count:]), least, evidence, tuple(left))
 
     def _left(self, causes: tuple[Candidate, ...], x: Array) -> list[Array]:
-        return self._lefts(causes, [x])[0]
+        return self.lefts(causes, [x])[0]
 
-    def _lefts(self, causes: tuple[Candidate, ...], xs: Sequence[Array]) -> list[list[Array]]:
+    def lefts(self, causes: tuple[Candidate, ...], xs: Sequence[Array]) -> list[list[Array]]:
         """Residuals of a hypothesis at several values of its numbers."""
         return self._many([(causes, x) for x in xs])
 
@@ -238,7 +245,7 @@ class Likelihood:
             while step > SCAN_END:
                 tried = np.tile(x, (len(parts), 1))
                 tried[:, j] = np.clip(x[j] * (1.0 + parts), bounds[0][j], bounds[1][j])
-                shown = self._lefts(causes, list(tried))
+                shown = self.lefts(causes, list(tried))
                 costs = [self.cost(s) for s in shown]
                 best = int(np.argmin(costs))
                 if costs[best] < cost - LEAST_CHANGE:
@@ -260,7 +267,7 @@ class Likelihood:
         low, high, log = self.bounds(causes)
         scale = self.scale(x, low, high, log)
         steps = np.where(x + STEP * scale <= high, STEP, -STEP)
-        shown = self._lefts(causes, list(x + np.diag(steps * scale)))
+        shown = self.lefts(causes, list(x + np.diag(steps * scale)))
         return [
             np.column_stack([(s[g] - r) / step for s, step in zip(shown, steps, strict=True)])
             if len(x)
@@ -286,6 +293,9 @@ class Likelihood:
     ) -> list[tuple[float, Move, list[Array]]]:
         """Of each move beside ``base`` the evidence that it promises, the best first, and the
         starts to fit it from: to first order at each start, all numbers of ``base`` following.
+
+        Where the noise is known, a move is taken to change the residuals as it does without the
+        causes of ``base``: that is predicted once, and what promises most is fitted.
         """
         x = np.concatenate([base.of.theta, base.of.nuisances])
         known, points = self.slopes(base.causes, x, base.left), []
@@ -306,9 +316,11 @@ class Likelihood:
                 )
                 for n, theta in block
             ]
-            for (n, theta), at, shown in zip(
-                block, hypotheses, self._many(hypotheses), strict=True
-            ):
+            if self.model.noise_known:
+                predicted = self._moved_alone(base, [(moves[n], theta) for n, theta in block])
+            else:
+                predicted = self._many(hypotheses)
+            for (n, theta), at, shown in zip(block, hypotheses, predicted, strict=True):
                 reached = self._promised(base, known, moves[n], at, shown)
                 if reached is not None:
                     found.setdefault(n, []).append((reached, theta))
@@ -319,6 +331,29 @@ class Likelihood:
             causes = (*base.causes, *moves[n])
             out.append((self.evidence(reached_from[0][0], causes), moves[n], starts))
         return sorted(out, key=lambda item: -item[0])
+
+    def _moved_alone(
+        self, base: PosteriorFit, points: Sequence[tuple[Move, Array]]
+    ) -> list[list[Array]]:
+        """Residuals of moves beside ``base``, with the changes that they make alone."""
+        none, keys = np.zeros(len(self._sigma)), [(*(c.key for c in m), *x) for m, x in points]
+        new = [i for i, key in enumerate(keys) if key not in self._alone]
+        if new:
+            moved = [(points[i][0], np.concatenate([points[i][1], none])) for i in new]
+            null, *shown = self._many([((), none), *moved])
+            own = len(null[-1])
+            for i, left in zip(new, shown, strict=True):
+                pairs = zip(left[:-1], null[:-1], strict=True)
+                changes = [(a - b).astype(np.float32) for a, b in pairs]
+                self._alone[keys[i]] = (changes, left[-1][:own] - null[-1], left[-1][own:])
+        out = []
+        for key in keys:
+            changes, change, more = self._alone[key]
+            priors = np.concatenate([base.left[-1], more])
+            priors[: len(change)] += change
+            pairs = zip(base.left[:-1], changes, strict=True)
+            out.append([*(left + moved for left, moved in pairs), priors])
+        return out
 
     def _promised(
         self,
@@ -456,6 +491,18 @@ def _ended(x: Array, low: Array, high: Array, log: np.ndarray) -> bool:
         return False
     at, a, b = np.log(x[log]), np.log(low[log]), np.log(high[log])
     return bool(np.any(np.minimum(at - a, b - at) < NEAR * (b - a)))
+
+
+def _at_end(causes: Sequence[Candidate], x: Array) -> bool:
+    """Whether a number of a cause, searched by difference, stands at an end of its range other than
+    0, where it is none.
+    """
+    for c, own in zip(causes, places(causes), strict=True):
+        at, width = x[own], NEAR * (c.high - c.low)
+        ends = (at >= c.high - width) | ((c.low < 0.0) & (at <= c.low + width))
+        if c.sigma is None and bool(np.any(ends & ~c.log)):
+            return True
+    return False
 
 
 def _in_priors(h: Hypothesis) -> Array:

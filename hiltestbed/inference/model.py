@@ -108,6 +108,18 @@ class Model(ABC):
         """
         return False
 
+    def negligible(self, of: Hypothesis, index: int) -> bool:
+        """Whether a cause changes the prediction by no more than models of the same physics differ:
+        it is fitted, and not named.
+        """
+        return False
+
+    def common_errors(self, of: Hypothesis) -> list[list[Array]]:
+        """(N,) of each run, for each error that a model of the same physics may have in all runs
+        alike: what a standard deviation of it adds to the residual.
+        """
+        return []
+
     def in_time(self) -> Model | None:
         """The same model whose residuals are its :meth:`departure`, on which the estimates of a
         hypothesis are settled; None where they are that already.
@@ -126,6 +138,10 @@ class Model(ABC):
         if count >= FEWEST:
             rest = [[j for j in range(count) if j != i] for i in range(count)]
             return [(self.runs[i], self.on(rest[i]), self.on([i])) for i in range(count)]
+        return self.stretch_folds()
+
+    def stretch_folds(self) -> list[tuple[str, Model, Model]]:
+        """The folds of few runs: stretches of all of them."""
         return [
             (f"stretches {f + 1} of {FOLDS}", Part(self, f, False), Part(self, f, True))
             for f in range(FOLDS)

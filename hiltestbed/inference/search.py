@@ -49,9 +49,11 @@ def search(
     candidates: Sequence[Candidate],
     progress: Progress | None = None,
     start: PosteriorFit | None = None,
+    most: int = MOST_CAUSES,
 ) -> Searched:
     """The hypothesis with the most evidence that is reached from ``start``, by default from
-    nothing, by adding one cause or several, leaving one out, or putting another one in its place.
+    nothing, by adding one cause or several, leaving one out, or putting another one in its place;
+    of ``most`` causes.
     """
     likelihood = Likelihood(
         likelihood.model,
@@ -62,7 +64,7 @@ def search(
     best = null if start is None else pruned(likelihood, start)
     visited: dict[tuple[str, ...], PosteriorFit] = {}
     tried: set[tuple[str, ...]] = set()
-    while len(best.causes) < MOST_CAUSES:
+    while len(best.causes) < most:
         # the counts are those of what the present hypothesis leaves: it is smoother than what a
         # better one leaves, and fewer of its samples are independent
         here = likelihood.counting(independent(best.left, likelihood.model.noise_known))
@@ -94,6 +96,7 @@ def search(
         if grown.evidence - best.evidence < here.least_gain(best):
             break
         best = grown
+    visited.setdefault(best.keys, best)
     last = likelihood.counting(independent(best.left, likelihood.model.noise_known))
     scored = sorted((last.again(f) for f in visited.values()), key=lambda f: -f.evidence)
     return Searched(last, scored[0], tuple(scored), last.again(null))

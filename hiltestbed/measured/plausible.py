@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -40,10 +39,16 @@ LEVER_LIMIT = 20.0  # [m] torque over force: no rig is that large
 
 def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
     """Errors for contradictions, notes for what is merely unusual."""
-    if is_driven(record, scenario):  # it starts from rest at any place, and its mass is unknown
+    if is_driven(record, scenario):
         return [
-            *copies_and_constants(record, found, scenario),
-            *(_of_the_mass(r) for r in _forces(record, found, scenario)),
+            error(
+                "",
+                record.run,
+                "",
+                "holds only a position and a force that drives it from the start: it is of one "
+                "axis of a machine and not of a rig",
+                "describe it by a dataset with `axis: drive`",
+            )
         ]
     return [
         *starts_at_fault(record, found, scenario),
@@ -53,13 +58,6 @@ def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Re
         *_torques(record, found),
         *_arms(record, found, scenario),
     ]
-
-
-def _of_the_mass(remark: Remark) -> Remark:
-    """A note instead of an error on the unit of the force: the mass may be another."""
-    if remark.check != "unit" or remark.severity != "error":
-        return remark
-    return replace(remark, severity="note", text=f"{remark.text}; or its mass is another", check="")
 
 
 def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:

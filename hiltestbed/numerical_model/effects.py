@@ -5,14 +5,14 @@ guide, a screw, a bearing, or gravity), errors in its time stepping.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field, Strict
 
 from hiltestbed.effects.base import Effect, quantity
-from hiltestbed.effects.search import Candidate, DrivenAxis, Scales, candidate
+from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.numerical_model.bodies import inertia_matrix, rest_inertia
 from hiltestbed.numerical_model.parameters import RESISTED, Resistance
 from hiltestbed.plugins import register
@@ -29,9 +29,6 @@ Offset = Annotated[
     Strict(False),
     Field(min_length=3, max_length=3),
 ]
-# factor to either side of the regression's estimate within which the mass of a driven axis is
-# searched
-OFF = 10.0
 # of the loop's rate: highest appendage frequency that the numerical model resolves at that rate
 FASTEST = 0.1
 
@@ -57,15 +54,6 @@ class DynamicsMass(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        if scales.driven is not None:  # the regression gives the mass, whatever the nominal one
-            f = scales.driven.factor
-            return iter(
-                [
-                    candidate(
-                        cls, {"factor": [f]}, bounds={"factor": (f / OFF, f * OFF)}, body="chaser"
-                    )
-                ]
-            )
         return (candidate(cls, {"factor": [0.6, 0.9, 1.1, 1.6]}, body=body) for body in BODIES)
 
 
@@ -202,12 +190,8 @@ class DynamicsAppendage(Effect):
 
 
 Resisted = Literal["chaser", "target", "both"]
-# [s] parameter of a variant: how much later than nominal the log reads the position that results
-# from a force
-STAMP = "stamp"
 # [m/s] unless given: measurements on greased guides range from some tenths of a mm/s to a few mm/s
 STRIBECK_SPEED = 1e-3
-FASTER = 10.0  # upper bound of a search, as a multiple of the friction that a regression gives
 
 
 @register
@@ -277,7 +261,6 @@ class DynamicsForce(Effect):
     leading = "coulomb"
 
     def apply(self, p: DynamicsParameters) -> None:
-        p.stamp += float(self.variant.get(STAMP, 0.0))
         rise = 0.0 if self.static is None else self.static - self.coulomb
         law = Resistance(
             body=RESISTED.index(self.body),
@@ -295,29 +278,8 @@ class DynamicsForce(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """Along a driven axis: friction equal in both directions, and not."""
-        if scales.driven is not None:  # on free-flying vehicles only the contact force acts
-            yield cls._of_driven_axis(scales.driven)
-            yield cls._of_driven_axis(scales.driven, viscous_asymmetry=[0.0])
-
-    @classmethod
-    def _of_driven_axis(cls, given: DrivenAxis, **more: Sequence[float]) -> Candidate:
-        """Starts from a regression of the force on the motion; the time stamp of the position is
-        fitted, since it is not known.
-        """
-        most = FASTER * max(abs(given.offset), given.coulomb, given.viscous * given.fastest, 1e-6)
-        names = {
-            "viscous": [given.viscous],
-            "coulomb": [given.coulomb],
-            "offset": [given.offset],
-            **more,
-            STAMP: [given.stamp],
-        }
-        bounds = {
-            "viscous": (0.0, most / given.fastest), "coulomb": (0.0, most), "offset": (-most, most),
-            STAMP: (given.stamp - given.stamps, given.stamp + given.stamps),
-        }  # fmt: skip
-        return candidate(cls, names, bounds=bounds, axis="z", body="both")
+        """None: on free-flying vehicles only the contact force acts."""
+        return iter(())
 
 
 MOST_TICKS = 12  # longest delay that is searched

@@ -60,7 +60,6 @@ class DynamicsParameters:
             body axes [m]).
         forces: that resist motion. late: delay of the pose in whole ticks. explicit: explicit
             Euler, the pose with the old twist.
-        stamp: [s] by which a log reads the pose later than nominal; only a replay uses it.
     """
 
     mass: Array = field(default_factory=lambda: np.ones(2))
@@ -70,7 +69,6 @@ class DynamicsParameters:
     forces: list[Resistance] = field(default_factory=list)
     late: int = 0
     explicit: bool = False
-    stamp: float = 0.0
 
     @classmethod
     def of(cls, effects: Iterable[Effect]) -> DynamicsParameters:
@@ -88,7 +86,7 @@ class Departures:
 
     Attributes:
         mass, inertia: (n, 2). port: (n, 2, 3). appendage: (n, 2, S, APPENDAGE). force: (n, F,
-            RESISTANCE). late, explicit, stamp: (n,).
+            RESISTANCE). late, explicit: (n,).
     """
 
     mass: Array
@@ -98,18 +96,13 @@ class Departures:
     force: Array
     late: np.ndarray
     explicit: np.ndarray
-    stamp: Array
 
     @property
     def any(self) -> bool:
         """Whether any model departs from the nominal one."""
         same = np.all(self.mass == 1.0) and np.all(self.inertia == 1.0) and not self.port.any()
         whole = not (
-            self.appendage.any()
-            or self.force.size
-            or self.late.any()
-            or self.explicit.any()
-            or self.stamp.any()
+            self.appendage.any() or self.force.size or self.late.any() or self.explicit.any()
         )
         return not (same and whole)
 
@@ -132,5 +125,4 @@ def stack(models: Sequence[DynamicsParameters]) -> Departures:
         force=forces,
         late=np.array([m.late for m in models], dtype=np.int64),
         explicit=np.array([m.explicit for m in models], dtype=bool),
-        stamp=np.array([m.stamp for m in models], dtype=float),
     )

@@ -70,6 +70,11 @@ class UnitTime:
         )
 
 
+def labelled(progress: Callable[[str], None] | None, label: str) -> Callable[[str], None] | None:
+    """The callback for the parts of a step."""
+    return (lambda text: progress(f"{label}: {text}")) if progress else None
+
+
 def time_left_text(seconds: float | None, of: str = "") -> str:
     """`, 40 s left`, or nothing if unknown; of: of what, such as `in this step`."""
     if seconds is None:

@@ -6,7 +6,6 @@ row of a record is a tick of the loop; what the loop calls once per tick is call
 row, in compiled loops over the rows where calls from Python would be slow.
 """
 
-from hiltestbed.replay.axis import replay_axis
 from hiltestbed.replay.compensation import replay_compensation
 from hiltestbed.replay.felt import Felt
 from hiltestbed.replay.numerical_model import Departing, replay_model
@@ -24,7 +23,6 @@ __all__ = [
     "creep_of",
     "follows_exactly",
     "moves_linearly",
-    "replay_axis",
     "replay_compensation",
     "replay_model",
     "replay_platform",

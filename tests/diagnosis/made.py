@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.diagnosis.links import LinkRun, PlatformLink, WrenchLink
+from hiltestbed.diagnosis.explain import Explanation, explain
+from hiltestbed.diagnosis.link_model import LinkModel
+from hiltestbed.diagnosis.links import LinkRun, ModelLink, PlatformLink, WrenchLink
 from hiltestbed.effects import EFFECTS, Effect
-from hiltestbed.effects.search import Scales
+from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario, scenario_from
 
@@ -27,6 +29,16 @@ SCALES = Scales(300.0, 3e-3, STIFFNESS, H, NOISE, slow=0.02, fast=0.1, duration=
 def effect(kind: str, variant: dict[str, Any] | None = None, **parameters: Any) -> Effect:
     """An effect as a search makes it."""
     return EFFECTS[kind].hypothesis(variant or {}, **parameters)
+
+
+def candidates(*kinds: str) -> tuple[Candidate, ...]:
+    """The hypotheses of some effects."""
+    return tuple(c for kind in kinds for c in EFFECTS[kind].candidates(SCALES))
+
+
+def explained(link: ModelLink, *kinds: str) -> Explanation:
+    """The explanation of a link by some effects."""
+    return explain(LinkModel(link), candidates(*kinds))
 
 
 def scenario(delay: float = 0.005) -> Scenario:

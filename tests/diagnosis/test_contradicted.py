@@ -1,5 +1,5 @@
-"""What is no cause: an effect whose size the data do not determine, an explanation that the rebound
-contradicts; and the price of what is attributed to the timing of the facility.
+"""An explanation that the rebound contradicts is none; and the price of what is attributed to the
+timing of the facility.
 """
 
 from __future__ import annotations
@@ -12,51 +12,9 @@ import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
-from hiltestbed.diagnosis import find, rebound
-from hiltestbed.diagnosis.certainty import spans_its_range
-from hiltestbed.diagnosis.fit import Fit
+from hiltestbed.diagnosis import rebound
 from hiltestbed.diagnosis.rebound import Rebound
 from hiltestbed.diagnosis.timing import ClockOffset
-from hiltestbed.diagnosis.verdict import Named, Verdict
-from hiltestbed.effects.search import Candidate
-from hiltestbed.effects.table import EFFECTS
-
-
-def fit_of(kind: str, names: tuple[str, ...], low: list, high: list, log: list) -> Fit:
-    bounds = (np.array(low), np.array(high), np.array(log, dtype=bool))
-    cause = Candidate(EFFECTS[kind], names, *bounds, (), {})
-    return Fit((cause,), np.array(low), 0.0, np.zeros(0), np.zeros((0, len(names))))
-
-
-@pytest.mark.parametrize(
-    ("kind", "names", "ends", "spans"),
-    [
-        ("platform.mode", ("frequency", "damping_ratio"), [[2.0, 400.0], [0.01, 0.02]], True),
-        ("platform.mode", ("frequency", "damping_ratio"), [[2.1, 390.0], [0.01, 0.02]], True),
-        # the size is known; a lesser parameter is not
-        ("platform.mode", ("frequency", "damping_ratio"), [[20.0, 25.0], [0.001, 0.5]], False),
-        ("platform.mode", ("frequency", "damping_ratio"), [[40.0, 400.0], [0.01, 0.02]], False),
-        ("sensor.delay", ("delay",), [[0.0, 0.03]], True),
-        ("sensor.delay", ("delay",), [[0.0, 0.02]], False),
-        ("sensor.delay", ("delay",), [[math.nan, math.nan]], True),
-        ("sensor.bias", ("force.0", "force.2"), [[-50.0, 50.0], [1.0, 1.2]], False),
-        ("sensor.bias", ("force.0", "force.2"), [[-50.0, 50.0], [-49.0, 50.0]], True),
-    ],
-)
-def test_an_interval_as_wide_as_that_of_the_range_determines_nothing(
-    kind: str, names: tuple[str, ...], ends: list, spans: bool
-) -> None:
-    bounds = {
-        "platform.mode": ([2.0, 0.001], [400.0, 0.5], [True, True]),
-        "sensor.delay": ([0.0], [0.03], [False]),
-        "sensor.bias": ([-50.0] * 2, [50.0] * 2, [False] * 2),
-    }
-    found = fit_of(kind, names, *bounds[kind])
-    assert spans_its_range(found, 0, np.array(ends)) is spans
-    named = Named(kind, "platform", found, 0, 1.0)
-    certain: Any = Fake(of=lambda link, fit: Fake(ends=np.array(ends)))
-    verdict = find._determined(Verdict("named", "platform", (named,), {}), certain)
-    assert (verdict.verdict, len(verdict.causes)) == (("unknown", 0) if spans else ("named", 1))
 
 
 @pytest.mark.parametrize(
@@ -76,33 +34,41 @@ def test_an_explanation_that_leaves_the_rebound_where_it_was_is_not_one(
 ) -> None:
     scenario = load_scenario("02-bumper")
     null, chosen, first, second = (
-        Fake(name=name, kinds=(name,), causes=(name,), score=score, effects=tuple)
-        for name, score in (("null", 0.0), ("chosen", 1.0), ("first", 2.0), ("second", 3.0))
+        Fake(name=name, keys=(name,), causes=(name,), evidence=-score, left=())
+        for name, score in (("null", 9.0), ("chosen", 1.0), ("first", 2.0), ("second", 3.0))
     )
     cor = dict(zip(("null", "chosen", "first", "second"), shown, strict=True))
     monkeypatch.setattr(
         rebound, "_simulated", lambda fits, *rest: np.array([[cor[f.name]] * 4 for f in fits])
     )
     monkeypatch.setattr(rebound, "_rebound", lambda layout, i: Rebound(1.03, 1e-3, 100))
-    monkeypatch.setattr(rebound, "_as_stamped", lambda found: None)
     monkeypatch.setattr(rebound, "_others", lambda explanations, name: [])
-    monkeypatch.setattr(rebound, "_left", lambda found, other: {})
     monkeypatch.setattr(rebound, "replace", lambda old, **new: Fake(**(vars(old) | new)))
+    monkeypatch.setattr(
+        rebound, "conclude", lambda found, *rest: Fake(**vars(conclusion) | {"fit": found.best})
+    )
+    monkeypatch.setattr(
+        rebound, "Searched", lambda likelihood, best, visited, null: Fake(best=best)
+    )
+    conclusion = Fake(null=null, fit=chosen, causes=(), visited=(chosen, first, second))
     found = Fake(
         departs=True,
         adequate=True,
-        null=null,
-        chosen=chosen,
-        singles=(second, chosen),
-        more=(first,),
-        rivals=(),
+        kinds=("chosen",),
+        causes=(),
+        fit=chosen,
+        candidates=(),
+        conclusion=conclusion,
+        model=Fake(leaves_noise=lambda left: True, folds=list),
+        likelihood=lambda: None,
     )
+    monkeypatch.setattr(rebound, "delays_not_causes", lambda explanations: {})
     findings: Any = Fake(
         layout=Fake(runs=[Fake(scenario=scenario)] * 4), explanations={"wrench": found}, weighed=()
     )
-    result = rebound._uncontradicted(findings)
+    result = rebound.with_rebounds(findings)
     e: Any = result.explanations["wrench"]
-    assert (e.chosen.name if e.adequate else "none") == expected
+    assert (e.conclusion.fit.name if e.adequate else "none") == expected
     assert len(result.weighed) == (expected != "chosen")
 
 

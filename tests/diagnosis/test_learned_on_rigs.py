@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from hiltestbed.diagnosis.fit import null_fit
 from hiltestbed.diagnosis.layout import lay_out
 from hiltestbed.diagnosis.learned import learn
 from hiltestbed.diagnosis.learned.finding import learned_on
@@ -20,7 +21,6 @@ from hiltestbed.diagnosis.report.conclude import conclude
 from hiltestbed.diagnosis.report.evidence import link_series
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Finding
-from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from hiltestbed.scenario import load_scenario
 from tests.equipment.independent_rig import draw_set, write_set
@@ -58,8 +58,8 @@ def test_the_extended_scenario_runs_with_the_law_and_rebounds_as_the_rig_did(
 ) -> None:
     dataset = load_dataset(recorded(tmp_path, [LOSS]))
     residual = residual_of(dataset)
-    null = null_fit(residual)
-    result = learned_on(Explanation(residual, (), null, null, False, True, {}, {}), ())
+    departing: Any = SimpleNamespace(residual=lambda: residual, singles=list)
+    result = learned_on(departing, ())
     assert result is not None
     learned, effect = result
     assert learned.carries_over

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hiltestbed.diagnosis.link_model import LinkModel
 from hiltestbed.diagnosis.links import (
     CompensationLink,
     DynamicsLink,
@@ -17,7 +18,7 @@ from hiltestbed.diagnosis.links import (
     flat_pose,
 )
 from hiltestbed.diagnosis.links.platform import poses_of
-from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.inference.model import Hypothesis
 from hiltestbed.numerical_model.model import NumericalModel
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.scenario import scenario_from
@@ -27,6 +28,7 @@ from .made import (
     STIFFNESS,
     H,
     bounce,
+    candidates,
     contact_link,
     effect,
     link_run,
@@ -207,16 +209,17 @@ def test_a_response_between_rows_takes_off_what_it_averages_of_a_rounded_command
     """Of (1 - p) e_k + p e_(k-1) the variance is 1 - 2 p (1 - p) of that of e."""
     link, rounding = platform_link(), 1e-6  # [m]
     errors = [np.full((len(c), 3), rounding) for c in link.commands]
-    residual = Residual(link.with_rounding(errors))
+    model = LinkModel(link.with_rounding(errors))
     counted = 3 * sum(map(len, link.commands))
     expected = 2.0 * part * (1.0 - part) * counted * (rounding / POSE_NOISE) ** 2
-    assert residual.smoothed_away([effect("platform.delay", delay=part * H)]) == pytest.approx(
-        expected, rel=0.1
-    )
-    assert residual.smoothed_away([effect("platform.delay", delay=H)]) == pytest.approx(
-        0.0, abs=0.01 * expected
-    )
-    assert Residual(link).smoothed_away([effect("platform.delay", delay=part * H)]) == 0.0
+    (late,) = (c for c in candidates("platform.delay") if not c.variant)
+
+    def away(model: LinkModel, delay: float) -> float:
+        return model._smoothed_away(Hypothesis((late,), np.array([delay]), np.zeros(0)))
+
+    assert away(model, part * H) == pytest.approx(expected, rel=0.1)
+    assert away(model, H) == pytest.approx(0.0, abs=0.01 * expected)
+    assert away(LinkModel(link), part * H) == 0.0
 
 
 @pytest.mark.parametrize("factor", [1.0, 3.0])
@@ -267,28 +270,3 @@ def test_an_unknown_rate_is_worth_a_tick_of_the_damping_force() -> None:
     )
     assert np.abs(term[:90, 2, 0]).max() == 0.0  # the approach is uniform
     assert link.with_unknown_rate().runs[0].nuisances.shape == (500, 6, 2)  # type: ignore[union-attr]
-
-
-def test_a_wrench_that_is_not_on_record_makes_the_bodies_drift() -> None:
-    """A force f in the first tick gives two bodies of 500 kg each the relative velocity f h (1/500
-    + 1/500).
-    """
-    link = DynamicsLink([link_run(scenario(), 200)], [np.zeros((200, 6))]).with_unknown_start(
-        np.full(6, 2.0)
-    )
-    terms = link.runs[0].nuisances
-    assert terms is not None
-    assert terms.shape == (200, 6, 6)
-    drift = np.diff(terms[:, 2, 2]) / H
-    np.testing.assert_allclose(np.abs(drift[5:]), 2.0 * H * 2.0 / 500.0, rtol=1e-6)
-    assert np.abs(terms[:, 0, 2]).max() < 1e-3 * np.abs(terms[-1, 2, 2])
-
-
-def test_a_late_record_is_replayed_on_the_readings_that_the_loop_used() -> None:
-    """Where these are known, the record does not count, and the compensation is that of them."""
-    link = compensated({"kind": "phase_lead"})
-    used = np.random.default_rng(2).normal(0, [30, 20, 200, 5, 8, 3], (10, 6))
-    late = link.on_used([used], link.runs)
-    expected = CompensationLink(link.runs, [used], {}).shown(0)
-    np.testing.assert_array_equal(late.shown(0, [effect("log.skew", delay=3 * H)]), expected)
-    np.testing.assert_array_equal(late.shown(0), link.shown(0))

@@ -14,14 +14,14 @@ import pytest
 from scipy.signal import savgol_coeffs
 
 import hiltestbed
-from hiltestbed.diagnosis.adequacy import contact_leftovers, noise_alone
 from hiltestbed.diagnosis.layout import DatasetLayout, lay_out
+from hiltestbed.diagnosis.link_model import LinkModel
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.path_noise import smoothed_noise
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
 from hiltestbed.diagnosis.readings import choose_lever
-from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import SMOOTHING_ROWS
+from hiltestbed.inference.model import Hypothesis
 from hiltestbed.measured import load_dataset
 from hiltestbed.run_folder.store import write_trace
 from hiltestbed.simulation import simulate
@@ -179,4 +179,5 @@ def test_a_slide_of_which_only_a_noisy_pose_is_known_leaves_only_noise(tmp_path:
     )
     layout = lay_out(load_dataset(tmp_path / "dataset.yaml"))
     link = choose_lever(make_wrench_link(layout, best_path(layout, None), layout.rows))
-    assert noise_alone(contact_leftovers(Residual(link), ()))
+    model = LinkModel(link)
+    assert model.leaves_noise(model.residuals(Hypothesis((), np.zeros(0), np.zeros(0))))

@@ -69,7 +69,7 @@ def test_practice_sets(number):
     if SETS[number] is None:
         assert (verdict.verdict, verdict.link) == ("unknown", "contact")
         return
-    causes = [cause_of(findings, c) for c in verdict.causes]
+    causes = [cause_of(c) for c in verdict.causes]
     sets = [(c.effect, *c.indistinguishable_from) for c in causes]
     assert judged_right(
         "single" if answers else "healthy", list(answers), [], verdict.verdict, verdict.link, sets

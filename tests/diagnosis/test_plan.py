@@ -86,6 +86,3 @@ def test_the_command_prints_one_object(
     status, out, err = call("plan", str(axis))
     assert (status, out) == (2, "")
     assert "plan takes a scenario or the dataset of a rig" in err
-    status, out, err = call("diagnose", str(axis), "--rules")
-    assert (status, out) == (2, "")
-    assert "leave them out" in err

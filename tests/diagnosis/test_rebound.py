@@ -41,7 +41,7 @@ def test_a_late_sensor_and_a_late_record_are_told_apart_without_what_the_loop_wa
     )
     judged = judge(investigate(dataset))
     assert judged.verdict.verdict == "named"
-    cause = cause_of(judged.findings, judged.verdict.causes[0])
+    cause = cause_of(judged.verdict.causes[0])
     assert (cause.effect, cause.indistinguishable_from, cause.probability) == (kind, (), 1.0)
     assert cause.parameters["delay"].estimate == pytest.approx(delay, abs=2e-5)
     (words,) = judged.findings.weighed
@@ -60,7 +60,7 @@ def test_where_no_rebound_is_on_record_both_are_left_open(tmp_path: Path) -> Non
     assert verdict.verdict == "ambiguous"
     (cause,) = verdict.causes
     assert {cause.effect, *cause.indistinguishable_from} == {"sensor.delay", "log.skew"}
-    assert cause.probability == pytest.approx(0.5)
+    assert cause.cause.probability == pytest.approx(0.5)
 
 
 def test_the_speed_after_a_contact_spreads_by_the_impulse_of_the_noise() -> None:

@@ -16,7 +16,7 @@ from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.effects import EFFECTS, Effect
 from hiltestbed.effects.base import LINKS
 from hiltestbed.effects.log import LogParameters
-from hiltestbed.effects.search import Candidate, DrivenAxis, Scales
+from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.numerical_model.parameters import DynamicsParameters
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.scenario import Scenario, load_scenario
@@ -168,7 +168,6 @@ SCALES = Scales(
     reading=(190.0, 120.0),
     travel=0.02,
     substeps=2,
-    lines={"z": (50.0, 2.0, 0.4)},
     sticks={(2, 0.0): (1e-5, 3e-5)},
 )
 HELD_SCALES = Scales(
@@ -181,24 +180,6 @@ HELD_SCALES = Scales(
     fast=5e-3,
     captured=True,
     slides=False,
-)
-DRIVEN_SCALES = Scales(
-    force=100.0,
-    depth=1e-3,
-    stiffness=1e5,
-    tick=1e-3,
-    noise=0.1,
-    slow=0.01,
-    fast=0.1,
-    driven=DrivenAxis(
-        factor=0.95,
-        viscous=200.0,
-        coulomb=20.0,
-        offset=-3.0,
-        fastest=0.15,
-        stamp=1.5e-3,
-        stamps=3e-3,
-    ),
 )
 Candidates = Callable[[type[Effect]], list[Candidate]]
 
@@ -224,11 +205,8 @@ def believed(head_on: Scenario) -> Callable[[str], Any]:
 
 @pytest.fixture(scope="module")
 def found() -> Candidates:
-    """Candidates of an effect: on a contact, on a held mechanism, or on a driven axis."""
-    return lambda effect: (
-        [*effect.candidates(SCALES), *effect.candidates(HELD_SCALES)]
-        or list(effect.candidates(DRIVEN_SCALES))
-    )
+    """Candidates of an effect: on a contact, and on a held mechanism."""
+    return lambda effect: [*effect.candidates(SCALES), *effect.candidates(HELD_SCALES)]
 
 
 def flat(parameters: Any) -> dict[str, Any]:

@@ -286,7 +286,7 @@ def test_a_fault_in_a_rig_of_the_users_own_is_named(gantry, tmp_path) -> None:
     assert found.verdict == "named"
     (cause,) = found.causes
     assert cause.effect == "contact.stiffness"
-    assert cause.fit.effects()[cause.index].parameters()["factor"] == pytest.approx(1.15, abs=0.01)
+    assert cause.fitted.parameters()["factor"] == pytest.approx(1.15, abs=0.01)
 
 
 @pytest.mark.parametrize("kind", ["pss33", slow("stewart")])

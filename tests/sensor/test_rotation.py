@@ -8,31 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.diagnosis.fit import null_fit
-from hiltestbed.diagnosis.intervals import intervals
 from hiltestbed.diagnosis.residual import Residual, square
-from hiltestbed.diagnosis.search import Search
-from hiltestbed.effects import EFFECTS, Effect
-from hiltestbed.effects.search import Scales
+from hiltestbed.effects import EFFECTS
 from hiltestbed.sensor.parameters import SensorParameters
-from tests.diagnosis.made import NOISE, H, contact_link, effect
+from tests.diagnosis.made import contact_link, effect, explained
 
 ANGLES = (4.0, -7.0, 12.0)
 WRENCH = np.array([1.0, -2.0, 300.0, 4.0, 5.0, -6.0])
 GAIN = {"kind": "sensor.gain", "axis": "z", "factor": 1.1}
 LEAK = {"kind": "sensor.crosstalk", "source": "z", "axis": "x", "ratio": 0.05}
 TURN = {"kind": "sensor.rotation", "angles_deg": ANGLES}
-SCALES = Scales(
-    force=300.0,
-    depth=3e-3,
-    stiffness=1e5,
-    tick=H,
-    noise=NOISE,
-    slow=0.02,
-    fast=0.1,
-    duration=0.5,
-    substeps=4,
-)
 
 
 def shown(*effects: dict) -> np.ndarray:
@@ -75,35 +60,25 @@ def test_gain_and_crosstalk_are_those_of_the_turned_axes_wherever_the_turn_stand
     assert shown(*order) == pytest.approx(expected, abs=1e-12)
 
 
-def _found(hidden: Effect) -> tuple[Residual, list]:
-    residual = Residual(contact_link([hidden]))
-    candidates = [
-        c
-        for kind in ("sensor.rotation", "sensor.crosstalk", "sensor.gain")
-        for c in EFFECTS[kind].candidates(SCALES)
-    ]
-    return residual, Search(tuple(candidates)).extend(residual, null_fit(residual))
+SOUGHT = ("sensor.rotation", "sensor.crosstalk", "sensor.gain")
 
 
 def test_a_turn_about_a_lateral_axis_is_found_and_none_is_made_up_about_the_axis_of_the_load() -> (
     None
 ):
-    residual, fits = _found(effect("sensor.rotation", angles_deg=(2.0, -3.0, 0.0)))
-    best, ends = fits[0], intervals(residual, fits[0]).ends
-    assert best.kinds == ("sensor.rotation",)
-    assert len(best.theta) == 2  # the third is no part of it
-    assert best.effects()[0].parameters()["angles_deg"][2] == 0.0
-    assert np.all((ends[:, 0] < (2.0, -3.0)) & (ends[:, 1] > (2.0, -3.0)))
+    found = explained(
+        contact_link([effect("sensor.rotation", angles_deg=(2.0, -3.0, 0.0))]), *SOUGHT
+    )
+    assert found.kinds == ("sensor.rotation",)
+    first, second = found.causes[0].estimates  # the third is no part of it
+    assert first.low < 2.0 < first.high
+    assert second.low < -3.0 < second.high
 
 
 def test_a_crosstalk_is_no_turn() -> None:
     """One number goes before two, where a turn about y fits but for its cosine."""
-    _, fits = _found(effect("sensor.crosstalk", source="z", axis="x", ratio=0.005))
-    assert fits[0].kinds == ("sensor.crosstalk",)
-    turns = [f for f in fits if f.kinds == ("sensor.rotation",)]
-    assert turns
-    assert min(f.chi2 for f in turns) - fits[0].chi2 < 4.0  # 0.005 rad: 1 - cos is 4 mN of 300 N
-    assert min(f.score for f in turns) > fits[0].score
+    link = contact_link([effect("sensor.crosstalk", source="z", axis="x", ratio=0.005)])
+    assert explained(link, *SOUGHT).kinds == ("sensor.crosstalk",)
 
 
 def test_about_the_axis_of_the_load_a_turn_changes_nothing() -> None:

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hiltestbed.diagnosis.explain import Explanation
 from hiltestbed.diagnosis.learned.families import SensorCurve
 from hiltestbed.diagnosis.learned.learn import Law, carries_over, learn
 from hiltestbed.diagnosis.learned.words import equation, resembling
 from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.result import Heldout, Learned, LearnedCurve
-from hiltestbed.diagnosis.search import Explanation
 from hiltestbed.diagnosis.settings import MIN_EXPLAINED
 from hiltestbed.effects.base import Effect
 from hiltestbed.frames import Array
@@ -28,7 +28,7 @@ def learned_on(found: Explanation, known: Sequence[Effect]) -> tuple[Learned, Ef
     """The law learned on a link that leaves more than noise, beside ``known`` effects, and its
     effect as links take it, or None.
     """
-    result = learn(found.residual, known)
+    result = learn(found.residual(), known)
     if result is None:
         return None
     law, gain = result
@@ -44,8 +44,8 @@ def learned_on(found: Explanation, known: Sequence[Effect]) -> tuple[Learned, Ef
         share,
         carries_over(gain) and share >= MIN_EXPLAINED,
         equation(law),
-        resembling(found.residual, law, found.singles, found.null),
-        tuple(_curves(found.residual, law)),
+        resembling(found, law),
+        tuple(_curves(found.residual(), law)),
     )
     return learned, effect
 

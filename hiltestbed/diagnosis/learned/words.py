@@ -9,9 +9,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from hiltestbed.config.piecewise import Pairs
-from hiltestbed.diagnosis.fit import Fit
+from hiltestbed.diagnosis.explain import Explanation, effects_of
 from hiltestbed.diagnosis.learned.learn import Law
-from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.diagnosis.settings import MAX_EQUATION_ERROR, MIN_RESEMBLANCE
 from hiltestbed.frames import Array
 
@@ -197,24 +196,21 @@ def second_order_of(curve: Pairs) -> str | None:
     )
 
 
-def resembling(residual: Residual, law: Law, singles: Sequence[Fit], null: Fit) -> tuple[str, ...]:
+def resembling(found: Explanation, law: Law) -> tuple[str, ...]:
     """Named effects that, fitted alone, remove from the residual what the law does: by the cosine
     between the two reductions.
     """
-    before, after = residual.many([law.known, [*law.known, law.effect]])
-    taken = before - after
-    alike: dict[str, float] = {}
-    for f in singles:
-        if (
-            len(f.causes) != 1
-            or f.causes[0].effect.link not in RESEMBLING_LINKS
-            or len(f.residual) != len(taken)
-        ):
+    residual = found.residual()
+    before, after, null = residual.many([law.known, [*law.known, law.effect], ()])
+    taken, alike = before - after, {}
+    for f in found.singles():
+        (effect,) = effects_of(f)
+        if effect.link not in RESEMBLING_LINKS:
             continue
-        other = null.residual - f.residual
+        other = null - residual([effect])
         length = float(np.linalg.norm(taken) * np.linalg.norm(other))
         if length > 0.0:
-            alike[f.kinds[0]] = max(alike.get(f.kinds[0], -1.0), float(taken @ other) / length)
+            alike[effect.kind] = float(taken @ other) / length
     near = sorted(
         (kind for kind, cosine in alike.items() if cosine > MIN_RESEMBLANCE),
         key=lambda kind: -alike[kind],

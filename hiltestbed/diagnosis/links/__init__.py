@@ -2,7 +2,6 @@
 leaks from one link into another.
 """
 
-from hiltestbed.diagnosis.links.axis import AxisLink
 from hiltestbed.diagnosis.links.base import LinkRun, ModelLink, Timing, flat_pose
 from hiltestbed.diagnosis.links.compensation import CompensationLink
 from hiltestbed.diagnosis.links.numerical_model import DynamicsLink
@@ -10,7 +9,6 @@ from hiltestbed.diagnosis.links.platform import PlatformLink
 from hiltestbed.diagnosis.links.wrench import WrenchLink
 
 __all__ = [
-    "AxisLink",
     "CompensationLink",
     "DynamicsLink",
     "LinkRun",

@@ -6,6 +6,7 @@ runs are one replay: a *lane* is a run under a list of effects.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy
@@ -242,6 +243,12 @@ class ModelLink(ABC):
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, C) uncertainty of the prediction by how a facility divides its tick; None: none."""
         return None
+
+
+def smoothed(rows: float) -> float:
+    """Share of white noise that is left at ``rows`` between samples, by linear interpolation."""
+    part = abs(rows) % 1.0
+    return math.hypot(part, 1.0 - part)
 
 
 def perturbed(poses: Array, sigma: Array) -> list[Array]:

@@ -15,6 +15,7 @@ from hiltestbed.diagnosis.links.base import (
     LinkRun,
     ModelLink,
     padded,
+    smoothed,
     whitening_filter,
 )
 from hiltestbed.effects.log import log_parameters
@@ -42,19 +43,13 @@ class CompensationLink(ModelLink):
         runs: Sequence[LinkRun],
         wrenches: Sequence[Array],
         records: Mapping[str, Sequence[Array]],
-        used: Sequence[Array] | None = None,
     ) -> None:
         """wrenches: (N, 6) wrench_meas of each run. records: pose_act, pose_cmd and their twists,
-        as far as the method reads them. used: the wrench that the loop used, where the record is
-        known to be stamped late.
+        as far as the method reads them.
         """
-        self.runs, self.wrenches, self.used = runs, wrenches, used
+        self.runs, self.wrenches = runs, wrenches
         self._sources = records
         self._records = {name: padded(values) for name, values in records.items()}
-
-    def on_used(self, used: Sequence[Array], runs: Sequence[LinkRun]) -> CompensationLink:
-        """The same link with the wrench that the loop used, where the record is stamped late."""
-        return CompensationLink(runs, self.wrenches, self._sources, used).with_timing(self.timing)
 
     def with_central_rates(self) -> CompensationLink | None:
         """The same link with twist_act by central differences, in place of the slope of the tick
@@ -73,7 +68,7 @@ class CompensationLink(ModelLink):
             for s, poses in zip(scenarios, self._sources["pose_act"], strict=True)
         ]
         return CompensationLink(
-            self.runs, self.wrenches, {**self._sources, "twist_act": rates}, self.used
+            self.runs, self.wrenches, {**self._sources, "twist_act": rates}
         ).with_timing(self.timing)
 
     def _replay(self, lanes: Sequence[Lane]) -> list[Array]:
@@ -95,8 +90,6 @@ class CompensationLink(ModelLink):
         skew = log_parameters(effects).skew
         if not skew:
             return self.wrenches[i]
-        if self.used is not None:
-            return self.used[i]
         return shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
 
     def noise_gain(self) -> float:
@@ -116,10 +109,9 @@ class CompensationLink(ModelLink):
         return whitening_filter(lags)
 
     def smoothing(self, effects: Effects) -> float:
-        tick = self.tick
-        shifts = (log_parameters(effects).skew, self.timing_with(effects).delay)
-        parts = (abs(s / tick) % 1.0 for s in shifts)
-        return math.prod(math.hypot(p, 1.0 - p) for p in parts)
+        timing = self.timing_with(effects)
+        shifts = (log_parameters(effects).skew, timing.delay, timing.before)
+        return math.prod(smoothed(s / self.tick) for s in shifts)
 
     def passed(self, variance: Array) -> Array:
         """(N, 6) variance of the output due to that of the readings, both (N, 6)."""

@@ -46,24 +46,6 @@ class DynamicsLink(ModelLink):
         self._errors = [np.zeros((r.rows, 6)) for r in runs]
         self._filters: list[tuple[Array, Array, Array]] | None = None
 
-    def with_unknown_start(self, level: Array) -> DynamicsLink:
-        """The same link where the wrench that acted first may not be on record: nuisance terms of
-        each run, which go on for its length.
-
-        Of a wrench whose stamps are shifted, the record lacks up to a row at one end, of which only
-        the noise, ``level`` (6,) [N, N m], is known: it makes the bodies drift.
-        """
-        out, terms = copy(self), [np.empty((r.rows, 6, 6)) for r in self.runs]
-        believed = self.shown_in_all()
-        for axis in range(6):
-            first = self._wrenches.copy()
-            first[:, 0, axis] += level[axis]
-            shown = DynamicsLink(self.runs, list(first)).shown_in_all()
-            for t, a, b in zip(terms, believed, shown, strict=True):
-                t[:, :, axis] = b - a
-        out.runs = [r.with_nuisances(t) for r, t in zip(self.runs, terms, strict=True)]
-        return out
-
     def with_input_errors(self, variance: Sequence[Array]) -> DynamicsLink:
         """The same link on recorded wrenches whose errors have a ``variance`` (N, 6) in each run:
         rows that are not on record, written digits, noise that only the log has.

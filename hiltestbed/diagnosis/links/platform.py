@@ -18,6 +18,7 @@ from hiltestbed.diagnosis.links.base import (
     moved,
     padded,
     perturbed,
+    smoothed,
 )
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
@@ -101,6 +102,9 @@ class PlatformLink(ModelLink):
         commands = perturbed(self.commands[i], self.rounding[i])
         runs, still = [self.runs[i]] * len(commands), [self.deflection[i]] * len(commands)
         return PlatformLink(runs, commands, still).with_timing(self.timing)
+
+    def smoothing(self, effects: Effects) -> float:
+        return smoothed(self.timing_with(effects).before / self.tick)
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) uncertainty of where a platform jumps, bends or stops.

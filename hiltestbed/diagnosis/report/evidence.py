@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from hiltestbed.diagnosis.adequacy import leftover
+from hiltestbed.diagnosis.link_model import leftover
 from hiltestbed.diagnosis.links import ModelLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.result import ChannelResidual, Series

@@ -115,17 +115,17 @@ def _key(task: Task) -> tuple[int, float]:
 
 def one_set(task: Task) -> dict[str, Any]:
     """Draw a set, write it, diagnose it from its files, and compare."""
-    from hiltestbed.diagnosis.diagnose import investigated
     from hiltestbed.diagnosis.find import cause_of, gain_of, judge
+    from hiltestbed.diagnosis.investigate import investigate
     from hiltestbed.measured import load_dataset
 
     hidden = task.draw()
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         write_set(folder, hidden)
-        judged = judge(investigated(load_dataset(Path(folder) / "dataset.yaml")))
+        judged = judge(investigate(load_dataset(Path(folder) / "dataset.yaml")))
     findings, verdict = judged.findings, judged.verdict
-    causes = [cause_of(findings, c) for c in verdict.causes]
+    causes = [cause_of(c) for c in verdict.causes]
     gain = gain_of(findings, verdict.causes)
     truth = [e["kind"] for e in hidden.effects]
     sets = [(c.effect, *c.indistinguishable_from) for c in causes]
@@ -163,16 +163,12 @@ def one_set(task: Task) -> dict[str, Any]:
 
 
 def alarm_figures(findings: Any) -> dict[str, float]:
-    """How close the links are to an alarm: penalised chi-square reduction by the best single cause,
+    """How close the links are to an alarm: log evidence of the best single cause over that of none,
     and the excess over noise.
     """
-    from hiltestbed.diagnosis.fit import inflation
-
     found = list(findings.explanations.values())
-    best = [
-        (e.null.chi2 - e.singles[0].score) / inflation(e.singles[0]) for e in found if e.singles
-    ]
-    excess = [left.excess for e in found for left in e.before.values()]
+    best = [e.singles()[0].evidence - e.conclusion.null.evidence for e in found if e.singles()]
+    excess = [e.model.excess(e.conclusion.null.left) for e in found]
     return {"taken_off": max(best, default=0.0), "excess": max(excess, default=0.0)}
 
 
@@ -236,7 +232,7 @@ def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> 
     cause = verdict.causes[0]
     if cause.effect != hidden[0]["kind"] or cause.effect == "log.skew":
         return None
-    residual, fitted = findings.explanations[cause.link].residual, cause.fit.effects()[cause.index]
+    residual, fitted = findings.explanations[cause.link].residual(), cause.fitted
     true = {name: value for name, value in hidden[0].items() if name != "kind"}
     if any(
         isinstance(value, str) and value != true.get(name)

@@ -10,27 +10,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hiltestbed.diagnosis.jitter_and_hum import MIN_FREQUENCY, MIN_SPECTRUM_ROWS, strongest_lines
-from hiltestbed.diagnosis.likelihood.model import LinkModel
+from hiltestbed.diagnosis.link_model import LinkModel, Whiteness
 from hiltestbed.diagnosis.links import ModelLink, Timing, WrenchLink
 from hiltestbed.diagnosis.links.base import NO_SHIFT
-from hiltestbed.diagnosis.search import Progress
+from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
-from hiltestbed.inference.conclude import SearchConclusion, conclude
+from hiltestbed.inference.conclude import Confirmed, SearchConclusion, conclude
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 from hiltestbed.inference.model import Hypothesis
-from hiltestbed.inference.search import search
+from hiltestbed.inference.search import Progress, extended, search
 from hiltestbed.sensor.effects import SensorHum
 
 ROUNDS = 4  # explanations of a link, each under the interpretation that suits the last
+FEW = 2  # causes of one link that are often right together
 # half of chi-square by which another interpretation of a facility has to be better: odds of 1000
 READ_OTHERWISE = math.log(1000.0)
 
 
+# power of a line over that of the noise, from which it is tried as a hum: 1e-13 of exponential
+# noise a frequency
+MIN_LINE_POWER = 30.0
+MIN_SPECTRUM_ROWS = 1 << 15  # length of the transform: lines are told apart to 0.06 Hz at 2 kHz
+MIN_FREQUENCY = 0.7  # [Hz] of a line; slower ones are drifts over a run of some seconds
+
+
 @dataclass(frozen=True, eq=False)
-class Explained:
+class Explanation:
     """The explanation of a link.
 
     Attributes:
@@ -56,13 +63,18 @@ class Explained:
         return self.conclusion.fit
 
     @property
+    def causes(self) -> tuple[Confirmed, ...]:
+        """The causes, those that explain most first."""
+        return self.conclusion.causes
+
+    @property
     def departs(self) -> bool:
         """Whether the nominal link does not explain the record."""
-        return bool(self.conclusion.causes) or not self.adequate
+        return bool(self.causes) or not self.adequate
 
     def effects(self) -> list[Effect]:
         """The causes as effects."""
-        return [e for e in self.fit.of.each() if not isinstance(e, Timing)]
+        return effects_of(self.fit)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -76,10 +88,40 @@ class Explained:
             out = out.plus(effect) if isinstance(effect, Timing) else out
         return out
 
+    def residual(self) -> Residual:
+        """The residual of the link with its timing as found, in units of the noise alone."""
+        return Residual(self.link.with_timing(self.timing()), self.model.members)
+
+    def leftovers(self) -> dict[str, Whiteness]:
+        """Channel to what the causes leave of it, in contact or outside it, whichever is worse."""
+        out: dict[str, Whiteness] = {}
+        for (c, _), left in self.model.leftovers(self.fit.left).items():
+            name = self.link.channels[c]
+            if name not in out or left.excess > out[name].excess:
+                out[name] = left
+        return out
+
+    def singles(self) -> list[PosteriorFit]:
+        """The fits of one cause, those of the most evidence first, each effect once."""
+        out: dict[str, PosteriorFit] = {}
+        for f in self.conclusion.visited:
+            if len(effects := effects_of(f)) == 1 and math.isfinite(f.evidence):
+                out.setdefault(effects[0].kind, f)
+        return list(out.values())
+
+    def likelihood(self) -> Likelihood:
+        """By which the hypothesis was chosen."""
+        return Likelihood(self.model, independent(self.fit.left, noise_known=True))
+
+
+def effects_of(fit: PosteriorFit) -> list[Effect]:
+    """The causes of a fit as effects, without its nuisances."""
+    return [e for e in fit.of.each() if not isinstance(e, Timing)]
+
 
 def explain(
     model: LinkModel, candidates: Sequence[Candidate], progress: Progress | None = None
-) -> Explained:
+) -> Explanation:
     """The explanation of a link."""
     nothing = Hypothesis((), np.zeros(0), np.zeros(0))
     model = model.under(())
@@ -93,7 +135,17 @@ def explain(
         everything = (*candidates, *model.timings())
         likelihood = Likelihood(model, counts)
         start = base and likelihood.fit(base.causes, [base.of.theta])
-        found = search(likelihood, everything, progress, start)
+        if base is None:
+            found = search(likelihood, everything, progress, most=FEW + 1)
+            best = found.best
+            if len(effects_of(best)) > FEW or not model.leaves_noise(best.left):
+                # with a wrong interpretation causes add up to what one is with the right one
+                other = interpreted_with_one_cause(model, everything)
+                start = best if other is model else None
+                model, counts = other, independent(other.residuals(nothing), noise_known=True)
+                found = search(Likelihood(model, counts), everything, progress, start)
+        else:
+            found = search(likelihood, everything, progress, start)
         best = found.best
         if base is not None and best.keys == base.keys:
             break
@@ -117,9 +169,24 @@ def explain(
         model = there
     concluded = conclude(found, model.folds(), everything, progress)
     left = concluded.fit.left
-    return Explained(
+    return Explanation(
         model, tuple(candidates), concluded, model.leaves_noise(left), model.excess(left)
     )
+
+
+def interpreted_with_one_cause(model: LinkModel, candidates: Sequence[Candidate]) -> LinkModel:
+    """The model with the interpretation of the facility under which one cause has most evidence."""
+    if not isinstance(model.link, WrenchLink):
+        return model
+    others = [model.through(link) for group in model.link.interpretations() for link in group]
+    reached = []
+    for m in (model, *others):
+        counts = independent(m.residuals(Hypothesis((), np.zeros(0), np.zeros(0))), True)
+        likelihood = Likelihood(m, counts, max(1, len({c.kind for c in candidates})))
+        fits = extended(likelihood, likelihood.start(), candidates)
+        reached.append(max((f.evidence for f in fits), default=-math.inf))
+    best = int(np.argmax(reached))
+    return [model, *others][best] if reached[best] > reached[0] + READ_OTHERWISE else model
 
 
 def with_noise_of_the_log(model: LinkModel, best: PosteriorFit) -> LinkModel:
@@ -170,3 +237,19 @@ def hums(model: LinkModel, left: Sequence[Array]) -> tuple[Candidate, ...]:
     total[:, frequencies < MIN_FREQUENCY] = 0.0
     found = strongest_lines(total, frequencies, count, level)
     return tuple(SensorHum.near(axis, *line) for axis, line in found.items())
+
+
+def strongest_lines(
+    spectra: np.ndarray, frequencies: np.ndarray, counts: np.ndarray, levels: Array
+) -> dict[str, tuple[float, float, float]]:
+    """Axis to frequency [Hz], amplitude [N] and phase [rad] of the strongest line of its spectrum
+    (3, F) of so many samples, if it exceeds white noise of the ``levels`` (3,) [N].
+    """
+    out = {}
+    for axis, spectrum, count, level in zip("xyz", spectra, counts, levels, strict=True):
+        at = int(np.argmax(np.abs(spectrum)))
+        line = spectrum[at]
+        if count and abs(line) ** 2 > MIN_LINE_POWER * count * level**2:
+            phase = float(np.angle(line) + math.pi / 2.0)
+            out[axis] = (float(frequencies[at]), 2.0 * abs(line) / count, phase)
+    return out

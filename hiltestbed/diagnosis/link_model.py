@@ -25,24 +25,35 @@ from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
 from hiltestbed.diagnosis.noise import OUTLIER_SIGMA, softened
 from hiltestbed.diagnosis.nuisances import Aside
 from hiltestbed.diagnosis.residual import MAX_RESIDUAL
-from hiltestbed.diagnosis.settings import BLOCK_ROWS, MODEL_ERROR
-from hiltestbed.diagnosis.timing import MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS
+from hiltestbed.diagnosis.settings import (
+    BLOCK_ROWS,
+    MAX_STAMP_SHIFT_ROWS,
+    MODEL_ERROR,
+)
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import PosteriorFit
 from hiltestbed.inference.model import Hypothesis, Model
 from hiltestbed.measured.noise import MAD_TO_SIGMA
+from hiltestbed.replay.wrench import shifted
 from hiltestbed.sensor.effects import SensorDelay, SensorJitter
 
 SLOW_SHAPES = 3  # degree of the polynomials by which a model's error varies along a contact
 TIME_ERROR = 0.05  # [rows] error in time of an integration in steps
+# share of the whole force by which two integrations of one contact of so many steps differ: 0.1 to
+# 0.24 %
+MOST_MODEL_ERROR, MODEL_STEPS = 2.4e-3, 100
 # of the whole force, or torque: an engine's constraints give by a ten-thousandth
 SOFTNESS = 1e-4
 # [rows] standard deviation of a time-stamp offset: loggers stamp up to a row early or late
 STAMP_SIGMA = 1.0 / math.sqrt(3.0)
 # [rows] of an instant within a tick at which a facility samples or obeys
 INSTANT_SIGMA, LATEST_INSTANT = 0.5 / math.sqrt(3.0), 0.5
+# [rows] by which a stamp is late: a row, half a tick of an instant, and the error due to noise
+LATEST_STAMP = 1.55
+MOST_OLD = 0.9  # share of the old twist in a new pose; all of it is explicit Euler, a cause
+SHARE_SIGMA = 1.0 / math.sqrt(3.0)  # of a share of which nothing is known, from nothing
 # share of what is left of a computed channel that follows its output, from which it departs
 FOLLOWING = 0.1
 TINY = 1e-300
@@ -208,8 +219,8 @@ class LinkModel(Model):
 
     def folds(self) -> list[tuple[str, Model, Model]]:
         count = len(self.members)
-        if count < 3:
-            return super().folds()
+        if count < 2:
+            return self.stretch_folds()
         rest = [[j for j in range(count) if j != i] for i in range(count)]
         return [(f"run {self.members[i]}", self.on(rest[i]), self.on([i])) for i in range(count)]
 
@@ -229,11 +240,27 @@ class LinkModel(Model):
                 own = z[n][rows, c] if ratio is None else z[n][rows, c] / ratio[rows, c]
                 left.append(_without_outliers(own))
                 logs += 0.0 if ratio is None else float(np.sum(np.log(ratio[rows, c])))
-            out.append([*left, np.array([math.sqrt(2.0 * logs)])])
+            away = max(self._smoothed_away(of[k]), 0.0)
+            out.append([*left, np.array([math.sqrt(2.0 * logs + away)])])
         return out
 
     def residuals(self, of: Hypothesis) -> list[Array]:
         return self.many([of])[0]
+
+    def _smoothed_away(self, of: Hypothesis) -> float:
+        """Chi-square that a hypothesis is expected to take off by smoothing the rounding errors of
+        the input on record, whether it is true or not.
+
+        Least squares with errors in the variables prefer a response that smooths (W. A. Fuller,
+        Measurement Error Models, 1987).
+        """
+        out = 0.0
+        for i in self.members if of.causes and self.link.rounding else ():
+            believed = self.link.passed_from_input(i, ())
+            found = self.link.passed_from_input(i, of.each())
+            if believed is not None and found is not None:
+                out += float(np.sum(self.weight[i] ** 2 * (believed - found)))
+        return out
 
     def _spread(
         self, i: int, shown: Array, effects: Sequence[Effect]
@@ -247,11 +274,11 @@ class LinkModel(Model):
         sigma = math.sqrt(sum(e.sigma**2 for e in effects if isinstance(e, SensorJitter)))
         if not sigma:
             return shown, None
-        rows, at = sigma / self.link.runs[i].scenario.tick, np.arange(len(shown), dtype=float)
+        rows = sigma / self.link.runs[i].scenario.tick
         nominal = float(sum(e.delay for e in effects if isinstance(e, SensorDelay)))
         nominal += self.link.runs[i].scenario.sensor.delay
         late = np.maximum(rows * NODES, -nominal / self.link.runs[i].scenario.tick)
-        found = [np.column_stack([np.interp(at - n, at, x) for x in shown.T]) for n in late]
+        found = [shifted(shown, -float(n)) for n in late]
         mean = np.tensordot(WEIGHTS, np.array(found), 1)
         square = np.tensordot(WEIGHTS, (np.array(found) - mean) ** 2, 1)
         return mean, np.sqrt(1.0 + square * self.weight[i] ** 2)
@@ -282,7 +309,8 @@ class LinkModel(Model):
             run = self.link.runs[i]
             terms = [] if run.nuisances is None else [run.nuisances]
             if isinstance(self.link, WrenchLink):
-                terms.append(_model_terms(run))
+                (shown,) = self.link.predict([(i, ())])
+                terms.append(_model_terms(run, shown))
             columns = np.concatenate(terms, axis=2) if terms else None
             none = columns is None and run.shared is None
             self._aside[i] = None if none else Aside(self.weight[i], columns, run.shared)
@@ -347,6 +375,58 @@ class LinkModel(Model):
             worst = max(worst, (1.0 - after / before) / FOLLOWING)
         return worst
 
+    def negligible(self, of: Hypothesis, index: int) -> bool:
+        """In contact by the share of the whole force, and of the whole torque, by which it changes
+        each; outside by the noise.
+        """
+        if not isinstance(self.link, WrenchLink):
+            return False
+        effects = of.each()
+        fewer = [e for n, e in enumerate(effects) if n != index]
+        # a lever that a cause brings is an interpretation of the facility
+        lever = of.causes[index].variant.get("lever")
+        without = self.link if lever is None else self.link.interpreted(lever=lever)
+        shown = self.link.predict([(i, effects) for i in self.members])
+        beside = without.predict([(i, fewer) for i in self.members])
+        changed, whole, outside = np.zeros(2), np.zeros(2), 0.0
+        for i, a, b in zip(self.members, shown, beside, strict=True):
+            inside = self.link.runs[i].touching
+            for part, columns in enumerate((slice(0, 3), slice(3, 6))):
+                changed[part] += float(np.sum((a - b)[inside, columns] ** 2))
+                whole[part] += float(np.sum(a[inside, columns] ** 2))
+            outside += float(np.sum(((a - b) * self.weight[i])[~inside] ** 2))
+        within = bool(np.all(changed <= self._model_differs() ** 2 * whole))
+        return within and outside <= float(chi2.isf(ALLOWED, 1))
+
+    def common_errors(self, of: Hypothesis) -> list[list[Array]]:
+        """What a facility's integration makes of every run alike: a share of the force, and a part
+        of a row in time.
+        """
+        if not isinstance(self.link, WrenchLink):
+            return []
+        shown = self.link.predict([(i, of.each()) for i in self.members])
+        share = 0.5 * self._model_differs()
+        out = []
+        for errors in (
+            [share * s for s in shown],
+            [TIME_ERROR * np.gradient(s, axis=0) for s in shown],
+        ):
+            z = [
+                self.in_sigma(i, s - error) - self.in_sigma(i, s)
+                for i, s, error in zip(self.members, shown, errors, strict=True)
+            ]
+            rows = zip(self.groups, self.rows, strict=True)
+            out.append([z[n][at, c] for (n, c, _), at in rows])
+        return out
+
+    def _model_differs(self) -> float:
+        """Share of the whole force by which a facility's integration of the shortest contact may
+        differ from this one: of first order in the step, which may be a whole row.
+        """
+        edges = [np.flatnonzero(np.diff(np.r_[0, r.touching, 0])) for r in self.link.runs]
+        lengths = np.concatenate([e[1::2] - e[::2] for e in edges])
+        return MOST_MODEL_ERROR * max(1.0, MODEL_STEPS / max(1, lengths.min(initial=MODEL_STEPS)))
+
     def deviance(self, found: PosteriorFit) -> float:
         """-2 log of the likelihood of a fit, with the deviations of the noise."""
         weights = [self.link.weights(i) for i in self.members]
@@ -362,11 +442,14 @@ class LinkModel(Model):
         ]
 
     def timings(self) -> tuple[Candidate, ...]:
-        """When the facility samples, obeys and stamps, as nuisances."""
-        ends, tick = (-MAX_STAMP_SHIFT_ROWS, MAX_UNNAMED_DELAY_ROWS), self.link.tick
-        out = [_nuisance("delay", STAMP_SIGMA, ends, (-0.8, -0.3, 0.3, 0.8), tick)]
+        """When the facility samples, obeys, stamps and steps, as nuisances."""
+        ends, tick = (-MAX_STAMP_SHIFT_ROWS, LATEST_STAMP), self.link.tick
+        starts = (-0.8, -0.3, 0.3, 0.8)
+        out = [_nuisance(name, STAMP_SIGMA, ends, starts, tick) for name in ("delay", "before")]
         if self.link.name == "platform":
             out.append(_nuisance("obeyed", INSTANT_SIGMA, (0.0, LATEST_INSTANT), (0.25,), tick))
+        if self.link.name == "dynamics":
+            out.append(_nuisance("old", SHARE_SIGMA, (0.0, MOST_OLD), (0.25, 0.75), 1.0))
         return tuple(out)
 
 
@@ -385,19 +468,17 @@ def _without_ends(counted: np.ndarray) -> np.ndarray:
     return out
 
 
-def _model_terms(run: LinkRun) -> Array:
+def _model_terms(run: LinkRun, shown: Array) -> Array:
     """(N, C, D) how a model of the same physics may err along a contact: in proportion to the
-    reading, by a share that varies slowly, and in time.
+    reading ``shown`` (N, C) without its noise, by a share that varies slowly, and in time.
     """
     at = np.flatnonzero(run.touching)
     if not len(at):
         return np.zeros((*run.measured.shape, 0))
     places = np.clip(2.0 * (np.arange(run.rows) - at[0]) / max(at[-1] - at[0], 1) - 1.0, -1.0, 1.0)
     slow = MODEL_ERROR * legendre.legvander(places, SLOW_SHAPES)
-    # outside it a reading is noise, to which no error of a model is proportional
-    force = np.where(run.touching[:, None], run.measured, 0.0)
-    terms = force[:, :, None] * slow[:, None, :]
-    late = TIME_ERROR * np.gradient(force, axis=0)
+    terms = shown[:, :, None] * slow[:, None, :]
+    late = TIME_ERROR * np.gradient(shown, axis=0)
     return np.concatenate([terms, late[:, :, None]], axis=2)
 
 
