@@ -44,14 +44,16 @@ def holding(e: Explanation) -> tuple[Confirmed, ...]:
 
 
 def _same(cause: Candidate, size: Array, alone: list[Array]) -> bool:
-    """Whether most of the runs ``alone`` give the cause the size that it has in all of them."""
+    """Whether most of the runs ``alone`` give the cause the size that it has in all of them; what
+    has none cannot be the same.
+    """
     stems = [name.partition(".")[0] for name in cause.names]
     leading = [j for j, stem in enumerate(stems) if stem == cause.effect.leading] or slice(None)
     neutral = 1.0 if cause.effect.leading == "factor" else 0.0
     scale = float(np.linalg.norm(size[leading] - neutral))
     off = [float(np.linalg.norm((x - size)[leading])) for x in alone]
     near = sum(d <= MAX_SIZE_SPREAD * scale for d in off)
-    return near >= MIN_RUN_SHARE * len(alone)
+    return scale > 0.0 and near >= MIN_RUN_SHARE * len(alone)
 
 
 def explained(e: Explanation) -> float:
