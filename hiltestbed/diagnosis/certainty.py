@@ -89,7 +89,7 @@ class Certainty:
 
 def certainty(link: str, e: Explanation) -> Certainty:
     """The certainty of the causes of an explanation; the nuisances of their fit follow."""
-    fit, likelihood = e.fit, e.likelihood()
+    fit, likelihood = e.fit, e.likelihood
     x = np.concatenate([fit.of.theta, fit.of.nuisances])
     slopes = likelihood.slopes(fit.causes, x, fit.left)
     normal, _ = likelihood.normal(fit.left, slopes)

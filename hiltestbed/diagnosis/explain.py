@@ -12,7 +12,6 @@ import numpy as np
 
 from hiltestbed.diagnosis.link_model import LinkModel, Whiteness
 from hiltestbed.diagnosis.links import ModelLink, Timing, WrenchLink
-from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.residual import Residual
 from hiltestbed.effects.base import Effect
 from hiltestbed.effects.search import Candidate
@@ -20,7 +19,7 @@ from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Confirmed, SearchConclusion, conclude
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 from hiltestbed.inference.model import Hypothesis
-from hiltestbed.inference.search import Progress, extended, search
+from hiltestbed.inference.search import Progress, Searched, extended, search
 from hiltestbed.sensor.effects import SensorHum
 
 ROUNDS = 4  # explanations of a link, each under the interpretation that suits the last
@@ -83,10 +82,7 @@ class Explanation:
 
     def timing(self) -> Timing:
         """The timing of the facility."""
-        out = NO_SHIFT
-        for effect in self.fit.of.each():
-            out = out.plus(effect) if isinstance(effect, Timing) else out
-        return out
+        return self.link.timing_with(self.fit.of.each())
 
     def residual(self) -> Residual:
         """The residual of the link with its timing as found, in units of the noise alone."""
@@ -109,9 +105,10 @@ class Explanation:
                 out.setdefault(effects[0].kind, f)
         return list(out.values())
 
+    @property
     def likelihood(self) -> Likelihood:
         """By which the hypothesis was chosen."""
-        return Likelihood(self.model, independent(self.fit.left, noise_known=True))
+        return self.conclusion.likelihood
 
 
 def effects_of(fit: PosteriorFit) -> list[Effect]:
@@ -140,10 +137,12 @@ def explain(
             best = found.best
             if len(effects_of(best)) > FEW or not model.leaves_noise(best.left):
                 # with a wrong interpretation causes add up to what one is with the right one
-                other = interpreted_with_one_cause(model, everything)
-                start = best if other is model else None
-                model, counts = other, independent(other.residuals(nothing), noise_known=True)
-                found = search(Likelihood(model, counts), everything, progress, start)
+                other = interpreted_with_one_cause(found, everything)
+                if other is model:
+                    found = search(found.likelihood, everything, progress, best)
+                else:
+                    model = other
+                    found = search(Likelihood(model, counts), everything, progress)
         else:
             found = search(likelihood, everything, progress, start)
         best = found.best
@@ -174,19 +173,23 @@ def explain(
     )
 
 
-def interpreted_with_one_cause(model: LinkModel, candidates: Sequence[Candidate]) -> LinkModel:
+def interpreted_with_one_cause(found: Searched, candidates: Sequence[Candidate]) -> LinkModel:
     """The model with the interpretation of the facility under which one cause has most evidence."""
+    here = found.likelihood
+    model = here.model
+    assert isinstance(model, LinkModel)
     if not isinstance(model.link, WrenchLink):
         return model
-    others = [model.through(link) for group in model.link.interpretations() for link in group]
-    reached = []
-    for m in (model, *others):
-        counts = independent(m.residuals(Hypothesis((), np.zeros(0), np.zeros(0))), True)
-        likelihood = Likelihood(m, counts, max(1, len({c.kind for c in candidates})))
+    single = (f.evidence for f in found.visited if len(f.causes) == 1)
+    best, reached = model, max(single, default=-math.inf) + READ_OTHERWISE
+    for link in (link for group in model.link.interpretations() for link in group):
+        other = model.through(link)
+        likelihood = Likelihood(other, here.counts, here.choices)
         fits = extended(likelihood, likelihood.start(), candidates)
-        reached.append(max((f.evidence for f in fits), default=-math.inf))
-    best = int(np.argmax(reached))
-    return [model, *others][best] if reached[best] > reached[0] + READ_OTHERWISE else model
+        evidence = max((f.evidence for f in fits), default=-math.inf)
+        if evidence > reached:
+            best, reached = other, evidence
+    return best
 
 
 def with_noise_of_the_log(model: LinkModel, best: PosteriorFit) -> LinkModel:

@@ -273,7 +273,7 @@ def _ranking(name: str, e: Explanation) -> list[Ranked]:
         gain = heldout(e, f) if len(out) < MAX_RANKED_HELDOUT else None
         words = "; ".join(listed(effect.parameters()) for effect in effects)
         after, adequate = gain.rms_after if gain else None, e.adequate if f is e.fit else None
-        worse = 2.0 * (e.likelihood().again(e.fit).evidence - e.likelihood().again(f).evidence)
+        worse = 2.0 * (e.likelihood.again(e.fit).evidence - e.likelihood.again(f).evidence)
         out.append(Ranked(tuple(x.kind for x in effects), worse, name, words, after, adequate))
     return out
 

@@ -26,7 +26,7 @@ def heldout(e: Explanation, found: PosteriorFit | None = None) -> Heldout | None
     found = e.fit if found is None else found
     if len(e.model.members) < 2 or not found.causes:
         return None
-    held = LeftOut(e.likelihood(), e.model.folds())
+    held = LeftOut(e.likelihood, e.model.folds())
     before, after = held.rms(e.conclusion.null), held.rms(found)
     placebo = _placebo(e, found)
     wrong = before if placebo is None else held.rms(placebo)
@@ -59,11 +59,8 @@ def _rms(squares: Array) -> float:
 
 def mean_square(residual: Residual, i: int, effects: Effects) -> float:
     """Mean square of run i in units of the noise: in contact, where there is one."""
-    z = residual.of_run(i, effects)
-    counts = residual.weight[i] > 0
-    inside = counts & residual.link.runs[i].touching[:, None]
-    use = inside if inside.any() else counts
-    return float(np.mean(z[use] ** 2)) if use.any() else 0.0
+    z = residual.compared(i, effects)
+    return float(np.mean(z**2)) if len(z) else 0.0
 
 
 def _placebo(e: Explanation, found: PosteriorFit) -> PosteriorFit | None:

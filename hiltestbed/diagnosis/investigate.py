@@ -112,7 +112,8 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
         whole["dynamics"] = dynamics(layout, layout.whole)
     if "platform" in judged:
         link = platform_link(layout, layout.rows)
-        candidates = candidates_of(with_stiction(layout, link), ("platform",))
+        scales, link = with_stiction(layout, link)
+        candidates = candidates_of(scales, ("platform",))
         found["platform"] = explain(LinkModel(link), candidates, told("platform"))
         whole["platform"] = platform_link(layout, layout.whole)
     if "wrench" in judged:
@@ -141,11 +142,14 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
     return Findings(layout, {n: found[n] for n in order}, missing, timed)
 
 
-def with_stiction(layout: DatasetLayout, link: PlatformLink) -> Scales:
-    """Scales with starts for stiction from the data."""
+def with_stiction(layout: DatasetLayout, link: PlatformLink) -> tuple[Scales, PlatformLink]:
+    """Scales with starts for stiction from the data, and the link with the timing that its jumps
+    show.
+    """
     noise = min((level for c in link.channels[:3] if (level := layout.noise.get(c))), default=0.0)
     sticks = sticking(link, noise, layout.scales.substeps)
-    return replace(layout.scales, sticks=sticks.starts)
+    timed = link if sticks.timing is None else link.with_timing(sticks.timing)
+    return replace(layout.scales, sticks=sticks.starts), timed
 
 
 def with_other_clock(e: Explanation) -> Explanation:
@@ -162,7 +166,7 @@ def with_other_clock(e: Explanation) -> Explanation:
     (own,) = acting
     (other,) = (c for kind, c in clocks.items() if kind != own.cause.kind)
     swapped = [other if c.key == own.cause.key else c for c in e.fit.causes]
-    late = e.likelihood().fit(swapped, [e.fit.of.theta])
+    late = e.likelihood.fit(swapped, [e.fit.of.theta])
     if not e.model.leaves_noise(late.left):
         return e
     rival = replace(late, evidence=e.fit.evidence)

@@ -68,8 +68,6 @@ class DatasetLayout:
         runs: as measured. rows: of each run, that the search uses. scales: orders of magnitude of
             the data. noise: channel to its floor.
         force: the noise model of the force, from free flight.
-        engaged: the contact's action along the pose of each run, where only playing the mechanism
-            gives it, see :func:`engagement`.
         deflection: of each run, departure of the believed rig from its command; None where it
             cannot be replayed or is not needed.
         missing: link to the reason why it cannot be replayed.
@@ -82,7 +80,6 @@ class DatasetLayout:
     scales: Scales
     noise: Mapping[str, float]
     force: ForceNoise
-    engaged: tuple[Engaged | None, ...]
     deflection: tuple[Deflection, ...] | None
     missing: Mapping[str, str]
     logged: LowPass | None = None
@@ -132,7 +129,7 @@ def lay_out(dataset: MeasuredDataset) -> DatasetLayout:
             )
     scales = scales_of(runs, noise)
     layout = DatasetLayout(
-        runs, tuple(_rows(r) for r in runs), scales, noise, force, engaged, given, missing
+        runs, tuple(_rows(r) for r in runs), scales, noise, force, given, missing
     )
     if "compensation" in missing:
         return layout
@@ -394,9 +391,7 @@ def _force_run(run: MeasuredRun, layout: DatasetLayout, i: int, rows: int, least
         late = _late(run.record.filled("wrench_meas")[:rows], layout.logged)
         nuisances = np.concatenate([nuisances, late[:, :, None]], axis=2)
     terms = nuisances if nuisances.shape[2] else None
-    return LinkRun(
-        run.scenario, measured, sigma, run.touching(rows), force.heavy, force.tail, terms
-    )
+    return LinkRun(run.scenario, measured, sigma, run.touching(rows), force.heavy, terms)
 
 
 def _pose_run(run: MeasuredRun, noise: Mapping[str, float], doubt: Array, rows: int) -> LinkRun:

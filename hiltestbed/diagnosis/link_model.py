@@ -24,7 +24,7 @@ from hiltestbed.diagnosis.links.base import whitening_filter
 from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
 from hiltestbed.diagnosis.noise import OUTLIER_SIGMA, softened
 from hiltestbed.diagnosis.nuisances import Aside
-from hiltestbed.diagnosis.residual import MAX_RESIDUAL
+from hiltestbed.diagnosis.residual import MAX_RESIDUAL, Residual
 from hiltestbed.diagnosis.settings import (
     BLOCK_ROWS,
     MAX_STAMP_SHIFT_ROWS,
@@ -317,10 +317,9 @@ class LinkModel(Model):
         return self._aside[i]
 
     def departure(self, of: Hypothesis) -> list[Array]:
-        """In units of the noise: in contact, where there is one."""
-        left = self.residuals(of)[:-1]
-        inside = [x for x, (_, _, within) in zip(left, self.groups, strict=True) if within]
-        return inside or left
+        """In units of the noise alone, without what the model may err by."""
+        residual = Residual(self.link, self.members)
+        return [residual.compared(i, of.each()) for i in self.members]
 
     def leftovers(self, left: Sequence[Array]) -> dict[tuple[int, bool], Whiteness]:
         """What is left of each channel, in contact and outside it."""

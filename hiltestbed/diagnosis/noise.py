@@ -74,7 +74,6 @@ STEP_TOLERANCE = 1.01  # chosen: relative error of a step that is estimated from
 MAX_REST = 0.02
 OUTLIER_SIGMA = 4.0  # derived: robust standard deviations, beyond which 6e-5 of normal samples lie
 THIRD_DIFFERENCE_VARIANCE = 20.0  # derived: of third differences of unit white noise: 1 + 9 + 9 + 1
-NORMAL_SQUARE_VARIANCE = 2.0  # derived: of the square of a unit normal sample
 # derived: squares of third differences that count as one: 1 + 2 (15^2 + 6^2 + 1)/20^2
 CORRELATED_SQUARES = 2.31
 
@@ -91,8 +90,7 @@ class ForceNoise:
         heavy: whether there are more outliers than in normal noise.
         offset: (6,) of each run [N, N m], subtracted from it: its difference from the offset of all
             runs.
-        share: noise in proportion to the reading. tail: variance of the square of a softened
-            sample, 2 for normal noise.
+        share: noise in proportion to the reading.
         wander: (D, 6) standard deviation [N, N m] between runs of each coefficient of the baseline,
             a Legendre polynomial over the run; infinite where it is not known, D = 0 where there is
             none. tones: [rad] a row, whose phase differs between runs. For both see
@@ -106,7 +104,6 @@ class ForceNoise:
     heavy: bool
     offset: tuple[Array, ...]
     share: float
-    tail: float = NORMAL_SQUARE_VARIANCE
     wander: Array = field(default_factory=lambda: np.zeros((0, 6)))
     tones: tuple[float, ...] = ()
     step: float = 0.0
@@ -241,16 +238,13 @@ def _noise(
     rows, fitted = sum(map(len, flat)), sum(bent + 2 * len(tones) for x in flat if len(x))
     # of the deviation, by the lines and tones that were fitted
     lost = math.sqrt(rows / max(rows - fitted, 1))
-    level, tail = np.zeros(6), NORMAL_SQUARE_VARIANCE
+    level = np.zeros(6)
     if heavy or colour > 1.0:
         level[columns] = [lost * _level(x, heavy) for x in each]
     elif aside:
         level[columns] = _white_levels(
             without_tones([x for _, x in apart], aside, [r for r, _ in apart])
         )
-    if heavy:
-        squares = np.concatenate([softened(x / level[columns], True).ravel() ** 2 for x in flat])
-        tail = max(NORMAL_SQUARE_VARIANCE, float(np.var(squares)))
     pressed = columns
     # noise of an axis that moves shows in third differences alone: as much above these as in the
     # other channels
@@ -278,7 +272,7 @@ def _noise(
             for o, f in zip(offset, found, strict=True):
                 o[columns] = f
         known = np.full((int(unknown), 6), np.inf)
-    return ForceNoise(level, colour, heavy, offset, share, tail, known, aside)
+    return ForceNoise(level, colour, heavy, offset, share, known, aside)
 
 
 def _white_levels(readings: Sequence[Array]) -> Array:

@@ -135,7 +135,7 @@ def _weighed(e: Explanation, loop: _Loop) -> tuple[Explanation, list[str]]:
     }
     best = max(fits, key=lambda f: total[f.keys])
     if best.keys != e.fit.keys:
-        found = Searched(e.likelihood(), best, e.conclusion.visited, e.conclusion.null)
+        found = Searched(e.likelihood, best, e.conclusion.visited, e.conclusion.null)
         e = replace(e, conclusion=conclude(found, e.model.folds(), e.candidates))
     causes = tuple(_told_apart(c, total, total[best.keys]) for c in e.causes)
     decided = sum(len(c.others) for c in causes) < len(rivals) or best.keys != fits[0].keys

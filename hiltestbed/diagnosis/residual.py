@@ -18,7 +18,7 @@ MAX_RESIDUAL = 1e6  # chosen: [sigma] stands for a prediction that is not finite
 
 
 class Residual:
-    """Measured less predicted, over the noise. It is immutable: other weights or runs give another
+    """Measured less predicted, over the noise. It is immutable: other runs give another
     `Residual`.
 
     Attributes:
@@ -26,20 +26,15 @@ class Residual:
         weight: (N, C) of each run of the link, one over the noise, 0 where not measured.
     """
 
-    def __init__(
-        self,
-        link: ModelLink,
-        runs: Sequence[int] | None = None,
-        weight: Sequence[Array] | None = None,
-    ) -> None:
+    def __init__(self, link: ModelLink, runs: Sequence[int] | None = None) -> None:
         self.link = link
         self.runs = tuple(range(len(link.runs)) if runs is None else runs)
-        self.weight = tuple([r.weight for r in link.runs] if weight is None else weight)
+        self.weight = tuple([r.weight for r in link.runs])
         self._aside: dict[int, Aside] = {}
 
     def on(self, runs: Sequence[int]) -> Residual:
         """On a subset of the runs."""
-        return Residual(self.link, runs, self.weight)
+        return Residual(self.link, runs)
 
     def by_run(self, hypotheses: Sequence[Effects]) -> list[list[Array]]:
         """(N, C) for each hypothesis and run; clipped to MAX_RESIDUAL where a prediction is not
@@ -73,6 +68,12 @@ class Residual:
     def of_run(self, i: int, effects: Effects) -> Array:
         """(N, C) of run i."""
         return self.on([i]).by_run([effects])[0][0]
+
+    def compared(self, i: int, effects: Effects) -> Array:
+        """(M,) of run i, as its owner would compare them: in contact, where there is one."""
+        z, counts = self.of_run(i, effects), self.weight[i] > 0.0
+        inside = counts & self.link.runs[i].touching[:, None]
+        return np.asarray(z[inside if inside.any() else counts])
 
     def many(self, hypotheses: Sequence[Effects]) -> Array:
         """(H, M) of all runs, one hypothesis a row."""

@@ -132,7 +132,7 @@ def contradiction(found: Explanation) -> str:
         each = [f for f in alone if f is not None]
         if len(each) < count:
             continue
-        joint = found.likelihood().fit(known.causes, [known.of.theta])
+        joint = found.likelihood.fit(known.causes, [known.of.theta])
         if sum(f.evidence for f in each) > joint.evidence:
             sizes = ", ".join(
                 f"{listed(effects_of(f)[0].parameters())} in run {i}"

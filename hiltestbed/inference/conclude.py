@@ -79,7 +79,8 @@ class SearchConclusion:
         fit: the hypothesis that is offered, fitted to all runs; null: nothing departs.
         causes: of the fit, those that remove most first. before, after: (R,) rms of each run when
             it is left out, in the unit of the record, of the null and of the fit. visited: what was
-            compared. ends: (P, 2) of the 95 % intervals of the parameters of the fit.
+            compared. ends: (P, 2) of the 95 % intervals of the parameters of the fit. likelihood:
+            by which they were.
     """
 
     fit: PosteriorFit
@@ -89,6 +90,7 @@ class SearchConclusion:
     after: Array
     visited: tuple[PosteriorFit, ...]
     ends: Array
+    likelihood: Likelihood
 
 
 class LeftOut:
@@ -205,7 +207,9 @@ def conclude(
             Confirmed(cause, estimates, gain, probability, tuple(others), tuple(others.values()))
         )
     causes.sort(key=lambda c: -c.gain)
-    return SearchConclusion(fit, null, tuple(causes), before, after, found.visited, ends)
+    likelihood.forget()
+    rms = before, after
+    return SearchConclusion(fit, null, tuple(causes), *rms, found.visited, ends, likelihood)
 
 
 def _more_left(likelihood: Likelihood, fewer: PosteriorFit, fit: PosteriorFit) -> float:

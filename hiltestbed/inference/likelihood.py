@@ -21,7 +21,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,7 +38,7 @@ ITERATIONS = 40
 # what a parameter costs in the evidence
 CONVERGED, LEAST_CHANGE = 1e-4, 0.05
 Move = tuple[Candidate, ...]  # that join a hypothesis together
-PROMISED_AT_ONCE = 256  # hypotheses whose predictions are held at once
+PROMISED_AT_ONCE = 64  # hypotheses whose predictions are held at once
 # share of a number in which the prediction jumps: to each side of it that is scanned, points of the
 # scan, and the step at which the search ends
 SCAN, SCAN_POINTS, SCAN_END = 0.1, 21, 1e-3
@@ -119,9 +120,19 @@ class Likelihood:
 
     def counting(self, counts: Array) -> Likelihood:
         """The same with other ``counts``."""
-        out = Likelihood(self.model, counts, self.choices)
-        out._alone = self._alone
+        out = copy(self)
+        out.counts = counts
         return out
+
+    def choosing(self, choices: int) -> Likelihood:
+        """The same with so many ways to choose one cause."""
+        out = copy(self)
+        out.choices = choices
+        return out
+
+    def forget(self) -> None:
+        """Let go of what was predicted of moves alone, here and in all others of the same model."""
+        self._alone.clear()
 
     def bounds(self, causes: Sequence[Candidate]) -> tuple[Array, Array, np.ndarray]:
         """Bounds of the parameters of ``causes`` and of the nuisances, and which are searched by
@@ -307,23 +318,12 @@ class Likelihood:
                 )
                 points.append((n, theta))
         found: dict[int, list[tuple[float, Array]]] = {}
-        for first in range(0, len(points), PROMISED_AT_ONCE):
-            block = points[first : first + PROMISED_AT_ONCE]
-            hypotheses = [
-                (
-                    (*base.causes, *moves[n]),
-                    np.concatenate([base.of.theta, theta, base.of.nuisances]),
-                )
-                for n, theta in block
-            ]
-            if self.model.noise_known:
-                predicted = self._moved_alone(base, [(moves[n], theta) for n, theta in block])
-            else:
-                predicted = self._many(hypotheses)
-            for (n, theta), at, shown in zip(block, hypotheses, predicted, strict=True):
-                reached = self._promised(base, known, moves[n], at, shown)
-                if reached is not None:
-                    found.setdefault(n, []).append((reached, theta))
+        for (n, theta), shown in zip(points, self._shown(base, moves, points), strict=True):
+            causes = (*base.causes, *moves[n])
+            at = causes, np.concatenate([base.of.theta, theta, base.of.nuisances])
+            reached = self._promised(base, known, moves[n], at, shown)
+            if reached is not None:
+                found.setdefault(n, []).append((reached, theta))
         out = []
         for n, reached_from in found.items():
             reached_from.sort(key=lambda item: item[0])
@@ -332,28 +332,40 @@ class Likelihood:
             out.append((self.evidence(reached_from[0][0], causes), moves[n], starts))
         return sorted(out, key=lambda item: -item[0])
 
-    def _moved_alone(
-        self, base: PosteriorFit, points: Sequence[tuple[Move, Array]]
-    ) -> list[list[Array]]:
-        """Residuals of moves beside ``base``, with the changes that they make alone."""
-        none, keys = np.zeros(len(self._sigma)), [(*(c.key for c in m), *x) for m, x in points]
-        new = [i for i, key in enumerate(keys) if key not in self._alone]
-        if new:
-            moved = [(points[i][0], np.concatenate([points[i][1], none])) for i in new]
-            null, *shown = self._many([((), none), *moved])
-            own = len(null[-1])
-            for i, left in zip(new, shown, strict=True):
-                pairs = zip(left[:-1], null[:-1], strict=True)
-                changes = [(a - b).astype(np.float32) for a, b in pairs]
-                self._alone[keys[i]] = (changes, left[-1][:own] - null[-1], left[-1][own:])
-        out = []
-        for key in keys:
-            changes, change, more = self._alone[key]
-            priors = np.concatenate([base.left[-1], more])
-            priors[: len(change)] += change
-            pairs = zip(base.left[:-1], changes, strict=True)
-            out.append([*(left + moved for left, moved in pairs), priors])
-        return out
+    def _shown(
+        self, base: PosteriorFit, moves: Sequence[Move], points: Sequence[tuple[int, Array]]
+    ) -> Iterator[list[Array]]:
+        """Residuals of each of the moves beside ``base``, by number and starting values."""
+        none = np.zeros(len(self._sigma))
+        for first in range(0, len(points), PROMISED_AT_ONCE):
+            block = points[first : first + PROMISED_AT_ONCE]
+            if not self.model.noise_known:
+                yield from self._many(
+                    [
+                        (
+                            (*base.causes, *moves[n]),
+                            np.concatenate([base.of.theta, theta, base.of.nuisances]),
+                        )
+                        for n, theta in block
+                    ]
+                )
+                continue
+            keys = [(*(c.key for c in moves[n]), *theta) for n, theta in block]
+            new = [i for i, key in enumerate(keys) if key not in self._alone]
+            if new:
+                moved = [(moves[block[i][0]], np.concatenate([block[i][1], none])) for i in new]
+                null, *shown = self._many([((), none), *moved])
+                own = len(null[-1])
+                for i, left in zip(new, shown, strict=True):
+                    pairs = zip(left[:-1], null[:-1], strict=True)
+                    changes = [(a - b).astype(np.float32) for a, b in pairs]
+                    self._alone[keys[i]] = (changes, left[-1][:own] - null[-1], left[-1][own:])
+            for key in keys:
+                changes, change, more = self._alone[key]
+                priors = np.concatenate([base.left[-1], more])
+                priors[: len(change)] += change
+                pairs = zip(base.left[:-1], changes, strict=True)
+                yield [*(left + moved for left, moved in pairs), priors]
 
     def _promised(
         self,

@@ -55,11 +55,7 @@ def search(
     nothing, by adding one cause or several, leaving one out, or putting another one in its place;
     of ``most`` causes.
     """
-    likelihood = Likelihood(
-        likelihood.model,
-        likelihood.counts,
-        max(1, len({c.kind for c in candidates if c.sigma is None})),
-    )
+    likelihood = likelihood.choosing(max(1, len({c.kind for c in candidates if c.sigma is None})))
     null = likelihood.start()
     best = null if start is None else pruned(likelihood, start)
     visited: dict[tuple[str, ...], PosteriorFit] = {}

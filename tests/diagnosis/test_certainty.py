@@ -61,7 +61,7 @@ def test_a_profile_is_what_a_refit_of_the_others_costs(found: Explanation) -> No
     """The residual is linear in both numbers: the least over the other is that of a parabola."""
     profiles, likelihood, theta = (
         certainty("wrench", found).profiles,
-        found.likelihood(),
+        found.likelihood,
         found.fit.of.theta,
     )
     for j, profile in enumerate(profiles):

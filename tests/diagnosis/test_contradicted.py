@@ -60,7 +60,7 @@ def test_an_explanation_that_leaves_the_rebound_where_it_was_is_not_one(
         candidates=(),
         conclusion=conclusion,
         model=Fake(leaves_noise=lambda left: True, folds=list),
-        likelihood=lambda: None,
+        likelihood=None,
     )
     monkeypatch.setattr(rebound, "delays_not_causes", lambda explanations: {})
     findings: Any = Fake(

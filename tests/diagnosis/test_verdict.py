@@ -86,7 +86,7 @@ def test_two_causes_that_do_the_same_are_both_said() -> None:
     )
     assert decide(findings(wrench=e)).verdict == "named"  # the damper tells
     (stiffness,) = candidates("contact.stiffness")
-    rival = e.likelihood().fit((stiffness,), [np.array([1.2])])
+    rival = e.likelihood.fit((stiffness,), [np.array([1.2])])
     alike = replace(e.causes[0], rivals=("contact.stiffness",), others=(rival,), probability=0.6)
     twin = replace(e, conclusion=replace(e.conclusion, causes=(alike,)))
     verdict = decide(findings(wrench=twin))
@@ -98,6 +98,8 @@ def test_two_causes_that_do_the_same_are_both_said() -> None:
     # all of it, with what is named elsewhere
     assert [entry["kind"] for entry in told] == ["contact.stiffness", "sensor.delay"]
     assert told[0]["factor"] == rival.of.theta[0]
+    # a run's integration may err by 0.05 rows, 50 us: three runs know the delay to 30 us, and all
+    # of them together err by noise of 4 us at most
     assert told[1]["delay"] == pytest.approx(2e-3, rel=2e-3)
 
 
@@ -138,7 +140,7 @@ def test_the_gain_on_left_out_runs_is_that_of_the_cause_and_not_of_its_parameter
     gain = heldout(explained(effect("contact.preload", force=6.0)))
     assert gain is not None
     assert gain.significant
-    assert 0.8 < gain.rms_after < 1.05  # the noise holds what the model may err by, too
-    assert gain.rms_before > 3.0
+    assert gain.rms_after == pytest.approx(1.0, abs=0.05)
+    assert gain.rms_before > 10.0
     assert gain.placebo_reduction < 0.5 * gain.reduction
     assert heldout(healthy()) is None

@@ -71,7 +71,6 @@ class LinkRun:
         sigma: (N, C) its noise, infinite where not measured. touching: (N,) bool, the nominal or
             the measured contact, with its tail through the sensor.
         heavy: whether the noise has outliers, see :func:`hiltestbed.diagnosis.noise.softened`.
-            tail: variance of the square of a noise sample.
         nuisances: (N, C, D) nuisance terms, each at one standard deviation, see
             :mod:`hiltestbed.diagnosis.nuisances`; None: there are none. shared: (N, C, D') further
             ones, each with one amplitude in all channels.
@@ -82,7 +81,6 @@ class LinkRun:
     sigma: Array
     touching: np.ndarray
     heavy: bool = False
-    tail: float = 2.0
     nuisances: Array | None = None
     shared: Array | None = None
 
@@ -112,10 +110,7 @@ class ModelLink(ABC):
 
     Attributes:
         name: of the link. channels: what was measured at its output. runs: as it sees them.
-        witnesses: [s] lengths of stretches of a run whose misfits are independent of each other;
-            empty where each row's is.
-        timing: of the facility, as far as it differs from the believed one. known: its shifts that
-            other links show, which are not fitted.
+        timing: of the facility, as far as it differs from the believed one.
         rounding: (N, 3) of each run, standard deviation of the rounding errors of the input's
             positions [m]; empty: there are none.
     """
@@ -123,9 +118,7 @@ class ModelLink(ABC):
     name: str
     channels: tuple[str, ...]
     runs: Sequence[LinkRun]
-    witnesses: tuple[float, ...] = ()
     timing: Timing = NO_SHIFT
-    known: frozenset[str] = frozenset()
     rounding: Sequence[Array] = ()
     computed: bool = False  # whether the output follows from the input without a delay or noise
 
@@ -139,16 +132,6 @@ class ModelLink(ABC):
         """The same link of a facility with the timing ``place``."""
         out = copy(self)
         out.timing = place
-        return out
-
-    def stamped(self, **shifts: float) -> Self:
-        """The same link with ``shifts`` [s], by their names in `Timing`, which other links show."""
-        out = self.with_timing(
-            self.timing.model_copy(
-                update={name: getattr(self.timing, name) + s for name, s in shifts.items()}
-            )
-        )
-        out.known = self.known | set(shifts)
         return out
 
     def timing_with(self, effects: Effects) -> Timing:
@@ -173,16 +156,6 @@ class ModelLink(ABC):
     def tick(self) -> float:
         """[s] of the runs."""
         return self.runs[0].scenario.tick
-
-    @property
-    def costly(self) -> bool:
-        """Whether a replay takes so long that a search begins on some of the runs."""
-        return False
-
-    @property
-    def whole(self) -> ModelLink:
-        """The form of the link on which adequacy is judged; itself as a rule."""
-        return self
 
     def predict(self, lanes: Sequence[Lane]) -> list[Array]:
         """(N, C) predicted output of each lane."""

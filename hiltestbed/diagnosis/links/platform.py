@@ -109,9 +109,9 @@ class PlatformLink(ModelLink):
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) uncertainty of where a platform jumps, bends or stops.
 
-        With stiction: its change in rows whose jump may have come a row sooner or later. Where
-        other links show that stamps lie between rows: its bend within half a tick, which
-        interpolation between rows cuts off. None otherwise.
+        With stiction: its change in rows whose jump may have come a row sooner or later. Where its
+        input is stamped between rows: its bend within half a tick, which interpolation cuts off.
+        None otherwise.
         """
         tick = self.runs[i].scenario.tick
         if any(e.kind == PlatformFriction.model_fields["kind"].default for e in effects):
@@ -123,7 +123,7 @@ class PlatformLink(ModelLink):
             )
             early, late = self.predict([(i, sooner), (i, later)])
             return np.abs(late - early)
-        if not self.known or not effects:
+        if not self.timing_with(effects).before:
             return None
         sooner, later = ([*effects, Timing(delay=d)] for d in (-0.5 * tick, 0.5 * tick))
         early, late, now = self.predict([(i, sooner), (i, later), (i, effects)])

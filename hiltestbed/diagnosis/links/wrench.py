@@ -41,7 +41,6 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
 from hiltestbed.signals import GROUPS
 
-MANY_ROWS = 8_000  # chosen: of all runs, from which a search of a docking takes minutes
 NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal distribution
 MOST_TOUCHES = 24  # chosen: of a run on a mount, whose instants are not known
 STEP_RATIO = 2  # of the steps of a mount, for the extrapolation to steps of zero length
@@ -94,7 +93,7 @@ class WrenchLink(ModelLink):
             step; None: it is the reading at the instant at which it left the contact. The rate of a
             contact jumps from one tick to the next, so that the two differ.
         logged: the filter through which readings went to the record; None: none.
-        of_rows: of the record, whose mean each row is. exact: whether a mount is integrated to
+        exact: whether a mount is integrated to
             second order, and corrected to the exact integral by what that misses of the believed
             motion; else it is stepped as by MuJoCo, to first order.
     """
@@ -118,7 +117,6 @@ class WrenchLink(ModelLink):
         self.commands: Sequence[Array] | None = None
         self.deflection: Sequence[Array] = ()
         self.logged: LowPass | None = None
-        self.of_rows = 1
         self.unknown_rate = False
         self.exact = False
         self.unknown_steps = False
@@ -198,30 +196,14 @@ class WrenchLink(ModelLink):
 
     def as_interpreted(self, other: WrenchLink) -> WrenchLink:
         """The same link with interpretation and timing of another, perhaps of fewer rows."""
-        grid = (
-            None if other.grid is None else max(1, round(other.grid * self.of_rows / other.of_rows))
-        )
-        out = self.interpreted(other.lever, grid, other.blunt, other.exact, other.ring).with_timing(
-            other.timing
-        )
+        read = other.lever, other.grid, other.blunt, other.exact, other.ring
+        out = self.interpreted(*read).with_timing(other.timing)
         return out.with_unknown_steps() if other.unknown_steps else out
 
     @property
     def simulated(self) -> bool:
         """Whether the force along a path is computed by simulating the mechanism."""
         return isinstance(self._felt, Simulated)
-
-    @property
-    def costly(self) -> bool:
-        """Whether parts that move are integrated, or many rows of a surface that is not flat."""
-        simple = all(
-            run.scenario.mechanism.flat or run.scenario.mechanism.captured for run in self.runs
-        )
-        return (
-            self.simulated
-            or self.stepped
-            or (not simple and sum(run.rows for run in self.runs) > MANY_ROWS)
-        )
 
     @property
     def stepped(self) -> bool:
@@ -447,25 +429,6 @@ class WrenchLink(ModelLink):
     def lateness(self, i: int, effects: Effects) -> float:
         """[s] by which the reading of run i is later than the contact."""
         return _lateness(self._lane(i, effects))
-
-    def slopes(self, effects: Effects) -> list[Array]:
-        """(N, 6) rate of the reading in each run [N/s, N m/s], which a late sample multiplies."""
-        step = self.tick / 2.0
-        early = self.shown_in_all([*effects, Timing(delay=-step)])
-        late = self.shown_in_all([*effects, Timing(delay=step)])
-        return [(a - b) / (2.0 * step) for a, b in zip(early, late, strict=True)]
-
-    def shaken(self, i: int, effects: Effects, sigma: float) -> tuple[Array, Array]:
-        """(N, 6) mean and deviation of the reading, for a delay that varies by sigma [s]."""
-        nominal = max(self.lateness(i, effects), 0.0)
-        found = self.predict(
-            [(i, [*effects, Timing(delay=float(max(sigma * node, -nominal)))]) for node in NODES]
-        )
-        mean = sum(w * r for w, r in zip(WEIGHTS, found, strict=True))
-        square = sum(w * r**2 for w, r in zip(WEIGHTS, found, strict=True))
-        return np.asarray(mean), np.sqrt(
-            np.maximum(np.asarray(square) - np.asarray(mean) ** 2, 0.0)
-        )
 
     def doubt(self, i: int, effects: Effects) -> Array | None:
         """(N, 6) uncertainty of a reading due to what a replay does not know.
