@@ -19,11 +19,14 @@ from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Confirmed, SearchConclusion, conclude
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 from hiltestbed.inference.model import Hypothesis
-from hiltestbed.inference.search import Progress, Searched, extended, search
+from hiltestbed.inference.search import MOST_CAUSES, Progress, Searched, extended, search
 from hiltestbed.sensor.effects import SensorHum
 
-ROUNDS = 4  # explanations of a link, each under the interpretation that suits the last
+ROUNDS = 2 * MOST_CAUSES  # of a search: a cause is added, or the interpretation changes
 FEW = 2  # causes of one link that are often right together
+# with which a link is explained, where they leave noise alone; more, with more than noise left, are
+# what something without a name looks like
+MOST_NAMED = 3
 # half of chi-square by which another interpretation of a facility has to be better: odds of 1000
 READ_OTHERWISE = math.log(1000.0)
 
@@ -119,53 +122,60 @@ def effects_of(fit: PosteriorFit) -> list[Effect]:
 def explain(
     model: LinkModel, candidates: Sequence[Candidate], progress: Progress | None = None
 ) -> Explanation:
-    """The explanation of a link."""
+    """The explanation of a link.
+
+    Causes are added one at a time, each under the interpretation of the facility that suits the
+    others; several at once, or others in their place, where that ends with more than noise.
+    """
     nothing = Hypothesis((), np.zeros(0), np.zeros(0))
     model = model.under(())
-    base = None
     rich = tuple(c for c in candidates if c.effect.rich)
     candidates = tuple(c for c in candidates if not c.effect.rich)
-    if isinstance(model.link, WrenchLink) and not model.leaves_noise(model.residuals(nothing)):
-        candidates = (*candidates, *hums(model, model.residuals(nothing)))
+    counts = independent(model.residuals(nothing), noise_known=True)
+    likelihood = Likelihood(model, counts)
+    base, visited = likelihood.start(), ()
+    if isinstance(model.link, WrenchLink) and not model.leaves_noise(base.left):
+        candidates = (*candidates, *hums(model, base.left))
+    one, thorough, asked = True, False, False
     for _ in range(ROUNDS):
-        counts = independent(model.residuals(nothing), noise_known=True)
         everything = (*candidates, *model.timings())
-        likelihood = Likelihood(model, counts)
-        start = base and likelihood.fit(base.causes, [base.of.theta])
-        if base is None:
-            found = search(likelihood, everything, progress, most=FEW + 1)
-            best = found.best
-            if len(effects_of(best)) > FEW or not model.leaves_noise(best.left):
-                # with a wrong interpretation causes add up to what one is with the right one
-                other = interpreted_with_one_cause(found, everything)
-                if other is model:
-                    found = search(found.likelihood, everything, progress, best)
-                else:
-                    model = other
-                    found = search(Likelihood(model, counts), everything, progress)
-        else:
-            found = search(likelihood, everything, progress, start)
-        best = found.best
-        if base is not None and best.keys == base.keys:
-            break
-        base = best
-        more: tuple[Candidate, ...] = ()
-        if isinstance(model.link, WrenchLink):
-            more = () if model.leaves_noise(best.left) else hums(model, best.left)
-            candidates = (*candidates, *more)
-        if rich and not model.leaves_noise(best.left):
-            candidates, more, rich = (*candidates, *rich), (*more, *rich), ()
-        there = interpreted(model.under(best.of.each()), best)
-        if not model.leaves_noise(best.left):
-            there = with_noise_of_the_log(there, best)
-        elif best.causes and model.link.name == "dynamics":
-            noisy = with_noise_of_the_log(model, found.null)
-            alone = Likelihood(noisy, counts).start()
-            if noisy is not model and noisy.deviance(alone) < model.deviance(best):
-                there, base = noisy, found.null
-        if there is model and not more:
-            break
-        model = there
+        found = search(likelihood, everything, progress, base, visited, one)
+        best, noise = found.best, model.leaves_noise(found.best.left)
+        there, more, grown, noisier = model, (), best.keys != base.keys, False
+        if grown or not best.causes:
+            there = interpreted(model.under(best.of.each()), best)
+        base, visited = best, found.visited
+        enough = len(effects_of(best)) > MOST_NAMED and not noise
+        if (not grown and there.link is model.link) or enough:
+            there = model
+            if noise and best.causes and model.link.name == "dynamics":
+                noisy = with_noise_of_the_log(model, found.null)
+                alone = Likelihood(noisy, counts).start()
+                if noisy is not model and noisy.deviance(alone) < model.deviance(best):
+                    there, base, noisier = noisy, found.null, True
+            elif not noise:
+                there = with_noise_of_the_log(model, best)
+                noisier = there is not model
+                more = hums(model, best.left) if isinstance(model.link, WrenchLink) else ()
+                more, rich = (*more, *rich), ()
+                more = tuple(c for c in more if c.key not in {o.key for o in candidates})
+            if there is model and not more:
+                if not asked and (not noise or len(effects_of(best)) > FEW):
+                    # with a wrong interpretation causes add up to what one is with the right one
+                    asked, there = True, interpreted_with_one_cause(found, everything)
+                    base = base if there is model else found.null
+                if there is model:
+                    if noise or thorough or enough:
+                        break
+                    one, thorough = False, True
+                    continue
+        one, candidates = True, (*candidates, *more)
+        if there is not model:
+            model, visited = there, ()
+            likelihood = Likelihood(model, counts) if noisier else likelihood.through(model)
+            base = likelihood.fit(base.causes, [base.of.theta])
+    assert isinstance(found.likelihood.model, LinkModel)
+    model = found.likelihood.model
     concluded = conclude(found, model.folds(), everything, progress)
     left = concluded.fit.left
     return Explanation(
@@ -180,15 +190,18 @@ def interpreted_with_one_cause(found: Searched, candidates: Sequence[Candidate])
     assert isinstance(model, LinkModel)
     if not isinstance(model.link, WrenchLink):
         return model
-    single = (f.evidence for f in found.visited if len(f.causes) == 1)
-    best, reached = model, max(single, default=-math.inf) + READ_OTHERWISE
-    for link in (link for group in model.link.interpretations() for link in group):
-        other = model.through(link)
-        likelihood = Likelihood(other, here.counts, here.choices)
+    best, reached = model, -math.inf
+    others = (link for group in model.link.interpretations() for link in group)
+    for link in (model.link, *others):
+        likelihood = here
+        if link is not model.link:
+            likelihood = here.through(model.through(link))
         fits = extended(likelihood, likelihood.start(), candidates)
         evidence = max((f.evidence for f in fits), default=-math.inf)
         if evidence > reached:
-            best, reached = other, evidence
+            best, reached = likelihood.model, evidence
+            reached += READ_OTHERWISE if best is model else 0.0
+    assert isinstance(best, LinkModel)
     return best
 
 

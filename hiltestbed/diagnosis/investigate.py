@@ -157,16 +157,25 @@ def with_other_clock(e: Explanation) -> Explanation:
 
     They are where no channel shows what the loop made of the force: only the facility's
     interpolation between rows, which is not known, could tell them apart. So the link itself counts
-    as much for the one as for the other.
+    as much for the one, as it suits that best, as for the other.
     """
-    clocks = {c.kind: c for c in e.candidates if c.kind in CLOCKS and not c.variant}
+    clocks = [c for c in e.candidates if c.kind in CLOCKS]
     acting = [c for c in e.causes if c.cause.kind in CLOCKS]
-    if len(clocks) < len(CLOCKS) or len(acting) != 1:
+    if len({c.kind for c in clocks}) < len(CLOCKS) or len(acting) != 1:
         return e
     (own,) = acting
-    (other,) = (c for kind, c in clocks.items() if kind != own.cause.kind)
-    swapped = [other if c.key == own.cause.key else c for c in e.fit.causes]
-    late = e.likelihood.fit(swapped, [e.fit.of.theta])
+    assert isinstance(e.link, WrenchLink)
+    links = [e.link, *(link for group in e.link.interpretations() for link in group)]
+    there = [e.likelihood.through(e.model.through(link)) for link in links]
+    late, other = min(
+        (
+            (likelihood.fit([c if k.key == own.cause.key else k for k in e.fit.causes], start), c)
+            for c in clocks
+            if c.kind != own.cause.kind
+            for likelihood, start in ((x, [e.fit.of.theta]) for x in there)
+        ),
+        key=lambda found: found[0].cost,
+    )
     if not e.model.leaves_noise(late.left):
         return e
     rival = replace(late, evidence=e.fit.evidence)

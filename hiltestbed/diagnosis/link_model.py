@@ -35,6 +35,7 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import PosteriorFit
 from hiltestbed.inference.model import Hypothesis, Model
+from hiltestbed.inference.residuals import RunResiduals
 from hiltestbed.measured.noise import MAD_TO_SIGMA
 from hiltestbed.replay.wrench import shifted
 from hiltestbed.sensor.effects import SensorDelay, SensorJitter
@@ -171,6 +172,21 @@ class LinkModel(Model):
                         names.append(f"run {i}, {channel}, {INSIDE if inside else OUTSIDE} contact")
         self.runs = tuple(names)
         self.floors = np.ones(len(names))
+        # (M,) of each member the places of its samples among those of all channels, group by group
+        self._taken = [
+            np.concatenate(
+                [
+                    np.zeros(0, int),
+                    *(
+                        rows * len(link.channels) + c
+                        for rows, (m, c, _) in zip(self.rows, self.groups, strict=True)
+                        if m == n
+                    ),
+                ]
+            )
+            for n in range(len(self.members))
+        ]
+        self._starts = np.cumsum([0, *map(len, self.rows)])[:-1]
 
     def _model_error(self, run: LinkRun) -> Array:
         """(N, C) error of a model of the same physics: of a computed reading, in proportion to it
@@ -224,28 +240,30 @@ class LinkModel(Model):
         rest = [[j for j in range(count) if j != i] for i in range(count)]
         return [(f"run {self.members[i]}", self.on(rest[i]), self.on([i])) for i in range(count)]
 
-    def many(self, of: Sequence[Hypothesis]) -> list[list[Array]]:
+    def many(self, of: Sequence[Hypothesis]) -> list[RunResiduals]:
         lanes = [(i, effects) for effects in (h.each() for h in of) for i in self.members]
         shown, out = self.link.predict(lanes), []
         for k in range(len(of)):
             first = k * len(self.members)
-            z, wider = [], []
+            z, logs = [], 0.0
             for n, i in enumerate(self.members):
                 prediction, ratio = self._spread(i, shown[first + n], lanes[first + n][1])
-                z.append(self.in_sigma(i, prediction, self.link.smoothing(lanes[first + n][1])))
-                wider.append(ratio)
-            left, logs = [], 0.0
-            for (n, c, _), rows in zip(self.groups, self.rows, strict=True):
-                ratio = wider[n]
-                own = z[n][rows, c] if ratio is None else z[n][rows, c] / ratio[rows, c]
-                left.append(_without_outliers(own))
-                logs += 0.0 if ratio is None else float(np.sum(np.log(ratio[rows, c])))
+                own = self.in_sigma(i, prediction, self.link.smoothing(lanes[first + n][1]), ratio)
+                z.append(own.ravel()[self._taken[n]])
+                if ratio is not None:
+                    logs += self._log_spread(i, ratio, self._taken[n])
             away = max(self._smoothed_away(of[k]), 0.0)
-            out.append([*left, np.array([math.sqrt(2.0 * logs + away)])])
+            priors = np.array([math.sqrt(2.0 * logs + away)])
+            left = RunResiduals(np.concatenate([np.zeros(0), *z]), self._starts, priors)
+            out.append(_without_outliers(left))
         return out
 
-    def residuals(self, of: Hypothesis) -> list[Array]:
+    def residuals(self, of: Hypothesis) -> RunResiduals:
         return self.many([of])[0]
+
+    def weights(self) -> Array:
+        pairs = zip(self.members, self._taken, strict=True)
+        return np.concatenate([np.zeros(0), *(self.weight[i].ravel()[at] for i, at in pairs)])
 
     def _smoothed_away(self, of: Hypothesis) -> float:
         """Chi-square that a hypothesis is expected to take off by smoothing the rounding errors of
@@ -268,8 +286,28 @@ class LinkModel(Model):
         """The mean prediction, and the deviation of the output over that of its noise alone, both
         (N, C), where a delay varies from sample to sample; None: it does not.
 
-        Residuals are divided by that ratio; its logarithms belong to -2 log of the likelihood of a
-        normal variable.
+        The error of a model is in that noise as if it scattered, which it does not: a scatter shows
+        in full where it is the larger of the two.
+        """
+        mean, variance = self._moments(i, shown, effects)
+        if variance is None:
+            return mean, None
+        more = np.maximum(variance - self._model_error(self.link.runs[i]) ** 2, 0.0)
+        return mean, np.sqrt(1.0 + more * self.weight[i] ** 2)
+
+    def scatter(self, n: int, effects: Sequence[Effect]) -> Array | None:
+        """(N, C) variance of the output of the member n whose delay varies from sample to sample;
+        None: it does not.
+        """
+        i = self.members[n]
+        (shown,) = self.link.predict([(i, effects)])
+        return self._moments(i, shown, effects)[1]
+
+    def _moments(
+        self, i: int, shown: Array, effects: Sequence[Effect]
+    ) -> tuple[Array, Array | None]:
+        """Mean and variance, both (N, C), of a prediction whose delay varies from sample to sample;
+        None: it does not.
         """
         sigma = math.sqrt(sum(e.sigma**2 for e in effects if isinstance(e, SensorJitter)))
         if not sigma:
@@ -280,18 +318,33 @@ class LinkModel(Model):
         late = np.maximum(rows * NODES, -nominal / self.link.runs[i].scenario.tick)
         found = [shifted(shown, -float(n)) for n in late]
         mean = np.tensordot(WEIGHTS, np.array(found), 1)
-        square = np.tensordot(WEIGHTS, (np.array(found) - mean) ** 2, 1)
-        return mean, np.sqrt(1.0 + square * self.weight[i] ** 2)
+        return mean, np.tensordot(WEIGHTS, (np.array(found) - mean) ** 2, 1)
 
-    def in_sigma(self, i: int, shown: Array, smoothing: float = 1.0) -> Array:
+    def _log_spread(self, i: int, ratio: Array, taken: np.ndarray) -> float:
+        """Half the logarithm by which deviations of the noise of run i that are ``ratio`` (N, C)
+        times as large raise the determinant of the covariance of the samples ``taken`` (M,).
+        """
+        out = float(np.sum(np.log(ratio.ravel()[taken])))
+        if (aside := self._aside_of(i)) is not None:
+            wider = aside.under(self.weight[i] / ratio)
+            out += wider.log_determinant - aside.log_determinant
+        return out
+
+    def in_sigma(
+        self, i: int, shown: Array, smoothing: float = 1.0, ratio: Array | None = None
+    ) -> Array:
         """(N, C) of run i: measured less ``shown`` (N, C), whitened, in units of the noise that is
-        left of that of the input, ``smoothing``.
+        left of that of the input, ``smoothing``, or is ``ratio`` (N, C) times as large.
         """
         run, weight = self.link.runs[i], self.weight[i]
         left = run.measured - shown
         if (white := self.link.whitened(i, np.nan_to_num(left, nan=MAX_RESIDUAL))) is not None:
             return np.clip(white, -MAX_RESIDUAL, MAX_RESIDUAL)
-        if (aside := self._aside_of(i)) is not None:
+        aside = self._aside_of(i)
+        if ratio is not None:
+            weight = weight / ratio
+            aside = None if aside is None else aside.under(weight)
+        if aside is not None:
             left = left - aside.of(left)
         z = left * (weight / smoothing)
         z = softened(z, run.heavy)
@@ -374,9 +427,13 @@ class LinkModel(Model):
             worst = max(worst, (1.0 - after / before) / FOLLOWING)
         return worst
 
+    def contradicts(self, of: Hypothesis, left: RunResiduals) -> bool:
+        """A scatter is white: one that leaves more than that stands in for what is smooth."""
+        return any(c.effect.scatters for c in of.causes) and not self.leaves_noise(left)
+
     def negligible(self, of: Hypothesis, index: int) -> bool:
         """In contact by the share of the whole force, and of the whole torque, by which it changes
-        each; outside by the noise.
+        each; outside, and where it scatters, by the noise.
         """
         if not isinstance(self.link, WrenchLink):
             return False
@@ -390,10 +447,13 @@ class LinkModel(Model):
         changed, whole, outside = np.zeros(2), np.zeros(2), 0.0
         for i, a, b in zip(self.members, shown, beside, strict=True):
             inside = self.link.runs[i].touching
+            (a, spread), (b, narrow) = self._moments(i, a, effects), self._moments(i, b, fewer)
+            scatter = (0.0 if spread is None else spread) - (0.0 if narrow is None else narrow)
             for part, columns in enumerate((slice(0, 3), slice(3, 6))):
                 changed[part] += float(np.sum((a - b)[inside, columns] ** 2))
                 whole[part] += float(np.sum(a[inside, columns] ** 2))
             outside += float(np.sum(((a - b) * self.weight[i])[~inside] ** 2))
+            outside += float(np.sum(np.abs(scatter) * self.weight[i] ** 2))
         within = bool(np.all(changed <= self._model_differs() ** 2 * whole))
         return within and outside <= float(chi2.isf(ALLOWED, 1))
 
@@ -452,12 +512,17 @@ class LinkModel(Model):
         return tuple(out)
 
 
-def _without_outliers(z: Array) -> Array:
-    """Residuals (M,) clipped at :data:`CLIPPED` robust standard deviations."""
-    if not len(z) or float(np.max(np.abs(z))) <= CLIPPED * math.sqrt(float(z @ z) / len(z)):
-        return z
-    size = CLIPPED * max(MAD_TO_SIGMA * float(np.median(np.abs(z))), 1.0)
-    return np.clip(z, -size, size)
+def _without_outliers(left: RunResiduals) -> RunResiduals:
+    """Residuals clipped at :data:`CLIPPED` robust standard deviations of their group."""
+    if not len(left.starts):
+        return left
+    sizes = np.abs(left.samples)
+    worst = np.maximum.reduceat(sizes, left.starts)
+    for g in np.flatnonzero(worst > CLIPPED * np.sqrt(left.squares())):
+        own = slice(left.starts[g], left.starts[g] + left.rows[g])
+        size = CLIPPED * max(MAD_TO_SIGMA * float(np.median(sizes[own])), 1.0)
+        np.clip(left.samples[own], -size, size, out=left.samples[own])
+    return left
 
 
 def _without_ends(counted: np.ndarray) -> np.ndarray:

@@ -59,7 +59,9 @@ POSE_PARTS = ("px", "py", "pz", "qx", "qy", "qz")  # of the axes of CHANNELS
 # chosen: after a touch and before its end, whose differences show the touch
 CONTACT_MARGIN_ROWS = 6
 MAX_LAG = 64  # chosen: rows over which a correlation is summed
-SMOOTHED_ROWS = 9  # chosen: of the running mean of a reading in contact
+SMOOTHED_ROWS = 9  # chosen: least, of the running mean of a reading in contact
+# of a contact, over which a reading is averaged: half a sine wave loses 1 - sinc(1/32), 0.2 %
+SMOOTHED_SHARE = 1.0 / 16.0
 # chosen: range of a channel in steps of its converter, below which it shows the presence of a force
 # and not its size
 FEW_STEPS = 2.5
@@ -441,8 +443,9 @@ def _share(runs: Sequence[MeasuredRun], columns: Sequence[int], scale: Array) ->
             if len(x) < 20:
                 continue
             squares.append(np.diff(x, 3, axis=0).ravel() ** 2 / THIRD_DIFFERENCE_VARIANCE)
-            # independent of the noise of the differences
-            smooth = uniform_filter1d(x, SMOOTHED_ROWS, axis=0)
+            # nearly independent of the noise of the differences
+            rows = max(SMOOTHED_ROWS, round(SMOOTHED_SHARE * len(x)))
+            smooth = uniform_filter1d(x, rows, axis=0)
             readings.append((0.5 * (smooth[1:-2] + smooth[2:-1])).ravel() ** 2)
             rates.append(((smooth[2:-1] - smooth[1:-2]) ** 2).ravel())
     if not squares or sum(map(len, squares)) < 200:

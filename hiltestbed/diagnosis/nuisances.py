@@ -47,7 +47,7 @@ class Aside:
     """
 
     def __init__(self, weight: Array, columns: Array | None, shared: Array | None = None) -> None:
-        self._weight = weight
+        self._weight, self._terms = weight, (columns, shared)
         self._inverse = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
         self._own = self._all = None
         if columns is not None:
@@ -56,6 +56,16 @@ class Aside:
             terms = np.moveaxis(shared * weight[:, :, None], 2, 0)  # (D', N, C)
             white = np.stack([self._without_own(term).ravel() for term in terms], axis=1)
             self._all = _basis(white)
+
+    def under(self, weight: Array) -> Aside:
+        """The same terms under other weights (N, C)."""
+        return Aside(weight, *self._terms)
+
+    @property
+    def log_determinant(self) -> float:
+        """Half the logarithm by which the terms raise the determinant of the covariance."""
+        shares = [basis[1] for basis in (self._own, self._all) if basis is not None]
+        return -sum(float(np.sum(np.log1p(-share))) for share in shares)
 
     def of(self, left: Array) -> Array:
         """``(N, C)`` part of misfits (N, C) that whitening takes away."""

@@ -24,7 +24,7 @@ LEVERS = (0.5, 0.0, 1.0)  # chosen: that are tried first: the middle, the surfac
 
 def choose_lever(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
     """The link with the lever that fits the torques best under ``effects``."""
-    if _lever_has_no_effect(link):
+    if link.frictionless:
         return link
 
     def cost(lever: float) -> float:
@@ -42,11 +42,6 @@ def choose_lever(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
     return link.interpreted(
         float(found.x) if found.fun < costs[best] - INTERPRETATION_PENALTY else best
     )
-
-
-def _lever_has_no_effect(link: WrenchLink) -> bool:
-    """Whether the lever has no effect: there is no friction."""
-    return all(r.scenario.mechanism.contact.friction == 0.0 for r in link.runs)
 
 
 def choose_ring(link: WrenchLink) -> WrenchLink:

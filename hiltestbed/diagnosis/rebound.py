@@ -28,6 +28,8 @@ from hiltestbed.diagnosis.closed_loop import (
 from hiltestbed.diagnosis.explain import Explanation, effects_of
 from hiltestbed.diagnosis.investigate import Findings
 from hiltestbed.diagnosis.layout import DatasetLayout
+from hiltestbed.diagnosis.link_model import LinkModel
+from hiltestbed.diagnosis.links import WrenchLink
 from hiltestbed.diagnosis.plain import entry
 from hiltestbed.diagnosis.settings import MODEL_ERROR
 from hiltestbed.diagnosis.timing import delays_not_causes
@@ -64,18 +66,20 @@ def with_rebounds(findings: Findings) -> Findings:
     departing = {n: e for n, e in explanations.items() if e.departs}
     if not all(e.adequate for e in departing.values()):
         return findings  # what is not explained spoils the comparison
-    # what is attributed to the timing of the facility needs no decision
+    # what is attributed to the timing of the facility needs no decision, and what reads an equation
+    # in another way than a scenario cannot be simulated
     shifts = delays_not_causes(explanations)
     open_ = [
         n
         for n, e in departing.items()
         if not set(e.kinds) & {*shifts.get(n, ())}
+        and not any(effect.variant for effect in e.effects())
         and (n == "wrench" or any(c.others for c in e.causes))
     ]
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))] if open_ else []
     words: list[str] = []
     for name in open_ if any(rebounds) else ():
-        judge = _Loop(layout, rebounds, _others(explanations, name))
+        judge = _Loop(layout, rebounds, _others(explanations, name), explanations[name].model)
         explanations[name], told = _weighed(explanations[name], judge)
         words += told
     return replace(findings, explanations=explanations, weighed=tuple(words))
@@ -83,16 +87,32 @@ def with_rebounds(findings: Findings) -> Findings:
 
 @dataclass(frozen=True)
 class _Loop:
-    """The rebounds on record, and the causes on the other links beside which a link is judged."""
+    """The rebounds on record, and the causes on the other links beside which a link, of ``model``,
+    is judged.
+    """
 
     layout: DatasetLayout
     rebounds: Sequence[Rebound | None]
     beside: Sequence[Effect]
+    model: LinkModel
 
     def chi2(self, fits: Sequence[PosteriorFit]) -> Array:
         """(fits,) of the rebounds on record against the loop with each explanation."""
         shown = _simulated(fits, self.beside, self.layout.runs, self.rebounds)
-        return np.array([_apart(row, self.layout, self.rebounds) for row in shown])
+        pairs = zip(shown, fits, strict=True)
+        return np.array([_apart(x, self.layout, self.rebounds, self._walks(f)) for x, f in pairs])
+
+    def _walks(self, fit: PosteriorFit) -> Array:
+        """(runs,) by which coefficients of restitution differ from one time to the next by what
+        scatters in an explanation: on record and in the simulation, whose draws differ.
+        """
+        out = np.zeros(len(self.layout.runs))
+        for n, i in enumerate(self.model.members):
+            variance, scenario = self.model.scatter(n, fit.of.each()), self.layout.runs[i].scenario
+            if isinstance(self.model.link, WrenchLink) and variance is not None:
+                force = math.sqrt(2.0 * float(np.sum(variance[:, 2])))
+                out[i] = speed_noise(scenario, force, 1.0) / scenario.approach.velocity[2]
+        return out
 
 
 def _weighed(e: Explanation, loop: _Loop) -> tuple[Explanation, list[str]]:
@@ -160,8 +180,11 @@ def _told_apart(c: Confirmed, total: Mapping[tuple[str, ...], float], own: float
     )
 
 
-def _apart(shown: Array, layout: DatasetLayout, rebounds: Sequence[Rebound | None]) -> float:
-    """Chi-square of the rebounds on record against the ``shown`` (runs,) ones; infinite without.
+def _apart(
+    shown: Array, layout: DatasetLayout, rebounds: Sequence[Rebound | None], walks: Array
+) -> float:
+    """Chi-square of the rebounds on record against the ``shown`` (runs,) ones, which scatter by
+    ``walks`` (runs,); infinite without.
 
     When in a tick h a facility reads and obeys is not known: a delay of the loop of standard
     deviation h/sqrt(12), which all runs have in common, with ``ln e = (pi/2) w tau``.
@@ -169,7 +192,7 @@ def _apart(shown: Array, layout: DatasetLayout, rebounds: Sequence[Rebound | Non
     known = [(i, r) for i, r in enumerate(rebounds) if r is not None and np.isfinite(shown[i])]
     if not known:
         return math.inf
-    errors = np.array([r.error / r.cor for _, r in known])
+    errors = np.array([math.hypot(r.error, walks[i]) / r.cor for i, r in known])
     off = np.array([math.log(shown[i] / r.cor) for i, r in known]) / errors
     scenario = layout.runs[known[0][0]].scenario
     common = 0.5 * math.pi * contact_frequency(scenario) * scenario.tick / math.sqrt(12.0) / errors

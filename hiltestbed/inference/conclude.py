@@ -16,6 +16,7 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 from hiltestbed.inference.model import Model, places
+from hiltestbed.inference.residuals import RunResiduals
 from hiltestbed.inference.search import Searched, extended, named, without
 
 # of the rms on left-out runs, in the mean of its logarithm, by which a cause has to lower it: what
@@ -33,6 +34,8 @@ TOLD_APART = math.log(19.0)
 # quantile of Student's t with two runs less one is 12.7; with so few the scatter is bounded by the
 # curvature instead, and that of three runs is taken
 MOST_QUANTILE = float(student.ppf(0.975, 2))
+
+NO_PRIORS = np.zeros(0)
 
 Progress = Callable[[str], None]
 Fold = tuple[str, Model, Model]  # what is left out; the model of the rest; and of that
@@ -128,7 +131,8 @@ class LeftOut:
         if not self._folds[0][1].model.noise_known:
             each = np.array([_rms(left.model.scored(f.of)) for f, (_, left) in pairs])
             return float(np.mean(np.log(np.maximum(each, 1e-300))))
-        costs = [left.cost([*left.model.scored(f.of), np.zeros(0)]) for f, (_, left) in pairs]
+        scored = [RunResiduals.of([*left.model.scored(f.of), NO_PRIORS]) for f, (_, left) in pairs]
+        costs = [left.cost(x) for x, (_, left) in zip(scored, self._folds, strict=True)]
         return sum(costs) / (2.0 * sum(float(left.counts.sum()) for _, left in self._folds))
 
 
@@ -285,10 +289,9 @@ def intervals(likelihood: Likelihood, fit: PosteriorFit, held: LeftOut) -> Array
     jack = math.sqrt((runs - 1) / runs) * np.linalg.norm(thetas - thetas.mean(axis=0), axis=0)
     quantile = min(float(student.ppf(0.975, max(runs - 1, 1))), MOST_QUANTILE)
     half = np.maximum(curved, quantile * jack)
-    weights = likelihood.weights(fit.left)[:-1] ** 2
+    precision = likelihood.precision(fit.left)
     for errors in likelihood.model.common_errors(fit.of):
-        parts = zip(weights, slopes[:-1], errors, strict=True)
-        gradient = sum(w * np.einsum("mi,m->i", s, e) for w, s, e in parts)
+        gradient = slopes.samples @ (precision * np.concatenate(errors))
         half = np.hypot(half, 1.96 * np.abs(inverse @ gradient)[:count] * scale[:count])
     return np.column_stack(
         [np.maximum(fit.of.theta - half, low), np.minimum(fit.of.theta + half, high)]

@@ -31,6 +31,7 @@ import numpy as np
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.model import Hypothesis, Model, places
+from hiltestbed.inference.residuals import Changes, Gram, RunResiduals
 
 STEP = 1e-4  # of a parameter's scale, for differences: about the root of a kernel's round-off
 ITERATIONS = 40
@@ -56,13 +57,13 @@ class PosteriorFit:
 
     Attributes:
         of: the hypothesis. cost: -2 log of the likelihood with the priors of the nuisances.
-        evidence: log. left: as :meth:`Model.residuals` gives it.
+        evidence: log. left: the residuals.
     """
 
     of: Hypothesis
     cost: float
     evidence: float
-    left: tuple[Array, ...]
+    left: RunResiduals
 
     @property
     def causes(self) -> tuple[Candidate, ...]:
@@ -75,7 +76,7 @@ class PosteriorFit:
 
     def rms(self) -> Array:
         """(R,) of each run's residual."""
-        return np.array([math.sqrt(float(np.mean(x * x))) for x in self.left[:-1]])
+        return np.sqrt(self.left.squares())
 
 
 def independent(left: Sequence[Array], noise_known: bool = False) -> Array:
@@ -112,9 +113,11 @@ class Likelihood:
 
     def __init__(self, model: Model, counts: Array, choices: int = 1) -> None:
         self.model, self.counts, self.choices = model, counts, choices
-        # what moves change alone, of the residuals, of the model's own priors and of further ones;
+        # what moves change alone, of the samples and of the model's own priors, and further priors;
         # kept for all likelihoods of one model
-        self._alone: dict[tuple[Any, ...], tuple[list[Any], Array, Array]] = {}
+        self._alone: dict[tuple[Any, ...], tuple[Any, Array, Array]] = {}
+        # (M,) of each sample the unit in which that is kept, and the present one over it
+        self._unit, self._units = model.weights(), 1.0
         self._squares = np.maximum(np.asarray(model.floors) ** 2, np.finfo(float).tiny)
         self._sigma = model.prior_sigma()
 
@@ -128,6 +131,14 @@ class Likelihood:
         """The same with so many ways to choose one cause."""
         out = copy(self)
         out.choices = choices
+        return out
+
+    def through(self, model: Model) -> Likelihood:
+        """That of another interpretation, or other weights, of the same samples; what moves change
+        alone is taken from this one.
+        """
+        out = copy(self)
+        out.model, out._units = model, model.weights() / self._unit
         return out
 
     def forget(self) -> None:
@@ -150,19 +161,22 @@ class Likelihood:
         """Nothing departs, with the nuisances as the data have them."""
         return self.fit((), [np.zeros(0)])
 
-    def cost(self, left: Sequence[Array]) -> float:
+    def cost(self, left: RunResiduals) -> float:
         """-2 log of the likelihood of residuals, with the priors."""
-        squares, variance = self._variances(left)
+        return self._cost(left.squares(), float(left.priors @ left.priors))
+
+    def _cost(self, squares: Array, priors: float) -> float:
+        """The same of (R,) mean squares, and the sum of squares of the priors."""
+        variance = self._variance(squares)
         least = squares / variance if self.model.noise_known else 0.0
-        out = float(self.counts @ (np.log(variance) + least) + left[-1] @ left[-1])
+        out = float(self.counts @ (np.log(variance) + least)) + priors
         return out if math.isfinite(out) else math.inf
 
-    def _variances(self, left: Sequence[Array]) -> tuple[Array, Array]:
-        """(R,) mean square of each run's residual, and the variance of its noise."""
-        squares = np.array([float(x @ x) / len(x) for x in left[:-1]])
+    def _variance(self, squares: Array) -> Array:
+        """(R,) of the noise of each run, by the mean square of its residual."""
         if self.model.noise_known:
-            return squares, np.maximum(squares, self._squares)
-        return squares, squares + self._squares
+            return np.maximum(squares, self._squares)
+        return squares + self._squares
 
     def evidence(self, cost: float, causes: Sequence[Candidate]) -> float:
         """Log of the evidence of a fit of ``causes``."""
@@ -184,7 +198,7 @@ class Likelihood:
         """
         if not self.model.noise_known:
             return 0.0
-        squares, _ = self._variances(found.left)
+        squares = found.left.squares()
         departing = squares > DEPARTING * self._squares
         return LEAST_SHARE * float(self.counts[departing].sum())
 
@@ -205,9 +219,14 @@ class Likelihood:
         starts: Sequence[Array],
         nuisances: Array | None = None,
         iterations: int = ITERATIONS,
+        known: Changes | None = None,
     ) -> PosteriorFit:
         """The maximum that Levenberg's and Marquardt's descent reaches from the best of
         ``starts``.
+
+        Args:
+            known: of the first causes, and last of the nuisances, about what the :meth:`slopes`
+                are: only those of the others are computed at first.
         """
         causes = tuple(causes)
         eta = np.zeros(len(self._sigma)) if nuisances is None else nuisances
@@ -217,30 +236,31 @@ class Likelihood:
         costs = [self.cost(left) for left in shown]
         first = int(np.argmin(costs))
         x, left, least = begun[first], shown[first], costs[first]
-        x, left, least = self._descend(causes, x, left, least, (low, high, log), iterations)
+        slopes = None if known is None else self._completed(known, causes, x, left)
+        x, left, least = self._descend(causes, x, left, least, slopes, (low, high, log), iterations)
         if iterations == ITERATIONS:
             x, left, least = self._scanned(causes, x, left, least, (low, high))
         count = len(x) - len(eta)
         ended = _ended(x, low, high, log) or (self.model.noise_known and _at_end(causes, x))
+        of = Hypothesis(causes, x[:count], x[count:])
+        ended = ended or (iterations == ITERATIONS and self.model.contradicts(of, left))
         evidence = -math.inf if ended else self.evidence(least, causes)
-        return PosteriorFit(Hypothesis(causes, x[:count], x[count:]), least, evidence, tuple(left))
+        return PosteriorFit(of, least, evidence, left)
 
-    def _left(self, causes: tuple[Candidate, ...], x: Array) -> list[Array]:
+    def _left(self, causes: tuple[Candidate, ...], x: Array) -> RunResiduals:
         return self.lefts(causes, [x])[0]
 
-    def lefts(self, causes: tuple[Candidate, ...], xs: Sequence[Array]) -> list[list[Array]]:
+    def lefts(self, causes: tuple[Candidate, ...], xs: Sequence[Array]) -> list[RunResiduals]:
         """Residuals of a hypothesis at several values of its numbers."""
         return self._many([(causes, x) for x in xs])
 
-    def _many(self, points: Sequence[tuple[tuple[Candidate, ...], Array]]) -> list[list[Array]]:
+    def _many(self, points: Sequence[tuple[tuple[Candidate, ...], Array]]) -> list[RunResiduals]:
         """Residuals of hypotheses, each with its numbers; to their priors those of causes that are
         nuisances are added.
         """
         of = [self._at(causes, x) for causes, x in points]
-        return [
-            [*left[:-1], np.concatenate([left[-1], _in_priors(h)])]
-            for left, h in zip(self.model.many(of), of, strict=True)
-        ]
+        pairs = zip(self.model.many(of), of, strict=True)
+        return [left.with_priors(_in_priors(h)) for left, h in pairs]
 
     def _at(self, causes: tuple[Candidate, ...], x: Array) -> Hypothesis:
         count = len(x) - len(self._sigma)
@@ -266,25 +286,50 @@ class Likelihood:
                 parts = np.array([step, -step])
         return x, left, cost
 
-    def weights(self, left: Sequence[Array]) -> Array:
-        """(R + 1,) of the residuals of each run and of the priors, with which their sum of squares
-        has the gradient of the cost.
-        """
-        rows = np.array([len(r) for r in left[:-1]])
-        return np.append(np.sqrt(self.counts / (rows * self._variances(left)[1])), 1.0)
+    def precision(self, left: RunResiduals) -> Array:
+        """(M,) of each sample, with which the sum of squares has the gradient of the cost."""
+        return np.repeat(self._precision(left), left.rows)
 
-    def slopes(self, causes: tuple[Candidate, ...], x: Array, left: Sequence[Array]) -> list[Array]:
-        """(N, P) change of each run's residual per unit of each scaled parameter and nuisance."""
+    def _precision(self, left: RunResiduals) -> Array:
+        """(R,) of the samples of each run."""
+        return self.counts / (left.rows * self._variance(left.squares()))
+
+    def slopes(
+        self,
+        causes: tuple[Candidate, ...],
+        x: Array,
+        left: RunResiduals,
+        among: slice = slice(None),
+    ) -> Changes:
+        """Of the residuals per unit of each scaled parameter and nuisance, or of those ``among``
+        them.
+        """
         low, high, log = self.bounds(causes)
         scale = self.scale(x, low, high, log)
         steps = np.where(x + STEP * scale <= high, STEP, -STEP)
-        shown = self.lefts(causes, list(x + np.diag(steps * scale)))
-        return [
-            np.column_stack([(s[g] - r) / step for s, step in zip(shown, steps, strict=True)])
-            if len(x)
-            else np.empty((len(r), 0))
-            for g, r in enumerate(left)
-        ]
+        moved = self.lefts(causes, list((x + np.diag(steps * scale))[among]))
+        pairs = list(zip(moved, steps[among], strict=True))
+        return Changes(
+            np.array([(m.samples - left.samples) / step for m, step in pairs]).reshape(
+                len(pairs), len(left.samples)
+            ),
+            np.array([(m.priors - left.priors) / step for m, step in pairs]).reshape(
+                len(pairs), len(left.priors)
+            ),
+        )
+
+    def _completed(
+        self, known: Changes, causes: tuple[Candidate, ...], x: Array, left: RunResiduals
+    ) -> Changes:
+        """Slopes of which those of the first causes and of the nuisances are ``known``."""
+        first, own = len(known.samples) - len(self._sigma), known.priors.shape[1]
+        new = self.slopes(causes, x, left, slice(first, len(x) - len(self._sigma)))
+        priors = np.zeros((len(known.priors), len(left.priors)))
+        priors[:, :own] = known.priors
+        return Changes(
+            np.concatenate([known.samples[:first], new.samples, known.samples[first:]]),
+            np.concatenate([priors[:first], new.priors, priors[first:]]),
+        )
 
     def scale_of(self, causes: Sequence[Candidate], x: Array) -> Array:
         """The scale of each parameter of ``causes`` and of each nuisance."""
@@ -300,16 +345,16 @@ class Likelihood:
         return out
 
     def promises(
-        self, base: PosteriorFit, moves: Sequence[Move]
+        self, base: PosteriorFit, known: Changes, moves: Sequence[Move]
     ) -> list[tuple[float, Move, list[Array]]]:
         """Of each move beside ``base`` the evidence that it promises, the best first, and the
-        starts to fit it from: to first order at each start, all numbers of ``base`` following.
+        starts to fit it from: to first order at each start, all numbers of ``base`` following by
+        their slopes, ``known``.
 
         Where the noise is known, a move is taken to change the residuals as it does without the
         causes of ``base``: that is predicted once, and what promises most is fitted.
         """
-        x = np.concatenate([base.of.theta, base.of.nuisances])
-        known, points = self.slopes(base.causes, x, base.left), []
+        gram, points = Gram.of(base.left, known), []
         for n, move in enumerate(moves):
             low, high, _ = _bounds(move)
             for start in itertools.product(*(c.grid for c in move)):
@@ -318,10 +363,10 @@ class Likelihood:
                 )
                 points.append((n, theta))
         found: dict[int, list[tuple[float, Array]]] = {}
-        for (n, theta), shown in zip(points, self._shown(base, moves, points), strict=True):
+        for (n, theta), change in zip(points, self._changes(base, moves, points), strict=True):
             causes = (*base.causes, *moves[n])
             at = causes, np.concatenate([base.of.theta, theta, base.of.nuisances])
-            reached = self._promised(base, known, moves[n], at, shown)
+            reached = self._promised(base, (known, gram), moves[n], at, change)
             if reached is not None:
                 found.setdefault(n, []).append((reached, theta))
         out = []
@@ -332,48 +377,51 @@ class Likelihood:
             out.append((self.evidence(reached_from[0][0], causes), moves[n], starts))
         return sorted(out, key=lambda item: -item[0])
 
-    def _shown(
+    def _changes(
         self, base: PosteriorFit, moves: Sequence[Move], points: Sequence[tuple[int, Array]]
-    ) -> Iterator[list[Array]]:
-        """Residuals of each of the moves beside ``base``, by number and starting values."""
-        none = np.zeros(len(self._sigma))
+    ) -> Iterator[Changes]:
+        """Of the residuals of ``base`` by each of the moves, given by number and starting values;
+        to the priors those of the move are added.
+        """
+        none, own = np.zeros(len(self._sigma)), len(base.left.priors)
         for first in range(0, len(points), PROMISED_AT_ONCE):
             block = points[first : first + PROMISED_AT_ONCE]
             if not self.model.noise_known:
-                yield from self._many(
-                    [
-                        (
-                            (*base.causes, *moves[n]),
-                            np.concatenate([base.of.theta, theta, base.of.nuisances]),
-                        )
-                        for n, theta in block
-                    ]
-                )
+                at = [
+                    (
+                        (*base.causes, *moves[n]),
+                        np.concatenate([base.of.theta, theta, base.of.nuisances]),
+                    )
+                    for n, theta in block
+                ]
+                for left in self._many(at):
+                    priors = left.priors.copy()
+                    priors[:own] -= base.left.priors
+                    yield Changes((left.samples - base.left.samples)[None], priors[None])
                 continue
             keys = [(*(c.key for c in moves[n]), *theta) for n, theta in block]
             new = [i for i, key in enumerate(keys) if key not in self._alone]
             if new:
                 moved = [(moves[block[i][0]], np.concatenate([block[i][1], none])) for i in new]
-                null, *shown = self._many([((), none), *moved])
-                own = len(null[-1])
-                for i, left in zip(new, shown, strict=True):
-                    pairs = zip(left[:-1], null[:-1], strict=True)
-                    changes = [(a - b).astype(np.float32) for a, b in pairs]
-                    self._alone[keys[i]] = (changes, left[-1][:own] - null[-1], left[-1][own:])
+                null, *lefts = self._many([((), none), *moved])
+                shared = len(null.priors)
+                for i, left in zip(new, lefts, strict=True):
+                    change = (left.samples - null.samples) / self._units
+                    priors = left.priors[:shared] - null.priors
+                    more = left.priors[shared:]
+                    self._alone[keys[i]] = change.astype(np.float32), priors, more
             for key in keys:
-                changes, change, more = self._alone[key]
-                priors = np.concatenate([base.left[-1], more])
-                priors[: len(change)] += change
-                pairs = zip(base.left[:-1], changes, strict=True)
-                yield [*(left + moved for left, moved in pairs), priors]
+                change, priors, more = self._alone[key]
+                priors = np.concatenate([priors, np.zeros(own - len(priors)), more])
+                yield Changes((change * self._units)[None], priors[None])
 
     def _promised(
         self,
         base: PosteriorFit,
-        known: Sequence[Array],
+        known: tuple[Changes, Gram],
         move: Move,
         at: tuple[tuple[Candidate, ...], Array],
-        shown: Sequence[Array],
+        change: Changes,
     ) -> float | None:
         """The cost to which a move leads from one of its starts, to first order; None where it
         leads nowhere.
@@ -381,55 +429,49 @@ class Likelihood:
         It is that along the change that the move makes at this start, or begins to make where it
         makes none, and along what its base may change.
         """
-        cost = self.cost(shown)
+        left = base.left.with_priors(np.zeros(change.priors.shape[1] - len(base.left.priors)))
+        gram = known[1].and_(left, known[0], change)
+        full = np.zeros(len(gram.along))
+        full[-1] = 1.0
+        cost = self._moved(left, gram, full)
         if not math.isfinite(cost):
             return None
-        own = len(base.left[-1])
-        left = [*base.left[:-1], np.concatenate([base.left[-1], np.zeros(len(shown[-1]) - own)])]
-        known = [
-            *known[:-1],
-            np.vstack([known[-1], np.zeros((len(shown[-1]) - own, len(known[-1].T)))]),
-        ]
-        changes = [[b - a] for a, b in zip(left, shown, strict=True)]
-        if not any(change[0].any() for change in changes):
-            changes = self._begun(*at, len(base.of.theta), move, shown)
-        rows = [np.column_stack([k, *d]) for k, d in zip(known, changes, strict=True)]
-        normal, gradient = self.normal(left, rows)
+        if not change.samples.any() and not change.priors.any():
+            change = self._begun(*at, len(base.of.theta), move, left)
+            gram = known[1].and_(left, known[0], change)
+        normal, gradient = self._normal(left, gram)
         step = -np.asarray(np.linalg.lstsq(normal, gradient, rcond=1e-10)[0], dtype=float)
-        return min(cost, base.cost + self._expected(left, rows, step))
+        return min(cost, self._moved(left, gram, step))
 
     def _begun(
-        self,
-        causes: tuple[Candidate, ...],
-        x: Array,
-        first: int,
-        move: Move,
-        left: Sequence[Array],
-    ) -> list[list[Array]]:
-        """Of each run the changes of its residual per unit of each scaled parameter of a move,
-        whose parameters begin at ``first`` in ``x``.
+        self, causes: tuple[Candidate, ...], x: Array, first: int, move: Move, left: RunResiduals
+    ) -> Changes:
+        """Of the residuals per unit of each scaled parameter of a move, whose parameters begin at
+        ``first`` in ``x``.
         """
         low, high, _ = _bounds(move)
         width = np.where(np.isfinite(high - low), high - low, 1.0)
-        out: list[list[Array]] = [[] for _ in left]
-        for j in range(len(width)):
-            moved = x.copy()
-            moved[first + j] += STEP * 0.01 * width[j]
-            for columns, a, b in zip(out, self._left(causes, moved), left, strict=True):
-                columns.append((a - b) / STEP)
-        return out
+        points = np.tile(x, (len(width), 1))
+        points[:, first : first + len(width)] += np.diag(STEP * 0.01 * width)
+        moved = self.lefts(causes, list(points))
+        return Changes(
+            np.array([m.samples - left.samples for m in moved]) / STEP,
+            np.array([m.priors - left.priors for m in moved]) / STEP,
+        )
 
-    def _expected(self, left: Sequence[Array], rows: Sequence[Array], step: Array) -> float:
-        """Change of the cost if the residuals change by ``rows`` (N, P) times ``step`` (P,)."""
-        moved = [r + s @ step for r, s in zip(left, rows, strict=True)]
-        return self.cost(moved) - self.cost(left)
+    def _moved(self, left: RunResiduals, gram: Gram, step: Array) -> float:
+        """The cost if the residuals change by ``step`` (P,) times the changes of ``gram``."""
+        squares = np.einsum("i,j,ijr->r", step, step, gram.products) + 2.0 * step @ gram.along
+        squares = np.maximum(left.squares() + squares / left.rows, 0.0)
+        priors = left.priors @ left.priors + 2.0 * step @ gram.along_priors
+        return self._cost(squares, float(priors + step @ gram.priors @ step))
 
-    def _descend(self, causes, x, left, cost, bounds, iterations):
+    def _descend(self, causes, x, left, cost, slopes, bounds, iterations):
         """Levenberg-Marquardt; slopes are kept up by C. G. Broyden's update (Math. Comp. 19, 1965),
         and differenced again where a step with them fails.
         """
         low, high, log = bounds
-        damping, slopes, fresh = 1e-3, None, False
+        damping, fresh = 1e-3, False
         for _ in range(iterations):
             if not len(x) or not math.isfinite(cost):
                 break
@@ -448,12 +490,14 @@ class Likelihood:
             way = (moved - x) / scale
             way[log] = np.log(moved[log] / x[log])
             # in the scales of the next step
-            slopes = [
-                s + np.outer((b - a) - s @ way, way) / max(float(way @ way), 1e-300)
-                for s, a, b in zip(slopes, left, shown, strict=True)
-            ]
-            ratio = np.where(log, 1.0, self.scale(moved, low, high, log) / scale)
-            slopes = [s * ratio for s in slopes]
+            ratio = np.where(log, 1.0, self.scale(moved, low, high, log) / scale)[:, None]
+            share = (way / max(float(way @ way), 1e-300))[:, None]
+            missed = shown.samples - left.samples - way @ slopes.samples
+            missed_priors = shown.priors - left.priors - way @ slopes.priors
+            slopes = Changes(
+                (slopes.samples + share * missed) * ratio,
+                (slopes.priors + share * missed_priors) * ratio,
+            )
             x, left, cost = moved, shown, new
             if gain < min(CONVERGED * float(self.counts.sum()), LEAST_CHANGE):
                 if fresh:
@@ -485,14 +529,18 @@ class Likelihood:
             damping = max(damping, 1e-4) * 8.0
         return None
 
-    def normal(self, left: Sequence[Array], slopes: Sequence[Array]) -> tuple[Array, Array]:
-        """Normal matrix and gradient of half the cost along the columns of ``slopes``."""
-        w = self.weights(left) ** 2
-        normal = sum(a * np.einsum("mi,mj->ij", s, s) for a, s in zip(w, slopes, strict=True))
-        gradient = sum(
-            a * np.einsum("mi,m->i", s, r) for a, s, r in zip(w, slopes, left, strict=True)
+    def normal(self, left: RunResiduals, slopes: Changes) -> tuple[Array, Array]:
+        """Normal matrix (P, P) and gradient (P,) of half the cost along ``slopes``."""
+        weighed = slopes.samples * self.precision(left)
+        return (
+            weighed @ slopes.samples.T + slopes.priors @ slopes.priors.T,
+            weighed @ left.samples + slopes.priors @ left.priors,
         )
-        return np.asarray(normal), np.asarray(gradient)
+
+    def _normal(self, left: RunResiduals, gram: Gram) -> tuple[Array, Array]:
+        """The same by scalar products."""
+        precision = self._precision(left)
+        return gram.products @ precision + gram.priors, gram.along @ precision + gram.along_priors
 
 
 def _ended(x: Array, low: Array, high: Array, log: np.ndarray) -> bool:

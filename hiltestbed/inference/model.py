@@ -15,6 +15,7 @@ import numpy as np
 from hiltestbed.effects.base import Departure
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
+from hiltestbed.inference.residuals import RunResiduals
 
 FEWEST = 3  # runs of which each can be left out: two others still tell what differs between runs
 
@@ -81,16 +82,16 @@ class Model(ABC):
     noise_known: bool = False
 
     @abstractmethod
-    def residuals(self, of: Hypothesis) -> list[Array]:
+    def residuals(self, of: Hypothesis) -> Sequence[Array]:
         """(N,) measured less predicted of each run, in the unit of the output; and last, in
         standard deviations of their priors, the nuisances and the zero that was taken off each run.
         """
 
-    def many(self, of: Sequence[Hypothesis]) -> list[list[Array]]:
+    def many(self, of: Sequence[Hypothesis]) -> list[RunResiduals]:
         """:meth:`residuals` of several hypotheses."""
-        return [self.residuals(h) for h in of]
+        return [RunResiduals.of(self.residuals(h)) for h in of]
 
-    def scored(self, of: Hypothesis) -> list[Array]:
+    def scored(self, of: Hypothesis) -> Sequence[Array]:
         """(N,) residual of each run by which hypotheses are compared on runs that were not fitted:
         less no more of its zero than the prior allows.
         """
@@ -102,10 +103,18 @@ class Model(ABC):
         likelihood compares something else.
         """
 
+    def weights(self) -> Array | float:
+        """(M,) by which the residual of each sample is weighted; 1 where all are alike."""
+        return 1.0
+
     def leaves_noise(self, left: Sequence[Array]) -> bool:
         """Whether residuals are known to be noise alone, so that no set of causes can explain more
         of them than chance does.
         """
+        return False
+
+    def contradicts(self, of: Hypothesis, left: RunResiduals) -> bool:
+        """Whether what a hypothesis leaves contradicts it, whatever its likelihood."""
         return False
 
     def negligible(self, of: Hypothesis, index: int) -> bool:
@@ -178,8 +187,9 @@ class Part(Model):
         *left, priors = self.whole.residuals(of)
         return [*map(self._rows, left), priors]
 
-    def many(self, of: Sequence[Hypothesis]) -> list[list[Array]]:
-        return [[*map(self._rows, left), priors] for *left, priors in self.whole.many(of)]
+    def many(self, of: Sequence[Hypothesis]) -> list[RunResiduals]:
+        parts = self.whole.many(of)
+        return [RunResiduals.of([*map(self._rows, x[:-1]), x.priors]) for x in parts]
 
     def scored(self, of: Hypothesis) -> list[Array]:
         return [self._rows(x) for x in self.whole.scored(of)]

@@ -14,12 +14,14 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Likelihood, Move, PosteriorFit, independent
 from hiltestbed.inference.model import places
+from hiltestbed.inference.residuals import Changes
 
 Progress = Callable[[str], None]
 MOST_CAUSES = 10  # parts of effects; more than twice as many as any of the machines at hand has
 MOST_PARALLEL = 3  # effects of one kind that act side by side
 KEPT = 4  # candidates that are fitted beside a hypothesis
-# moves of which a few steps are made before the best are fitted, those of one kind, and the steps
+# moves of which a few steps are made before the best are fitted, those of one kind in one variant,
+# and the steps
 SCREENED, SAME_KIND, SCREENED_STEPS = 24, 2, 3
 AHEAD = 3  # causes that are added before the evidence has to have risen
 # starts of all causes of a hypothesis, those of the best of which a few steps are made, and the
@@ -49,16 +51,21 @@ def search(
     candidates: Sequence[Candidate],
     progress: Progress | None = None,
     start: PosteriorFit | None = None,
-    most: int = MOST_CAUSES,
+    before: Sequence[PosteriorFit] = (),
+    one: bool = False,
 ) -> Searched:
     """The hypothesis with the most evidence that is reached from ``start``, by default from
-    nothing, by adding one cause or several, leaving one out, or putting another one in its place;
-    of ``most`` causes.
+    nothing, by adding one cause or several, leaving one out, or putting another one in its place.
+
+    Args:
+        before: what this likelihood has visited already. one: one cause is added, or none.
     """
     likelihood = likelihood.choosing(max(1, len({c.kind for c in candidates if c.sigma is None})))
-    null = likelihood.start()
-    best = null if start is None else pruned(likelihood, start)
-    visited: dict[tuple[str, ...], PosteriorFit] = {}
+    null, visited = likelihood.start(), {f.keys: f for f in before}
+    best = null if start is None else start
+    if best.keys not in visited:
+        best = pruned(likelihood, best)
+    most = len(best.causes) + 1 if one else MOST_CAUSES
     tried: set[tuple[str, ...]] = set()
     while len(best.causes) < most:
         # the counts are those of what the present hypothesis leaves: it is smoother than what a
@@ -72,7 +79,7 @@ def search(
         better = None
         if here.most_gain(best) < here.least_price(candidates):
             break
-        if here.model.leaves_noise(best.left):
+        if one or here.model.leaves_noise(best.left):
             ways = (_added,)
         elif here.model.noise_known:
             ways = (_added, _paired, _exchanged)
@@ -187,9 +194,12 @@ def extended(
     """Fits of ``base`` with one more cause, the most evidence first: those are fitted that promise
     most to first order at the best of their starts, and more than ``least``.
     """
-    rated = [r for r in here.promises(base, moves(base.causes, candidates)) if r[0] > least]
+    x = np.concatenate([base.of.theta, base.of.nuisances])
+    known = here.slopes(base.causes, x, base.left)
+    rated = here.promises(base, known, moves(base.causes, candidates))
+    rated = [r for r in rated if r[0] > least]
     if here.model.noise_known and len(rated) > most:
-        rated = _screened(here, base, rated)
+        rated = _screened(here, base, known, rated)
     fits = [
         here.fit((*base.causes, *move), starts, base.of.nuisances)
         for _, move, starts in rated[:most]
@@ -198,19 +208,23 @@ def extended(
 
 
 def _screened(
-    here: Likelihood, base: PosteriorFit, rated: Sequence[tuple[float, Move, list[Array]]]
+    here: Likelihood,
+    base: PosteriorFit,
+    known: Changes,
+    rated: Sequence[tuple[float, Move, list[Array]]],
 ) -> list[tuple[float, Move, list[Array]]]:
-    """The moves that promise most after a few steps of their descents, from where these end
+    """The moves that promise most after a few steps of their descents, with the slopes of the
+    ``base`` that are ``known``, from where these end
     (successive halving: K. Jamieson, A. Talwalkar, AISTATS 2016).
     """
     out: list[tuple[float, Move, list[Array]]] = []
-    kinds: dict[tuple[str, ...], int] = {}
+    kinds: dict[tuple[tuple[str, str], ...], int] = {}
     for _, move, starts in rated:
-        kind = tuple(c.kind for c in move)
+        kind = tuple((c.kind, str(c.variant)) for c in move)
         kinds[kind] = kinds.get(kind, 0) + 1
         if kinds[kind] > SAME_KIND or len(out) >= SCREENED:
             continue
-        begun = here.fit((*base.causes, *move), starts, base.of.nuisances, SCREENED_STEPS)
+        begun = here.fit((*base.causes, *move), starts, base.of.nuisances, SCREENED_STEPS, known)
         out.append((begun.evidence, move, [begun.of.theta]))
     return sorted(out, key=lambda item: -item[0])
 

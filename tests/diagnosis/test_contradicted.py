@@ -55,11 +55,12 @@ def test_an_explanation_that_leaves_the_rebound_where_it_was_is_not_one(
         departs=True,
         adequate=True,
         kinds=("chosen",),
+        effects=list,
         causes=(),
         fit=chosen,
         candidates=(),
         conclusion=conclusion,
-        model=Fake(leaves_noise=lambda left: True, folds=list),
+        model=Fake(leaves_noise=lambda left: True, folds=list, members=()),
         likelihood=None,
     )
     monkeypatch.setattr(rebound, "delays_not_causes", lambda explanations: {})

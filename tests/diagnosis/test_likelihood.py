@@ -24,6 +24,7 @@ from hiltestbed.diagnosis.link_model import LinkModel, leftover
 from hiltestbed.diagnosis.paths import best_path, make_wrench_link
 from hiltestbed.inference.likelihood import Likelihood, independent
 from hiltestbed.inference.model import Hypothesis
+from hiltestbed.inference.residuals import Changes, Gram, RunResiduals
 from hiltestbed.measured import MeasuredDataset, load_dataset
 from tests.equipment.diagnosis.tasks import Task
 from tests.equipment.independent_rig import write_set
@@ -90,8 +91,27 @@ def test_above_its_floor_a_run_counts_by_its_share_and_below_by_its_square(
         x = level * white(1)[0][0][:100]
         ms = float(np.mean(x * x))
         density = -2.0 * float(np.sum(norm.logpdf(x, scale=math.sqrt(max(ms, 1.0)))))
-        cost = likelihood.cost([x] * len(model.runs) + [np.zeros(0)]) / len(model.runs)
+        left = RunResiduals.of([x] * len(model.runs) + [np.zeros(0)])
+        cost = likelihood.cost(left) / len(model.runs)
         assert cost == pytest.approx(density - 100.0 * math.log(2.0 * math.pi), rel=1e-12)
+
+
+def test_scalar_products_give_the_squares_of_what_is_moved() -> None:
+    rng = np.random.default_rng(4)
+    left = RunResiduals.of([rng.normal(size=n) for n in (50, 1, 200)] + [rng.normal(size=2)])
+    known, more = (
+        Changes(rng.normal(size=(p, 251)), rng.normal(size=(p, q))) for p, q in ((3, 2), (2, 3))
+    )
+    wider, step = left.with_priors(np.zeros(1)), rng.normal(size=5)
+    gram = Gram.of(left, known).and_(wider, known, more)
+    samples = left.samples + step @ np.vstack([known.samples, more.samples])
+    moved = RunResiduals(samples, left.starts, wider.priors)
+    squares = np.einsum("i,j,ijr->r", step, step, gram.products) + 2.0 * step @ gram.along
+    assert wider.squares() + squares / left.rows == pytest.approx(moved.squares(), rel=1e-12)
+    priors = step @ np.vstack([np.pad(known.priors, ((0, 0), (0, 1))), more.priors])
+    change = step @ gram.priors @ step + 2.0 * step @ gram.along_priors
+    moved_priors = float(np.sum((wider.priors + priors) ** 2))
+    assert float(wider.priors @ wider.priors) + change == pytest.approx(moved_priors, rel=1e-12)
 
 
 def test_errors_of_a_recorded_force_leave_the_motion_white(healthy: MeasuredDataset) -> None:
@@ -123,9 +143,15 @@ def test_a_delay_that_varies_has_the_likelihood_of_its_variance(healthy: Measure
     for (n, c, _), rows in zip(model.groups, model.rows, strict=True):
         mean, ratio = model._spread(n, shown[n], of.each())
         assert ratio is not None
-        z = (model.in_sigma(n, mean) / ratio)[rows, c]
+        z = model.in_sigma(n, mean, ratio=ratio)[rows, c]
         v = max(float(np.mean(z * z)), 1.0)
         total += float(np.sum(np.log(v) + z * z / v + 2.0 * np.log(ratio[rows, c])))
+    for n in model.members:
+        _, ratio = model._spread(n, shown[n], of.each())
+        aside = model._aside_of(n)
+        assert aside is not None and ratio is not None
+        wider = aside.under(model.weight[n] / ratio)
+        total += 2.0 * (wider.log_determinant - aside.log_determinant)
     assert likelihood.cost(model.residuals(of)) == pytest.approx(total, rel=1e-9)
 
 

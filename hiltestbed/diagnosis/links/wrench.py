@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
 from scipy.special import ndtr
 
 from hiltestbed.contact.latch import closes, latch_limits
@@ -35,20 +36,19 @@ from hiltestbed.numerical_model.bodies import approach_state
 from hiltestbed.platform.parameters import PlatformParameters
 from hiltestbed.replay import Felt, Simulated, creep_of, replay_platform, replay_wrench
 from hiltestbed.replay.compensation import central_rates
-from hiltestbed.replay.wrench import WHOLE, shifted
 from hiltestbed.replay.wrench import Lane as FeltLane
 from hiltestbed.scenario import Scenario
 from hiltestbed.sensor.parameters import SensorParameters
 from hiltestbed.signals import GROUPS
 
-NODES = np.linspace(-2.75, 2.75, 12)  # of a standard normal distribution
+NODES, WEIGHTS = hermegauss(8)  # of a standard normal distribution, which reach four deviations
 MOST_TOUCHES = 24  # chosen: of a run on a mount, whose instants are not known
 STEP_RATIO = 2  # of the steps of a mount, for the extrapolation to steps of zero length
 LEVERS = (0.0, 0.25, 0.5, 0.75, 1.0)  # between the surface and the tip
 NO_COUNT = 1e6  # chosen: times its noise: uncertainty of a reading that does not count
 # chosen: of the longest jump: what is shorter is motion of the axes that are held
 SHARE_OF_A_JUMP = 0.1
-WEIGHTS = np.exp(-0.5 * NODES**2) / np.sum(np.exp(-0.5 * NODES**2))
+WEIGHTS = WEIGHTS / math.sqrt(2.0 * math.pi)
 
 
 _NO_LOG_EFFECT = log_parameters(())
@@ -156,9 +156,11 @@ class WrenchLink(ModelLink):
         exact: bool | None = None,
         ring: float | None = None,
     ) -> WrenchLink:
-        """The same link with another interpretation of what the facility leaves open."""
+        """The same link with another interpretation of what the facility leaves open; ``grid`` 0:
+        a late reading is that at the instant at which it left the contact.
+        """
         out = copy(self)
-        out.grid = self.grid if grid is None else grid
+        out.grid = self.grid if grid is None else grid or None
         out.exact = self.exact if exact is None else exact
         if isinstance(felt := self._felt, Felt):
             out.lever = self.lever if lever is None else lever
@@ -183,22 +185,29 @@ class WrenchLink(ModelLink):
         if not isinstance(self._felt, Felt):
             return []
         first = self.runs[0].scenario
-        out = [[self.interpreted(lever=x) for x in LEVERS if x != self.lever]]
+        out = []
+        if not self.frictionless:
+            out.append([self.interpreted(lever=x) for x in LEVERS if x != self.lever])
         if first.mechanism.flat:
             out.append([self.interpreted(blunt=1.0 - self.blunt)])
         if first.mechanism.captured:
             out.append([self.interpreted(ring=1.0 - self.ring)])
         if self.stepped:
             out.append([self.interpreted(exact=not self.exact)])
-        elif self.grid is None:
-            out.append([self.interpreted(grid=first.substeps)])
+        else:
+            out.append([self.interpreted(grid=0 if self.grid else first.substeps)])
         return out
 
     def as_interpreted(self, other: WrenchLink) -> WrenchLink:
         """The same link with interpretation and timing of another, perhaps of fewer rows."""
-        read = other.lever, other.grid, other.blunt, other.exact, other.ring
+        read = other.lever, other.grid or 0, other.blunt, other.exact, other.ring
         out = self.interpreted(*read).with_timing(other.timing)
         return out.with_unknown_steps() if other.unknown_steps else out
+
+    @property
+    def frictionless(self) -> bool:
+        """Whether where the force acts along the overlap has no effect on it."""
+        return all(r.scenario.mechanism.contact.friction == 0.0 for r in self.runs)
 
     @property
     def simulated(self) -> bool:
@@ -449,7 +458,7 @@ class WrenchLink(ModelLink):
         s = self.runs[i].scenario
         step = s.tick / min(s.substeps, 4)
         late = self.lateness(i, effects)
-        if self.jumps is not None and self.unknown_rate:
+        if self.jumps is not None:
             sigma = self.runs[i].sigma
             return np.where(
                 self.beside_jumps(i, effects)[:, None] & np.isfinite(sigma), NO_COUNT * sigma, 0.0
@@ -458,20 +467,11 @@ class WrenchLink(ModelLink):
             return np.zeros((self.runs[i].rows, 6))
         shifts = [[*effects, Timing(delay=d)] for d in (-step, step)]
         early, after, now = self.predict([(i, shifts[0]), (i, shifts[1]), (i, effects)])
-        out = np.abs(early + after - 2.0 * now)
-        ticks = late / s.tick
-        if self.jumps is not None and abs(ticks - round(ticks)) >= WHOLE:
-            jump, depth = (
-                shifted(v[:, None], -math.floor(ticks))[:, 0]
-                for v in (self.jumps[i], self.paths[i][:, 2])
-            )
-            touched = depth > -jump.max(initial=0.0)
-            out[:, 2] += s.mechanism.contact.stiffness * np.where(touched, jump, 0.0)
-        return out
+        return np.abs(early + after - 2.0 * now)
 
     def beside_jumps(self, i: int, effects: Effects = ()) -> np.ndarray:
         """(N,) bool: rows whose reading may be of a tick in which A jumps, or beside it."""
-        if self.jumps is None or not self.unknown_rate:
+        if self.jumps is None:
             return np.zeros(self.runs[i].rows, dtype=bool)
         jumps, late, tick = self.jumps[i], self.lateness(i, effects), self.runs[i].scenario.tick
         ticks = np.array([late, late + self.timing_with(effects).before]) / tick
