@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, gamma
 
 from hiltestbed.diagnosis.layout import UNUSED_END_ROWS
-from hiltestbed.diagnosis.links import LinkRun, ModelLink, Timing, WrenchLink
+from hiltestbed.diagnosis.links import LinkRun, ModelLink, PlatformLink, Timing, WrenchLink
 from hiltestbed.diagnosis.links.base import whitening_filter
 from hiltestbed.diagnosis.links.wrench import NODES, WEIGHTS
 from hiltestbed.diagnosis.noise import OUTLIER_SIGMA, softened
@@ -458,18 +458,17 @@ class LinkModel(Model):
         return within and outside <= float(chi2.isf(ALLOWED, 1))
 
     def common_errors(self, of: Hypothesis) -> list[list[Array]]:
-        """What a facility's integration makes of every run alike: a share of the force, and a part
-        of a row in time.
+        """What a facility's integration makes of every run alike: a part of a row in time, and a
+        share of a force. What the facility has computed itself is known to its steps.
         """
-        if not isinstance(self.link, WrenchLink):
+        if not isinstance(self.link, (WrenchLink, PlatformLink)):
             return []
         shown = self.link.predict([(i, of.each()) for i in self.members])
-        share = 0.5 * self._model_differs()
+        errors_of = [[TIME_ERROR * np.gradient(s, axis=0) for s in shown]]
+        if isinstance(self.link, WrenchLink):
+            errors_of.append([0.5 * self._model_differs() * s for s in shown])
         out = []
-        for errors in (
-            [share * s for s in shown],
-            [TIME_ERROR * np.gradient(s, axis=0) for s in shown],
-        ):
+        for errors in errors_of:
             z = [
                 self.in_sigma(i, s - error) - self.in_sigma(i, s)
                 for i, s, error in zip(self.members, shown, errors, strict=True)

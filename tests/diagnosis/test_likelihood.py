@@ -149,7 +149,8 @@ def test_a_delay_that_varies_has_the_likelihood_of_its_variance(healthy: Measure
     for n in model.members:
         _, ratio = model._spread(n, shown[n], of.each())
         aside = model._aside_of(n)
-        assert aside is not None and ratio is not None
+        assert aside is not None
+        assert ratio is not None
         wider = aside.under(model.weight[n] / ratio)
         total += 2.0 * (wider.log_determinant - aside.log_determinant)
     assert likelihood.cost(model.residuals(of)) == pytest.approx(total, rel=1e-9)
