@@ -147,15 +147,9 @@ def explain(
         base, visited = best, found.visited
         enough = len(effects_of(best)) > MOST_NAMED and not noise
         if (not grown and there.link is model.link) or enough:
-            there = model
-            if noise and best.causes and model.link.name == "dynamics":
-                noisy = with_noise_of_the_log(model, found.null)
-                alone = Likelihood(noisy, counts).start()
-                if noisy is not model and noisy.deviance(alone) < model.deviance(best):
-                    there, base, noisier = noisy, found.null, True
-            elif not noise:
-                there = with_noise_of_the_log(model, best)
-                noisier = there is not model
+            there, base = with_other_noise(model, found, counts)
+            noisier = there is not model
+            if not noise:
                 more = hums(model, best.left) if isinstance(model.link, WrenchLink) else ()
                 more, rich = (*more, *rich), ()
                 more = tuple(c for c in more if c.key not in {o.key for o in candidates})
@@ -203,6 +197,23 @@ def interpreted_with_one_cause(found: Searched, candidates: Sequence[Candidate])
             reached += READ_OTHERWISE if best is model else 0.0
     assert isinstance(best, LinkModel)
     return best
+
+
+def with_other_noise(
+    model: LinkModel, found: Searched, counts: Array
+) -> tuple[LinkModel, PosteriorFit]:
+    """The model with noise of the log as well, and the hypothesis to go on from: what the best one
+    leaves may be such noise, or all of what it explains; both themselves where neither is so.
+    """
+    best = found.best
+    if not model.leaves_noise(best.left):
+        return with_noise_of_the_log(model, best), best
+    if best.causes and model.link.name == "dynamics":
+        noisy = with_noise_of_the_log(model, found.null)
+        alone = Likelihood(noisy, counts).start()
+        if noisy is not model and noisy.deviance(alone) < model.deviance(best):
+            return noisy, found.null
+    return model, best
 
 
 def with_noise_of_the_log(model: LinkModel, best: PosteriorFit) -> LinkModel:
