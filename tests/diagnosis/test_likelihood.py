@@ -5,6 +5,8 @@ with errors of their own.
 from __future__ import annotations
 
 import math
+from copy import copy
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -154,6 +156,31 @@ def test_a_delay_that_varies_has_the_likelihood_of_its_variance(healthy: Measure
         wider = aside.under(model.weight[n] / ratio)
         total += 2.0 * (wider.log_determinant - aside.log_determinant)
     assert likelihood.cost(model.residuals(of)) == pytest.approx(total, rel=1e-9)
+
+
+def test_the_size_of_a_jitter_is_that_of_its_delays(healthy: MeasuredDataset) -> None:
+    """To a share of the root of the deviations' squares, in contact weighed by the force's rate:
+    what else is known of the readings are their noise, and 0.1 % of the force.
+    """
+    layout, rng = lay_out(healthy), np.random.default_rng(12)
+    link = make_wrench_link(layout, best_path(layout, None), layout.rows)
+    jitter = next(c for c in candidates_of(layout.scales, ("sensor",)) if c.kind == "sensor.jitter")
+    sigma, runs, squares, weights = 2.0 * layout.scales.tick, [], 0.0, 0.0
+    for i, run in enumerate(link.runs):
+        (shown,), late = link.predict([(i, ())]), 2.0 * rng.standard_normal(run.rows)
+        rows = np.arange(run.rows)
+        read = np.column_stack([np.interp(rows - late, rows, x) for x in shown.T])
+        noise = np.where(np.isfinite(run.sigma), run.sigma, 0.0)
+        runs.append(replace(run, measured=read + noise * rng.standard_normal(read.shape)))
+        rate = np.gradient(shown[:, 2]) ** 2
+        squares, weights = squares + float(rate @ late**2), weights + float(rate.sum())
+    jittery = copy(link)
+    jittery.runs = runs
+    model = LinkModel(jittery)
+    likelihood = Likelihood(model, independent(model.residuals(NOTHING), noise_known=True))
+    found = likelihood.fit((jitter,), [np.array([layout.scales.tick])])
+    assert model.leaves_noise(found.left)
+    assert found.of.theta[0] / sigma == pytest.approx(0.5 * math.sqrt(squares / weights), rel=0.03)
 
 
 @pytest.mark.parametrize(

@@ -261,6 +261,21 @@ def test_a_command_stamped_late_begins_with_the_approach() -> None:
     assert np.abs(unknown[:20]).max() > 1e-5
 
 
+def test_an_interpretation_can_be_taken_back() -> None:
+    """Else a search that takes one up under a wrong cause keeps it under the right one."""
+    link = contact_link(seed=None)
+
+    def reading(x: WrenchLink) -> tuple[object, ...]:
+        return x.lever, x.blunt, x.ring, x.grid, x.exact
+
+    others = [other for group in link.interpretations() for other in group]
+    assert others
+    for other in others:
+        assert reading(other) != reading(link)
+        back = [reading(x) for group in other.interpretations() for x in group]
+        assert reading(link) in back
+
+
 def test_an_unknown_rate_is_worth_a_tick_of_the_damping_force() -> None:
     """The readings of rates taken a tick later differ by c a h, with a = -x w^2 in contact and the
     damping c = 400 N s/m.

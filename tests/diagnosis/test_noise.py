@@ -292,12 +292,16 @@ def test_misfits_are_whitened_by_the_covariance_of_noise_and_nuisances() -> None
         rng.standard_normal((40, 2)),
     )
     weight[5] = 0.0  # not measured
-    white = (left - Aside(weight, columns).of(left)) * weight
+    aside, raised = Aside(weight, columns), 0.0
+    white = (left - aside.of(left)) * weight
     for c in range(2):
         terms, misfit = columns[:, c] * weight[:, c, None], left[:, c] * weight[:, c]
+        covariance = np.eye(40) + terms @ terms.T
         assert white[:, c] @ white[:, c] == pytest.approx(
-            misfit @ np.linalg.solve(np.eye(40) + terms @ terms.T, misfit)
+            misfit @ np.linalg.solve(covariance, misfit)
         )
+        raised += 0.5 * np.linalg.slogdet(covariance)[1]
+    assert aside.log_determinant == pytest.approx(raised)
 
 
 @pytest.mark.parametrize("runs", [3, 6])
