@@ -24,7 +24,7 @@ LEVERS = (0.5, 0.0, 1.0)  # chosen: that are tried first: the middle, the surfac
 
 def choose_lever(link: WrenchLink, effects: Effects = ()) -> WrenchLink:
     """The link with the lever that fits the torques best under ``effects``."""
-    if link.frictionless:
+    if not link.acts_across(effects):
         return link
 
     def cost(lever: float) -> float:

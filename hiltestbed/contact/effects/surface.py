@@ -21,8 +21,6 @@ Tilt = Annotated[
     Strict(False),
     Field(min_length=2, max_length=2),
 ]
-# point of application of the force, from the undeformed surface (0) to the tip (1)
-LEVERS = ({}, {"lever": 0.0}, {"lever": 1.0})
 
 
 @register
@@ -41,13 +39,11 @@ class ContactSurfaceFriction(Effect):
 
     def apply(self, p: ContactParameters) -> None:
         p.friction = self.coefficient
-        p.lever = self.variant.get("lever", p.lever)
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         if scales.slides:
-            for variant in LEVERS:
-                yield candidate(cls, {"coefficient": [0.02, 0.1, 0.3]}, variant=variant)
+            yield candidate(cls, {"coefficient": [0.02, 0.1, 0.3]})
 
 
 @register
@@ -165,12 +161,9 @@ class ContactMisalignment(Effect):
     def apply(self, p: ContactParameters) -> None:
         p.tilt_x += math.radians(self.angles_deg[0])
         p.tilt_y += math.radians(self.angles_deg[1])
-        p.lever = self.variant.get("lever", p.lever)
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        starts = [(0.2, 0.2), (2.0, 2.0), (-2.0, -2.0)]
-        for variant in LEVERS:
-            yield candidate(
-                cls, {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=starts, variant=variant
-            )
+        # from none, both angles are differentiated; from a tilt, its own direction is
+        starts = [(0.0, 0.0), (2.0, 2.0), (-2.0, -2.0)]
+        yield candidate(cls, {"angles_deg.0": [0.0], "angles_deg.1": [0.0]}, starts=starts)

@@ -14,7 +14,12 @@ from scipy.special import ndtr
 
 from hiltestbed.contact.latch import closes, latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
-from hiltestbed.contact.parameters import ContactParameters, believed_contacts, contact_rows
+from hiltestbed.contact.parameters import (
+    FRICTION,
+    ContactParameters,
+    believed_contacts,
+    contact_rows,
+)
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.links.base import (
     Effects,
@@ -176,17 +181,17 @@ class WrenchLink(ModelLink):
         out._step_error = out._missed_by_steps() if out.exact else None
         return out
 
-    def interpretations(self) -> list[list[WrenchLink]]:
-        """Other interpretations of what the facility leaves open, a group for each question: where
-        between surface and tip the force acts, what of the tip meets a plane, whether a latch
-        resists turning, how a mount is integrated, and whether late readings lie between the
-        instants of the physics.
+    def interpretations(self, effects: Effects = ()) -> list[list[WrenchLink]]:
+        """Other interpretations of what the facility leaves open under ``effects``, a group for
+        each question: where between surface and tip the force acts, what of the tip meets a plane,
+        whether a latch resists turning, how a mount is integrated, and whether late readings lie
+        between the instants of the physics.
         """
         if not isinstance(self._felt, Felt):
             return []
         first = self.runs[0].scenario
         out = []
-        if not self.frictionless:
+        if self.acts_across(effects):
             out.append([self.interpreted(lever=x) for x in LEVERS if x != self.lever])
         if first.mechanism.flat:
             out.append([self.interpreted(blunt=1.0 - self.blunt)])
@@ -204,10 +209,12 @@ class WrenchLink(ModelLink):
         out = self.interpreted(*read).with_timing(other.timing)
         return out.with_unknown_steps() if other.unknown_steps else out
 
-    @property
-    def frictionless(self) -> bool:
-        """Whether where the force acts along the overlap has no effect on it."""
-        return all(r.scenario.mechanism.contact.friction == 0.0 for r in self.runs)
+    def acts_across(self, effects: Effects = ()) -> bool:
+        """Whether a part of the force acts across the overlap, so that it matters where along it
+        the force acts: there is friction.
+        """
+        lanes = (self._lane(i, effects) for i in range(len(self.runs)))
+        return any(lane.contact[:, FRICTION].any() for lane in lanes)
 
     @property
     def simulated(self) -> bool:
