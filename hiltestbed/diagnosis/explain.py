@@ -22,7 +22,7 @@ from hiltestbed.inference.model import Hypothesis
 from hiltestbed.inference.search import MOST_CAUSES, Progress, Searched, extended, search
 from hiltestbed.sensor.effects import SensorHum
 
-ROUNDS = 2 * MOST_CAUSES  # of a search: a cause is added, or the interpretation changes
+ROUNDS = 2 * MOST_CAUSES  # of an explanation: each adds a cause, or changes what may explain
 FEW = 2  # causes of one link that are often right together
 # with which a link is explained, where they leave noise alone; more, with more than noise left, are
 # what something without a name looks like
@@ -125,78 +125,167 @@ def explain(
     """The explanation of a link.
 
     Causes are added one at a time, each under the interpretation of the facility that suits the
-    others; several at once, or others in their place, where that ends with more than noise.
+    others. Where that ends, other ways are tried in turn, and after each that leads on it goes on.
     """
-    nothing = Hypothesis((), np.zeros(0), np.zeros(0))
-    model = model.under(())
-    rich = tuple(c for c in candidates if c.effect.rich)
-    candidates = tuple(c for c in candidates if not c.effect.rich)
-    counts = independent(model.residuals(nothing), noise_known=True)
-    likelihood = Likelihood(model, counts)
-    base, visited = likelihood.start(), ()
-    if isinstance(model.link, WrenchLink) and not model.leaves_noise(base.left):
-        candidates = (*candidates, *hums(model, base.left))
-    one, thorough, asked = True, False, False
+    so_far = _SoFar(model, candidates, progress)
+    ways = (
+        so_far.another_cause,
+        so_far.another_interpretation,
+        so_far.another_noise,
+        so_far.other_candidates,
+        so_far.one_cause_alone,
+        so_far.several_causes,
+    )
     for _ in range(ROUNDS):
-        everything = (*candidates, *model.timings())
-        found = search(likelihood, everything, progress, base, visited, one)
-        best, noise = found.best, model.leaves_noise(found.best.left)
-        there, more, grown, noisier = model, (), best.keys != base.keys, False
-        if grown or not best.causes:
-            there = interpreted(model.under(best.of.each()), best)
-        base, visited = best, found.visited
-        enough = len(effects_of(best)) > MOST_NAMED and not noise
-        if (not grown and there.link is model.link) or enough:
-            there, base = with_other_noise(model, found, counts)
-            noisier = there is not model
-            if not noise:
-                more = hums(model, best.left) if isinstance(model.link, WrenchLink) else ()
-                more, rich = (*more, *rich), ()
-                more = tuple(c for c in more if c.key not in {o.key for o in candidates})
-            if there is model and not more:
-                if not asked and (not noise or len(effects_of(best)) > FEW):
-                    # with a wrong interpretation causes add up to what one is with the right one
-                    asked, there = True, interpreted_with_one_cause(found, everything)
-                    base = base if there is model else found.null
-                if there is model:
-                    if noise or thorough or enough:
-                        break
-                    one, thorough = False, True
-                    continue
-        one, candidates = True, (*candidates, *more)
-        if there is not model:
-            model, visited = there, ()
-            likelihood = Likelihood(model, counts) if noisier else likelihood.through(model)
-            base = likelihood.fit(base.causes, [base.of.theta])
-    assert isinstance(found.likelihood.model, LinkModel)
-    model = found.likelihood.model
-    concluded = conclude(found, model.folds(), everything, progress)
+        if not any(way() for way in ways):
+            break
+    model, found = so_far.model, so_far.found
+    concluded = conclude(found, model.folds(), so_far.everything, progress)
     left = concluded.fit.left
     return Explanation(
-        model, tuple(candidates), concluded, model.leaves_noise(left), model.excess(left)
+        model, so_far.candidates, concluded, model.leaves_noise(left), model.excess(left)
     )
 
 
-def interpreted_with_one_cause(found: Searched, candidates: Sequence[Candidate]) -> LinkModel:
-    """The model with the interpretation of the facility under which one cause has most evidence."""
+class _SoFar:
+    """The explanation of a link as far as it has come, and the ways to go on, each of which tells
+    whether it has led anywhere.
+
+    Attributes:
+        model: as the link is judged. candidates: the hypotheses. found: the last search.
+    """
+
+    def __init__(
+        self, model: LinkModel, candidates: Sequence[Candidate], progress: Progress | None
+    ) -> None:
+        self.model, self._progress = model.under(()), progress
+        self.candidates = tuple(c for c in candidates if not c.effect.rich)
+        self._kept = tuple(c for c in candidates if c.effect.rich)  # for want of simpler ones
+        nothing = self.model.residuals(Hypothesis((), np.zeros(0), np.zeros(0)))
+        self._counts = independent(nothing, noise_known=True)
+        self._likelihood = Likelihood(self.model, self._counts)
+        if isinstance(model.link, WrenchLink) and not self.model.leaves_noise(nothing):
+            self.candidates = (*self.candidates, *hums(self.model, nothing))
+        self._alone_asked = self._several_asked = False
+        self._new = True  # whether what may explain has changed since causes were too many
+        self.found = self._searched(self._likelihood.start(), (), 0)
+
+    @property
+    def everything(self) -> tuple[Candidate, ...]:
+        """The hypotheses and the nuisances."""
+        return (*self.candidates, *self.model.timings())
+
+    @property
+    def _noise(self) -> bool:
+        return self.model.leaves_noise(self.found.best.left)
+
+    @property
+    def _count(self) -> int:
+        return len(effects_of(self.found.best))
+
+    def _searched(
+        self, start: PosteriorFit, before: Sequence[PosteriorFit], more: int | None
+    ) -> Searched:
+        return search(self._likelihood, self.everything, self._progress, start, before, more)
+
+    def _through(self, model: LinkModel, base: PosteriorFit, likelihood: Likelihood) -> None:
+        """Go on with another model, from a hypothesis."""
+        self.model, self._likelihood, self._new = model, likelihood, True
+        self.found = self._searched(likelihood.fit(base.causes, [base.of.theta]), (), 0)
+
+    def _grown(self, found: Searched) -> bool:
+        """Whether a search has led to another hypothesis: then it is taken, with the interpretation
+        that suits it.
+        """
+        grown, self.found = found.best.keys != self.found.best.keys, found
+        if grown:
+            there = interpreted(self.model.under(found.best.of.each()), found.best)
+            if there is not self.model:
+                same = there.link is self.model.link
+                likelihood = self._likelihood.through(there)
+                self._through(
+                    there, found.best, likelihood if same else Likelihood(there, self._counts)
+                )
+        return grown
+
+    def another_cause(self) -> bool:
+        """One more, unless many leave more than noise already."""
+        if self._count > MOST_NAMED and not self._noise and not self._new:
+            return False
+        self._new = False
+        return self._grown(self._searched(self.found.best, self.found.visited, 1))
+
+    def another_interpretation(self) -> bool:
+        """Where no cause helps."""
+        if self.found.best.causes or self._noise:
+            return False
+        there = interpreted(self.model, self.found.best)
+        if there is not self.model:
+            self._through(there, self.found.best, Likelihood(there, self._counts))
+            return True
+        return False
+
+    def another_noise(self) -> bool:
+        """Noise of the log as well."""
+        there, base = with_other_noise(self.model, self.found, self._counts)
+        if there is not self.model:
+            self._through(there, base, Likelihood(there, self._counts))
+            return True
+        return False
+
+    def other_candidates(self) -> bool:
+        """Those with many numbers, and tones in what is left."""
+        if self._noise:
+            return False
+        model, have = self.model, {c.key for c in self.candidates}
+        lines = hums(model, self.found.best.left) if isinstance(model.link, WrenchLink) else ()
+        more, self._kept = [c for c in (*lines, *self._kept) if c.key not in have], ()
+        self.candidates, self._new = (*self.candidates, *more), bool(more)
+        return bool(more)
+
+    def one_cause_alone(self) -> bool:
+        """One cause under any interpretation: with a wrong one, causes add up to what one is with
+        the right one.
+        """
+        if self._alone_asked or (self._noise and self._count <= FEW):
+            return False
+        self._alone_asked = True
+        there, alone = with_one_cause(self.found, self.everything)
+        if there is self.model and alone.evidence <= self.found.best.evidence:
+            return False
+        same = there is self.model
+        self._through(there, alone, self._likelihood if same else Likelihood(there, self._counts))
+        return True
+
+    def several_causes(self) -> bool:
+        """Several at once, or others in their place, where few leave more than noise."""
+        if self._several_asked or self._noise or self._count > MOST_NAMED:
+            return False
+        self._several_asked = True
+        return self._grown(self._searched(self.found.best, self.found.visited, None))
+
+
+def with_one_cause(
+    found: Searched, candidates: Sequence[Candidate]
+) -> tuple[LinkModel, PosteriorFit]:
+    """The cause that has most evidence alone, under any interpretation of the facility, and the
+    model with that interpretation; under the present one where others are hardly better.
+    """
     here = found.likelihood
-    model = here.model
-    assert isinstance(model, LinkModel)
-    if not isinstance(model.link, WrenchLink):
-        return model
-    best, reached = model, -math.inf
-    others = (link for group in model.link.interpretations() for link in group)
-    for link in (model.link, *others):
+    assert isinstance(here.model, LinkModel)
+    model, best, least = here.model, found.null, -math.inf
+    link = model.link
+    groups = link.interpretations() if isinstance(link, WrenchLink) else []
+    for other in (link, *(x for group in groups for x in group)):
         likelihood = here
-        if link is not model.link:
-            likelihood = here.through(model.through(link))
-        fits = extended(likelihood, likelihood.start(), candidates)
-        evidence = max((f.evidence for f in fits), default=-math.inf)
-        if evidence > reached:
-            best, reached = likelihood.model, evidence
-            reached += READ_OTHERWISE if best is model else 0.0
-    assert isinstance(best, LinkModel)
-    return best
+        if other is not link:
+            likelihood = Likelihood(here.model.through(other), here.counts, here.choices)
+        for fit in extended(likelihood, likelihood.start(), candidates)[:1]:
+            if fit.evidence > least:
+                assert isinstance(likelihood.model, LinkModel)
+                model, best = likelihood.model, fit
+                least = fit.evidence + (READ_OTHERWISE if other is link else 0.0)
+    return model, best
 
 
 def with_other_noise(
@@ -231,7 +320,7 @@ def interpreted(model: LinkModel, found: PosteriorFit) -> LinkModel:
     """The model with the interpretation of the facility that suits a hypothesis best."""
     if not isinstance(model.link, WrenchLink):
         return model
-    for others in model.link.interpretations():
+    for others in model.link.interpretations(found.of.each()):
         models = [model, *(model.through(link) for link in others)]
         fits = [
             Likelihood(m, independent(m.residuals(found.of), True)).fit(

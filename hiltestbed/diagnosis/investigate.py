@@ -47,6 +47,7 @@ from hiltestbed.diagnosis.stiction import sticking
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
+from hiltestbed.inference.likelihood import Likelihood
 from hiltestbed.inference.search import Progress
 from hiltestbed.measured import MeasuredDataset, MeasuredRun, Record
 from hiltestbed.process.progress import labelled
@@ -165,8 +166,10 @@ def with_other_clock(e: Explanation) -> Explanation:
         return e
     (own,) = acting
     assert isinstance(e.link, WrenchLink)
-    links = [e.link, *(link for group in e.link.interpretations() for link in group)]
-    there = [e.likelihood.through(e.model.through(link)) for link in links]
+    groups = e.link.interpretations(e.effects())
+    links = [e.link, *(link for group in groups for link in group)]
+    counts = e.likelihood.counts
+    there = [Likelihood(e.model.through(link), counts, e.likelihood.choices) for link in links]
     late, other = min(
         (
             (likelihood.fit([c if k.key == own.cause.key else k for k in e.fit.causes], start), c)

@@ -261,7 +261,7 @@ class LinkModel(Model):
     def residuals(self, of: Hypothesis) -> RunResiduals:
         return self.many([of])[0]
 
-    def weights(self) -> Array:
+    def sample_weights(self) -> Array:
         pairs = zip(self.members, self._taken, strict=True)
         return np.concatenate([np.zeros(0), *(self.weight[i].ravel()[at] for i, at in pairs)])
 
@@ -439,11 +439,8 @@ class LinkModel(Model):
             return False
         effects = of.each()
         fewer = [e for n, e in enumerate(effects) if n != index]
-        # a lever that a cause brings is an interpretation of the facility
-        lever = of.causes[index].variant.get("lever")
-        without = self.link if lever is None else self.link.interpreted(lever=lever)
         shown = self.link.predict([(i, effects) for i in self.members])
-        beside = without.predict([(i, fewer) for i in self.members])
+        beside = self.link.predict([(i, fewer) for i in self.members])
         changed, whole, outside = np.zeros(2), np.zeros(2), 0.0
         for i, a, b in zip(self.members, shown, beside, strict=True):
             inside = self.link.runs[i].touching

@@ -117,7 +117,7 @@ class Likelihood:
         # kept for all likelihoods of one model
         self._alone: dict[tuple[Any, ...], tuple[Any, Array, Array]] = {}
         # (M,) of each sample the unit in which that is kept, and the present one over it
-        self._unit, self._units = model.weights(), 1.0
+        self._unit, self._units = model.sample_weights(), 1.0
         self._squares = np.maximum(np.asarray(model.floors) ** 2, np.finfo(float).tiny)
         self._sigma = model.prior_sigma()
 
@@ -134,11 +134,11 @@ class Likelihood:
         return out
 
     def through(self, model: Model) -> Likelihood:
-        """That of another interpretation, or other weights, of the same samples; what moves change
-        alone is taken from this one.
+        """That of a model of the same samples with other weights; what moves change alone is taken
+        from this one.
         """
         out = copy(self)
-        out.model, out._units = model, model.weights() / self._unit
+        out.model, out._units = model, model.sample_weights() / self._unit
         return out
 
     def forget(self) -> None:

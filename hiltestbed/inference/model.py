@@ -103,7 +103,7 @@ class Model(ABC):
         likelihood compares something else.
         """
 
-    def weights(self) -> Array | float:
+    def sample_weights(self) -> Array | float:
         """(M,) by which the residual of each sample is weighted; 1 where all are alike."""
         return 1.0
 

@@ -52,20 +52,21 @@ def search(
     progress: Progress | None = None,
     start: PosteriorFit | None = None,
     before: Sequence[PosteriorFit] = (),
-    one: bool = False,
+    more: int | None = None,
 ) -> Searched:
     """The hypothesis with the most evidence that is reached from ``start``, by default from
     nothing, by adding one cause or several, leaving one out, or putting another one in its place.
 
     Args:
-        before: what this likelihood has visited already. one: one cause is added, or none.
+        before: what this likelihood has visited already. more: causes that may be added, one at a
+            time, and none put in the place of others; None: all of the above.
     """
     likelihood = likelihood.choosing(max(1, len({c.kind for c in candidates if c.sigma is None})))
     null, visited = likelihood.start(), {f.keys: f for f in before}
     best = null if start is None else start
     if best.keys not in visited:
         best = pruned(likelihood, best)
-    most = len(best.causes) + 1 if one else MOST_CAUSES
+    most = MOST_CAUSES if more is None else len(best.causes) + more
     tried: set[tuple[str, ...]] = set()
     while len(best.causes) < most:
         # the counts are those of what the present hypothesis leaves: it is smoother than what a
@@ -79,7 +80,7 @@ def search(
         better = None
         if here.most_gain(best) < here.least_price(candidates):
             break
-        if one or here.model.leaves_noise(best.left):
+        if more is not None or here.model.leaves_noise(best.left):
             ways = (_added,)
         elif here.model.noise_known:
             ways = (_added, _paired, _exchanged)
