@@ -122,6 +122,20 @@ def leftover(parts: Sequence[Array]) -> Whiteness:
     )
 
 
+class Noise(NamedTuple):
+    """The covariance of a run: one over the standard deviations (N, C), 0 where not measured, and
+    the nuisance terms beside them.
+    """
+
+    weight: Array
+    aside: Aside | None
+
+    @property
+    def log_determinant(self) -> float:
+        """Half the logarithm by which the terms raise the determinant."""
+        return 0.0 if self.aside is None else self.aside.log_determinant
+
+
 class LinkModel(Model):
     """A link on some of its runs.
 
@@ -248,10 +262,12 @@ class LinkModel(Model):
             z, logs = [], 0.0
             for n, i in enumerate(self.members):
                 prediction, ratio = self._spread(i, shown[first + n], lanes[first + n][1])
-                own = self.in_sigma(i, prediction, self.link.smoothing(lanes[first + n][1]), ratio)
+                noise = self._noise(i, ratio)
+                own = self.in_sigma(i, prediction, self.link.smoothing(lanes[first + n][1]), noise)
                 z.append(own.ravel()[self._taken[n]])
                 if ratio is not None:
-                    logs += self._log_spread(i, ratio, self._taken[n])
+                    logs += float(np.sum(np.log(ratio.ravel()[self._taken[n]])))
+                    logs += noise.log_determinant - self._noise(i).log_determinant
             away = max(self._smoothed_away(of[k]), 0.0)
             priors = np.array([math.sqrt(2.0 * logs + away)])
             left = RunResiduals(np.concatenate([np.zeros(0), *z]), self._starts, priors)
@@ -309,7 +325,7 @@ class LinkModel(Model):
         """Mean and variance, both (N, C), of a prediction whose delay varies from sample to sample;
         None: it does not.
         """
-        sigma = math.sqrt(sum(e.sigma**2 for e in effects if isinstance(e, SensorJitter)))
+        sigma = _jitter(effects)
         if not sigma:
             return shown, None
         rows = sigma / self.link.runs[i].scenario.tick
@@ -320,30 +336,24 @@ class LinkModel(Model):
         mean = np.tensordot(WEIGHTS, np.array(found), 1)
         return mean, np.tensordot(WEIGHTS, (np.array(found) - mean) ** 2, 1)
 
-    def _log_spread(self, i: int, ratio: Array, taken: np.ndarray) -> float:
-        """Half the logarithm by which deviations of the noise of run i that are ``ratio`` (N, C)
-        times as large raise the determinant of the covariance of the samples ``taken`` (M,).
-        """
-        out = float(np.sum(np.log(ratio.ravel()[taken])))
-        if (aside := self._aside_of(i)) is not None:
-            wider = aside.under(self.weight[i] / ratio)
-            out += wider.log_determinant - aside.log_determinant
-        return out
+    def _noise(self, i: int, ratio: Array | None = None) -> Noise:
+        """Of run i, with deviations ``ratio`` (N, C) times as large."""
+        weight, aside = self.weight[i], self._aside_of(i)
+        if ratio is None:
+            return Noise(weight, aside)
+        return Noise(weight / ratio, None if aside is None else aside.under(weight / ratio))
 
     def in_sigma(
-        self, i: int, shown: Array, smoothing: float = 1.0, ratio: Array | None = None
+        self, i: int, shown: Array, smoothing: float = 1.0, noise: Noise | None = None
     ) -> Array:
-        """(N, C) of run i: measured less ``shown`` (N, C), whitened, in units of the noise that is
-        left of that of the input, ``smoothing``, or is ``ratio`` (N, C) times as large.
+        """(N, C) of run i: measured less ``shown`` (N, C), whitened, in units of the noise, by
+        default that of the run, that is left of that of the input, ``smoothing``.
         """
-        run, weight = self.link.runs[i], self.weight[i]
+        run = self.link.runs[i]
+        weight, aside = self._noise(i) if noise is None else noise
         left = run.measured - shown
         if (white := self.link.whitened(i, np.nan_to_num(left, nan=MAX_RESIDUAL))) is not None:
             return np.clip(white, -MAX_RESIDUAL, MAX_RESIDUAL)
-        aside = self._aside_of(i)
-        if ratio is not None:
-            weight = weight / ratio
-            aside = None if aside is None else aside.under(weight)
         if aside is not None:
             left = left - aside.of(left)
         z = left * (weight / smoothing)
@@ -429,7 +439,7 @@ class LinkModel(Model):
 
     def contradicts(self, of: Hypothesis, left: RunResiduals) -> bool:
         """A scatter is white: one that leaves more than that stands in for what is smooth."""
-        return any(c.effect.scatters for c in of.causes) and not self.leaves_noise(left)
+        return _jitter(of.each()) > 0.0 and not self.leaves_noise(left)
 
     def negligible(self, of: Hypothesis, index: int) -> bool:
         """In contact by the share of the whole force, and of the whole torque, by which it changes
@@ -506,6 +516,11 @@ class LinkModel(Model):
         if self.link.name == "dynamics":
             out.append(_nuisance("old", SHARE_SIGMA, (0.0, MOST_OLD), (0.25, 0.75), 1.0))
         return tuple(out)
+
+
+def _jitter(effects: Sequence[Effect]) -> float:
+    """[s] standard deviation of the delay under ``effects``."""
+    return math.sqrt(sum(e.sigma**2 for e in effects if isinstance(e, SensorJitter)))
 
 
 def _without_outliers(left: RunResiduals) -> RunResiduals:

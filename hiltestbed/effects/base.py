@@ -65,7 +65,7 @@ class Departure(Strictly):
             that parameter grows (a limit). jumps: the parameter on which the prediction depends
             discontinuously, or "".
         rich: whether it has so many parameters that it is tried only where effects with fewer leave
-            more than noise. scatters: whether it makes an output scatter.
+            more than noise.
     """
 
     kind: str
@@ -79,7 +79,6 @@ class Departure(Strictly):
     vanishes: ClassVar[bool] = False
     jumps: ClassVar[str] = ""
     rich: ClassVar[bool] = False
-    scatters: ClassVar[bool] = False
     excludes: ClassVar[tuple[str, ...]] = ()  # kinds in place of which it acts
     same: ClassVar[tuple[str, ...]] = ()  # kinds from which no record tells it, unless searched too
 

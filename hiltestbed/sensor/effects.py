@@ -290,7 +290,6 @@ class SensorJitter(Effect):
     resembles = ("sensor.delay",)
     repeats = True
     leading = "sigma"
-    scatters = True
 
     def apply(self, p: SensorParameters) -> None:
         p.jitter = math.hypot(p.jitter, self.sigma)

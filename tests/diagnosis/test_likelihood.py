@@ -33,6 +33,7 @@ from tests.equipment.independent_rig import write_set
 from tests.equipment.log_errors import Change, in_steps, lost, of_the_reading, rewrite, spikes
 from tests.slow import SLOW, slow
 
+FLOOR = 1.2
 NOTHING = Hypothesis((), np.zeros(0), np.zeros(0))
 FORCES = tuple(f"wrench_meas.f{axis}" for axis in "xyz")
 HEALTHY, FRICTION, DELAY = (
@@ -135,26 +136,35 @@ def test_errors_of_a_recorded_force_leave_the_motion_white(healthy: MeasuredData
 
 
 def test_a_delay_that_varies_has_the_likelihood_of_its_variance(healthy: MeasuredDataset) -> None:
+    """-2 log of the normal density with the whole covariance, beside that without the jitter's."""
     layout = lay_out(healthy)
     model = LinkModel(make_wrench_link(layout, best_path(layout, None), layout.rows))
     jitter = next(c for c in candidates_of(layout.scales, ("sensor",)) if c.kind == "sensor.jitter")
+    model.floors = np.full(len(model.runs), FLOOR)  # above what any group's noise happens to be
     counts = independent(model.residuals(NOTHING), noise_known=True)
     likelihood = Likelihood(model, counts)
     of = Hypothesis((jitter,), np.array([layout.scales.tick]), np.zeros(0))
-    shown, total = model.link.predict([(i, of.each()) for i in model.members]), 0.0
-    for (n, c, _), rows in zip(model.groups, model.rows, strict=True):
-        mean, ratio = model._spread(n, shown[n], of.each())
+    total = 0.0
+    for i, shown in zip(
+        model.members, model.link.predict([(i, of.each()) for i in model.members]), strict=True
+    ):
+        mean, ratio = model._spread(i, shown, of.each())
+        aside, left = model._aside_of(i), model.link.runs[i].measured - mean
         assert ratio is not None
-        z = model.in_sigma(n, mean, ratio=ratio)[rows, c]
-        v = max(float(np.mean(z * z)), 1.0)
-        total += float(np.sum(np.log(v) + z * z / v + 2.0 * np.log(ratio[rows, c])))
-    for n in model.members:
-        _, ratio = model._spread(n, shown[n], of.each())
-        aside = model._aside_of(n)
         assert aside is not None
-        assert ratio is not None
-        wider = aside.under(model.weight[n] / ratio)
-        total += 2.0 * (wider.log_determinant - aside.log_determinant)
+        columns, shared = aside._terms
+        assert columns is not None
+        assert shared is None
+        for c in range(6):
+            before, after = (
+                np.eye(len(mean)) + (w[:, None] * columns[:, c]) @ (w[:, None] * columns[:, c]).T
+                for w in (model.weight[i][:, c], model.weight[i][:, c] / ratio[:, c])
+            )
+            z = left[:, c] * model.weight[i][:, c] / ratio[:, c]
+            total += float(z @ np.linalg.solve(after, z)) / FLOOR**2
+            total += np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]
+            counted = model.weight[i][:, c] > 0.0
+            total += 2.0 * float(np.sum(np.log(FLOOR * ratio[counted, c])))
     assert likelihood.cost(model.residuals(of)) == pytest.approx(total, rel=1e-9)
 
 
