@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -66,14 +65,12 @@ def with_rebounds(findings: Findings) -> Findings:
     departing = {n: e for n, e in explanations.items() if e.departs}
     if not all(e.adequate for e in departing.values()):
         return findings  # what is not explained spoils the comparison
-    # what is attributed to the timing of the facility needs no decision, and what reads an equation
-    # in another way than a scenario cannot be simulated
+    # what is attributed to the timing of the facility needs no decision
     shifts = delays_not_causes(explanations)
     open_ = [
         n
         for n, e in departing.items()
         if not set(e.kinds) & {*shifts.get(n, ())}
-        and not any(effect.variant for effect in e.effects())
         and (n == "wrench" or any(c.others for c in e.causes))
     ]
     rebounds = [_rebound(layout, i) for i in range(len(layout.runs))] if open_ else []
@@ -255,9 +252,9 @@ def _simulated(
     """(fits, runs) coefficients of restitution in closed loop; NaN where there is none."""
     out, lanes = np.full((len(fits), len(runs)), np.nan), []
     for n, f in enumerate(fits):
-        entries = [entry(e) for e in (*effects_of(f), *beside)]
+        effects = [*effects_of(f), *beside]
         for i, (run, rebound) in enumerate(zip(runs, rebounds, strict=True)):
-            scenario = _extended(run.scenario, entries, rebound.rows) if rebound else None
+            scenario = _extended(run.scenario, effects, rebound.rows) if rebound else None
             if scenario is not None:
                 lanes.append((n, i, scenario))
     for (n, i, scenario), trace in zip(lanes, traces_of([s for _, _, s in lanes]), strict=True):
@@ -267,11 +264,14 @@ def _simulated(
     return out
 
 
-def _extended(
-    scenario: Scenario, entries: Sequence[Mapping[str, Any]], rows: int
-) -> Scenario | None:
-    """The scenario with more effects for so many rows; None where it may not have these."""
+def _extended(scenario: Scenario, effects: Sequence[Effect], rows: int) -> Scenario | None:
+    """The scenario with more effects, each read as it was fitted, for so many rows; None where it
+    may not have these.
+    """
     try:
-        return with_entries(scenario, entries, rows)
+        out = with_entries(scenario, [entry(e) for e in effects], rows)
     except InputError:
         return None
+    fitted = [*scenario.effects, *effects]
+    stated = zip(out.effects, fitted, strict=True)
+    return out.model_copy(update={"effects": tuple(e.read_as(f.variant) for e, f in stated)})

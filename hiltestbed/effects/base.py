@@ -87,9 +87,15 @@ class Departure(Strictly):
     @property
     def variant(self) -> Mapping[str, Any]:
         """Which interpretation of the equation is meant, where it is ambiguous; empty for the one
-        that a scenario simulates.
+        that a scenario states.
         """
         return self._variant
+
+    def read_as(self, variant: Mapping[str, Any]) -> Self:
+        """The same effect in a variant."""
+        out = self.model_copy()
+        out._variant = variant
+        return out
 
     @classmethod
     def hypothesis(cls, variant: Mapping[str, Any], **values: Any) -> Self:
