@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hiltestbed.effects.base import Departure
+    from hiltestbed.effects.departure import Departure
 
 EXIT_STATUS = {
     0: "done",
@@ -136,7 +136,7 @@ def effects() -> str:
     """The vocabulary."""
     from hiltestbed.axis.effects.base import AXIS_EFFECTS
     from hiltestbed.effects import EFFECTS
-    from hiltestbed.effects.base import LINKS
+    from hiltestbed.effects.departure import LINKS
 
     lines = [
         "# Effects",

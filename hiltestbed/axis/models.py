@@ -23,7 +23,7 @@ from hiltestbed.axis.law import (
     motion_under,
 )
 from hiltestbed.axis.motion import Motion, averaged, even, motion_of, noise_of, weights_of
-from hiltestbed.effects.base import Departure
+from hiltestbed.effects.departure import Departure
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.model import Hypothesis, Model, Nuisance

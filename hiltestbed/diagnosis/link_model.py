@@ -122,7 +122,7 @@ def leftover(parts: Sequence[Array]) -> Whiteness:
     )
 
 
-class Noise(NamedTuple):
+class Covariance(NamedTuple):
     """The covariance of a run: one over the standard deviations (N, C), 0 where not measured, and
     the nuisance terms beside them.
     """
@@ -336,15 +336,15 @@ class LinkModel(Model):
         mean = np.tensordot(WEIGHTS, np.array(found), 1)
         return mean, np.tensordot(WEIGHTS, (np.array(found) - mean) ** 2, 1)
 
-    def _noise(self, i: int, ratio: Array | None = None) -> Noise:
+    def _noise(self, i: int, ratio: Array | None = None) -> Covariance:
         """Of run i, with deviations ``ratio`` (N, C) times as large."""
         weight, aside = self.weight[i], self._aside_of(i)
         if ratio is None:
-            return Noise(weight, aside)
-        return Noise(weight / ratio, None if aside is None else aside.under(weight / ratio))
+            return Covariance(weight, aside)
+        return Covariance(weight / ratio, None if aside is None else aside.under(weight / ratio))
 
     def in_sigma(
-        self, i: int, shown: Array, smoothing: float = 1.0, noise: Noise | None = None
+        self, i: int, shown: Array, smoothing: float = 1.0, noise: Covariance | None = None
     ) -> Array:
         """(N, C) of run i: measured less ``shown`` (N, C), whitened, in units of the noise, by
         default that of the run, that is left of that of the input, ``smoothing``.

@@ -11,15 +11,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from hiltestbed.effects.departure import Departure
 from hiltestbed.frames import Array
-
-if TYPE_CHECKING:
-    from hiltestbed.effects.base import Departure
-
 
 # [s], ticks: the larger bounds the search for a delay of the reading
 LONGEST_DELAY, LONGEST_TICKS = 0.03, 20.0

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field, Strict
 
-from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.base import Effect
+from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.numerical_model.bodies import inertia_matrix, rest_inertia
 from hiltestbed.numerical_model.parameters import RESISTED, Resistance

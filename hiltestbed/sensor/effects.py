@@ -13,7 +13,8 @@ from pydantic import Field, Strict
 
 from hiltestbed.config.piecewise import Curve
 from hiltestbed.config.validation import Vector3
-from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.base import Effect
+from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.frames import quat_exp, rotation_matrix
 from hiltestbed.plugins import register

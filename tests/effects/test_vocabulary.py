@@ -14,7 +14,7 @@ import pytest
 from hiltestbed.compensation.input import InputParameters
 from hiltestbed.contact.parameters import ContactParameters
 from hiltestbed.effects import EFFECTS, Effect
-from hiltestbed.effects.base import LINKS
+from hiltestbed.effects.departure import LINKS
 from hiltestbed.effects.log import LogParameters
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.numerical_model.parameters import DynamicsParameters

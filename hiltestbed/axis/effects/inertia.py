@@ -7,7 +7,7 @@ from typing import Literal
 
 from hiltestbed.axis import law
 from hiltestbed.axis.effects.base import DamperEffect, DriveEffect, RecordScale
-from hiltestbed.effects.base import quantity
+from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from hiltestbed.axis import servo
 from hiltestbed.axis.effects.base import RecordScale, ServoEffect
-from hiltestbed.effects.base import quantity
+from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 from hiltestbed.config.piecewise import Curve, packed
 from hiltestbed.contact.law import MODE_STEP
-from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.base import Effect
+from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.plugins import register
 

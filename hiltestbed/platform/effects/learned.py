@@ -9,7 +9,8 @@ from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from hiltestbed.config.piecewise import Curve, Pairs, packed
-from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.base import Effect
+from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales
 from hiltestbed.platform.step_response import mean_lateness
 from hiltestbed.plugins import register

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field
 
-from hiltestbed.effects.base import Effect, quantity
+from hiltestbed.effects.base import Effect
+from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.plugins import register
 
