@@ -44,6 +44,7 @@ from hiltestbed.diagnosis.plain import LINK_NAMES
 from hiltestbed.diagnosis.readings import choose_lever, choose_ring, choose_steps
 from hiltestbed.diagnosis.settings import COMPENSATION_FLOOR, CORRELATED_ROWS, DYNAMICS_FLOOR
 from hiltestbed.diagnosis.stiction import sticking
+from hiltestbed.diagnosis.timing import stamped_alone
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.effects.table import EFFECTS
 from hiltestbed.frames import Array
@@ -135,6 +136,9 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
             read = found["wrench"].link
             assert isinstance(read, WrenchLink)
             whole["wrench"] = make_wrench_link(layout, path, layout.whole).as_interpreted(read)
+    for name in stamped_alone(found):
+        e = found[name]
+        found[name] = explain(e.model.as_stamped(), e.candidates, told(name))
     for name, explained in found.items():
         if not explained.departs and (why := too_little(explained.link)):
             missing[name] = why

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -53,6 +53,7 @@ STAMP_SIGMA = 1.0 / math.sqrt(3.0)
 INSTANT_SIGMA, LATEST_INSTANT = 0.5 / math.sqrt(3.0), 0.5
 # [rows] by which a stamp is late: a row, half a tick of an instant, and the error due to noise
 LATEST_STAMP = 1.55
+STAMP_STARTS = (-0.8, -0.3, 0.3, 0.8)  # [rows] of a search for an offset
 MOST_OLD = 0.9  # share of the old twist in a new pose; all of it is explicit Euler, a cause
 SHARE_SIGMA = 1.0 / math.sqrt(3.0)  # of a share of which nothing is known, from nothing
 # share of what is left of a computed channel that follows its output, from which it departs
@@ -153,12 +154,14 @@ class LinkModel(Model):
         members: Sequence[int] | None = None,
         doubt: Sequence[Array | None] | None = None,
         colour: Sequence[Array] | None = None,
+        stamped: bool = False,
     ) -> None:
         """doubt: (N, C) of each run of the link: further uncertainty of its prediction, in the unit
         of the output. colour: (C, P + 1) of each run, prediction-error filters that make the noise
-        white; None: those of the link.
+        white; None: those of the link. stamped: whether its channels are known to be stamped as
+        they are said to be, so that only instants within a tick are open.
         """
-        self.link, self.doubt = link, doubt
+        self.link, self.doubt, self._stamped = link, doubt, stamped
         self.members = tuple(range(len(link.runs)) if members is None else members)
         self.counted = tuple(_without_ends(np.isfinite(r.sigma)) for r in link.runs)
         self.weight: list[Array] = []
@@ -215,11 +218,25 @@ class LinkModel(Model):
         return np.asarray(math.sqrt(BLOCK_ROWS) * error)
 
     def on(self, runs: Sequence[int]) -> LinkModel:
-        return LinkModel(self.link, [self.members[i] for i in runs], self.doubt, self._colour)
+        return self._with(members=[self.members[i] for i in runs])
 
     def through(self, link: ModelLink) -> LinkModel:
         """The same samples of another interpretation of the link."""
-        return LinkModel(link, self.members, self.doubt, self._colour)
+        return self._with(link=link)
+
+    def as_stamped(self) -> LinkModel:
+        """The same of channels that are known to be stamped as they are said to be."""
+        return self._with(stamped=True)
+
+    def _with(self, **changed: Any) -> LinkModel:
+        given = {
+            "link": self.link,
+            "members": self.members,
+            "doubt": self.doubt,
+            "colour": self._colour,
+            "stamped": self._stamped,
+        }
+        return LinkModel(**(given | changed))
 
     def under(self, effects: Sequence[Effect]) -> LinkModel:
         """The same with less weight on what the prediction under ``effects`` leaves open."""
@@ -229,7 +246,7 @@ class LinkModel(Model):
         ]
         if not any(d is not None for d in doubt):
             return self
-        return LinkModel(self.link, self.members, doubt, self._colour)
+        return self._with(doubt=doubt)
 
     def coloured(self, left: Sequence[Array]) -> LinkModel:
         """The same with noise of the colour that residuals have outside contact, channel by channel
@@ -245,7 +262,7 @@ class LinkModel(Model):
                 return self
             lags = np.array([float(x[k:] @ x[: len(x) - k]) for k in range(COLOUR_ORDER + 1)])
             colour[self.members[n]][c] = whitening_filter(lags)
-        return LinkModel(self.link, self.members, self.doubt, colour)
+        return self._with(colour=colour)
 
     def folds(self) -> list[tuple[str, Model, Model]]:
         count = len(self.members)
@@ -508,9 +525,12 @@ class LinkModel(Model):
 
     def timings(self) -> tuple[Candidate, ...]:
         """When the facility samples, obeys, stamps and steps, as nuisances."""
-        ends, tick = (-MAX_STAMP_SHIFT_ROWS, LATEST_STAMP), self.link.tick
-        starts = (-0.8, -0.3, 0.3, 0.8)
-        out = [_nuisance(name, STAMP_SIGMA, ends, starts, tick) for name in ("delay", "before")]
+        tick = self.link.tick
+        sigma, ends, starts = STAMP_SIGMA, (-MAX_STAMP_SHIFT_ROWS, LATEST_STAMP), STAMP_STARTS
+        if self._stamped:
+            sigma, ends = INSTANT_SIGMA, (-LATEST_INSTANT, LATEST_INSTANT)
+            starts = tuple(x for x in starts if abs(x) < LATEST_INSTANT)
+        out = [_nuisance(name, sigma, ends, starts, tick) for name in ("delay", "before")]
         if self.link.name == "platform":
             out.append(_nuisance("obeyed", INSTANT_SIGMA, (0.0, LATEST_INSTANT), (0.25,), tick))
         if self.link.name == "dynamics":

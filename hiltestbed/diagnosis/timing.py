@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from hiltestbed.analysis.ledger import contact_frequency
 from hiltestbed.diagnosis.explain import Explanation
+from hiltestbed.diagnosis.link_model import LATEST_INSTANT
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.diagnosis.settings import MAX_UNNAMED_DELAY_ROWS
 from hiltestbed.effects.base import Effect
@@ -43,6 +44,21 @@ def shift_rows(e: Explanation) -> float:
 def _stamp_shift_rows(e: Explanation) -> float:
     """Rows by which the output is stamped later than the input, without those of old twists."""
     return shift_rows(e) - e.timing().old
+
+
+def stamped_alone(explanations: Mapping[str, Explanation]) -> list[str]:
+    """Links whose channels are stamped off by more than an instant, though the links before and
+    after them, which share these channels, show no such offset: it is a delay of the loop.
+    """
+    out = []
+    for name, e in explanations.items():
+        own = set(LINK_CHANNELS[name])
+        beside = [n for n in explanations if n != name and own & set(LINK_CHANNELS[n])]
+        shared = own <= {c for n in beside for c in LINK_CHANNELS[n]}
+        quiet = not any(explanations[n].departs or _off(explanations[n]) for n in beside)
+        if shared and quiet and abs(_stamp_shift_rows(e)) > LATEST_INSTANT:
+            out.append(name)
+    return out
 
 
 def delays_not_causes(explanations: Mapping[str, Explanation]) -> dict[str, dict[str, float]]:

@@ -170,6 +170,34 @@ def test_whole_ticks_are_causes_unless_another_link_takes_them_back(
     assert found == ({} if cause else {"dynamics": {"dynamics.step_delay": ticks}})
 
 
+@pytest.mark.parametrize(
+    ("shifts", "causes", "delayed"),
+    [
+        ({"dynamics": 1.0}, {}, ["dynamics"]),
+        # within a tick a facility may obey when it likes
+        ({"dynamics": 0.4}, {}, []),
+        # wrench_comp is stamped a row early
+        ({"dynamics": 1.0, "compensation": -1.0}, {}, []),
+        # what the link beside shows is not known while something departs there
+        ({"dynamics": 1.0}, {"platform": SOFTER}, []),
+    ],
+)
+def test_an_offset_that_no_other_link_of_its_channels_shows_is_a_delay(
+    shifts: dict[str, float], causes: dict[str, tuple[str, dict[str, Any]]], delayed: list[str]
+) -> None:
+    """A channel that is stamped off is the output of one link and the input of the next."""
+    found = {
+        name: explained(
+            *([causes[name]] if name in causes else []),
+            shift=Timing(delay=shifts.get(name, 0.0) * H),
+        )
+        for name in timing.LINK_CHANNELS
+    }
+    assert timing.stamped_alone(found) == delayed
+    # without the record of a channel nobody knows
+    assert timing.stamped_alone({n: e for n, e in found.items() if n != "compensation"}) == []
+
+
 @pytest.mark.parametrize(("rows", "cause"), [(0.4, False), (3.0, True)])
 def test_what_cannot_be_told_from_a_part_of_a_tick_is_no_cause(rows: float, cause: bool) -> None:
     (late,) = (c for c in candidates("platform.delay") if not c.variant)
