@@ -33,6 +33,7 @@ from .made import (
     candidates,
     contact_link,
     effect,
+    explained,
     link_run,
     platform_link,
     scenario,
@@ -178,6 +179,38 @@ def test_a_pose_there_and_back() -> None:
     np.testing.assert_allclose(
         flat_pose(-poses_of(flat) * [-1, -1, -1, 1, 1, 1, 1]), flat, atol=1e-12
     )
+
+
+def test_a_record_that_was_read_again_between_the_loops_rows_is_late_by_its_own_part_of_a_row() -> (
+    None
+):
+    """A spring and damper's force, read 3.7 rows late with the noise of four rows before: all of it
+    shifted alike leaves a quarter of a row of the force, or of the noise.
+    """
+    rng, rows, late = np.random.default_rng(5), 500, 3.7
+
+    def force(row: np.ndarray) -> np.ndarray:
+        inside = np.clip(row - 120.4, 0.0, 300.0) * math.pi / 300.0
+        touches = (inside > 0.0) & (inside < math.pi)
+        return np.where(touches, 600.0 * np.sin(inside) + 20.0 * np.cos(inside), 0.0)
+
+    s = scenario_from(
+        scenario().model_dump(mode="json") | {"compensation": {"force": {"kind": "phase_lead"}}}
+    )
+    runs, logged = [], []
+    for _ in range(3):
+        noise = 0.2 * rng.standard_normal((rows + 4, 6))
+        read, again = noise[4:].copy(), noise[:-4].copy()
+        read[:, 2] += force(np.arange(rows))
+        again[:, 2] += force(np.arange(rows) - late)
+        touching = force(np.arange(rows)) != 0.0
+        used = CompensationLink([link_run(s, rows)], [read], {}).shown(0)
+        runs.append(link_run(s, used, 0.07, touching))
+        logged.append(again)
+    found = explained(CompensationLink(runs, logged, {}), "log.skew", "loop.deadzone")
+    assert found.adequate
+    assert found.kinds == ("log.skew",)
+    assert found.causes[0].estimates[0].value == pytest.approx(late * H, abs=0.05 * H)
 
 
 def test_noise_is_raised_as_the_weights_of_the_extrapolation_say() -> None:

@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.ndimage import maximum_filter1d
+from scipy.signal import lfilter, savgol_filter
 
 from hiltestbed.compensation.input import InputParameters
 from hiltestbed.diagnosis.links.base import (
@@ -18,6 +19,7 @@ from hiltestbed.diagnosis.links.base import (
     smoothed,
     whitening_filter,
 )
+from hiltestbed.diagnosis.settings import BLOCK_ROWS, MODEL_ERROR
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array
 from hiltestbed.replay import moves_linearly, replay_compensation
@@ -29,6 +31,8 @@ IMPULSE = 1e9  # [N] that exceeds any dead zone
 MEMORY_TOLERANCE = 1e-6  # chosen: of the largest response, below which it has decayed
 COLOUR_ORDER = 12  # of the filter that makes noise behind a compensation white
 RESPONSE_ROWS = 400  # chosen: within which the response to an impulse decays
+# of a straight line, whose slope has sqrt(12/(n^3 - n)) = 0.13 of the noise of a row
+SLOPE_ROWS = 9
 
 
 class CompensationLink(ModelLink):
@@ -86,11 +90,29 @@ class CompensationLink(ModelLink):
         ]
 
     def _reading(self, i: int, effects: Effects) -> Array:
-        """(N, 6) the wrench that the loop used: later rows of a record that is stamped late."""
-        skew = log_parameters(effects).skew
-        if not skew:
-            return self.wrenches[i]
-        return shifted(self.wrenches[i], skew / self.runs[i].scenario.tick)
+        """(N, 6) the wrench that the loop used: later rows of a record that is stamped late. Where
+        that was read again, a force changes with the time, and the noise of a row stays with it.
+        """
+        log, wrench = log_parameters(effects), self.wrenches[i]
+        if not log.skew:
+            return wrench
+        rows = log.skew / self.tick
+        if not log.reread:
+            return shifted(wrench, rows)
+        return shifted(wrench + (rows - round(rows)) * _slope(wrench), round(rows))
+
+    def doubt(self, i: int, effects: Effects) -> Array | None:
+        """Of a record that was read again: between two rows a reading may bend as it will, and one
+        physical force read twice differs as two models of it do.
+        """
+        log, wrench = log_parameters(effects), self.wrenches[i]
+        if not (log.skew and log.reread):
+            return None
+        rows = log.skew / self.tick
+        bend = np.abs(np.diff(wrench, axis=0, append=wrench[-1:]) - _slope(wrench))
+        between = (rows - round(rows)) * maximum_filter1d(bend, SLOPE_ROWS, axis=0)
+        variance = between**2 + BLOCK_ROWS * (MODEL_ERROR * wrench) ** 2
+        return np.sqrt(self.passed(shifted(variance, round(rows))))
 
     def noise_gain(self) -> float:
         """Factor on white noise of the readings in the first run; 1 where not linear."""
@@ -110,7 +132,8 @@ class CompensationLink(ModelLink):
 
     def smoothing(self, effects: Effects) -> float:
         timing = self.timing_with(effects)
-        shifts = (log_parameters(effects).skew, timing.delay, timing.before)
+        log = log_parameters(effects)
+        shifts = (log.skew * (not log.reread), timing.delay, timing.before)
         return math.prod(smoothed(s / self.tick) for s in shifts)
 
     def passed(self, variance: Array) -> Array:
@@ -142,3 +165,8 @@ class CompensationLink(ModelLink):
             [scenario], [InputParameters()], {}, impulse, np.zeros(1, dtype=int)
         )
         return found[0, :, 0] / IMPULSE
+
+
+def _slope(wrench: Array) -> Array:
+    """(N, 6) change in a row, of the line through the rows around it."""
+    return np.asarray(savgol_filter(wrench, SLOPE_ROWS, 1, deriv=1, axis=0))
