@@ -18,7 +18,7 @@ from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
 from hiltestbed.inference.conclude import Confirmed, SearchConclusion, conclude
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
-from hiltestbed.inference.model import Hypothesis
+from hiltestbed.inference.model import Hypothesis, places
 from hiltestbed.inference.search import MOST_CAUSES, Progress, Searched, extended, search
 from hiltestbed.sensor.effects import SensorHum
 
@@ -120,14 +120,21 @@ def effects_of(fit: PosteriorFit) -> list[Effect]:
 
 
 def explain(
-    model: LinkModel, candidates: Sequence[Candidate], progress: Progress | None = None
+    model: LinkModel,
+    candidates: Sequence[Candidate],
+    progress: Progress | None = None,
+    beside: Explanation | None = None,
 ) -> Explanation:
     """The explanation of a link.
 
     Causes are added one at a time, each under the interpretation of the facility that suits the
     others. Where that ends, other ways are tried in turn, and after each that leads on it goes on.
+    beside: the explanation of another link, whose causes are tried first where they are hypotheses
+    of this one, too.
     """
     so_far = _SoFar(model, candidates, progress)
+    if beside is not None:
+        so_far.causes_of(beside)
     ways = (
         so_far.another_cause,
         so_far.another_interpretation,
@@ -207,6 +214,19 @@ class _SoFar:
                     there, found.best, likelihood if same else Likelihood(there, self._counts)
                 )
         return grown
+
+    def causes_of(self, other: Explanation) -> None:
+        """Go on from the causes that another link shares with this one, if they explain more than
+        nothing.
+        """
+        keys = {c.key for c in self.candidates}
+        pairs = zip(other.fit.causes, places(other.fit.causes), strict=True)
+        shared = [(c, other.fit.of.theta[own]) for c, own in pairs if c.key in keys]
+        if shared:
+            causes, values = zip(*shared, strict=True)
+            base = self._likelihood.fit(causes, [np.concatenate(values)])
+            if base.evidence > self.found.best.evidence:
+                self._grown(self._searched(base, self.found.visited, 0))
 
     def another_cause(self) -> bool:
         """One more, unless many leave more than noise already."""

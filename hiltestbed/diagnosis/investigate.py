@@ -131,7 +131,7 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
                 bool(contact.commands),
             )
             found["wrench"] = with_other_clock(
-                explain(LinkModel(contact), candidates, told("wrench"))
+                explain(LinkModel(contact), candidates, told("wrench"), found.get("compensation"))
             )
             read = found["wrench"].link
             assert isinstance(read, WrenchLink)

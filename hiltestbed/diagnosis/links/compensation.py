@@ -110,7 +110,7 @@ class CompensationLink(ModelLink):
             return None
         rows = log.skew / self.tick
         bend = np.abs(np.diff(wrench, axis=0, append=wrench[-1:]) - _slope(wrench))
-        between = (rows - round(rows)) * maximum_filter1d(bend, SLOPE_ROWS, axis=0)
+        between = 0.5 * maximum_filter1d(bend, SLOPE_ROWS, axis=0)  # half a row from the nearest
         variance = between**2 + BLOCK_ROWS * (MODEL_ERROR * wrench) ** 2
         return np.sqrt(self.passed(shifted(variance, round(rows))))
 
