@@ -10,6 +10,7 @@ from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.pace import AtOnce
 from hiltestbed.devices.section import Devices, MotionLimits
 from hiltestbed.devices.session import Observed, Options, Session
+from hiltestbed.devices.url import DeviceSettings
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import Run
@@ -71,7 +72,7 @@ def rehearse(scenario: Scenario) -> None:
     compiles all kernels that are not compiled yet.
     """
     short = scenario.model_copy(update={"duration": TICKS / scenario.rate, "devices": _UNWATCHED})
-    dummies = _PushedSensor("rehearsal"), _Follower("rehearsal")
+    dummies = _PushedSensor(DeviceSettings()), _Follower(DeviceSettings())
     options = Options("", "", armed=True, pace=lambda *_: AtOnce(), connect=lambda *_: dummies)
     session = Session(short, options)
     for dummy in dummies:

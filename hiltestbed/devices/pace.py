@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.devices.interface import SPIN, Client, Clock, DeviceError
+from hiltestbed.devices.interface import SPIN, Client, DeviceError
 from hiltestbed.devices.timekeeping import RATE_ERROR
 from hiltestbed.errors import InputError
 
@@ -227,7 +227,7 @@ def pace_of(sensor: Client, platform: Client, tick: float) -> Pace:
             loop's.
     """
     for link in (platform, sensor):
-        if link.clock is not Clock.DEVICE or not math.isfinite(link.period):
+        if link.clock != "device" or not math.isfinite(link.period):
             continue
         records = max(round(tick / link.period), 1)
         if abs(records * link.period / tick - 1.0) > RATE_ERROR:

@@ -116,11 +116,11 @@ class RdtSettings(DeviceSettings):
 class RdtClient(sockets.Datagrams, SensorClient):
     """A sensor that streams; it sets the clock."""
 
+    settings: RdtSettings
     _largest = RECORD.size * MOST_RECORDS
 
     def __init__(self, settings: RdtSettings) -> None:
-        super().__init__(settings.where)
-        self.settings = settings
+        super().__init__(settings)
         self._scale, self._wrench = np.ones(6), np.zeros(6)
         self._internal_period = float("nan")
         self._sequence = Sequence(self.counts)
@@ -190,11 +190,11 @@ class RdtClient(sockets.Datagrams, SensorClient):
 class RdtServer(sockets.Datagrams, SensorServer):
     """An emulated sensor: sends a record for each wrench once a client has requested them."""
 
+    settings: RdtSettings
     _largest = 63  # [byte] far above a request of 8
 
     def __init__(self, settings: RdtSettings) -> None:
-        super().__init__(settings.where)
-        self.settings = settings
+        super().__init__(settings)
         self.page = page = page_of(settings, 1.0e6, None)
         self.address: sockets.Address = (settings.host, settings.port)
         self.http: rdt_page.PageServer | None = None
@@ -208,7 +208,7 @@ class RdtServer(sockets.Datagrams, SensorServer):
 
     def open(self) -> None:
         address = sockets.resolve(self.settings.host, self.settings.port, self.where)
-        self._socket = sockets.bound_udp(address, self.where)
+        self._socket = sockets.bound(address, self.where)
         self.address = self._socket.getsockname()
         if self.settings.http is not None:
             where = (address[0], self.settings.http)

@@ -124,12 +124,13 @@ def _cut(opened: socket.socket | None) -> None:
 
 def _understand(data: bytes, where: str, hint: str, by_hand: Collection[str]) -> Page:
     try:
-        text = plain_xml.read(data, LARGEST).text
+        root = plain_xml.read(data, LARGEST)
     except plain_xml.NotPlain:
         raise DeviceError(
             f"{where}: the configuration page is not the XML of a Net F/T; check the address, "
             f"{hint}"
         ) from None
+    text = {element.tag: element.text or "" for element in root.iter()}
     if text.get("comrdte", "Enabled").strip() in ("0", "Disabled"):
         raise DeviceError(f"{where}: RDT is disabled; enable it on the device's communication page")
 

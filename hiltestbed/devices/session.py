@@ -157,7 +157,7 @@ class Session:
             if self.armed and watchdog is not None:
                 url = with_rate(self.options.platform, self.scenario, "--platform")
                 devices.watchdog = Watchdog(
-                    url, devices.platform, watchdog.timeout, watchdog.action, wait=False
+                    url, devices.platform, watchdog.timeout, watchdog.action
                 )
                 stack.callback(devices.watchdog.close)
             yield
@@ -184,10 +184,10 @@ class Session:
         while rig.stop is None and (
             self._now() < observed
             or (self._now() < longest and self.rig.time.is_right() is None)
-            or (watchdog is not None and not watchdog.ready and time.monotonic() < until)
+            or (watchdog is not None and not watchdog.ready() and time.monotonic() < until)
         ):
             self._hold()
-        if watchdog is not None and not watchdog.ready and rig.stop is None:
+        if watchdog is not None and not watchdog.ready() and rig.stop is None:
             rig.stop = f"the watchdog did not start within {READY:g} s"
         refused = self._other_rate()
         if refused is not None and self.armed and rig.stop is None:

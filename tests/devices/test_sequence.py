@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from hiltestbed.config.yaml_source import dump_yaml
 from hiltestbed.devices.interface import Event
-from hiltestbed.devices.layout import Layout, WireRecord
+from hiltestbed.devices.layout import WireRecord, read_layout
 from hiltestbed.devices.sequence import Advancing, Sequence
-from hiltestbed.devices.udp import Receiver, UdpSettings
+from hiltestbed.devices.table import sensor_client
+from hiltestbed.devices.udp import UdpSensorClient
 
 
 def _follow(
@@ -105,22 +109,19 @@ def test_a_stream_with_losses_and_swaps_is_accounted_for() -> None:
 
 
 @pytest.mark.parametrize(("kind", "scale"), [("uint32", 1e-6), ("float64", 1.0)])
-def test_records_without_a_number_are_ordered_by_their_time(kind: str, scale: float) -> None:
+def test_records_without_a_number_are_ordered_by_their_time(
+    kind: str, scale: float, tmp_path: Path
+) -> None:
     """A counter of microseconds wraps after 71 minutes, a floating-point time never."""
     wrench = [{"name": name, "type": "float64"} for name in ("fx", "fy", "fz", "tx", "ty", "tz")]
     time = {"name": "time", "type": kind, "scale": scale}
-    layout = Layout.model_validate({"sensor": [time, *wrench]})
+    data = {"sensor": [time, *wrench]}
 
-    class Accepting(Receiver):
-        settings = UdpSettings(port=1)
-
-        def open(self) -> None: ...
-        def _accept(self) -> bool:
-            return True
-
-    receiver, sent = Accepting("here"), WireRecord(layout, "sensor")
-    receiver._expect(WireRecord(layout, "sensor"))
-    counts = receiver.counts
+    path = tmp_path / "layout.yaml"
+    path.write_text(dump_yaml(data), encoding="utf-8")
+    receiver = sensor_client(f"udp://127.0.0.1:1?layout={path}")
+    assert isinstance(receiver, UdpSensorClient)
+    sent, counts = WireRecord(read_layout(path), "sensor"), receiver.counts
 
     def is_news(seconds: float) -> bool:
         return receiver._take(sent.pack(np.zeros(6), 0, seconds), ("127.0.0.1", 1))

@@ -138,9 +138,6 @@ def test_a_protocol_of_the_users_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "_registered", {})
 
     class Quiet(SensorClient):
-        def __init__(self, settings: DeviceSettings) -> None:
-            super().__init__(settings.where)
-
         def open(self) -> None: ...
         def close(self) -> None: ...
         def poll(self) -> bool:

@@ -10,6 +10,7 @@ import pytest
 from hiltestbed.config.validation import validate
 from hiltestbed.config.yaml_source import Source
 from hiltestbed.devices.interface import Event, SensorClient
+from hiltestbed.devices.url import DeviceSettings
 from hiltestbed.devices.watch import CommunicationLimits, CommunicationWatch, said
 from hiltestbed.errors import InputError
 
@@ -18,7 +19,7 @@ class MadeUp(SensorClient):
     """A sensor whose records come when the test says so."""
 
     def __init__(self) -> None:
-        super().__init__("made-up://")
+        super().__init__(DeviceSettings(where="made-up://"))
 
     def open(self) -> None: ...
     def close(self) -> None: ...
