@@ -73,7 +73,7 @@ def rehearse(scenario: Scenario) -> None:
     """
     short = scenario.model_copy(update={"duration": TICKS / scenario.rate, "devices": _UNWATCHED})
     dummies = _PushedSensor(DeviceSettings()), _Follower(DeviceSettings())
-    options = Options("", "", armed=True, pace=lambda *_: AtOnce(), connect=lambda *_: dummies)
+    options = Options("", "", armed=True, pace=lambda *_: AtOnce(), devices=dummies)
     session = Session(short, options)
     for dummy in dummies:
         dummy.poll()

@@ -35,8 +35,7 @@ class CycleClock:
     Attributes:
         cycles: number of cycles begun.
         skipped: number of cycles skipped because those before took too long.
-        due, began, ended: (capacity,) [ns] on the monotonic clock, of each cycle; ``began - due``
-            is its wake-up latency. Only the last ``capacity`` cycles are kept.
+        due, began: (capacity,) [ns] on the monotonic clock, of each of the last cycles.
     """
 
     def __init__(self, rate: float, capacity: int, spin: float = SPIN) -> None:
@@ -46,10 +45,9 @@ class CycleClock:
                 f"rate: cannot be paced (got {rate:g} Hz for {capacity} cycles); allowed are 0.1 "
                 f"to 1e5 Hz and at least one cycle"
             )
-        self.period = 1.0 / rate
         self.cycles = self.skipped = 0
-        times: NDArray[np.int64] = np.zeros((3, capacity), dtype=np.int64)
-        self.due, self.began, self.ended = times
+        times: NDArray[np.int64] = np.zeros((2, capacity), dtype=np.int64)
+        self.due, self.began = times
         self._rate, self._spin = rate, round(spin * SECOND)
         self._start = self._next = 0
 
@@ -81,10 +79,6 @@ class CycleClock:
         self._next += 1
         return left_out
 
-    def done(self) -> None:
-        """Mark the end of the cycle's work."""
-        self.ended[(self.cycles - 1) % len(self.due)] = time.monotonic_ns()
-
     def left(self) -> float:
         """Time until the next cycle is due [s]; negative if it is overdue."""
         return (self._next_due() - time.monotonic_ns()) / SECOND
@@ -93,17 +87,8 @@ class CycleClock:
         return self._start + round(self._next * SECOND / self._rate)
 
     def latency(self) -> NDArray[np.float64]:
-        """(cycles,) wake-up latency of each kept cycle [s], in order."""
-        return self._in_order(self.began - self.due)
-
-    def busy(self) -> NDArray[np.float64]:
-        """(cycles,) run time of each kept cycle [s], in order."""
-        return self._in_order(self.ended - self.began)
-
-    def _in_order(self, times: NDArray[np.int64]) -> NDArray[np.float64]:
-        n = len(times)
-        kept = times[: self.cycles] if self.cycles <= n else np.roll(times, -(self.cycles % n))
-        return kept / SECOND
+        """(cycles,) from due time to start of each kept cycle [s]."""
+        return (self.began - self.due)[: self.cycles] / SECOND
 
 
 class Pace(Protocol):
@@ -178,9 +163,7 @@ class AtOnce:
     """Ticks without any waiting."""
 
     source = "none"
-
-    def __init__(self) -> None:
-        self._count = 0
+    _count = 0
 
     def start(self) -> None:
         self._count = 0
@@ -202,7 +185,6 @@ class HostPace(AtOnce):
     source = "the loop's own clock"
 
     def __init__(self, tick: float) -> None:
-        super().__init__()
         self._clock = CycleClock(1.0 / tick, 1)
 
     def start(self) -> None:
@@ -220,11 +202,7 @@ class HostPace(AtOnce):
 
 def pace_of(sensor: Client, platform: Client, tick: float) -> Pace:
     """The platform sets the clock if its protocol does so; otherwise a streaming sensor; otherwise
-    the loop.
-
-    Raises:
-        DeviceError: the rate of the device that sets the clock is not a whole multiple of the
-            loop's.
+    the loop. Raises DeviceError if that rate is not a whole multiple of the loop's.
     """
     for link in (platform, sensor):
         if link.clock != "device" or not math.isfinite(link.period):

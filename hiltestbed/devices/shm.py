@@ -11,7 +11,6 @@ machines that reorder stores, and foreign writes.
 from __future__ import annotations
 
 import math
-import sys
 import time
 import zlib
 from multiprocessing.shared_memory import SharedMemory
@@ -126,11 +125,7 @@ def attach(name: str) -> Mailbox | None:
         memory = shared(name, name in _own)
     except OSError:
         return None
-    if (
-        memory.size < SIZE
-        or memory.buf is None
-        or int.from_bytes(memory.buf[:8], sys.byteorder) != MAGIC
-    ):
+    if memory.size < SIZE or np.ndarray(1, np.uint64, memory.buf)[0] != MAGIC:
         memory.close()
         return None
     return Mailbox(memory, owner=False)

@@ -79,16 +79,12 @@ def _with(values: np.ndarray, index: int, value: float) -> np.ndarray:
 
 
 CASES = [
-    ("udp", "sensor", lambda m: _with(WRENCH, 2, 1e155)),
     ("udp", "sensor", lambda m: _with(WRENCH, 5, -2e7)),
     ("shm", "sensor", lambda m: _with(WRENCH, 0, 1e300)),
     ("rtde", "sensor", lambda m: _with(WRENCH, 1, -1e155)),
     ("udp", "platform", lambda m: _with(START, 1, 1e160)),
-    ("shm", "platform", lambda m: _with(START, 0, -5e3)),
     ("shm", "platform", lambda m: _with(START, 6, 1e9)),
-    ("rtde", "platform", lambda m: _with(START, 2, 1e160)),
     ("rtde", "platform", lambda m: _turned(START, 1e200, m)),
-    ("turned", "platform", lambda m: _turned(START, 1e200, m)),
     ("turned", "platform", lambda m: _turned(START, 20.0, m)),
 ]
 
