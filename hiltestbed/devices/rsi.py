@@ -72,7 +72,7 @@ class RsiSettings(DeviceSettings):
         default="base", description="axes of the correction: RefCorrSys of the object POSCORR"
     )
     sentype: str = Field(
-        "ImFree",
+        default="ImFree",
         min_length=1,
         max_length=40,
         pattern=r"^[A-Za-z0-9_.-]+$",

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.devices.interface import DeviceError, Event
-from hiltestbed.devices.rsi import RsiClient, RsiServer
+from hiltestbed.devices.rsi import Odd, RsiClient, RsiServer, read_telegram
 from hiltestbed.devices.table import platform_client, platform_server
 from hiltestbed.errors import InputError
 from tests.devices.independent.rsi_peer import (
@@ -202,25 +202,23 @@ def test_what_keeps_a_client_from_opening_is_said() -> None:
 
 
 ODD = {
-    '<Rob><AIPos A1="0"/><IPOC>4</IPOC></Rob>': r"without RIst \(they hold AIPos, IPOC\); add the "
-    "tag DEF_RIst",
+    '<Rob><AIPos A1="0"/><IPOC>4</IPOC></Rob>': "without RIst (they hold AIPos, IPOC); add the tag",
     '<Rob><RIst X="1" Y="2" Z="3" A="0" B="0"/><IPOC>4</IPOC></Rob>': "RIst has no six plausible",
     '<Rob><RIst X="1" Y="2" Z="1e9" A="0" B="0" C="0"/><IPOC>4</IPOC></Rob>': "RIst has no six",
     '<Rob><RIst X="1" Y="2" Z="3" A="0" B="0" C="0"/></Rob>': "IPOC is no whole number",
     '<Robot><RIst X="1" Y="2" Z="3" A="0" B="0" C="0"/><IPOC>4</IPOC></Robot>': "root is <Robot>",
-    "hello": "not plain XML",
 }
 
 
-@pytest.mark.parametrize("telegram", ODD)
-def test_telegrams_that_are_not_understood_are_described(telegram: str) -> None:
+def test_telegrams_that_are_not_understood_are_described() -> None:
+    for telegram, said in ODD.items():
+        with pytest.raises(Odd, match=re.escape(said)):
+            read_telegram(telegram.encode(), "Rob", "RIst")
     (port,) = free_ports(1)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
         client = platform_client(f"rsi://127.0.0.1:{port}?connect=0.3")
         with (
-            going(lambda: robot.sendto(telegram.encode(), ("127.0.0.1", port)), 0.02),
-            pytest.raises(DeviceError, match=r"telegrams arrive from 127.0.0.1") as refused,
+            going(lambda: robot.sendto(b"hello", ("127.0.0.1", port)), 0.02),
+            pytest.raises(DeviceError, match=r"telegrams arrive from 127.0.0.1:.* not plain XML"),
         ):
             client.open()
-    assert re.search(ODD[telegram], str(refused.value))
-    assert "IP_NUMBER" not in str(refused.value)

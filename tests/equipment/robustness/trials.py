@@ -313,7 +313,7 @@ def packet(rng: Generator, folder: Path) -> str:
             b"<scfgfu>N</scfgfu><scfgtu>Nm</scfgtu></netft>"
         )
         try:
-            rdt_page._understand(mutated(page, rng), "page", "hint", ())
+            rdt_page.understood(mutated(page, rng), "page", ())
         except HiltestbedError:
             return REFUSED
         return SURVIVED
