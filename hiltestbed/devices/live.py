@@ -15,8 +15,6 @@ from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import Run
 
-__all__ = ["Observed", "Options", "live", "rehearse"]
-
 TICKS = 64
 _UNWATCHED = Devices(limits=MotionLimits(**dict.fromkeys(MotionLimits.model_fields)), watchdog=None)
 
