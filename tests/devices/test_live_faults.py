@@ -131,20 +131,6 @@ def _losing(who: str, cycles: set[int]) -> Disturbance:
     return lambda cycle, *given: Fault("lost", who, cycle)(cycle, *given) if cycle in cycles else ()
 
 
-def test_two_in_a_hundred_lost_within_the_limits_are_counted_and_change_e_by_little() -> None:
-    """The loop goes on without the record: the force is held for a tick, and time does not stand
-    still.
-    """
-    scenario = watched(scenario_of("02-bumper", "udp", duration=0.8), LENIENT)
-    bad = set(np.flatnonzero(np.random.default_rng(4).random(2000) < 0.02).tolist())
-    whole = played(scenario, "udp").run
-    holed = played(scenario, "udp", _losing("sensor", bad)).run
-    assert holed.summary["status"] == "completed"
-    assert holed.summary["live"]["missed"] >= 10
-    assert holed.summary["live"]["events"]["sensor"]["lost"] >= 10
-    assert holed.summary["cor"] == pytest.approx(whole.summary["cor"], rel=0.02)
-
-
 def test_a_lost_record_of_the_clock_costs_its_tick_and_not_the_time_base() -> None:
     """The platform's record is lost five times: the loop still makes as many ticks as the devices,
     and ends where it would have.

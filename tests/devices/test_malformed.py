@@ -9,14 +9,12 @@ import zlib
 from collections.abc import Callable
 
 import numpy as np
-import pytest
 
 from hiltestbed.devices.interface import Client, Event, Link, PlatformServer
-from hiltestbed.devices.rdt import RdtServer
 from hiltestbed.devices.rsi import RsiClient
 from hiltestbed.devices.rtde_controller import RtdePlatformServer
 from hiltestbed.devices.shm import attach
-from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
+from hiltestbed.devices.table import platform_client, platform_server, sensor_client
 from tests.devices.independent import rtde_peer
 from tests.devices.running import START, free_ports, going, until
 
@@ -86,21 +84,6 @@ def test_rdt_client() -> None:
     device.close()
 
 
-def test_rdt_server() -> None:
-    rng = np.random.default_rng(2)
-    with sensor_server("rdt://127.0.0.1:0") as server, _udp_socket() as stranger:
-        assert isinstance(server, RdtServer)
-        for k in range(COUNT):
-            data = rng.bytes(8) if k % 2 else _rubbish(rng, 30)
-            stranger.sendto(data if data[:2] != b"\x12\x34" else b"", server.address)
-            if k % 50 == 49:
-                until(lambda k=k: server.poll() or server.counts[Event.MALFORMED] >= k + 1)
-        server.publish(np.ones(6), 1.0)
-        stranger.settimeout(0.05)
-        with pytest.raises(TimeoutError):
-            stranger.recv(100)  # no one has asked
-
-
 GOOD = '<Rob Type="KUKA"><RIst X="{x}" Y="0" Z="0" A="0" B="0" C="0"/><IPOC>{ipoc}</IPOC></Rob>'
 
 
@@ -156,20 +139,6 @@ def test_rsi_client() -> None:
         until(lambda: client.poll() or client.counts[Event.SENDER] == 1)
         assert client.state.sequence == 9_000_000
     client.close()
-
-
-def test_rsi_server() -> None:
-    rng = np.random.default_rng(4)
-    with _udp_socket() as system:
-
-        def bad(k: int) -> bytes:
-            return _telegram(rng, k).replace(b"Rob", b"Sen").replace(b"RIst", b"RKorr")
-
-        with platform_server(f"rsi://127.0.0.1:{system.getsockname()[1]}") as server:
-            server.publish(START, 0.0)
-            data, robot = system.recvfrom(4096)
-            _throw(server, system, robot, bad)
-            assert data.startswith(b"<Rob")
 
 
 def test_udp_client() -> None:
