@@ -23,7 +23,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.devices.url import DeviceSettings
+from hiltestbed.devices.url import DeviceSettings, PacedSettings
 from hiltestbed.errors import HiltestbedError
 
 Array = NDArray[np.float64]
@@ -185,7 +185,11 @@ class Client(Link):
     """
 
     sample: Sample
-    clock: Literal["device", "host"] = "device"
+
+    def __init__(self, settings: DeviceSettings) -> None:
+        super().__init__(settings)
+        paced = isinstance(settings, PacedSettings)
+        self.clock: Literal["device", "host"] = settings.clock if paced else "device"
 
 
 class SensorClient(Client):

@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 
 from hiltestbed.devices.interface import PlatformClient, SensorClient
-from hiltestbed.devices.pace import AtOnce
+from hiltestbed.devices.pace import Pace
 from hiltestbed.devices.section import Devices, MotionLimits
 from hiltestbed.devices.session import Observed, Options, Session
 from hiltestbed.devices.url import DeviceSettings
@@ -71,7 +71,7 @@ def rehearse(scenario: Scenario) -> None:
     """
     short = scenario.model_copy(update={"duration": TICKS / scenario.rate, "devices": _UNWATCHED})
     dummies = _PushedSensor(DeviceSettings()), _Follower(DeviceSettings())
-    options = Options("", "", armed=True, pace=lambda *_: AtOnce(), devices=dummies)
+    options = Options("", "", armed=True, pace=lambda *_: Pace(), devices=dummies)
     session = Session(short, options)
     for dummy in dummies:
         dummy.poll()

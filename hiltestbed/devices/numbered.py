@@ -20,7 +20,6 @@ class NumberedClient(PlatformClient):
 
     def __init__(self, settings: PacedSettings) -> None:
         super().__init__(settings)
-        self.clock = settings.clock
         self._pose: Array = self.state.pose.copy()
         self._sent = 0
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,36 +90,40 @@ class CycleClock:
         return (self.began - self.due)[: self.cycles] / SECOND
 
 
-class Pace(Protocol):
-    """Waits for the ticks of a loop; ``source`` sets the clock, for the results of a run."""
+class Pace:
+    """Waits for the ticks of a loop; ``source`` sets the clock, for the results of a run. This one
+    does not wait at all.
+    """
 
-    source: str
+    source = "none"
+    _count = 0
 
     def start(self) -> None:
         """Start counting: the next tick is the first."""
+        self._count = 0
 
     def wait(self) -> int:
         """Wait for the next tick; the number that have begun since the last call, at least 1."""
-        ...
+        self._count += 1
+        return 1
 
     def told(self) -> float:
         """Ticks since :meth:`start` by the clock's own count, also where records are missing."""
-        ...
+        return self._count
 
     def advice(self, factor: float) -> str:
         """What to set for a clock that runs at ``factor`` times the expected rate."""
-        ...
+        return "give it a clock"
 
 
-class DevicePace:
+class DevicePace(Pace):
     """Ticks that begin with every ``records``-th record of ``link``."""
 
     def __init__(self, link: Client, tick: float, records: int) -> None:
         self.source = link.where
         self._link, self._tick = link, tick
         self._records, self._numbers = records, records * link.step
-        self._first = self._count = 0
-        self._due = 0.0
+        self._first, self._due = 0, 0.0
 
     def start(self) -> None:
         self._first, self._count = self._link.sample.sequence, 0
@@ -159,27 +162,7 @@ class DevicePace:
         return self._link.wait(max(deadline - now, 0.0), max(self._due + self._tick - now, 0.0))
 
 
-class AtOnce:
-    """Ticks without any waiting."""
-
-    source = "none"
-    _count = 0
-
-    def start(self) -> None:
-        self._count = 0
-
-    def wait(self) -> int:
-        self._count += 1
-        return 1
-
-    def told(self) -> float:
-        return self._count
-
-    def advice(self, factor: float) -> str:
-        return "give it a clock"
-
-
-class HostPace(AtOnce):
+class HostPace(Pace):
     """Ticks from the loop's own clock."""
 
     source = "the loop's own clock"

@@ -46,19 +46,20 @@ ERROR = 1 << 31  # of the status word: set with any other bit
 TRIES, PATIENCE = 10, 0.1
 
 
-def _known(unit: str, factors: Callable[[str], float | None], names: Iterable[str]) -> str:
-    if factors(unit) is None:
-        said = {"got": repr(unit), "known": ", ".join(names)}
-        raise PydanticCustomError("unit", "is no unit (got {got}); allowed: {known}", said)
-    return unit
+def _unit(factor: Callable[[str], float | None], names: Iterable[str]) -> AfterValidator:
+    """Refuses a unit that has no ``factor``; ``names`` of those that the devices show."""
+
+    def known(unit: str) -> str:
+        if factor(unit) is None:
+            said = {"got": repr(unit), "known": ", ".join(names)}
+            raise PydanticCustomError("unit", "is no unit (got {got}); allowed: {known}", said)
+        return unit
+
+    return AfterValidator(known)
 
 
-ForceUnit = Annotated[
-    str, AfterValidator(lambda unit: _known(unit, rdt_page.force_factor, rdt_page.FORCE))
-]
-TorqueUnit = Annotated[
-    str, AfterValidator(lambda unit: _known(unit, rdt_page.torque_factor, rdt_page.TORQUE))
-]
+ForceUnit = Annotated[str, _unit(rdt_page.force_factor, rdt_page.FORCE)]
+TorqueUnit = Annotated[str, _unit(rdt_page.torque_factor, rdt_page.TORQUE)]
 
 
 class RdtSettings(DeviceSettings):

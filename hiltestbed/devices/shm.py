@@ -220,10 +220,6 @@ class _ShmClient(_Mailboxes, Client):
 class ShmSensorClient(_ShmClient, SensorClient):
     """Reads the wrench that another process writes."""
 
-    def __init__(self, settings: ShmSettings) -> None:
-        super().__init__(settings)
-        self.clock = settings.clock
-
     def open(self) -> None:
         self._open("wrench")
 

@@ -21,7 +21,7 @@ from hiltestbed.contact.phases import Phases
 from hiltestbed.devices.guard import Guard
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.mounting import Mounting
-from hiltestbed.devices.pace import AtOnce, Pace
+from hiltestbed.devices.pace import Pace
 from hiltestbed.devices.timekeeping import Timekeeper, WallClock
 from hiltestbed.devices.watch import CommunicationWatch
 from hiltestbed.devices.watchdog import Watchdog
@@ -45,7 +45,7 @@ class Connected:
 
     sensor: SensorClient
     platform: PlatformClient
-    pace: Pace = field(default_factory=AtOnce)
+    pace: Pace = field(default_factory=Pace)
     watchdog: Watchdog | None = None
 
 

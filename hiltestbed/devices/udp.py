@@ -153,10 +153,6 @@ class UdpSensorClient(_UdpClient, SensorClient):
 
     kind = "sensor"
 
-    def __init__(self, settings: UdpSettings) -> None:
-        super().__init__(settings)
-        self.clock = settings.clock
-
 
 class UdpPlatformClient(_UdpClient, NumberedClient):
     """A platform that receives one pose per datagram and sends the pose reached."""
