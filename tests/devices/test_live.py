@@ -14,14 +14,11 @@ import numpy as np
 import pytest
 
 from hiltestbed.compiled import bound
-from hiltestbed.devices.emulate import Emulator
-from hiltestbed.devices.rdt import RdtServer, RdtSettings
+from hiltestbed.devices.rdt import RdtSettings
 from hiltestbed.devices.recorder import discard
 from hiltestbed.devices.session import Options, clients
 from hiltestbed.run_folder.store import read_run, write_run
 from hiltestbed.signals import CYCLE
-from tests.devices.independent.rdt_peer import IndependentRdtClient
-from tests.devices.independent.rsi_peer import IndependentSensorSystem
 from tests.devices.lockstep import RATES, SCENARIOS, played, scenario_of
 from tests.devices.running import urls
 from tests.running import run
@@ -145,38 +142,6 @@ def test_the_run_folder_is_one_like_any_other_and_its_rows_are_on_disk_as_they_c
     assert np.all(again.trace[CYCLE.name][1:, :2] > 0.0)
     assert again.summary["live"]["events"]["platform"]["lost"] == 0
     assert np.isnan(again.trace["wrench_true"]).all()
-
-
-def test_independent_clients_move_the_emulated_rig_and_read_its_force() -> None:
-    """Pressed 1 mm into a spring of 1e5 N/m: 100 N, by a client of RDT and a sensor system of RSI
-    of others.
-    """
-    scenario = scenario_of(
-        "02-bumper",
-        "rsi",
-        sensor__delay=0.0,
-        rig__platform__tracking="ideal",
-        mechanism__contact={"stiffness": 1.0e5, "damping": 0.0},
-    )
-    system = IndependentSensorSystem()
-    emulator = Emulator(scenario, "rdt://127.0.0.1:0", f"rsi://127.0.0.1:{system.port}")
-    with emulator:
-        assert isinstance(emulator.sensor, RdtServer)
-        client = IndependentRdtClient(emulator.sensor.address, 1e6, 1e6)
-        client.request(2)
-        told, record = {"frame": [0.0] * 6}, {"force": [0.0] * 3, "rdt": 0}
-        for k in range(60):
-            emulator.cycle()
-            told, record = system.receive(), client.records()[0]
-            # mm from -10 to +1
-            system.answer([0.0, 0.0, 11.0 * min(1.0, (k + 1) / 50), 0.0, 0.0, 0.0])
-            while not emulator.platform.wait(1.0):
-                pass
-        client.close()
-        system.close()
-    assert record["rdt"] == 60
-    assert told["frame"][2] == pytest.approx(1.0, abs=1e-5)
-    assert record["force"][2] == pytest.approx(100.0, abs=1e-3)
 
 
 @SLOW
