@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hiltestbed.cli.options import Json, Out, print_json
+from hiltestbed.cli.options import Json, Out, grouped, print_json
 from hiltestbed.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,22 +20,30 @@ app = typer.Typer()
 ENGINES = ("mujoco", "shipped", "drake", "newton")
 
 
-@app.command()
-def contact(
+@dataclass
+class Stated:
+    """The contact as numbers; None for one that is not given."""
+
     stiffness: Annotated[
         float | None, typer.Option("--k", metavar="K", help="Stiffness [N/m].")
-    ] = None,
-    damping: Annotated[
-        float | None, typer.Option("--c", metavar="C", help="Damping [N s/m].")
-    ] = None,
+    ] = None
+    damping: Annotated[float | None, typer.Option("--c", metavar="C", help="Damping [N s/m].")] = (
+        None
+    )
     cor: Annotated[
         float | None,
         typer.Option("--cor", metavar="E", help="In place of --c: coefficient of restitution."),
-    ] = None,
+    ] = None
     solref: Annotated[
         str | None,
         typer.Option("--solref", metavar="A,B", help="In place of --k and --c: MuJoCo's solref."),
-    ] = None,
+    ] = None
+
+
+@app.command()
+@grouped
+def contact(
+    stated: Stated,
     mjcf: Annotated[
         Path | None,
         typer.Option("--mjcf", metavar="FILE", help="Measure two geoms of this MJCF by a drop."),
@@ -81,7 +90,7 @@ def contact(
     if (mjcf is None) != (geom is None):
         raise InputError("--mjcf and --geom go together: --mjcf FILE --geom A B")
     if mjcf is not None and geom is not None:
-        if any(value is not None for value in (stiffness, damping, cor, solref)):
+        if stated != Stated():
             raise InputError("--mjcf: measures stiffness and damping; leave --k, --c, --cor out")
         drop, both = pair_in_mjcf(mjcf, geom, given, speed)
         found = SpringDamper(drop.stiffness, max(drop.damping, 0.0), reduced_mass(*both))
@@ -89,7 +98,7 @@ def contact(
         if given is None:
             raise InputError("--masses: is missing; give the masses [kg]: --masses 500,2000")
         drop, both = None, given
-        found = _stated(stiffness, damping, cor, solref, reduced_mass(*given))
+        found = _spring_damper(stated, reduced_mass(*given))
     engines = tuple((name, _cor_in(name, found, both, speed)) for name in engine or [])
     figures = ContactSheet(found, both, speed, drop, engines)
     if out is not None:
@@ -102,29 +111,23 @@ def contact(
     print_lines("contact", figures.lines(), out)
 
 
-def _stated(
-    stiffness: float | None,
-    damping: float | None,
-    cor: float | None,
-    solref: str | None,
-    mass: float,
-) -> SpringDamper:
+def _spring_damper(stated: Stated, mass: float) -> SpringDamper:
     """The contact that the options state."""
     from hiltestbed.analysis.mujoco_contact import spring_damper_of
     from hiltestbed.analysis.spring_damper import SpringDamper, with_cor
 
-    if solref is not None:
-        if any(value is not None for value in (stiffness, damping, cor)):
+    stiffness, damping, cor = stated.stiffness, stated.damping, stated.cor
+    if stated.solref is not None:
+        if stated != Stated(solref=stated.solref):
             raise InputError("--solref: states stiffness and damping; leave --k, --c, --cor out")
-        return spring_damper_of(_pair("--solref", solref, "0.02,1"), mass)
+        return spring_damper_of(_pair("--solref", stated.solref, "0.02,1"), mass)
     if stiffness is None:
         raise InputError("--k: is missing; give the stiffness [N/m], or --solref, or --mjcf")
     _above_zero("--k", stiffness, "N/m")
-    if (damping is None) == (cor is None):
-        raise InputError("--c or --cor: exactly one of them is needed beside --k")
-    if damping is None:
-        assert cor is not None
+    if damping is None and cor is not None:
         return with_cor(stiffness, cor, mass)
+    if damping is None or cor is not None:
+        raise InputError("--c or --cor: exactly one of them is needed beside --k")
     if not (math.isfinite(damping) and damping >= 0.0):
         raise InputError(f"--c: must be 0 or more [N s/m] (got {damping:g})")
     return SpringDamper(stiffness, damping, mass)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,7 @@ from hiltestbed.cli.options import (
     Json,
     ScenarioFile,
     Sets,
+    grouped,
     print_json,
     read_scenario,
     result_folder,
@@ -21,7 +23,7 @@ from hiltestbed.errors import InputError
 from hiltestbed.process import interrupt
 
 if TYPE_CHECKING:
-    from hiltestbed.devices.session import Observed
+    from hiltestbed.devices.session import Observed, Options
     from hiltestbed.scenario import Scenario
 
 Sensor = Annotated[
@@ -40,45 +42,53 @@ Platform = Annotated[
         help="Motion platform: rsi://, rtde://, udp://, shm://, and options.",
     ),
 ]
-Out = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME-live."),
-]
 Cpu = Annotated[
     int | None,
     typer.Option(
         "--cpu", metavar="N", help="Processor for the cycle, preferably one that nothing else uses."
     ),
 ]
-Arm = Annotated[
-    bool,
-    typer.Option("--arm", help="Let the platform move. Left out, the devices are only watched."),
-]
 
 app = typer.Typer()
 
 
+@dataclass
+class Devices:
+    """The devices of a loop, and what they may do."""
+
+    sensor: Sensor
+    platform: Platform
+    arm: Annotated[
+        bool,
+        typer.Option(
+            "--arm", help="Let the platform move. Left out, the devices are only watched."
+        ),
+    ] = False
+    cpu: Cpu = None
+
+
 @app.command()
+@grouped
 def live(
     scenario: ScenarioFile,
-    sensor: Sensor,
-    platform: Platform,
-    arm: Arm = False,
+    devices: Devices,
     seconds: Annotated[
         float | None, typer.Option("--for", metavar="SECONDS", help="Duration of the run.")
     ] = None,
-    out: Out = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder to write; left out: runs/NAME-live."),
+    ] = None,
     sets: Sets = None,
     no_rerun: Annotated[bool, typer.Option("--no-rerun", help="Leave recording.rrd out.")] = False,
-    cpu: Cpu = None,
     as_json: Json = False,
 ) -> None:
     """Run the loop in real time against a real sensor and a real platform; nothing moves without
     --arm. See docs/safety.md.
     """
-    from hiltestbed.devices.live import Observed, Options
     from hiltestbed.devices.live import live as run_live
     from hiltestbed.devices.recorder import discard
+    from hiltestbed.devices.session import Observed
     from hiltestbed.run_folder.folders import safe_name
     from hiltestbed.run_folder.store import refuse_foreign, write_run
 
@@ -88,7 +98,7 @@ def live(
     interrupt.track_shared_memory()
     # remains if the process dies; deleted once the run is written
     rows = folder.with_name(folder.name + ".rows.f64")
-    result = run_live(spec, Options(sensor, platform, armed=arm, cpu=cpu, record=rows, say=_say))
+    result = run_live(spec, _options(devices, rows))
     if isinstance(result, Observed):
         _print_observed(result, spec, as_json)
         return
@@ -139,11 +149,10 @@ def emulate(
 
 
 @app.command()
+@grouped
 def commission(
     scenario: ScenarioFile,
-    sensor: Sensor,
-    platform: Platform,
-    arm: Arm = False,
+    devices: Devices,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -154,7 +163,6 @@ def commission(
         float, typer.Option("--force", metavar="N", help="Force of the presses [N].")
     ] = 100.0,
     sets: Sets = None,
-    cpu: Cpu = None,
     as_json: Json = False,
 ) -> None:
     """Measure sensor and platform of a live facility by small known motions: its nominal scenario,
@@ -162,7 +170,6 @@ def commission(
     """
     from hiltestbed.devices.commission.folder import RESULT, figures, write_commission
     from hiltestbed.devices.commission.procedure import commission as run_commission
-    from hiltestbed.devices.session import Options
     from hiltestbed.process.progress import step_line
     from hiltestbed.run_folder.folders import safe_name
     from hiltestbed.run_folder.store import refuse_foreign
@@ -172,9 +179,7 @@ def commission(
     refuse_foreign(folder, RESULT)
     interrupt.track_shared_memory()
     with step_line(spec.name) as progress:
-        result = run_commission(
-            spec, Options(sensor, platform, armed=arm, cpu=cpu, say=_say), force, progress
-        )
+        result = run_commission(spec, _options(devices), force, progress)
     write_commission(result, folder)
     found = figures(result)
     if as_json:
@@ -219,6 +224,14 @@ def fmu(
         packed = pack(factory, file, out, name or part.capitalize(), about, how)
     print(
         f"{packed}: {ports} wrench_meas out; communication step {spec.tick:g} s or a whole multiple"
+    )
+
+
+def _options(devices: Devices, record: Path | None = None) -> Options:
+    from hiltestbed.devices.session import Options
+
+    return Options(
+        devices.sensor, devices.platform, devices.arm, devices.cpu, record=record, say=_say
     )
 
 

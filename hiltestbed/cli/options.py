@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import json
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -26,6 +30,37 @@ Sets = Annotated[
 Json = Annotated[
     bool, typer.Option("--json", help="One JSON object on standard output, and nothing else there.")
 ]
+
+
+def grouped(command: Callable[..., None]) -> Callable[..., None]:
+    """``command`` as typer reads it: a parameter that is a dataclass stands for an option for each
+    of its fields.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    parameters = []
+    for given in signature(command).parameters.values():
+        kind = groups.get(given.name)
+        options = fields(kind) if kind else (given,)
+        kinds = get_type_hints(kind, include_extras=True) if kind else hints
+        for option in options:
+            default = getattr(kind, option.name, Parameter.empty) if kind else option.default
+            annotation = kinds[option.name]
+            parameters.append(
+                Parameter(
+                    option.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+                )
+            )
+
+    @functools.wraps(command)
+    def run(**given: Any) -> None:
+        for name, kind in groups.items():
+            given[name] = kind(**{option.name: given.pop(option.name) for option in fields(kind)})
+        command(**given)
+
+    run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {option.name: option.annotation for option in parameters}
+    return run
 
 
 def complete(incomplete: str) -> list[str]:

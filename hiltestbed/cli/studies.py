@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hiltestbed.bench import BENCHES, benchmark
-from hiltestbed.cli.options import Json, Out, Sets, overrides, print_json, result_folder
+from hiltestbed.cli.options import Json, Out, Sets, grouped, overrides, print_json, result_folder
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.run_folder.folders import safe_name
 
@@ -26,17 +27,16 @@ LASTING = {"diagnosis": ".sets.jsonl", "robustness": ".trials.jsonl"}
 LONG = ", ".join(LASTING)
 
 
-@app.command()
-def bench(
-    name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
-    out: Out = None,
-    quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
+@dataclass
+class Only:
+    """Which sets of the benchmark of the diagnosis; all where nothing is given."""
+
     noise: Annotated[
         bool, typer.Option("--noise", help="diagnosis: only sets with noise that is not white.")
-    ] = False,
+    ] = False
     docking: Annotated[
         bool, typer.Option("--docking", help="diagnosis: only the docking sets.")
-    ] = False,
+    ] = False
     computing: Annotated[
         bool,
         typer.Option(
@@ -44,24 +44,40 @@ def bench(
             help="diagnosis: only facilities with other sub-steps, sampling instants and time "
             "stamps.",
         ),
-    ] = False,
+    ] = False
+
+
+@dataclass
+class Particular:
+    """Options of some benchmarks; None where they are not given."""
+
     minutes: Annotated[
         float | None, typer.Option("--for", metavar="MINUTES", min=0.01, help=f"{LONG}: duration.")
-    ] = None,
+    ] = None
     workers: Annotated[
         int | None,
         typer.Option("--workers", min=1, help=f"{LONG}: processes; left out: one per core."),
-    ] = None,
+    ] = None
     data: Annotated[
         Path | None,
         typer.Option("--data", metavar="DIR", help="real: folder of the public records."),
-    ] = None,
+    ] = None
     enter: Annotated[
         str | None,
         typer.Option(
             "--enter", metavar="URL", help="hildock: a method of your own behind udp://HOST:PORT."
         ),
-    ] = None,
+    ] = None
+
+
+@app.command()
+@grouped
+def bench(
+    name: Annotated[str, typer.Argument(metavar="|".join(BENCHES), help="Which benchmark.")],
+    only: Only,
+    particular: Particular,
+    out: Out = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A smaller grid.")] = False,
     as_json: Json = False,
 ) -> None:
     """Run a benchmark and write its bench.json and report.html.
@@ -73,25 +89,25 @@ def bench(
     """
     if name not in BENCHES:
         raise InputError(f"bench: unknown benchmark (got {name!r}); allowed: {', '.join(BENCHES)}")
-    every = {"noise": noise, "docking": docking, "computing": computing}
-    chosen = {option: True for option, given in every.items() if given}
+    chosen = {option: True for option, given in vars(only).items() if given}
+    more: dict[str, Any] = {k: v for k, v in vars(particular).items() if v is not None}
     if chosen and name != "diagnosis":
         raise InputError(
             f"bench {name}: --{next(iter(chosen))} is an option of bench diagnosis only; leave it "
             f"out"
         )
-    if (minutes is not None or workers is not None) and name not in LASTING:
+    if more.keys() & {"minutes", "workers"} and name not in LASTING:
         raise InputError(
             f"bench {name}: --for and --workers are options of bench {' and '.join(LASTING)} "
             f"only; leave them out"
         )
-    if (data is not None) != (name == "real"):
+    if ("data" in more) != (name == "real"):
         raise InputError(
             "bench real: needs --data DIR, the folder of the public records"
             if name == "real"
             else f"bench {name}: --data is an option of bench real only; leave it out"
         )
-    if enter is not None and name != "hildock":
+    if "enter" in more and name != "hildock":
         raise InputError(f"bench {name}: --enter is an option of bench hildock only; leave it out")
     measure = benchmark(name)
     from hiltestbed.bench.result import BENCH, write_bench
@@ -102,8 +118,6 @@ def bench(
     folder = result_folder(out, f"bench-{name}")
     refuse_foreign(folder, BENCH)
     tell_of_compiling()
-    options = {"minutes": minutes, "workers": workers, "data": data, "enter": enter}
-    more: dict[str, Any] = {k: v for k, v in options.items() if v is not None}
     keep = {"keep": folder.with_name(folder.name + LASTING[name])} if name in LASTING else {}
     try:
         with count_bar(f"bench {name}") as progress:

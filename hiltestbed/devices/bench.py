@@ -46,17 +46,10 @@ class Times:
 
 @dataclass(frozen=True)
 class Steadiness:
-    """One measurement.
-
-    Attributes:
-        device: whether a device was in the cycle.
-        cycles, skipped, missed: number of cycles begun, skipped because of overruns, and with a
-            missed deadline.
-        wake_up: from due time to start of a cycle. round_trip: from command to echo, None without a
-            device.
-        granted, refused: of the real-time settings requested.
-        stolen: fraction of the processors' time that the hypervisor gave to other virtual machines;
-            None if the system does not report it.
+    """One measurement: whether a device was in the cycle; numbers of cycles begun, skipped because
+    of overruns, and with a missed deadline; times from due time to start, and from command to echo;
+    real-time settings granted and refused; fraction of the processors' time that the hypervisor
+    gave to other virtual machines, None if the system does not report it.
     """
 
     rate: float
@@ -141,7 +134,6 @@ def _run(
                 round_trips[k] = (time.monotonic_ns() - sent) * 1e-9
         if work is not None:
             work()
-        clock.done()
         missed += not answered or clock.left() < 0.0
     return missed
 
@@ -168,9 +160,7 @@ def _stolen(before: list[int] | None, after: list[int] | None) -> float | None:
 
 def _times(values: NDArray[np.float64]) -> Times:
     if not len(values):
-        return Times(
-            {f"{p:g}": float("inf") for p in PERCENTILES}, float("inf"), BIN, [0] * (BINS + 1)
-        )
+        return Times({f"{p:g}": np.inf for p in PERCENTILES}, np.inf, BIN, [0] * (BINS + 1))
     histogram = np.bincount(np.minimum((values / BIN).astype(int), BINS), minlength=BINS + 1)
     levels = np.percentile(values, PERCENTILES)
     named = {f"{p:g}": float(level) for p, level in zip(PERCENTILES, levels, strict=True)}

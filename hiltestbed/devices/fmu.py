@@ -23,7 +23,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -93,22 +93,6 @@ class {name}(Fmi3Slave):
 """
 
 
-class PhysicalSide(Protocol):
-    """The physical side to be packed: rig, mechanism and force sensor, stepped tick by tick.
-
-    Attributes:
-        period: of a tick [s].
-        pose: (7,) reached now. wrench: (6,) that the sensor reads now.
-    """
-
-    period: float
-    pose: Array
-    wrench: Array
-
-    def step(self, pose_cmd: Array) -> None:
-        """Advance by one tick, at whose end ``pose_cmd`` (7,) is to be reached."""
-
-
 Variables = Sequence[tuple[str, Sequence[str], Callable[[], Array], bool]]
 
 
@@ -162,10 +146,15 @@ class Packed:
 
 
 class PackedSide(Packed):
-    """The physical side inside an FMU: pose_cmd in, pose_act and wrench_meas out."""
+    """The physical side inside an FMU: pose_cmd in, pose_act and wrench_meas out.
+
+    ``side``, made by ``factory``, has the ``period`` of a tick [s], the ``pose`` (7,) reached now,
+    the ``wrench`` (6,) that the sensor reads now, and ``step(pose_cmd)``, which advances it by a
+    tick at whose end the command is to be reached.
+    """
 
     def __init__(self, slave: Any, factory: str, scenario: Path) -> None:
-        self.side: PhysicalSide = _made(factory)(scenario)
+        self.side = _made(factory)(scenario)
         self._command: Array = np.array(self.side.pose, dtype=float)
         variables: Variables = [
             ("pose_cmd", POSE, lambda: self._command, True),
@@ -235,12 +224,9 @@ def pack(
 ) -> Path:
     """Write ``folder/name.fmu``; returns its path.
 
-    Args:
-        factory: ``module:function``, called inside the FMU with the path of its copy of the
-            scenario; returns what ``packed`` packs, a :class:`PhysicalSide` or a force sensor.
-
-    Raises:
-        MissingExtra, InputError.
+    ``factory``: ``module:function``, called inside the FMU with the path of its copy of the
+    scenario; returns what ``packed`` packs, a physical side or a force sensor. Raises MissingExtra,
+    InputError.
     """
     if find_spec("pythonfmu3") is None:
         raise MissingExtra("packing an FMU", "fmi")
@@ -316,7 +302,7 @@ class CoSimulation:
                 modelIdentifier=identifier,
                 instanceName=identifier,
             )
-            self._slave.instantiate(logMessage=_silent)
+            self._slave.instantiate(logMessage=lambda *_: None)
             self._slave.enterInitializationMode(startTime=0.0)
             self._slave.exitInitializationMode()
         except Exception as error:  # FMPy raises no narrower class
@@ -341,19 +327,20 @@ class CoSimulation:
 
     def _advance(self, slave: Any, until: float) -> None:
         """Step until ``until`` [s], in parts where the FMU returns early."""
-        while True:
+        early = True
+        while early and self.ended is None:
             _, ended, early, last = slave.doStep(self.time, until - self.time)
             if ended:
-                self.ended = last if self.time <= last <= until else until
-            if ended or not early or last >= until:
-                self.time = until if self.ended is None else self.ended
-                return
-            if not last > self.time:
+                self.time = self.ended = last if self.time <= last <= until else until
+            elif not early or last >= until:
+                self.time, early = until, False
+            elif last > self.time:
+                self.time = last
+            else:
                 raise self._failure(
                     f"returned early at t = {self.time:.6f} s without having advanced; it cannot "
                     f"be stepped to {until:.6f} s"
                 )
-            self.time = last
 
     def outputs(self) -> Array:
         """The present outputs, in SI. Raises DeviceError."""
@@ -451,22 +438,16 @@ class CoSimulation:
         return float(base.factor), 0.0 if relative else float(base.offset)
 
 
-def _silent(*_: object) -> None:
-    """Discard an FMU's log messages."""
-
-
 def _described(path: Path) -> Any:
     """The description of an FMU that can be stepped here. Raises InputError with every problem."""
     import fmpy
     from fmpy.validation import validate_fmu
 
     if not is_file(path) or not zipfile.is_zipfile(path):
-        message = "is not an FMU; give a file that a simulation tool has exported"
-        raise refused(str(path), message)
+        raise refused(str(path), "is not an FMU; give a file that a simulation tool has exported")
     problems = validate_fmu(str(path))
     if problems:
-        name = "modelDescription"
-        raise InputError(Fault(str(path), None, None, name, str(p)) for p in problems)
+        raise InputError(Fault(str(path), None, None, "modelDescription", str(p)) for p in problems)
     description: Any = fmpy.read_model_description(str(path), validate=False)
     if description.fmiVersion != "3.0" or description.coSimulation is None:
         message = (

@@ -17,16 +17,14 @@ import select
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from enum import IntEnum, StrEnum
-from typing import TYPE_CHECKING, Self
+from enum import IntEnum
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.devices.url import DeviceSettings, PacedSettings
 from hiltestbed.errors import HiltestbedError
-
-if TYPE_CHECKING:
-    from hiltestbed.devices.url import DeviceSettings
 
 Array = NDArray[np.float64]
 
@@ -58,32 +56,16 @@ class Event(IntEnum):
     GONE = 9  # the connection was refused or closed
 
 
-class Clock(StrEnum):
-    """Who paces the cycle: the device, which expects an answer within its period, or the loop."""
-
-    DEVICE = "device"
-    HOST = "host"
-
-
 class Sample:
-    """The newest good record of a device, updated in place.
-
-    Attributes:
-        values: of the record, in SI. largest: largest physical magnitude of each.
-        implausible: the last values that were refused, for messages; None for none.
-        sequence: the device's own number of the record; -1 before the first.
-        device_time: by the device's clock [s]; NaN if the protocol has none.
-        status: the device's status, 0 for no error.
-        arrival: when it was received, monotonic clock [ns].
-    """
+    """The newest good record of a device, updated in place."""
 
     def __init__(self, values: Array, largest: Array) -> None:
-        self.values, self.largest = values, largest
-        self.implausible: str | None = None
-        self.sequence = -1
-        self.device_time = math.nan
-        self.status = 0
-        self.arrival = 0
+        self.values, self.largest = values, largest  # in SI; largest physical magnitude of each
+        self.implausible: str | None = None  # the last values that were refused, for messages
+        self.sequence = -1  # the device's own number of the record; -1 before the first
+        self.device_time = math.nan  # [s] by the device's clock; NaN if the protocol has none
+        self.status = 0  # of the device; 0: no error
+        self.arrival = 0  # [ns] by the monotonic clock
 
     def take(
         self,
@@ -93,9 +75,7 @@ class Sample:
         device_time: float,
         status: int = 0,
     ) -> bool:
-        """Take in a record that is news; False, and only counted, if its status is an error or a
-        value is not physical.
-        """
+        """Take in a new record; False, and only counted: an error status, or not physical."""
         self.status = status
         if status:
             counts[Event.STATUS] += 1
@@ -148,10 +128,10 @@ class Link(ABC):
 
     step = 1
 
-    def __init__(self, where: str) -> None:
-        self.where = where
+    def __init__(self, settings: DeviceSettings) -> None:
+        self.settings = settings
+        self.where, self.period = settings.where, settings.period
         self.counts: NDArray[np.int64] = np.zeros(len(Event), dtype=np.int64)
-        self.period = math.nan
 
     @abstractmethod
     def open(self) -> None:
@@ -200,19 +180,23 @@ class Client(Link):
 
     Attributes:
         sample: the newest good record.
-        clock: who paces the cycle; that of the platform precedes that of the sensor.
+        clock: who paces the cycle, the device, which expects an answer within its period, or the
+            loop; that of the platform precedes that of the sensor.
     """
 
     sample: Sample
-    clock: Clock
+
+    def __init__(self, settings: DeviceSettings) -> None:
+        super().__init__(settings)
+        paced = isinstance(settings, PacedSettings)
+        self.clock: Literal["device", "host"] = settings.clock if paced else "device"
 
 
 class SensorClient(Client):
     """The loop's side of a force sensor; ``reading`` is its newest good record."""
 
-    def __init__(self, where: str) -> None:
-        super().__init__(where)
-        self.clock = Clock.DEVICE
+    def __init__(self, settings: DeviceSettings) -> None:
+        super().__init__(settings)
         self.sample = self.reading = Reading()
 
     def bias(self) -> None:
@@ -228,12 +212,11 @@ class PlatformClient(Client):
     :meth:`open` commands nothing but the pose that the platform reports.
 
     Attributes:
-        held: (8,) the last command in the form that the protocol's :class:`Keeper` repeats.
+        held: (8,) the last command, in the form that :meth:`keep` repeats.
     """
 
-    def __init__(self, where: str) -> None:
-        super().__init__(where)
-        self.clock = Clock.HOST
+    def __init__(self, settings: DeviceSettings) -> None:
+        super().__init__(settings)
         self.sample = self.state = PoseState()
         self.held: Array = np.zeros(8)
 
@@ -248,6 +231,17 @@ class PlatformClient(Client):
     def stop(self) -> None:
         """Make the device stop by itself if the protocol supports it; otherwise hold."""
         self.hold()
+
+    def adopt(self, fileno: int) -> None:
+        """In the watchdog's process, instead of :meth:`open`: use the duplicated ``fileno`` of the
+        loop's connection. Raises DeviceError if the protocol cannot.
+        """
+        raise DeviceError(f"{self.where}: this protocol cannot be held by another process")
+
+    def keep(self, held: Array, stop: bool) -> None:
+        """After :meth:`adopt`, once per period: hold ``held`` (8,) of the loop's client, or stop;
+        nothing if silence does that.
+        """
 
     def _check(self, pose: Array) -> None:
         if not np.isfinite(pose).all():
@@ -275,12 +269,18 @@ class PlatformServer(Link):
         stopped: why the platform has stopped by itself; None while it runs.
     """
 
-    def __init__(self, where: str) -> None:
-        super().__init__(where)
+    def __init__(self, settings: DeviceSettings) -> None:
+        super().__init__(settings)
         self._commands = PoseState()
         self.command: Array = self._commands.pose
-        self.commanded = False
+        self.commanded = self._started = False
         self.stopped: str | None = None
+
+    def _start(self, pose: Array) -> None:
+        """The pose (7,) that is published first is held until there is a command."""
+        if not self._started:
+            self.command[:] = pose
+            self._started = True
 
     def _obey(self, pose: Array) -> bool:
         """Follow a commanded pose (7,); one that is not physical is counted and not followed."""
@@ -291,21 +291,6 @@ class PlatformServer(Link):
     @abstractmethod
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
         """Begin a cycle: send the pose (7,) reached now, the device's time [s] and its status."""
-
-
-class Keeper(ABC):
-    """Holds or stops a platform from the watchdog's process."""
-
-    def __init__(self, settings: DeviceSettings, fileno: int) -> None:
-        self.settings = settings
-
-    @abstractmethod
-    def hold(self, held: Array) -> None:
-        """Send one hold message for ``held`` (8,) of the client; called once per period."""
-
-    @abstractmethod
-    def stop(self, held: Array) -> None:
-        """Send one stop message, or nothing if silence stops the platform; once per period."""
 
 
 @dataclass(frozen=True)
@@ -319,4 +304,3 @@ class Protocol:
     platform_client: type[PlatformClient] | None = None
     sensor_server: type[SensorServer] | None = None
     platform_server: type[PlatformServer] | None = None
-    keeper: type[Keeper] | None = None

@@ -7,14 +7,13 @@ from __future__ import annotations
 import time
 
 from hiltestbed.devices.interface import PlatformClient, SensorClient
-from hiltestbed.devices.pace import AtOnce
+from hiltestbed.devices.pace import Pace
 from hiltestbed.devices.section import Devices, MotionLimits
 from hiltestbed.devices.session import Observed, Options, Session
+from hiltestbed.devices.url import DeviceSettings
 from hiltestbed.frames import Array
 from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import Run
-
-__all__ = ["Observed", "Options", "live", "rehearse"]
 
 TICKS = 64
 _UNWATCHED = Devices(limits=MotionLimits(**dict.fromkeys(MotionLimits.model_fields)), watchdog=None)
@@ -71,8 +70,8 @@ def rehearse(scenario: Scenario) -> None:
     compiles all kernels that are not compiled yet.
     """
     short = scenario.model_copy(update={"duration": TICKS / scenario.rate, "devices": _UNWATCHED})
-    dummies = _PushedSensor("rehearsal"), _Follower("rehearsal")
-    options = Options("", "", armed=True, pace=lambda *_: AtOnce(), connect=lambda *_: dummies)
+    dummies = _PushedSensor(DeviceSettings()), _Follower(DeviceSettings())
+    options = Options("", "", armed=True, pace=lambda *_: Pace(), devices=dummies)
     session = Session(short, options)
     for dummy in dummies:
         dummy.poll()

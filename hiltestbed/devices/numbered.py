@@ -4,34 +4,22 @@ shared memory.
 
 from __future__ import annotations
 
-import math
 import time
 from abc import abstractmethod
-from typing import Literal, Protocol
 
-from hiltestbed.devices.interface import Array, Clock, Keeper, PlatformClient, PlatformServer
-from hiltestbed.devices.url import DeviceSettings
+from hiltestbed.devices.interface import Array, PlatformClient, PlatformServer
+from hiltestbed.devices.url import PacedSettings
 
 STOP = 1  # value of the stop field of a command that requests a stop
 
 
-class Paced(Protocol):
-    """Settings of such a protocol."""
-
-    where: str
-    rate: float
-    clock: Literal["device", "host"]
-
-
 class NumberedClient(PlatformClient):
     """Sends one pose per cycle, numbered from 1 after :meth:`open`; a hold repeats the last pose, a
-    stop is the last pose with a flag.
+    stop is the last pose with a flag, which a layout without one does not have.
     """
 
-    def __init__(self, settings: Paced) -> None:
-        super().__init__(settings.where)
-        self.clock = Clock(settings.clock)
-        self.period = 1.0 / settings.rate
+    def __init__(self, settings: PacedSettings) -> None:
+        super().__init__(settings)
         self._pose: Array = self.state.pose.copy()
         self._sent = 0
 
@@ -56,17 +44,17 @@ class NumberedClient(PlatformClient):
         self._post(self._pose, self._sent, time.monotonic_ns() * 1e-9, stop)
 
     def stop(self) -> None:
-        """Send the stop flag; a layout without one holds."""
         self.hold(STOP)
+
+    def keep(self, held: Array, stop: bool) -> None:
+        self._pose[:], self._sent = held[:7], max(self._sent, int(held[7]))
+        self.hold(STOP * stop)
 
 
 class NumberedServer(PlatformServer):
     """Accepts such poses until the stop flag arrives, and numbers the poses that it reports."""
 
-    def __init__(self, settings: Paced) -> None:
-        super().__init__(settings.where)
-        self.period = 1.0 / settings.rate
-        self._number = 0
+    _number = 0
 
     @abstractmethod
     def _report(self, pose: Array, number: int, device_time: float, status: int) -> None:
@@ -79,30 +67,7 @@ class NumberedServer(PlatformServer):
         return self.stopped is None and self._obey(pose)
 
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        if self._number == 0:
-            self.command[:] = pose
+        self._start(pose)
         self._number += 1
         self.poll()
         self._report(pose, self._number, device_time, status)
-
-
-class NumberedKeeper(Keeper):
-    """Repeats the last pose, or sends it with the stop flag; the numbering continues from the last
-    command.
-    """
-
-    def __init__(self, settings: DeviceSettings, fileno: int) -> None:
-        super().__init__(settings, fileno)
-        self._sent = 0
-
-    @abstractmethod
-    def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
-        """Send a command; ``now`` [s] by the monotonic clock."""
-
-    def hold(self, held: Array, stop: int = 0) -> None:
-        self._sent += 1
-        if math.isfinite(float(held.sum())):
-            self._post(held[:7], int(held[7]) + self._sent, time.monotonic_ns() * 1e-9, stop)
-
-    def stop(self, held: Array) -> None:
-        self.hold(held, STOP)

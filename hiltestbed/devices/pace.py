@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.devices.interface import SPIN, Client, Clock, DeviceError
+from hiltestbed.devices.interface import SPIN, Client, DeviceError
 from hiltestbed.devices.timekeeping import RATE_ERROR
 from hiltestbed.errors import InputError
 
@@ -35,8 +34,7 @@ class CycleClock:
     Attributes:
         cycles: number of cycles begun.
         skipped: number of cycles skipped because those before took too long.
-        due, began, ended: (capacity,) [ns] on the monotonic clock, of each cycle; ``began - due``
-            is its wake-up latency. Only the last ``capacity`` cycles are kept.
+        due, began: (capacity,) [ns] on the monotonic clock, of each of the last cycles.
     """
 
     def __init__(self, rate: float, capacity: int, spin: float = SPIN) -> None:
@@ -46,10 +44,9 @@ class CycleClock:
                 f"rate: cannot be paced (got {rate:g} Hz for {capacity} cycles); allowed are 0.1 "
                 f"to 1e5 Hz and at least one cycle"
             )
-        self.period = 1.0 / rate
         self.cycles = self.skipped = 0
-        times: NDArray[np.int64] = np.zeros((3, capacity), dtype=np.int64)
-        self.due, self.began, self.ended = times
+        times: NDArray[np.int64] = np.zeros((2, capacity), dtype=np.int64)
+        self.due, self.began = times
         self._rate, self._spin = rate, round(spin * SECOND)
         self._start = self._next = 0
 
@@ -81,10 +78,6 @@ class CycleClock:
         self._next += 1
         return left_out
 
-    def done(self) -> None:
-        """Mark the end of the cycle's work."""
-        self.ended[(self.cycles - 1) % len(self.due)] = time.monotonic_ns()
-
     def left(self) -> float:
         """Time until the next cycle is due [s]; negative if it is overdue."""
         return (self._next_due() - time.monotonic_ns()) / SECOND
@@ -93,49 +86,44 @@ class CycleClock:
         return self._start + round(self._next * SECOND / self._rate)
 
     def latency(self) -> NDArray[np.float64]:
-        """(cycles,) wake-up latency of each kept cycle [s], in order."""
-        return self._in_order(self.began - self.due)
-
-    def busy(self) -> NDArray[np.float64]:
-        """(cycles,) run time of each kept cycle [s], in order."""
-        return self._in_order(self.ended - self.began)
-
-    def _in_order(self, times: NDArray[np.int64]) -> NDArray[np.float64]:
-        n = len(times)
-        kept = times[: self.cycles] if self.cycles <= n else np.roll(times, -(self.cycles % n))
-        return kept / SECOND
+        """(cycles,) from due time to start of each kept cycle [s]."""
+        return (self.began - self.due)[: self.cycles] / SECOND
 
 
-class Pace(Protocol):
-    """Waits for the ticks of a loop; ``source`` sets the clock, for the results of a run."""
+class Pace:
+    """Waits for the ticks of a loop; ``source`` sets the clock, for the results of a run. This one
+    does not wait at all.
+    """
 
-    source: str
+    source = "none"
+    _count = 0
 
     def start(self) -> None:
         """Start counting: the next tick is the first."""
+        self._count = 0
 
     def wait(self) -> int:
         """Wait for the next tick; the number that have begun since the last call, at least 1."""
-        ...
+        self._count += 1
+        return 1
 
     def told(self) -> float:
         """Ticks since :meth:`start` by the clock's own count, also where records are missing."""
-        ...
+        return self._count
 
     def advice(self, factor: float) -> str:
         """What to set for a clock that runs at ``factor`` times the expected rate."""
-        ...
+        return "give it a clock"
 
 
-class DevicePace:
+class DevicePace(Pace):
     """Ticks that begin with every ``records``-th record of ``link``."""
 
     def __init__(self, link: Client, tick: float, records: int) -> None:
         self.source = link.where
         self._link, self._tick = link, tick
         self._records, self._numbers = records, records * link.step
-        self._first = self._count = 0
-        self._due = 0.0
+        self._first, self._due = 0, 0.0
 
     def start(self) -> None:
         self._first, self._count = self._link.sample.sequence, 0
@@ -174,35 +162,12 @@ class DevicePace:
         return self._link.wait(max(deadline - now, 0.0), max(self._due + self._tick - now, 0.0))
 
 
-class AtOnce:
-    """Ticks without any waiting."""
-
-    source = "none"
-
-    def __init__(self) -> None:
-        self._count = 0
-
-    def start(self) -> None:
-        self._count = 0
-
-    def wait(self) -> int:
-        self._count += 1
-        return 1
-
-    def told(self) -> float:
-        return self._count
-
-    def advice(self, factor: float) -> str:
-        return "give it a clock"
-
-
-class HostPace(AtOnce):
+class HostPace(Pace):
     """Ticks from the loop's own clock."""
 
     source = "the loop's own clock"
 
     def __init__(self, tick: float) -> None:
-        super().__init__()
         self._clock = CycleClock(1.0 / tick, 1)
 
     def start(self) -> None:
@@ -220,14 +185,10 @@ class HostPace(AtOnce):
 
 def pace_of(sensor: Client, platform: Client, tick: float) -> Pace:
     """The platform sets the clock if its protocol does so; otherwise a streaming sensor; otherwise
-    the loop.
-
-    Raises:
-        DeviceError: the rate of the device that sets the clock is not a whole multiple of the
-            loop's.
+    the loop. Raises DeviceError if that rate is not a whole multiple of the loop's.
     """
     for link in (platform, sensor):
-        if link.clock is not Clock.DEVICE or not math.isfinite(link.period):
+        if link.clock != "device" or not math.isfinite(link.period):
             continue
         records = max(round(tick / link.period), 1)
         if abs(records * link.period / tick - 1.0) > RATE_ERROR:

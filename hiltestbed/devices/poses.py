@@ -64,6 +64,14 @@ def rotation_vector_from_pose(pose: Array) -> Array:
     return frame
 
 
+def compile_now() -> None:
+    """Compile what is used here, so that the first cycle need not."""
+    pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    pose_from_kuka(kuka_from_pose(add_in_base(pose, offset_in_base(pose, pose))))
+    turned = rotation_vector_from_pose(add_in_tool(pose, offset_in_tool(pose, pose)))
+    pose_from_rotation_vector(turned)
+
+
 def offset_in_base(start: Array, pose: Array) -> Array:
     """The offset (7,) from ``start`` to ``pose``: translation in base axes, rotation about base
     axes through the moved point.

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -33,7 +34,6 @@ from hiltestbed.devices.interface import (
 )
 from hiltestbed.devices.sequence import Advancing, Sequence
 from hiltestbed.devices.url import DeviceSettings, Port
-from hiltestbed.errors import InputError
 
 REQUEST = struct.Struct(">HHI")
 RECORD = struct.Struct(">III6i")
@@ -41,26 +41,25 @@ HEADER = 0x1234
 STOP, SINGLE, REALTIME, BUFFERED = 0, 1, 2, 3  # 1 only on an Axia, where it equals 2
 RESET_LATCH, BIAS = 0x41, 0x42
 MOST_RECORDS = 40  # largest number of records in one datagram
-# of the status word: a threshold was exceeded; latched until it is reset
-MONITOR_CONDITION = 1 << 16
 ERROR = 1 << 31  # of the status word: set with any other bit
 # requests before giving up, and the wait [s] for the first record after each
 TRIES, PATIENCE = 10, 0.1
 
 
-def _known(unit: str, factors: Callable[[str], float | None], names: Iterable[str]) -> str:
-    if factors(unit) is None:
-        said = {"got": repr(unit), "known": ", ".join(names)}
-        raise PydanticCustomError("unit", "is no unit (got {got}); allowed: {known}", said)
-    return unit
+def _unit(factor: Callable[[str], float | None], names: Iterable[str]) -> AfterValidator:
+    """Refuses a unit that has no ``factor``; ``names`` of those that the devices show."""
+
+    def known(unit: str) -> str:
+        if factor(unit) is None:
+            said = {"got": repr(unit), "known": ", ".join(names)}
+            raise PydanticCustomError("unit", "is no unit (got {got}); allowed: {known}", said)
+        return unit
+
+    return AfterValidator(known)
 
 
-ForceUnit = Annotated[
-    str, AfterValidator(lambda unit: _known(unit, rdt_page.force_factor, rdt_page.FORCE))
-]
-TorqueUnit = Annotated[
-    str, AfterValidator(lambda unit: _known(unit, rdt_page.torque_factor, rdt_page.TORQUE))
-]
+ForceUnit = Annotated[str, _unit(rdt_page.force_factor, rdt_page.FORCE)]
+TorqueUnit = Annotated[str, _unit(rdt_page.torque_factor, rdt_page.TORQUE)]
 
 
 class RdtSettings(DeviceSettings):
@@ -97,7 +96,7 @@ class RdtSettings(DeviceSettings):
     )
     http: Port | None = Field(
         default=None,
-        description="port of the configuration page; 80 for a client, none for an emulated sensor",
+        description="port of the device's configuration page; 80 if it is not given",
     )
     ignore_status: int = Field(
         default=0,
@@ -116,11 +115,11 @@ class RdtSettings(DeviceSettings):
 class RdtClient(sockets.Datagrams, SensorClient):
     """A sensor that streams; it sets the clock."""
 
+    settings: RdtSettings
     _largest = RECORD.size * MOST_RECORDS
 
     def __init__(self, settings: RdtSettings) -> None:
-        super().__init__(settings.where)
-        self.settings = settings
+        super().__init__(settings)
         self._scale, self._wrench = np.ones(6), np.zeros(6)
         self._internal_period = float("nan")
         self._sequence = Sequence(self.counts)
@@ -190,39 +189,25 @@ class RdtClient(sockets.Datagrams, SensorClient):
 class RdtServer(sockets.Datagrams, SensorServer):
     """An emulated sensor: sends a record for each wrench once a client has requested them."""
 
+    settings: RdtSettings
     _largest = 63  # [byte] far above a request of 8
 
     def __init__(self, settings: RdtSettings) -> None:
-        super().__init__(settings.where)
-        self.settings = settings
-        self.page = page = page_of(settings, 1.0e6, None)
+        super().__init__(settings)
+        page = page_of(settings, 1.0e6, None)
         self.address: sockets.Address = (settings.host, settings.port)
-        self.http: rdt_page.PageServer | None = None
         scale = page.counts_per_force / page.force, page.counts_per_torque / page.torque
-        self._scale = np.repeat(scale, 3)
+        self._scale, self._rate = np.repeat(scale, 3), page.internal_rate
         self._load, self._bias = np.zeros(6), np.zeros(6)
         self._client: sockets.Address | None = None
         self._left = 0  # records still to send; -1: unlimited
-        self._number, self._latch, self._per_datagram = 0, 0, 1
+        self._number, self._per_datagram = 0, 1
         self._pending = bytearray()
 
     def open(self) -> None:
         address = sockets.resolve(self.settings.host, self.settings.port, self.where)
-        self._socket = sockets.bound_udp(address, self.where)
+        self._socket = sockets.bound(address, self.where)
         self.address = self._socket.getsockname()
-        if self.settings.http is not None:
-            where = (address[0], self.settings.http)
-            try:
-                self.http = rdt_page.PageServer(where, self.page, self.where)
-            except InputError:
-                self.close()
-                raise
-
-    def close(self) -> None:
-        super().close()
-        if self.http is not None:
-            self.http.close()
-            self.http = None
 
     def _take(self, data: bytes, sender: sockets.Address) -> bool:
         header, command, count = REQUEST.unpack(data) if len(data) == REQUEST.size else (0, 0, 0)
@@ -232,11 +217,9 @@ class RdtServer(sockets.Datagrams, SensorServer):
         self.counts[Event.RECEIVED] += 1
         if command == BIAS:
             self._bias[:] = self._load
-        elif command == RESET_LATCH:
-            self._latch = 0
         elif command == STOP:
             self._left = 0
-        else:
+        elif command != RESET_LATCH:  # no status is latched here
             self._client, self._left, self._number = sender, count or -1, 0
             self._per_datagram = self.settings.buffer if command == BUFFERED else 1
             self._pending.clear()
@@ -245,12 +228,10 @@ class RdtServer(sockets.Datagrams, SensorServer):
     def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
         self.poll()
         self._load[:] = wrench
-        self._latch |= status & MONITOR_CONDITION
-        status |= self._latch
         if self._socket is None or self._client is None or self._left == 0:
             return
         self._number = (self._number + 1) & 0xFFFFFFFF
-        sample = round(device_time * self.page.internal_rate) & 0xFFFFFFFF
+        sample = round(device_time * self._rate) & 0xFFFFFFFF
         counts = np.rint((self._load - self._bias) * self._scale)
         counts = np.clip(counts, -(2**31), 2**31 - 1).astype(int).tolist()
         word = status | ERROR if status else 0
@@ -273,14 +254,12 @@ def page_of(settings: RdtSettings, counts: float, host: str | None) -> rdt_page.
     else:
         port = settings.http or rdt_page.HTTP_PORT
         page = rdt_page.fetch(host, port, settings.where, by_hand)
-    return rdt_page.Page(
-        settings.counts_per_force or page.counts_per_force,
-        settings.counts_per_torque or page.counts_per_torque,
-        settings.force_unit if "force" in by_hand else page.force_unit,
-        settings.torque_unit if "torque" in by_hand else page.torque_unit,
-        settings.rate or page.rate,
-        settings.internal_rate or page.internal_rate,
-    )
+    own = {f"{name}_unit": getattr(settings, f"{name}_unit") for name in by_hand}
+    own |= {f"counts_per_{name}": scale for name, scale in given.items() if scale is not None}
+    rates = {
+        name: getattr(settings, name) or getattr(page, name) for name in ("rate", "internal_rate")
+    }
+    return replace(page, **own, **rates)
 
 
 PROTOCOL = Protocol(

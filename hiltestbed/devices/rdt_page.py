@@ -17,11 +17,9 @@ import threading
 import time
 from collections.abc import Collection
 from dataclasses import dataclass
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from hiltestbed.devices import plain_xml
 from hiltestbed.devices.interface import DeviceError
-from hiltestbed.devices.url import refused
 from hiltestbed.measured.units import KILOGRAM_FORCE, UNITS
 
 FORCE = UNITS["N"] | {"klbf": UNITS["N"]["kip"], "gf": 1e-3 * KILOGRAM_FORCE}  # [N]
@@ -40,6 +38,10 @@ LARGEST = 65536  # [byte]
 PATIENCE = 2.0  # [s] to wait for each part of the page
 DEADLINE = 5.0  # [s] for the whole page
 HTTP_PORT = 80
+HINT = (
+    "or give counts_per_force, counts_per_torque, force_unit, torque_unit and rate, the rate of "
+    "the device's records, in the URL"
+)
 # [Hz] defaults of an emulated sensor; 7 kHz is the internal rate of a Net F/T
 RATE, INTERNAL_RATE = 1000.0, 7000.0
 
@@ -60,10 +62,10 @@ class Page:
     the sensor's own samples.
     """
 
-    counts_per_force: float = 1.0e6
-    counts_per_torque: float = 1.0e6
-    force_unit: str = "N"
-    torque_unit: str = "N-m"
+    counts_per_force: float
+    counts_per_torque: float
+    force_unit: str
+    torque_unit: str
     rate: float = RATE
     internal_rate: float = INTERNAL_RATE
 
@@ -81,10 +83,6 @@ def fetch(host: str, port: int, where: str, by_hand: Collection[str] = ()) -> Pa
     whose counts and unit are not read there. Raises DeviceError.
     """
     address = f"http://{host}:{port}{PATH}"
-    hint = (
-        "or give counts_per_force, counts_per_torque, force_unit, torque_unit and rate, the rate "
-        "of the device's records, in the URL"
-    )
     connection = http.client.HTTPConnection(host, port, timeout=PATIENCE)
     until = time.monotonic() + DEADLINE
     # each byte that trickles in would begin the time-out of the socket anew
@@ -107,12 +105,12 @@ def fetch(host: str, port: int, where: str, by_hand: Collection[str] = ()) -> Pa
         reason = f"it was not complete within {DEADLINE:g} s" if late else error or type(error)
         raise DeviceError(
             f"{where}: the configuration page {address} cannot be read ({reason}); check the "
-            f"address, {hint}"
+            f"address, {HINT}"
         ) from None
     finally:
         deadline.cancel()
         connection.close()
-    return _understand(data, where, hint, by_hand)
+    return understood(data, where, by_hand)
 
 
 def _cut(opened: socket.socket | None) -> None:
@@ -122,18 +120,20 @@ def _cut(opened: socket.socket | None) -> None:
             opened.shutdown(socket.SHUT_RDWR)
 
 
-def _understand(data: bytes, where: str, hint: str, by_hand: Collection[str]) -> Page:
+def understood(data: bytes, where: str, by_hand: Collection[str]) -> Page:
+    """What a page says. Raises DeviceError."""
     try:
-        text = plain_xml.read(data, LARGEST).text
+        root = plain_xml.read(data, LARGEST)
     except plain_xml.NotPlain:
         raise DeviceError(
             f"{where}: the configuration page is not the XML of a Net F/T; check the address, "
-            f"{hint}"
+            f"{HINT}"
         ) from None
-    if text.get("comrdte", "Enabled").strip() in ("0", "Disabled"):
+    text = {element.tag: (element.text or "").strip() for element in root.iter()}
+    if text.get("comrdte") in ("0", "Disabled"):
         raise DeviceError(f"{where}: RDT is disabled; enable it on the device's communication page")
 
-    def amount(element: str, otherwise: float | None) -> float:
+    def amount(element: str, otherwise: float | None = None) -> float:
         if element not in text and otherwise is not None:
             return otherwise
         try:
@@ -143,80 +143,25 @@ def _understand(data: bytes, where: str, hint: str, by_hand: Collection[str]) ->
         if not 0.0 < value < 1e12:
             raise DeviceError(
                 f"{where}: the configuration page gives no {element} (got {text.get(element)!r}); "
-                f"check the device, {hint}"
+                f"check the device, {HINT}"
             )
         return value
 
     def unit(element: str, quantity: str) -> str:
-        value = text.get(element, "").strip()
+        value = text.get(element, "")
         known, factor = (FORCE, force_factor) if quantity == "force" else (TORQUE, torque_factor)
         if quantity not in by_hand and factor(value) is None:
             raise DeviceError(
                 f"{where}: the configuration page gives {element} = {value!r}, which is no unit "
-                f"of {quantity}; known: {', '.join(known)}; set one of these on the device, {hint}"
+                f"of {quantity}; known: {', '.join(known)}; set one of these on the device, {HINT}"
             )
         return value
 
     return Page(
-        1.0 if "force" in by_hand else amount("cfgcpf", None),
-        1.0 if "torque" in by_hand else amount("cfgcpt", None),
+        1.0 if "force" in by_hand else amount("cfgcpf"),
+        1.0 if "torque" in by_hand else amount("cfgcpt"),
         unit("scfgfu", "force"),
         unit("scfgtu", "torque"),
         amount("comrdtrate", RATE),
         amount("runrate", INTERNAL_RATE),
     )
-
-
-class PageServer:
-    """The page of an emulated sensor, served at ``port`` from a separate thread."""
-
-    def __init__(self, address: tuple[str, int], page: Page, where: str) -> None:
-        body = _render(page)
-
-        class Handler(BaseHTTPRequestHandler):
-            timeout = PATIENCE
-
-            def do_GET(self) -> None:
-                found = self.path.partition("?")[0] == PATH
-                self.send_response(200 if found else 404)
-                self.send_header("Content-Type", "text/xml")
-                self.send_header("Content-Length", str(len(body) if found else 0))
-                self.end_headers()
-                if found:
-                    self.wfile.write(body)
-
-            def log_message(self, format: str, *args: object) -> None:
-                pass
-
-        try:
-            self._server = ThreadingHTTPServer(address, Handler)
-        except OSError as error:
-            message = (
-                f"TCP {address[0]}:{address[1]} of the configuration page cannot be "
-                f"opened ({error.strerror}); give another http port"
-            )
-            raise refused(where, message, "http") from None
-        self._server.daemon_threads = True
-        self.port = self._server.server_address[1]
-        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
-
-
-def _render(page: Page) -> bytes:
-    elements = {
-        "prodname": "Emulated Net F/T",
-        "cfgcpf": f"{page.counts_per_force:.12g}",
-        "cfgcpt": f"{page.counts_per_torque:.12g}",
-        "scfgfu": page.force_unit,
-        "scfgtu": page.torque_unit,
-        "comrdte": "Enabled",
-        "comrdtrate": f"{page.rate:g}",
-        "runrate": f"{page.internal_rate:g}",
-    }
-    body = "".join(f"<{name}>{value}</{name}>\n" for name, value in elements.items())
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n<netft>\n{body}</netft>\n'.encode()

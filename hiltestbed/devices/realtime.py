@@ -39,14 +39,8 @@ class Granted:
 
 @contextmanager
 def prepared(cpu: int | None = None, priority: int | None = PRIORITY) -> Iterator[Granted]:
-    """Prepare the calling thread for a steady cycle.
-
-    Args:
-        cpu: the processor to run on; None leaves it to the kernel.
-        priority: of SCHED_FIFO, 1 to 99; None leaves the ordinary scheduling.
-
-    Raises:
-        InputError: for a processor or a priority that does not exist.
+    """Prepare the calling thread for a steady cycle on a processor, with a priority of SCHED_FIFO,
+    1 to 99; None leaves either to the kernel. Raises InputError for one that does not exist.
     """
     if priority is not None and not 1 <= priority <= 99:
         raise InputError(f"priority: is out of range (got {priority}); allowed is 1 to 99")
@@ -58,10 +52,7 @@ def prepared(cpu: int | None = None, priority: int | None = PRIORITY) -> Iterato
     result = Granted()
     with ExitStack() as undo:
         _memory_and_slack(result, undo)
-        if cpu is not None:
-            _pin(cpu, result, undo)
-        if priority is not None:
-            _fifo(priority, result, undo)
+        _schedule(cpu, priority, result, undo)
         _quiet_interpreter(result, undo)
         yield result
 
@@ -93,15 +84,13 @@ def ended(process: subprocess.Popen[str]) -> int:
 
 
 def _quiet_interpreter(result: Granted, undo: ExitStack) -> None:
-    before = sys.getswitchinterval()
+    undo.callback(sys.setswitchinterval, sys.getswitchinterval())
     sys.setswitchinterval(SWITCH)
-    undo.callback(sys.setswitchinterval, before)
-    was_on = gc.isenabled()
+    if gc.isenabled():
+        undo.callback(gc.enable)
     gc.collect()
     gc.freeze()
     gc.disable()
-    if was_on:
-        undo.callback(gc.enable)
     undo.callback(gc.unfreeze)
     result.granted.append("garbage collector off")
 
@@ -124,32 +113,25 @@ def _memory_and_slack(result: Granted, undo: ExitStack) -> None:
         result.refused["timer slack"] = os.strerror(ctypes.get_errno())
 
 
-def _pin(cpu: int, result: Granted, undo: ExitStack) -> None:
-    name = f"processor {cpu}"
-    if not hasattr(os, "sched_setaffinity"):
-        result.refused[name] = "not on this system"
-        return
-    before = os.sched_getaffinity(0)
-    try:
-        os.sched_setaffinity(0, {cpu})
-    except OSError as error:
-        result.refused[name] = error.strerror or str(error)
-        return
-    undo.callback(os.sched_setaffinity, 0, before)
-    result.granted.append(name)
-
-
-def _fifo(priority: int, result: Granted, undo: ExitStack) -> None:
-    name = f"SCHED_FIFO {priority}"
+def _schedule(cpu: int | None, priority: int | None, result: Granted, undo: ExitStack) -> None:
+    """Pin the thread to a processor and give it a priority, each if it is not None."""
     if not hasattr(os, "sched_setscheduler"):
-        result.refused[name] = "not on this system"
+        asked = {f"processor {cpu}": cpu, f"SCHED_FIFO {priority}": priority}
+        given = {name for name, value in asked.items() if value is not None}
+        result.refused |= dict.fromkeys(given, "not on this system")
+        return
+    if cpu is not None:
+        undo.callback(os.sched_setaffinity, 0, os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cpu})
+        result.granted.append(f"processor {cpu}")
+    if priority is None:
         return
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
         hint = "run as root, or give the user rtprio in /etc/security/limits.conf"
-        result.refused[name] = f"{error.strerror}; {hint}"
+        result.refused[f"SCHED_FIFO {priority}"] = f"{error.strerror}; {hint}"
         return
     undo.callback(os.sched_setscheduler, 0, *before)
-    result.granted.append(name)
+    result.granted.append(f"SCHED_FIFO {priority}")

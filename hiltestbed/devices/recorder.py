@@ -17,7 +17,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -41,15 +40,13 @@ class Recorder:
             "recorder", self.ring.name, path, os.getpid(), stdout=subprocess.PIPE
         )
         try:
-            line = self._process.stdout.readline() if self._process.stdout else ""
+            ready = self._process.stdout is not None and self._process.stdout.readline()
         except BaseException:
             self._process.kill()
-            self._process.wait()
-            self.ring.close()
+            self._ended()
             raise
-        if line.strip() != READY:
-            ended(self._process)
-            self.ring.close()
+        if ready != READY + "\n":
+            self._ended()
             raise HiltestbedError(
                 f"{path}: the process that records did not start; check that the folder can be "
                 f"written to"
@@ -62,10 +59,7 @@ class Recorder:
     def finish(self) -> Array:
         """End the recording; all rows (k, columns), as mapped from the file, or HiltestbedError."""
         self.ring.finish()
-        status, columns = ended(self._process), self.ring.columns
-        if self._process.stdout:
-            self._process.stdout.close()
-        self.ring.close()
+        status, columns = self._ended(), self.ring.columns
         if status != 0:
             raise HiltestbedError(
                 f"{self.path}: the process that records has failed (status {status}); the file "
@@ -74,6 +68,14 @@ class Recorder:
         if self.path.stat().st_size == 0:
             return np.zeros((0, columns))
         return np.memmap(self.path, np.float64, "r").reshape(-1, columns)
+
+    def _ended(self) -> int:
+        """The status of the process, which is to end."""
+        status = ended(self._process)
+        if self._process.stdout:
+            self._process.stdout.close()
+        self.ring.close()
+        return status
 
 
 class TraceRecorder:
@@ -127,22 +129,13 @@ def main() -> int:
     with file, attached(name) as rings:
         if not rings:
             return 1
-        _record(rings[0], file, int(parent))
-    return 0
-
-
-def _record(ring: Ring, file: BinaryIO, parent: int) -> None:
-    """Write the rows until the ring is finished and empty, or the parent has died."""
-    while True:
-        finished = ring.finished or os.getppid() != parent
-        rows = ring.take()
-        if len(rows):
-            file.write(rows.tobytes())
+        finished = False
+        while not finished:
+            finished = rings[0].finished or os.getppid() != int(parent)
+            file.write(rings[0].take().tobytes())
             file.flush()
-        elif finished:
-            return
-        else:
             time.sleep(NAP)
+    return 0
 
 
 if __name__ == "__main__":

@@ -26,38 +26,31 @@ small moves on the robot before use.
 
 from __future__ import annotations
 
-import math
 import socket
 from typing import ClassVar, Literal
+from xml.etree import ElementTree
 
 import numpy as np
 from pydantic import Field
 
 from hiltestbed.config.validation import Positive
-from hiltestbed.devices import poses, sockets
+from hiltestbed.devices import plain_xml, poses, sockets
 from hiltestbed.devices.interface import (
-    LONGEST_DRAIN,
     Array,
-    Clock,
     DeviceError,
     Event,
-    Keeper,
     PlatformClient,
     PlatformServer,
     Protocol,
-)
-from hiltestbed.devices.rsi_telegram import (
-    LARGEST,
-    answer,
-    frame_element,
-    oddity,
-    read_count,
-    read_telegram,
 )
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
 
 MILLISECOND = 1e-3  # [s]
+LARGEST = 4096  # [byte] of a telegram
+AXES = ("X", "Y", "Z", "A", "B", "C")
+FARTHEST, LARGEST_ANGLE = 1.0e6, 1.0e3  # [mm], [deg] largest plausible values in a telegram
+LONGEST_IPOC = 18  # digits
 
 
 class RsiSettings(DeviceSettings):
@@ -79,7 +72,7 @@ class RsiSettings(DeviceSettings):
         default="base", description="axes of the correction: RefCorrSys of the object POSCORR"
     )
     sentype: str = Field(
-        "ImFree",
+        default="ImFree",
         min_length=1,
         max_length=40,
         pattern=r"^[A-Za-z0-9_.-]+$",
@@ -107,6 +100,80 @@ class RsiSettings(DeviceSettings):
         default=6, ge=1, le=12, description="decimals of the numbers in a telegram"
     )
 
+    @property
+    def period(self) -> float:
+        return self.period_ms * MILLISECOND
+
+    @property
+    def absolute(self) -> bool:
+        return self.correction == "absolute"
+
+    def offset(self, start: Array, pose: Array) -> Array:
+        """The offset (7,) from ``start`` to ``pose`` in the axes of the reference system."""
+        in_base = self.reference == "base"
+        return (poses.offset_in_base if in_base else poses.offset_in_tool)(start, pose)
+
+    def add(self, start: Array, offset: Array) -> Array:
+        """The pose (7,) at ``offset`` from ``start``."""
+        in_base = self.reference == "base"
+        return (poses.add_in_base if in_base else poses.add_in_tool)(start, offset)
+
+    def frame(self, name: str, frame: Array) -> str:
+        """The element with the frame (6,) [mm, deg]."""
+        values = zip(AXES, frame.tolist(), strict=True)
+        inside = " ".join(f'{axis}="{value:.{self.decimals}f}"' for axis, value in values)
+        return f"<{name} {inside}/>"
+
+    def answer(self, correction: Array, ipoc: int) -> bytes:
+        """The telegram to the controller with the correction (6,) [mm, deg]."""
+        inside = self.frame("RKorr", correction)
+        return f'<Sen Type="{self.sentype}">{inside}<IPOC>{ipoc}</IPOC></Sen>'.encode("ascii")
+
+
+class Odd(Exception):
+    """A datagram is not a telegram; says why, and what to do about it."""
+
+
+def read_telegram(data: bytes, root: str, element: str) -> tuple[ElementTree.Element, Array, int]:
+    """A telegram with ``root``, the frame (6,) in ``element`` and its IPOC. Raises Odd."""
+    try:
+        message = plain_xml.read(data, LARGEST)
+    except plain_xml.NotPlain:
+        raise Odd(
+            f"they are not plain XML of at most {LARGEST} bytes ({data[:20]!r}...); check what "
+            f"sends to this port"
+        ) from None
+    if message.tag != root:
+        raise Odd(f"their root is <{message.tag}>, not <{root}>; check what sends to this port")
+    found = plain_xml.find(message, element)
+    if found is None:
+        have = ", ".join(part.tag for part in message.iter() if part is not message) or "nothing"
+        raise Odd(
+            f"they are without {element} (they hold {have}); add the tag DEF_{element}, type "
+            f"DOUBLE, to SEND/ELEMENTS in the controller's configuration file"
+        )
+    try:
+        frame = np.array([float(found.attrib[axis]) for axis in AXES])
+    except (KeyError, ValueError):
+        frame = np.full(6, np.nan)
+    if not (np.abs(frame) <= np.repeat([FARTHEST, LARGEST_ANGLE], 3)).all():  # false for NaN
+        given = " ".join(f'{k}="{v}"' for k, v in found.attrib.items())
+        raise Odd(
+            f"{element} has no six plausible numbers {' '.join(AXES)} (got {given[:120]!r}); check "
+            f"the tag DEF_{element} of SEND/ELEMENTS in the controller's configuration file"
+        )
+    text = message.findtext(".//IPOC")
+    ipoc = _count(text)
+    if ipoc is None:
+        raise Odd(f"IPOC is no whole number (got {text!r}); check what sends them")
+    return message, frame, ipoc
+
+
+def _count(text: str | None) -> int | None:
+    """The non-negative integer in a text; None if the text is not one."""
+    text = (text or "").strip()
+    return int(text) if text.isascii() and text.isdecimal() and len(text) <= LONGEST_IPOC else None
+
 
 class RsiClient(sockets.Datagrams, PlatformClient):
     """Answers the controller's telegrams; the controller sets the clock, and every telegram from
@@ -117,40 +184,34 @@ class RsiClient(sockets.Datagrams, PlatformClient):
         delay: number of late answers that the controller has counted; -1 if it does not report it.
     """
 
+    settings: RsiSettings
     _largest = LARGEST
 
     def __init__(self, settings: RsiSettings) -> None:
-        super().__init__(settings.where)
-        self.settings = settings
-        self.period, self.step = settings.period_ms * MILLISECOND, settings.period_ms
-        self.clock = Clock.DEVICE
+        super().__init__(settings)
+        self.step = settings.period_ms
         self.delay = -1
         self.start: Array = self.state.pose.copy()
         self._from: Array = self.start.copy()  # reference pose of the next correction
-        self._relative = settings.correction == "relative"
         self._correction: Array = np.zeros(6)
         self._sequence = Sequence(self.counts, bits=64, step=settings.period_ms)
         self._robot: sockets.Address | None = None
         self._only: str | None = None
         self._answered, self._unanswered = True, 0
-        base = settings.reference == "base"
-        self._offset = poses.offset_in_base if base else poses.offset_in_tool
-        self._odd: tuple[bytes, sockets.Address] | None = None  # the last malformed telegram
-        # compile now, not in the first cycle
-        poses.pose_from_kuka(poses.kuka_from_pose(self._offset(self.start, self.start)))
+        self._odd = ""  # of the last malformed telegram: where it came from, and why it is one
 
     def open(self) -> None:
         settings = self.settings
         if settings.robot is not None:
             self._only = sockets.resolve(settings.robot, 0, self.where)[0]
         own = sockets.resolve(settings.host, settings.port, self.where)
-        self._socket = sockets.bound_udp(own, self.where)
+        self._socket = sockets.bound(own, self.where)
         self._robot, self._answered, self._unanswered, self.delay = None, True, 0, -1
-        self._odd = None
+        self._odd = ""
         self._sequence.restart()
         if not self.wait(settings.connect):
             self.close()
-            raise DeviceError(f"{self.where}: {self._silence()}")
+            raise DeviceError(f"{self.where}: {self._odd or self._silence()}")
         self.start[:] = self._from[:] = self.state.pose
         self._correction[:] = 0.0
         self.counts[:] = 0  # telegrams queued before the connection was open do not count
@@ -158,9 +219,6 @@ class RsiClient(sockets.Datagrams, PlatformClient):
 
     def _silence(self) -> str:
         """Why there was no telegram of a robot."""
-        if self._odd is not None:
-            data, (address, port) = self._odd
-            return f"telegrams arrive from {address}:{port}, but {oddity(data, 'Rob', 'RIst')}"
         others = int(self.counts[Event.SENDER])
         seen = f" ({others} datagrams of other senders than robot={self._only})" * (others > 0)
         return (
@@ -173,12 +231,12 @@ class RsiClient(sockets.Datagrams, PlatformClient):
         if self._only not in (None, sender[0]) or self._robot not in (None, sender):
             self.counts[Event.SENDER] += 1
             return False
-        read = read_telegram(data, "Rob", "RIst")
-        if read is None:
+        try:
+            message, frame, ipoc = read_telegram(data, "Rob", "RIst")
+        except Odd as odd:
             self.counts[Event.MALFORMED] += 1
-            self._odd = data, sender
+            self._odd = f"telegrams arrive from {sender[0]}:{sender[1]}, but {odd}"
             return False
-        message, frame, ipoc = read
         lost = int(self.counts[Event.LOST])
         if not self._sequence.judge(ipoc):
             return False
@@ -187,7 +245,8 @@ class RsiClient(sockets.Datagrams, PlatformClient):
             self._unanswered += 1
             self.counts[Event.LATE] += 1
         self._robot, self._answered = sender, False
-        self._compare(read_count(message.attributes.get("Delay", {}).get("D")))
+        late = plain_xml.find(message, "Delay")
+        self._compare(None if late is None else _count(late.get("D")))
         pose = poses.pose_from_kuka(frame)
         return self.state.take(pose, self.counts, ipoc, ipoc * MILLISECOND)
 
@@ -204,13 +263,13 @@ class RsiClient(sockets.Datagrams, PlatformClient):
 
     def command(self, pose: Array) -> None:
         self._check(pose)
-        self._correction[:] = poses.kuka_from_pose(self._offset(self._from, pose))
-        if self._relative:
+        self._correction[:] = poses.kuka_from_pose(self.settings.offset(self._from, pose))
+        if not self.settings.absolute:
             self._from[:] = pose
         self._answer()
 
     def hold(self) -> None:
-        if self._relative:
+        if not self.settings.absolute:
             self._correction[:] = 0.0
         self._answer()
 
@@ -219,18 +278,21 @@ class RsiClient(sockets.Datagrams, PlatformClient):
         self.close()
 
     def _answer(self) -> None:
-        self.held[:6] = 0.0 if self._relative else self._correction
+        self.held[:6] = self._correction if self.settings.absolute else 0.0
         if self._socket is None or self._robot is None:
             raise DeviceError(f"{self.where}: is not open")
         if not self._answered:  # one answer per telegram
-            self._send_to(
-                _answer_to(self.state.sequence, self._correction, self.settings), self._robot
-            )
+            answer = self.settings.answer(self._correction, self.state.sequence)
+            self._send_to(answer, self._robot)
             self._answered = True
 
+    def adopt(self, fileno: int) -> None:
+        self._socket = socket.socket(fileno=fileno)
 
-def _answer_to(ipoc: int, correction: Array, settings: RsiSettings) -> bytes:
-    return answer(settings.sentype, correction, ipoc, settings.decimals)
+    def keep(self, held: Array, stop: bool) -> None:
+        if not stop and self.wait(self.period):
+            self._correction[:] = held[:6]
+            self._answer()
 
 
 class RsiServer(sockets.Datagrams, PlatformServer):
@@ -242,22 +304,17 @@ class RsiServer(sockets.Datagrams, PlatformServer):
     """
 
     FIRST_IPOC = 1_000_000
+    settings: RsiSettings
     _largest = LARGEST
 
     def __init__(self, settings: RsiSettings) -> None:
-        super().__init__(settings.where)
-        self.settings = settings
-        self.period = settings.period_ms * MILLISECOND
+        super().__init__(settings)
         self.late = 0
-        self._absolute = settings.correction == "absolute"
         self._towards: sockets.Address = (settings.host, settings.port)
         self._ipoc = self.FIRST_IPOC
-        self._started, self._answered = False, True
-        self._start: Array = self.command.copy()
+        self._answered = True
+        self._first: Array = self.command.copy()
         self._step: Array = self.command.copy()
-        self._add = poses.add_in_base if settings.reference == "base" else poses.add_in_tool
-        # compile now, not in the first cycle
-        poses.pose_from_kuka(poses.kuka_from_pose(self._add(self._start, self._step)))
 
     def open(self) -> None:
         self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)
@@ -268,17 +325,17 @@ class RsiServer(sockets.Datagrams, PlatformServer):
             return
         self.poll()
         if not self._started:
-            self.command[:] = self._start[:] = pose
-            self._started = True
+            self._first[:] = pose
         elif not self._answered and self.commanded:
             self._missed()
+        self._start(pose)
         if status:
             self.stopped = f"the controller reports {status:#x}"
             return
         self._ipoc += self.settings.period_ms
         self._answered = False
         reached, wanted = (
-            frame_element(name, poses.kuka_from_pose(value), self.settings.decimals)
+            self.settings.frame(name, poses.kuka_from_pose(value))
             for name, value in (("RIst", pose), ("RSol", self.command))
         )
         clock = f'<Delay D="{self.late}"/><IPOC>{self._ipoc}</IPOC>'
@@ -289,10 +346,10 @@ class RsiServer(sockets.Datagrams, PlatformServer):
         """Handle a cycle without an answer."""
         self.late += 1
         self.counts[Event.LATE] += 1
-        if self.settings.hold and not self._absolute:
-            self.command[:] = self._add(self.command, self._step)
-        elif self._absolute and not self.settings.hold:
-            self.command[:] = self._start
+        if self.settings.hold and not self.settings.absolute:
+            self.command[:] = self.settings.add(self.command, self._step)
+        elif self.settings.absolute and not self.settings.hold:
+            self.command[:] = self._first
         if self.late > self.settings.late_limit:
             self.stopped = (
                 f"{self.late} answers came late or not at all (Timeout "
@@ -303,46 +360,22 @@ class RsiServer(sockets.Datagrams, PlatformServer):
         if sender != self._towards:
             self.counts[Event.SENDER] += 1
             return False
-        read = read_telegram(data, "Sen", "RKorr")
-        if read is None or read[2] > self._ipoc:
+        try:
+            _, frame, ipoc = read_telegram(data, "Sen", "RKorr")
+            if ipoc > self._ipoc:
+                raise Odd
+        except Odd:
             self.counts[Event.MALFORMED] += 1
             return False
-        _, frame, ipoc = read
         if ipoc < self._ipoc or self._answered:
             self.counts[Event.REORDERED if ipoc < self._ipoc else Event.REPEATED] += 1
             return False
         self.counts[Event.RECEIVED] += 1
         self._answered = self.commanded = True
         self._step[:] = poses.pose_from_kuka(frame)
-        self.command[:] = self._add(self._start if self._absolute else self.command, self._step)
+        base = self._first if self.settings.absolute else self.command
+        self.command[:] = self.settings.add(base, self._step)
         return True
-
-
-class RsiKeeper(Keeper):
-    """Answers each telegram with the held correction, on the socket duplicated from the loop."""
-
-    def __init__(self, settings: RsiSettings, fileno: int) -> None:
-        super().__init__(settings, fileno)
-        self._settings = settings
-        self._socket = socket.socket(fileno=fileno)
-
-    def hold(self, held: Array) -> None:
-        if not sockets.readable(self._socket, self._settings.period_ms * MILLISECOND):
-            return
-        newest: tuple[int, sockets.Address] | None = None
-        for _ in range(LONGEST_DRAIN):
-            try:
-                data, sender = self._socket.recvfrom(LARGEST + 1)
-            except OSError:
-                break
-            read = read_telegram(data, "Rob", "RIst")
-            if read is not None:
-                newest = max(newest or (-1, sender), (read[2], sender))
-        if newest is not None and math.isfinite(float(held.sum())):
-            self._socket.sendto(_answer_to(newest[0], held[:6], self._settings), newest[1])
-
-    def stop(self, held: Array) -> None:
-        """Send nothing: after its Timeout the controller ends the correction."""
 
 
 PROTOCOL = Protocol(
@@ -351,5 +384,4 @@ PROTOCOL = Protocol(
     settings=RsiSettings,
     platform_client=RsiClient,
     platform_server=RsiServer,
-    keeper=RsiKeeper,
 )

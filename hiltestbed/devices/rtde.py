@@ -39,16 +39,14 @@ from hiltestbed.devices import poses, rtde_wire, sockets
 from hiltestbed.devices.interface import (
     Array,
     Client,
-    Clock,
     DeviceError,
     Event,
-    Keeper,
     PlatformClient,
     Protocol,
     SensorClient,
 )
 from hiltestbed.devices.rtde_controller import RtdePlatformServer, RtdeSensorServer
-from hiltestbed.devices.rtde_wire import RtdeSettings, register_names
+from hiltestbed.devices.rtde_wire import RtdeSettings
 from hiltestbed.devices.sequence import Sequence
 
 # safety_status_bits: normal or reduced mode; a stop, violation or fault of any kind
@@ -73,13 +71,12 @@ def status_of(safety: int, robot: int | None) -> int:
 class _RtdeClient(Client):
     """The set-up of a connection and its data packages, for either client."""
 
-    def _prepare(
-        self, settings: RtdeSettings, outputs: list[str], inputs: Values[str] = ()
-    ) -> None:
-        """``outputs``, the time stamp first, are received, ``inputs`` sent."""
-        self.settings = settings
-        self.period = 1.0 / settings.rate
-        self._outputs, self._inputs = outputs, inputs
+    settings: RtdeSettings
+    _outputs: Values[str]  # received; the time stamp first
+    _inputs: Values[str] = ()  # sent
+
+    def __init__(self, settings: RtdeSettings) -> None:
+        super().__init__(settings)
         self._stream: rtde_wire.Stream | None = None
         self._said = ""
         self._layout = self._input_layout = struct.Struct(">B")
@@ -154,15 +151,13 @@ class _RtdeClient(Client):
         if math.isnan(self._first_time):
             self._first_time = values[0]
         elapsed = (values[0] - self._first_time) * self.settings.rate
-        elapsed = round(elapsed) if math.isfinite(elapsed) else -1
-        if elapsed < 0:
+        if not 0.0 <= elapsed + 0.5 < math.inf:
             self.counts[Event.REORDERED] += 1
             return False
-        if not self._sequence.judge(elapsed):
+        if not self._sequence.judge(round(elapsed)):
             return False
-        number = self._sequence.newest
         taken, status = self._understood(np.array(values[1:7]), *values[7:])
-        return self.sample.take(taken, self.counts, number, values[0], status)
+        return self.sample.take(taken, self.counts, self._sequence.newest, values[0], status)
 
     @abstractmethod
     def _understood(self, values: Array, safety: int, *robot: int) -> tuple[Array, int]:
@@ -217,8 +212,8 @@ class RtdeSensorClient(_RtdeClient, SensorClient):
     """A sensor that reads the force reported by a robot's controller."""
 
     def __init__(self, settings: RtdeSettings) -> None:
-        super().__init__(settings.where)
-        self._prepare(settings, ["timestamp", settings.wrench, "safety_status_bits"])
+        super().__init__(settings)
+        self._outputs = ["timestamp", settings.wrench, "safety_status_bits"]
 
     def _understood(self, values: Array, safety: int, *robot: int) -> tuple[Array, int]:
         return values, status_of(safety, None)
@@ -227,15 +222,13 @@ class RtdeSensorClient(_RtdeClient, SensorClient):
 class RtdePlatformClient(_RtdeClient, PlatformClient):
     """A robot that follows the pose in its input registers."""
 
+    _outputs = ("timestamp", "actual_TCP_pose", "safety_status_bits", "robot_status_bits")
+
     def __init__(self, settings: RtdeSettings) -> None:
-        super().__init__(settings.where)
-        self.clock = Clock.DEVICE
-        outputs = ["timestamp", "actual_TCP_pose", "safety_status_bits", "robot_status_bits"]
-        self._prepare(settings, outputs, register_names(settings.first_register))
-        self._registers: list[float | int] = [0.0] * 6 + [0]
+        super().__init__(settings)
+        self._inputs = settings.registers
+        self._frame: Array = np.zeros(6)  # in the registers
         self._sent = 0
-        # compile now, not in the first cycle
-        poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.state.pose))
 
     def open(self) -> None:
         super().open()
@@ -246,8 +239,7 @@ class RtdePlatformClient(_RtdeClient, PlatformClient):
                 f"its program"
             )
         self._sent = 0
-        self._registers[:6] = poses.rotation_vector_from_pose(self.state.pose).tolist()
-        self.hold()
+        self.command(self.state.pose)
 
     def _understood(self, values: Array, safety: int, *robot: int) -> tuple[Array, int]:
         running = robot[0] if self.settings.need_program else None
@@ -255,35 +247,26 @@ class RtdePlatformClient(_RtdeClient, PlatformClient):
 
     def command(self, pose: Array) -> None:
         self._check(pose)
-        self._registers[:6] = poses.rotation_vector_from_pose(pose).tolist()
+        self._frame[:] = poses.rotation_vector_from_pose(pose)
         self.hold()
 
     def hold(self) -> None:
         self._sent = (self._sent + 1) & 0x7FFFFFFF
-        self._registers[6] = self._sent
-        self.held[:7] = self._registers
-        self._write(self._registers)
+        self._write([*self._frame.tolist(), self._sent])
 
     def stop(self) -> None:
-        self._registers[6] = STOPPED
-        self._write(self._registers)
+        self._write([*self._frame.tolist(), STOPPED])
 
-
-class RtdeKeeper(Keeper):
-    """Pauses the exchange on the loop's connection: the controller's own watchdog of its registers
-    then stops the robot.
-    """
-
-    def __init__(self, settings: RtdeSettings, fileno: int) -> None:
-        super().__init__(settings, fileno)
+    def adopt(self, fileno: int) -> None:
         self._stream = rtde_wire.Stream(socket.socket(fileno=fileno))
 
-    def hold(self, held: Array) -> None:
-        """Send nothing: an input register keeps its value."""
-
-    def stop(self, held: Array) -> None:
-        with suppress(OSError):
-            self._stream.send(rtde_wire.PAUSE)
+    def keep(self, held: Array, stop: bool) -> None:
+        """An input register keeps its value; where the exchange pauses, the controller's own
+        watchdog of its registers stops the robot.
+        """
+        if stop and self._stream is not None:
+            with suppress(OSError):
+                self._stream.send(rtde_wire.PAUSE)
 
 
 PROTOCOL = Protocol(
@@ -294,5 +277,4 @@ PROTOCOL = Protocol(
     platform_client=RtdePlatformClient,
     sensor_server=RtdeSensorServer,
     platform_server=RtdePlatformServer,
-    keeper=RtdeKeeper,
 )

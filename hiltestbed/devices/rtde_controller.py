@@ -17,7 +17,7 @@ import numpy as np
 
 from hiltestbed.devices import poses, rtde_wire, sockets
 from hiltestbed.devices.interface import Array, Event, Link, PlatformServer, SensorServer
-from hiltestbed.devices.rtde_wire import RtdeSettings, register_names
+from hiltestbed.devices.rtde_wire import RtdeSettings
 
 OUTPUTS = {
     "timestamp": "DOUBLE",
@@ -57,21 +57,21 @@ class _Controller(Link):
         fields: the outputs by name. registers: the received inputs by name.
     """
 
-    def _prepare(self, settings: RtdeSettings) -> None:
-        self.settings = settings
-        self.period = 1.0 / settings.rate
+    settings: RtdeSettings
+
+    def __init__(self, settings: RtdeSettings) -> None:
+        super().__init__(settings)
         vectors = [name for name, kind in OUTPUTS.items() if kind == "VECTOR6D"]
         self.fields: dict[str, list[float]] = {name: [0.0] * 6 for name in vectors}
         self.fields |= {name: [value] for name, value in RUNNING.items()}
         self.registers: dict[str, float | int] = {}
         self.address: sockets.Address = (settings.host, settings.port)
         self._clients: list[_Client] = []
-        self._claimed: dict[str, _Client] = {}
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
         address = sockets.resolve(self.settings.host, self.settings.port, self.where)
-        self._socket = sockets.bound(socket.SOCK_STREAM, address, self.where)
+        self._socket = sockets.bound(address, self.where, socket.SOCK_STREAM)
         self._socket.listen(4)
         self.address = self._socket.getsockname()
 
@@ -98,12 +98,14 @@ class _Controller(Link):
                 self._drop(client)
         return new
 
-    def _arrived(self, timeout: float) -> bool:
-        """Wait until a client sends something, for at most ``timeout`` [s]."""
-        heard = [client.stream.connection for client in self._clients]
-        return self._socket is not None and bool(
-            select.select([self._socket, *heard], [], [], timeout)[0]
-        )
+    def wait(self, timeout: float, expected: float = math.inf) -> bool:
+        until = time.monotonic() + timeout
+        while not self.poll():
+            left = until - time.monotonic()
+            heard = [self._socket, *(client.stream.connection for client in self._clients)]
+            if left <= 0.0 or self._socket is None or not select.select(heard, [], [], left)[0]:
+                return False
+        return True
 
     def _send(self, device_time: float, status: int) -> None:
         """Send the fields to each client that has started, at the rate that it requested."""
@@ -136,8 +138,6 @@ class _Controller(Link):
     def _drop(self, client: _Client) -> None:
         client.stream.connection.close()
         self._clients.remove(client)
-        claims = self._claimed.items()
-        self._claimed = {name: owner for name, owner in claims if owner is not client}
 
     def _serve(self, client: _Client, kind: int, payload: bytes) -> bool:
         if kind == rtde_wire.DATA_PACKAGE:
@@ -176,8 +176,10 @@ class _Controller(Link):
 
     def _set_inputs(self, client: _Client, payload: bytes) -> bytes:
         names = _names(payload)
+        recipes = (recipe for other in self._clients for recipe in other.inputs.values())
+        taken = {name for claimed, _ in recipes for name in claimed}
         types = [
-            rtde_wire.IN_USE if name in self._claimed else INPUTS.get(name, rtde_wire.NOT_FOUND)
+            rtde_wire.IN_USE if name in taken else INPUTS.get(name, rtde_wire.NOT_FOUND)
             for name in names
         ]
         if any(kind not in rtde_wire.TYPES for kind in types):
@@ -186,7 +188,6 @@ class _Controller(Link):
         if number > 255:
             raise rtde_wire.Broken
         client.inputs[number] = names, rtde_wire.recipe(types)
-        self._claimed |= dict.fromkeys(names, client)
         return bytes([number]) + ",".join(types).encode()
 
     def _inputs(self, client: _Client, payload: bytes) -> bool:
@@ -210,10 +211,6 @@ def _names(payload: bytes) -> list[str]:
 class RtdeSensorServer(_Controller, SensorServer):
     """An emulated controller that reports a force."""
 
-    def __init__(self, settings: RtdeSettings) -> None:
-        super().__init__(settings.where)
-        self._prepare(settings)
-
     def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
         self.fields["actual_TCP_force"] = self.fields["ft_raw_wrench"] = wrench.tolist()
         self._send(device_time, status)
@@ -222,36 +219,19 @@ class RtdeSensorServer(_Controller, SensorServer):
 class RtdePlatformServer(_Controller, PlatformServer):
     """An emulated robot whose program follows the registers."""
 
-    def __init__(self, settings: RtdeSettings) -> None:
-        super().__init__(settings.where)
-        self._prepare(settings)
-        self._names = register_names(settings.first_register)
-        self._started = False
-        # compile now, not in the first cycle
-        poses.pose_from_rotation_vector(poses.rotation_vector_from_pose(self.command))
-
     def poll(self) -> bool:
-        if not super().poll() or any(name not in self.registers for name in self._names):
+        names = self.settings.registers
+        if not super().poll() or any(name not in self.registers for name in names):
             return False
-        *frame, counter = (self.registers[name] for name in self._names)
+        *frame, counter = (self.registers[name] for name in names)
         if counter < 0:
             self.stopped = "the client asked for a stop"
         if self.stopped is not None:
             return False
         return self._obey(poses.pose_from_rotation_vector(np.array(frame)))
 
-    def wait(self, timeout: float, expected: float = math.inf) -> bool:
-        until = time.monotonic() + timeout
-        while not self.poll():
-            left = until - time.monotonic()
-            if left <= 0.0 or not self._arrived(left):
-                return False
-        return True
-
     def publish(self, pose: Array, device_time: float, status: int = 0) -> None:
-        if not self._started:
-            self.command[:] = pose
-            self._started = True
+        self._start(pose)
         for name, value in (("actual_TCP_pose", pose), ("target_TCP_pose", self.command)):
             self.fields[name] = poses.rotation_vector_from_pose(value).tolist()
         self._send(device_time, status)

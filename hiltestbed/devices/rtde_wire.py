@@ -25,18 +25,7 @@ PROTOCOL_VERSION = 2
 REQUEST_PROTOCOL_VERSION, GET_CONTROLLER_VERSION, TEXT_MESSAGE, DATA_PACKAGE = b"VvMU"
 SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE = b"OISP"
 NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"
-TYPES = {
-    "BOOL": "?",
-    "UINT8": "B",
-    "UINT32": "I",
-    "UINT64": "Q",
-    "INT32": "i",
-    "DOUBLE": "d",
-    "VECTOR3D": "3d",
-    "VECTOR6D": "6d",
-    "VECTOR6INT32": "6i",
-    "VECTOR6UINT32": "6I",
-}
+TYPES = {"UINT32": "I", "INT32": "i", "DOUBLE": "d", "VECTOR6D": "6d"}  # of the fields used here
 LONGEST_NAMES = 2048  # [byte] of the list of fields of a recipe
 AT_ONCE = 65536  # [byte] read from a connection at a time
 
@@ -60,6 +49,17 @@ class RtdeSettings(DeviceSettings):
     connect: Positive = Field(
         default=2.0, description="time to wait for each answer while connecting [s]"
     )
+
+    @property
+    def period(self) -> float:
+        return 1.0 / self.rate
+
+    @property
+    def registers(self) -> list[str]:
+        """The input registers of a commanded pose: six doubles and the counter."""
+        first = self.first_register
+        doubles = [f"input_double_register_{first + i}" for i in range(6)]
+        return [*doubles, f"input_int_register_{first}"]
 
 
 class Broken(Exception):
@@ -105,14 +105,6 @@ class Stream:
             payload = bytes(self._buffer[HEADER.size : size])
             del self._buffer[:size]
             yield kind, payload
-
-
-def register_names(first: int) -> list[str]:
-    """The input registers of a commanded pose: six doubles and the counter."""
-    return [
-        *(f"input_double_register_{first + i}" for i in range(6)),
-        f"input_int_register_{first}",
-    ]
 
 
 def text_of(payload: bytes) -> str:

@@ -13,7 +13,8 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from hiltestbed.devices.motion import run_down, run_up, travel
 from hiltestbed.devices.pace import SECOND, Pace, pace_of
 from hiltestbed.devices.realtime import Granted, prepared
 from hiltestbed.devices.recorder import TraceRecorder
-from hiltestbed.devices.side import Connected, DeviceRig, side_of
+from hiltestbed.devices.side import Connected, DeviceRig
 from hiltestbed.devices.table import platform_client, sensor_client, settings_of
 from hiltestbed.devices.timekeeping import SimulatedClock, WallClock
 from hiltestbed.devices.watch import said
@@ -51,8 +52,6 @@ OBSERVED, LONGEST = 1.0, 10.0
 RETRACT_RATE = math.radians(5.0)  # [rad/s] that of the default travel; the goal is not turned
 READY = 20.0  # [s] to wait for the watchdog's process
 
-MakePace = Callable[[SensorClient, PlatformClient, float], Pace]
-
 
 @dataclass
 class Options:
@@ -64,7 +63,7 @@ class Options:
         pace: creates the :class:`Pace` from sensor, platform and tick; for tests without a clock.
         clock: the wall clock; None: that of the machine, or with a pace of one's own the time that
             it tells. say: called with a message when the platform is about to move.
-        connect: makes the devices from these options.
+        devices: makes the clients from a scenario and these options; None: from the URLs.
     """
 
     sensor: str
@@ -72,16 +71,16 @@ class Options:
     armed: bool = False
     cpu: int | None = None
     record: Path | None = None
-    pace: MakePace = pace_of
+    pace: Callable[[SensorClient, PlatformClient, float], Pace] = pace_of
     clock: WallClock | None = None
     say: Callable[[str], None] = lambda step: None
-    connect: Callable[[Scenario, Options], tuple[SensorClient, PlatformClient]] = field(
-        default=lambda *a: clients(*a)
-    )
+    devices: tuple[SensorClient, PlatformClient] | None = None
 
 
 def clients(scenario: Scenario, options: Options) -> tuple[SensorClient, PlatformClient]:
     """The loop's sides of both devices, not yet open. Raises InputError."""
+    if options.devices is not None:
+        return options.devices
     sensor = options.sensor
     if not settings_of(sensor, "--sensor").device_tells_rate:
         sensor = with_rate(sensor, scenario, "--sensor")
@@ -128,19 +127,17 @@ class Session:
 
     def __init__(self, scenario: Scenario, options: Options) -> None:
         self.scenario, self.options, self.armed = scenario, options, options.armed
-        self.devices = Connected(*options.connect(scenario, options))
-        machines = options.pace is pace_of
-        self._now = options.clock or (WallClock() if machines else SimulatedClock(self._told))
+        self.devices = Connected(*clients(scenario, options))
+        real = options.pace is pace_of
+        self._now = options.clock or (WallClock() if real else SimulatedClock(self._told))
         self.rig = DeviceRig(scenario, self.devices, scenario.ticks + 1, self._now)
-        self.loop = Loop([scenario], side=side_of(self.rig))
+        self.loop = Loop([scenario], side=lambda *_: (self.rig, self.rig, self.rig))
         self.trace = Trace(scenario.ticks, 1, scenario.rate, self.rig.units)
         self.granted = Granted()
         self.recorder: TraceRecorder | None = None
         self.wall = 0.0
-        state = approach_state(scenario)
-        self._pose, self._twist = state[:7], state[7:]
-        self._zero = np.zeros((1, 6))
-        self._to_send = np.zeros((1, 7))
+        self._start = approach_state(scenario)
+        self._to_send, self._zero = np.zeros((1, 7)), np.zeros((1, 6))
 
     @contextmanager
     def connected(self) -> Iterator[None]:
@@ -157,7 +154,7 @@ class Session:
             if self.armed and watchdog is not None:
                 url = with_rate(self.options.platform, self.scenario, "--platform")
                 devices.watchdog = Watchdog(
-                    url, devices.platform, watchdog.timeout, watchdog.action, wait=False
+                    url, devices.platform, watchdog.timeout, watchdog.action
                 )
                 stack.callback(devices.watchdog.close)
             yield
@@ -167,40 +164,40 @@ class Session:
         process, and compare the rate of the clock with the scenario's: armed, another one raises
         DeviceError.
         """
-        rig, tare = self.rig, self.scenario.devices.sensor.tare
-        ticks = round(max(OBSERVED, tare) * self.scenario.rate)
-        readings, shown = np.zeros((2, max(ticks, 2), 6))
+        rig, rate, tare = self.rig, self.scenario.rate, self.scenario.devices.sensor.tare
+        ticks = max(round(max(OBSERVED, tare) * rate), 2)
+        readings, shown = np.zeros((2, ticks, 6))
         rig.watch()
         # by the wall clock, not by ticks
         observed, longest = (self._now() + round(s * SECOND) for s in (OBSERVED, LONGEST))
-        for k in range(len(readings)):
+        for k in range(ticks):
             self._hold()
-            readings[k], shown[k] = rig.wrench_sub[0, 0], rig.shown
+            readings[k], shown[k] = rig.reading[0], rig.shown
         wrench = readings.mean(axis=0)
         if tare > 0.0:
-            rig.tare[:] = readings[-max(round(tare * self.scenario.rate), 2) :].mean(axis=0)
+            rig.tare[:] = readings[-max(round(tare * rate), 2) :].mean(axis=0)
         until = time.monotonic() + READY
         watchdog = self.devices.watchdog
         while rig.stop is None and (
             self._now() < observed
             or (self._now() < longest and self.rig.time.is_right() is None)
-            or (watchdog is not None and not watchdog.ready and time.monotonic() < until)
+            or (watchdog is not None and not watchdog.ready() and time.monotonic() < until)
         ):
             self._hold()
-        if watchdog is not None and not watchdog.ready and rig.stop is None:
+        if watchdog is not None and not watchdog.ready() and rig.stop is None:
             rig.stop = f"the watchdog did not start within {READY:g} s"
         refused = self._other_rate()
         if refused is not None and self.armed and rig.stop is None:
             raise DeviceError(refused)
         return Observed(
-            rig.pose_act[0].copy(),
-            wrench,
-            readings.std(axis=0),
-            shown.mean(axis=0),
-            shown.std(axis=0),
-            rig.time.rate,
-            self._counts(),
-            refused or rig.stop,
+            pose=rig.pose_act[0].copy(),
+            wrench=wrench,
+            noise=readings.std(axis=0),
+            shown=shown.mean(axis=0),
+            shown_noise=shown.std(axis=0),
+            rate=rig.time.rate,
+            counts=self._counts(),
+            fault=refused or rig.stop,
         )
 
     def _told(self) -> float:
@@ -260,9 +257,10 @@ class Session:
 
     def _approach(self) -> bool:
         """Travel to the start of the run-up, and accelerate to the approach velocity."""
-        tick, duration = self.rig.tick, self.scenario.devices.platform.run_up
-        rest = next(run_up(self._pose, self._twist, tick, duration))
-        return self.travel(rest) and self.follow(run_up(self._pose, self._twist, tick, duration))
+        duration = self.scenario.devices.platform.run_up
+        way = run_up(self._start[:7], self._start[7:], self.rig.tick, duration)
+        rest = next(way)
+        return self.travel(rest) and self.follow(chain([rest], way))
 
     def travel(self, goal: Array) -> bool:
         """Travel to rest at ``goal`` (7,); False if stopped."""
@@ -309,11 +307,9 @@ class Session:
     def follow(
         self, poses: Iterable[Array], tolerant: bool = False, rows: list[Row] | None = None
     ) -> bool:
-        """Command ``poses`` (7,), one per tick; False if stopped.
-
-        Args:
-            tolerant: only guard and wall clock can stop it, for the retraction after a stop.
-            rows: receives the readings of each tick and the command sent from them.
+        """Command ``poses`` (7,), one per tick; False if stopped. ``rows`` receives the readings of
+        each tick and the command sent from them. ``tolerant``, for the retraction after a stop:
+        only guard and wall clock can stop it.
         """
         rig = self.rig
         for pose in poses:

@@ -20,11 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hiltestbed.config.validation import Positive
 from hiltestbed.devices.interface import (
     Array,
     Client,
-    Clock,
     DeviceError,
     Event,
     Link,
@@ -32,10 +30,10 @@ from hiltestbed.devices.interface import (
     SensorClient,
     SensorServer,
 )
-from hiltestbed.devices.numbered import NumberedClient, NumberedKeeper, NumberedServer
+from hiltestbed.devices.numbered import NumberedClient, NumberedServer
 from hiltestbed.devices.ring import shared
 from hiltestbed.devices.sequence import Sequence
-from hiltestbed.devices.url import DeviceSettings, refused
+from hiltestbed.devices.url import PacedSettings, refused
 from hiltestbed.errors import InputError
 
 MAGIC = 0x48544D424F580001
@@ -66,14 +64,10 @@ class Mailbox:
             self._words[:] = 0
             self._words[0] = MAGIC
 
-    @property
-    def valid(self) -> bool:
-        return int(self._words[0]) == MAGIC
-
     def write(self, values: Array, number: int, time: float, flag: int) -> None:
         """Write a message of at most seven values."""
         lock = int(self._words[1])
-        lock = lock + 2 if lock & 1 else lock + 1
+        lock += 2 if lock & 1 else 1
         self._words[1] = lock & 0xFFFFFFFFFFFFFFFF
         self._words[2], self._words[3] = number, flag
         self._numbers[0] = time
@@ -88,20 +82,15 @@ class Mailbox:
             return False
         damaged = False
         for _ in range(TRIES):
-            before = int(self._words[1])
-            number, flag, crc = int(self._words[2]), int(self._words[3]), int(self._words[4])
+            lock, number, flag, crc = map(int, self._words[1:5])
             copy = self._numbers.copy()
-            # no write was active: complete, unless the CRC differs
-            damaged = before & 1 == 0 and int(self._words[1]) == before
-            if not damaged:
-                continue
-            if crc != self._crc(number, flag, copy) or not np.isfinite(copy).all():
-                continue
-            if number == self.number:
-                return False
-            self.number, self.flag, self.time = number, flag, float(copy[0])
-            self.values[:] = copy[1:8]
-            return True
+            complete = lock % 2 == 0 and int(self._words[1]) == lock  # no write was active
+            whole = crc == self._crc(number, flag, copy) and np.isfinite(copy).all()
+            if complete and whole:
+                self.number, self.flag, self.time = number, flag, float(copy[0])
+                self.values[:] = copy[1:]
+                return True
+            damaged = complete
         return None if damaged else False
 
     def _crc(self, number: int, flag: int, numbers: Array) -> int:
@@ -136,17 +125,13 @@ def attach(name: str) -> Mailbox | None:
         memory = shared(name, name in _own)
     except OSError:
         return None
-    if memory.size < SIZE:
+    if memory.size < SIZE or np.ndarray(1, np.uint64, memory.buf)[0] != MAGIC:
         memory.close()
         return None
-    box = Mailbox(memory, owner=False)
-    if not box.valid:
-        box.close()
-        return None
-    return box
+    return Mailbox(memory, owner=False)
 
 
-class ShmSettings(DeviceSettings):
+class ShmSettings(PacedSettings):
     """Options of ``shm://``; the host part of the URL is the name."""
 
     kind: Literal["shm"] = "shm"
@@ -155,11 +140,6 @@ class ShmSettings(DeviceSettings):
         pattern=r"^[a-z0-9][a-z0-9_.-]{0,99}$",
         description="name of the shared memory",
     )
-    rate: Positive = Field(default=1000.0, description="rate of the messages [Hz]")
-    clock: Literal["device", "host"] = Field(
-        default="device", description="what paces the cycle: the device's messages, or the loop"
-    )
-    connect: Positive = Field(default=2.0, description="time to wait for the device [s]")
 
 
 class _Mailboxes(Link):
@@ -184,18 +164,22 @@ class _Mailboxes(Link):
             time.sleep(NAP)
         return True
 
-    def _read_from(self, box: Mailbox) -> None:
-        self._inbox = box
-        # no limit: a mailbox keeps only the newest message
-        self._sequence = Sequence(self.counts, bits=63, longest_gap=1 << 61)
-
-    def _message(self) -> Mailbox | None:
-        """The mailbox if there is a new message in it."""
+    def poll(self) -> bool:
         box = self._inbox
         found = False if box is None else box.read()
         if found is None:
             self.counts[Event.MALFORMED] += 1
-        return box if box is not None and found and self._sequence.judge(box.number) else None
+        new = box is not None and found and self._sequence.judge(box.number)
+        return self._accept(box) if box is not None and new else False
+
+    def _accept(self, box: Mailbox) -> bool:
+        """Take in a new message. A sensor's device receives none."""
+        return False
+
+    def _read_from(self, box: Mailbox) -> None:
+        self._inbox = box
+        # no limit: a mailbox keeps only the newest message
+        self._sequence = Sequence(self.counts, bits=63, longest_gap=1 << 61)
 
     def _made(self, part: Part) -> Mailbox:
         return make(f"{self.settings.host}.{part}", self.where)
@@ -206,12 +190,20 @@ class _Mailboxes(Link):
 
 
 class _ShmClient(_Mailboxes, Client):
-    def poll(self) -> bool:
-        box, sample = self._message(), self.sample
-        if box is None:
-            return False
-        values = box.values[: len(sample.values)]
-        return sample.take(values, self.counts, box.number, box.time, box.flag)
+    def _accept(self, box: Mailbox) -> bool:
+        values = box.values[: len(self.sample.values)]
+        return self.sample.take(values, self.counts, box.number, box.time, box.flag)
+
+    def _open(self, inbox: Part, outbox: Part | None = None) -> None:
+        """Attach to the device's mailboxes and wait for its first message."""
+        self._read_from(self._awaited(inbox))
+        self._outbox = self._awaited(outbox) if outbox is not None else None
+        if not self.wait(self.settings.connect):
+            self.close()
+            raise DeviceError(
+                f"{self.where}: the device is there, but has sent nothing in "
+                f"{self.settings.connect:g} s; start its run"
+            )
 
     def _awaited(self, part: Part) -> Mailbox:
         until, name = time.monotonic() + self.settings.connect, f"{self.settings.host}.{part}"
@@ -224,41 +216,23 @@ class _ShmClient(_Mailboxes, Client):
             time.sleep(0.01)
         return box
 
-    def _await_first(self) -> None:
-        if not self.wait(self.settings.connect):
-            self.close()
-            raise DeviceError(
-                f"{self.where}: the device is there, but has sent nothing in "
-                f"{self.settings.connect:g} s; start its run"
-            )
-
 
 class ShmSensorClient(_ShmClient, SensorClient):
     """Reads the wrench that another process writes."""
 
-    def __init__(self, settings: ShmSettings) -> None:
-        super().__init__(settings.where)
-        self.settings = settings
-        self.period = 1.0 / settings.rate
-        self.clock = Clock(settings.clock)
-
     def open(self) -> None:
-        self._read_from(self._awaited("wrench"))
-        self._await_first()
+        self._open("wrench")
 
 
 class ShmPlatformClient(_ShmClient, NumberedClient):
     """Writes the commanded pose for another process and reads the pose reached."""
 
-    def __init__(self, settings: ShmSettings) -> None:
-        super().__init__(settings)
-        self.settings = settings
-
     def open(self) -> None:
-        self._read_from(self._awaited("state"))
-        self._outbox = self._awaited("command")
-        self._await_first()
+        self._open("state", "command")
         self._begin()
+
+    def adopt(self, fileno: int) -> None:
+        self._outbox = attach(f"{self.settings.host}.command")
 
     def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
         self._write(pose, number, now, stop)
@@ -267,18 +241,10 @@ class ShmPlatformClient(_ShmClient, NumberedClient):
 class ShmSensorServer(_Mailboxes, SensorServer):
     """Writes a wrench for another process."""
 
-    def __init__(self, settings: ShmSettings) -> None:
-        super().__init__(settings.where)
-        self.settings = settings
-        self.period = 1.0 / settings.rate
-        self._number = 0
+    _number = 0
 
     def open(self) -> None:
         self._outbox = self._made("wrench")
-
-    def poll(self) -> bool:
-        """A sensor receives nothing."""
-        return False
 
     def publish(self, wrench: Array, device_time: float, status: int = 0) -> None:
         self._number += 1
@@ -288,10 +254,6 @@ class ShmSensorServer(_Mailboxes, SensorServer):
 class ShmPlatformServer(_Mailboxes, NumberedServer):
     """A platform for a loop in another process."""
 
-    def __init__(self, settings: ShmSettings) -> None:
-        super().__init__(settings)
-        self.settings = settings
-
     def open(self) -> None:
         self._outbox = self._made("state")
         try:
@@ -300,24 +262,11 @@ class ShmPlatformServer(_Mailboxes, NumberedServer):
             self.close()
             raise
 
-    def poll(self) -> bool:
-        box = self._message()
-        return box is not None and self._commanded(box.values, box.flag)
+    def _accept(self, box: Mailbox) -> bool:
+        return self._commanded(box.values, box.flag)
 
     def _report(self, pose: Array, number: int, device_time: float, status: int) -> None:
         self._write(pose, number, device_time, status)
-
-
-class ShmKeeper(NumberedKeeper):
-    """Writes into the command mailbox."""
-
-    def __init__(self, settings: ShmSettings, fileno: int) -> None:
-        super().__init__(settings, fileno)
-        self._outbox = attach(f"{settings.host}.command")
-
-    def _post(self, pose: Array, number: int, now: float, stop: int) -> None:
-        if self._outbox is not None:
-            self._outbox.write(pose, number, now, stop)
 
 
 PROTOCOL = Protocol(
@@ -328,5 +277,4 @@ PROTOCOL = Protocol(
     platform_client=ShmPlatformClient,
     sensor_server=ShmSensorServer,
     platform_server=ShmPlatformServer,
-    keeper=ShmKeeper,
 )

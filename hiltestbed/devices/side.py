@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,13 +21,12 @@ from hiltestbed.contact.phases import Phases
 from hiltestbed.devices.guard import Guard
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.mounting import Mounting
-from hiltestbed.devices.pace import AtOnce, Pace
+from hiltestbed.devices.pace import Pace
 from hiltestbed.devices.timekeeping import Timekeeper, WallClock
 from hiltestbed.devices.watch import CommunicationWatch
 from hiltestbed.devices.watchdog import Watchdog
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, twist_between
-from hiltestbed.loop import MakeSide, Side
 from hiltestbed.scenario import Scenario
 from hiltestbed.supervision.monitoring import ProcessMonitor
 
@@ -47,7 +45,7 @@ class Connected:
 
     sensor: SensorClient
     platform: PlatformClient
-    pace: Pace = field(default_factory=AtOnce)
+    pace: Pace = field(default_factory=Pace)
     watchdog: Watchdog | None = None
 
 
@@ -62,9 +60,7 @@ class CycleLog:
         self.began = time.monotonic_ns()
 
     def begin(self, ticks: int, age: float) -> None:
-        """Record the start of a cycle, ``ticks`` after the last, with a reading that is ``age`` [s]
-        old.
-        """
+        """Record the start of a cycle, ``ticks`` after the last, with a reading ``age`` [s] old."""
         now = time.monotonic_ns()
         self.k += 1
         if self.k < len(self.rows):
@@ -77,22 +73,10 @@ class CycleLog:
             self.rows[self.k, 1] = (time.monotonic_ns() - self.began) * NANOSECOND
 
 
-class DeviceSensor:
-    """The reading as it arrives, in P, less the tare: the signal chain is in the device itself."""
-
-    def __init__(self) -> None:
-        self.reading = np.zeros((1, 6))
-
-    def read(self, k: int, wrench_sub: Array) -> Array:
-        self.reading[:] = wrench_sub[:, -1]
-        return self.reading
-
-    def feel(self, k: int, wrench: Array) -> None:
-        """Do nothing: the device measures the wrench itself."""
-
-
 class DeviceRig:
-    """Platform and sensor, with the interface of :class:`hiltestbed.platform.plant.Plant`; one run.
+    """Platform and sensor as the physical side of one run: rig, force sensor and supervisor of a
+    :class:`hiltestbed.loop.Loop`. The reading is in P, less the tare, as it arrives: the signal
+    chain is in the device itself.
 
     Attributes:
         stop: why the run has to stop; None while there is no fault. tare: (6,) subtracted from the
@@ -107,6 +91,7 @@ class DeviceRig:
 
     units: tuple[str, ...] = ()  # of the platform's joints, which devices do not report
     physical = False  # the bodies do not move freely
+    phases: Phases | None = None  # phases of capture are those of the real mechanism
 
     def __init__(
         self, scenario: Scenario, connected: Connected, ticks: int, clock: WallClock | None = None
@@ -117,11 +102,11 @@ class DeviceRig:
                 f"rig.platform: the bodies of {kind!r} move freely; devices are only for "
                 f"platforms that are commanded"
             )
-        tick = scenario.tick
+        tick, limits, safety = scenario.tick, scenario.devices.limits, scenario.safety
         self.scenario, self.connected, self.tick = scenario, connected, tick
         self.mounting = Mounting(scenario.devices)
-        self.guard = Guard(scenario.devices.limits, tick)
-        self.time = Timekeeper(tick, scenario.devices.limits.time_offset, clock or WallClock())
+        self.guard = Guard(limits, tick)
+        self.time = Timekeeper(tick, limits.time_offset, clock or WallClock())
         self._bound_values()
         communication = scenario.devices.communication
         self._watches = [
@@ -133,7 +118,7 @@ class DeviceRig:
         self.monitor = ProcessMonitor([scenario])
         self.stop: str | None = None
         self.armed = False
-        self.missed = 0
+        self.missed = self._behind = 0
         self.tare, self.last = np.zeros(6), np.zeros(7)
         self.shown: Array = connected.sensor.reading.wrench
         self._command, self._raw, self._before = np.zeros(7), np.zeros(6), np.zeros(7)
@@ -144,21 +129,23 @@ class DeviceRig:
         self._slopes = np.zeros((self._late + 2, 6))
         self._taken = 0
         self.late_work = 0.0
-        self._held_rate = scenario.rig.platform.prescribed
         self._threshold = max(GATE_SIGMA * scenario.sensor.noise, LEAST_FORCE)
-        safety = scenario.safety
-        limits = safety.force, safety.torque, safety.tracking_error
-        self._limits = [math.inf if limit is None else limit for limit in limits]
-        self._behind = 0
-        self.phases: Phases | None = None  # None: phases of capture are those of the real mechanism
+        given = safety.force, safety.torque, safety.tracking_error, safety.energy
+        self._limits = [math.inf if limit is None else limit for limit in given]
         self.pose_act, self.twist_act = np.zeros((1, 7)), np.zeros((1, 6))
         self.pose_act[:, 6] = 1.0
         self.wrench_sub = np.zeros((1, 1, 6))
-        # one view for all ticks: the monitor's kernels are bound to it
-        self._wrench = self.wrench_sub[:, 0]
+        # one view for all ticks: kernels are bound to it
+        self.reading = self.wrench_sub[:, 0]
         self.contact, self.captured, self.diverged = (np.zeros(1, dtype=bool) for _ in range(3))
         self.slider_cmd, self.slider_act = np.zeros((1, 0)), np.zeros((1, 0))
         self.upper_cmd, self.upper_act = np.full((1, 3), np.nan), np.full((1, 3), np.nan)
+
+    def read(self, k: int, wrench_sub: Array) -> Array:
+        return self.reading
+
+    def feel(self, k: int, wrench: Array) -> None:
+        """Do nothing: the device measures the wrench itself."""
 
     def divergence(self, i: int) -> str:
         return "the rig is real"
@@ -171,6 +158,15 @@ class DeviceRig:
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Do nothing: the platform has already been brought to its start."""
+
+    def passed(self, plant: DeviceRig, pose_before: Array, energy: Array) -> bool:
+        created, limit = float(energy[0]) + self.late_work, self._limits[3]
+        if self.stop is None and created > limit:
+            self.stop = f"the rig has created {created:.4g} J; safety.energy is {limit:g} J"
+        return self.stop is not None
+
+    def reason(self, i: int) -> str | None:
+        return self.stop
 
     def _bound_values(self) -> None:
         """Narrow what counts as physical to the scenario's limits."""
@@ -216,39 +212,40 @@ class DeviceRig:
         """Send the pose ``(1, 7)`` for the end of the tick; the platform derives its velocity from
         it.
         """
-        platform = self.connected.platform
         if self._behind == 0:
-            if self.armed and self.stop is None:
-                self.stop = self.guard.refusal(pose_cmd[0])
-                if self.stop is None:
-                    self.last[:] = pose_cmd[0]
-                    self.mounting.command_of(pose_cmd[0], self._command)
-            if self.armed and self.stop is None:
-                platform.command(self._command)
-            else:
-                platform.hold()
-            if self.armed and self.connected.watchdog is not None:
-                self.connected.watchdog.beat()
+            self._send(pose_cmd[0])
         elif self.armed and self.stop is None:  # a newer record has arrived: that one is answered
             self.guard.refusal(pose_cmd[0])
             self.last[:] = pose_cmd[0]
         self.log.sent()
 
+    def _send(self, pose: Array) -> None:
+        platform, watchdog = self.connected.platform, self.connected.watchdog
+        if self.armed and self.stop is None:
+            self.stop = self.guard.refusal(pose)
+        if self.armed and self.stop is None:
+            self.last[:] = pose
+            self.mounting.command_of(pose, self._command)
+            platform.command(self._command)
+        else:
+            platform.hold()
+        if self.armed and watchdog is not None:
+            watchdog.beat()
+
     def finish(self) -> None:
         """Wait for the records of the next tick."""
+        ticks = 2
         if self._behind > 0:
             self._behind -= 1
-            self.log.begin(2, self.connected.sensor.sample.age())
-            self.missed += 1
-            return
-        ticks = self.connected.pace.wait()
-        self._behind = ticks - 1
-        self.time.ticked(ticks, self.connected.pace.told())
-        if self.stop is None and self.time.fault is not None:
-            self.stop = f"{self.connected.pace.source}: {self.time.fault}"
-        new = self._take_in()
-        self.log.begin(1 + (not new), self.connected.sensor.sample.age())
-        self.missed += not new
+        else:
+            begun = self.connected.pace.wait()
+            self._behind = begun - 1
+            self.time.ticked(begun, self.connected.pace.told())
+            if self.stop is None and self.time.fault is not None:
+                self.stop = f"{self.connected.pace.source}: {self.time.fault}"
+            ticks = 1 if self._take_in() else 2
+        self.log.begin(ticks, self.connected.sensor.sample.age())
+        self.missed += ticks - 1
 
     def _take_in(self) -> bool:
         """Process and check the records that have arrived; whether both devices had a new one."""
@@ -265,16 +262,17 @@ class DeviceRig:
                 self.stop = stop.reason
             fresh = fresh and new
         self.mounting.wrench_in_P(sensor.reading.wrench, self._raw)
-        self.wrench_sub[0, 0] = self._raw - self.tare
+        self.reading[0] = self._raw - self.tare
         self._before[:] = self.pose_act[0]
         self.mounting.pose_in_P(platform.state.pose, self.pose_act[0])
         self._slope_before[:] = self._slope
         twist_between(self._before, self.pose_act[0], self.tick, self._slope)
         self._pair()
         ahead = 1.5 * self._slope - 0.5 * self._slope_before
-        self.twist_act[0] = self._slope if self._held_rate else ahead
-        self.contact[0] = _length(self.wrench_sub[0, 0, :3]) > self._threshold
-        self.monitor.update(self._wrench, self.pose_act, self.twist_act)
+        prescribed = self.scenario.rig.platform.prescribed
+        self.twist_act[0] = self._slope if prescribed else ahead
+        self.contact[0] = _length(self.reading[0, :3]) > self._threshold
+        self.monitor.update(self.reading, self.pose_act, self.twist_act)
         self.captured[0] = not math.isnan(self.monitor.capture[0])
         if self.stop is None:
             self.stop = self._overload()
@@ -285,13 +283,12 @@ class DeviceRig:
         self._slopes[self._taken % length] = self._slope
         newer, older = ((self._taken - self._late - i) % length for i in range(2))
         acted = self._slopes[newer] * (1.0 - self._part) + self._slopes[older] * self._part
-        work = acted - self._slope
-        self.late_work += self.tick * float(self.wrench_sub[0, 0] @ work)
+        self.late_work += self.tick * float(self.reading[0] @ (acted - self._slope))
         self._taken += 1
 
     def _overload(self) -> str | None:
-        tracking = math.dist(self.last[:3], self.pose_act[0, :3])
-        force, torque = _length(self.wrench_sub[0, 0, :3]), _length(self.wrench_sub[0, 0, 3:])
+        tracking, watchdog = math.dist(self.last[:3], self.pose_act[0, :3]), self.connected.watchdog
+        force, torque = _length(self.reading[0, :3]), _length(self.reading[0, 3:])
         if not force <= self._limits[0]:
             return f"the sensor carries {force:.4g} N; safety.force is {self._limits[0]:g} N"
         if not torque <= self._limits[1]:
@@ -301,7 +298,6 @@ class DeviceRig:
                 f"the platform is {tracking:.4g} m from where it was commanded; "
                 f"safety.tracking_error is {self._limits[2]:g} m"
             )
-        watchdog = self.connected.watchdog
         if self.armed and watchdog is not None and watchdog.tripped:
             return (
                 f"the watchdog has acted: the loop was silent for more than {watchdog.timeout:g} s"
@@ -311,33 +307,3 @@ class DeviceRig:
 
 def _length(vector: Array) -> float:
     return math.sqrt(float(vector @ vector))
-
-
-class DeviceWatch:
-    """Stops a run with devices: on a fault of the rig, or on too much energy made by it."""
-
-    def __init__(self, scenario: Scenario, rig: DeviceRig) -> None:
-        self._rig = rig
-        self._limit = math.inf if scenario.safety.energy is None else scenario.safety.energy
-
-    def passed(self, plant: DeviceRig, pose_before: Array, energy: Array) -> bool:
-        created = float(energy[0]) + plant.late_work
-        if plant.stop is None and created > self._limit:
-            plant.stop = f"the rig has created {created:.4g} J; safety.energy is {self._limit:g} J"
-        return plant.stop is not None
-
-    def reason(self, i: int) -> str | None:
-        return self._rig.stop
-
-
-def side_of(rig: DeviceRig) -> MakeSide:
-    """A function that makes the physical side of a loop from ``rig``, for one run."""
-
-    def made(scenarios: Sequence[Scenario], nthread: int) -> Side:
-        if len(scenarios) != 1:
-            raise InputError(
-                f"devices play one run at a time (got {len(scenarios)}); give them one scenario"
-            )
-        return DeviceSensor(), rig, DeviceWatch(scenarios[0], rig)
-
-    return made

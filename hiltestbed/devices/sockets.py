@@ -79,7 +79,9 @@ def resolve(host: str, port: int, where: str) -> Address:
     return found[0][4][0], port  # type: ignore[return-value]
 
 
-def bound(kind: socket.SocketKind, address: Address, where: str) -> socket.socket:
+def bound(
+    address: Address, where: str, kind: socket.SocketKind = socket.SOCK_DGRAM
+) -> socket.socket:
     """A non-blocking socket bound to ``address``. Raises InputError."""
     opened = _new(kind)
     if kind == socket.SOCK_STREAM:
@@ -93,11 +95,6 @@ def bound(kind: socket.SocketKind, address: Address, where: str) -> socket.socke
         name = f"{'TCP' if kind == socket.SOCK_STREAM else 'UDP'} {address[0]}:{address[1]}"
         raise refused(where, f"{name} {reason}") from None
     return opened
-
-
-def bound_udp(address: Address, where: str) -> socket.socket:
-    """A non-blocking UDP socket bound to ``address``. Raises InputError."""
-    return bound(socket.SOCK_DGRAM, address, where)
 
 
 def connected_udp(address: Address, where: str) -> socket.socket:
@@ -115,10 +112,9 @@ def connected_udp(address: Address, where: str) -> socket.socket:
 
 
 def sending_udp(towards: Address, where: str) -> socket.socket:
-    """A non-blocking UDP socket at an ephemeral port of the interface that leads to ``towards``."""
+    """A non-blocking UDP socket at a free port of the interface that leads to ``towards``."""
     with connected_udp(towards, where) as probe:
-        own = probe.getsockname()[0]
-    return bound_udp((own, 0), where)
+        return bound((probe.getsockname()[0], 0), where)
 
 
 def connected_tcp(address: Address, where: str, timeout: float) -> socket.socket:

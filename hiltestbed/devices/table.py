@@ -10,6 +10,7 @@ from __future__ import annotations
 from importlib import import_module
 
 from hiltestbed.config.validation import nearest
+from hiltestbed.devices import poses
 from hiltestbed.devices.interface import (
     PlatformClient,
     PlatformServer,
@@ -53,36 +54,38 @@ def settings_of(url: str, place: str = "--device") -> DeviceSettings:
 
 def sensor_client(url: str, place: str = "--sensor") -> SensorClient:
     """The loop's side of the sensor at ``url``, not yet open. Raises InputError."""
-    return _make(url, place, "sensor_client", "a force sensor")
+    return _made(url, place, "sensor_client")
 
 
 def platform_client(url: str, place: str = "--platform") -> PlatformClient:
     """The loop's side of the platform at ``url``, not yet open. Raises InputError."""
-    return _make(url, place, "platform_client", "a motion platform")
+    return _made(url, place, "platform_client")
 
 
 def sensor_server(url: str, place: str = "--sensor") -> SensorServer:
     """The device's side of a sensor at ``url``, not yet open. Raises InputError."""
-    return _make(url, place, "sensor_server", "a force sensor")
+    return _made(url, place, "sensor_server")
 
 
 def platform_server(url: str, place: str = "--platform") -> PlatformServer:
     """The device's side of a platform at ``url``, not yet open. Raises InputError."""
-    return _make(url, place, "platform_server", "a motion platform")
+    return _made(url, place, "platform_server")
 
 
 def _load(scheme: str) -> Protocol:
     return _registered.get(scheme) or import_module(f"hiltestbed.devices.{scheme}").PROTOCOL
 
 
-def _make(url: str, place: str, part: str, what: str):
+def _made(url: str, place: str, part: str):
     protocol = find(url, place)
     made = getattr(protocol, part)
     if made is None:
+        what = "a force sensor" if part.startswith("sensor") else "a motion platform"
         able = [name for name, other in protocols().items() if getattr(other, part) is not None]
         raise refused(
             f"{place} {url}",
             f"{protocol.scheme} is not a protocol of {what} ({protocol.summary}); "
             f"allowed: {', '.join(able)}",
         )
+    poses.compile_now()
     return made(parse(url, protocol.settings, place))

@@ -52,8 +52,7 @@ class Timekeeper:
 
     Attributes:
         fault: why the motion has to stop; None while both times agree.
-        rate: ticks a second that the clock has told in the last window, by the wall clock [Hz].
-            factor: that over the scenario's rate.
+        factor: rate of the clock in the last window, by the wall clock, over the scenario's.
         worst: largest difference between model time and wall time since :meth:`start` [s].
     """
 
@@ -62,15 +61,18 @@ class Timekeeper:
         self._tick, self._limit = tick, WINDOW if limit is None else limit
         self._now = clock
         self._last = clock()  # of the last tick
-        self._phase = 0.0  # [s] by which the earliest ticks are ahead of the wall clock
-        self._checked = False
-        self.rate = self.factor = math.nan
+        self.factor = math.nan
         self.watch()
+
+    @property
+    def rate(self) -> float:
+        """Ticks a second of the clock in the last window, by the wall clock [Hz]."""
+        return self.factor / self._tick
 
     def watch(self) -> None:
         """Begin to measure the rate while nothing moves."""
         self._checked = False
-        self._phase = -math.inf
+        self._phase = -math.inf  # [s] by which the earliest ticks are ahead of the wall clock
         self._zero(self._now())
 
     def start(self) -> None:
@@ -87,8 +89,8 @@ class Timekeeper:
         self._window()
 
     def _window(self) -> None:
-        """Begin a window: number of records, sums of wall time x, told time y and products."""
         self._opened, self._told = self._now(), -math.inf
+        # number of records, sums of wall time x, told time y and products
         self._sums = [0.0] * 6
 
     def ticked(self, ticks: int, told: float) -> None:
@@ -106,7 +108,10 @@ class Timekeeper:
         self._ticks += ticks
         early = self._ticks * self._tick - wall
         seconds = (now - self._opened) * NANOSECOND
-        self._add(seconds, told)
+        if told > self._told:  # a new record
+            self._told, y = told, told * self._tick
+            new = (1.0, seconds, y, seconds * seconds, seconds * y, y * y)
+            self._sums = [total + value for total, value in zip(self._sums, new, strict=True)]
         latest = self._phase + slack
         self._phase = max(self._phase - slack, min(early, latest) if self._checked else early)
         if not self._checked:
@@ -131,14 +136,6 @@ class Timekeeper:
         if early > latest and self.fault is None:
             self._now.sleep(early - latest)
 
-    def _add(self, x: float, told: float) -> None:
-        if not told > self._told:  # no new record
-            return
-        y = told * self._tick
-        self._told = told
-        for i, value in enumerate((1.0, x, y, x * x, x * y, y * y)):
-            self._sums[i] += value
-
     def is_right(self) -> bool | None:
         """Whether the clock has run at the scenario's rate since the window began; None where that
         cannot be told yet, because its records came too unevenly.
@@ -152,10 +149,9 @@ class Timekeeper:
         n, x, y, xx, xy, yy = self._sums
         spread = xx - x * x / n if n > 3 else 0.0  # of fewer records a slope is nothing
         if spread <= 0.0:
-            self.factor = self.rate = 0.0
+            self.factor = 0.0
             return False
         self.factor = (xy - x * y / n) / spread
-        self.rate = self.factor / self._tick
         residual = math.sqrt(max(yy - y * y / n - self.factor**2 * spread, 0.0) / n)
         length = math.sqrt(12.0 * spread / n)
         off = abs(self.factor - 1.0)

@@ -7,12 +7,13 @@ and all faults are reported at once.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, TypeVar
+import math
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 from urllib.parse import parse_qsl, urlsplit
 
 from pydantic import BaseModel, Field
 
-from hiltestbed.config.validation import Strictly, nearest, validate
+from hiltestbed.config.validation import Positive, Strictly, nearest, validate
 from hiltestbed.config.yaml_source import Source, parse_yaml
 from hiltestbed.errors import Fault, InputError
 
@@ -37,9 +38,28 @@ class DeviceSettings(Strictly):
     port: Port = Field(default=0, description="its port")
 
     @property
+    def period(self) -> float:
+        """Time between two records [s]; NaN if the device reports it."""
+        return math.nan
+
+    @property
     def device_tells_rate(self) -> bool:
         """Whether a client reads the rate from the device itself."""
         return False
+
+
+class PacedSettings(DeviceSettings):
+    """Settings of protocols whose records come at a rate that the user gives."""
+
+    rate: Positive = Field(default=1000.0, description="rate of the records [Hz]")
+    clock: Literal["device", "host"] = Field(
+        default="device", description="what paces the cycle: the device's records, or the loop"
+    )
+    connect: Positive = Field(default=2.0, description="time to wait for the first record [s]")
+
+    @property
+    def period(self) -> float:
+        return 1.0 / self.rate
 
 
 _FROM_ADDRESS = ("where", "host", "port", "kind")
@@ -59,14 +79,9 @@ def scheme_of(url: str, place: str) -> str:
 
 
 def parse(url: str, model: type[Settings], place: str) -> Settings:
-    """The settings in a URL.
+    """The settings in a URL, which was given at ``place`` (``--sensor``).
 
-    Args:
-        model: class of the settings of the URL's protocol.
-        place: where the URL was given (``--sensor``), for messages.
-
-    Raises:
-        InputError: every fault of the URL, each with the options that are allowed.
+    Raises InputError with every fault, each with the options that are allowed.
     """
     file = f"{place} {url}"
     faults: list[Fault] = []

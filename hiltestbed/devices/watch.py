@@ -58,25 +58,22 @@ class CommunicationWatch:
     def __init__(self, link: Client, limits: CommunicationLimits, name: str) -> None:
         """``name``: the device's role in the messages (``sensor``, ``platform``)."""
         self.link, self.limits = link, limits
-        self.stop: Stop | None = None
         self._name = f"{name} {link.where}"
         self._before = np.zeros(len(Event), dtype=np.int64)
         self._happened = np.zeros(len(Event), dtype=np.int64)
         self._misses = np.zeros(limits.window, dtype=np.int64)
         self._disturbances = np.zeros(limits.window, dtype=np.int64)
-        self._cycle = 0
-        self._in_a_row = self._errors = self._missed = self._disturbed = 0
-        self._waited = 0  # late cycles since the last new record
-        self._last_miss = Event.LATE
-        self._last_disturbance = Event.MALFORMED
+        self._last_miss, self._last_disturbance = Event.LATE, Event.MALFORMED
+        self.start()
 
     def start(self) -> None:
         """Ignore everything that has happened so far."""
         self._before[:] = self.link.counts
         self._misses[:] = self._disturbances[:] = 0
-        self._cycle = self._in_a_row = self._errors = 0
-        self._missed = self._disturbed = self._waited = 0
-        self.stop = self.link.sample.implausible = None
+        self._cycle = self._in_a_row = self._errors = self._missed = self._disturbed = 0
+        self._waited = 0  # late cycles since the last new record
+        self.stop: Stop | None = None
+        self.link.sample.implausible = None
 
     def check(self, new: bool) -> Stop | None:
         """Call after the reads of a cycle; ``new``: whether a sample was; returns :attr:`stop`."""

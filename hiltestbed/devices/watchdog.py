@@ -18,12 +18,11 @@ import select
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 
-from hiltestbed.devices.interface import DeviceError, PlatformClient
+from hiltestbed.devices.interface import PlatformClient
 from hiltestbed.devices.realtime import PRIORITY, ended, ordinary, prepared, started
 from hiltestbed.devices.ring import READY, Array, Ring, attached
 from hiltestbed.errors import InputError
@@ -49,12 +48,8 @@ class Watchdog:
         timeout: float,
         action: Action = "hold",
         lasting: float = LASTING,
-        *,
-        wait: bool = True,
     ) -> None:
-        """Start the process for the open ``platform`` at ``url``, and ``wait`` until it is ready.
-        Raises InputError, DeviceError.
-        """
+        """Start the process for the open ``platform`` at ``url``. Raises InputError."""
         if not 0.005 <= timeout <= 10.0 or action not in ACTIONS or lasting <= 0.0:
             raise InputError(
                 f"watchdog: invalid settings (got timeout {timeout:g} s, action {action!r}, "
@@ -66,38 +61,22 @@ class Watchdog:
         self._ring = Ring(COLUMNS, BEATS)
         self._answer = Ring(1, 4)
         self._row: Array = np.zeros(COLUMNS)
-        self._tripped = False
+        self._ready = self._tripped = False
+        period = platform.period if math.isfinite(platform.period) else timeout
         fileno = platform.fileno()
         self._process = started(
             "watchdog",
-            self._ring.name,
-            self._answer.name,
-            url,
-            action,
-            timeout,
-            lasting,
-            platform.period if math.isfinite(platform.period) else timeout,
-            fileno,
-            os.getpid(),
+            *(self._ring.name, self._answer.name, url, action),
+            *(timeout, lasting, period, fileno, os.getpid()),
             stdout=subprocess.PIPE,
             pass_fds=(fileno,) if fileno >= 0 else (),
         )
-        self._ready = False
-        if wait and not self._heard():
-            self.close()
-            raise DeviceError(f"{platform.where}: the watchdog did not start")
 
-    @property
-    def ready(self) -> bool:
-        """Whether its process is ready."""
+    def ready(self, timeout: float = 0.0) -> bool:
+        """Whether its process is ready; waits up to ``timeout`` [s] for it to start or to end."""
         out = self._process.stdout
-        if not self._ready and out and select.select([out], [], [], 0.0)[0]:
-            self._heard()
-        return self._ready
-
-    def _heard(self) -> bool:
-        line = self._process.stdout.readline() if self._process.stdout else ""
-        self._ready = line.strip() == READY
+        if not self._ready and out and select.select([out], [], [], timeout)[0]:
+            self._ready = out.readline().strip() == READY
         return self._ready
 
     def beat(self) -> None:
@@ -135,58 +114,47 @@ class Watchdog:
         self._answer.close()
 
 
-def watch(
-    beats: Ring,
-    answer: Ring,
-    send: Callable[[Array], None],
-    timeout: float,
-    lasting: float,
-    period: float,
-    parent: int,
-) -> bool:
-    """Check the heartbeats until the loop has finished; True if the watchdog has acted: it calls
-    ``send`` with the last command once per ``period`` [s].
-    """
-    newest: Array | None = None
-    while not beats.finished:
-        rows = beats.take()
-        if len(rows):
-            newest = rows[-1].copy()
-        orphaned = os.getppid() != parent
-        silent = newest is not None and time.monotonic_ns() * 1e-9 - newest[0] > timeout
-        if newest is not None and newest[1] > 0.0 and (orphaned or silent):
-            answer.push(np.ones(1))
-            until = time.monotonic() + lasting
-            while (began := time.monotonic()) < until:
-                send(newest[2:])
-                time.sleep(max(period - (time.monotonic() - began), 0.0))
-            return True
-        if orphaned:
-            return False
-        time.sleep(timeout / 10.0)
-    return False
-
-
 def main() -> int:
-    """Entry point of the process."""
-    from hiltestbed.devices.table import find, settings_of
+    """Entry point of the process: checks the heartbeats until the loop has finished."""
+    from hiltestbed.devices.table import platform_client
 
-    beats, answer, url, action, *numbers = sys.argv[1:]
-    timeout, lasting, period = map(float, numbers[:3])
-    fileno, parent = map(int, numbers[3:])
-    kind = find(url, "--platform").keeper
-    if kind is None:
-        return 1
-    keeper = kind(settings_of(url, "--platform"), fileno)
-    send = keeper.hold if action == "hold" else keeper.stop
-    with attached(beats, answer) as rings:
+    *names, url, action = sys.argv[1:5]
+    timeout, lasting, period = map(float, sys.argv[5:8])
+    fileno, parent = map(int, sys.argv[8:])
+    client = platform_client(url)
+    client.adopt(fileno)
+    with attached(*names) as rings:
         if not rings:
             return 1
+        beats, answer = rings
         ordinary()
         # above the loop, which may be stuck at its own priority
         with prepared(priority=PRIORITY + 1):
-            watch(rings[0], rings[1], send, timeout, lasting, period, parent)
+            held = _lost(beats, timeout, parent)
+            if held is None:
+                return 0
+            answer.push(np.ones(1))
+            until = time.monotonic() + lasting
+            while (began := time.monotonic()) < until:
+                client.keep(held, action == "stop")
+                time.sleep(max(period - (time.monotonic() - began), 0.0))
     return 0
+
+
+def _lost(beats: Ring, timeout: float, parent: int) -> Array | None:
+    """The last command of an armed loop that has fallen silent or died; None once it has ended."""
+    newest: Array | None = None
+    while not beats.finished:
+        rows = beats.take()
+        newest = rows[-1].copy() if len(rows) else newest
+        orphaned = os.getppid() != parent
+        if newest is not None and newest[1] > 0.0:
+            if orphaned or time.monotonic_ns() * 1e-9 - newest[0] > timeout:
+                return newest[2:]
+        elif orphaned:
+            return None
+        time.sleep(timeout / 10.0)
+    return None
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from typing import Any
 from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.interface import PlatformClient, SensorClient
 from hiltestbed.devices.pace import DevicePace, Pace
-from hiltestbed.devices.session import Observed, Options, Session, clients
+from hiltestbed.devices.session import Observed, Options, Session
 from hiltestbed.devices.timekeeping import SimulatedClock
 from hiltestbed.devices.watch import CommunicationLimits
 from hiltestbed.scenario import Scenario, load_scenario
@@ -152,6 +152,5 @@ def against(
             armed=armed,
             pace=pace,
             clock=SimulatedClock(lambda: emulator.cycles * emulator.rig.period / faster()),
-            connect=clients,
         )
         yield options, emulator

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.config.yaml_source import dump_yaml, read_source
 from hiltestbed.devices.commission.folder import write_commission
 from hiltestbed.devices.commission.procedure import Commissioned, commission
 from hiltestbed.devices.interface import DeviceError
@@ -22,7 +21,7 @@ from hiltestbed.frames import attitude_deg_from_quat, quat_from_attitude_deg, ro
 from hiltestbed.measured.load import load_dataset
 from hiltestbed.scenario import load_scenario
 from tests.devices.lockstep import against, scenario_of
-from tests.slow import SLOW, slow
+from tests.slow import SLOW
 
 BELIEVED: dict[str, Any] = {
     "sensor__noise": 0.1,
@@ -110,74 +109,42 @@ def askew() -> Commissioned:
     return _measured("02-bumper", BELIEVED, MOUNTED_ASKEW)
 
 
+def _as_hidden(found: dict[str, dict[str, Any]], gain: float) -> None:
+    """All that was hidden, within 1 % of its size, and of the gain within ``gain``."""
+    assert set(found) == {"sensor.delay", *(e["kind"] for e in MOUNTED_ASKEW["effects"])}
+    assert found["sensor.delay"]["delay"] == pytest.approx(0.0043, rel=0.01)
+    off = np.subtract(found["sensor.rotation"]["angles_deg"], ASKEW)
+    assert np.linalg.norm(off) < 0.01 * np.linalg.norm(ASKEW)
+    assert found["sensor.gain"]["factor"] == pytest.approx(1.08, abs=gain)
+    assert found["sensor.crosstalk"]["ratio"] == pytest.approx(0.05, rel=0.01)
+    assert found["platform.delay"]["delay"] == pytest.approx(0.0035, rel=0.01)
+
+
 @SLOW
 def test_a_sensor_that_is_mounted_askew_is_told_beside_delay_gain_and_crosstalk(
     askew: Commissioned,
 ) -> None:
-    """The attitude within 1 % of the angle, and gain and crosstalk as they are in the sensor's own
-    axes.
-    """
-    result = askew
-    assert result.sensor.turn_deg is not None
-    assert np.linalg.norm(np.subtract(result.sensor.turn_deg, ASKEW)) < 0.01 * np.linalg.norm(ASKEW)
-    found = {e["kind"]: e for e in result.departures}
-    assert set(found) == {
-        "sensor.delay",
-        "sensor.rotation",
-        "sensor.gain",
-        "sensor.crosstalk",
-        "platform.delay",
-    }
-    assert found["sensor.delay"]["delay"] == pytest.approx(0.0043, rel=0.01)
-    assert (found["sensor.gain"]["axis"], found["sensor.gain"]["factor"] - 1.0) == (
-        "z",
-        pytest.approx(0.08, rel=0.01),
-    )
-    assert (found["sensor.crosstalk"]["source"], found["sensor.crosstalk"]["axis"]) == ("z", "x")
-    assert found["sensor.crosstalk"]["ratio"] == pytest.approx(0.05, rel=0.01)
-    assert found["platform.delay"]["delay"] == pytest.approx(0.0035, rel=0.01)
+    """Gain and crosstalk as they are in the sensor's own axes."""
+    _as_hidden({e["kind"]: e for e in askew.departures}, gain=0.01 * 0.08)
     # the data are as it was believed to be mounted
-    assert tuple(result.believed.devices.sensor.attitude_deg) == (0.0, 0.0, 0.0)
-    mounted = quat_from_attitude_deg(result.nominal.devices.sensor.attitude_deg)
+    assert tuple(askew.believed.devices.sensor.attitude_deg) == (0.0, 0.0, 0.0)
+    mounted = quat_from_attitude_deg(askew.nominal.devices.sensor.attitude_deg)
     # a leak beside a turn, in P's axes
     assert _apart_deg(mounted, Rotation.from_rotvec(ASKEW, degrees=True).as_quat()) < 0.3
 
 
 @SLOW
-def test_a_diagnosis_of_the_dataset_says_the_same_of_a_sensor_that_is_mounted_askew(
-    askew: Commissioned, tmp_path: Path
-) -> None:
+def test_a_diagnosis_of_the_dataset_says_the_same(askew: Commissioned, tmp_path: Path) -> None:
     """Four causes on one link; without a loop a late record cannot be told from a late sensor."""
-    folder = write_commission(askew, tmp_path / "facility")
-    found = {c.effect: c for c in diagnose(folder / "dataset.yaml").causes}
-    late = next(c for kind, c in found.items() if kind in ("sensor.delay", "log.skew"))
-    assert {late.effect, *late.indistinguishable_from} == {"sensor.delay", "log.skew"}
-    assert set(found) == {
-        late.effect,
-        "sensor.rotation",
-        "sensor.gain",
-        "sensor.crosstalk",
-        "platform.delay",
-    }
-    assert late.parameters["delay"].estimate == pytest.approx(0.0043, rel=0.01)
-    assert np.linalg.norm(
-        np.subtract(found["sensor.rotation"].parameters["angles_deg"].estimate, ASKEW)
-    ) < 0.01 * np.linalg.norm(ASKEW)
-    assert found["sensor.gain"].parameters["factor"].estimate == pytest.approx(1.08, rel=0.01)
-    assert found["sensor.crosstalk"].parameters["ratio"].estimate == pytest.approx(0.05, rel=0.01)
-    assert found["platform.delay"].parameters["delay"].estimate == pytest.approx(0.0035, rel=0.01)
+    causes = diagnose(write_commission(askew, tmp_path / "facility") / "dataset.yaml").causes
+    found = {c.effect: {n: p.estimate for n, p in c.parameters.items()} for c in causes}
+    if "log.skew" in found:
+        found["sensor.delay"] = found.pop("log.skew")
+    _as_hidden(found, gain=0.01 * 1.08)
 
 
-@pytest.mark.parametrize(
-    ("name", "believed"),
-    [
-        slow("02-bumper", BELIEVED),
-        ("13-ring-down", CAPTURED),
-        slow("03-bumper-delay-uncompensated", BELIEVED),
-    ],
-)
-def test_where_nothing_is_hidden_nothing_is_found(name: str, believed: dict[str, Any]) -> None:
-    result = _measured(name, believed, {})
+def test_where_nothing_is_hidden_nothing_is_found() -> None:
+    result = _measured("13-ring-down", CAPTURED, {})
     assert _effects(result) == {}
     assert result.departures == ()
     assert result.nominal.sensor.delay == pytest.approx(0.002, abs=3e-5)
@@ -213,50 +180,3 @@ def test_a_force_that_is_passed_stops_it_with_the_platform_held() -> None:
         with pytest.raises(DeviceError, match=r"the sensor carries .* safety.force is 130 N"):
             commission(believed, options)
         assert np.abs(emulator.rig.true_wrench[:3]).max() < 200.0
-
-
-def _says_the_same(result: Commissioned, folder: Path, runs: int) -> None:
-    """The diagnosis of the first ``runs`` motions against what was measured: every effect, within 1
-    % of its size.
-    """
-    write_commission(result, folder)
-    data = read_source(folder / "dataset.yaml").data
-    (folder / "dataset.yaml").write_text(dump_yaml(data | {"runs": data["runs"][:runs]}))
-    found = diagnose(folder / "dataset.yaml").to_json()
-    measured = _effects(result) | {
-        "sensor.delay": {"delay": result.nominal.sensor.delay - result.believed.sensor.delay}
-    }
-    chosen = {
-        c["effect"]: {n: p["estimate"] for n, p in c["parameters"].items()} for c in found["causes"]
-    }
-    explanations = [chosen]
-    for cause in found["causes"]:
-        explanations += [{e["kind"]: e for e in told} for told in cause["alternatives"]]
-    ambiguous = any(c["indistinguishable_from"] for c in found["causes"])
-    assert found["verdict"] == ("ambiguous" if ambiguous else "named")
-    assert len(chosen) == len(measured)
-    assert any(_the_same(told, measured) for told in explanations), explanations
-
-
-def _the_same(told: dict[str, Any], measured: dict[str, dict[str, Any]]) -> bool:
-    """Whether an explanation has all that was measured, each number within 1 % of its size."""
-    return set(measured) <= set(told) and all(
-        told[kind][name] - (name == "factor") == pytest.approx(value - (name == "factor"), rel=0.01)
-        if isinstance(value, float)
-        else told[kind].get(name, value) == value
-        for kind, numbers in measured.items()
-        for name, value in numbers.items()
-    )
-
-
-@SLOW
-def test_the_diagnosis_of_a_press_says_the_same(tmp_path: Path) -> None:
-    """On the axis alone a gain and a stiffness are one, and both are named."""
-    hidden = HIDDEN | {"effects": [e for e in HIDDEN["effects"] if e["kind"] != "sensor.crosstalk"]}
-    _says_the_same(_measured("02-bumper", BELIEVED, hidden), tmp_path / "facility", 2)
-
-
-@SLOW
-def test_the_diagnosis_of_all_motions_says_the_same(bumper: Commissioned, tmp_path: Path) -> None:
-    """Off the axis the torque, which the gain leaves as it is, tells the gain from a stiffness."""
-    _says_the_same(bumper, tmp_path / "facility", 5)

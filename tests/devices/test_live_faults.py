@@ -1,11 +1,10 @@
-"""Faults on the wire while the loop runs: it stops in their cycle, the platform is held or backs
-out, and a whole run comes of it.
+"""Faults on the wire while the loop runs: it stops in their cycle, and the platform is held or backs
+out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,18 +15,22 @@ from hiltestbed.devices.interface import Link
 from hiltestbed.devices.session import Session
 from hiltestbed.devices.sockets import Datagrams
 from hiltestbed.devices.watch import CommunicationLimits
-from hiltestbed.run_folder.store import read_run, write_run
 from hiltestbed.scenario import Scenario
 from tests.devices.lockstep import Disturbance, played, scenario_of, watched
 
 STRICT = CommunicationLimits(
     misses_in_a_row=0, misses_in_window=0, disturbances_in_window=0, stale=1000.0
 )
+LENIENT = STRICT.model_copy(
+    update={"misses_in_a_row": 5, "misses_in_window": 1000, "disturbances_in_window": 1000}
+)
 SATURATED = 0x80020000  # a status word of RDT
+TRAVEL, TOUCHED = 15, 450  # cycles after arming at 1 kHz: on the way to the start, and in contact
 
 
 def _strict(platform: str, **changes: object) -> Scenario:
-    return watched(scenario_of("02-bumper", platform, duration=0.5, **changes), STRICT)
+    near = {"duration": 0.2, "approach__gap": 0.003}
+    return watched(scenario_of("02-bumper", platform, **near | changes), STRICT)
 
 
 def _sends(link: Link, change: Callable[[bytes], list[bytes]]) -> None:
@@ -81,23 +84,16 @@ class Fault:
         return ()
 
 
-CASES = [
-    (kind, who)
-    for kind in ("lost", "late", "reordered", "truncated", "repeated", "gone")
-    for who in ("sensor", "platform")
-]
-TRAVEL, TOUCHED = 15, 700  # cycles after arming at 1 kHz: on the way to the start, and in contact
-
-
 @pytest.mark.parametrize(
     ("kind", "who", "at"),
     [
-        *((*case, TOUCHED) for case in (*CASES, ("status", "sensor"))),
+        *((kind, "sensor", TOUCHED) for kind in ("late", "reordered", "truncated", "status")),
+        *((kind, "platform", TOUCHED) for kind in ("lost", "repeated", "gone")),
         ("lost", "sensor", TRAVEL),
         ("gone", "platform", TRAVEL),
     ],
 )
-def test_a_fault_stops_the_run_in_its_cycle(kind: str, who: str, at: int, tmp_path: Path) -> None:
+def test_a_fault_stops_the_run_in_its_cycle(kind: str, who: str, at: int) -> None:
     """Where nothing is allowed. A record that comes twice is seen with the next one at the latest;
     all others in their own cycle.
     """
@@ -115,48 +111,24 @@ def test_a_fault_stops_the_run_in_its_cycle(kind: str, who: str, at: int, tmp_pa
     assert f"{who} " in summary["stop_reason"]
     assert at <= sent[-1] <= at + (kind == "repeated")
     assert ("before the start" in summary["stop_reason"]) is (at == TRAVEL)
-    if (kind, who) != ("gone", "platform"):
-        # held
-        np.testing.assert_allclose(
-            outcome.emulator.platform.command, outcome.session.rig.last, atol=1e-12
-        )
+    if kind != "gone":
+        held = outcome.emulator.platform.command
+        np.testing.assert_allclose(held, outcome.session.rig.last, atol=1e-12)
     if at == TOUCHED:
         assert summary["peak_force"] > 10.0
-    write_run(outcome.run, tmp_path / "run", rerun=False)
-    assert read_run(tmp_path / "run").summary["stop_reason"] == summary["stop_reason"]
 
 
-@pytest.mark.parametrize("kind", ["lost", "gone"])
-def test_a_robot_that_fails_stops_the_run_in_its_cycle(kind: str) -> None:
-    outcome = played(_strict("rsi"), "rsi", Fault(kind, "platform", 80))
+def test_a_robot_that_fails_stops_the_run_in_its_cycle() -> None:
+    outcome = played(_strict("rsi"), "rsi", Fault("lost", "platform", 80))
     assert outcome.run.summary["status"] == "stopped"
     assert "platform rsi://" in outcome.run.summary["stop_reason"]
     assert outcome.run.trace is not None
     assert len(outcome.run.trace.t) < 80
 
 
-LENIENT = STRICT.model_copy(
-    update={"misses_in_a_row": 5, "misses_in_window": 1000, "disturbances_in_window": 1000}
-)
-
-
 def _losing(who: str, cycles: set[int]) -> Disturbance:
     """Loses the record of ``who`` in these cycles."""
     return lambda cycle, *given: Fault("lost", who, cycle)(cycle, *given) if cycle in cycles else ()
-
-
-def test_two_in_a_hundred_lost_within_the_limits_are_counted_and_change_e_by_little() -> None:
-    """The loop goes on without the record: the force is held for a tick, and time does not stand
-    still.
-    """
-    scenario = watched(scenario_of("02-bumper", "udp", duration=0.8), LENIENT)
-    bad = set(np.flatnonzero(np.random.default_rng(4).random(2000) < 0.02).tolist())
-    whole = played(scenario, "udp").run
-    holed = played(scenario, "udp", _losing("sensor", bad)).run
-    assert holed.summary["status"] == "completed"
-    assert holed.summary["live"]["missed"] >= 10
-    assert holed.summary["live"]["events"]["sensor"]["lost"] >= 10
-    assert holed.summary["cor"] == pytest.approx(whole.summary["cor"], rel=0.02)
 
 
 def test_a_lost_record_of_the_clock_costs_its_tick_and_not_the_time_base() -> None:

@@ -30,15 +30,6 @@ def test_kuka_angles_turn_about_z_then_the_new_y_then_the_new_x() -> None:
         _same(poses.pose_from_kuka(frame), pose)
 
 
-def test_a_quarter_turn_about_each_axis() -> None:
-    """90 deg about z is A, about y B, about x C."""
-    for place, axis in ((3, [0, 0, 1]), (4, [0, 1, 0]), (5, [1, 0, 0])):
-        frame = np.zeros(6)
-        frame[place] = 30.0
-        turned = Rotation.from_quat(poses.pose_from_kuka(frame)[3:]).as_rotvec(degrees=True)
-        np.testing.assert_allclose(turned, 30.0 * np.array(axis), atol=1e-12)
-
-
 @pytest.mark.parametrize("b", [90.0, -90.0])
 def test_at_the_pole_the_attitude_is_kept(b: float) -> None:
     for a, c in ((0.0, 0.0), (25.0, 40.0), (-170.0, 33.0)):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import urllib.request
-import xml.etree.ElementTree as ElementTree
-
 import numpy as np
 import pytest
 
@@ -12,7 +9,7 @@ from hiltestbed.devices.interface import DeviceError, Event
 from hiltestbed.devices.rdt import RdtClient, RdtServer
 from hiltestbed.devices.table import sensor_client, sensor_server
 from hiltestbed.errors import InputError
-from tests.devices.independent.rdt_peer import IndependentRdtClient, IndependentRdtSensor
+from tests.devices.independent.rdt_peer import IndependentRdtSensor
 from tests.devices.running import going, until
 
 WRENCH = np.array([1.5, -2.25, 310.125, 0.5, -0.125, 7.75])
@@ -30,74 +27,24 @@ def _client(port: int, options: str = "counts_per_force=1e6&counts_per_torque=1e
     return client
 
 
-def test_an_independent_client_reads_the_emulated_sensor() -> None:
-    with _server("counts_per_force=1e5&counts_per_torque=2e6&internal_rate=7000") as server:
-        client = IndependentRdtClient(server.address, 1e5, 2e6)
-        server.publish(WRENCH, 0.0)  # nobody has asked yet
-        client.request(2)
-        until(server.poll)
-        for k in range(1, 4):
-            server.publish(k * WRENCH, 0.001 * k)
-            (record,) = client.records()
-            assert record["rdt"] == k
-            assert record["ft"] == 7 * k
-            assert record["status"] == 0
-            np.testing.assert_allclose(record["force"], k * WRENCH[:3], atol=0.5e-5)
-            np.testing.assert_allclose(record["torque"], k * WRENCH[3:], atol=0.25e-6)
-        client.close()
-
-
-def test_a_request_for_three_records_gives_three_and_counts_from_one_again() -> None:
-    with _server() as server:
-        client = IndependentRdtClient(server.address, 1e6, 1e6)
-        for _ in range(2):
-            client.request(2, 3)
-            until(server.poll)
-            for k in range(6):
-                server.publish(WRENCH, 0.001 * k)
-            assert [client.records()[0]["rdt"] for _ in range(3)] == [1, 2, 3]
-        client.socket.settimeout(0.05)
-        with pytest.raises(TimeoutError):
-            client.records()
-        client.close()
-
-
-def test_bias_buffered_mode_latch_and_stop() -> None:
-    with _server("buffer=4") as server:
-        client = IndependentRdtClient(server.address, 1e6, 1e6)
-        client.request(3)
-        until(server.poll)
-        server.publish(WRENCH, 0.0)
-        client.request(0x42)  # the present load becomes zero
-        until(server.poll)
-        for k in range(1, 4):
-            server.publish(WRENCH + k, 0.001 * k, status=1 << 16 if k == 1 else 0)
-        records = client.records()
-        assert [r["rdt"] for r in records] == [1, 2, 3, 4]
-        np.testing.assert_allclose(records[3]["force"], [3.0, 3.0, 3.0], atol=1e-6)
-        assert [r["status"] for r in records] == [0, 0x80010000, 0x80010000, 0x80010000]
-        client.request(0x41)
-        until(server.poll)
-        for k in range(4):
-            server.publish(WRENCH, 0.01 + 0.001 * k)
-        assert client.records()[0]["status"] == 0
-        client.request(0)
-        until(server.poll)
-        server.publish(WRENCH, 0.1)
-        client.socket.settimeout(0.05)
-        with pytest.raises(TimeoutError):
-            client.records()
-        client.close()
-
-
-def test_counts_end_at_the_limits_of_the_record() -> None:
-    with _server("counts_per_force=1e9&counts_per_torque=1e9") as server:
-        client = IndependentRdtClient(server.address, 1.0, 1.0)
-        client.request(2)
-        until(server.poll)
-        server.publish(np.array([1e3, -1e3, 0, 0, 0, 0]), 0.0)
-        assert client.records()[0]["force"][:2] == [2**31 - 1, -(2**31)]
-        client.close()
+@pytest.mark.parametrize("mode", ["realtime", "buffered"])
+def test_the_client_reads_and_tares_the_emulated_sensor(mode: str) -> None:
+    with _server("counts_per_force=1e5&counts_per_torque=2e6&buffer=4") as server:
+        options = f"counts_per_force=1e5&counts_per_torque=2e6&mode={mode}"
+        client, ticks = _client(server.address[1], options), iter(range(1, 1_000_000))
+        load = WRENCH.copy()
+        with going(lambda: server.publish(load, 0.001 * next(ticks))), client:
+            np.testing.assert_allclose(client.reading.wrench, WRENCH, atol=0.5e-5)
+            first = client.reading.sequence
+            until(lambda: client.wait(1.0) and client.reading.sequence > first + 10)
+            assert client.counts[Event.LOST] == client.counts[Event.MALFORMED] == 0
+            milliseconds = 1e3 * client.reading.device_time
+            assert milliseconds == pytest.approx(round(milliseconds))
+            client.bias()
+            until(lambda: client.wait(1.0) and not client.reading.wrench.any())
+            load[0] = 1e6  # counts end at their limits
+            limit = pytest.approx((2**31 - 1) / 1e5)
+            until(lambda: client.wait(1.0) and client.reading.wrench[0] == limit)
 
 
 def test_the_client_reads_an_independent_sensor() -> None:
@@ -151,33 +98,6 @@ def test_a_sensor_that_stands_still_and_one_with_an_error_give_nothing_new() -> 
         assert client.reading.status == 0x80020000
         np.testing.assert_array_equal(client.reading.wrench, before)
     sensor.close()
-
-
-def test_the_configuration_page_tells_the_scale() -> None:
-    with _server(
-        "counts_per_force=12345&counts_per_torque=678&force_unit=kN&torque_unit=N-mm&rate=500&http=0"
-    ) as server:
-        assert server.http is not None
-        page = urllib.request.urlopen(
-            f"http://127.0.0.1:{server.http.port}/netftapi2.xml", timeout=5.0
-        ).read()
-        root = ElementTree.fromstring(page)
-        assert root.tag == "netft"
-        assert [
-            root.findtext(name) for name in ("cfgcpf", "cfgcpt", "scfgfu", "scfgtu", "comrdtrate")
-        ] == [
-            "12345",
-            "678",
-            "kN",
-            "N-mm",
-            "500",
-        ]
-        client = _client(server.address[1], f"http={server.http.port}")
-        clock = iter(range(1, 100_000))
-        with going(lambda: server.publish(WRENCH, 0.002 * next(clock))), client:
-            assert client.period == pytest.approx(0.002)
-            # half a count is 40 mN
-            np.testing.assert_allclose(client.reading.wrench, WRENCH, atol=1000 / 12345 / 2 + 1e-9)
 
 
 def test_what_keeps_a_client_from_opening_is_said() -> None:

@@ -21,24 +21,16 @@ from hiltestbed.devices.recorder import Recorder
 from hiltestbed.devices.ring import Ring
 from hiltestbed.errors import HiltestbedError, InputError
 from tests.devices.running import until
-from tests.slow import slow
 
 
 def test_cycles_are_due_at_whole_periods_from_the_start_and_none_begins_early() -> None:
     # a period that is no whole number of nanoseconds: nothing may add up
     clock = CycleClock(300.0, 60)
     clock.start()
-    numbers, number = [], 0
-    for _ in range(60):
-        number += 1 + clock.wait()
-        numbers.append(number)
-        clock.done()
+    numbers = np.cumsum([1 + clock.wait() for _ in range(60)])
     start = clock.due[0] - round(numbers[0] * 1e9 / 300.0)
-    np.testing.assert_array_equal(
-        clock.due - start, np.rint(np.array(numbers) * 1e9 / 300.0).astype(int)
-    )
+    np.testing.assert_array_equal(clock.due - start, np.rint(numbers * 1e9 / 300.0).astype(int))
     assert (clock.began >= clock.due).all()
-    assert (clock.ended >= clock.began).all()
     np.testing.assert_allclose(clock.latency(), (clock.began - clock.due) * 1e-9)
 
 
@@ -52,25 +44,6 @@ def test_a_cycle_that_takes_too_long_is_not_made_up_for() -> None:
     assert left_out >= 4
     assert clock.skipped == left_out
     assert clock.due[1] - clock.due[0] == pytest.approx((1 + left_out) * 2e6, abs=1)
-
-
-def test_of_more_cycles_than_it_can_keep_the_last_are_kept_in_order() -> None:
-    clock = CycleClock(5000.0, 8)
-    clock.start()
-    for _ in range(21):
-        clock.wait()
-        clock.done()
-    assert clock.cycles == 21
-    kept = np.sort(clock.began)
-    np.testing.assert_array_equal(np.roll(clock.began, -(21 % 8)), kept)
-    assert len(clock.busy()) == 8
-
-
-def test_a_rate_that_cannot_be_paced() -> None:
-    with pytest.raises(
-        InputError, match=r"cannot be paced \(got 0 Hz for 5 cycles\); allowed are 0.1 to 1e5 Hz"
-    ):
-        CycleClock(0.0, 5)
 
 
 def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone() -> None:
@@ -94,13 +67,27 @@ def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone() -> None:
     assert settings() == before
 
 
-def test_a_processor_or_a_priority_that_there_is_not() -> None:
-    no_cpu = r"cpu: is not one that this process may run on \(got 9999\); allowed: 0"
-    with pytest.raises(InputError, match=no_cpu), prepared(cpu=9999):
-        pass
-    no_priority = r"priority: is out of range \(got 0\); allowed is 1 to 99"
-    with pytest.raises(InputError, match=no_priority), prepared(priority=0):
-        pass
+REFUSED = {
+    r"cannot be paced \(got 0 Hz for 5 cycles\); allowed are 0.1 to 1e5 Hz": lambda: CycleClock(
+        0, 5
+    ),
+    r"cpu: is not one that this process may run on \(got 9999\); allowed: 0": lambda: prepared(
+        cpu=9999
+    ).__enter__(),
+    r"priority: is out of range \(got 0\); allowed is 1 to 99": lambda: prepared(
+        priority=0
+    ).__enter__(),
+    r"cannot be made \(got 0.5 Hz for 1 s\); allowed are 1 to 20000 Hz and up to a day": lambda: (
+        measure(0.5, 1.0)
+    ),
+    r"cannot hold 1 rows of 3 numbers": lambda: Ring(3, 1),
+}
+
+
+@pytest.mark.parametrize("said", REFUSED)
+def test_what_cannot_be_done_is_said(said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        REFUSED[said]()
 
 
 def test_a_ring_hands_over_each_row_once_and_drops_what_does_not_fit() -> None:
@@ -121,8 +108,6 @@ def test_a_ring_hands_over_each_row_once_and_drops_what_does_not_fit() -> None:
     ring._rows[18 % 8, -1] = 18.0
     np.testing.assert_array_equal(ring.take(), rows[:1])
     ring.close()
-    with pytest.raises(InputError, match=r"cannot hold 1 rows of 3 numbers"):
-        Ring(3, 1)
 
 
 def test_a_recording_holds_every_row(tmp_path: Path) -> None:
@@ -133,10 +118,9 @@ def test_a_recording_holds_every_row(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recorder.finish(), rows)
 
 
-@pytest.mark.parametrize("interrupted", [False, True])
-def test_a_recording_survives_the_loop(tmp_path: Path, interrupted: bool) -> None:
-    """The loop's process ends at once, without a word, Ctrl-C in its terminal before or not: what
-    it had pushed is in the file.
+def test_a_recording_survives_the_loop(tmp_path: Path) -> None:
+    """The loop's process ends at once, without a word, after Ctrl-C in its terminal: what it had
+    pushed is in the file.
     """
     path = tmp_path / "rows.f64"
     program = f"""
@@ -145,8 +129,7 @@ from pathlib import Path
 from hiltestbed.devices.recorder import Recorder
 signal.signal(signal.SIGINT, lambda *_: None)
 recorder = Recorder(2, 100, Path({str(path)!r}))
-if {interrupted}:
-    os.killpg(0, signal.SIGINT)
+os.killpg(0, signal.SIGINT)
 for k in range(50):
     recorder.push(np.array([k, -k], dtype=float))
 os._exit(9)
@@ -165,37 +148,25 @@ def test_a_recording_that_cannot_be_written(tmp_path: Path) -> None:
         Recorder(2, 100, tmp_path / "no folder" / "rows.f64")
 
 
-@pytest.mark.parametrize("device", [slow(False), True])
-def test_the_measurement_accounts_for_every_cycle(device: bool) -> None:
-    result = measure(400.0, 0.25, device=device, priority=None)
+def test_the_measurement_accounts_for_every_cycle() -> None:
+    result = measure(400.0, 0.25, device=True, priority=None)
     assert result.cycles == 100
     assert 0 <= result.missed <= 100
-    for times in (result.wake_up, result.round_trip) if device else (result.wake_up,):
-        assert times is not None
+    assert result.round_trip is not None
+    for times in (result.wake_up, result.round_trip):
         levels = list(times.percentiles.values())
         assert levels == sorted(levels)
         assert levels[-1] <= times.worst
         assert sum(times.histogram) <= 100
     assert sum(result.wake_up.histogram) == 100
-    assert (result.round_trip is not None) == device
     assert result.record()["rate"] == 400.0
-
-
-def test_a_measurement_that_cannot_be_made() -> None:
-    with pytest.raises(
-        InputError,
-        match=r"cannot be made \(got 0.5 Hz for 1 s\); allowed are 1 to 20000 Hz and up to a day",
-    ):
-        measure(0.5, 1.0)
+    assert result.stolen is None or 0.0 <= result.stolen <= 1.0
 
 
 def test_what_a_hypervisor_takes_away_is_told() -> None:
     """user, nice, system, idle, iowait, irq, softirq, steal: 3 of 200 ticks went to others; a
     system without the line says nothing.
     """
-    assert _stolen([10, 0, 5, 100, 0, 0, 0, 7], [60, 0, 12, 240, 0, 0, 0, 10]) == pytest.approx(
-        3.0 / 200.0
-    )
+    before, after = [10, 0, 5, 100, 0, 0, 0, 7], [60, 0, 12, 240, 0, 0, 0, 10]
+    assert _stolen(before, after) == pytest.approx(3.0 / 200.0)
     assert _stolen(None, None) is None
-    found = measure(1000.0, 0.1).stolen
-    assert found is None or 0.0 <= found <= 1.0

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import re
 import socket
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.devices.interface import Clock, DeviceError, Event
-from hiltestbed.devices.rsi import RsiClient, RsiServer
+from hiltestbed.devices.interface import DeviceError, Event
+from hiltestbed.devices.rsi import Odd, RsiClient, RsiServer, RsiSettings, read_telegram
 from hiltestbed.devices.table import platform_client, platform_server
 from hiltestbed.errors import InputError
-from tests.devices.independent.rsi_peer import (
-    IndependentRobot,
-    IndependentSensorSystem,
-    from_frame,
-    to_frame,
-)
-from tests.devices.running import START, free_ports, going, until
+from tests.devices.independent.rsi_peer import IndependentRobot
+from tests.devices.running import START, free_ports, going, until, urls
 
 
 def _client(port: int, options: str = "") -> RsiClient:
@@ -52,7 +48,7 @@ def test_the_client_moves_an_independent_robot(correction: str) -> None:
     robot = IndependentRobot(port, relative=correction == "relative", patience=0.2)
     try:
         with _client(port, f"&correction={correction}") as client:
-            assert client.clock is Clock.DEVICE
+            assert client.clock == "device"
             assert client.period == 0.004
             np.testing.assert_allclose(client.start[:3], robot.start_position, atol=1e-9)
             rng = np.random.default_rng(3)
@@ -104,86 +100,80 @@ def test_the_client_holds_and_counts_what_the_controller_calls_late() -> None:
         robot.close()
 
 
-@pytest.mark.parametrize("reference", ["base", "tool"])
 @pytest.mark.parametrize("correction", ["absolute", "relative"])
-def test_an_independent_sensor_system_moves_the_emulated_robot(
-    correction: str, reference: str
-) -> None:
-    system = IndependentSensorSystem()
-    server = _server(system.port, f"correction={correction}&reference={reference}")
-    with server:
-        position, rotation = START[:3].copy(), Rotation.from_quat(START[3:])
-        rng = np.random.default_rng(5)
-        pose = START.copy()
-        for k in range(20):
-            server.publish(pose, 0.004 * k)
-            telegram = system.receive()
-            np.testing.assert_allclose(telegram["frame"][:3], 1e3 * pose[:3], atol=1e-6)
-            np.testing.assert_allclose(
-                telegram["frame"], to_frame(pose[:3], Rotation.from_quat(pose[3:])), atol=1e-5
-            )
-            assert telegram["ipoc"] == RsiServer.FIRST_IPOC + 4 * (k + 1)
-            frame = [*rng.uniform(-3, 3, 3), *rng.uniform(-2, 2, 3)]
-            system.answer(frame)
-            until(server.poll)
-            shift, turn = from_frame(frame)
-            p0, r0 = (
-                (position, rotation)
-                if correction == "relative"
-                else (START[:3], Rotation.from_quat(START[3:]))
-            )
-            position, rotation = (
-                (p0 + shift, turn * r0)
-                if reference == "base"
-                else (p0 + r0.apply(shift), r0 * turn)
-            )
-            distance, angle = _far(server.command, position, rotation)
-            steps = k + 1 if correction == "relative" else 1
-            assert distance < 1e-11 * steps  # telegrams here have eight decimals
-            assert angle < 2e-10 * steps
-            pose = server.command.copy()
-        assert server.late == 0
-    system.close()
+@pytest.mark.parametrize("reference", ["base", "tool"])
+def test_the_client_moves_the_emulated_robot(correction: str, reference: str) -> None:
+    ours, theirs = urls("rsi")
+    options = f"&correction={correction}&reference={reference}"
+    server, rng = platform_server(theirs + options), np.random.default_rng(5)
+
+    def cycle() -> None:
+        server.publish(server.command if server.commanded else START, 0.0)
+        server.wait(0.002)
+
+    with server, going(cycle), platform_client(ours + options) as client:
+        for _ in range(3):
+            turned = Rotation.from_rotvec(rng.uniform(-0.1, 0.1, 3)) * Rotation.from_quat(START[3:])
+            target = _pose(START[:3] + rng.uniform(-0.05, 0.05, 3), turned)
+
+            def arrived(target: np.ndarray = target) -> bool:
+                if client.wait(0.1):
+                    client.command(target)
+                distance, angle = _far(server.command, target[:3], Rotation.from_quat(target[3:]))
+                return distance < 2e-8 and angle < 2e-7  # telegrams have six decimals
+
+            until(arrived)
 
 
-def test_late_and_missing_answers_are_counted_held_and_stop_the_controller() -> None:
-    system = IndependentSensorSystem()
-    with _server(system.port, "late_limit=3") as server:
+@pytest.fixture
+def system() -> Iterator[tuple[int, Callable[..., int]]]:
+    """The port of a sensor system, and what answers its next telegram; returns the IPOC."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.bind(("127.0.0.1", 0))
+        opened.settimeout(2.0)
+
+        def answer(x: float, ipoc: int | None = None) -> int:
+            """With a correction of ``x`` [mm]."""
+            data, robot = opened.recvfrom(4096)
+            newest = int(data.partition(b"<IPOC>")[2].partition(b"<")[0])
+            frame = np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0])
+            opened.sendto(RsiSettings().answer(frame, ipoc or newest), robot)
+            return newest
+
+        yield opened.getsockname()[1], answer
+
+
+def test_late_and_missing_answers_are_counted_held_and_stop_the_controller(system) -> None:
+    port, answer = system
+    with _server(port, "late_limit=3") as server:
         server.publish(START, 0.0)
-        first = system.receive()
-        system.answer([5.0, 0, 0, 0, 0, 0])
+        first = answer(5.0)
         until(server.poll)
         held = server.command.copy()
         server.publish(START, 0.004)
-        system.receive()
-        system.answer([9.0, 0, 0, 0, 0, 0], ipoc=first["ipoc"])  # the cycle before: too late
+        answer(9.0, ipoc=first)  # the cycle before: too late
         until(lambda: server.poll() or server.counts[Event.REORDERED] == 1)
         server.publish(START, 0.008)
-        assert system.receive()["delay"] == 1
+        assert server.late == 1
         np.testing.assert_array_equal(server.command, held)
         for k in range(3):
             assert server.stopped is None
             server.publish(START, 0.012 + 0.004 * k)
         assert server.stopped is not None
         assert "4 answers came late or not at all (Timeout 3)" in server.stopped
-    system.close()
 
 
-def test_a_relative_correction_that_is_held_goes_on() -> None:
-    """HOLDON = 1: the last step is taken again in each cycle without an answer; HOLDON = 0:
-    none.
-    """
-    for hold, expected in (("true", 3e-3), ("false", 1e-3)):
-        system = IndependentSensorSystem()
-        with _server(system.port, f"correction=relative&hold={hold}") as server:
-            server.publish(START, 0.0)
-            system.receive()
-            system.answer([1.0, 0, 0, 0, 0, 0])
-            until(server.poll)
-            for k in range(3):
-                server.publish(START, 0.004 * (k + 1))
-            assert server.command[0] - START[0] == pytest.approx(expected, abs=1e-12)
-        system.close()
+@pytest.mark.parametrize(("hold", "expected"), [("true", 3e-3), ("false", 1e-3)])
+def test_a_relative_correction_that_is_held_goes_on(system, hold: str, expected: float) -> None:
+    """HOLDON = 1: the last step is taken again in each cycle without an answer; 0: none."""
+    port, answer = system
+    with _server(port, f"correction=relative&hold={hold}") as server:
+        server.publish(START, 0.0)
+        answer(1.0)
+        until(server.poll)
+        for k in range(3):
+            server.publish(START, 0.004 * (k + 1))
+        assert server.command[0] - START[0] == pytest.approx(expected, abs=1e-12)
 
 
 def test_what_keeps_a_client_from_opening_is_said() -> None:
@@ -202,25 +192,23 @@ def test_what_keeps_a_client_from_opening_is_said() -> None:
 
 
 ODD = {
-    '<Rob><AIPos A1="0"/><IPOC>4</IPOC></Rob>': r"without RIst \(they hold AIPos, IPOC\); add the "
-    "tag DEF_RIst",
+    '<Rob><AIPos A1="0"/><IPOC>4</IPOC></Rob>': "without RIst (they hold AIPos, IPOC); add the tag",
     '<Rob><RIst X="1" Y="2" Z="3" A="0" B="0"/><IPOC>4</IPOC></Rob>': "RIst has no six plausible",
     '<Rob><RIst X="1" Y="2" Z="1e9" A="0" B="0" C="0"/><IPOC>4</IPOC></Rob>': "RIst has no six",
     '<Rob><RIst X="1" Y="2" Z="3" A="0" B="0" C="0"/></Rob>': "IPOC is no whole number",
     '<Robot><RIst X="1" Y="2" Z="3" A="0" B="0" C="0"/><IPOC>4</IPOC></Robot>': "root is <Robot>",
-    "hello": "not plain XML",
 }
 
 
-@pytest.mark.parametrize("telegram", ODD)
-def test_telegrams_that_are_not_understood_are_described(telegram: str) -> None:
+def test_telegrams_that_are_not_understood_are_described() -> None:
+    for telegram, said in ODD.items():
+        with pytest.raises(Odd, match=re.escape(said)):
+            read_telegram(telegram.encode(), "Rob", "RIst")
     (port,) = free_ports(1)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
         client = platform_client(f"rsi://127.0.0.1:{port}?connect=0.3")
         with (
-            going(lambda: robot.sendto(telegram.encode(), ("127.0.0.1", port)), 0.02),
-            pytest.raises(DeviceError, match=r"telegrams arrive from 127.0.0.1") as refused,
+            going(lambda: robot.sendto(b"hello", ("127.0.0.1", port)), 0.02),
+            pytest.raises(DeviceError, match=r"telegrams arrive from 127.0.0.1:.* not plain XML"),
         ):
             client.open()
-    assert re.search(ODD[telegram], str(refused.value))
-    assert "IP_NUMBER" not in str(refused.value)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import struct
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.devices.interface import DeviceError, Event
-from hiltestbed.devices.rtde_controller import RtdePlatformServer, RtdeSensorServer
-from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
+from hiltestbed.devices.rtde_controller import RtdePlatformServer
+from hiltestbed.devices.table import platform_client, platform_server, sensor_client
 from hiltestbed.errors import InputError
-from tests.devices.independent.rtde_peer import IndependentController, IndependentRtdeClient
+from tests.devices.independent.rtde_peer import IndependentController
 from tests.devices.running import START, free_ports, going, until
 
 WRENCH = np.array([1.5, -2.25, 310.125, 0.5, -0.125, 7.75])
@@ -23,57 +22,25 @@ ROBOT = {
     "safety_status_bits": [1],
     "robot_status_bits": [3],
 }
-REGISTERS = ",".join(
-    [*(f"input_double_register_{24 + i}" for i in range(6)), "input_int_register_24"]
-)
 
 
-def _address(server: RtdeSensorServer | RtdePlatformServer) -> tuple[str, int]:
-    return server.address
-
-
-def test_an_independent_client_reads_and_commands_the_emulated_robot() -> None:
+def test_the_client_commands_the_emulated_robot_and_has_its_registers_to_itself() -> None:
     server = platform_server("rtde://127.0.0.1:0")
     assert isinstance(server, RtdePlatformServer)
-    ticks = iter(range(1_000_000))
-    target = [0.5, 0.1, 0.2, 0.3, -0.4, 0.5]
+    ticks, target = iter(range(1_000_000)), START + np.array([0.1, 0.0, -0.2, 0, 0, 0, 0])
     with server, going(lambda: server.publish(START, 0.008 * next(ticks))):
-        client = IndependentRtdeClient(
-            _address(server), "timestamp,actual_TCP_pose,safety_status_bits", REGISTERS
-        )
-        assert client.accepted == client.started == b"\x01"
-        assert client.output_types == ["DOUBLE", "VECTOR6D", "UINT32"]
-        assert client.input_types == ["DOUBLE"] * 6 + ["INT32"]
-        first, second = (struct.unpack("!B7dI", client.data()) for _ in range(2))
-        assert first[0] == client.output_recipe
-        assert second[1] - first[1] == pytest.approx(0.008)
-        np.testing.assert_allclose(first[2:5], START[:3])
-        np.testing.assert_allclose(
-            first[5:8], Rotation.from_quat(START[3:]).as_rotvec(), atol=1e-12
-        )
-        assert first[8] == 1
-        client.write("6di", *target, 1)
-        until(lambda: server.commanded)
-        np.testing.assert_allclose(server.command[:3], target[:3])
-        assert (
-            Rotation.from_quat(server.command[3:]) * Rotation.from_rotvec(target[3:]).inv()
-        ).magnitude() < 1e-12
-        assert client.ask("P") == b"\x01"
-        client.close()
-
-
-def test_unknown_fields_and_taken_registers_are_refused_by_name() -> None:
-    server = sensor_server("rtde://127.0.0.1:0")
-    assert isinstance(server, RtdeSensorServer)
-    with server, going(lambda: server.publish(WRENCH, 0.0)):
-        first = IndependentRtdeClient(_address(server), "timestamp,no_such_field", REGISTERS)
-        assert first.output_types == ["DOUBLE", "NOT_FOUND"]
-        assert first.started == b"\x00"
-        second = IndependentRtdeClient(_address(server), "timestamp", REGISTERS)
-        assert set(second.input_types) == {"IN_USE"}
-        assert second.ask("V", struct.pack("!H", 7)) == b"\x00"
-        first.close()
-        second.close()
+        url = f"rtde://127.0.0.1:{server.address[1]}?rate=125"
+        with platform_client(url) as client:
+            np.testing.assert_allclose(client.state.pose, START, atol=1e-12)
+            client.command(target)
+            until(lambda: abs(server.command[0] - target[0]) < 1e-12)
+            np.testing.assert_allclose(server.command, target, atol=1e-12)
+            with pytest.raises(DeviceError, match=r"input_double_register_24: IN_USE"):
+                platform_client(url).open()
+        until(lambda: not server._clients)
+        with platform_client(url) as client:
+            client.stop()
+            until(lambda: server.stopped)
 
 
 def test_the_clients_read_and_command_an_independent_controller() -> None:
@@ -144,4 +111,4 @@ def test_a_port_in_use() -> None:
     with platform_server("rtde://127.0.0.1:0") as server:
         assert isinstance(server, RtdePlatformServer)
         with pytest.raises(InputError, match=r"TCP 127.0.0.1:.* is in use by another program"):
-            platform_server(f"rtde://127.0.0.1:{_address(server)[1]}").open()
+            platform_server(f"rtde://127.0.0.1:{server.address[1]}").open()

@@ -59,7 +59,7 @@ def _faults(arrivals: np.ndarray, limit: float | None = LIMIT) -> tuple[float, s
     return factor, keeper.fault, wall.at
 
 
-@pytest.mark.parametrize("rate", [0.5, 0.98, 1.01 + 1e-3, 2.0, 4.0, 10.0])
+@pytest.mark.parametrize("rate", [0.5, 1.01 + 1e-3, 10.0])
 def test_a_clock_of_another_rate_is_measured_before_anything_moves(rate: float) -> None:
     factor, *_ = _faults(np.arange(30_000) * TICK / rate)
     assert factor == pytest.approx(rate, rel=1e-6)
@@ -72,7 +72,6 @@ HARMLESS = {
     "steady": STEADY,
     "1001 Hz for 1000": STEADY / 1.001,
     "jitter": STEADY + RNG.uniform(0.0, 2e-3, 6000),
-    "in pairs": STEADY - TICK * (np.arange(6000) % 2 == 0) + TICK,
     "in bursts of ten": np.ceil(STEADY / 0.01 + 1e-9) * 0.01,
     "one held back by 15 ms, and those behind it": np.where(
         (STEADY > 3.0) & (STEADY < 3.015), 3.015, STEADY
@@ -95,13 +94,10 @@ def _after(change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
 
 HARMFUL = {  # and the wall time [s] within which it has to be seen, from 3.0 s on
     "drifts by 1.5 % ahead": (_after(lambda t: t / 1.015), 1.5),
-    "drifts by 1.5 % behind": (_after(lambda t: t / 0.985), 1.5),
     "drifts by half a per cent until it is beyond the limit": (_after(lambda t: t / 1.005), 4.1),
     "doubles": (_after(lambda t: t / 2.0), 0.045),
-    "ten times": (_after(lambda t: t / 10.0), 0.01),
     "halves": (_after(lambda t: t * 2.0), 0.045),
     "stalls for 0.3 s": (_after(lambda t: t + 0.3), 0.301),
-    "bursts after a stall": (_after(lambda t: np.maximum(t, 0.3)), 0.301),
     "jumps by 50 ms": (_after(lambda t: np.maximum(t - 0.05, 0.0)), 0.045),
 }
 
@@ -114,17 +110,15 @@ def test_a_clock_that_goes_wrong_while_the_platform_moves_stops_it(name: str) ->
     assert at - 3.0 < within
 
 
-@pytest.mark.parametrize("ticks", [25, 5000])
-def test_a_jump_of_the_records_numbers_is_seen_in_its_cycle(ticks: int) -> None:
+def test_a_jump_of_the_records_numbers_is_seen_in_its_cycle() -> None:
     """All those ticks would begin at once."""
     wall = Wall()
     keeper = Timekeeper(TICK, LIMIT, wall)
     keeper.start()
-    for k in range(100):
+    for k, ticks in enumerate([*[1] * 100, 25]):
+        assert keeper.fault is None
         wall.at += TICK
-        keeper.ticked(1, k)
-    wall.at += TICK
-    keeper.ticked(ticks, 100 + ticks)
+        keeper.ticked(ticks, k + ticks)
     assert keeper.fault is not None
     assert "ahead of the wall clock; devices.limits.time_offset is 20 ms" in keeper.fault
 
@@ -145,25 +139,23 @@ def test_a_clock_that_is_silent_has_no_rate() -> None:
     assert keeper.rate == 0.0
 
 
-@pytest.mark.parametrize("held", [0.03, 0.1, 0.25])
-def test_one_stall_of_a_busy_machine_is_waited_out(held: float) -> None:
+@pytest.mark.parametrize("held", [0.03, 0.25])
+@pytest.mark.parametrize("change", [np.maximum, np.add])
+def test_one_stall_of_a_busy_machine_is_waited_out(change: np.ufunc, held: float) -> None:
     """Records held back, and a clock that paused, look like another rate at first: that cannot be
     told, and after a while it can.
     """
-    for change in (lambda t: np.maximum(t, held), lambda t: t + held):
-        wall, after = Wall(), np.arange(60_000) * TICK
-        keeper = Timekeeper(TICK, LIMIT, wall)
-        found = []
-        arrivals = np.concatenate([np.arange(500) * TICK, 0.5 + change(after)])
-        for k in np.flatnonzero(
-            np.diff(arrivals)
-        ).tolist():  # of those that come at once, the newest
-            wall.at = at = float(arrivals[k])
-            keeper.ticked(1, k)
-            if k % 50 == 49 and at > 1.0:
-                found.append(keeper.is_right())
-        assert False not in found
-        assert found[-1] is True
+    wall, found = Wall(), []
+    keeper = Timekeeper(TICK, LIMIT, wall)
+    after = change(np.arange(20_000) * TICK, held)
+    arrivals = np.concatenate([np.arange(500) * TICK, 0.5 + after])
+    for k in np.flatnonzero(np.diff(arrivals)).tolist():  # of those that come at once, the newest
+        wall.at = at = float(arrivals[k])
+        keeper.ticked(1, k)
+        if k % 50 == 49 and at > 1.0:
+            found.append(keeper.is_right())
+    assert False not in found
+    assert found[-1] is True
 
 
 def test_a_clock_that_pauses_again_and_again_has_its_mean_rate() -> None:
@@ -179,7 +171,7 @@ def test_a_clock_that_pauses_again_and_again_has_its_mean_rate() -> None:
 
 @pytest.mark.parametrize(
     ("platform", "rate"),
-    [("udp", 0.5), ("udp", 0.985), ("udp", 1.015), ("udp", 2.0), ("rsi", 4.0), ("rsi", 10.0)],
+    [("udp", 0.985), ("udp", 2.0), ("rsi", 10.0)],
 )
 def test_nothing_is_armed_with_a_device_at_another_rate(platform: str, rate: float) -> None:
     """The message names both rates and the key to set; the platform stays where it was."""
@@ -196,10 +188,9 @@ def test_nothing_is_armed_with_a_device_at_another_rate(platform: str, rate: flo
     assert "--set rate=" in str(refused.value)
 
 
-@pytest.mark.parametrize("rate", [0.5, 2.0, 10.0])
-@pytest.mark.parametrize("kind", ["hold", "retract"])
+@pytest.mark.parametrize(("kind", "rate"), [("hold", 0.5), ("hold", 10.0), ("retract", 2.0)])
 def test_the_platform_never_goes_further_than_the_model_in_the_wall_time(
-    rate: float, kind: str
+    kind: str, rate: float
 ) -> None:
     """A device that changes its rate in flight, 0.1 s after the start of the run: by one per cent
     and the ticks at both ends at most, the retraction included.

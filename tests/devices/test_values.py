@@ -29,23 +29,12 @@ LENIENT = CommunicationLimits(
     misses_in_a_row=10_000, misses_in_window=10_000, disturbances_in_window=10_000, stale=1e3
 )
 WRENCH = np.array([1.0, -2.0, 30.0, 0.1, 0.2, -0.3])
-ROTATION_LAYOUT = """
-state:
-  - {name: time, type: uint32, scale: 1.0e-6}
-  - {name: px, type: float64}
-  - {name: py, type: float64}
-  - {name: pz, type: float64}
-  - {name: rx, type: float64}
-  - {name: ry, type: float64}
-  - {name: rz, type: float64}
-command:
-""" + "".join(f"  - {{name: {n}, type: float64}}\n" for n in ["px", "py", "pz", "rx", "ry", "rz"])
 
 
 @contextmanager
-def _connected(protocol: str, role: str, options: str = "") -> Iterator[tuple]:
+def _connected(protocol: str, role: str) -> Iterator[tuple]:
     """A client and its server, open; :func:`publish` sends good values."""
-    ours, theirs = (url + options for url in urls(protocol))
+    ours, theirs = urls(protocol)
     sensor = role == "sensor"
     client = sensor_client(ours) if sensor else platform_client(ours)
     server = sensor_server(theirs) if sensor else platform_server(theirs)
@@ -79,17 +68,12 @@ def _with(values: np.ndarray, index: int, value: float) -> np.ndarray:
 
 
 CASES = [
-    ("udp", "sensor", lambda m: _with(WRENCH, 2, 1e155)),
     ("udp", "sensor", lambda m: _with(WRENCH, 5, -2e7)),
     ("shm", "sensor", lambda m: _with(WRENCH, 0, 1e300)),
     ("rtde", "sensor", lambda m: _with(WRENCH, 1, -1e155)),
     ("udp", "platform", lambda m: _with(START, 1, 1e160)),
-    ("shm", "platform", lambda m: _with(START, 0, -5e3)),
     ("shm", "platform", lambda m: _with(START, 6, 1e9)),
-    ("rtde", "platform", lambda m: _with(START, 2, 1e160)),
     ("rtde", "platform", lambda m: _turned(START, 1e200, m)),
-    ("turned", "platform", lambda m: _turned(START, 1e200, m)),
-    ("turned", "platform", lambda m: _turned(START, 20.0, m)),
 ]
 
 
@@ -99,14 +83,9 @@ def test_a_value_that_is_not_physical_is_never_taken(
     role: str,
     bad: Callable[[pytest.MonkeyPatch], np.ndarray],
     monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
 ) -> None:
     """And stops in its cycle, however many rejected records are allowed."""
-    options = ""
-    if protocol == "turned":
-        (tmp_path / "layout.yaml").write_text(ROTATION_LAYOUT)
-        protocol, options = "udp", f"&layout={tmp_path / 'layout.yaml'}"
-    with _connected(protocol, role, options) as (client, publish):
+    with _connected(protocol, role) as (client, publish):
         watch = CommunicationWatch(client, LENIENT, role)
         watch.start()
         before = client.sample.values.copy()
@@ -122,8 +101,7 @@ def test_a_value_that_is_not_physical_is_never_taken(
         assert stop.reason.startswith(f"{role} {client.where}: value ")
 
 
-@pytest.mark.parametrize("at", [15, 700])  # on the way to the start, and in contact
-def test_the_folder_is_written_whatever_was_received(at: int, tmp_path: Path) -> None:
+def test_the_folder_is_written_whatever_was_received(tmp_path: Path) -> None:
     record, huge = WireRecord(default_layout(), "state"), np.array([0.0, 1e160, 0, 0, 0, 0, 1.0])
 
     def change(data: bytes) -> list[bytes]:
@@ -132,7 +110,7 @@ def test_the_folder_is_written_whatever_was_received(at: int, tmp_path: Path) ->
         return [record.pack(huge, record.sequence, record.time)]
 
     def disturb(cycle: int, emulator: Emulator, session: Session) -> Collection[str]:
-        if cycle != at:
+        if cycle != 700:  # in contact
             return ()
         _sends(emulator.platform, change)
         return ("platform",)

@@ -10,6 +10,7 @@ import pytest
 from hiltestbed.config.validation import validate
 from hiltestbed.config.yaml_source import Source
 from hiltestbed.devices.interface import Event, SensorClient
+from hiltestbed.devices.url import DeviceSettings
 from hiltestbed.devices.watch import CommunicationLimits, CommunicationWatch, said
 from hiltestbed.errors import InputError
 
@@ -18,7 +19,7 @@ class MadeUp(SensorClient):
     """A sensor whose records come when the test says so."""
 
     def __init__(self) -> None:
-        super().__init__("made-up://")
+        super().__init__(DeviceSettings(where="made-up://"))
 
     def open(self) -> None: ...
     def close(self) -> None: ...
@@ -78,31 +79,21 @@ def test_a_record_that_was_waited_for_in_vain_and_then_found_lost_is_one_miss() 
     assert stop.event is Event.LOST
 
 
-@pytest.mark.parametrize("limit", ["misses_in_window", "disturbances_in_window"])
-def test_the_window_slides(limit: str) -> None:
-    """Two in any ten cycles are allowed: one each five cycles goes on for ever, one each four does
-    not.
-    """
-    event = {"misses_in_window": "lost", "disturbances_in_window": "reordered"}[limit]
-    link, watch = _watch(**{limit: 2, "window": 10})
-    for k in range(200):
-        assert watch.check(link.gets(True, **({event: 1} if k % 5 == 0 else {}))) is None
-    stops = [watch.check(link.gets(True, **({event: 1} if k % 4 == 0 else {}))) for k in range(20)]
-    assert any(stop is not None and stop.event is Event[event.upper()] for stop in stops)
-
-
-def test_a_window_is_the_sum_of_its_cycles() -> None:
+@pytest.mark.parametrize(
+    ("limit", "event"), [("misses_in_window", "lost"), ("disturbances_in_window", "reordered")]
+)
+def test_a_window_is_the_sum_of_its_cycles(limit: str, event: str) -> None:
     rng = np.random.default_rng(4)
     lost = rng.poisson(0.3, 500)
-    link, watch = _watch(misses_in_window=15, window=40)
+    link, watch = _watch(**{limit: 15, "window": 40})
     sums = np.convolve(lost, np.ones(40, dtype=int))[:500]
     expected = int(np.argmax(sums > 15))
     assert sums[expected] > 15
     for k in range(500):
-        if watch.check(link.gets(True, lost=int(lost[k]))) is not None:
-            assert k == expected
-            return
-    pytest.fail("did not stop")
+        stop = watch.check(link.gets(True, **{event: int(lost[k])}))
+        assert (stop is not None) == (k >= expected)
+    assert stop is not None
+    assert stop.event is Event[event.upper()]
 
 
 def test_status_in_a_row() -> None:
@@ -126,11 +117,14 @@ def test_the_first_reason_stays() -> None:
     assert watch.check(link.gets(True, gone=1)) is first
 
 
-def test_what_has_happened_by_name() -> None:
-    link = MadeUp()
-    link.gets(True, lost=3)
-    assert said(link) == {"received": 1, "lost": 3} | dict.fromkeys(
-        ["late", "repeated", "reordered", "stale", "malformed", "status", "sender", "gone"], 0
+def test_an_old_sample_stops_whatever_else_is_allowed() -> None:
+    link, watch = _watch(stale=1e-9)
+    stop = watch.check(link.gets())
+    assert stop is not None
+    assert stop.event is Event.STALE
+    assert "ms old (limit" in stop.reason
+    assert said(link) == {"received": 2, "stale": 1} | dict.fromkeys(
+        ["late", "lost", "repeated", "reordered", "malformed", "status", "sender", "gone"], 0
     )
 
 

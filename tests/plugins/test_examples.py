@@ -5,6 +5,7 @@ benchmark, and named by a diagnosis.
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -74,13 +75,15 @@ def test_a_diagnosis_names_an_effect_of_the_users(tmp_path: Path) -> None:
     assert cause.parameters["wear"].estimate == pytest.approx(0.2, abs=0.01)
 
 
-def test_a_compensation_takes_the_delay_out(tmp_path: Path) -> None:
+def test_a_compensation_takes_the_delay_out(
+    tmp_path: Path, call: Callable[..., tuple[int, str, str]]
+) -> None:
     """Of second order: |ln(e/e_ref)| falls from (pi/2) w tau = 0.124 to a few per cent."""
     given = ("--plugin", str(EXAMPLES / "slope_lead.py"), "--json", "--no-rerun")
     out = ("--out", str(tmp_path / "r"), "--set", "compensation.force={kind: slope_lead}")
-    done = command("run", "03-bumper-delay-uncompensated", *given, *out)
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
+    status, told, wrong = call("run", "03-bumper-delay-uncompensated", *given, *out)
+    assert status == 0, wrong
+    summary = json.loads(told)
     assert abs(summary["cor_log_error"]) < 0.01
     assert {"source": "compensation.slope_lead"}.items() <= summary["delay_ledger"][1].items()
     assert list(summary["plugins"].values()) != [""]
@@ -192,10 +195,10 @@ def test_a_campaign_runs_them_in_worker_processes(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["counts"] == {"completed": 4}
 
 
-def test_an_installed_package_needs_no_option(tmp_path: Path) -> None:
+def test_an_installed_package_needs_no_option(
+    tmp_path: Path, call: Callable[..., tuple[int, str, str]]
+) -> None:
     """The entry-point group does what --plugin does."""
-    import os
-
     about = tmp_path / "my_rig-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my-rig\nVersion: 1.0\n")
@@ -207,7 +210,7 @@ def test_an_installed_package_needs_no_option(tmp_path: Path) -> None:
     done = command("schema", env=env)
     assert done.returncode == 0, done.stderr
     assert '"contact.worn_pad"' in done.stdout
-    assert '"contact.worn_pad"' not in command("schema").stdout
+    assert '"contact.worn_pad"' not in call("schema")[1]
 
 
 BASE = (
@@ -281,13 +284,15 @@ def test_the_benchmark_enters_a_method_of_the_users_in_every_column() -> None:
     assert not _takes_part(by_name["dead_zone"], ("ideal", "off"), quick=True)
 
 
-def test_a_run_that_a_plugin_made_says_which_one_it_needs(tmp_path: Path) -> None:
+def test_a_run_that_a_plugin_made_says_which_one_it_needs(
+    tmp_path: Path, call: Callable[..., tuple[int, str, str]]
+) -> None:
     plugin, folder = EXAMPLES / "slope_lead.py", tmp_path / "run"
     given = ("--plugin", str(plugin), "--set", "compensation.force={kind: slope_lead}")
     out = ("--set", "duration=0.3", "--no-rerun", "--out", str(folder))
-    made = command("run", "03-bumper-delay-uncompensated", *given, *out)
-    assert made.returncode == 0, made.stderr
-    refused = command("compare", str(folder), str(folder))
+    assert call("run", "03-bumper-delay-uncompensated", *given, *out)[0] == 0
+    fresh = {key: value for key, value in os.environ.items() if key != plugins.ENVIRONMENT}
+    refused = command("compare", str(folder), str(folder), env=fresh)
     assert refused.returncode == 2
     assert f"give --plugin {plugin}" in refused.stderr
-    assert command("compare", str(folder), str(folder), "--plugin", str(plugin)).returncode == 0
+    assert call("compare", str(folder), str(folder), "--plugin", str(plugin))[0] == 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from hiltestbed.viewer.drawing import force_scale
 from hiltestbed.viewer.plots import contact_phases
 from hiltestbed.viewer.record import CONTACT, FREE, frame_rows
 from tests.running import run
-from tests.slow import SLOW
 
 CENTRE = np.array([0.0, 0.0, -0.64])  # [m] the platform's origin from A's, models/pss33
 SINGLE = 1e-6  # poses and arrows are in single precision: 6e-8 of a metre or two
@@ -317,31 +315,3 @@ def test_a_run_that_left_the_numbers_is_drawn_up_to_there(
 def test_a_full_disk_is_an_error(done: Run) -> None:
     with pytest.raises(OSError, match="disk full"):
         write_recording(Path("/dev/full"), done)
-
-
-def tiled(done: Run, ticks: int) -> Run:
-    """The run over and over, ``ticks`` long."""
-    trace = done.trace
-    assert trace is not None
-    times = -(-ticks // len(trace.t))
-    data = {name: np.tile(values, (times, 1))[:ticks] for name, values in trace.data.items()}
-    t = np.arange(ticks) / done.scenario.rate
-    return dataclasses.replace(done, trace=RunTrace(t, data, np.tile(trace.contact, times)[:ticks]))
-
-
-@SLOW
-def test_four_times_as_many_ticks_take_at_most_eight_times_as_long(
-    done: Run, tmp_path: Path
-) -> None:
-    def seconds(long: Run) -> float:
-        best = np.inf
-        for _ in range(2):
-            start = time.process_time()  # of all threads: a busy machine does not count
-            write_recording(tmp_path / "recording.rrd", long)
-            best = min(best, time.process_time() - start)
-        return best
-
-    few, many = seconds(tiled(done, 25_000)), seconds(tiled(done, 100_000))
-    # Side by side, since no bound in seconds holds on every machine. Linear is 4 and less, by the
-    # model's share that does not grow.
-    assert many < 8.0 * few

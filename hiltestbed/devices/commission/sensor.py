@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.devices.commission.platform import spread_of
-from hiltestbed.frames import Array, rotation_matrix, rotation_vectors
+from hiltestbed.frames import Array, rotation_matrix
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.signals import AXES
@@ -141,14 +141,14 @@ def fit_sensor(
     sign, rotation, delay = data.first_guess()
     chosen: list[Element] = []
     others: list[list[Element]] = []
-    best = data.fit(sign, rotation, delay, chosen, None)
+    best = data.fit(sign, rotation, delay, chosen, np.zeros(0))
     while len(chosen) < MOST:
         candidate, *rivals = data.most_telling(sign, best, chosen)
-        trial = data.fit(sign, best.rotation, best.delay, [*chosen, candidate], best)
+        more = [*chosen, candidate]
+        trial = data.fit(sign, best.rotation, best.delay, more, np.append(best.p[4:], 0.0))
         if trial.square > (1.0 - WORTH) * best.square or not trial.holds():
             break
-        best = trial
-        chosen.append(candidate)
+        best, chosen = trial, more
         others.append(rivals)
     spread = best.spread()
     numbers = []
@@ -157,10 +157,11 @@ def fit_sensor(
         numbers.append(Number(AXES[i], AXES[j], float(v) + (i == j), float(ci95), or_else))
     turn = None
     if data.given is not None:
-        turn = np.degrees(rotation_vectors(_quaternion(best.rotation @ data.given.T)))
+        turned = Rotation.from_matrix(best.rotation @ data.given.T)
+        turn = tuple(turned.as_rotvec(degrees=True).tolist())
     return SensorFit(
         sign=sign,
-        attitude=_quaternion(best.rotation),
+        attitude=Rotation.from_matrix(best.rotation).as_quat(),
         attitude_ci95_deg=np.degrees(spread[:3]).tolist(),
         delay=best.delay,
         delay_ci95=float(spread[3] * 1e-3),
@@ -168,7 +169,7 @@ def fit_sensor(
         residual=data.rms(best).tolist(),
         reading=np.sqrt(np.mean(data.reading**2, axis=0)).tolist(),
         misfit=best.square,
-        turn_deg=None if turn is None else tuple(turn.tolist()),
+        turn_deg=turn,
     )
 
 
@@ -224,26 +225,20 @@ class _Data:
         return min(found, key=lambda item: item[0])[1:]
 
     def fit(
-        self,
-        sign: int,
-        rotation: Array,
-        delay: float,
-        chosen: Sequence[Element],
-        before: _Fit | None,
+        self, sign: int, rotation: Array, delay: float, chosen: Sequence[Element], start: Array
     ) -> _Fit:
-        """Least squares over rotation, delay and ``chosen``, from a fit with one number less."""
+        """Least squares over rotation, delay and the ``chosen`` numbers, from ``start``."""
+
+        def turned(p: Array) -> Array:
+            return rotation @ Rotation.from_rotvec(p[:3]).as_matrix()
 
         def residuals(p: Array) -> Array:
-            shown = self._shown(rotation @ _turn(p[:3]), 1e-3 * p[3], _calibration(chosen, p[4:]))
+            shown = self._shown(turned(p), 1e-3 * p[3], _calibration(chosen, p[4:]))
             return ((self.reading - sign * shown) * self._weight).ravel()
 
-        start = np.zeros(4 + len(chosen))
-        start[3] = 1e3 * delay
-        if before is not None:
-            start[4 : 4 + len(before.p) - 4] = before.p[4:]
-        fit = least_squares(residuals, start, method="lm")
-        found = rotation @ _turn(fit.x[:3]), float(1e-3 * fit.x[3])
-        return _Fit(fit.x, *found, float(2.0 * fit.cost), fit.jac)
+        first = np.concatenate([np.zeros(3), [1e3 * delay], start])
+        fit = least_squares(residuals, first, method="lm")
+        return _Fit(fit.x, turned(fit.x), float(1e-3 * fit.x[3]), float(2.0 * fit.cost), fit.jac)
 
     def most_telling(self, sign: int, fit: _Fit, chosen: Sequence[Element]) -> list[Element]:
         """The number that would reduce the sum of squares most, to first order and in addition to
@@ -327,15 +322,3 @@ def _wahba(felt: Array, reading: Array, weight: Array) -> Array:
         profile += scale**2 * felt[:, part].T @ reading[:, part]
     u, _, vt = np.linalg.svd(profile)
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-
-
-def _turn(vector: Array) -> Array:
-    """Rotation matrix of a rotation vector (3,)."""
-    angle = float(np.linalg.norm(vector))
-    half = 0.5 * vector if angle < 1e-12 else vector / angle * np.sin(0.5 * angle)
-    return rotation_matrix(np.array([*half, np.cos(0.5 * angle)]))
-
-
-def _quaternion(rotation: Array) -> Array:
-    """Quaternion (4,) of a rotation matrix."""
-    return Rotation.from_matrix(rotation).as_quat()

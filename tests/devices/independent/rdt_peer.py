@@ -1,4 +1,4 @@
-"""A client and a sensor of ATI's Raw Data Transfer, written from the manual (document 9620-05-NET
+"""A sensor of ATI's Raw Data Transfer, written from the manual (document 9620-05-NET
 FT, section 10) and sharing nothing.
 
 Big-endian throughout. Request: uint16 0x1234, uint16 command, uint32 count. Record: uint32
@@ -12,45 +12,8 @@ import threading
 import time
 
 
-def _u16(value: int) -> bytes:
-    return value.to_bytes(2, "big")
-
-
 def _u32(value: int) -> bytes:
     return value.to_bytes(4, "big")
-
-
-class IndependentRdtClient:
-    def __init__(self, address, counts_per_force: float, counts_per_torque: float) -> None:
-        self.address, self.cpf, self.cpt = address, counts_per_force, counts_per_torque
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(2.0)
-
-    def request(self, command: int, count: int = 0) -> None:
-        self.socket.sendto(_u16(0x1234) + _u16(command) + _u32(count), self.address)
-
-    def records(self) -> list[dict]:
-        """Those of the next datagram."""
-        data, sender = self.socket.recvfrom(4096)
-        assert sender == self.address
-        assert len(data) % 36 == 0
-        return [self._record(data[i : i + 36]) for i in range(0, len(data), 36)]
-
-    def _record(self, data: bytes) -> dict:
-        unsigned = [int.from_bytes(data[i : i + 4], "big") for i in (0, 4, 8)]
-        counts = [int.from_bytes(data[i : i + 4], "big", signed=True) for i in range(12, 36, 4)]
-        force, torque = [c / self.cpf for c in counts[:3]], [c / self.cpt for c in counts[3:]]
-        return {
-            "rdt": unsigned[0],
-            "ft": unsigned[1],
-            "status": unsigned[2],
-            "force": force,
-            "torque": torque,
-        }
-
-    def close(self) -> None:
-        self.socket.close()
 
 
 class IndependentRdtSensor:

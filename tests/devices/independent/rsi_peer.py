@@ -1,5 +1,5 @@
-"""A robot controller and a sensor system of KUKA's RobotSensorInterface, written from its
-description and sharing nothing.
+"""A robot controller of KUKA's RobotSensorInterface, written from its description and sharing
+nothing.
 
 The controller sends <Rob Type="KUKA"> with RIst [mm, deg] and IPOC, the sensor system answers <Sen
 Type="ImFree"> with RKorr and the same IPOC before the next cycle. A, B, C turn about z, y', x''.
@@ -105,41 +105,4 @@ class IndependentRobot:
     def close(self) -> None:
         self._stop.set()
         self._thread.join()
-        self.socket.close()
-
-
-class IndependentSensorSystem:
-    """The other side: answers a telegram with the correction that it is given."""
-
-    def __init__(self) -> None:
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(2.0)
-        self.port = self.socket.getsockname()[1]
-
-    def receive(self) -> dict:
-        data, self.robot = self.socket.recvfrom(4096)
-        root = ElementTree.fromstring(data)
-        assert root.tag == "Rob"
-        assert root.get("Type") == "KUKA"
-        reached, delay = root.find("RIst"), root.find("Delay")
-        assert reached is not None
-        assert delay is not None
-        self.ipoc = int(root.findtext("IPOC", ""))
-        return {
-            "frame": [float(reached.attrib[name]) for name in "XYZABC"],
-            "ipoc": self.ipoc,
-            "delay": int(delay.attrib["D"]),
-        }
-
-    def answer(self, frame, ipoc: int | None = None) -> None:
-        inside = " ".join(f'{n}="{v:.8f}"' for n, v in zip("XYZABC", frame, strict=True))
-        ipoc = self.ipoc if ipoc is None else ipoc
-        text = (
-            f'<Sen Type="ImFree"><EStr>independent</EStr><RKorr {inside} '
-            f"/><DiO>125</DiO><IPOC>{ipoc}</IPOC></Sen>"
-        )
-        self.socket.sendto(text.encode(), self.robot)
-
-    def close(self) -> None:
         self.socket.close()

@@ -1,4 +1,4 @@
-"""A client and a controller of Universal Robots' RTDE, written from its guide and sharing nothing.
+"""A controller of Universal Robots' RTDE, written from its guide and sharing nothing.
 
 A package: uint16 size with its header, uint8 type, payload; big-endian. Types: V protocol version,
 O outputs, I inputs, S start, P pause, U data, M text.
@@ -29,36 +29,6 @@ def receive(connection: socket.socket) -> tuple[str, bytes]:
 
 def send(connection: socket.socket, kind: str, payload: bytes = b"") -> None:
     connection.sendall(struct.pack("!HB", 3 + len(payload), ord(kind)) + payload)
-
-
-class IndependentRtdeClient:
-    def __init__(self, address, outputs: str, inputs: str, frequency: float = 125.0) -> None:
-        self.connection = socket.create_connection(address, 2.0)
-        self.accepted = self.ask("V", struct.pack("!H", 2))
-        answer = self.ask("O", struct.pack("!d", frequency) + outputs.encode())
-        self.output_recipe, self.output_types = answer[0], answer[1:].decode().split(",")
-        answer = self.ask("I", inputs.encode())
-        self.input_recipe, self.input_types = answer[0], answer[1:].decode().split(",")
-        self.started = self.ask("S")
-
-    def ask(self, kind: str, payload: bytes = b"") -> bytes:
-        send(self.connection, kind, payload)
-        while True:
-            answered, data = receive(self.connection)
-            if answered == kind:
-                return data
-
-    def data(self) -> bytes:
-        while True:
-            kind, payload = receive(self.connection)
-            if kind == "U":
-                return payload
-
-    def write(self, layout: str, *values) -> None:
-        send(self.connection, "U", struct.pack("!B" + layout, self.input_recipe, *values))
-
-    def close(self) -> None:
-        self.connection.close()
 
 
 class IndependentController:

@@ -291,7 +291,7 @@ def packet(rng: Generator, folder: Path) -> str:
     """Valid messages with some bytes changed, for the parsers of the device protocols."""
     from hiltestbed.devices import rdt_page, rtde_wire
     from hiltestbed.devices.layout import WireRecord, default_layout
-    from hiltestbed.devices.rsi_telegram import answer, read_telegram
+    from hiltestbed.devices.rsi import Odd, RsiSettings, read_telegram
 
     which = int(rng.integers(4))
     if which == 0:
@@ -302,15 +302,18 @@ def packet(rng: Generator, folder: Path) -> str:
             else REFUSED
         )
     if which == 1:
-        data = mutated(answer("ImFree", np.zeros(6), 123, 4), rng)
-        return REFUSED if read_telegram(data, "Sen", "RKorr") is None else SURVIVED
+        try:
+            read_telegram(mutated(RsiSettings().answer(np.zeros(6), 123), rng), "Sen", "RKorr")
+        except Odd:
+            return REFUSED
+        return SURVIVED
     if which == 2:
         page = (
             b"<netft><cfgcpf>1000000</cfgcpf><cfgcpt>1000</cfgcpt>"
             b"<scfgfu>N</scfgfu><scfgtu>Nm</scfgtu></netft>"
         )
         try:
-            rdt_page._understand(mutated(page, rng), "page", "hint", ())
+            rdt_page.understood(mutated(page, rng), "page", ())
         except HiltestbedError:
             return REFUSED
         return SURVIVED
