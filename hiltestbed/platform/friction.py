@@ -133,6 +133,3 @@ class DriveFriction:
         bound to arrays that are reused.
         """
         return self._act.on(qvel, ctrl)
-
-    def state(self) -> dict[str, NDArray]:
-        return {"bristles": self.bristles}

@@ -1,8 +1,8 @@
 """Composes the MuJoCo model of a rig from the MJCF files in ``models/``, one folder per mechanism.
 
 The world frame W has its origin at the nominal position of P, z up along the insertion: a pose in W
-is a pose in P while the passive
-side is at its nominal pose. Site names: ``active_A`` and ``passive_P`` on the two mechanisms.
+is a pose in P while the passive side is at its nominal pose. Site names: ``active_A`` and
+``passive_P`` on the two mechanisms.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from hiltestbed.contact.composition import (
 )
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.settings import Mechanism
+from hiltestbed.platform.facilities.facility import compiled, set_steps
 
 UPPER = "upper_"  # prefix of the names of a drawn upper platform
 BODY = "A_body"  # body of the active side without a platform
@@ -30,18 +31,6 @@ INTEGRATED_MASS = 1e8
 SOLVED = 1e-12  # tolerance of the solver: forces to nine digits
 # [m] A above the platform's mounting plane; an adapter fills the gap below a shorter mechanism
 PORT = np.array([0.0, 0.0, 0.60])
-
-
-def _options(spec: mujoco.MjSpec, timestep: float, gravity: bool) -> None:
-    option = spec.option
-    option.timestep = timestep
-    option.gravity = [0.0, 0.0, -9.81] if gravity else [0.0, 0.0, 0.0]
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    # there is one island: the search for more costs a tenth of a step
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-    # a diverging run stops instead of being reset silently
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
 def _carrier(spec: mujoco.MjSpec, above: str | None = None) -> mujoco.MjsBody:
@@ -68,7 +57,8 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     """
     spec = mujoco.MjSpec()
     spec.modelname = f"ideal-{structure.mechanism.kind}"
-    _options(spec, timestep, gravity=False)
+    spec.option.cone, spec.option.gravity = mujoco.mjtCone.mjCONE_ELLIPTIC, [0.0, 0.0, 0.0]
+    set_steps(spec, timestep)
     add_passive(spec, structure, _carrier(spec))
     body = spec.worldbody.add_body(name=BODY)
     body.add_freejoint(name="A_joint")
@@ -94,12 +84,9 @@ def upper_model(mechanism: Mechanism, timestep: float) -> mujoco.MjModel:
     """
     spec = load("prs3/prs3")
     spec.modelname = f"prs3-{mechanism.kind}"
-    _options(spec, timestep, gravity=True)
+    spec.option.cone, spec.option.gravity = mujoco.mjtCone.mjCONE_ELLIPTIC, [0.0, 0.0, -9.81]
     add_passive(spec, drawn(mechanism), _carrier(spec, above=""))
-    spec.compiler.discardvisual = True
-    for joint in spec.equalities:
-        joint.solref[:] = [2.0 * timestep, 1.0]
-    return spec.compile()
+    return compiled(spec, timestep)
 
 
 def nine_axis_scene(mechanism: Mechanism) -> mujoco.MjModel:

@@ -21,6 +21,7 @@ from hiltestbed.contact.phases import Phases
 from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.platform import build
 from hiltestbed.platform.driven import ServoTracking
 from hiltestbed.platform.ideal import IdealTracking
 from hiltestbed.platform.prs3.nine_axes import NineAxes
@@ -50,7 +51,7 @@ def alike(scenario: Scenario) -> Hashable:
         scenario.rate,
         scenario.physics_rate,
         structure(scenario),
-        platform.alike(scenario),
+        build.alike(scenario),
         platform.tracking,
         above,
     )
@@ -108,8 +109,7 @@ class Plant:
             lower = IdealTracking(scenarios, nthread, made_of, force)
         else:
             lower = ServoTracking(scenarios, nthread, made_of, late, force)
-        self.units = lower.follower.units if isinstance(lower, IdealTracking) else lower.servo.units
-        self._rig = None if isinstance(lower, IdealTracking) else lower.servo
+        self.units, self._lower = lower.units, lower
         self._tracking = NineAxes(scenarios, lower, nthread) if above else lower
         self.pose_W: Array = lower.pose_act
         self._latch: LatchCondition | None = None
@@ -164,11 +164,12 @@ class Plant:
         """Whether a joint of a run has exceeded a limit of its facility, or a command is out of
         reach.
         """
-        return self._rig is not None and self._rig.passed()
+        lower = self._lower
+        return isinstance(lower, ServoTracking) and lower.joint_limit_passed()
 
     def joint_limit(self, i: int) -> str | None:
         """The limit that run ``i`` has exceeded, in words; None if there is none."""
-        watch = self._rig.watch if self._rig is not None else None
+        watch = self._lower.watch if isinstance(self._lower, ServoTracking) else None
         return watch.reason(i) if watch is not None else None
 
     def payload_left(self, i: int) -> dict[str, float] | None:

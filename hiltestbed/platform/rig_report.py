@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.hall import facility_of
+from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.facilities.measure import (
     FrequencyResponse,
     Mode,
@@ -26,6 +27,7 @@ from hiltestbed.platform.facilities.measure import (
     modes,
     workspace,
 )
+from hiltestbed.platform.facilities.stand import Stand
 from hiltestbed.report.page import Report, new_figure
 from hiltestbed.run_folder.store import whole_folder
 from hiltestbed.run_folder.versions import versions
@@ -138,24 +140,26 @@ def measure_rig(scenario: Scenario, progress: Progress | None = None) -> RigFigu
         InputError: the rig has no drives.
     """
     facility = facility_of(scenario)
-    if facility.physical:
+    if scenario.rig.platform.physical:
         raise InputError(
             f"rig.platform.kind {facility.kind}: drives nothing, its bodies move freely; only a "
             f"driven rig can be measured"
         )
-    about: dict[str, Any] = {
-        "rate": scenario.rate,
-        "substeps": scenario.substeps,
-        "mechanism": scenario.mechanism,
-    }
-    feed = bool(scenario.compensation.motion.feeds)
+    stands = partial(
+        Stand,
+        facility,
+        rate=scenario.rate,
+        substeps=scenario.substeps,
+        mechanism=scenario.mechanism,
+    )
+    fed = partial(stands, feed=bool(scenario.compensation.motion.feeds))
     f = np.geomspace(SLOWEST, min(FASTEST, 0.05 * scenario.rate), POINTS).tolist()
     found: list[Any] = []
     work = (
         lambda: workspace(facility),
-        lambda: frequency_response(facility, f, feed=feed, **about),
-        lambda: modes(facility, feed=feed, **about),
-        lambda: dynamic_stiffness(facility, f[::2], **about),
+        lambda: frequency_response(fed, f),
+        lambda: modes(fed),
+        lambda: dynamic_stiffness(stands, f[::2]),
     )
     for done, measure in enumerate(work):
         if progress:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hiltestbed.compiled.state import arrays_of
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.limits import Watch
 from hiltestbed.platform.facilities.measure import workspace
@@ -60,16 +61,11 @@ def test_a_state_written_back_goes_on_from_there(kind: str) -> None:
     stand = Stand(KINDS[kind](), feed=True)
     stand.reset(UPRIGHT[None], STILL)
     moved(stand, 60, np.array([0.004]))
-    parts = stand.drives.state() | {
-        "qpos": stand.qpos,
-        "qvel": stand.qvel,
-        "ctrl": stand.ctrl,
-        "warm": stand.warmstart,
-    }
+    parts = arrays_of(stand)
     kept = {name: array.copy() for name, array in parts.items()}
     first = moved(stand, 40, np.array([0.004]))
     for name, array in parts.items():
-        array[:] = kept[name]
+        array[...] = kept[name]
     np.testing.assert_array_equal(moved(stand, 40, np.array([0.004])), first)
 
 

@@ -15,9 +15,9 @@ from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, compiled
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.pss33.facility import Pss33Facility
 from hiltestbed.platform.pss33.kinematics import inverse, jacobian, joints, shipped_limbs
 from hiltestbed.platform.pss33.settings import Pss33
+from tests.platform.halls import facility
 from tests.platform.rigs import scenario
 
 LIMBS = shipped_limbs()
@@ -132,9 +132,9 @@ def test_the_closed_form_solves_the_equations_that_every_facility_solves() -> No
     """All joints and rates of the bare platform, from the loops' own equations by Newton's method
     to 1e-10.
     """
-    facility = Pss33Facility(Pss33())
-    model = compiled(facility.spec())
-    closed, general = facility.kinematics(model), Kinematics(model, [MOUNT], facility.axes)
+    platform = facility("pss33")
+    model = compiled(platform.spec())
+    closed, general = platform.kinematics(model), Kinematics(model, [MOUNT], platform.axes)
     rng = np.random.default_rng(7)
     for goal in workspace(5):
         goal[:3] += MOUNT_HOME[:3]

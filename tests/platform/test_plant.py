@@ -12,6 +12,7 @@ import pytest
 from hiltestbed.compiled.state import arrays_of
 from hiltestbed.config.gallery import find_scenario
 from hiltestbed.errors import InputError
+from hiltestbed.platform.build import built
 from hiltestbed.platform.facilities.stand import Stand
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.pss33.servo import KP, KV, SliderDrives
@@ -181,7 +182,7 @@ def test_what_the_servo_takes_from_a_rebound_is_its_drives_damping() -> None:
         twist[0, 2] += h * accel[0, 2]
         position[0, 2] += h * twist[0, 2]
         plant.advance(position, twist, accel)
-    drives = Stand(s.rig.platform.facility()).drives
+    drives = Stand(built(s.rig.platform)).drives
     assert isinstance(drives, SliderDrives)
     gains = drives.gains[0]
     taken = 1e5**2 * float(gains[KV]) / (3.0 * float(gains[KP]) ** 2)

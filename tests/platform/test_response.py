@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import TransferFunction, lsim
 
+from hiltestbed.platform.drive import STATE
 from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.response import MEMORY, follow, second_order
 from hiltestbed.scenario import scenario_from
@@ -62,11 +63,11 @@ def test_a_limit_of_the_speed_does_not_hang_on_how_finely_a_tick_is_divided() ->
     command = np.cumsum(np.repeat(rng.uniform(-0.2, 0.2, 60), 7)) * dt
 
     def reached(parts: int) -> np.ndarray:
-        none, memory, out = np.zeros((0, 5)), np.zeros(MEMORY), []
-        state = np.zeros((0, 2))
+        none, nothing, out = np.zeros((0, 5)), np.zeros((0, 2)), []
+        state = nothing, nothing, np.zeros(MEMORY), np.zeros(STATE)
         for before, after in pairwise(command):
             for a, b in pairwise(np.linspace(before, after, parts + 1)):
-                at = follow(a, b, dt / parts, limit, 0.0, 0.0, none, none, state, state, memory)
+                at = follow(a, b, dt / parts, (limit, 0.0, 0.0), none, none, state)
             out.append(at)
         return np.array(out)
 

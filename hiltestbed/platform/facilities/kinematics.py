@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
 from hiltestbed.platform.facilities.newton import CLOSE, ITERATIONS, equations, newton, rates
@@ -185,43 +184,6 @@ class Kinematics:
             ITERATIONS,
         )
 
-    def inverse(self, poses: Array) -> Array:
-        """Driven joints ``(n, J)`` for tools at ``poses`` (n, nt, 7), or (n, 7) for one tool, in W.
-        Raises InputError if out of reach.
-        """
-        poses = np.atleast_2d(np.asarray(poses, dtype=float))
-        poses = poses[:, None] if poses.ndim == 2 else poses
-        out = np.empty((len(poses), len(self.axes)))
-        for i, pose in enumerate(poses):
-            q, left = self.solve(pose)
-            if not left < 1e3 * CLOSE:
-                raise InputError(self._unreached(pose, q))
-            out[i] = q[self.q]
-        return out
-
-    def forward(self, joints: Array, start: Array | None = None) -> Array:
-        """``(n, nt, 7)`` poses of the tools in W for driven joints ``(n, J)``, with loops closed,
-        starting from ``start`` (home).
-        """
-        joints = np.atleast_2d(np.asarray(joints, dtype=float))
-        out = np.empty((len(joints), len(self.tools), 7))
-        for i, goal in enumerate(joints):
-            q = (self.home if start is None else start).copy()
-            begin, nothing = q[self.q], np.empty((0, 7))
-            steps = _strides(float(np.abs(goal - begin).max()))
-            for s in range(1, steps + 1):
-                newton(
-                    self._forward,
-                    q,
-                    nothing,
-                    begin + (goal - begin) * (s / steps),
-                    self._forward_work,
-                    CLOSE,
-                    ITERATIONS,
-                )
-            out[i] = self.poses(q)
-        return out
-
     def closed(self, q: Array) -> Array:
         """Joint positions ``(nq,)`` near ``q`` (nq,) with loops closed and the driven joints of
         ``q``.
@@ -255,23 +217,6 @@ class Kinematics:
         """
         q, _ = self.solve(poses, held)
         return q, self.rates(q, twists, held_rates)
-
-    def accelerations(self, q: Array, twists: Array, accels: Array, h: float = 1e-5) -> Array:
-        """All joint accelerations ``(nv,)`` for twists and accelerations ``(nt, 6)`` in W: the
-        central difference of the rates.
-
-        h: [s] between the two states, along the tools' own motion.
-        """
-        poses, twists, accels = self.poses(q), np.atleast_2d(twists), np.atleast_2d(accels)
-        found = []
-        for side in (-1.0, 1.0):
-            at = np.empty_like(poses)
-            for t in range(len(poses)):
-                pose_step(poses[t], twists[t] + 0.5 * side * h * accels[t], side * h, at[t])
-            found.append(
-                self.rates(self.solve(at, q[self._held], q)[0], twists + side * h * accels)
-            )
-        return (found[1] - found[0]) / (2.0 * h)
 
     def jacobian(self, q: Array) -> tuple[Array, Array]:
         """Twist of the tools in W per unit rate of the driven joints, ``(6 nt, J)``, and free
