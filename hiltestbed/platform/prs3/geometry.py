@@ -18,8 +18,8 @@ rad, far beyond the tilt limit, they are accurate to 1e-13.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -146,8 +146,7 @@ def revolute(leg, pose, arm):
     return at_home - math.atan2(down, inward)
 
 
-@dataclass(frozen=True)
-class Upper:
+class Upper(NamedTuple):
     """The upper platform's constants, read from its MJCF at home.
 
     Attributes:
