@@ -74,9 +74,7 @@ def _kept(facility: Callable[[Any], Facility], platform: Driven, stamp: Hashable
 
 
 def facility_of(scenario: Scenario) -> Facility:
-    """The facility that a scenario names, with its spacecraft if the bodies move freely. Raises
-    InputError.
-    """
+    """The facility of a scenario, with its spacecraft if bodies move freely. Raises InputError."""
     facility = built(scenario.rig.platform)
     if isinstance(facility, PhysicalFacility):
         craft = scenario.spacecraft
@@ -89,9 +87,7 @@ def _article(body: Body) -> Article:
 
 
 def alike(scenario: Scenario) -> Hashable:
-    """Everything that the platform's model depends on, which must be equal in the runs of one
-    batch.
-    """
+    """What the platform's model depends on, which must be equal in the runs of one batch."""
     facility = built(scenario.rig.platform)
     if isinstance(facility, PhysicalFacility):
         return facility.alike(), scenario.spacecraft.model_dump_json()
@@ -99,9 +95,7 @@ def alike(scenario: Scenario) -> Hashable:
 
 
 def nearest_bandwidth(scenario: Scenario) -> float:
-    """Bandwidth [Hz] of the second-order system closest to the platform's tracking along the
-    insertion.
-    """
+    """[Hz] of the second-order system closest to the platform's tracking along the insertion."""
     platform = scenario.rig.platform
     if getattr(platform, "tracking", "free") == "response":
         given = platform.response.bandwidth

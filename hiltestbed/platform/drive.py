@@ -114,9 +114,7 @@ def _after(what, now, level, t):
 
 @njit(cache=True)
 def _zero(what, now, level, low, high):
-    """Zero of a quantity between ``low`` and ``high``, where its signs differ: Newton steps,
-    bisection where one leaves the bracket.
-    """
+    """Zero of a quantity where its signs at ``low`` and ``high`` differ: Newton, or bisection."""
     rises = _after(what, now, level, high)[0] > 0.0
     t = 0.5 * (low + high)
     for _ in range(100):
@@ -165,9 +163,7 @@ def _falls(what, now, level, sign, starts, t, end):
 
 @njit(cache=True)
 def _passes(c0, c1, c2):
-    """The first time t >= 0 at which c0 + c1 t + c2 t^2 becomes positive; infinite if it never
-    does.
-    """
+    """The first time t >= 0 at which c0 + c1 t + c2 t^2 becomes positive; infinite if never."""
     if c0 > 0.0 or (c0 == 0.0 and (c1 > 0.0 or (c1 == 0.0 and c2 > 0.0))):
         return 0.0
     inside = c1 * c1 - 4.0 * c2 * c0
@@ -180,9 +176,7 @@ def _passes(c0, c1, c2):
 
 @njit(cache=True)
 def _breaks_loose(numbers, x, q, u, rate, bound):
-    """Time after which an axis at rest begins to move, and its direction; ``bound``: force limit as
-    a following error [m].
-    """
+    """Time until an axis at rest moves, its direction; ``bound``: force limit as an error [m]."""
     hold, offset, integral = (
         numbers[FRICTION] * numbers[STATIC],
         numbers[OFFSET],

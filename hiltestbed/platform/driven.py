@@ -45,9 +45,7 @@ NONE, VEL, ACC = (
 
 
 def least_creep(dt: float) -> float:
-    """Smallest viscous creep [m/s per N] of a friction that acts on driven masses, for steps of
-    ``dt`` [s].
-    """
+    """Smallest viscous creep [m/s per N] of friction on driven masses, in steps of ``dt`` [s]."""
     return dt / YIELDING
 
 
@@ -154,9 +152,7 @@ class ServoTracking:
         self._observe()
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Start the tick towards ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6):
-        its first step.
-        """
+        """Start the tick towards ``pose_cmd`` (n, 7), with its derivatives: its first step."""
         goal = pose_cmd
         if self.path.active:
             goal = self._goal
@@ -235,9 +231,7 @@ class ServoTracking:
             self.wrench_sub[self.diverged] = 0.0
 
     def _leave_out(self) -> None:
-        """Record the cause of divergence of the runs that have just diverged, and step only the
-        others from now on.
-        """
+        """Record why runs have just diverged, and step only the others from now on."""
         for i in np.flatnonzero(self.diverged):
             if not self.causes[i]:
                 self.causes[i] = _cause(self.model, self._qpos[i], self._qvel[i])
@@ -245,9 +239,7 @@ class ServoTracking:
         self._group()
 
     def _group(self) -> None:
-        """Divide the runs that are stepped into those whose force is needed at once and late ones,
-        each with its stage.
-        """
+        """Divide the runs into those whose force is needed at once and late ones, with stages."""
         going = ~self.diverged
         self._prompt = np.flatnonzero(going & ~self._late)
         self._latecomers = np.flatnonzero(going & self._late)
@@ -278,9 +270,7 @@ def _watch(facility: Facility, scenarios: Sequence[Scenario], home: Array) -> Wa
 
 
 def _log_warning(message: str) -> None:
-    """Log a warning of MuJoCo as debug output: :class:`ServoTracking` detects and reports
-    divergence itself.
-    """
+    """Log a warning of MuJoCo as debug output: divergence is detected and reported here."""
     logging.getLogger("hiltestbed.platform").debug("MuJoCo: %s", message)
 
 

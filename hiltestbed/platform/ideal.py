@@ -89,9 +89,7 @@ def _put(body, s, time, last, bent):
 
 @njit(cache=True)
 def _change(pose, twist, qvel, at, per_step, push):
-    """``push`` (n, 6): force and torque that bring the free joint to ``twist`` (n, 6) in one step;
-    torque in the body's axes.
-    """
+    """Force and torque (in the body's axes) that give the free joint its ``twist`` in one step."""
     turn = np.empty(3)
     for i in range(pose.shape[0]):
         rotate_back(pose[i, 3:7], twist[i, 3:6], turn)
@@ -104,9 +102,7 @@ NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 
 
 class IdealTracking:
-    """The mechanisms of `n` runs under ideal tracking; arrays as in
-    :class:`hiltestbed.platform.plant.Plant`.
-    """
+    """The mechanisms of `n` runs; arrays as in :class:`hiltestbed.platform.plant.Plant`."""
 
     def __init__(
         self,
@@ -230,9 +226,7 @@ class IdealTracking:
             read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
 
     def _run(self) -> None:
-        """Integrate mount and moving parts: a step gives the wrench at its start, an extra forward
-        evaluation the last one.
-        """
+        """Integrate mount and moving parts: a step gives the wrench at its start."""
         for s in range(1, self.substeps + 1):
             # None: A keeps its velocity
             push = self._push if s == 1 or self._way is not None else None
@@ -248,9 +242,7 @@ class IdealTracking:
         read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
 
     def _accelerate(self, s: int, push: Array) -> None:
-        """Accelerate A in step ``s`` of the tick by the wrench ``push`` (n, 6), so that the active
-        side's moving parts react to it.
-        """
+        """Accelerate A in step ``s`` by ``push`` (n, 6), so that its moving parts react to it."""
         per_step = model.INTEGRATED_MASS * self.substeps / self.tick
         twist = self.twist_act if self._way is None else self._way[1][s - 1]
         _change(self._between, twist, self._qvel, self._joint[1], per_step, push)

@@ -47,9 +47,7 @@ class Platform(Strictly):
 
     @property
     def prescribed(self) -> bool:
-        """Whether the pose is prescribed, without mass and at a constant rate over a tick;
-        otherwise drives or bodies are simulated.
-        """
+        """Whether the pose is prescribed, without mass; else drives or bodies are simulated."""
         return getattr(self, "tracking", "free") in ("ideal", "response")
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
@@ -78,9 +76,7 @@ class Platform(Strictly):
             )
 
     def problems(self, scenario: Scenario) -> Iterator[Problem]:
-        """What a scenario requires that these settings exclude, without a model of the facility.
-        Paths: in the scenario.
-        """
+        """What a scenario requires that these settings exclude. Paths: in the scenario."""
         command = getattr(self, "command", None)
         for path, message in command.problems(scenario.rate) if command else ():
             yield ("rig", "platform", "command", *path), message

@@ -34,9 +34,7 @@ PORT = np.array([0.0, 0.0, 0.60])
 
 
 def _carrier(spec: mujoco.MjSpec, above: str | None = None) -> mujoco.MjsBody:
-    """The body that carries the passive side: fixed, or on the upper platform, whose names have the
-    prefix ``above``.
-    """
+    """The body that carries the passive side: fixed, or on the upper platform (a prefix)."""
     if above is None:
         return spec.worldbody.add_body(name=CARRIER)
     return spec.body(f"{above}platform").add_body(name=CARRIER, pos=spec.site(f"{above}mount").pos)
@@ -79,9 +77,7 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
 
 
 def upper_model(mechanism: Mechanism, timestep: float) -> mujoco.MjModel:
-    """The upper platform alone, with force sensor and passive mechanism, its spherical joints as
-    stiff as those of the lower one.
-    """
+    """The upper platform alone, with force sensor and passive mechanism."""
     spec = load("prs3/prs3")
     spec.modelname = f"prs3-{mechanism.kind}"
     spec.option.cone, spec.option.gravity = mujoco.mjtCone.mjCONE_ELLIPTIC, [0.0, 0.0, -9.81]
@@ -90,9 +86,7 @@ def upper_model(mechanism: Mechanism, timestep: float) -> mujoco.MjModel:
 
 
 def nine_axis_scene(mechanism: Mechanism) -> mujoco.MjModel:
-    """The rig with its upper platform, for drawing; names of the upper platform begin with
-    ``upper_``.
-    """
+    """The rig with its upper platform, for drawing; the latter's names begin with UPPER."""
     spec = load("pss33/pss33")
     spec.modelname = f"pss33-prs3-{mechanism.kind}"
     spec.attach(load("prs3/prs3"), prefix=UPPER, frame=spec.worldbody.add_frame())

@@ -56,9 +56,7 @@ def second_order(w, zeta, dt, base, out):
 
 @njit(cache=True)
 def _advance_second_order(e, before, after, dt, state):
-    """One response over dt to an input that runs from ``before`` to ``after``; ``state`` (2,)
-    position and rate, updated in place.
-    """
+    """One response over dt to an input; ``state`` (2,) position and rate, updated in place."""
     rate = (after - before) / dt
     error = state[0] - (before - e[4] * rate)
     slip = state[1] - rate
@@ -180,9 +178,7 @@ class PlatformResponse:
         parameters: Sequence[PlatformParameters] | None = None,
         substeps: int | None = None,
     ) -> None:
-        """``parameters``: of each run, by default from its effects; ``substeps``: instants per
-        tick, by default the physics steps.
-        """
+        """``parameters``: default: from effects. ``substeps``: default: the physics steps."""
         n, first = len(scenarios), scenarios[0]
         self.tick = 1.0 / first.rate
         self.substeps = first.substeps if substeps is None else substeps
@@ -221,9 +217,7 @@ class PlatformResponse:
             )
 
     def begin(self, i: int, start: Array, velocity: Array) -> None:
-        """Initialise the platform of run ``i`` with a uniform motion: at ``start`` (3,) [m] with
-        ``velocity`` (3,) [m/s] at t = 0.
-        """
+        """Start run ``i`` in a uniform motion: ``start`` (3,) [m], ``velocity`` (3,) [m/s]."""
         paths, p, slots = self._paths, self._paths.numbers, self._paths.ring.shape[1]
         for back in range(slots):
             paths.ring[i, -back % slots] = start - velocity * self.tick * back
@@ -270,9 +264,7 @@ def _sum_at(ring, sums, axis, at, h):
 
 @njit(cache=True)
 def _answered(ring, sums, step, axis, at, h):
-    """Output of the packed ``step`` response at the (fractional) tick ``at``; exact, as the command
-    is linear over each tick.
-    """
+    """Output of the packed ``step`` response at the (fractional) tick ``at``; exact."""
     n, most = int(step[0]), (len(step) - 1) // 2
     if n == 0:
         return _ring_at(ring, axis, at)

@@ -118,9 +118,7 @@ class PhysicalFacility(Facility):
         return out
 
     def fit(self, spec: mujoco.MjSpec, side: str, extra_mass: float, extra_inertia: Array) -> None:
-        """Set an article's body to its spacecraft's mass and inertia plus those of its support [kg,
-        kg m^2].
-        """
+        """Set an article's body to the inertia of its spacecraft and support [kg, kg m^2]."""
         article, body = self.articles[side], spec.body(side)
         inertia = article.inertia + extra_inertia
         body.mass = article.mass + extra_mass
@@ -154,9 +152,7 @@ class PhysicalFacility(Facility):
 
 
 def missed(reached: Array, pose: Array) -> str:
-    """Message with the axis along or about which ``reached`` (7,) is furthest from ``pose``
-    (7,).
-    """
+    """Message with the axis on which ``reached`` (7,) is furthest from ``pose`` (7,)."""
     gap = np.empty(6)
     twist_between(reached, pose, 1.0, gap)
     k = int(np.argmax(np.abs(gap)))

@@ -135,9 +135,7 @@ class CarriedLoad:
         wrench_sub: Array,
         sub: int,
     ) -> None:
-        """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .) with P's attitude in W, part of its
-        pose ``attitude`` (n, 7).
-        """
+        """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .); attitude: pose (n, 7) of P in W."""
         self._read.on(sensordata, attitude, runs, wrench_sub)(sub)
 
 

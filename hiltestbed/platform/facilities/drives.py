@@ -175,16 +175,12 @@ class Drives(Mover):
         return Call(_follow, GIVEN, GIVEN, GIVEN, ..., self.poses, self.twists)
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        """Initialise the drives' own state for uniform motion; ``qpos`` (n, nq) may deflect under
-        the weight.
-        """
+        """Initialise the drives' own state; ``qpos`` (n, nq) may deflect under the weight."""
         if self._friction:
             self._friction.settle(qvel)
 
     def feedback(self) -> Array:
-        """``(n, k)`` view of the drives' own state that depends on the motion of the rig; none: (n,
-        0).
-        """
+        """``(n, k)`` view of the drives' own state that depends on the rig's motion, if any."""
         return np.zeros((len(self.pose), 0))
 
     def rub(
@@ -228,9 +224,7 @@ class Drives(Mover):
         self._pushing.on(qpos, qvel, inputs)(sub)
 
     def release(self) -> None:
-        """Switch off the drives' friction and encoder quantisation, so that measurements are
-        linear.
-        """
+        """Switch off friction and encoder quantisation, so that measurements are linear."""
         self._friction, self.encoder[:] = None, 0.0
         self.__dict__.pop("_pushing", None)
 
@@ -275,9 +269,7 @@ class Drives(Mover):
 
     @property
     def lag(self) -> Array:
-        """(n,) lag of each run's controller [s]: its cycle less the tick at whose end a pose is
-        due, plus the delay in whole cycles.
-        """
+        """(n,) lag of each controller [s]: its cycle less a tick, and its delay in cycles."""
         cycles = self.cycles
         return np.asarray(self.tick * (cycles.length * (cycles.late + 1) - 1), dtype=float)
 
@@ -307,9 +299,7 @@ class Drives(Mover):
         return Joined(lambda *command: [self._allocated.on(*command), self._solve])
 
     def follow(self, pose: Array, twist: Array) -> None:
-        """Joints and their rates for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact
-        tracking, without drives.
-        """
+        """Joints for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact tracking."""
         self.allocate(pose, twist, self._unaccelerated, 0.0)
         self._solve_alone()
         np.subtract(self.plan.goal, self._home, out=self.joints)
@@ -320,9 +310,7 @@ class Drives(Mover):
 
 
 def mass_matrix(kinematics: Kinematics, model: mujoco.MjModel) -> Array:
-    """``(J, J)``: forces of the driven joints for a unit acceleration of each, at home, without
-    gravity or velocities.
-    """
+    """``(J, J)``: forces of the driven joints per unit acceleration of each, at home."""
     tree, w, home = kinematics.tree, scratch(kinematics.tree), kinematics.home
     newton(tree, home.copy(), kinematics.home_poses, kinematics.held_home, w, SOLVED, 1)
     every = np.zeros((6 * len(kinematics.tools) + len(kinematics.prescribed), model.nv))

@@ -71,14 +71,10 @@ class Facility(ABC):
 
     @abstractmethod
     def bandwidth(self) -> float:
-        """Nominal [Hz]: of the second-order system that is closest, along the insertion, at low
-        frequency.
-        """
+        """Nominal [Hz]: of the second order closest at low frequency, along the insertion."""
 
     def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
-        """Geometry of a compiled model that contains the facility; ``tool`` is the site that
-        follows the command.
-        """
+        """Geometry of a compiled model; ``tool`` is the site that follows the command."""
         return Kinematics(model, [tool], self.axes)
 
     def alike(self) -> Hashable:
@@ -98,24 +94,18 @@ class Facility(ABC):
 
 
 def frame_of(spec: mujoco.MjSpec) -> None:
-    """Add the shipped frame, with the force sensor's flange, over a facility that stands below
-    P.
-    """
+    """Add the frame with the force sensor's flange over a facility that stands below P."""
     spec.attach(load("frame/frame"), prefix="frame_", frame=spec.worldbody.add_frame())
 
 
 def add_carrier(body: Any, pose: Array = UPRIGHT) -> None:
-    """Add the carrier of the passive side to ``body`` of a specification, at ``pose`` (7,) in
-    it.
-    """
+    """Add the carrier of the passive side to a ``body``, at ``pose`` (7,) in it."""
     quat = [pose[6], *pose[3:6]]
     body.add_body(name=CARRIER, pos=pose[:3], quat=quat).add_site(name=NOMINAL)
 
 
 def compiled(spec: mujoco.MjSpec, timestep: float = 2.5e-4) -> mujoco.MjModel:
-    """The model of a specification as the plant would step it: without purely visual parts, loops
-    as stiff as possible.
-    """
+    """The model as the plant would step it: no purely visual parts, loops as stiff as possible."""
     spec.compiler.discardvisual = True
     set_steps(spec, timestep)
     return spec.compile()

@@ -132,9 +132,7 @@ class ElasticJoints(ForceServo):
         self._stiffness = np.array([float(np.ravel(joint.stiffness)[0]) for _, joint in elastic])
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        """The gears deflect under the weight; the motors compensate for it, so that the tool is at
-        its commanded pose.
-        """
+        """The gears deflect under the weight; the motors compensate for it."""
         super().rest(qpos, qvel)
         deflection = -self.load[:, self._elastic] / self._stiffness
         self.bent[:, self._elastic] = -deflection

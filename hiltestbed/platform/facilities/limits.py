@@ -119,9 +119,7 @@ class Watch:
         )()
 
     def reason(self, i: int) -> str | None:
-        """The limit that run ``i`` has exceeded, with joint and value; None if it has exceeded
-        none.
-        """
+        """The limit that run ``i`` has exceeded, with joint and value; None: none."""
         now = self._now
         worst = int(np.argmax(now.shares[i]))
         share = now.shares[i, worst]

@@ -63,9 +63,7 @@ class MjcfFacility(Facility):
     settings: MjcfSettings
 
     def __init__(self, settings: MjcfSettings) -> None:
-        """Raises InputError for a file that cannot be read, has no `mount`, or whose drives do not
-        move it in six axes.
-        """
+        """Raises InputError for an unreadable file, one without `mount`, or too few drives."""
         super().__init__(settings)
         own = model_of(self.settings.file()).spec().compile()
         if not any(own.site(s).name == MOUNT for s in range(own.nsite)):
@@ -119,9 +117,7 @@ class MjcfFacility(Facility):
             )
 
     def _placed(self, own: mujoco.MjModel) -> tuple[dict[str, Array], Array]:
-        """Home positions by joint, in the file's own world, and the pose (7,) of that world in
-        W.
-        """
+        """Home positions by joint, in the file's world, and the pose (7,) of that world in W."""
         data = mujoco.MjData(own)
         keys = [k for k in range(own.nkey) if own.key(k).name == HOME]
         if keys:
@@ -139,9 +135,7 @@ class MjcfFacility(Facility):
         return home, into
 
     def _check_motions(self) -> None:
-        """Check that the drives move the mount in six axes, at home or near it. Raises
-        InputError.
-        """
+        """Raise InputError unless the drives move the mount in six axes, at home or near it."""
         model = compiled(self.spec())
         kinematics = self.kinematics(model)
         if kinematics.lost_motion(kinematics.home) is None:
@@ -220,9 +214,7 @@ def _is_position_servo(m: mujoco.MjModel, a: int) -> bool:
 
 
 def _carried(into: Array, value: Array) -> Array:
-    """A joint's position in W: the pose of a free joint moves with the file's world, others do not
-    change.
-    """
+    """A joint's position in W: the pose of a free joint moves with the file's world."""
     if len(value) != 7:
         return value
     pose = compose(into, np.concatenate([value[:3], value[[4, 5, 6, 3]]]))
@@ -235,9 +227,7 @@ def _stiffness(m: mujoco.MjModel, inputs: NDArray[np.int64]) -> Array:
 
 
 class Servos(NamedTuple):
-    """Position actuators: ratio of the gear, kv/kp, the compensated deflection (n, J), numbers of
-    the actuators.
-    """
+    """Position actuators: ratio of the gear, kv/kp, compensated deflection (n, J), numbers."""
 
     ratio: Array
     lead: Array

@@ -119,9 +119,7 @@ def place(tree, q, w):
 
 @njit(cache=True)
 def move(tree, v, w):
-    """Velocities of the bodies at the joint rates ``v`` (nv,), linear and angular in ``w.motion``;
-    poses must be current.
-    """
+    """Velocities of the bodies in ``w.motion`` for joint rates ``v`` (nv,), at current poses."""
     local = np.empty(3)
     for b in range(1, tree.bodies.shape[0]):
         p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]

@@ -145,9 +145,7 @@ def _observe(tree, w, readings, sides, qpos, qvel, limit, diverged):
 
 @njit(cache=True)
 def has_diverged(qpos, qvel, limit):
-    """Whether a joint rate of one run reaches ``limit``, or a joint's position or rate is not
-    finite.
-    """
+    """Whether a joint rate reaches ``limit``, or a position or rate is not finite."""
     for rate in qvel:
         if not abs(rate) < limit:  # true of NaN too
             return True
@@ -159,9 +157,7 @@ def has_diverged(qpos, qvel, limit):
 
 @njit(cache=True)
 def _read_ports(tree, w, q, v, sides, i):
-    """Write the sides of run ``i`` at the joints ``q`` (nq,) with rates ``v`` (nv,); with one tool
-    P is W.
-    """
+    """Write the sides of run ``i`` at joints ``q`` with rates ``v``; with one tool P is W."""
     place(tree, q, w)
     move(tree, v, w)
     tool_pose(tree, w, 0, sides.place_A[i])

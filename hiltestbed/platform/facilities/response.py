@@ -61,9 +61,7 @@ def _at(ring, axis, when):
 
 @njit(cache=True)
 def _piece(ring, axis, begin, end, e, x, state):
-    """Advance one axis over an interval in which the delayed command is linear, from ``begin`` to
-    ``end``, both in ticks.
-    """
+    """Advance one axis while its delayed command is linear, from ``begin`` to ``end`` [ticks]."""
     before = _at(ring, axis, begin)
     rise = _at(ring, axis, end) - before
     for c in range(3):
@@ -97,9 +95,7 @@ class Axes(NamedTuple):
 
 @njit(cache=True)
 def _advance(k, pose_cmd, turn_cmd, axes):
-    """One tick: store the command at t_(k+1) in the ring, then advance every axis over the m
-    substeps of the tick.
-    """
+    """One tick: store the command at t_(k+1), then advance every axis over the m substeps."""
     ring, path, state, step = axes.ring, axes.path, axes.state, axes.step
     m = path.shape[1]
     r, x = np.empty(3), np.empty(3)
@@ -156,9 +152,7 @@ class ResponsePath:
         self._advance = Call(_advance, ..., GIVEN, self._turn, axes)
 
     def begin(self, pose: Array, twist: Array) -> None:
-        """Start a uniform motion with ``twist`` (n, 6) at ``pose`` (n, 7) less the distance
-        travelled during the delay.
-        """
+        """Start a uniform motion with ``twist`` (n, 6), behind ``pose`` (n, 7) by the delay."""
         axes, slots = self._axes, self._axes.ring.shape[1]
         self._ticks[0] = 0
         start = np.hstack([pose[:, :3], rotation_vectors(pose[:, 3:])])

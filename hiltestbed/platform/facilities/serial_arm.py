@@ -44,9 +44,7 @@ def arm_axes(prefix: str = "") -> tuple[Axis, ...]:
 
 
 def pose_arm(spec: mujoco.MjSpec, angles: Array) -> None:
-    """Set the reference configuration of an arm's specification, its home, to the motor angles
-    ``angles`` (6,) [rad].
-    """
+    """Set an arm's reference configuration, its home, to the ``angles`` (6,) [rad]."""
     for j, angle in enumerate(angles):
         joint, rotor = spec.joint(f"a{j + 1}"), spec.body(f"rotor_{j + 1}")
         half = 0.5 * float(angle)

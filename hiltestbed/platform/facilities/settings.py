@@ -64,9 +64,7 @@ class Friction(Strictly):
     viscous: NotNegative = Field(description="Viscous friction [N s/m, N m s/rad]")
 
     def law(self) -> tuple[float, ...]:
-        """Coulomb, stiction, Stribeck speed, viscous and bias speed of
-        :class:`hiltestbed.platform.friction.DriveFriction`.
-        """
+        """Coulomb, stiction, Stribeck speed, viscous, bias speed, as in the drives' friction."""
         return self.coulomb, self.stiction, self.stribeck_speed, self.viscous, 0.0
 
 
@@ -107,9 +105,7 @@ class Driven(Platform):
     )
 
     def stamp(self) -> Hashable:
-        """State of the model's file, which may change while the settings stay the same; None for a
-        shipped model.
-        """
+        """State of the model's file, which may change; None for a shipped model."""
         return None
 
 

@@ -33,9 +33,7 @@ LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 
 @njit(cache=True)
 def _apply(wrench, body, place, centre, applied):
-    """Apply the wrench (n, 6) at A, in W, to the payload's body, whose centre of mass is at
-    ``centre`` (3,) from A, in A.
-    """
+    """Apply the wrench (n, 6) at A, in W, to a body with its centre (3,) from A, in A."""
     r = np.empty(3)
     for i in range(wrench.shape[0]):
         rotate(place[i, 3:7], centre, r)
@@ -65,9 +63,7 @@ class Stand:
         mechanism: Mechanism | None = None,
         threads: int = 0,
     ) -> None:
-        """Args: settings: one per run, by default the facility's own. mechanism: both sides are
-        mounted; None: the bumper's active one.
-        """
+        """``settings``: of each run. ``mechanism``: both sides; None: the bumper's active one."""
         self.facility, self.tick, self.substeps = facility, 1.0 / rate, substeps
         tool = TOOL
         if mechanism is None:

@@ -79,9 +79,7 @@ def far(gap):
 
 @njit(cache=True)
 def share_out(pose, share, active, passive):
-    """Poses (7,) of A and P in W for the relative ``pose`` (7,) of A in P; returns the rail's
-    position [m].
-    """
+    """Poses (7,) of A and P in W for that of A in P; returns the rail's position [m]."""
     ride, slope = far(-pose[2])
     r, v = np.empty(3), np.empty(3)
     rotation_vector(pose[3:7], r)
@@ -103,9 +101,7 @@ def share_out(pose, share, active, passive):
 
 @njit(cache=True)
 def _allocate(pose, twist, accel, half, shares, targets):
-    """Tools' poses and twists (n, 2, .) and the rail; twists are central differences of the
-    allocated poses over SLICE.
-    """
+    """Poses, rail and, by central differences over SLICE, their rates, of the tools."""
     poses = targets.poses
     speed = np.empty(6)
     moved, before, after = np.empty(7), np.empty((2, 7)), np.empty((2, 7))

@@ -200,9 +200,7 @@ def _take_out(plan, reading, residual, left, away, sub):
 
 @njit(cache=True)
 def _observe(above, adr, qpos, qvel, upper, diverged):
-    """Read the motion of P in W from the platform's free joint, and the sliders; returns whether a
-    run has just diverged.
-    """
+    """Read the motion of P in W, and the sliders; returns whether a run has just diverged."""
     pose, twist = upper.reached, upper.twist
     arm, lost = np.empty(3), False
     p, d = adr[0, 3], adr[1, 3]
@@ -278,9 +276,7 @@ class UpperDrives:
         self._seen = Call(_observe, above, adr, *state, motion, GIVEN)
 
     def settle(self, i: int, x: Array, rates: Array) -> None:
-        """Initialise the joints of run ``i`` in a motion with ``rates`` (3,) at the coordinates
-        ``x`` (3,).
-        """
+        """Put run ``i`` in a motion with ``rates`` (3,) at the coordinates ``x`` (3,)."""
         self._warmstart[i] = 0.0
         ahead = [self._joints(x + side * self._dt * rates) for side in (-1.0, 0.0, 1.0)]
         self._qpos[i] = ahead[1]

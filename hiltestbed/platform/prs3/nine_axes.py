@@ -51,9 +51,7 @@ class Commands(NamedTuple):
 
 @njit(cache=True)
 def _command(h, upper, command, pose, twist, accel):
-    """The command in W for that of A in P, ``pose`` (n, 7), ``twist`` and ``accel`` (n, 6); the
-    motion ``upper`` is at the end of the tick.
-    """
+    """The command in W for that of A in P; ``upper`` is at the end of the tick."""
     x, before, slope = upper.x, command.before, command.slope
     for i in range(pose.shape[0]):
         home = x[i, 0] == 0.0 and x[i, 1] == 0.0 and x[i, 2] == 0.0
@@ -91,9 +89,7 @@ def _together(ideal, h, residual, upper, lower, both):
 
 
 class NineAxes:
-    """The rigs of `n` runs with both platforms; arrays as in
-    :class:`hiltestbed.platform.plant.Plant`.
-    """
+    """The rigs of `n` runs; arrays as in :class:`hiltestbed.platform.plant.Plant`."""
 
     def __init__(
         self, scenarios: Sequence[Scenario], lower: ServoTracking | IdealTracking, nthread: int
@@ -132,9 +128,7 @@ class NineAxes:
         self.lower.bare_steps(count)
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Start at the relative ``pose`` (n, 7), moving with the uniform relative ``twist`` (n,
-        6).
-        """
+        """Start at the relative ``pose`` (n, 7), moving with ``twist`` (n, 6)."""
         self.upper.reset(pose, twist)
         motion, command = self.upper.motion, self._command
         before, x, place_before = np.empty(7), np.zeros(3), np.empty(7)
@@ -180,9 +174,7 @@ class NineAxes:
         self.upper_cmd[:], self.upper_act[:] = self.upper.motion.sliders, self.upper.motion.slid
 
     def payload_left(self, i: int) -> dict[str, float] | None:
-        """Largest residual of the passive side's weight and inertia in the sensor's reading of run
-        ``i``; None: not simulated.
-        """
+        """Largest residual of the passive side's load in the reading of run ``i``, or None."""
         drives = self.upper.drives
         if drives is None:
             return None

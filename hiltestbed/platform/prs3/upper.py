@@ -30,9 +30,7 @@ SETTLE = 0.1  # [s] after which an error of a critically damped 25 Hz loop has d
 
 @njit(cache=True)
 def _plan(upper, h, settle, pose, diverged, motion):
-    """Advance to the coordinates for the relative poses ``(n, 7)`` at the end of the tick ``h``;
-    returns whether a run is or was away.
-    """
+    """Advance to the coordinates for ``pose`` (n, 7); returns whether a run is or was away."""
     x, rate, speed, xs = motion.x, motion.rate, motion.speed, motion.xs
     still, away, planned, slope = motion.still, motion.away, motion.planned, motion.slope
     sliders = motion.sliders
@@ -78,9 +76,7 @@ def _plan(upper, h, settle, pose, diverged, motion):
 
 @njit(cache=True)
 def _begin(shape, pose, twist, h, motion):
-    """Coordinates, their rates and P's pose and twist for a rig whose ports have moved uniformly to
-    ``pose`` with ``twist``.
-    """
+    """Coordinates, rates, pose and twist of P for ports that have moved uniformly."""
     x, planned = motion.x, motion.planned
     before, x_before, place_before = np.empty(7), np.zeros(3), np.empty(7)
     for i in range(pose.shape[0]):
@@ -132,9 +128,7 @@ class MovingUpper:
         self.residual = self.drives.residual if self.drives else np.zeros((n, m, 6))
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Start at the coordinates for the relative ``pose`` (n, 7), with the rates for the uniform
-        relative ``twist`` (n, 6).
-        """
+        """Start at the coordinates for the relative ``pose`` (n, 7) and ``twist`` (n, 6)."""
         upper, motion = Upper.load(), self.motion
         _begin(upper.shape, pose, twist, self.tick, motion)
         motion.speed[:] = motion.rate
@@ -150,9 +144,7 @@ class MovingUpper:
                 self.drives.settle(i, motion.x[i], motion.rate[i])
 
     def advance(self, pose: Array, diverged: NDArray[np.bool_]) -> bool:
-        """One tick towards the relative ``pose`` (n, 7); returns whether a run has just
-        ``diverged`` (n,).
-        """
+        """One tick towards the relative ``pose`` (n, 7); returns whether a run diverged."""
         drives, motion = self.drives, self.motion
         if not self._planned.on(pose, diverged)() or drives is None:
             return False

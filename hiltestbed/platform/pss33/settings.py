@@ -202,9 +202,7 @@ class Pss33(Driven):
                 )
 
     def _nine_axis_problems(self, scenario: Scenario) -> Iterator[Problem]:
-        """With the upper platform the gap may be as large as its heave; the lower platform's share
-        of the start must be in its workspace.
-        """
+        """The gap may be the upper platform's heave; the lower one must reach its share."""
         import numpy as np
 
         from hiltestbed.frames import quat_from_attitude_deg, rotation_vectors

@@ -66,9 +66,7 @@ def modes(stands: Stands, highest: float = 200.0) -> tuple[Mode, ...]:
 
 
 def _map(probe: Stand, stand: Stand, allowed: Array, count: int) -> Array:
-    """``(N, N)`` one-tick map of positions and velocities in the allowed motions and of the drives'
-    state.
-    """
+    """``(N, N)`` one-tick map of allowed positions and velocities, and of the drives' state."""
     n, free = 2 * count, allowed.shape[1]
     pose, still = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 6))
     probe.drives.release()

@@ -34,9 +34,7 @@ class Reach:
 
 
 def workspace(facility: Facility) -> tuple[Reach, ...]:
-    """The reach of A from home in six axes, the others constant: up to a joint's travel, a
-    singularity or the limit of reach.
-    """
+    """The reach of A from home, axis by axis: up to travel, a singularity or the reach."""
     drives = Stand(facility).drives
     out = []
     for k, axis in enumerate(AXES):
@@ -66,9 +64,7 @@ def _walk(drives: Drives, k: int, sign: float) -> tuple[float, str]:
 
 
 def _look(drives: Drives, k: int, shift: float, q: Array) -> tuple[str, Array]:
-    """Why A cannot be at ``shift`` from home along axis ``k`` (empty: it can), and the joints,
-    solved from nearby joints ``q``.
-    """
+    """Why A cannot be at ``shift`` on axis ``k`` (empty: it can), and the joints, from ``q``."""
     step, pose = np.zeros(6), np.empty((1, 7))
     step[k] = shift
     pose_step(UPRIGHT, step, 1.0, pose[0])
