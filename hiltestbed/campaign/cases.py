@@ -84,7 +84,9 @@ def skeleton(scenario: Scenario) -> str:
         if key not in _FREE
     }
     contact = scenario.mechanism.contact
-    platform = str(scenario.rig.platform.alike(scenario))  # numbers that its model depends on
+    from hiltestbed.platform.build import alike
+
+    platform = str(alike(scenario))  # numbers that its model depends on
     return json.dumps([scenario.ticks, contact.friction > 0, platform, data], sort_keys=True)
 
 

@@ -30,6 +30,7 @@ from hiltestbed.diagnosis.yielding import MAX_GAIN_ERROR, MAX_READING_SHIFT
 from hiltestbed.frames import Array
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.measured.noise import MAD_TO_SIGMA
+from hiltestbed.platform.build import nearest_bandwidth
 from hiltestbed.replay import moves_linearly
 from hiltestbed.replay.compensation import central_rates
 from hiltestbed.replay.wrench import shifted
@@ -290,9 +291,7 @@ def deflection_noise(layout: DatasetLayout, path: Path) -> list[Array]:
     assert layout.deflection is not None  # else the link is missing
     off = [np.where(np.isfinite(found.doubt), found.doubt, 0.0) for found in layout.deflection]
     poses = [poses_of(flat_pose(p) + d) for p, d in zip(path.poses, off, strict=True)]
-    bands = [
-        2.0 * math.pi * r.scenario.rig.platform.nearest_bandwidth(r.scenario) for r in layout.runs
-    ]
+    bands = [2.0 * math.pi * nearest_bandwidth(r.scenario) for r in layout.runs]
     rates = path.rates and [r + band * d for r, band, d in zip(path.rates, bands, off, strict=True)]
     return _apart(layout, path, poses, rates)
 

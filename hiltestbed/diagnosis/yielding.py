@@ -18,6 +18,7 @@ from hiltestbed.frames import Array
 from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.measured import MeasuredRun
 from hiltestbed.numerical_model.bodies import approach_state
+from hiltestbed.platform.build import nearest_bandwidth
 from hiltestbed.replay import (
     Engaged,
     Simulated,
@@ -202,9 +203,9 @@ def _noiseless_pose(run: MeasuredRun) -> Array | None:
 
 def _memory(scenario: Scenario) -> float:
     """[s] correlation time of a deflection's noise."""
-    return 1.0 / scenario.rig.platform.nearest_bandwidth(scenario)
+    return 1.0 / nearest_bandwidth(scenario)
 
 
 def _settling(scenario: Scenario) -> float:
     """[s] until the initial state of the drives has decayed."""
-    return SETTLING_CONSTANTS / (2.0 * math.pi * scenario.rig.platform.nearest_bandwidth(scenario))
+    return SETTLING_CONSTANTS / (2.0 * math.pi * nearest_bandwidth(scenario))

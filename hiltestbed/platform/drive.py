@@ -17,6 +17,7 @@ within a time constant, which requires an integral part that is faster than the 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from hiltestbed.compiled.jit import njit
 
@@ -32,20 +33,32 @@ MAX_PIECES = 100_000  # per call: it ends with unphysical parameters as well
 SPEED, ACCELERATION, ERROR, ERROR_RATE = 0, 1, 2, 3
 
 
-@njit(cache=True)
-def _slide(law, x, v, q, u, rate, t):
-    """Position, speed and integral after t of an axis that does not reverse; ``law``: see
-    :func:`_law`; the command is u + rate t.
+class Stretch(NamedTuple):
+    """An axis that does not reverse, from now on: the law (:func:`_law`) that it follows, its
+    position, speed and integral, and its command u + rate t.
     """
-    stiffness, damping, push, integral, follows = law
-    xk, vk, qk, uk = x, v, q, u
+
+    law: tuple[float, float, float, float, float]
+    x: float
+    v: float
+    q: float
+    u: float
+    rate: float
+
+
+@njit(cache=True)
+def _slide(now, t):
+    """Position, speed and integral of an axis after t."""
+    stiffness, damping, push, integral, follows = now.law
+    x, v, q = xk, vk, qk = now.x, now.v, now.q
+    uk = now.u
     for k in range(ORDER):
         part = t / (k + 1.0)
         force = stiffness * (follows * (uk - xk + qk) + push) - damping * vk
         qk = part * integral * (uk - xk)
         xk = part * vk
         vk = part * force
-        uk = rate * t if k == 0 else 0.0
+        uk = now.rate * t if k == 0 else 0.0
         push = 0.0
         x += xk
         v += vk
@@ -75,11 +88,13 @@ def _law(numbers, side, bound):
 
 
 @njit(cache=True)
-def _of(what, law, level, x, v, q, u, rate):
-    """A quantity and its slope: speed, acceleration, the controller's error minus ``level``, or the
-    rate of that error.
+def _of(what, now, level, state, t):
+    """A quantity and its slope in the ``state`` (x, v, q) after t: speed, acceleration, the
+    controller's error minus ``level``, or the rate of that error.
     """
-    stiffness, damping, push, integral, follows = law
+    stiffness, damping, push, integral, follows = now.law
+    x, v, q = state
+    u, rate = now.u + now.rate * t, now.rate
     a = stiffness * (follows * (u - x + q) + push) - damping * v
     closing = rate - v + integral * (u - x)
     if what == SPEED:
@@ -92,21 +107,18 @@ def _of(what, law, level, x, v, q, u, rate):
 
 
 @njit(cache=True)
-def _after(what, law, level, x, v, q, u, rate, t):
+def _after(what, now, level, t):
     """A quantity and its slope, see :func:`_of`, after t."""
-    x, v, q = _slide(law, x, v, q, u, rate, t)
-    return _of(what, law, level, x, v, q, u + rate * t, rate)
+    return _of(what, now, level, _slide(now, t), t)
 
 
 @njit(cache=True)
-def _zero(what, law, level, x, v, q, u, rate, low, high):
-    """Zero of a quantity between ``low`` and ``high``, where its signs differ: Newton steps,
-    bisection where one leaves the bracket.
-    """
-    rises = _after(what, law, level, x, v, q, u, rate, high)[0] > 0.0
+def _zero(what, now, level, low, high):
+    """Zero of a quantity where its signs at ``low`` and ``high`` differ: Newton, or bisection."""
+    rises = _after(what, now, level, high)[0] > 0.0
     t = 0.5 * (low + high)
     for _ in range(100):
-        value, slope = _after(what, law, level, x, v, q, u, rate, t)
+        value, slope = _after(what, now, level, t)
         if (value > 0.0) == rises:
             high = t
         else:
@@ -121,40 +133,37 @@ def _zero(what, law, level, x, v, q, u, rate, low, high):
 
 
 @njit(cache=True)
-def _falls(what, law, level, sign, starts, x, v, q, u, rate, t, x1, v1, q1):
+def _falls(what, now, level, sign, starts, t, end):
     """Time within t at which ``sign`` times SPEED or ERROR first falls below zero, else infinite;
     its slope changes sign at most once.
 
-    starts: whether it is zero now, up to round-off, and begins to grow. x1, v1, q1: the state after
-        t.
+    starts: whether it is zero now, up to round-off, and begins to grow. end: the state after t.
     """
-    now, slope = _of(what, law, level, x, v, q, u, rate)
-    then, last = _of(what, law, level, x1, v1, q1, u + rate * t, rate)
-    now, slope, then, last = sign * now, sign * slope, sign * then, sign * last
-    if now < 0.0 and slope > 0.0:
+    first, slope = _of(what, now, level, (now.x, now.v, now.q), 0.0)
+    then, last = _of(what, now, level, end, t)
+    first, slope, then, last = sign * first, sign * slope, sign * then, sign * last
+    if first < 0.0 and slope > 0.0:
         starts = True
     if starts:
         if then >= 0.0:
             return math.inf
-        top = _zero(what + 1, law, 0.0, x, v, q, u, rate, 0.0, t)
-        above = sign * _after(what, law, level, x, v, q, u, rate, top)[0] > 0.0
-        return _zero(what, law, level, x, v, q, u, rate, top, t) if above else t
-    if now < 0.0:
+        top = _zero(what + 1, now, 0.0, 0.0, t)
+        above = sign * _after(what, now, level, top)[0] > 0.0
+        return _zero(what, now, level, top, t) if above else t
+    if first < 0.0:
         return 0.0
     if then < 0.0:
-        return _zero(what, law, level, x, v, q, u, rate, 0.0, t)
+        return _zero(what, now, level, 0.0, t)
     if slope < 0.0 < last:
-        least = _zero(what + 1, law, 0.0, x, v, q, u, rate, 0.0, t)
-        if sign * _after(what, law, level, x, v, q, u, rate, least)[0] < 0.0:
-            return _zero(what, law, level, x, v, q, u, rate, 0.0, least)
+        least = _zero(what + 1, now, 0.0, 0.0, t)
+        if sign * _after(what, now, level, least)[0] < 0.0:
+            return _zero(what, now, level, 0.0, least)
     return math.inf
 
 
 @njit(cache=True)
 def _passes(c0, c1, c2):
-    """The first time t >= 0 at which c0 + c1 t + c2 t^2 becomes positive; infinite if it never
-    does.
-    """
+    """The first time t >= 0 at which c0 + c1 t + c2 t^2 becomes positive; infinite if never."""
     if c0 > 0.0 or (c0 == 0.0 and (c1 > 0.0 or (c1 == 0.0 and c2 > 0.0))):
         return 0.0
     inside = c1 * c1 - 4.0 * c2 * c0
@@ -167,9 +176,7 @@ def _passes(c0, c1, c2):
 
 @njit(cache=True)
 def _breaks_loose(numbers, x, q, u, rate, bound):
-    """Time after which an axis at rest begins to move, and its direction; ``bound``: force limit as
-    a following error [m].
-    """
+    """Time until an axis at rest moves, its direction; ``bound``: force limit as an error [m]."""
     hold, offset, integral = (
         numbers[FRICTION] * numbers[STATIC],
         numbers[OFFSET],
@@ -211,28 +218,22 @@ def drive_over(before, after, dt, numbers, state):
             left -= wait
             bound = _bound(u + rate * wait - x + q, most)
             continue
-        law = _law(numbers, side, bound)
+        now = Stretch(_law(numbers, side, bound), x, v, q, u, rate)
         piece = min(longest, left)
-        x1, v1, q1 = _slide(law, x, v, q, u, rate, piece)
-        stops = (
-            _falls(SPEED, law, 0.0, side, starts, x, v, q, u, rate, piece, x1, v1, q1)
-            if dry
-            else math.inf
-        )
+        end = _slide(now, piece)
+        stops = _falls(SPEED, now, 0.0, side, starts, piece, end) if dry else math.inf
         turned, then = math.inf, 0.0
         if most < math.inf and bound != 0.0:
-            turned = _falls(
-                ERROR, law, bound * most, bound, False, x, v, q, u, rate, piece, x1, v1, q1
-            )
+            turned = _falls(ERROR, now, bound * most, bound, False, piece, end)
         elif most < math.inf:
-            high = _falls(ERROR, law, most, -1.0, False, x, v, q, u, rate, piece, x1, v1, q1)
-            low = _falls(ERROR, law, -most, 1.0, False, x, v, q, u, rate, piece, x1, v1, q1)
+            high = _falls(ERROR, now, most, -1.0, False, piece, end)
+            low = _falls(ERROR, now, -most, 1.0, False, piece, end)
             turned, then = min(high, low), (1.0 if high < low else -1.0)
         event = min(stops, turned)
         if event < math.inf:
             piece = event
-            x1, v1, q1 = _slide(law, x, v, q, u, rate, piece)
-        x, v, q = x1, v1, q1
+            end = _slide(now, piece)
+        x, v, q = end
         left -= piece
         starts = starts and piece == 0.0
         if event < math.inf and stops <= turned:

@@ -5,7 +5,7 @@ freely moving bodies.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -17,7 +17,11 @@ from hiltestbed.compiled.bound import GIVEN, Call, together
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.rig import FacilityRig
+from hiltestbed.platform.build import facility_of
+from hiltestbed.platform.facilities.composed import TOOL, CarriedLoad, facility_model, rest_reading
+from hiltestbed.platform.facilities.facility import Facility
+from hiltestbed.platform.facilities.limits import Watch
+from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.model import sensor_columns
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_history, read_wrench
@@ -41,9 +45,7 @@ NONE, VEL, ACC = (
 
 
 def least_creep(dt: float) -> float:
-    """Smallest viscous creep [m/s per N] of a friction that acts on driven masses, for steps of
-    ``dt`` [s].
-    """
+    """Smallest viscous creep [m/s per N] of friction on driven masses, in steps of ``dt`` [s]."""
     return dt / YIELDING
 
 
@@ -53,8 +55,8 @@ class ServoTracking:
 
     The force at t_(k+1) is read from a forward evaluation of the new state, without a step's delay;
     the readings at the substeps in between come from the sensor's history. A run whose force may
-    come `late` skips that evaluation, a fifth of the cost of two physics
-    steps per tick: its force at t_k is read in the first step of the tick that starts there.
+    come `late` skips that evaluation, a fifth of the cost of two physics steps per tick: its force
+    at t_k is read in the first step of the tick that starts there.
     """
 
     def __init__(
@@ -71,33 +73,34 @@ class ServoTracking:
             mujoco.set_mju_user_warning(_log_warning)
         self.substeps = m = first.substeps
         dt = first.tick / m
-        self.servo = servo = FacilityRig(scenarios, structure, dt)
-        self.model = servo.model
+        facility = facility_of(first)
+        self.moves_passive = facility.moves_passive
+        # a sensor that moves needs its load's compensation in each reading: none is kept in
+        # MuJoCo's history
+        self.model = facility_model(facility, structure, dt, 0 if self.moves_passive else m)
+        self.units = tuple(axis.unit for axis in facility.axes)
         self.batch = Batch(self.model, n, nthread, persistent=True)
         self.contacts = Contacts(self.batch, scenarios, structure, dt, least_creep(dt), force)
         self.path = PlatformResponse(scenarios)
         self._ticks = np.zeros(1, dtype=np.int64)
         self._goal = np.zeros((n, 7))
-        servo.start(self.batch, scenarios, dt)
-        self._stepwise = self.contacts.written or not servo.keeps_history
+        self.mover = mover = facility.drives(self.model, runs_of(scenarios), TOOL)
+        self.watch = _watch(facility, scenarios, mover.kinematics.joints_home)
+        self.load = CarriedLoad(self.model, mover.kinematics.home) if self.moves_passive else None
+        self._stepwise = self.contacts.written or self.moves_passive
         # state and contacts are read after every step
-        self._watched = self.contacts.written or servo.moves_passive
+        self._watched = self._stepwise
         bind = self.batch.bind
-        self._qpos, self._qvel, self._ctrl, self._time = (
-            bind("qpos"),
-            bind("qvel"),
-            bind("ctrl"),
-            bind("time"),
-        )
+        self._qpos, self._qvel, self._time = bind("qpos"), bind("qvel"), bind("time")
+        self._inputs, self._forces = bind(mover.writes), bind("qfrc_actuator")
         self._warmstart, self._history = bind("qacc_warmstart"), bind("history")
         self._sensordata = bind("sensordata")
-        columns = sensor_columns(self.model)
-        self._reading = self._sensordata[:, columns]
-        self._tare, self._all = np.zeros((n, 6)), np.arange(n)
-        self.pose_act, self.twist_act, self.slider_act = servo.shown()
+        self._reading = self._sensordata[:, sensor_columns(self.model)]
+        self._tare, self._all = self._rest_readings(), np.arange(n)
+        self.pose_act, self.twist_act, self.slider_act = mover.pose, mover.twist, mover.joints
+        self.slider_cmd = mover.reference
         self.wrench_sub = np.zeros((n, m, 6))
         self.contact_now = self.contacts.touching
-        self.slider_cmd = servo.target
         self.diverged = np.zeros(n, dtype=bool)
         self.causes = [""] * n
         self._late = np.zeros(n, dtype=bool) if late is None else late
@@ -108,8 +111,25 @@ class ServoTracking:
             for _ in range(2)
         )
         self._read_history = Call(read_history, self._history, self._tare, self.wrench_sub)
-        self._tare[:] = servo.tare(self.contacts, self._reading, columns)
-        self._read_state, self._read_and_meet, self._read_and_look = self._readers()
+        self._seen = mover.observing(self._qpos, self._qvel, SPEED_LIMIT, self.diverged)
+        self._seen_and_looked = together(self._seen, *self.contacts.looking, telling=0)
+        # pose and twist of A in W, and those of P if it moves
+        self._sides = (self.pose_act, self.twist_act)
+        if self.moves_passive:
+            self._sides = (mover.place_A, mover.motion_A, mover.place_P, mover.motion_P)
+        met = self.contacts.meeting(*self._sides) if self.contacts.written else []
+        self._seen_and_met = together(self._seen, *met, telling=0) if met else self._meet
+
+    def _rest_readings(self) -> Array:
+        """``(n, 6)`` the sensor's reading at rest; zero if the sensor moves, whose load is then
+        subtracted from every reading instead.
+        """
+        mount, columns = self.contacts.mount, sensor_columns(self.model)
+        if self.moves_passive:
+            return np.zeros((len(mount.balance), 6))
+        at = self.model, self.mover.kinematics.home, columns, mount.body
+        loads = zip(mount.balance, mount.centre, strict=True)
+        return np.array([rest_reading(*at, balance, centre) for balance, centre in loads])
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start at ``pose`` (n, 7), moving with ``twist`` (n, 6); forces start from zero."""
@@ -117,40 +137,51 @@ class ServoTracking:
         self.diverged[:] = False
         self._going = None
         self._group()
-        self.servo.settle(pose, twist, self._qpos, self._qvel)
+        self._qpos[:] = self.mover.kinematics.home
+        self.mover.settle(pose, twist, self._qpos, self._qvel)
         self._ticks[0] = 0
         self.contacts.reset()
-        self._read_state()
+        self._seen()
         if self.contacts.written:
-            self._look_ahead()
-            self._read_and_meet()
+            if self.contacts.stage != NONE:
+                self.batch.forward(self._going, stage=self.contacts.stage)
+            self._seen_and_met()
         self.batch.forward()
         self.wrench_sub[:] = 0.0
         self._read(self._all, self.substeps - 1)
         self._observe()
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
-        """Start the tick towards ``pose_cmd`` (n, 7), with ``twist_cmd`` and ``accel_cmd`` (n, 6):
-        its first step.
-        """
+        """Start the tick towards ``pose_cmd`` (n, 7), with its derivatives: its first step."""
         goal = pose_cmd
         if self.path.active:
             goal = self._goal
             goal[:] = pose_cmd
             goal[:, :3] = self.path.advance(int(self._ticks[0]), pose_cmd)[:, -1]
             self._ticks[0] += 1
-        self.servo.aim(goal, twist_cmd, accel_cmd)
+        self.mover.aim(goal, twist_cmd, accel_cmd)
         self._step(0)
         if self._latecomers.size:
             self._read(self._latecomers, self.substeps - 1)
 
     def finish(self) -> None:
-        """The rest of the tick."""
+        """The rest of the tick. Stepwise, each step gives the reading at its start, and a separate
+        forward evaluation gives that of the last instant.
+        """
         if self._stepwise:
-            self._run_stepwise()
-        else:
-            self._run()
-        self.servo.arrive()
+            self._lost |= self._seen_and_met()
+        for s in range(1, self.substeps):
+            self._step(s)
+            if self._stepwise:
+                self._read(self._all, s - 1)
+                self._lost |= self._seen_and_met()
+        if not self._stepwise:
+            self._read_history.on()()
+        if self._prompt.size:
+            if self._stepwise:
+                self.batch.forward(self._groups[0][0])
+            self._read(self._prompt, self.substeps - 1)
+        self.mover.arrive()
         self._observe()
 
     def bare_steps(self, count: int) -> None:
@@ -158,111 +189,41 @@ class ServoTracking:
         for _ in range(count):
             self.batch.step()
 
+    def joint_limit_passed(self) -> bool:
+        """Whether a run has exceeded a limit of its joints at this tick."""
+        d = self.mover
+        return self.watch is not None and self.watch.passed(
+            d.joints, d.joint_rates, self._forces, d.missed, d.kinematics.v
+        )
+
     def _step(self, sub: int) -> None:
-        self.servo.push(sub, self._qpos, self._qvel, self._ctrl)
+        self.mover.push(sub, self._qpos, self._qvel, self._inputs)
         if self._stepwise or sub < self.substeps - 1:
             self.batch.step(self._going, stage=self.contacts.stage)
             return
         for ids, stage in self._groups:
             self.batch.step(ids, stage=stage)
 
-    def _run(self) -> None:
-        for s in range(1, self.substeps):
-            self._step(s)
-        self._read_history.on()()
-        if self._prompt.size:
-            self._read(self._prompt, self.substeps - 1)
-
-    def _run_stepwise(self) -> None:
-        """The remaining steps; each gives the reading at its start, and a separate forward
-        evaluation gives that of the last instant.
-        """
-        watched = self._watched
-        if watched:
-            self._lost |= self._read_and_meet()
-        for s in range(1, self.substeps):
-            self._step(s)
-            self._read(self._all, s - 1)
-            if watched:
-                self._lost |= self._read_and_meet()
-        if self._prompt.size:
-            self.batch.forward(self._groups[0][0])
-            self._read(self._prompt, self.substeps - 1)
-
     def _read(self, runs: NDArray[np.intp], sub: int) -> None:
         """Read the wrench of the last evaluation of the physics into substep ``sub``."""
-        if self.servo.load is not None:
-            self.servo.load.read(
-                self._sensordata, self.servo.mover.place_P, runs, self.wrench_sub, sub
-            )
+        if self.load is not None:
+            self.load.read(self._sensordata, self.mover.place_P, runs, self.wrench_sub, sub)
         else:
             (self._read_late if sub == self.substeps - 1 else self._read_between).on(runs)(sub)
 
-    def _readers(self) -> tuple[Callable[[], bool], Callable[[], bool], Callable[[], bool]]:
-        """Three calls that read pose, twist and joints; the second also evaluates the contact, the
-        third also reads MuJoCo's own contacts.
-
-        Each returns whether a run has just diverged.
-        """
-        shown = self.pose_act, self.twist_act, self.slider_act
-        seen = self.servo.observing(self._qpos, self._qvel, SPEED_LIMIT, shown, self.diverged)
-        if seen is None:
-            return (
-                self._read_state_stepwise,
-                self._read_and_meet_stepwise,
-                self._read_and_look_stepwise,
-            )
-        met = self.contacts.meeting(*self._sides) if self.contacts.written else []
-        meet = (
-            together(seen, *met, telling=0)
-            if met
-            else self._read_and_meet_stepwise
-            if self.contacts.written
-            else seen
-        )
-        return seen, meet, together(seen, *self.contacts.looking, telling=0)
-
-    @property
-    def _sides(self) -> tuple[Array, ...]:
-        """Pose and twist of A in W, and those of P if it moves."""
-        mover = self.servo.mover
-        if self.servo.moves_passive:
-            return mover.place_A, mover.motion_A, mover.place_P, mover.motion_P
-        return self.pose_act, self.twist_act
-
-    def _read_state_stepwise(self) -> bool:
-        return self.servo.observe(
-            self._qpos,
-            self._qvel,
-            SPEED_LIMIT,
-            self.pose_act,
-            self.twist_act,
-            self.slider_act,
-            self.diverged,
-        )
-
-    def _read_and_meet_stepwise(self) -> bool:
-        lost = self._read_state()
+    def _meet(self) -> bool:
+        """Read the state, and evaluate the contact where not all of it is compiled."""
+        lost = self._seen()
         if self.contacts.written:
             self.contacts.meet(*self._sides)
         return lost
 
-    def _read_and_look_stepwise(self) -> bool:
-        lost = self._read_state()
-        self.contacts.look()
-        return lost
-
-    def _look_ahead(self) -> None:
-        """Evaluate MuJoCo up to the stage that the contacts need."""
-        if self.contacts.stage != NONE:
-            self.batch.forward(self._going, stage=self.contacts.stage)
-
     def _observe(self) -> None:
-        if self._watched:
+        if self._stepwise:
             lost = self._lost
             self.contacts.look()
         else:
-            lost = self._read_and_look()
+            lost = self._seen_and_looked()
         if lost:
             self._lost = False
             self._leave_out()
@@ -270,9 +231,7 @@ class ServoTracking:
             self.wrench_sub[self.diverged] = 0.0
 
     def _leave_out(self) -> None:
-        """Record the cause of divergence of the runs that have just diverged, and step only the
-        others from now on.
-        """
+        """Record why runs have just diverged, and step only the others from now on."""
         for i in np.flatnonzero(self.diverged):
             if not self.causes[i]:
                 self.causes[i] = _cause(self.model, self._qpos[i], self._qvel[i])
@@ -280,28 +239,38 @@ class ServoTracking:
         self._group()
 
     def _group(self) -> None:
-        """Divide the runs that are stepped into those whose force is needed at once and late ones,
-        each with its stage.
-        """
+        """Divide the runs into those whose force is needed at once and late ones, with stages."""
         going = ~self.diverged
-        self._prompt, self._latecomers = (
-            np.flatnonzero(going & ~self._late),
-            np.flatnonzero(going & self._late),
-        )
-        parts = [
-            (ids, stage)
+        self._prompt = np.flatnonzero(going & ~self._late)
+        self._latecomers = np.flatnonzero(going & self._late)
+        self._groups: list[tuple[NDArray[np.intp] | None, int]] = [
+            (None if len(ids) == len(going) else ids, stage)
             for ids, stage in ((self._prompt, ACC), (self._latecomers, VEL))
             if ids.size
         ]
-        self._groups: list[tuple[NDArray[np.intp] | None, int]] = [
-            (None if len(ids) == len(going) else ids, stage) for ids, stage in parts
-        ]
+
+
+def runs_of(scenarios: Sequence[Scenario]) -> Runs:
+    """What the drives of a batch are made for."""
+    first, feeds = scenarios[0], [s.compensation.motion.feeds for s in scenarios]
+    settings = [s.rig.platform for s in scenarios]
+    return Runs(first.tick, first.substeps, settings, np.array(feeds, dtype=bool))
+
+
+def _watch(facility: Facility, scenarios: Sequence[Scenario], home: Array) -> Watch | None:
+    """Monitor of the limits that a facility states, less those that a run's safety section switches
+    off; None if nothing is driven, or all limits are in that section.
+    """
+    first = scenarios[0]
+    if first.rig.platform.physical or not first.rig.platform.states_limits:
+        return None
+    limits = [(s.safety.stroke, s.safety.speed, s.safety.acceleration) for s in scenarios]
+    watched = [[*(limit is not None for limit in row), True, True] for row in limits]
+    return Watch(facility.axes, home, len(scenarios), first.tick, np.array(watched))
 
 
 def _log_warning(message: str) -> None:
-    """Log a warning of MuJoCo as debug output: :class:`ServoTracking` detects and reports
-    divergence itself.
-    """
+    """Log a warning of MuJoCo as debug output: divergence is detected and reported here."""
     logging.getLogger("hiltestbed.platform").debug("MuJoCo: %s", message)
 
 

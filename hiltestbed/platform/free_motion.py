@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import approach_state
 
@@ -41,16 +39,8 @@ class FreeMotion:
         self.pose: Array = start[:, :7].copy()
         self.twist: Array = start[:, 7:].copy()
         self.wrench: Array = plant.wrench_sub[:, -1]
-        self._take = Call(_take, GIVEN, GIVEN, self.pose, self.twist)
         self._plant = plant
 
     def advance(self, measurement: Measurement) -> None:
         """Copy pose and twist of the bodies at t_k."""
-        self._take.on(self._plant.pose_act, self._plant.twist_act)()
-
-
-@njit(cache=True)
-def _take(pose_act, twist_act, pose, twist):
-    for i in range(pose.shape[0]):
-        pose[i] = pose_act[i]
-        twist[i] = twist_act[i]
+        self.pose[:], self.twist[:] = self._plant.pose_act, self._plant.twist_act

@@ -41,18 +41,14 @@ COULOMB, STICTION, STRIBECK, VISCOUS, BIAS, BRISTLE, DAMPER = range(7)
 
 @njit(cache=True)
 def stribeck(v, p):
-    """Largest friction [N] without the viscous part, at the speed ``v`` [m/s]; ``p`` (7,) the
-    parameters of a drive.
-    """
+    """Largest friction [N] but the viscous, at ``v`` [m/s]; ``p`` (7,): of a drive."""
     x = v / p[STRIBECK]
     return p[COULOMB] + (p[STICTION] - p[COULOMB]) * math.exp(-x * x)
 
 
 @njit(cache=True)
 def drag(v, dt, p, z, i):
-    """Force [N] against the motion of a drive at ``v`` [m/s]; its bristle ``z[i]`` [m] is advanced
-    by ``dt`` [s].
-    """
+    """Force [N] against a drive at ``v`` [m/s]; advances its bristle ``z[i]`` [m] by ``dt``."""
     most = stribeck(v, p)
     reach = most / p[BRISTLE]
     z[i] = min(max(z[i] + v * dt, -reach), reach)
@@ -64,9 +60,7 @@ def drag(v, dt, p, z, i):
 
 @njit(cache=True)
 def _act(numbers, dt, axes, inputs, qvel, bristles, ctrl):
-    """Subtract the friction of the drives from their inputs ``ctrl`` (n, nu), at the speeds
-    ``qvel`` (n, nv).
-    """
+    """Subtract the friction of the drives at ``qvel`` (n, nv) from their inputs (n, nu)."""
     for i in range(qvel.shape[0]):
         for j in range(axes.shape[0]):
             v, p = qvel[i, axes[j]], numbers[i, j]
@@ -129,10 +123,5 @@ class DriveFriction:
         _settle(self.numbers, self._axes, qvel, self.bristles)
 
     def acting(self, qvel: Array, ctrl: Array) -> Callable[[], None]:
-        """Call that subtracts the friction of one step from the drives' inputs ``ctrl`` (n, nu),
-        bound to arrays that are reused.
-        """
+        """Call that subtracts a step's friction from the inputs ``ctrl`` (n, nu)."""
         return self._act.on(qvel, ctrl)
-
-    def state(self) -> dict[str, NDArray]:
-        return {"bristles": self.bristles}

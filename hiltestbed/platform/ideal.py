@@ -8,19 +8,24 @@ the tick that ends, so that the last one gives the force at t_(k+1) with the slo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
+from numpy.typing import NDArray
 
+from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.composition import Structure
 from hiltestbed.contact.contacts import Contacts
 from hiltestbed.frames import Array, pose_step, rotate_back, twist_between
 from hiltestbed.platform import model
+from hiltestbed.platform.build import facility_of
+from hiltestbed.platform.driven import runs_of
+from hiltestbed.platform.facilities.composed import TOOL, facility_model
+from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.response import ResponsePath
-from hiltestbed.platform.facilities.rig import FacilityFollower
 from hiltestbed.platform.response import PlatformResponse
 from hiltestbed.sensor.readout import read_wrench
 
@@ -41,23 +46,40 @@ def _back(pose, twist, h, out):
         pose_step(pose[i], twist[i], -h, out[i])
 
 
-@njit(cache=True)
-def _between(pose_before, pose_now, twist, time, last, bent, path, pose, qpos, qvel, joint):
-    """Write the pose of A ``time`` [s] after ``pose_before`` to ``pose`` and MuJoCo's free joint
-    (w-first, angular velocity in the body).
-
-    If the platform deviates from the straight line (``bent``), its position is ``path`` (n, 3) [m].
+class PlacedBody(NamedTuple):
+    """A in MuJoCo: its pose (n, 7) at both ends of the tick, its twist (n, 6), positions within it
+    (n, m, 3); the pose written last (n, 7); positions and rates of all joints, and the addresses
+    (2,) of the free one.
     """
-    q, d = joint[0], joint[1]
-    for i in range(pose_now.shape[0]):
+
+    before: Array
+    now: Array
+    twist: Array
+    along: Array
+    pose: Array
+    qpos: Array
+    qvel: Array
+    joint: NDArray[np.int64]
+
+
+@njit(cache=True)
+def _put(body, s, time, last, bent):
+    """Write the pose of A ``time`` [s] after ``before``, at the end of substep ``s``, to ``pose``
+    and MuJoCo's free joint (w-first, angular velocity in the body).
+
+    If the platform deviates from the straight line (``bent``), its position is that in ``along``.
+    """
+    pose, twist, qpos, qvel = body.pose, body.twist, body.qpos, body.qvel
+    q, d = body.joint[0], body.joint[1]
+    for i in range(pose.shape[0]):
         if last:
             for j in range(7):
-                pose[i, j] = pose_now[i, j]
+                pose[i, j] = body.now[i, j]
         else:
-            pose_step(pose_before[i], twist[i], time, pose[i])
+            pose_step(body.before[i], twist[i], time, pose[i])
         for j in range(3):
             if bent:
-                pose[i, j] = path[i, j]
+                pose[i, j] = body.along[i, s - 1, j]
             qpos[i, q + j] = pose[i, j]
             qpos[i, q + 4 + j] = pose[i, 3 + j]
             qvel[i, d + j] = twist[i, j]
@@ -67,9 +89,7 @@ def _between(pose_before, pose_now, twist, time, last, bent, path, pose, qpos, q
 
 @njit(cache=True)
 def _change(pose, twist, qvel, at, per_step, push):
-    """``push`` (n, 6): force and torque that bring the free joint to ``twist`` (n, 6) in one step;
-    torque in the body's axes.
-    """
+    """Force and torque (in the body's axes) that give the free joint its ``twist`` in one step."""
     turn = np.empty(3)
     for i in range(pose.shape[0]):
         rotate_back(pose[i, 3:7], twist[i, 3:6], turn)
@@ -82,9 +102,7 @@ NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 
 
 class IdealTracking:
-    """The mechanisms of `n` runs under ideal tracking; arrays as in
-    :class:`hiltestbed.platform.plant.Plant`.
-    """
+    """The mechanisms of `n` runs; arrays as in :class:`hiltestbed.platform.plant.Plant`."""
 
     def __init__(
         self,
@@ -95,11 +113,10 @@ class IdealTracking:
     ) -> None:
         first, n = scenarios[0], len(scenarios)
         self.tick, self.substeps = first.tick, first.substeps
-        self.model = model.ideal_model(structure, first.tick / first.substeps)
+        dt = first.tick / first.substeps
+        self.model = model.ideal_model(structure, dt)
         self.batch = Batch(self.model, n, nthread)
-        self.contacts = Contacts(
-            self.batch, scenarios, structure, first.tick / first.substeps, 0.0, force
-        )
+        self.contacts = Contacts(self.batch, scenarios, structure, dt, 0.0, force)
         self.path = PlatformResponse(scenarios)
         answers = first.rig.platform.tracking == "response"
         settings = [s.rig.platform.response for s in scenarios] if answers else []
@@ -108,7 +125,12 @@ class IdealTracking:
         self._bent = self.path.active or answers
         self._along = self.path.path if self.path.active else np.zeros((n, first.substeps, 3))
         self._ticks = np.zeros(1, dtype=np.int64)
-        self.follower = FacilityFollower(scenarios, structure, first.tick / first.substeps)
+        facility = facility_of(first)
+        self.units = tuple(axis.unit for axis in facility.axes)
+        stepped = facility_model(facility, structure, dt)
+        joints = facility.drives(stepped, runs_of(scenarios), TOOL)
+        assert isinstance(joints, Drives)
+        self._joints = joints
         bind = self.batch.bind
         self._qpos, self._qvel, self._warmstart = bind("qpos"), bind("qvel"), bind("qacc_warmstart")
         self._reading = bind("sensordata")[:, model.sensor_columns(self.model)]
@@ -126,10 +148,20 @@ class IdealTracking:
         self._way: tuple[Array, Array] | None = None
         self._before, self._between = np.zeros((n, 7)), np.zeros((n, 7))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
+        body = PlacedBody(
+            self._before,
+            self.pose_act,
+            self.twist_act,
+            self._along,
+            self._between,
+            self._qpos,
+            self._qvel,
+            self._joint,
+        )
+        self._put = bound(_put, body, ..., ..., ..., ...)
         self.wrench_sub = np.zeros((n, self.substeps, 6))
         self.contact_now = self.contacts.touching
-        joints = len(self.follower.units)
-        self.slider_act, self.slider_cmd = np.zeros((n, joints)), np.zeros((n, joints))
+        self.slider_act, self.slider_cmd = self._joints.joints, self._joints.reference
         # the platform cannot diverge; the loop ends a run whose command is lost
         self.diverged = np.zeros(n, dtype=bool)
         self.causes = [""] * n
@@ -157,7 +189,6 @@ class IdealTracking:
     def carry(self, poses: Array, twists: Array) -> None:
         """See :meth:`hiltestbed.platform.plant.Plant.carry`."""
         self._way = poses, twists
-        self.pose_act[:] = poses[-1]
         self._move()
 
     def finish(self) -> None:
@@ -195,9 +226,7 @@ class IdealTracking:
             read_wrench(self._reading, self._tare, self._all, self.wrench_sub, s - 1)
 
     def _run(self) -> None:
-        """Integrate mount and moving parts: a step gives the wrench at its start, an extra forward
-        evaluation the last one.
-        """
+        """Integrate mount and moving parts: a step gives the wrench at its start."""
         for s in range(1, self.substeps + 1):
             # None: A keeps its velocity
             push = self._push if s == 1 or self._way is not None else None
@@ -213,51 +242,24 @@ class IdealTracking:
         read_wrench(self._reading, self._tare, self._all, self.wrench_sub, self.substeps - 1)
 
     def _accelerate(self, s: int, push: Array) -> None:
-        """Accelerate A in step ``s`` of the tick by the wrench ``push`` (n, 6), so that the active
-        side's moving parts react to it.
-        """
+        """Accelerate A in step ``s`` by ``push`` (n, 6), so that its moving parts react to it."""
         per_step = model.INTEGRATED_MASS * self.substeps / self.tick
         twist = self.twist_act if self._way is None else self._way[1][s - 1]
         _change(self._between, twist, self._qvel, self._joint[1], per_step, push)
 
     def _place(self, s: int) -> None:
         """Place A at the end of substep ``s`` of m, and apply the contact wrench of that state."""
-        m, twist = self.substeps, self.twist_act  # one array, to which the contacts are bound
+        m = self.substeps
         if self._way is not None:
-            pose, twist[:] = self._way[0][s - 1], self._way[1][s - 1]
-            _between(
-                pose,
-                pose,
-                twist,
-                0.0,
-                True,
-                False,
-                self._along[:, s - 1],
-                self._between,
-                self._qpos,
-                self._qvel,
-                self._joint,
-            )
+            self.pose_act[:], self.twist_act[:] = self._way[0][s - 1], self._way[1][s - 1]
+            self._put(s, 0.0, True, False)
         else:
-            _between(
-                self._before,
-                self.pose_act,
-                twist,
-                self.tick * s / m,
-                s == m,
-                self._bent,
-                self._along[:, s - 1],
-                self._between,
-                self._qpos,
-                self._qvel,
-                self._joint,
-            )
+            self._put(s, self.tick * s / m, s == m, self._bent)
         if self.contacts.stage != NONE:
             self.batch.forward(stage=self.contacts.stage)
         if self.contacts.written:
-            self.contacts.meet(self._between, twist)
+            self.contacts.meet(self._between, self.twist_act)
 
     def _conclude(self) -> None:
         self.contacts.look()
-        self.follower.follow(self.pose_act, self.twist_act, self.slider_act)
-        self.slider_cmd[:] = self.slider_act
+        self._joints.follow(self.pose_act, self.twist_act)

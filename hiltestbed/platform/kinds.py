@@ -4,23 +4,23 @@ other code refers to it by name.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from hiltestbed.config.validation import Problem, Strictly
-from hiltestbed.plugins import Registry, kind_of, placeholder
+from hiltestbed.plugins import Registry, kind_of
 
 if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.facility import Facility
     from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 class Platform(Strictly):
     """The motion platform of a scenario: base of every kind.
 
-    A new kind derives from it, gives ``kind`` as a literal, and a ``facility``
-    (:class:`hiltestbed.platform.facilities.facility. Facility`); stepping, recording, limit
-    monitoring and measurement follow from these.
+    A user's kind derives from it, gives ``kind`` as a literal and a method ``facility()``, which
+    returns a :class:`hiltestbed.platform.facilities.facility.Facility` and raises InputError for a
+    model that does not suit; the facilities of the shipped kinds are in
+    :mod:`hiltestbed.platform.build`.
 
     Attributes:
         tracking: servo: moved by its drives; ideal: the pose reaches the command exactly, one tick
@@ -35,6 +35,8 @@ class Platform(Strictly):
     # parts of a pose that this rig cannot move, and that a record may lack
     still: ClassVar[tuple[str, ...]] = ()
     carries_upper: ClassVar[bool] = False  # whether an upper platform may carry the passive side
+    # whether the start is checked on the facility's model; else by its settings alone
+    start_needs_model: ClassVar[bool] = True
     # fields that describe its drives, which have no effect on a prescribed platform
     drives: ClassVar[tuple[str, ...]] = ()
 
@@ -45,9 +47,7 @@ class Platform(Strictly):
 
     @property
     def prescribed(self) -> bool:
-        """Whether the pose is prescribed, without mass and at a constant rate over a tick;
-        otherwise drives or bodies are simulated.
-        """
+        """Whether the pose is prescribed, without mass; else drives or bodies are simulated."""
         return getattr(self, "tracking", "free") in ("ideal", "response")
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
@@ -75,24 +75,11 @@ class Platform(Strictly):
                 "response",
             )
 
-    @placeholder
-    def facility(self) -> Facility:
-        """Model, kinematics, drives and limits. Raises InputError for an unsuitable model of the
-        user.
-        """
-        raise NotImplementedError
-
-    def alike(self, scenario: Scenario) -> Hashable:
-        """Everything that the model depends on, which must be equal in the runs of one batch."""
-        return self.facility().alike()
-
     def problems(self, scenario: Scenario) -> Iterator[Problem]:
-        """What a scenario requires that this platform cannot do: a start out of reach, rates that
-        do not divide. Paths: in the scenario.
-        """
-        from hiltestbed.platform.facilities.checks import facility_problems
-
-        return facility_problems(scenario)
+        """What a scenario requires that these settings exclude. Paths: in the scenario."""
+        command = getattr(self, "command", None)
+        for path, message in command.problems(scenario.rate) if command else ():
+            yield ("rig", "platform", "command", *path), message
 
     def reference(self) -> dict[str, Any]:
         """The platform of a reference run without rig errors: the same, with exact tracking."""
@@ -128,18 +115,6 @@ class Platform(Strictly):
 
     # how this kind of rig distorts a contact, in two or three sentences
     distorts: ClassVar[str] = ""
-
-    def nearest_bandwidth(self, scenario: Scenario) -> float:
-        """Bandwidth [Hz] of the second-order system closest to the platform's tracking along the
-        insertion.
-        """
-        given = getattr(self, "response", None)
-        if given is not None and getattr(self, "tracking", "free") == "response":
-            band = given.bandwidth
-            return band if isinstance(band, float) else band[2]
-        return (
-            self.facility().response(scenario.rate, scenario.compensation.motion.feeds).bandwidth[2]
-        )
 
 
 PLATFORMS: Registry[Platform] = Registry(

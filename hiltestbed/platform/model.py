@@ -1,8 +1,8 @@
 """Composes the MuJoCo model of a rig from the MJCF files in ``models/``, one folder per mechanism.
 
 The world frame W has its origin at the nominal position of P, z up along the insertion: a pose in W
-is a pose in P while the passive
-side is at its nominal pose. Site names: ``active_A`` and ``passive_P`` on the two mechanisms.
+is a pose in P while the passive side is at its nominal pose. Site names: ``active_A`` and
+``passive_P`` on the two mechanisms.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from hiltestbed.contact.composition import (
 )
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.contact.settings import Mechanism
+from hiltestbed.platform.facilities.facility import compiled, set_steps
 
 UPPER = "upper_"  # prefix of the names of a drawn upper platform
 BODY = "A_body"  # body of the active side without a platform
@@ -32,22 +33,8 @@ SOLVED = 1e-12  # tolerance of the solver: forces to nine digits
 PORT = np.array([0.0, 0.0, 0.60])
 
 
-def _options(spec: mujoco.MjSpec, timestep: float, gravity: bool) -> None:
-    option = spec.option
-    option.timestep = timestep
-    option.gravity = [0.0, 0.0, -9.81] if gravity else [0.0, 0.0, 0.0]
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    # there is one island: the search for more costs a tenth of a step
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-    # a diverging run stops instead of being reset silently
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-
-
 def _carrier(spec: mujoco.MjSpec, above: str | None = None) -> mujoco.MjsBody:
-    """The body that carries the passive side: fixed, or on the upper platform, whose names have the
-    prefix ``above``.
-    """
+    """The body that carries the passive side: fixed, or on the upper platform (a prefix)."""
     if above is None:
         return spec.worldbody.add_body(name=CARRIER)
     return spec.body(f"{above}platform").add_body(name=CARRIER, pos=spec.site(f"{above}mount").pos)
@@ -68,7 +55,8 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
     """
     spec = mujoco.MjSpec()
     spec.modelname = f"ideal-{structure.mechanism.kind}"
-    _options(spec, timestep, gravity=False)
+    spec.option.cone, spec.option.gravity = mujoco.mjtCone.mjCONE_ELLIPTIC, [0.0, 0.0, 0.0]
+    set_steps(spec, timestep)
     add_passive(spec, structure, _carrier(spec))
     body = spec.worldbody.add_body(name=BODY)
     body.add_freejoint(name="A_joint")
@@ -89,23 +77,16 @@ def ideal_model(structure: Structure, timestep: float) -> mujoco.MjModel:
 
 
 def upper_model(mechanism: Mechanism, timestep: float) -> mujoco.MjModel:
-    """The upper platform alone, with force sensor and passive mechanism, its spherical joints as
-    stiff as those of the lower one.
-    """
+    """The upper platform alone, with force sensor and passive mechanism."""
     spec = load("prs3/prs3")
     spec.modelname = f"prs3-{mechanism.kind}"
-    _options(spec, timestep, gravity=True)
+    spec.option.cone, spec.option.gravity = mujoco.mjtCone.mjCONE_ELLIPTIC, [0.0, 0.0, -9.81]
     add_passive(spec, drawn(mechanism), _carrier(spec, above=""))
-    spec.compiler.discardvisual = True
-    for joint in spec.equalities:
-        joint.solref[:] = [2.0 * timestep, 1.0]
-    return spec.compile()
+    return compiled(spec, timestep)
 
 
 def nine_axis_scene(mechanism: Mechanism) -> mujoco.MjModel:
-    """The rig with its upper platform, for drawing; names of the upper platform begin with
-    ``upper_``.
-    """
+    """The rig with its upper platform, for drawing; the latter's names begin with UPPER."""
     spec = load("pss33/pss33")
     spec.modelname = f"pss33-prs3-{mechanism.kind}"
     spec.attach(load("prs3/prs3"), prefix=UPPER, frame=spec.worldbody.add_frame())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -65,11 +65,10 @@ class PlatformParameters:
         return self
 
 
-@dataclass(frozen=True)
-class ResponseParameters:
+class ResponseParameters(NamedTuple):
     """Parameters of n platforms as kernel inputs: delay, speed, play, stick, begun (n,), scale (n,
-    3), drive (n, 3, NUMBERS), lag and mode (n, S, 2), a frequency of 0 meaning none, step (n,
-    PACKED).
+    3), drive (n, 3, NUMBERS), step (n, PACKED), lag and mode (n, S, 2), a frequency of 0 meaning
+    none.
     """
 
     delay: Array
@@ -78,10 +77,10 @@ class ResponseParameters:
     stick: Array
     scale: Array
     drive: Array
-    lag: Array
-    mode: Array
     step: Array
     begun: Array
+    lag: Array
+    mode: Array
 
 
 def stack(platforms: Sequence[PlatformParameters]) -> ResponseParameters:
@@ -89,16 +88,10 @@ def stack(platforms: Sequence[PlatformParameters]) -> ResponseParameters:
 
     def filled(rows: list[list[tuple[float, float]]]) -> Array:
         longest = max(len(r) for r in rows)
-        return np.array(
-            [[*r, *[(0.0, 1.0)] * (longest - len(r))] for r in rows], dtype=float
-        ).reshape(len(rows), longest, 2)
+        padded = [[*r, *[(0.0, 1.0)] * (longest - len(r))] for r in rows]
+        return np.array(padded, dtype=float).reshape(len(rows), longest, 2)
 
-    def rows(name: str) -> Array:
-        return np.array([getattr(p, name) for p in platforms], dtype=float)
-
-    lag, mode = filled([p.lag for p in platforms]), filled([p.mode for p in platforms])
-    alone = {
-        name: rows(name)
-        for name in ("delay", "speed", "play", "stick", "scale", "drive", "step", "begun")
-    }
-    return ResponseParameters(**alone, lag=lag, mode=mode)
+    rows = {name: [getattr(p, name) for p in platforms] for name in ResponseParameters._fields}
+    responses = {name: filled(rows.pop(name)) for name in ("lag", "mode")}
+    alone = {name: np.array(values, dtype=float) for name, values in rows.items()}
+    return ResponseParameters(**alone, **responses)

@@ -21,9 +21,7 @@ GRAVITY = 9.81  # [m/s^2]; here along -z of W
 
 
 def load_of(m: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int], origin: Array) -> Array:
-    """``(13,)``: mass [kg], centre of mass from ``origin`` (3,) [m], inertia about it (9,
-    row-major) [kg m^2] of ``bodies`` in W.
-    """
+    """``(13,)`` mass, centre from ``origin`` (3,), inertia about it (9,) of ``bodies`` in W."""
     mass = m.body_mass[bodies]
     com = (mass[:, None] * data.xipos[bodies]).sum(axis=0) / mass.sum()
     inertia = np.zeros((3, 3))

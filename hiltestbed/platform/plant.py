@@ -21,6 +21,7 @@ from hiltestbed.contact.phases import Phases
 from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+from hiltestbed.platform import build
 from hiltestbed.platform.driven import ServoTracking
 from hiltestbed.platform.ideal import IdealTracking
 from hiltestbed.platform.prs3.nine_axes import NineAxes
@@ -41,16 +42,14 @@ def structure(scenario: Scenario) -> Structure:
 
 
 def alike(scenario: Scenario) -> Hashable:
-    """Everything that must be equal in the scenarios of one :class:`Plant`; all other parameters
-    may differ between runs.
-    """
+    """Everything that must be equal in the scenarios of one :class:`Plant`."""
     platform, upper = scenario.rig.platform, scenario.rig.upper
     above = (upper.kind, upper.tracking if upper.kind != "fixed" else None)
     return (
         scenario.rate,
         scenario.physics_rate,
         structure(scenario),
-        platform.alike(scenario),
+        build.alike(scenario),
         platform.tracking,
         above,
     )
@@ -108,8 +107,7 @@ class Plant:
             lower = IdealTracking(scenarios, nthread, made_of, force)
         else:
             lower = ServoTracking(scenarios, nthread, made_of, late, force)
-        self.units = lower.follower.units if isinstance(lower, IdealTracking) else lower.servo.units
-        self._rig = None if isinstance(lower, IdealTracking) else lower.servo
+        self.units, self._lower = lower.units, lower
         self._tracking = NineAxes(scenarios, lower, nthread) if above else lower
         self.pose_W: Array = lower.pose_act
         self._latch: LatchCondition | None = None
@@ -141,9 +139,7 @@ class Plant:
         return self._tracking.model
 
     def contacts(self) -> Engagement:
-        """Contact points and their forces; springs and dampers without friction give only the total
-        force.
-        """
+        """Contact points and their forces; not of springs and dampers without friction."""
         return self._tracking.contacts.engagement
 
     def watch(self, field: str, parts: int) -> Array:
@@ -151,9 +147,7 @@ class Plant:
         return self._batch.bind(field).reshape(len(self.pose_act), -1, parts)
 
     def held_pair(self, i: int) -> tuple[Array, Array] | None:
-        """Stiffness and damping (6, 6) of the latches of run ``i``
-        (:func:`hiltestbed.contact.jacobian.held_pair`); None without phases.
-        """
+        """Stiffness and damping (6, 6) of the latches of run ``i``; None without phases."""
         return (
             held_pair(self.contacts(), self._batch, self._made_of, i)
             if self.phases is not None
@@ -161,20 +155,17 @@ class Plant:
         )
 
     def joint_limit_passed(self) -> bool:
-        """Whether a joint of a run has exceeded a limit of its facility, or a command is out of
-        reach.
-        """
-        return self._rig is not None and self._rig.passed()
+        """Whether a joint has exceeded a limit of its facility, or a command its reach."""
+        lower = self._lower
+        return isinstance(lower, ServoTracking) and lower.joint_limit_passed()
 
     def joint_limit(self, i: int) -> str | None:
         """The limit that run ``i`` has exceeded, in words; None if there is none."""
-        watch = self._rig.watch if self._rig is not None else None
+        watch = self._lower.watch if isinstance(self._lower, ServoTracking) else None
         return watch.reason(i) if watch is not None else None
 
     def payload_left(self, i: int) -> dict[str, float] | None:
-        """Residual of the passive side's weight and inertia in the reading of run ``i``; None if it
-        does not move.
-        """
+        """Residual of a moving passive side's load in the reading of run ``i``, or None."""
         return self._tracking.payload_left(i) if isinstance(self._tracking, NineAxes) else None
 
     def divergence(self, i: int) -> str:
@@ -182,17 +173,13 @@ class Plant:
         return self._tracking.causes[i]
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Start at the pose ``(n, 7)`` of A in P with the twist ``(n, 6)``: before t = 0 the
-        approach is uniform.
-        """
+        """Start at ``pose`` (n, 7) of A in P, approached uniformly with ``twist`` (n, 6)."""
         self._tracking.reset(pose, twist)
         if self.phases is not None:
             self.phases.reset()
 
     def bare_steps(self, count: int) -> None:
-        """``count`` steps of the same physics alone, one call each: the reference for the loop's
-        cost.
-        """
+        """``count`` steps of the same physics alone: the reference for the loop's cost."""
         self._tracking.bare_steps(count)
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:

@@ -11,15 +11,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.effects.table import by_link
 from hiltestbed.frames import Array
 from hiltestbed.platform.drive import PLACE, RATE, STATE, W, drive_over
-from hiltestbed.platform.parameters import PlatformParameters, stack
+from hiltestbed.platform.parameters import PlatformParameters, ResponseParameters, stack
 from hiltestbed.platform.step_response import longest_memory, summed_over
 
 if TYPE_CHECKING:
@@ -55,9 +56,7 @@ def second_order(w, zeta, dt, base, out):
 
 @njit(cache=True)
 def _advance_second_order(e, before, after, dt, state):
-    """One response over dt to an input that runs from ``before`` to ``after``; ``state`` (2,)
-    position and rate, updated in place.
-    """
+    """One response over dt to an input; ``state`` (2,) position and rate, updated in place."""
     rate = (after - before) / dt
     error = state[0] - (before - e[4] * rate)
     slip = state[1] - rate
@@ -84,13 +83,15 @@ def _limited(held, before, after, dt, speed):
 
 
 @njit(cache=True)
-def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory):
+def follow(before, after, dt, limits, lag, mode, state):
     """One axis over dt, while its (already delayed) command runs from `before` to `after` [m].
 
-    lag, mode: (S, 5) from `second_order`; a first element of 0 means none. lagged, shaken: (S, 2)
-        and memory: (MEMORY,) state, updated in place. Returns the position reached [m], before the
-        scale error.
+    limits: speed limit [m/s], play and stick [m]. lag, mode: (S, 5) from `second_order`; a first
+        element of 0 means none. state: of lags and modes (S, 2), MEMORY (3,) and of the drive
+        (STATE,), updated in place. Returns the position reached [m], before the scale error.
     """
+    speed, play, stick = limits
+    lagged, shaken, memory, _ = state
     if speed < np.inf:
         held = memory[LIMITED]
         memory[LIMITED] = after = _limited(held, before, after, dt, speed)
@@ -116,20 +117,50 @@ def follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, mem
 
 
 @njit(cache=True)
-def behind_drive(before, after, dt, speed, drive, driven, memory):
-    """Output of an axis's speed limit and drive before and after dt: the input of :func:`follow`,
-    which then gets no speed limit.
+def follow_behind(before, after, dt, limits, drive, lag, mode, state):
+    """:func:`follow`, behind a drive (NUMBERS,) where there is one.
 
     It is separate from :func:`follow` because drives are rare and that function is called for every
     row of every hypothesis.
-    drive: (NUMBERS,). driven: (STATE,) and memory: (MEMORY,) state, updated in place.
     """
-    if speed < np.inf:
-        held = memory[LIMITED]
-        memory[LIMITED] = after = _limited(held, before, after, dt, speed)
-        before = held
-    held = driven[PLACE]
-    return held, drive_over(before, after, dt, drive, driven)
+    speed, play, stick = limits
+    if drive[W] > 0.0:
+        _, _, memory, driven = state
+        if speed < np.inf:
+            held = memory[LIMITED]
+            memory[LIMITED] = after = _limited(held, before, after, dt, speed)
+            before = held
+        held = driven[PLACE]
+        after = drive_over(before, after, dt, drive, driven)
+        before, speed = held, np.inf
+    return follow(before, after, dt, (speed, play, stick), lag, mode, state)
+
+
+class Paths(NamedTuple):
+    """The platforms of n runs.
+
+    Attributes:
+        dt: [s] between two instants. late: (n,) delay [ticks]. numbers: their parameters. lag,
+            mode: (n, S, 5) of :func:`second_order`.
+        ring: (n, slots, 3) command reached at t_j in slot j modulo their number; sums: its integral
+            over time up to t_j [m s].
+        lagged, shaken: (n, 3, S, 2), memory: (n, 3, 3), driven: (n, 3, STATE): state of each axis.
+        path: (n, m, 3) position of A in P at the m instants of the tick, the last of which is
+            t_(k+1) [m].
+    """
+
+    dt: float
+    late: Array
+    numbers: ResponseParameters
+    lag: Array
+    mode: Array
+    ring: Array
+    sums: Array
+    lagged: Array
+    shaken: Array
+    memory: Array
+    driven: Array
+    path: Array
 
 
 class PlatformResponse:
@@ -137,9 +168,8 @@ class PlatformResponse:
     tick.
 
     Attributes:
-        path: (n, m, 3) position of A in P at the m instants of the tick, the last of which is
-            t_(k+1) [m].
-        active: whether any platform alters its command; otherwise the path equals the command.
+        path: see :class:`Paths`. active: whether any platform alters its command; otherwise the
+            path equals the command.
     """
 
     def __init__(
@@ -148,9 +178,7 @@ class PlatformResponse:
         parameters: Sequence[PlatformParameters] | None = None,
         substeps: int | None = None,
     ) -> None:
-        """``parameters``: of each run, by default from its effects; ``substeps``: instants per
-        tick, by default the physics steps.
-        """
+        """``parameters``: default: from effects. ``substeps``: default: the physics steps."""
         n, first = len(scenarios), scenarios[0]
         self.tick = 1.0 / first.rate
         self.substeps = first.substeps if substeps is None else substeps
@@ -159,34 +187,28 @@ class PlatformResponse:
             parameters = [PlatformParameters(self.tick).with_effects(s.effects) for s in scenarios]
         else:
             self.active = True
-        self.parameters = p = stack(parameters)
-        self._late = p.delay / self.tick
-        self.path = np.zeros((n, self.substeps, 3))
-        slots = math.ceil(float(self._late.max()) + longest_memory(p.step) / self.tick) + 3
-        self.ring = np.zeros((n, slots, 3))  # command reached at t_j in slot j modulo its length
-        self.sums = np.zeros((n, slots, 3))  # its integral over time up to t_j [m s]
-        self.memory = np.zeros((n, 3, MEMORY))
-        self.driven = np.zeros((n, 3, STATE))
-        self.lagged, self.shaken = (
-            np.zeros((n, 3, p.lag.shape[1], 2)),
-            np.zeros((n, 3, p.mode.shape[1], 2)),
+        p, late = stack(parameters), np.array([each.delay for each in parameters]) / self.tick
+        slots = math.ceil(float(late.max()) + longest_memory(p.step) / self.tick) + 3
+        lags, modes = p.lag.shape[1], p.mode.shape[1]
+        self._paths = paths = Paths(
+            dt=self.tick / self.substeps,
+            late=late,
+            numbers=p,
+            lag=np.zeros((n, lags, 5)),
+            mode=np.zeros((n, modes, 5)),
+            ring=np.zeros((n, slots, 3)),
+            sums=np.zeros((n, slots, 3)),
+            lagged=np.zeros((n, 3, lags, 2)),
+            shaken=np.zeros((n, 3, modes, 2)),
+            memory=np.zeros((n, 3, MEMORY)),
+            driven=np.zeros((n, 3, STATE)),
+            path=np.zeros((n, self.substeps, 3)),
         )
-        self.lag_kernel, self.mode_kernel = (
-            np.zeros((*p.lag.shape[:2], 5)),
-            np.zeros((*p.mode.shape[:2], 5)),
-        )
-        for kernel, numbers, base in (
-            (self.lag_kernel, p.lag, 0.0),
-            (self.mode_kernel, p.mode, 1.0),
-        ):
+        self.path = paths.path
+        for kernel, numbers, base in ((paths.lag, p.lag, 0.0), (paths.mode, p.mode, 1.0)):
             for i, s in np.argwhere(numbers[..., 0] > 0.0):
-                second_order(
-                    numbers[i, s, 0],
-                    numbers[i, s, 1],
-                    self.tick / self.substeps,
-                    base,
-                    kernel[i, s],
-                )
+                second_order(*numbers[i, s], paths.dt, base, kernel[i, s])
+        self._advance = Call(_advance_paths, ..., GIVEN, paths)
         for i, s in enumerate(scenarios):
             self.begin(
                 i,
@@ -195,47 +217,23 @@ class PlatformResponse:
             )
 
     def begin(self, i: int, start: Array, velocity: Array) -> None:
-        """Initialise the platform of run ``i`` with a uniform motion: at ``start`` (3,) [m] with
-        ``velocity`` (3,) [m/s] at t = 0.
-        """
-        for back in range(self.ring.shape[1]):
-            self.ring[i, -back % self.ring.shape[1]] = start - velocity * self.tick * back
-            self.sums[i, -back % self.ring.shape[1]] = (
+        """Start run ``i`` in a uniform motion: ``start`` (3,) [m], ``velocity`` (3,) [m/s]."""
+        paths, p, slots = self._paths, self._paths.numbers, self._paths.ring.shape[1]
+        for back in range(slots):
+            paths.ring[i, -back % slots] = start - velocity * self.tick * back
+            paths.sums[i, -back % slots] = (
                 self.tick * back * (0.5 * velocity * self.tick * back - start)
             )
-        there, moving = summed_over(
-            self.parameters.step[i], start - velocity * self.parameters.delay[i], velocity
-        )
-        self.memory[i] = there[:, None]
-        self.driven[i] = 0.0
-        self.driven[i, :, PLACE], self.driven[i, :, RATE] = there, moving
-        self.lagged[i, ..., 0] = self.shaken[i, ..., 0] = there[:, None]
-        self.lagged[i, ..., 1] = self.shaken[i, ..., 1] = self.parameters.begun[i] * moving[:, None]
+        there, moving = summed_over(p.step[i], start - velocity * p.delay[i], velocity)
+        paths.memory[i] = there[:, None]
+        paths.driven[i] = 0.0
+        paths.driven[i, :, PLACE], paths.driven[i, :, RATE] = there, moving
+        paths.lagged[i, ..., 0] = paths.shaken[i, ..., 0] = there[:, None]
+        paths.lagged[i, ..., 1] = paths.shaken[i, ..., 1] = p.begun[i] * moving[:, None]
 
     def advance(self, k: int, pose_cmd: Array) -> Array:
         """The path (n, m, 3) from t_k to t_(k+1), for the commanded pose (n, 7) of t_(k+1)."""
-        p = self.parameters
-        advance_paths(
-            k,
-            pose_cmd,
-            self.ring,
-            self.sums,
-            p.step,
-            self._late,
-            self.tick / self.substeps,
-            p.speed,
-            p.play,
-            p.stick,
-            p.scale,
-            p.drive,
-            self.lag_kernel,
-            self.mode_kernel,
-            self.driven,
-            self.lagged,
-            self.shaken,
-            self.memory,
-            self.path,
-        )
+        self._advance.on(pose_cmd)(k)
         return self.path
 
 
@@ -266,9 +264,7 @@ def _sum_at(ring, sums, axis, at, h):
 
 @njit(cache=True)
 def _answered(ring, sums, step, axis, at, h):
-    """Output of the packed ``step`` response at the (fractional) tick ``at``; exact, as the command
-    is linear over each tick.
-    """
+    """Output of the packed ``step`` response at the (fractional) tick ``at``; exact."""
     n, most = int(step[0]), (len(step) - 1) // 2
     if n == 0:
         return _ring_at(ring, axis, at)
@@ -286,66 +282,32 @@ def _answered(ring, sums, step, axis, at, h):
 
 
 @njit(cache=True)
-def advance_paths(
-    k,
-    pose_cmd,
-    ring,
-    sums,
-    step,
-    late,
-    dt,
-    speed,
-    play,
-    stick,
-    scale,
-    drive,
-    lag,
-    mode,
-    driven,
-    lagged,
-    shaken,
-    memory,
-    path,
-):
-    """Write the paths (n, m, 3) of one tick from t_k, for the commands ``pose_cmd`` (n, >= 3); see
-    :class:`PlatformResponse`.
-    """
+def _advance_paths(k, pose_cmd, paths):
+    """Write the paths of one tick from t_k, for the commands ``pose_cmd`` (n, >= 3)."""
+    p, dt, path = paths.numbers, paths.dt, paths.path
     substeps = path.shape[1]
+    h = substeps * dt
     for i in range(path.shape[0]):
+        ring, sums, late, slots = paths.ring[i], paths.sums[i], paths.late[i], paths.ring.shape[1]
+        limits = p.speed[i], p.play[i], p.stick[i]
         for axis in range(3):
-            ring[i, (k + 1) % ring.shape[1], axis] = pose_cmd[i, axis]
-            now, last = (k + 1) % ring.shape[1], k % ring.shape[1]
-            sums[i, now, axis] = sums[i, last, axis] + 0.5 * substeps * dt * (
-                ring[i, last, axis] + ring[i, now, axis]
+            ring[(k + 1) % slots, axis] = pose_cmd[i, axis]
+            now, last = (k + 1) % slots, k % slots
+            sums[now, axis] = sums[last, axis] + 0.5 * substeps * dt * (
+                ring[last, axis] + ring[now, axis]
             )
-            before = _answered(ring[i], sums[i], step[i], axis, k - late[i], substeps * dt)
+            state = (
+                paths.lagged[i, axis],
+                paths.shaken[i, axis],
+                paths.memory[i, axis],
+                paths.driven[i, axis],
+            )
+            before = _answered(ring, sums, p.step[i], axis, k - late, h)
             for s in range(substeps):
-                after = _answered(
-                    ring[i],
-                    sums[i],
-                    step[i],
-                    axis,
-                    k + (s + 1.0) / substeps - late[i],
-                    substeps * dt,
+                at = k + (s + 1.0) / substeps - late
+                after = _answered(ring, sums, p.step[i], axis, at, h)
+                reached = follow_behind(
+                    before, after, dt, limits, p.drive[i, axis], paths.lag[i], paths.mode[i], state
                 )
-                led, goal, limit = before, after, speed[i]
-                if drive[i, axis, W] > 0.0:
-                    led, goal = behind_drive(
-                        before, after, dt, limit, drive[i, axis], driven[i, axis], memory[i, axis]
-                    )
-                    limit = np.inf
-                reached = follow(
-                    led,
-                    goal,
-                    dt,
-                    limit,
-                    play[i],
-                    stick[i],
-                    lag[i],
-                    mode[i],
-                    lagged[i, axis],
-                    shaken[i, axis],
-                    memory[i, axis],
-                )
-                path[i, s, axis] = scale[i, axis] * reached
+                path[i, s, axis] = p.scale[i, axis] * reached
                 before = after

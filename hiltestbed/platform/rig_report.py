@@ -7,7 +7,8 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.hall import facility_of
+from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.facilities.measure import (
     FrequencyResponse,
     Mode,
@@ -26,6 +27,7 @@ from hiltestbed.platform.facilities.measure import (
     modes,
     workspace,
 )
+from hiltestbed.platform.facilities.stand import Stand
 from hiltestbed.report.page import Report, new_figure
 from hiltestbed.run_folder.store import whole_folder
 from hiltestbed.run_folder.versions import versions
@@ -35,16 +37,13 @@ from hiltestbed.signals import AXES
 RIG, REPORT = "rig.json", "report.html"
 SLOWEST, FASTEST = 1.0, 100.0  # [Hz] of the sines
 POINTS = 10
-UNITS = ("m",) * 3 + ("rad",) * 3
-STEPS = ("workspace", "frequency response", "modes", "dynamic stiffness")
+UNITS, SHOWN = ("m",) * 3 + ("rad",) * 3, ("m",) * 3 + ("deg",) * 3
 Progress = Callable[[int, int], None]
 
 
 @dataclass
 class RigFigures:
-    """Measurements of a scenario's rig; the frequency response includes the friction of its drives,
-    the others do not.
-    """
+    """Measurements of a rig; only the frequency response includes the drives' friction."""
 
     scenario: Scenario
     reach: tuple[Reach, ...]
@@ -56,7 +55,6 @@ class RigFigures:
     def to_json(self) -> dict[str, Any]:
         """The contents of rig.json."""
         s, r = self.scenario, self.response
-        gain, phase = r.gain_db(), r.phase_deg()
         return {
             "name": s.name,
             "platform": resolved(s)["rig"]["platform"],
@@ -71,64 +69,40 @@ class RigFigures:
             "delay": {a: r.delay(k) for k, a in enumerate(AXES)},
             "frequency_response": {
                 "frequency": r.frequency.tolist(),
-                "gain_db": {a: gain[k].tolist() for k, a in enumerate(AXES)},
-                "phase_deg": {a: phase[k].tolist() for k, a in enumerate(AXES)},
-                "cross": {a: r.cross[k].tolist() for k, a in enumerate(AXES)},
+                "gain_db": _by_axis(r.gain_db()),
+                "phase_deg": _by_axis(r.phase_deg()),
+                "cross": _by_axis(r.cross),
             },
-            "modes": [
-                {
-                    "frequency": m.frequency,
-                    "damping_ratio": m.damping_ratio,
-                    "motion": m.motion,
-                    "shape": m.shape.tolist(),
-                }
-                for m in self.modes
-            ],
+            "modes": [asdict(m) | {"shape": m.shape.tolist()} for m in self.modes],
             "dynamic_stiffness": {
                 "frequency": self.frequency.tolist(),
-                "magnitude": {a: np.abs(self.stiffness[k]).tolist() for k, a in enumerate(AXES)},
-                "phase_deg": {
-                    a: np.degrees(np.angle(self.stiffness[k])).tolist() for k, a in enumerate(AXES)
-                },
+                "magnitude": _by_axis(np.abs(self.stiffness)),
+                "phase_deg": _by_axis(np.degrees(np.angle(self.stiffness))),
             },
         }
 
     def lines(self) -> list[tuple[str, str]]:
         """The figures in a few lines."""
-        r = self.response
-        band = [r.bandwidth(k) for k in range(6)]
-        first = self.modes[0] if self.modes else None
-        platform = self.scenario.rig.platform
-        tracking = getattr(platform, "tracking", "")
-        return [
-            *(
-                [("these are the drives", f"with tracking {tracking} a run does not use them")]
-                if platform.prescribed
-                else []
-            ),
-            *(
-                (f"reach {w.axis}", f"{_shown(k, w.low):.4g} to {_shown(k, w.high):.4g} {_unit(k)}")
-                for k, w in enumerate(self.reach)
-            ),
-            (
-                "bandwidth x, y, z, rx, ry, rz",
-                ", ".join(
-                    f"{b:.1f}" if math.isfinite(b) else f"> {r.frequency[-1]:.0f}" for b in band
-                )
-                + " Hz",
-            ),
-            (f"delay along z at {r.frequency[0]:g} Hz", f"{1e3 * r.delay(2):.2f} ms"),
-            (
-                "first mode",
-                f"{first.frequency:.1f} Hz, damping ratio {first.damping_ratio:.2f}, {first.motion}"
-                if first
-                else "none found",
-            ),
-            (
-                f"stiffness along z at {self.frequency[0]:g} Hz",
-                f"{abs(self.stiffness[2, 0]):.3g} N/m",
-            ),
-        ]
+        r, platform, out = self.response, self.scenario.rig.platform, []
+        if platform.prescribed:
+            unused = f"with tracking {platform.tracking} a run does not use them"
+            out.append(("these are the drives", unused))
+        for w, unit in zip(self.reach, SHOWN, strict=True):
+            low, high = _shown(w, unit)
+            out.append((f"reach {w.axis}", f"{low:.4g} to {high:.4g} {unit}"))
+        bands = [r.bandwidth(k) for k in range(6)]
+        most = f"> {r.frequency[-1]:.0f}"
+        shown = ", ".join(f"{b:.1f}" if math.isfinite(b) else most for b in bands)
+        out.append(("bandwidth x, y, z, rx, ry, rz", f"{shown} Hz"))
+        out.append((f"delay along z at {r.frequency[0]:g} Hz", f"{1e3 * r.delay(2):.2f} ms"))
+        first = "none found"
+        if self.modes:
+            m = self.modes[0]
+            first = f"{m.frequency:.1f} Hz, damping ratio {m.damping_ratio:.2f}, {m.motion}"
+        out.append(("first mode", first))
+        along_z = f"{abs(self.stiffness[2, 0]):.3g} N/m"
+        out.append((f"stiffness along z at {self.frequency[0]:g} Hz", along_z))
+        return out
 
 
 def measure_rig(scenario: Scenario, progress: Progress | None = None) -> RigFigures:
@@ -138,24 +112,26 @@ def measure_rig(scenario: Scenario, progress: Progress | None = None) -> RigFigu
         InputError: the rig has no drives.
     """
     facility = facility_of(scenario)
-    if facility.physical:
+    if scenario.rig.platform.physical:
         raise InputError(
             f"rig.platform.kind {facility.kind}: drives nothing, its bodies move freely; only a "
             f"driven rig can be measured"
         )
-    about: dict[str, Any] = {
-        "rate": scenario.rate,
-        "substeps": scenario.substeps,
-        "mechanism": scenario.mechanism,
-    }
-    feed = bool(scenario.compensation.motion.feeds)
+    stands = partial(
+        Stand,
+        facility,
+        rate=scenario.rate,
+        substeps=scenario.substeps,
+        mechanism=scenario.mechanism,
+    )
+    fed = partial(stands, feed=bool(scenario.compensation.motion.feeds))
     f = np.geomspace(SLOWEST, min(FASTEST, 0.05 * scenario.rate), POINTS).tolist()
     found: list[Any] = []
     work = (
         lambda: workspace(facility),
-        lambda: frequency_response(facility, f, feed=feed, **about),
-        lambda: modes(facility, feed=feed, **about),
-        lambda: dynamic_stiffness(facility, f[::2], **about),
+        lambda: frequency_response(fed, f),
+        lambda: modes(fed),
+        lambda: dynamic_stiffness(stands, f[::2]),
     )
     for done, measure in enumerate(work):
         if progress:
@@ -179,26 +155,7 @@ def write_rig(figures: RigFigures, path: str | Path) -> Path:
         )
         report = Report(f"Rig of {figures.scenario.name}: {figures.scenario.rig.platform.kind}")
         report.table(["figure", "value"], figures.lines())
-        for name, draw, caption in (
-            (
-                "workspace",
-                _workspace,
-                "Reach from home, one axis at a time, limited by joint travel, singularities and "
-                "reach.",
-            ),
-            (
-                "response",
-                _response,
-                "Ratio of reached to commanded pose of A, axis by axis; dashed: -3 dB and -90 "
-                "degrees.",
-            ),
-            (
-                "stiffness",
-                _stiffness,
-                "Dynamic stiffness at A with a constant command; where it drops, at a mode, "
-                "contact and rig exchange energy.",
-            ),
-        ):
+        for name, (draw, caption) in DRAWINGS.items():
             figure = draw(figures)
             figure.savefig(
                 folder / f"{name}.png", dpi=110, bbox_inches="tight", metadata={"Software": None}
@@ -212,23 +169,20 @@ def write_rig(figures: RigFigures, path: str | Path) -> Path:
             "With the drives active and a constant command, without friction.",
         )
         report.heading("Limits of the workspace")
-        report.table(
-            ["axis", "below", "above"],
-            [
-                [w.axis, w.stops[0] or "not searched further", w.stops[1] or "not searched further"]
-                for w in figures.reach
-            ],
-        )
+        stops = [[w.axis, *(s or "not searched further" for s in w.stops)] for w in figures.reach]
+        report.table(["axis", "below", "above"], stops)
         report.write(folder / REPORT)
     return path
 
 
 def _workspace(figures: RigFigures):
     figure, axes = new_figure(8.0, 3.2, ncols=2)
-    for panel, unit, first in ((axes[0], "m", 0), (axes[1], "deg", 3)):
-        for k in range(3):
-            w = figures.reach[first + k]
-            low, high = _shown(first + k, w.low), _shown(first + k, w.high)
+    for panel, unit, reach in (
+        (axes[0], "m", figures.reach[:3]),
+        (axes[1], "deg", figures.reach[3:]),
+    ):
+        for k, w in enumerate(reach):
+            low, high = _shown(w, unit)
             panel.barh(2 - k, high - low, left=low, height=0.5, color=f"C{k}")
             for value, side in ((low, "right"), (high, "left")):
                 panel.annotate(
@@ -240,7 +194,7 @@ def _workspace(figures: RigFigures):
                     xytext=(-3 if side == "right" else 3, 0),
                     textcoords="offset points",
                 )
-        panel.set_yticks([2, 1, 0], [figures.reach[first + k].axis for k in range(3)])
+        panel.set_yticks([2, 1, 0], [w.axis for w in reach])
         panel.axvline(0.0, color="0.4", lw=0.8)
         panel.use_sticky_edges = False
         panel.margins(x=0.2)
@@ -286,12 +240,30 @@ def _stiffness(figures: RigFigures):
     return figure
 
 
-def _shown(k: int, value: float) -> float:
-    return value if k < 3 else math.degrees(value)
+DRAWINGS = {
+    "workspace": (
+        _workspace,
+        "Reach from home, one axis at a time, limited by joint travel, singularities and reach.",
+    ),
+    "response": (
+        _response,
+        "Ratio of reached to commanded pose of A, axis by axis; dashed: -3 dB and -90 degrees.",
+    ),
+    "stiffness": (
+        _stiffness,
+        "Dynamic stiffness at A with a constant command; where it drops, at a mode, contact and "
+        "rig exchange energy.",
+    ),
+}
 
 
-def _unit(k: int) -> str:
-    return "m" if k < 3 else "deg"
+def _shown(reach: Reach, unit: str) -> tuple[float, float]:
+    scale = math.degrees(1.0) if unit == "deg" else 1.0
+    return reach.low * scale, reach.high * scale
+
+
+def _by_axis(rows: Array) -> dict[str, list[float]]:
+    return dict(zip(AXES, rows.tolist(), strict=True))
 
 
 def _finite(value: float) -> float | None:

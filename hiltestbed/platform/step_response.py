@@ -26,9 +26,7 @@ def longest_memory(steps: Array) -> float:
 
 
 def mean_lateness(step: Array) -> float:
-    """Steady-state lag [s] of the response to a uniform motion, at its final gain: the area above
-    the curve over its last value.
-    """
+    """Steady lag [s] behind a uniform motion: the area above the curve over its last value."""
     times, values = knots(step)
     if not len(times) or values[-1] == 0.0:
         return 0.0
@@ -36,9 +34,7 @@ def mean_lateness(step: Array) -> float:
 
 
 def summed_over(step: Array, start: Array, velocity: Array) -> tuple[Array, Array]:
-    """Response and its rate (3,) to a uniform motion that is at ``start`` (3,) [m] with
-    ``velocity`` (3,) [m/s].
-    """
+    """Response and its rate (3,) to a uniform motion at ``start`` (3,) with ``velocity`` (3,)."""
     values = knots(step)[1]
     if not len(values):
         return start, velocity

@@ -16,8 +16,8 @@ from hiltestbed.platform.response import (
     LIMITED,
     MEMORY,
     PLAYED,
-    behind_drive,
     follow,
+    follow_behind,
     second_order,
 )
 from hiltestbed.replay.stiction import Obeying, commanded, stick_to
@@ -203,7 +203,7 @@ def _replay(commands, lane, out):
         if begun > 0.0:
             after = _answered(command, sums, learned, start, velocity, -late, h)
             lags, modes = lane.over_begun
-            _reached(before, after, begun, limits, driving, lags[0], modes[0], state)
+            follow_behind(before, after, begun, limits, driving, lags[0], modes[0], state)
             before = after
         even = plain and stick > 0.0 and lane.phase == 0.0
         simple = even and np.count_nonzero(lane.w) <= 1 and driving[W] == 0.0
@@ -229,25 +229,12 @@ def _replay(commands, lane, out):
                 # the end of a tick need not be an instant
                 holds = stick if s < lane.moves or stick == 0.0 else np.inf
                 own = lane.speed, lane.play, holds
-                reached = _reached(
+                reached = follow_behind(
                     before, after, lane.steps[s], own, driving, lag[s], mode[s], state
                 )
                 before = after
                 s += 1
             out[k + 1, axis] = scale * reached
-
-
-@njit(cache=True)
-def _reached(before, after, dt, limits, drive, lag, mode, state):
-    """:func:`~hiltestbed.platform.response.follow`, behind a drive where there is one; ``limits``:
-    speed limit [m/s], play and stick [m].
-    """
-    lagged, shaken, memory, driven = state
-    speed, play, stick = limits
-    if drive[W] > 0.0:
-        before, after = behind_drive(before, after, dt, speed, drive, driven, memory)
-        speed = np.inf
-    return follow(before, after, dt, speed, play, stick, lag, mode, lagged, shaken, memory)
 
 
 @njit(cache=True)
@@ -285,7 +272,7 @@ def _held_throughout(before, after, lane, group, state, saved):
         return False
     limited, played = memory[LIMITED], memory[PLAYED]
     saved[:n], saved[n:] = lagged, shaken
-    reached = follow(before, after, h, speed, play, 0.0, lag, mode, lagged, shaken, memory)
+    reached = follow(before, after, h, (speed, play, 0.0), lag, mode, state)
     if abs(reached - memory[HELD]) > margin:
         lagged[:], shaken[:] = saved[:n], saved[n:]
         memory[LIMITED], memory[PLAYED] = limited, played

@@ -180,8 +180,12 @@ def _platform_problems(scenario: Scenario) -> Iterator[Problem]:
             f"{platform.kind!r}); allowed is fixed"
         )
         yield ("rig", "upper", "kind"), message
-    else:
-        yield from platform.problems(scenario)
+        return
+    yield from platform.problems(scenario)
+    if platform.start_needs_model:
+        from hiltestbed.platform.build import problems
+
+        yield from problems(scenario)
 
 
 def _effect_problems(scenario: Scenario) -> Iterator[Problem]:

@@ -8,15 +8,10 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.mjcf import MjcfFacility
-from hiltestbed.platform.facilities.serial_arm import SerialArm
-from hiltestbed.platform.facilities.stewart import Stewart
-from hiltestbed.platform.facilities.two_arms import TwoArms
-from hiltestbed.platform.shipped.mjcf import MjcfSettings
-from hiltestbed.platform.shipped.serial_arm import SerialArmSettings
-from hiltestbed.platform.shipped.stewart import StewartSettings
-from hiltestbed.platform.shipped.two_arms import TwoArmsSettings
+from hiltestbed.frames import Array, rotation_vectors
+from hiltestbed.platform.build import built
+from hiltestbed.platform.facilities.stand import Stand
+from hiltestbed.platform.kinds import PLATFORMS
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 DIRECT = {"controller_rate": None, "delay_cycles": 0}
@@ -66,36 +61,24 @@ GANTRY = """
 """
 
 
-def stewart(
-    kind: str = "hydraulic", command: dict[str, Any] | None = None, **drive: Any
-) -> Stewart:
-    return Stewart(
-        StewartSettings.model_validate(
-            {"kind": "stewart", "drive": {"kind": kind} | drive, "command": command or {}}
-        )
-    )
+def facility(kind: str, **settings: Any) -> Any:
+    return built(PLATFORMS[kind].model_validate({"kind": kind} | settings))
 
 
-def arm(command: dict[str, Any] | None = None, **controller: Any) -> SerialArm:
-    return SerialArm(
-        SerialArmSettings.model_validate(
-            {"kind": "serial_arm", "controller": controller, "command": command or DIRECT}
-        )
-    )
+def stewart(kind: str = "hydraulic", **drive: Any) -> Any:
+    return facility("stewart", drive={"kind": kind} | drive)
 
 
-def arms(command: dict[str, Any] | None = None, share: Any = 0.5, **controller: Any) -> TwoArms:
-    given = {
-        "kind": "two_arms",
-        "passive_share": share,
-        "controller": controller,
-        "command": command or DIRECT,
-    }
-    return TwoArms(TwoArmsSettings.model_validate(given))
+def arm(command: dict[str, Any] = DIRECT, **controller: Any) -> Any:
+    return facility("serial_arm", controller=controller, command=command)
 
 
-def own(path) -> MjcfFacility:
-    return MjcfFacility(MjcfSettings(kind="mjcf", model=str(path)))
+def arms(command: dict[str, Any] = DIRECT, share: Any = 0.5, **controller: Any) -> Any:
+    return facility("two_arms", passive_share=share, controller=controller, command=command)
+
+
+def own(path) -> Any:
+    return facility("mjcf", model=str(path))
 
 
 def poses(n: int, reach: float, turn_deg: float, seed: int = 3) -> Array:
@@ -148,3 +131,20 @@ def mass_and_jacobian(m: mujoco.MjModel, q: Array, site: str) -> tuple[Array, Ar
     loops = loops[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
     _, values, right = np.linalg.svd(loops)
     return mass, jac, right[int(np.sum(values > 1e-9 * values[0])) :].T
+
+
+def static_compliance(facility: Any, settle: float) -> Array:
+    """``(6, 6)`` displacement of A for a unit force or torque on each axis, after ``settle`` [s]
+    [m/N, rad/N, ...]: half the difference between push and pull, so that the weight cancels.
+    """
+    size = np.array([200.0] * 3 + [60.0] * 3)
+    stand = Stand(facility, 12)
+    stand.drives.release()
+    pose, still = np.tile(UPRIGHT, (12, 1)), np.zeros((12, 6))
+    stand.reset(pose, still)
+    for k in range(round(settle / stand.tick)):
+        share = min(4.0 * k * stand.tick / settle, 1.0)
+        stand.wrench[:6], stand.wrench[6:] = share * np.diag(size), -share * np.diag(size)
+        stand.advance(pose, still, still)
+    place = np.hstack([stand.pose[:, :3], rotation_vectors(stand.pose[:, 3:])])
+    return ((place[:6] - place[6:]) / (2.0 * size[:, None])).T

@@ -7,23 +7,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from mujoco.batch import Batch
 
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.air_bearing import AirBearing
 from hiltestbed.platform.facilities.bodies import Article
 from hiltestbed.platform.facilities.facility import compiled
-from hiltestbed.platform.facilities.suspension import (
-    HOOK,
-    Suspension,
-    SuspensionSettings,
-    swing_frequency,
-)
+from hiltestbed.platform.facilities.mover import Runs
+from hiltestbed.platform.facilities.suspension import HOOK
 from hiltestbed.platform.payload import GRAVITY
-from hiltestbed.platform.shipped.air_bearing import AirBearingSettings
+from tests.platform.halls import facility
 
 STEP = 2.5e-4
 CHASER = Article(
@@ -45,15 +41,17 @@ SMOOTH = {"winch_friction": 0.0, "tension_error": 0.0, "gimbal_offset": 0.0, "wi
 class Hall:
     """One pair of articles that is stepped, a force between their ports if wanted."""
 
-    def __init__(self, facility: AirBearing | Suspension) -> None:
-        self.model = compiled(facility.spec(), STEP)
+    def __init__(self, hall: Any) -> None:
+        self.model = compiled(hall.spec(), STEP)
         self.batch = Batch(self.model, 1, 1, persistent=True)
-        self.bodies = facility.bodies(self.model, [facility.settings], STEP)
+        self.bodies = hall.drives(
+            self.model, Runs(STEP, 1, [hall.settings], np.zeros(1, dtype=bool))
+        )
         bind = self.batch.bind
         self.qpos, self.qvel, self.applied = bind("qpos"), bind("qvel"), bind("qfrc_applied")
         self.pushed = bind("xfrc_applied").reshape(1, -1, 6)
         self.centres = bind("xipos").reshape(1, -1, 3)
-        self.diverged = np.zeros(1, dtype=bool)
+        self.observe = self.bodies.observing(self.qpos, self.qvel, 1e3, np.zeros(1, dtype=bool))
 
     def start(self, pose: Array, twist: Array) -> None:
         self.batch.reset(stage=0)
@@ -66,14 +64,24 @@ class Hall:
         """
         out = []
         for _ in range(round(time / STEP)):
-            self.bodies.observe(self.qpos, self.qvel, 1e3, self.diverged)
+            self.observe()
             out.append(self.bodies.place_A[0].copy())
             if push is not None:
                 self._pair(push)
-            self.bodies.push(self.qpos, self.qvel, self.applied)
+            self.bodies.push(0, self.qpos, self.qvel, self.applied)
             self.batch.step()
-        self.bodies.observe(self.qpos, self.qvel, 1e3, self.diverged)
+        self.observe()
         return np.array(out)
+
+    def momentum(self) -> Array:
+        """``(6,)`` linear, and angular about W's origin, of all bodies, by MuJoCo."""
+        data = mujoco.MjData(self.model)
+        data.qpos[:], data.qvel[:] = self.qpos[0], self.qvel[0]
+        mujoco.mj_forward(self.model, data)
+        mujoco.mj_subtreeVel(self.model, data)
+        linear = self.model.body_subtreemass[0] * data.subtree_linvel[0]
+        spin = data.subtree_angmom[0] + np.cross(data.subtree_com[0], linear)
+        return np.concatenate([linear, spin])
 
     def _pair(self, push: Array) -> None:
         at = self.bodies.place_P[0, :3]
@@ -83,16 +91,12 @@ class Hall:
             self.pushed[0, body, 3:] = sign * np.cross(at - self.centres[0, body], push)
 
 
-def floor(**over: Any) -> AirBearing:
-    facility = AirBearing(AirBearingSettings.model_validate({"kind": "air_bearing"} | QUIET | over))
-    facility.stand(CHASER, TARGET)
-    return facility
+def floor(**over: Any) -> Any:
+    return facility("air_bearing", **(QUIET | over)).stand(CHASER, TARGET)
 
 
-def cables(**over: Any) -> Suspension:
-    facility = Suspension(SuspensionSettings.model_validate({"kind": "suspension"} | SMOOTH | over))
-    facility.stand(CHASER, TARGET)
-    return facility
+def cables(**over: Any) -> Any:
+    return facility("suspension", **(SMOOTH | over)).stand(CHASER, TARGET)
 
 
 PLUMB = np.array([0.0, 0.0, -0.60, 0.0, 0.0, 0.0, 1.0])  # the cables hang straight
@@ -106,11 +110,11 @@ def test_momentum_is_kept_on_a_quiet_floor() -> None:
     """
     hall = Hall(floor())
     hall.start(MOUNT, np.array([0.01, 0.0, 0.05, 0.0, 0.02, 0.0]))
-    before = hall.bodies.momentum(hall.qpos, hall.qvel)
+    before = hall.momentum()
     # the centre is 0.4 m behind the mount
     assert before[[0, 2]] == pytest.approx([560 * (0.01 - 0.02 * 0.4), 560 * 0.05], rel=1e-6)
     hall.run(2.0, np.array([3.0, 0.0, 40.0]))
-    after = hall.bodies.momentum(hall.qpos, hall.qvel)
+    after = hall.momentum()
     assert abs(hall.qvel[0, 3:]).max() > 1e-3
     np.testing.assert_allclose(
         after[[0, 2, 4]], before[[0, 2, 4]], atol=5e-3 * np.abs(before).max()
@@ -154,10 +158,11 @@ def period(way: Array) -> float:
 
 @pytest.mark.parametrize("cable_mass", [0.0, 40.0])
 def test_a_hung_article_swings_as_its_formula_says(cable_mass: float) -> None:
-    facility = cables(cable_mass=cable_mass, length=4.0)
-    hall = Hall(facility)
+    """w^2 = (g/L) (1 + m_c/(2 m))/(1 + m_c/(3 m))."""
+    hall = Hall(cables(cable_mass=cable_mass, length=4.0))
     hall.start(PLUMB, np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0]))
-    half = math.pi / swing_frequency(facility.settings, CHASER.mass + HOOK)
+    ratio = cable_mass / (CHASER.mass + HOOK)
+    half = math.pi / math.sqrt(GRAVITY / 4.0 * (1.0 + 0.5 * ratio) / (1.0 + ratio / 3.0))
     assert period(hall.run(1.1 * half)[:, 2] - PLUMB[2]) == pytest.approx(half, rel=5e-3)
 
 
@@ -167,7 +172,7 @@ def test_a_hung_article_keeps_its_attitude_and_height() -> None:
     """
     hall = Hall(cables(winch_mass=30.0, cable_mass=1e-6))
     hall.start(MOUNT, np.array([0.0, 0.0, 0.0, 0.01, 0.02, 0.03]))
-    hall.bodies.observe(hall.qpos, hall.qvel, 1e3, hall.diverged)
+    hall.observe()
     spin = hall.bodies.motion_A[0, 3:].copy()
     hall.run(0.5)
     inertia = np.array([200.0, 180.0, 150.0])

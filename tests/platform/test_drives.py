@@ -56,33 +56,6 @@ def test_it_stands_still_where_it_was_put(kind: str) -> None:
     assert np.abs(stand.twist).max() < 1e-4
 
 
-def test_a_state_written_back_goes_on_from_there(kind: str) -> None:
-    stand = Stand(KINDS[kind](), feed=True)
-    stand.reset(UPRIGHT[None], STILL)
-    moved(stand, 60, np.array([0.004]))
-    parts = stand.drives.state() | {
-        "qpos": stand.qpos,
-        "qvel": stand.qvel,
-        "ctrl": stand.ctrl,
-        "warm": stand.warmstart,
-    }
-    kept = {name: array.copy() for name, array in parts.items()}
-    first = moved(stand, 40, np.array([0.004]))
-    for name, array in parts.items():
-        array[:] = kept[name]
-    np.testing.assert_array_equal(moved(stand, 40, np.array([0.004])), first)
-
-
-def test_a_run_in_a_batch_is_the_run_alone(kind: str) -> None:
-    scale = np.array([0.002, 0.005, 0.003])
-    batch = Stand(KINDS[kind](), 3, feed=True)
-    batch.reset(np.tile(UPRIGHT, (3, 1)), np.zeros((3, 6)))
-    together = moved(batch, 60, scale)
-    alone = Stand(KINDS[kind](), 1, feed=True)
-    alone.reset(UPRIGHT[None], STILL)
-    np.testing.assert_array_equal(moved(alone, 60, scale[1:2])[0], together[1])
-
-
 def test_runs_of_a_batch_may_differ_in_the_drives_numbers() -> None:
     slow, fast = stewart("electric", bandwidth=10.0), stewart("electric", bandwidth=30.0)
     assert slow.alike() == fast.alike()
@@ -106,22 +79,20 @@ def test_a_command_out_of_reach_is_told_and_leaves_the_rig_in_the_finite_numbers
     assert "out of the facility's reach" in (watch.reason(0) or "")
 
 
-def test_the_watch_names_the_joint_and_its_limit() -> None:
-    axes = arm().axes
-    home, still = np.zeros(6), np.zeros((1, 6))
-    home[1] = np.radians(-90.0)
-    watch = Watch(axes, home, 1, 1e-3)
-    assert not watch.passed(still, still, still, np.zeros(1))
-    assert watch.reason(0) is None
-    past = still.copy()
-    past[0, 1] = np.radians(86.0)
-    assert watch.passed(past, still, still, np.zeros(1))
-    assert watch.reason(0) == "joint a2 is at -4 deg; its travel is -140 to -5 deg"
-    fast = still.copy()
-    fast[0, 4] = np.radians(180.0)
-    fresh = Watch(axes, home, 1, 1e-3)
-    assert fresh.passed(still, fast, still, np.zeros(1))
-    assert fresh.reason(0) == "joint a5 moves at 180 deg/s; its limit is 172 deg/s"
+@pytest.mark.parametrize(
+    ("place", "speed", "said"),
+    [
+        (0.0, 0.0, None),
+        (86.0, 0.0, "joint a2 is at -4 deg; its travel is -140 to -5 deg"),
+        (0.0, 116.0, "joint a2 moves at 116 deg/s; its limit is 115 deg/s"),
+    ],
+)
+def test_the_watch_names_the_joint_and_its_limit(place, speed, said) -> None:
+    home, joints, rates, still = np.zeros(6), np.zeros((1, 6)), np.zeros((1, 6)), np.zeros((1, 6))
+    home[1], joints[0, 1], rates[0, 1] = np.radians([-90.0, place, speed])
+    watch = Watch(arm().axes, home, 1, 1e-3)
+    assert watch.passed(joints, rates, still, np.zeros(1)) == (said is not None)
+    assert watch.reason(0) == said
 
 
 def test_the_workspace_ends_where_a_joint_does() -> None:

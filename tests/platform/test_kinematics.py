@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from hiltestbed.config.models import load, models_folder
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.facility import MOUNT, MOUNT_HOME, compiled
 from hiltestbed.platform.facilities.kinematics import Kinematics
 from hiltestbed.platform.plant import Plant
-from hiltestbed.platform.pss33.facility import Pss33Facility
-from hiltestbed.platform.pss33.kinematics import inverse, jacobian, joints, shipped_limbs
+from hiltestbed.platform.pss33.kinematics import inverse, jacobian, shipped_limbs
 from hiltestbed.platform.pss33.settings import Pss33
+from tests.platform.halls import facility, poses
 from tests.platform.rigs import scenario
 
 LIMBS = shipped_limbs()
@@ -25,88 +22,12 @@ CENTRE = np.array([0.0, 0.0, -0.64])  # [m] the platform's origin from A's, mode
 HOME = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
-def workspace(n: int) -> Array:
-    """``(n, 7)`` poses over +-0.25 m and +-10 deg, the corners among them."""
-    rng = np.random.default_rng(3)
-    reach = rng.uniform(-1.0, 1.0, (n, 6))
-    reach[: n // 4] = np.sign(reach[: n // 4])
-    turn = Rotation.from_euler("xyz", 10.0 * reach[:, 3:], degrees=True)
-    return np.hstack([0.25 * reach[:, :3], turn.as_quat()])
-
-
-def test_inverse_kinematics_is_mujocos_own() -> None:
-    """Placed by the inverse kinematics, every link of MuJoCo's tree ends on its anchor of the
-    platform.
-    """
-    m = load("pss33/pss33").compile()
-    data = mujoco.MjData(m)
-    poses = workspace(200)
-    sliders = np.empty((200, 6))
-    inverse(LIMBS, poses, sliders)
-    q, v = np.empty(3), np.empty(3)
-    for i, pose in enumerate(poses):
-        turn = Rotation.from_quat(pose[3:])
-        data.joint("platform").qpos[:3] = pose[:3] + turn.apply(CENTRE)
-        data.joint("platform").qpos[3:] = pose[[6, 3, 4, 5]]
-        for j in range(6):
-            joints(LIMBS[j], pose, np.zeros(6), q, v)
-            assert q[0] == sliders[i, j]
-            data.joint(f"slider_{j}").qpos[:] = q[0]
-            data.joint(f"universal_{j}a").qpos[:] = q[1]
-            data.joint(f"universal_{j}b").qpos[:] = q[2]
-        mujoco.mj_kinematics(m, data)
-        for j in range(6):
-            gap = data.site(f"link_end_{j}").xpos - data.site(f"anchor_{j}").xpos
-            assert np.linalg.norm(gap) < 1e-6
-
-
 def test_the_workspace_is_within_the_sliders_stroke() -> None:
     m = load("pss33/pss33").compile()
     stroke = m.joint("slider_0").range[1]
     sliders = np.empty((2000, 6))
-    inverse(LIMBS, workspace(2000), sliders)
+    inverse(LIMBS, poses(2000, 0.25, 10.0), sliders)
     assert np.abs(sliders).max() < stroke
-
-
-def test_the_jacobian_is_the_derivative_of_the_inverse_kinematics() -> None:
-    rng = np.random.default_rng(5)
-    jac, sliders = np.empty((6, 6)), np.empty(6)
-    for pose in workspace(20):
-        jacobian(LIMBS, pose, sliders, jac)
-        twist = rng.normal(size=6)
-        e = 1e-6
-        ends = np.empty((2, 6))
-        for k, step in enumerate((-e, e)):
-            turn = Rotation.from_rotvec(step * twist[3:]) * Rotation.from_quat(pose[3:])
-            inverse(
-                LIMBS,
-                np.hstack([pose[:3] + step * twist[:3], turn.as_quat()])[None],
-                ends[k : k + 1],
-            )
-        np.testing.assert_allclose(
-            jac @ twist, (ends[1] - ends[0]) / (2.0 * e), rtol=1e-6, atol=1e-7
-        )
-
-
-def test_joint_rates_are_the_derivative_of_the_joints() -> None:
-    rng = np.random.default_rng(6)
-    q, rate, before, after, ignored = (np.empty(3) for _ in range(5))
-    e = 1e-6
-    for pose in workspace(20):
-        twist = rng.normal(size=6)
-        for j in range(6):
-            limb = LIMBS[j]
-            joints(limb, pose, twist, q, rate)
-            for out, step in ((before, -e), (after, e)):
-                turn = Rotation.from_rotvec(step * twist[3:]) * Rotation.from_quat(pose[3:])
-                joints(
-                    limb,
-                    np.hstack([pose[:3] + step * twist[:3], turn.as_quat()]),
-                    twist,
-                    out,
-                    ignored,
-                )
-            np.testing.assert_allclose(rate, (after - before) / (2.0 * e), rtol=1e-5, atol=1e-6)
 
 
 def test_jacobian_at_home_decouples_into_two_groups() -> None:
@@ -132,16 +53,18 @@ def test_the_closed_form_solves_the_equations_that_every_facility_solves() -> No
     """All joints and rates of the bare platform, from the loops' own equations by Newton's method
     to 1e-10.
     """
-    facility = Pss33Facility(Pss33())
-    model = compiled(facility.spec())
-    closed, general = facility.kinematics(model), Kinematics(model, [MOUNT], facility.axes)
-    rng = np.random.default_rng(7)
-    for goal in workspace(5):
+    platform = facility("pss33")
+    model = compiled(platform.spec())
+    closed, general = platform.kinematics(model), Kinematics(model, [MOUNT], platform.axes)
+    rng, jac, sliders = np.random.default_rng(7), np.empty((6, 6)), np.empty(6)
+    for goal in poses(5, 0.25, 10.0):
         goal[:3] += MOUNT_HOME[:3]
         twist, none = rng.normal(size=(1, 6)), np.empty(0)
         q, v = closed.motion(goal[None], twist, none, none)
         np.testing.assert_allclose(q, general.solve(goal[None])[0], atol=1e-8)
         np.testing.assert_allclose(v, general.rates(q, twist), atol=1e-7)
+        jacobian(closed.limbs, goal, sliders, jac)
+        np.testing.assert_allclose([sliders, jac @ twist[0]], [q[closed.q], v[closed.v]], atol=1e-9)
 
 
 @pytest.mark.parametrize(

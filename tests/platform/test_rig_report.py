@@ -6,34 +6,14 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from hiltestbed import load_scenario
 from hiltestbed.errors import InputError
 from hiltestbed.platform import rig_report
-from hiltestbed.platform.facilities.measure import dynamic_stiffness, frequency_response
 from hiltestbed.platform.rig_report import measure_rig, write_rig
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
-
-
-def test_the_shipped_platform_yields_by_its_gains() -> None:
-    """F/(3 kp) along z, kp = m w^2 of a drive's share: the servo's own numbers; without
-    feed-forward it is a second order.
-    """
-    s = load_scenario(SCENARIOS / "reference-bumper.yaml")
-    facility = s.rig.platform.facility()
-    kp = 214.0 * (2.0 * np.pi * 40.0) ** 2
-    assert abs(dynamic_stiffness(facility, [1.0], mechanism=s.mechanism)[2, 0]) == pytest.approx(
-        3.0 * kp, rel=0.01
-    )
-    f = np.array([10.0, 40.0])
-    measured = frequency_response(facility, f, axes=[2], mechanism=s.mechanism).own[2]
-    w, p = 2.0 * np.pi * 40.0, 2j * np.pi * f
-    closed = w * w / (p + w) ** 2
-    np.testing.assert_allclose(20.0 * np.log10(np.abs(measured / closed)), 0.0, atol=1.0)
-    np.testing.assert_allclose(np.degrees(np.angle(measured / closed)), 0.0, atol=5.0)
 
 
 def test_the_folder_holds_figures_and_drawings(tmp_path, monkeypatch) -> None:

@@ -12,6 +12,8 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from hiltestbed.config.gallery import shipped
+from hiltestbed.platform.build import built
+from hiltestbed.platform.facilities.bodies import PhysicalFacility
 from hiltestbed.platform.facilities.settings import ResponseSettings
 from hiltestbed.platform.kinds import PLATFORMS, Platform
 
@@ -63,9 +65,9 @@ def test_every_number_has_a_default_and_says_its_unit(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - {"mjcf"}))
 def test_a_kind_is_found_by_its_settings(kind: str) -> None:
-    found = bare(kind).facility()
+    found = built(bare(kind))
     assert found.kind == kind
-    assert found.physical == (kind in ("air_bearing", "suspension"))
+    assert isinstance(found, PhysicalFacility) == (kind in ("air_bearing", "suspension"))
 
 
 def test_what_is_not_a_key_is_refused() -> None:

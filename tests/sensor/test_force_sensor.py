@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.facilities.composed import facility_spec
-from hiltestbed.platform.facilities.hall import facility_of
 from hiltestbed.platform.plant import Plant, structure
 from tests.platform.rigs import pose, scenario
 

@@ -125,9 +125,7 @@ class PlatformDrive(Effect):
         )
 
     def worth(self, scenario: Scenario, frequency: float) -> float:
-        """Delay of the linear part: the contribution of friction and force limit depends on the
-        amplitude.
-        """
+        """Delay of the linear part: that of friction and force limit depends on the amplitude."""
         w, s = 2.0 * math.pi * self.bandwidth, 1j * frequency
         if self.integral_time is None:
             return 2.0 * self.damping_ratio / w

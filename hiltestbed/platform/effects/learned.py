@@ -59,7 +59,5 @@ class LearnedResponse(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        """None: it is learned where the named effects leave more than noise, see
-        :mod:`hiltestbed.diagnosis.learned`.
-        """
+        """None: it is learned, see :mod:`hiltestbed.diagnosis.learned`."""
         return iter(())

@@ -1,10 +1,10 @@
 """Full physical simulation: the bodies themselves move, and no numerical model is in the loop.
 
 The two spacecraft are represented in the hall by articles with real mass, supported against gravity
-by air bearings or cables. There are
-no commands, measurements or compensation: the relative pose follows from the physics. An article's
-mass and inertia are those of its spacecraft, mechanism included, plus those of its support; the
-attached mechanisms therefore have no mass of their own (:meth:`PhysicalFacility.lighten`).
+by air bearings or cables. There are no commands, measurements or compensation: the relative pose
+follows from the physics. An article's mass and inertia are those of its spacecraft, mechanism
+included, plus those of its support; the attached mechanisms therefore have no mass of their own
+(:meth:`PhysicalFacility.lighten`).
 
 W is the world of every facility, z along the insertion, which is horizontal here: y is up and
 gravity acts along -y.
@@ -13,33 +13,24 @@ gravity acts along -y.
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call
-from hiltestbed.compiled.jit import njit
 from hiltestbed.errors import InputError
-from hiltestbed.frames import Array, twist_between
-from hiltestbed.platform.divergence import has_diverged
-from hiltestbed.platform.facilities.drives import UPRIGHT, PortMotion, ports_at_home, read_ports
+from hiltestbed.frames import Array, rotate_back, twist_between
 from hiltestbed.platform.facilities.facility import (
     MOUNT,
     MOUNT_HOME,
     NOMINAL,
     TOOL_HOME,
     Facility,
-    Response,
     add_carrier,
 )
-from hiltestbed.platform.facilities.inverse_dynamics import joint_forces
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.motion import packed, place, scratch, unpack
+from hiltestbed.platform.facilities.mover import UPRIGHT, Mover
 from hiltestbed.platform.facilities.tree import between, compose, inverse_pose
 
 WEIGHTLESS = 1e-6  # [kg], [kg m^2] of a mechanism whose mass is included in its article
@@ -61,41 +52,12 @@ class Article:
     port: Array
 
 
-@njit(cache=True)
-def _read(integers, numbers, room, qpos, qvel, limit, diverged, *given):
-    """Read sides; given: the fields of PortMotion."""
-    tree, w = unpack(integers, numbers, room)
-    lost = False
-    for i in range(qpos.shape[0]):
-        if diverged[i]:
-            continue
-        if has_diverged(qpos[i], qvel[i], limit):
-            diverged[i] = True
-            lost = True
-            continue
-        read_ports(tree, w, qpos[i], qvel[i], PortMotion(*given), i)
-    return lost
-
-
-class Bodies:
-    """`n` pairs of articles; all arrays are updated in place.
-
-    Attributes, at t_k:
-        pose, twist: (n, 7), (n, 6) of A relative to P, in P. place_A, motion_A, place_P, motion_P:
-            of both in W.
+class Bodies(Mover):
+    """`n` pairs of articles. Their :meth:`push` writes the forces of bearings and cables to the
+    generalised forces ``inputs`` (n, nv).
     """
 
-    def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, n: int, step: float) -> None:
-        self.model, self.kinematics, self.step = model, kinematics, step
-        sides = ports_at_home(n)
-        self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist = sides
-        self._seen = Call(_read, *packed(kinematics.tree.towards_tools()), *(GIVEN,) * 4, *sides)
-
-    def push(self, qpos: Array, qvel: Array, applied: Array) -> None:
-        """Write the forces of bearings and cables on the articles to the generalised forces
-        ``applied`` (n, nv), before a step.
-        """
-        raise NotImplementedError
+    writes: ClassVar[str] = "qfrc_applied"
 
     def rest(self, qpos: Array, qvel: Array) -> None:
         """Initialise the state of the articles' supports."""
@@ -125,40 +87,10 @@ class Bodies:
                 )
         self.rest(qpos, qvel)
 
-    def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
-        """Read poses and twists; returns whether a run has just exceeded ``limit`` [m/s, rad/s],
-        and marks it in ``diverged`` (n,).
-        """
-        return self.observing(qpos, qvel, limit, diverged)()
-
-    def observing(
-        self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]
-    ) -> Callable[[], bool]:
-        """:meth:`observe` bound to arrays that are reused."""
-        return self._seen.on(qpos, qvel, limit, diverged)
-
-    def momentum(self, qpos: Array, qvel: Array, run: int = 0) -> Array:
-        """``(6,)`` linear momentum [kg m/s] and angular momentum about W's origin [kg m^2/s] of all
-        moving bodies.
-        """
-        tree, w = self.kinematics.tree, scratch(self.kinematics.tree)
-        place(tree, np.ascontiguousarray(qpos[run]), w)
-        out, nothing = np.empty(self.model.nv), np.zeros(3)
-        # With velocities in place of accelerations from rest, the inertial loads are the momenta.
-        joint_forces(
-            tree, np.zeros(self.model.nv), np.ascontiguousarray(qvel[run]), nothing, w, out
-        )
-        return w.loads[0].copy()
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        """The arrays that make up the state between two ticks."""
-        return {}
-
 
 class PhysicalFacility(Facility):
     """A hall in which two articles move freely."""
 
-    physical: ClassVar[bool] = True
     moves_passive: ClassVar[bool] = True
     articles: dict[str, Article]
 
@@ -171,26 +103,27 @@ class PhysicalFacility(Facility):
     def axes(self) -> tuple[Axis, ...]:
         return ()  # nothing is driven
 
+    def moves(self, side: str) -> bool:
+        """Whether an article can move."""
+        return side == "chaser" or self.settings.target == "free"
+
     def place_of(self, side: str) -> Array:
         """``(7,)`` pose of an article's body in W at home, where A coincides with P."""
         return inverse_pose(self.articles[side].port)
 
+    def in_body(self, side: str, vector: Array) -> Array:
+        """A vector (3,) of W in the axes of an article's body at home."""
+        out = np.empty(3)
+        rotate_back(self.place_of(side)[3:7], vector, out)
+        return out
+
     def fit(self, spec: mujoco.MjSpec, side: str, extra_mass: float, extra_inertia: Array) -> None:
-        """Set an article's body to its spacecraft's mass and inertia plus those of its support [kg,
-        kg m^2].
-        """
+        """Set an article's body to the inertia of its spacecraft and support [kg, kg m^2]."""
         article, body = self.articles[side], spec.body(side)
         inertia = article.inertia + extra_inertia
         body.mass = article.mass + extra_mass
         body.ipos, body.inertia = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
-        body.fullinertia = [
-            inertia[0, 0],
-            inertia[1, 1],
-            inertia[2, 2],
-            inertia[0, 1],
-            inertia[0, 2],
-            inertia[1, 2],
-        ]
+        body.fullinertia = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
 
     def add_ports(self, spec: mujoco.MjSpec) -> None:
         """Add the mount to the chaser and the passive side's carrier to the target."""
@@ -208,23 +141,9 @@ class PhysicalFacility(Facility):
     def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
         return Kinematics(model, [tool, NOMINAL], ())
 
-    @abstractmethod
-    def bodies(
-        self, model: mujoco.MjModel, settings: Sequence[Any], step: float, tool: str = MOUNT
-    ) -> Bodies:
-        """Articles and their supports, for runs whose ``settings`` may differ in parameters;
-        ``step`` [s] of the physics.
-        """
-
-    def drives(self, *_: Any, **__: Any) -> Any:
-        raise InputError(f"rig.platform.kind {self.kind} drives nothing: its bodies move freely")
-
-    def response(self, rate: float, feed: bool) -> Response:
-        """A response without any lag, since there is no command to follow."""
-        return Response((math.inf,) * 6, (1.0,) * 6, 0.0, followed=True)
-
-    def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
-        return iter(())
+    def bandwidth(self) -> float:
+        """Infinite, since there is no command to follow."""
+        return math.inf
 
     def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
         goal = np.array([compose(np.asarray(pose, dtype=float), inverse_pose(tool)), UPRIGHT])
@@ -233,9 +152,7 @@ class PhysicalFacility(Facility):
 
 
 def missed(reached: Array, pose: Array) -> str:
-    """Message with the axis along or about which ``reached`` (7,) is furthest from ``pose``
-    (7,).
-    """
+    """Message with the axis on which ``reached`` (7,) is furthest from ``pose`` (7,)."""
     gap = np.empty(6)
     twist_between(reached, pose, 1.0, gap)
     k = int(np.argmax(np.abs(gap)))

@@ -23,7 +23,13 @@ from hiltestbed.contact.composition import (
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, cross, rotate_back
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
-from hiltestbed.platform.facilities.facility import MOUNT, NOMINAL, TOOL_HOME, Facility, stiffen
+from hiltestbed.platform.facilities.facility import (
+    MOUNT,
+    NOMINAL,
+    TOOL_HOME,
+    Facility,
+    set_steps,
+)
 from hiltestbed.platform.payload import load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command
@@ -43,13 +49,8 @@ def facility_spec(facility: Facility, structure: Structure, timestep: float) -> 
     """
     spec = facility.spec()
     spec.modelname = f"{facility.kind}-{structure.mechanism.kind}"
-    option = spec.option
-    option.timestep, option.cone = timestep, mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.disableflags |= (
-        mujoco.mjtDisableBit.mjDSBL_ISLAND | mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    )
-    stiffen(spec, timestep)
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    set_steps(spec, timestep)
     site = spec.site(MOUNT)
     flange, plane = site.parent, np.array(site.pos)
     if flange.name != FLANGE:
@@ -122,11 +123,9 @@ class CarriedLoad:
         ]
         origin = np.array(data.site(NOMINAL).xpos)
         self.load = load_of(model, data, bodies, origin) if bodies else np.zeros(13)
-        self._columns = np.array([int(model.sensor(name).adr[0]) for name, _ in LOAD_SENSORS])
-        self._force = int(model.sensor("force").adr[0])
-        self._read = Call(
-            _read_carried, GIVEN, self._force, self._columns, GIVEN, self.load, GIVEN, GIVEN, ...
-        )
+        force = int(model.sensor("force").adr[0])
+        columns = np.array([int(model.sensor(name).adr[0]) for name, _ in LOAD_SENSORS])
+        self._read = Call(_read_carried, force, columns, self.load, GIVEN, GIVEN, GIVEN, GIVEN, ...)
 
     def read(
         self,
@@ -136,9 +135,7 @@ class CarriedLoad:
         wrench_sub: Array,
         sub: int,
     ) -> None:
-        """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .) with P's attitude in W, part of its
-        pose ``attitude`` (n, 7).
-        """
+        """``wrench_sub[runs, sub]`` from ``sensordata`` (n, .); attitude: pose (n, 7) of P in W."""
         self._read.on(sensordata, attitude, runs, wrench_sub)(sub)
 
 
@@ -151,7 +148,7 @@ def _under(model: mujoco.MjModel, body: int, top: int) -> bool:
 
 
 @njit(cache=True)
-def _read_carried(data, force, columns, place, load, runs, wrench_sub, sub):
+def _read_carried(force, columns, load, data, place, runs, wrench_sub, sub):
     alpha, ring, v, f = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in runs:
         # MuJoCo gives it in W

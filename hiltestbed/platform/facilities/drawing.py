@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from hiltestbed.contact.composition import drawn
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.bodies import PhysicalFacility
+from hiltestbed.platform.build import facility_of
+from hiltestbed.platform.driven import runs_of
 from hiltestbed.platform.facilities.composed import TOOL, facility_model, facility_spec
-from hiltestbed.platform.facilities.drives import UPRIGHT
-from hiltestbed.platform.facilities.hall import facility_of
+from hiltestbed.platform.facilities.drives import Drives
+from hiltestbed.platform.facilities.mover import UPRIGHT
 
 if TYPE_CHECKING:
     from hiltestbed.platform.prs3.drawing import DrawnNineAxes
@@ -28,17 +29,10 @@ class DrawnFacility:
 
     def __init__(self, scenario: Scenario) -> None:
         structure = drawn(scenario.mechanism)
-        self._facility = facility = facility_of(scenario)
+        facility = facility_of(scenario)
         self.model = facility_spec(facility, structure, STEP).compile()
         stepped = facility_model(facility, structure, STEP)
-        self._bodies = (
-            facility.kinematics(stepped, TOOL) if isinstance(facility, PhysicalFacility) else None
-        )
-        if self._bodies is None:
-            settings = [scenario.rig.platform]
-            self._drives = facility.drives(
-                stepped, settings, scenario.tick, scenario.substeps, np.zeros(1, dtype=bool), TOOL
-            )
+        self._mover = facility.drives(stepped, runs_of([scenario]), TOOL)
         self._last: tuple[Array, tuple[Array, Array]] | None = None
 
     def port_poses(self, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
@@ -57,13 +51,14 @@ class DrawnFacility:
             return self._last[1]
         qpos, place = np.tile(self.model.qpos0, (len(pose), 1)), np.tile(UPRIGHT, (len(pose), 1))
         for f in range(len(pose)):
-            if self._bodies is not None:
-                qpos[f], _ = self._bodies.nearest(np.array([pose[f], UPRIGHT]))
+            mover = self._mover
+            if not isinstance(mover, Drives):
+                qpos[f], _ = mover.kinematics.nearest(np.array([pose[f], UPRIGHT]))
                 continue
-            self._drives.follow(pose[f : f + 1], np.zeros((1, 6)))
-            qpos[f] = self._drives.solution[0]
-            if self._drives.poses.shape[1] > 1:
-                place[f] = self._drives.poses[0, 1]
+            mover.follow(pose[f : f + 1], np.zeros((1, 6)))
+            qpos[f] = mover.solution[0]
+            if mover.poses.shape[1] > 1:
+                place[f] = mover.poses[0, 1]
         self._last = (pose.copy(), (qpos, place))
         return qpos, place
 

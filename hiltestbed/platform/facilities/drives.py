@@ -3,8 +3,7 @@ step by step.
 
 A tick: ``aim`` solves for the joints at the command and plans the references over the tick;
 ``push`` is called before every physics step with the current state, and writes the actuators'
-inputs; ``observe`` reads poses and joints from the state. The control law of a drive is defined by
-the subclass.
+inputs. The control law of a drive is defined by the subclass.
 
 The relative pose is that of A in P. If the passive side is fixed, P is W, and one tool follows the
 command. A facility that moves both sides overrides the kernel of :meth:`Drives.allocate`.
@@ -14,29 +13,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.compiled.bound import GIVEN, Call, Joined, bound, together
+from hiltestbed.compiled.bound import GIVEN, Call, Joined, bound
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.wrench import relate_one
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.inverse_dynamics import drive_forces, joint_forces, weights
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.facilities.motion import (
-    move,
-    packed,
-    place,
-    scratch,
-    tool_pose,
-    tool_twist,
-    unpack,
-)
+from hiltestbed.platform.facilities.motion import scratch
+from hiltestbed.platform.facilities.mover import UPRIGHT, Mover, Runs
 from hiltestbed.platform.facilities.newton import newton, rates, shift, ways
 from hiltestbed.platform.facilities.reference import Cycles, TickPlan, plan_tick, sample
 from hiltestbed.platform.friction import DriveFriction
@@ -47,7 +37,6 @@ SOLVED = 1e-9  # [m], [rad] tolerance of the solution
 # controller cycles between two updates of the weight, which changes by less than 1e-3 of itself
 # meanwhile
 WEIGHED = 4
-UPRIGHT = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class Targets(NamedTuple):
@@ -73,34 +62,9 @@ class Targets(NamedTuple):
     missed: Array
 
 
-class PortMotion(NamedTuple):
-    """Poses (n, 7) and twists (n, 6) of A and P in W, and those of A relative to P, in P."""
-
-    place_A: Array
-    motion_A: Array
-    place_P: Array
-    motion_P: Array
-    pose: Array
-    twist: Array
-
-
-_CYCLES, _TARGETS = len(Cycles._fields), len(Cycles._fields) + len(Targets._fields)
-_PORTS = len(PortMotion._fields)
-
-
 @njit(cache=True)
-def _aim(integers, numbers, room, *given):
-    """Plan a tick; at the start of a cycle solve for joints, rates and weights.
-
-    integers, numbers, room: the tree (:func:`hiltestbed.platform.facilities.motion.packed`). given:
-        the fields of Cycles, Targets and TickPlan.
-    """
-    cycles, targets, plan = (
-        Cycles(*given[:_CYCLES]),
-        Targets(*given[_CYCLES:_TARGETS]),
-        TickPlan(*given[_TARGETS:]),
-    )
-    tree, w = unpack(integers, numbers, room)
+def _aim(tree, w, cycles, targets, plan):
+    """Plan a tick; at the start of a cycle solve for joints, rates and weights."""
     k = plan.ticks[0]
     for i in range(targets.poses.shape[0]):
         if k < 0 or k % cycles.length[i] == 0:
@@ -143,115 +107,27 @@ def _follow(pose, twist, accel, half, poses, twists):
             twists[i, 0, c] = twist[i, c] + half * accel[i, c]
 
 
-@njit(cache=True)
-def _less(a, b, out):
-    for i in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            out[i, j] = a[i, j] - b[j]
-
-
-@njit(cache=True)
-def _observe(integers, numbers, room, axes, home, qpos, qvel, limit, diverged, *given):
-    """Read ports and driven joints; given: the fields of PortMotion, joints, joint rates (n, J)."""
-    sides = PortMotion(*given[:_PORTS])
-    joints, rate = given[_PORTS:]
-    tree, w = unpack(integers, numbers, room)
-    lost = False
-    for i in range(qpos.shape[0]):
-        if diverged[i]:
-            continue
-        if has_diverged(qpos[i], qvel[i], limit):
-            diverged[i] = True
-            lost = True
-            continue
-        read_ports(tree, w, qpos[i], qvel[i], sides, i)
-        for j in range(home.shape[0]):
-            joints[i, j] = qpos[i, axes[0, j]] - home[j]
-            rate[i, j] = qvel[i, axes[1, j]]
-    return lost
-
-
-@njit(cache=True)
-def read_ports(tree, w, q, v, sides, i):
-    """Write the sides of run ``i`` at the joints ``q`` (nq,) with rates ``v`` (nv,); with one tool
-    P is W.
-    """
-    place(tree, q, w)
-    move(tree, v, w)
-    tool_pose(tree, w, 0, sides.place_A[i])
-    tool_twist(tree, w, 0, sides.motion_A[i])
-    if tree.tools.shape[0] == 1:
-        sides.pose[i] = sides.place_A[i]
-        sides.twist[i] = sides.motion_A[i]
-        return
-    tool_pose(tree, w, 1, sides.place_P[i])
-    tool_twist(tree, w, 1, sides.motion_P[i])
-    relate_one(
-        sides.place_A[i],
-        sides.motion_A[i],
-        sides.place_P[i],
-        sides.motion_P[i],
-        sides.pose[i],
-        sides.twist[i],
-        np.empty((1, 3)),
-    )
-
-
-def ports_at_home(n: int) -> PortMotion:
-    """PortMotion of n runs at home."""
-    poses = [np.tile(UPRIGHT, (n, 1)) for _ in range(3)]
-    twists = [np.zeros((n, 6)) for _ in range(3)]
-    return PortMotion(poses[0], twists[0], poses[1], twists[1], poses[2], twists[2])
-
-
-class _Pushed:
-    """The arrays of the last call of ``push``, and the compiled call bound to them."""
-
-    __slots__ = ("call", "ctrl", "friction", "qpos", "qvel")
-
-    def __init__(self) -> None:
-        self.qpos: Array | None = None
-        self.qvel: Array | None = None
-        self.ctrl: Array | None = None
-        self.friction: DriveFriction | None = None
-        self.call: Any = None
-
-
-class Drives:
-    """References and inputs of the drives of `n` runs, and joint readings; all arrays are updated
-    in place.
+class Drives(Mover):
+    """References and inputs of the drives of `n` runs; all arrays are updated in place.
 
     Attributes, at t_k:
-        pose, twist: (n, 7), (n, 6) of A relative to P, in P. place_A, motion_A, place_P, motion_P:
-            of both in W; all in sides.
-        joints, joint_rates: (n, J) actual, from home. reference: (n, J) commanded, from home.
-        missed: (n,) distance by which the last command was out of the facility's reach [m, rad].
-        load: (n, J) gravity load on the drives at the command [N, N m]; both in targets.
+        load: (n, J) gravity load on the drives at the command [N, N m]; in targets.
         cycles, plan: of the controller, and its references.
+        encoder: (n,) resolution of the encoders.
     """
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        kinematics: Kinematics,
-        tick: float,
-        substeps: int,
-        settings: Sequence[Any],
-        feed: NDArray[np.bool_],
-    ) -> None:
-        """Args: settings: (n,) of each run's platform, with the path of its commands. feed: (n,)
-        feed-forward.
-        """
-        n, joints = len(feed), len(kinematics.axes)
-        self.kinematics, self.tick, self.step = kinematics, tick, tick / substeps
-        self.model = model
+    def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs) -> None:
+        super().__init__(model, kinematics, runs)
+        n, joints = self.joints.shape
+        self.tick, self.step = runs.tick, runs.step
+        commands = [s.command for s in runs.settings]
         self.cycles = Cycles(
-            tick,
-            np.array([s.command.cycle(1.0 / tick) for s in settings], dtype=np.int64),
-            np.array([s.command.delay_cycles for s in settings], dtype=np.int64),
-            np.asarray(feed, dtype=bool),
+            runs.tick,
+            np.array([c.cycle(1.0 / runs.tick) for c in commands], dtype=np.int64),
+            np.array([c.delay_cycles for c in commands], dtype=np.int64),
+            np.asarray(runs.feed, dtype=bool),
         )
-        self._axes, self._home = np.array([kinematics.q, kinematics.v]), kinematics.joints_home
+        self._axes, self._home = self.readings.axes, self.readings.home
         tools, held = len(kinematics.tools), len(kinematics.prescribed)
         self.targets = Targets(
             axes=self._axes,
@@ -273,21 +149,14 @@ class Drives:
             span=np.zeros((n, 2, 2, joints)),
             reference=np.tile(self._home, (n, 1)),
             velocity=np.zeros((n, joints)),
-            steps=np.zeros((n, substeps, 3, joints)),
+            steps=np.zeros((n, runs.substeps, 3, joints)),
         )
         self.poses, self.twists = self.targets.poses, self.targets.twists
         self.held, self.held_rates = self.targets.held, self.targets.held_rates
         self.load, self.missed = self.targets.load, self.targets.missed
         self._start, self._unaccelerated = np.tile(UPRIGHT, (n, 1)), np.zeros((n, 6))
-        self.sides = sides = ports_at_home(n)
-        self.place_A, self.motion_A, self.place_P, self.motion_P, self.pose, self.twist = sides
-        self.joints, self.joint_rates, self.reference = (
-            np.zeros((n, joints)),
-            np.zeros((n, joints)),
-            np.zeros((n, joints)),
-        )
+        self.encoder: Array = np.zeros(n)
         self._friction: DriveFriction | None = None
-        self._last = _Pushed()
         self._inputs = drive_inputs(model, [axis.joint for axis in kinematics.axes])
 
     @property
@@ -295,49 +164,69 @@ class Drives:
         """(n, nq) joint positions of the last solution."""
         return self.targets.qs
 
-    # Methods overridden by a facility that moves both sides or has other drives.
+    # What a subclass gives: the law of its drives, and their own state if they have one.
+
+    # kernel that writes the inputs: the number of the step, qpos, qvel, ctrl
+    _pushed: Call
 
     @cached_property
     def _allocated(self) -> Call:
         """The kernel of :meth:`allocate`: pose, twist, accel, half, and the arrays it writes."""
         return Call(_follow, GIVEN, GIVEN, GIVEN, ..., self.poses, self.twists)
 
-    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        """Write the drives' inputs to ``ctrl`` (n, nu) for step ``sub`` of the tick, from the
-        current joint state.
-        """
-        raise NotImplementedError
-
-    def pushing(self, push: Call, qpos: Array, qvel: Array, ctrl: Array) -> Callable[[int], None]:
-        """``push`` and the friction of the drives, bound to reused state arrays, as one call with
-        the step's number.
-        """
-        last = self._last
-        if (
-            last.qpos is not qpos
-            or last.qvel is not qvel
-            or last.ctrl is not ctrl
-            or last.friction is not self._friction
-        ):
-            last.qpos, last.qvel, last.ctrl, last.friction = qpos, qvel, ctrl, self._friction
-            alone = push.on(qpos, qvel, ctrl)
-            last.call = (
-                together(alone, self._friction.acting(qvel, ctrl)) if self._friction else alone
-            )
-        return last.call
-
     def rest(self, qpos: Array, qvel: Array) -> None:
-        """Initialise the drives' own state for uniform motion; ``qpos`` (n, nq) may deflect under
-        the weight.
-        """
+        """Initialise the drives' own state; ``qpos`` (n, nq) may deflect under the weight."""
+        if self._friction:
+            self._friction.settle(qvel)
 
     def feedback(self) -> Array:
-        """``(n, k)`` view of the drives' own state that depends on the motion of the rig; none: (n,
-        0).
-        """
+        """``(n, k)`` view of the drives' own state that depends on the rig's motion, if any."""
         return np.zeros((len(self.pose), 0))
 
-    # Methods common to all drives.
+    def rub(
+        self,
+        law: Sequence[tuple[float, ...]],
+        presliding: float,
+        moved: Array | float,
+        share: Sequence[float] = (1.0,),
+    ) -> None:
+        """Let friction act on the drives.
+
+        Args:
+            law: (n, 5) of each run's drives (:class:`hiltestbed.platform.friction.DriveFriction`).
+            presliding: stiffness before break-away. moved: smallest mass that a drive moves, (J,)
+                or of all.
+            share: (J,) factor of forces and stiffness of each drive.
+        """
+        laws, part = np.array(law), np.broadcast_to(share, len(self._inputs))
+        if laws[:, [0, 1, 3]].any():
+            scaled = np.where([True, True, False, True, False], part[:, None], 1.0)
+            self._friction = DriveFriction(
+                laws[:, None] * scaled,
+                presliding * part,
+                moved,
+                self._axes[1],
+                self._inputs,
+                self.step,
+            )
+
+    # What is common to all drives.
+
+    @cached_property
+    def _pushing(self) -> Call | Joined:
+        """The drives' inputs and their friction, as one call with the step's number."""
+        friction = self._friction
+        if friction is None:
+            return self._pushed
+        return Joined(lambda q, v, u: [self._pushed.on(q, v, u), friction.acting(v, u)])
+
+    def push(self, sub: int, qpos: Array, qvel: Array, inputs: Array) -> None:
+        self._pushing.on(qpos, qvel, inputs)(sub)
+
+    def release(self) -> None:
+        """Switch off friction and encoder quantisation, so that measurements are linear."""
+        self._friction, self.encoder[:] = None, 0.0
+        self.__dict__.pop("_pushing", None)
 
     def allocate(self, pose: Array, twist: Array, accel: Array, half: float) -> None:
         """Write ``poses`` and ``twists`` of the tools in W (and the prescribed joints) for the
@@ -366,37 +255,29 @@ class Drives:
             )
             self.targets.qs[i] = qpos[i]
         self._solve_alone()
-        self.plan.reference[:], self.plan.velocity[:] = (
-            self.plan.goal,
-            np.where(self.cycles.feed[:, None], self.plan.leave, 0.0),
-        )
-        self.plan.span[:, :, 0], self.plan.span[:, :, 1] = (
-            self.plan.goal[:, None],
-            self.plan.leave[:, None],
-        )
-        for back in range(1, self.plan.ring.shape[1]):  # commands that are still delayed
-            ahead = self.tick * self.cycles.length * (self.cycles.late + 1 - back)
-            self.plan.ring[:, -back % self.plan.ring.shape[1], 0] = (
-                self.plan.goal + self.plan.leave * ahead[:, None]
-            )
-            self.plan.ring[:, -back % self.plan.ring.shape[1], 1] = self.plan.leave
+        plan, cycles = self.plan, self.cycles
+        plan.reference[:] = plan.goal
+        plan.velocity[:] = np.where(cycles.feed[:, None], plan.leave, 0.0)
+        plan.span[:, :, 0], plan.span[:, :, 1] = plan.goal[:, None], plan.leave[:, None]
+        slots = plan.ring.shape[1]
+        for back in range(1, slots):  # commands that are still delayed
+            ahead = self.tick * cycles.length * (cycles.late + 1 - back)
+            plan.ring[:, -back % slots, 0] = plan.goal + plan.leave * ahead[:, None]
+            plan.ring[:, -back % slots, 1] = plan.leave
         self.rest(qpos, qvel)
         self.arrive()
 
     @property
     def lag(self) -> Array:
-        """(n,) lag of each run's controller [s]: its cycle less the tick at whose end a pose is
-        due, plus the delay in whole cycles.
-        """
-        return np.asarray(
-            self.tick * (self.cycles.length * (self.cycles.late + 1) - 1), dtype=float
-        )
+        """(n,) lag of each controller [s]: its cycle less a tick, and its delay in cycles."""
+        cycles = self.cycles
+        return np.asarray(self.tick * (cycles.length * (cycles.late + 1) - 1), dtype=float)
 
     @cached_property
     def _solve(self) -> Callable[[], None]:
         """The plan of a tick, once the tools' poses and twists are written."""
-        flat = packed(self.kinematics.tree)
-        return bound(_aim, *flat, *self.cycles, *self.targets, *self.plan)
+        tree = self.kinematics.tree
+        return bound(_aim, tree, scratch(tree), self.cycles, self.targets, self.plan)
 
     def _solve_alone(self) -> None:
         """Joints and rates at the tools' poses and twists, without a plan."""
@@ -418,71 +299,18 @@ class Drives:
         return Joined(lambda *command: [self._allocated.on(*command), self._solve])
 
     def follow(self, pose: Array, twist: Array) -> None:
-        """Joints and their rates for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact
-        tracking, without drives.
-        """
+        """Joints for A at ``pose`` (n, 7) with ``twist`` (n, 6) under exact tracking."""
         self.allocate(pose, twist, self._unaccelerated, 0.0)
         self._solve_alone()
         np.subtract(self.plan.goal, self._home, out=self.joints)
         self.joint_rates[:], self.reference[:] = self.plan.leave, self.joints
 
     def arrive(self) -> None:
-        """Complete the tick."""
-        self._arrived()
-
-    @cached_property
-    def _arrived(self) -> Callable[[], None]:
-        return bound(_less, self.plan.reference, self._home, self.reference)
-
-    @cached_property
-    def _seen(self) -> Call:
-        return Call(
-            _observe,
-            *packed(self.kinematics.tree.towards_tools()),
-            self._axes,
-            self._home,
-            *(GIVEN,) * 4,
-            *self.sides,
-            self.joints,
-            self.joint_rates,
-        )
-
-    def observe(self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]) -> bool:
-        """Read poses, twists and joints; returns whether a run just exceeded ``limit`` [m/s,
-        rad/s], and marks it in ``diverged`` (n,).
-        """
-        return self.observing(qpos, qvel, limit, diverged)()
-
-    def observing(
-        self, qpos: Array, qvel: Array, limit: float, diverged: NDArray[np.bool_]
-    ) -> Callable[[], bool]:
-        """:meth:`observe` bound to arrays that are reused."""
-        return self._seen.on(qpos, qvel, limit, diverged)
-
-    def release(self) -> None:
-        """Switch off the drives' friction and encoder quantisation, so that measurements are
-        linear.
-        """
-        self._friction = None
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        """The arrays of the state between two ticks; restoring them resumes the drives from
-        there.
-        """
-        solved = {"qs": self.targets.qs, "rates": self.targets.rates, "load": self.targets.load}
-        return self.plan._asdict() | solved | (self._friction.state() if self._friction else {})
-
-    def mass_matrix(self) -> Array:
-        """``(J, J)`` [kg, kg m, kg m^2] mass matrix at the drives, at home: loops closed, by
-        virtual work.
-        """
-        return mass_matrix(self.kinematics, self.model)
+        np.subtract(self.plan.reference, self._home, out=self.reference)
 
 
 def mass_matrix(kinematics: Kinematics, model: mujoco.MjModel) -> Array:
-    """``(J, J)``: forces of the driven joints for a unit acceleration of each, at home, without
-    gravity or velocities.
-    """
+    """``(J, J)``: forces of the driven joints per unit acceleration of each, at home."""
     tree, w, home = kinematics.tree, scratch(kinematics.tree), kinematics.home
     newton(tree, home.copy(), kinematics.home_poses, kinematics.held_home, w, SOLVED, 1)
     every = np.zeros((6 * len(kinematics.tools) + len(kinematics.prescribed), model.nv))

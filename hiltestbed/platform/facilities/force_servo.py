@@ -6,6 +6,13 @@ with M the mass matrix at the drives, at home. Without feed-forward s_r' and s_r
 every coordinate follows its command as w^2/(s^2 + 2 zeta w s + w^2) (computed torque; Luh, Walker,
 Paul, IEEE Trans. Automatic Control 25(3), 1980); with it, as far as M is valid away from home,
 without lag. The static stiffness of the drives is M w^2.
+
+Elastic gears: an axis of the model is then two joints in series about one line: the motor's, with
+the rotor's inertia as armature, and the gear's, a spring and a damper (Spong, ASME J. Dynamic
+Systems, Measurement and Control 109(4), 1987: the rotor's spin counts about its own axis alone).
+The controller measures only the motor, and M is the inertia of the rigid arm at the motors.
+Friction acts on the motor. The gear's deflection is neither measured nor controlled; that under the
+weight at the start is compensated in the references, as by a calibrated controller.
 """
 
 from __future__ import annotations
@@ -13,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,9 +29,29 @@ from numpy.typing import NDArray
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.drives import Drives
+from hiltestbed.platform.facilities.drives import Drives, mass_matrix
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.friction import DriveFriction
+from hiltestbed.platform.facilities.mover import Runs
+
+
+class ServoLoop(NamedTuple):
+    """The position loops of n runs.
+
+    Attributes:
+        mass: (J, J). gains: (n, 2) w^2 and 2 zeta w. encoder: (n,). load, bent, most: (n, J)
+            gravity load, offset of the references, force limits. axes, inputs: addresses of joints
+            and actuators. force: (J,) work space.
+    """
+
+    mass: Array
+    gains: Array
+    encoder: Array
+    load: Array
+    bent: Array
+    most: Array
+    axes: NDArray[np.int64]
+    inputs: NDArray[np.int64]
+    force: Array
 
 
 @njit(cache=True)
@@ -34,24 +61,23 @@ def quantised(value, step):
 
 
 @njit(cache=True)
-def _push(plan, sub, mass, gains, encoder, load, bent, most, axes, inputs, qpos, qvel, force, ctrl):
-    """gains: (n, 2) w^2 and 2 zeta w. bent, most: (n, J) offset of the references, force limits.
-    force: (J,) work space.
-    """
+def _push(loop, plan, sub, qpos, qvel, ctrl):
+    mass, gains, axes, force = loop.mass, loop.gains, loop.axes, loop.force
     joints = mass.shape[0]
     for i in range(qpos.shape[0]):
         for j in range(joints):
-            error = plan[i, sub, 0, j] + bent[i, j] - quantised(qpos[i, axes[0, j]], encoder[i])
+            reached = quantised(qpos[i, axes[0, j]], loop.encoder[i])
+            error = plan[i, sub, 0, j] + loop.bent[i, j] - reached
             force[j] = (
                 gains[i, 0] * error
                 + gains[i, 1] * (plan[i, sub, 1, j] - qvel[i, axes[1, j]])
                 + plan[i, sub, 2, j]
             )
         for j in range(joints):
-            total = load[i, j]
+            total = loop.load[i, j]
             for k in range(joints):
                 total += mass[j, k] * force[k]
-            ctrl[i, inputs[j]] = min(max(total, -most[i, j]), most[i, j])
+            ctrl[i, loop.inputs[j]] = min(max(total, -loop.most[i, j]), loop.most[i, j])
 
 
 class ForceServo(Drives):
@@ -63,63 +89,52 @@ class ForceServo(Drives):
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        kinematics: Kinematics,
-        tick: float,
-        substeps: int,
-        settings: Sequence[Any],
-        feed: NDArray[np.bool_],
-        *,
-        bandwidth: Sequence[float],
-        damping_ratio: Sequence[float],
-        encoder: Sequence[float],
-        friction: DriveFriction | None = None,
+        self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs, section: str
     ) -> None:
-        """Args: bandwidth [Hz], damping_ratio, encoder [m]: (n,). friction: friction of the
-        drives.
-        """
-        super().__init__(model, kinematics, tick, substeps, settings, feed)
-        w = 2.0 * math.pi * np.asarray(bandwidth, dtype=float)
-        self._gains = np.column_stack([w * w, 2.0 * np.asarray(damping_ratio, dtype=float) * w])
-        self._encoder, self._mass = (
-            np.asarray(encoder, dtype=float),
-            np.ascontiguousarray(self.mass_matrix()),
+        """``section``: of the settings, with the parameters of the position loop."""
+        super().__init__(model, kinematics, runs)
+        w = 2.0 * math.pi * runs.numbers(f"{section}.bandwidth")
+        self.encoder = runs.numbers(f"{section}.encoder_resolution")
+        self.bent = np.zeros_like(self.load)
+        self._loop = ServoLoop(
+            mass=np.ascontiguousarray(mass_matrix(kinematics, model)),
+            gains=np.column_stack([w * w, 2.0 * runs.numbers(f"{section}.damping_ratio") * w]),
+            encoder=self.encoder,
+            load=self.load,
+            bent=self.bent,
+            most=np.tile([axis.force for axis in kinematics.axes], (len(w), 1)),
+            axes=self._axes,
+            inputs=self._inputs,
+            force=np.zeros(len(kinematics.axes)),
         )
-        self._most = np.tile([axis.force for axis in kinematics.axes], (len(feed), 1))
-        self._force, self._friction = np.zeros(len(kinematics.axes)), friction
-        self.bent = np.zeros((len(feed), len(kinematics.axes)))
-
-    def rest(self, qpos: Array, qvel: Array) -> None:
-        if self._friction:
-            self._friction.settle(qvel)
-
-    def release(self) -> None:
-        super().release()
-        self._encoder[:] = 0.0
 
     @cached_property
     def _pushed(self) -> Call:
-        return Call(
-            _push,
-            self.plan.steps,
-            ...,
-            self._mass,
-            self._gains,
-            self._encoder,
-            self.load,
-            self.bent,
-            self._most,
-            self._axes,
-            self._inputs,
-            GIVEN,
-            GIVEN,
-            self._force,
-            GIVEN,
-        )
+        return Call(_push, self._loop, self.plan.steps, ..., GIVEN, GIVEN, GIVEN)
 
-    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        self.pushing(self._pushed, qpos, qvel, ctrl)(sub)
 
-    def state(self) -> dict[str, NDArray[Any]]:
-        return super().state() | {"bent": self.bent}
+class ElasticJoints(ForceServo):
+    """Motors of `n` runs of an arm with elastic gears; joints are those of the motors."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        kinematics: Kinematics,
+        runs: Runs,
+        section: str,
+        gears: Sequence[str | None],
+    ) -> None:
+        """``gears``: (J,) names of the gears' joints, None for an axis without."""
+        super().__init__(model, kinematics, runs, section)
+        elastic = [(j, model.joint(name)) for j, name in enumerate(gears) if name is not None]
+        self._elastic = np.array([j for j, _ in elastic])
+        self._gears = np.array([int(joint.qposadr[0]) for _, joint in elastic])
+        self._stiffness = np.array([float(np.ravel(joint.stiffness)[0]) for _, joint in elastic])
+
+    def rest(self, qpos: Array, qvel: Array) -> None:
+        """The gears deflect under the weight; the motors compensate for it."""
+        super().rest(qpos, qvel)
+        deflection = -self.load[:, self._elastic] / self._stiffness
+        self.bent[:, self._elastic] = -deflection
+        qpos[:, self._gears] += deflection
+        qpos[:, self._axes[0]] += self.bent

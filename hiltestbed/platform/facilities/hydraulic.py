@@ -27,9 +27,8 @@ the valve is much faster than the oil, a leg is then the third-order system
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -38,31 +37,48 @@ from numpy.typing import NDArray
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.drives import Drives
+from hiltestbed.platform.facilities.drives import Drives, mass_matrix
 from hiltestbed.platform.facilities.force_servo import quantised
 from hiltestbed.platform.facilities.kinematics import Kinematics
-from hiltestbed.platform.friction import DriveFriction
+from hiltestbed.platform.facilities.mover import Runs
 
-AREA, SUPPLY, FLOW, MODULUS, DEAD, STROKE, LEAKAGE, FEEDBACK, CORNER, GAIN, ENCODER, NUMBERS = (
-    range(12)
-)
+# parameters of a leg; CORNER: the low-pass coefficient per step
+AREA, SUPPLY, FLOW, MODULUS, DEAD, STROKE, LEAKAGE, FEEDBACK, CORNER, GAIN, ENCODER = range(11)
 SPOOL, SPOOL_RATE, PRESSURE, SLOW, TRIM, STATES = range(6)
 
 
-@njit(cache=True)
-def _push(plan, sub, dt, fed, mass, numbers, valve, axes, inputs, home, qpos, qvel, state, ctrl):
-    """numbers: (n, NUMBERS). valve: (n, 2, 2) state transition of the valve over a step. state: (n,
-    J, STATES).
+class Legs(NamedTuple):
+    """The legs of n runs.
+
+    Attributes:
+        dt: [s]. feed: (n,). mass: (J, J). numbers: (n, 11). valve: (n, 2, 2) state transition of
+            the valve over a step. axes, inputs: addresses of joints and actuators; home: (J,).
+            state: (n, J, STATES).
     """
+
+    dt: float
+    feed: NDArray[np.bool_]
+    mass: Array
+    numbers: Array
+    valve: Array
+    axes: NDArray[np.int64]
+    inputs: NDArray[np.int64]
+    home: Array
+    state: Array
+
+
+@njit(cache=True)
+def _push(legs, plan, sub, qpos, qvel, ctrl):
+    dt, mass, axes, home, valve = legs.dt, legs.mass, legs.axes, legs.home, legs.valve
     joints = mass.shape[0]
     for i in range(qpos.shape[0]):
-        p = numbers[i]
+        p = legs.numbers[i]
         area = p[AREA]
         for j in range(joints):
-            x, s, v = state[i, j], qpos[i, axes[0, j]] - home[j], qvel[i, axes[1, j]]
+            x, s, v = legs.state[i, j], qpos[i, axes[0, j]] - home[j], qvel[i, axes[1, j]]
             speed = p[GAIN] * (plan[i, sub, 0, j] - home[j] - quantised(s, p[ENCODER]))
             speed -= p[FEEDBACK] * (x[PRESSURE] - x[SLOW]) / area
-            if fed[i]:
+            if legs.feed[i]:
                 force = 0.0
                 for k in range(joints):
                     force += mass[j, k] * plan[i, sub, 2, k]
@@ -83,7 +99,7 @@ def _push(plan, sub, dt, fed, mass, numbers, valve, axes, inputs, home, qpos, qv
                 1.0 + dt * stiffness * p[LEAKAGE]
             )
             x[SLOW] += (x[PRESSURE] - x[SLOW]) * p[CORNER]
-            ctrl[i, inputs[j]] = area * x[PRESSURE]
+            ctrl[i, legs.inputs[j]] = area * x[PRESSURE]
 
 
 @njit(cache=True)
@@ -129,67 +145,52 @@ class Hydraulic(Drives):
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        kinematics: Kinematics,
-        tick: float,
-        substeps: int,
-        settings: Sequence[Any],
-        feed: NDArray[np.bool_],
-        *,
-        numbers: Array,
-        valves: Sequence[tuple[float, float]],
-        friction: DriveFriction | None = None,
+        self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs, stroke: float
     ) -> None:
-        """Args: numbers: (n, NUMBERS), in the order of the constants of this module, CORNER as the
-        low-pass coefficient per step.
-        valves: (n,) bandwidth [Hz] and damping ratio.
-        """
-        super().__init__(model, kinematics, tick, substeps, settings, feed)
-        self._numbers, self._mass = (
-            np.ascontiguousarray(numbers),
-            np.ascontiguousarray(self.mass_matrix()),
-        )
-        self._valve = np.array([held_over(*valve, self.step) for valve in valves])
-        self.cylinders, self._friction = (
-            np.zeros((len(feed), len(kinematics.axes), STATES)),
-            friction,
+        """``stroke`` [m]; the settings have a section ``drive``."""
+        super().__init__(model, kinematics, runs)
+        drives = [s.drive for s in runs.settings]
+        numbers = np.array([_numbers(d, stroke, self.step) for d in drives])
+        self.encoder = numbers[:, ENCODER]
+        self.cylinders = np.zeros((*self.load.shape, STATES))
+        valves = [held_over(d.valve.bandwidth, d.valve.damping_ratio, self.step) for d in drives]
+        self._legs = Legs(
+            dt=self.step,
+            feed=self.cycles.feed,
+            mass=np.ascontiguousarray(mass_matrix(kinematics, model)),
+            numbers=numbers,
+            valve=np.array(valves),
+            axes=self._axes,
+            inputs=self._inputs,
+            home=self._home,
+            state=self.cylinders,
         )
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        _rest(self._numbers, self.load, self._axes, qvel, self.cylinders)
-        if self._friction:
-            self._friction.settle(qvel)
-
-    def release(self) -> None:
-        super().release()
-        self._numbers[:, ENCODER] = 0.0
+        _rest(self._legs.numbers, self.load, self._axes, qvel, self.cylinders)
+        super().rest(qpos, qvel)
 
     @cached_property
     def _pushed(self) -> Call:
-        return Call(
-            _push,
-            self.plan.steps,
-            ...,
-            self.step,
-            self.cycles.feed,
-            self._mass,
-            self._numbers,
-            self._valve,
-            self._axes,
-            self._inputs,
-            self._home,
-            GIVEN,
-            GIVEN,
-            self.cylinders,
-            GIVEN,
-        )
-
-    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        self.pushing(self._pushed, qpos, qvel, ctrl)(sub)
+        return Call(_push, self._legs, self.plan.steps, ..., GIVEN, GIVEN, GIVEN)
 
     def feedback(self) -> Array:
         return self.cylinders.reshape(len(self.cylinders), -1)
 
-    def state(self) -> dict[str, NDArray]:
-        return super().state() | {"cylinders": self.cylinders}
+
+def _numbers(drive: Any, stroke: float, step: float) -> list[float]:
+    """Parameters of a leg, in the order of the constants."""
+    corner = 1.0 - math.exp(-2.0 * math.pi * drive.feedback_corner * step)
+    return [
+        drive.area,
+        drive.supply,
+        drive.valve.flow,
+        drive.bulk_modulus,
+        drive.dead_volume,
+        stroke,
+        drive.leakage,
+        drive.pressure_feedback,
+        corner,
+        drive.gain,
+        drive.encoder_resolution,
+    ]

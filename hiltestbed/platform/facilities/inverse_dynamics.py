@@ -45,9 +45,7 @@ def joint_forces(tree, v, a, gravity, w, out):
 
 @njit(cache=True)
 def _accelerate(tree, w, b, v, a, gravity):
-    """Motion of body ``b`` from that of its parent: at its origin's current position, adding the
-    velocity field of one joint at a time.
-    """
+    """Motion of body ``b``: its parent's, and the velocity field of one joint after the other."""
     turn, bend, r, arm = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]
     motion, parent, pose = w.motion[b], w.motion[p], w.poses[b]
@@ -96,9 +94,7 @@ def _accelerate(tree, w, b, v, a, gravity):
 
 @njit(cache=True)
 def _inertial_load(tree, gravity, w, b):
-    """``w.loads``: force for a body's acceleration, less the weight supported by a counterweight,
-    and its moment about W's origin.
-    """
+    """``w.loads``: force for a body's acceleration, less its counterweight, and its moment."""
     r, arm, spin, twirl, load = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     mass, motion, pose, out = tree.masses[b], w.motion[b], w.poses[b], w.loads[b]
     rotate(pose[3:7], mass[1:4], r)
@@ -129,9 +125,7 @@ def _inertial_load(tree, gravity, w, b):
 
 @njit(cache=True)
 def _gather(tree, w, out):
-    """``out`` (nv,): joint forces that support the bodies' loads, which are summed towards the
-    root.
-    """
+    """``out`` (nv,): joint forces that support the bodies' loads, summed towards the root."""
     load = np.empty(3)
     out[:] = 0.0
     for b in range(tree.bodies.shape[0] - 1, 0, -1):

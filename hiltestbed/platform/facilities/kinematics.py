@@ -9,13 +9,12 @@ the solution stays on the branch (elbow, wrist, legs) of home.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, pose_step, twist_between
 from hiltestbed.platform.facilities.motion import move, place, scratch, tool_pose, tool_twist
 from hiltestbed.platform.facilities.newton import CLOSE, ITERATIONS, equations, newton, rates
@@ -77,14 +76,8 @@ class Kinematics:
         """Args: locked: joints that do not move (a gear's deflection), besides those of the
         mechanisms. prescribed: driven joints whose values are given (a rail).
         """
-        locked = [
-            *locked,
-            *(
-                name
-                for j in range(model.njnt)
-                if (name := model.joint(j).name).startswith(MECHANISMS)
-            ),
-        ]
+        every = [model.joint(j).name for j in range(model.njnt)]
+        locked = [*locked, *(name for name in every if name.startswith(MECHANISMS))]
         self.axes, self.tools, self.prescribed = tuple(axes), tuple(tools), tuple(prescribed)
         self.tree = build_tree(model, tools, prescribed, locked)
         names = [axis.joint for axis in axes]
@@ -98,8 +91,8 @@ class Kinematics:
         self._held = np.array(
             [int(model.joint(name).qposadr[0]) for name in prescribed], dtype=np.int64
         )
-        self._passive = _ranges(model, {*names, *locked})
-        self._names = [model.joint(j).name or f"joint {j}" for j in range(model.njnt)]
+        self._travel = list(_travels(model, axes, locked))
+        self._names = [name or f"joint {j}" for j, name in enumerate(every)]
         self.home_poses = self.poses(self.home)
 
     @property
@@ -108,9 +101,7 @@ class Kinematics:
         return self.home[self._held]
 
     def poses(self, q: Array) -> Array:
-        """``(nt, 7)`` poses of the tools in W at the joint positions ``q`` (nq,): the forward
-        kinematics of the tree.
-        """
+        """``(nt, 7)`` poses of the tools in W at the joint positions ``q`` (nq,)."""
         out = np.empty((len(self.tools), 7))
         place(self.tree, np.ascontiguousarray(q, dtype=float), self._work)
         for t in range(len(out)):
@@ -118,9 +109,7 @@ class Kinematics:
         return out
 
     def twists(self, q: Array, v: Array) -> Array:
-        """``(nt, 6)`` twists of the tools in W at joint positions ``q`` (nq,) and rates ``v``
-        (nv,).
-        """
+        """``(nt, 6)`` twists of the tools in W at positions ``q`` (nq,) and rates ``v`` (nv,)."""
         out = np.empty((len(self.tools), 6))
         place(self.tree, np.ascontiguousarray(q, dtype=float), self._work)
         move(self.tree, np.ascontiguousarray(v, dtype=float), self._work)
@@ -157,85 +146,25 @@ class Kinematics:
             if s == steps:
                 at[:] = goal
             before = q.copy()
-            worst = newton(
-                self.tree,
-                q,
-                at,
-                begin_values + (values - begin_values) * (s / steps),
-                self._work,
-                CLOSE,
-                ITERATIONS,
-            )
+            held_now = begin_values + (values - begin_values) * (s / steps)
+            worst = newton(self.tree, q, at, held_now, self._work, CLOSE, ITERATIONS)
             if not worst < 1e3 * CLOSE:
                 return before, worst
         return q, worst
 
     def nearest(self, poses: Array) -> tuple[Array, float]:
-        """Joint positions ``(nq,)`` that bring the tools closest to ``poses`` (nt, 7), directly
-        from home, and the residual [m, rad].
-        """
-        q = self.home.copy()
-        return q, newton(
-            self.tree,
-            q,
-            np.ascontiguousarray(poses, dtype=float),
-            self.held_home,
-            self._work,
-            CLOSE,
-            ITERATIONS,
-        )
-
-    def inverse(self, poses: Array) -> Array:
-        """Driven joints ``(n, J)`` for tools at ``poses`` (n, nt, 7), or (n, 7) for one tool, in W.
-        Raises InputError if out of reach.
-        """
-        poses = np.atleast_2d(np.asarray(poses, dtype=float))
-        poses = poses[:, None] if poses.ndim == 2 else poses
-        out = np.empty((len(poses), len(self.axes)))
-        for i, pose in enumerate(poses):
-            q, left = self.solve(pose)
-            if not left < 1e3 * CLOSE:
-                raise InputError(self._unreached(pose, q))
-            out[i] = q[self.q]
-        return out
-
-    def forward(self, joints: Array, start: Array | None = None) -> Array:
-        """``(n, nt, 7)`` poses of the tools in W for driven joints ``(n, J)``, with loops closed,
-        starting from ``start`` (home).
-        """
-        joints = np.atleast_2d(np.asarray(joints, dtype=float))
-        out = np.empty((len(joints), len(self.tools), 7))
-        for i, goal in enumerate(joints):
-            q = (self.home if start is None else start).copy()
-            begin, nothing = q[self.q], np.empty((0, 7))
-            steps = _strides(float(np.abs(goal - begin).max()))
-            for s in range(1, steps + 1):
-                newton(
-                    self._forward,
-                    q,
-                    nothing,
-                    begin + (goal - begin) * (s / steps),
-                    self._forward_work,
-                    CLOSE,
-                    ITERATIONS,
-                )
-            out[i] = self.poses(q)
-        return out
+        """Joints ``(nq,)`` closest to ``poses`` (nt, 7), from home, and the residual [m, rad]."""
+        q, goal = self.home.copy(), np.ascontiguousarray(poses, dtype=float)
+        return q, newton(self.tree, q, goal, self.held_home, self._work, CLOSE, ITERATIONS)
 
     def closed(self, q: Array) -> Array:
-        """Joint positions ``(nq,)`` near ``q`` (nq,) with loops closed and the driven joints of
-        ``q``.
-        """
-        out = q.copy()
-        newton(
-            self._forward, out, np.empty((0, 7)), q[self.q], self._forward_work, CLOSE, ITERATIONS
-        )
+        """Joints ``(nq,)`` near ``q`` with loops closed and the driven joints of ``q``."""
+        out, work = q.copy(), self._forward_work
+        newton(self._forward, out, np.empty((0, 7)), q[self.q], work, CLOSE, ITERATIONS)
         return out
 
     def rates(self, q: Array, twists: Array, held: Array | None = None) -> Array:
-        """All joint rates ``(nv,)`` for twists ``(nt, 6)`` of the tools in W, at joints ``q`` (nq,)
-        that solve the equations.
-        """
+        """Joint rates ``(nv,)`` for twists ``(nt, 6)`` of the tools in W, at solved ``q`` (nq,)."""
         out = np.empty(len(self.tree.armature))
         newton(self.tree, q.copy(), self.poses(q), q[self._held], self._work, CLOSE, 1)
         rates(
@@ -255,23 +184,6 @@ class Kinematics:
         """
         q, _ = self.solve(poses, held)
         return q, self.rates(q, twists, held_rates)
-
-    def accelerations(self, q: Array, twists: Array, accels: Array, h: float = 1e-5) -> Array:
-        """All joint accelerations ``(nv,)`` for twists and accelerations ``(nt, 6)`` in W: the
-        central difference of the rates.
-
-        h: [s] between the two states, along the tools' own motion.
-        """
-        poses, twists, accels = self.poses(q), np.atleast_2d(twists), np.atleast_2d(accels)
-        found = []
-        for side in (-1.0, 1.0):
-            at = np.empty_like(poses)
-            for t in range(len(poses)):
-                pose_step(poses[t], twists[t] + 0.5 * side * h * accels[t], side * h, at[t])
-            found.append(
-                self.rates(self.solve(at, q[self._held], q)[0], twists + side * h * accels)
-            )
-        return (found[1] - found[0]) / (2.0 * h)
 
     def jacobian(self, q: Array) -> tuple[Array, Array]:
         """Twist of the tools in W per unit rate of the driven joints, ``(6 nt, J)``, and free
@@ -295,17 +207,13 @@ class Kinematics:
         ), free
 
     def allowed(self, q: Array) -> Array:
-        """``(nv, f)`` orthonormal basis of the rates of all joints, locked ones included, that keep
-        the loops closed at ``q`` (nq,).
-        """
+        """``(nv, f)`` orthonormal basis of all rates that keep the loops closed at ``q`` (nq,)."""
         equations(self.tree, q.copy(), self.poses(q), q[self._held], self._work)
         count = len(self._work.rows) - 6 * len(self.tools) - len(self._held)
         return _null_space(self._work.rows[:count])
 
     def lost_motion(self, q: Array) -> str | None:
-        """The motion of the first tool that the drives cannot produce, or cannot resist, at the
-        joints ``q``; None if there is none.
-        """
+        """The motion of the first tool that the drives cannot produce, or cannot resist."""
         twists, free = self.jacobian(q)
         if free.shape[1]:
             joint = self._names[int(self._joint_of(int(np.argmax(np.abs(free[:, 0])))))]
@@ -330,9 +238,7 @@ class Kinematics:
         return int(np.flatnonzero(starts <= dof)[np.argmax(starts[starts <= dof])])
 
     def complaints(self, poses: Array, held: Array | None = None) -> list[str]:
-        """Why tools cannot be at ``poses`` (nt, 7) in W: out of reach, beyond a joint's travel,
-        singular. Empty: they can.
-        """
+        """Why tools cannot be at ``poses`` (nt, 7): reach, travel, singularity. Empty: they can."""
         poses = np.atleast_2d(poses)
         q, left = self.solve(poses, held)
         if not left < 1e3 * CLOSE:
@@ -342,18 +248,9 @@ class Kinematics:
         return [*found, f"singular: {lost} at {pose_in_words(self.poses(q)[0])}"] if lost else found
 
     def past_travel(self, q: Array) -> list[str]:
-        """The joints, driven or not, that are beyond their travel at the joint positions ``q``
-        (nq,), as messages.
-        """
+        """The joints beyond their travel at the positions ``q`` (nq,), as messages."""
         found = []
-        for axis, value in zip(self.axes, q[self.q], strict=True):
-            if not axis.low <= value <= axis.high:
-                shown, low, high, unit = _shown(axis, value)
-                found.append(
-                    f"joint {axis.joint} would be at {shown:.4g} {unit}; its travel is {low:.4g} "
-                    f"to {high:.4g} {unit}"
-                )
-        for name, address, low, high, turns in self._passive:
+        for name, address, low, high, turns in self._travel:
             if not low <= q[address] <= high:
                 scale, unit = (math.degrees(1.0), "deg") if turns else (1.0, "m")
                 found.append(
@@ -376,24 +273,18 @@ def _strides(way: float) -> int:
     return max(1, math.ceil(min(way / STRIDE, MOST_STRIDES)))
 
 
-def _ranges(model: mujoco.MjModel, others: set[str]) -> list[tuple[str, int, float, float, bool]]:
-    """Name, address, travel, and whether it rotates, of every joint with limited travel that is not
-    among the ``others``.
-    """
-    out = []
+def _travels(
+    model: mujoco.MjModel, axes: Sequence[Axis], locked: Sequence[str]
+) -> Iterator[tuple[str, int, float, float, bool]]:
+    """Name, address, travel, whether it rotates: driven joints, then others with a range."""
+    for axis in axes:
+        address = int(model.joint(axis.joint).qposadr[0])
+        yield axis.joint, address, axis.low, axis.high, axis.unit == "rad"
+    others = {*(axis.joint for axis in axes), *locked}
     for j in range(model.njnt):
-        joint, (low, high) = model.joint(j), model.jnt_range[j]
-        if joint.name not in others and low < high and int(model.jnt_type[j]) in (SLIDE, HINGE):
-            out.append(
-                (
-                    joint.name,
-                    int(joint.qposadr[0]),
-                    float(low),
-                    float(high),
-                    int(model.jnt_type[j]) == HINGE,
-                )
-            )
-    return out
+        joint, (low, high), kind = model.joint(j), model.jnt_range[j], int(model.jnt_type[j])
+        if joint.name not in others and low < high and kind in (SLIDE, HINGE):
+            yield joint.name, int(joint.qposadr[0]), float(low), float(high), kind == HINGE
 
 
 def _null_space(rows: Array) -> Array:
@@ -403,12 +294,6 @@ def _null_space(rows: Array) -> Array:
     _, values, right = np.linalg.svd(rows)
     rank = int(np.count_nonzero(values > 1e-8 * max(values[0], 1e-300)))
     return right[rank:].T
-
-
-def _shown(axis: Axis, value: float) -> tuple[float, float, float, str]:
-    if axis.unit == "rad":
-        return math.degrees(value), math.degrees(axis.low), math.degrees(axis.high), "deg"
-    return value, axis.low, axis.high, axis.unit
 
 
 def pose_in_words(pose: Array) -> str:
@@ -423,9 +308,7 @@ def pose_in_words(pose: Array) -> str:
 
 
 def direction(twist: Array) -> str:
-    """A direction of motion (6,), rotations scaled to lengths, in words: the axes that contribute
-    95 % of its square.
-    """
+    """A direction (6,) in words: the axes that contribute 95 % of its square."""
     share = np.asarray(twist, dtype=float) ** 2
     order = np.argsort(-share)
     count = int(np.searchsorted(np.cumsum(share[order]), 0.95 * share.sum())) + 1

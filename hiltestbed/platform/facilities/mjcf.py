@@ -9,34 +9,42 @@ other kinds, which are ignored.
 Home is the keyframe, or the model's reference configuration. The rig is placed in W so that the
 mount's home is that of every facility or, with a site `passive`, so that this site is P; gravity is
 rotated with it. Everything else is measured on the model: reach, response, modes.
+
+The drives are MuJoCo's position actuators, commanded by positions: the force of one is kp (ctrl -
+s) - kv s'. With feed-forward its only input also includes the planned velocity, ctrl = s_r +
+(kv/kp) s_r', so that the damping does not cause a lag; acceleration and weight are not fed forward,
+as in a plain position servo. The deflection of the servos under the weight at the start is
+compensated in the references.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterator, Sequence
-from typing import Any
+from collections.abc import Hashable, Iterator
+from functools import cached_property
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compiled.bound import GIVEN, Call
+from hiltestbed.compiled.jit import njit
 from hiltestbed.config.models import model_of
 from hiltestbed.config.part import named
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, rotate
-from hiltestbed.platform.facilities.drives import Drives
+from hiltestbed.platform.facilities.drives import Drives, drive_inputs, mass_matrix
 from hiltestbed.platform.facilities.facility import (
     MOUNT,
     MOUNT_HOME,
     UPRIGHT,
     Facility,
-    Response,
     add_carrier,
     compiled,
 )
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.facilities.position_actuators import PositionActuators
+from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.facilities.tree import compose, inverse_pose, site_pose
 from hiltestbed.platform.shipped.mjcf import MjcfSettings
 
@@ -55,9 +63,7 @@ class MjcfFacility(Facility):
     settings: MjcfSettings
 
     def __init__(self, settings: MjcfSettings) -> None:
-        """Raises InputError for a file that cannot be read, has no `mount`, or whose drives do not
-        move it in six axes.
-        """
+        """Raises InputError for an unreadable file, one without `mount`, or too few drives."""
         super().__init__(settings)
         own = model_of(self.settings.file()).spec().compile()
         if not any(own.site(s).name == MOUNT for s in range(own.nsite)):
@@ -111,9 +117,7 @@ class MjcfFacility(Facility):
             )
 
     def _placed(self, own: mujoco.MjModel) -> tuple[dict[str, Array], Array]:
-        """Home positions by joint, in the file's own world, and the pose (7,) of that world in
-        W.
-        """
+        """Home positions by joint, in the file's world, and the pose (7,) of that world in W."""
         data = mujoco.MjData(own)
         keys = [k for k in range(own.nkey) if own.key(k).name == HOME]
         if keys:
@@ -131,9 +135,7 @@ class MjcfFacility(Facility):
         return home, into
 
     def _check_motions(self) -> None:
-        """Check that the drives move the mount in six axes, at home or near it. Raises
-        InputError.
-        """
+        """Raise InputError unless the drives move the mount in six axes, at home or near it."""
         model = compiled(self.spec())
         kinematics = self.kinematics(model)
         if kinematics.lost_motion(kinematics.home) is None:
@@ -186,35 +188,15 @@ class MjcfFacility(Facility):
                 home[start : start + len(value)] = _carried(self._into, value)
         return Kinematics(model, [tool], self._axes, home=home)
 
-    def drives(
-        self,
-        model: mujoco.MjModel,
-        settings: Sequence[Any],
-        tick: float,
-        substeps: int,
-        feed: NDArray[np.bool_],
-        tool: str = MOUNT,
-    ) -> Drives:
-        return PositionActuators(
-            model, self.kinematics(model, tool), tick, substeps, settings, feed
-        )
+    def drives(self, model: mujoco.MjModel, runs: Runs, tool: str = MOUNT) -> Drives:
+        return PositionActuators(model, self.kinematics(model, tool), runs)
 
-    def response(self, rate: float, feed: bool) -> Response:
-        """From kp, kv and effective mass of each joint alone, at home; the slowest joint stands for
-        all axes. Measure the rig for more.
-        """
+    def bandwidth(self) -> float:
+        """That of the slowest servo, from its kp and its effective mass alone, at home."""
         model = compiled(self.spec())
-        drives = PositionActuators(
-            model, self.kinematics(model), 1.0 / rate, 1, [self.settings], np.array([feed])
-        )
-        w, zeta = drives.nominal()
-        slowest = int(np.argmin(w))
-        return Response(
-            (float(w[slowest]) / (2.0 * math.pi),) * 6,
-            (float(zeta[slowest]),) * 6,
-            self.settings.command.lag(rate),
-            followed=feed,
-        )
+        stiffness = _stiffness(model, drive_inputs(model, [axis.joint for axis in self._axes]))
+        moved = np.diag(mass_matrix(self.kinematics(model), model))
+        return float(np.sqrt(stiffness / moved).min()) / (2.0 * math.pi)
 
     def alike(self) -> Hashable:
         return (self.kind, self.settings.model)
@@ -232,10 +214,52 @@ def _is_position_servo(m: mujoco.MjModel, a: int) -> bool:
 
 
 def _carried(into: Array, value: Array) -> Array:
-    """A joint's position in W: the pose of a free joint moves with the file's world, others do not
-    change.
-    """
+    """A joint's position in W: the pose of a free joint moves with the file's world."""
     if len(value) != 7:
         return value
     pose = compose(into, np.concatenate([value[:3], value[[4, 5, 6, 3]]]))
     return np.concatenate([pose[:3], pose[[6, 3, 4, 5]]])
+
+
+def _stiffness(m: mujoco.MjModel, inputs: NDArray[np.int64]) -> Array:
+    """``(J,)`` of position actuators, at their joints."""
+    return np.asarray(m.actuator_gainprm[inputs, 0] * m.actuator_gear[inputs, 0] ** 2)
+
+
+class Servos(NamedTuple):
+    """Position actuators: ratio of the gear, kv/kp, compensated deflection (n, J), numbers."""
+
+    ratio: Array
+    lead: Array
+    bent: Array
+    inputs: NDArray[np.int64]
+
+
+@njit(cache=True)
+def _push(servos, plan, sub, qpos, qvel, ctrl):
+    for i in range(plan.shape[0]):
+        for j in range(servos.inputs.shape[0]):
+            ctrl[i, servos.inputs[j]] = servos.ratio[j] * (
+                plan[i, sub, 0, j] + servos.lead[j] * plan[i, sub, 1, j] + servos.bent[i, j]
+            )
+
+
+class PositionActuators(Drives):
+    """Position servos of `n` runs of a user's rig."""
+
+    def __init__(self, model: mujoco.MjModel, kinematics: Kinematics, runs: Runs) -> None:
+        super().__init__(model, kinematics, runs)
+        inputs = self._inputs
+        self._servos = Servos(
+            model.actuator_gear[inputs, 0].copy(),
+            -model.actuator_biasprm[inputs, 2] / model.actuator_gainprm[inputs, 0],
+            np.zeros_like(self.load),
+            inputs,
+        )
+
+    def rest(self, qpos: Array, qvel: Array) -> None:
+        self._servos.bent[:] = self.load / _stiffness(self.model, self._inputs)
+
+    @cached_property
+    def _pushed(self) -> Call:
+        return Call(_push, self._servos, self.plan.steps, ..., GIVEN, GIVEN, GIVEN)

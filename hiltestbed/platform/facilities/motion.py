@@ -11,7 +11,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_mul, quat_normalise, rotate
-from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, Integers, JointTree
+from hiltestbed.platform.facilities.tree import FRAME, FREE, HINGE, SLIDE, JointTree
 
 SPARE = 27
 
@@ -43,149 +43,25 @@ class Scratch(NamedTuple):
     spare: Array
 
 
-def row_count(tree: JointTree) -> int:
-    """Number of equations: loops, coupled joints, tools, prescribed joints."""
-    loops = sum(6 if kind == FRAME else 3 for kind in tree.loops[:, 0])
-    return loops + len(tree.coupled) + 6 * len(tree.tools) + len(tree.prescribed)
-
-
 def scratch(tree: JointTree) -> Scratch:
-    """Work space for one tree."""
-    nb, nj, nv, u, r = (
-        len(tree.bodies),
-        len(tree.joints),
-        len(tree.armature),
-        len(tree.unknown),
-        row_count(tree),
-    )
-    poses = np.zeros((nb, 7))
-    poses[:, 6] = 1.0
+    """Work space for one tree. Rows: loops, coupled joints, tools, prescribed joints."""
+    nb, nv, u = len(tree.bodies), len(tree.armature), len(tree.unknown)
+    loops = sum(6 if kind == FRAME else 3 for kind in tree.loops[:, 0])
+    r = loops + len(tree.coupled) + 6 * len(tree.tools) + len(tree.prescribed)
     return Scratch(
-        poses,
-        np.zeros((nj, 6)),
-        np.zeros((nb, 12)),
-        np.zeros((nb, 6)),
-        np.zeros((r, nv)),
-        np.zeros((u, u)),
-        np.zeros(u),
-        np.zeros(u),
-        np.zeros(u),
-        np.zeros(r),
-        np.zeros(r),
-        np.zeros(nv),
-        np.zeros(SPARE),
-    )
-
-
-def packed(tree: JointTree) -> tuple[Integers, Array, Array]:
-    """A tree and its work space as three flat arrays: integers, numbers, room. Passing many arrays
-    costs more than a tick's computation.
-    """
-    nb, nj, nv, nl = len(tree.bodies), len(tree.joints), len(tree.armature), len(tree.loops)
-    sizes = [
-        nb,
-        nj,
-        nv,
-        nl,
-        len(tree.coupled),
-        len(tree.tools),
-        len(tree.prescribed),
-        len(tree.unknown),
-        row_count(tree),
-    ]
-    integers = [
-        tree.bodies,
-        tree.joints,
-        tree.loops,
-        tree.coupled,
-        tree.tools,
-        tree.prescribed,
-        tree.unknown,
-    ]
-    numbers = [
-        tree.frames,
-        tree.masses,
-        tree.axes,
-        tree.armature,
-        tree.loop_frames,
-        tree.polynomial,
-        tree.tool_frames,
-    ]
-    room = np.concatenate([part.ravel() for part in scratch(tree)])
-    flat = np.concatenate([np.array(sizes, dtype=np.int64), *(part.ravel() for part in integers)])
-    return flat, np.concatenate([part.ravel() for part in numbers]), room
-
-
-@njit(cache=True)
-def _next(flat, at, rows, columns):
-    return flat[at : at + rows * columns].reshape((rows, columns))
-
-
-@njit(cache=True)
-def unpack(integers, numbers, room):
-    """Tree and scratch as views of the flat arrays of :func:`packed`."""
-    nb, nj, nv, nl, ne = integers[0], integers[1], integers[2], integers[3], integers[4]
-    nt, np_, u, r = integers[5], integers[6], integers[7], integers[8]
-    i = 9
-    bodies = _next(integers, i, nb, 3)
-    joints = _next(integers, i + 3 * nb, nj, 4)
-    i += 3 * nb + 4 * nj
-    loops = _next(integers, i, nl, 3)
-    coupled = _next(integers, i + 3 * nl, ne, 2)
-    i += 3 * nl + 2 * ne
-    tools, prescribed, unknown = (
-        integers[i : i + nt],
-        integers[i + nt : i + nt + np_],
-        integers[i + nt + np_ : i + nt + np_ + u],
-    )
-    frames = _next(numbers, 0, nb, 7)
-    masses = _next(numbers, 7 * nb, nb, 14)
-    f = 21 * nb
-    axes = _next(numbers, f, nj, 7)
-    f += 7 * nj
-    armature = numbers[f : f + nv]
-    f += nv
-    loop_frames = numbers[f : f + 14 * nl].reshape((nl, 2, 7))
-    f += 14 * nl
-    polynomial = _next(numbers, f, ne, 5)
-    tool_frames = _next(numbers, f + 5 * ne, nt, 7)
-    tree = JointTree(
-        bodies,
-        frames,
-        masses,
-        joints,
-        axes,
-        armature,
-        loops,
-        loop_frames,
-        coupled,
-        polynomial,
-        tools,
-        tool_frames,
-        prescribed,
-        unknown,
-    )
-    poses = _next(room, 0, nb, 7)
-    s = 7 * nb
-    lines = _next(room, s, nj, 6)
-    s += 6 * nj
-    motion = _next(room, s, nb, 12)
-    loads = _next(room, s + 12 * nb, nb, 6)
-    s += 18 * nb
-    rows = _next(room, s, r, nv)
-    s += r * nv
-    square = _next(room, s, u, u)
-    s += u * u
-    right, first, filled = room[s : s + u], room[s + u : s + 2 * u], room[s + 2 * u : s + 3 * u]
-    s += 3 * u
-    residual, goal, step = (
-        room[s : s + r],
-        room[s + r : s + 2 * r],
-        room[s + 2 * r : s + 2 * r + nv],
-    )
-    spare = room[s + 2 * r + nv : s + 2 * r + nv + SPARE]
-    return tree, Scratch(
-        poses, lines, motion, loads, rows, square, right, first, filled, residual, goal, step, spare
+        poses=np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (nb, 1)),
+        axes=np.zeros((len(tree.joints), 6)),
+        motion=np.zeros((nb, 12)),
+        loads=np.zeros((nb, 6)),
+        rows=np.zeros((r, nv)),
+        square=np.zeros((u, u)),
+        right=np.zeros(u),
+        first=np.zeros(u),
+        filled=np.zeros(u),
+        residual=np.zeros(r),
+        goal=np.zeros(r),
+        step=np.zeros(nv),
+        spare=np.zeros(SPARE),
     )
 
 
@@ -243,9 +119,7 @@ def place(tree, q, w):
 
 @njit(cache=True)
 def move(tree, v, w):
-    """Velocities of the bodies at the joint rates ``v`` (nv,), linear and angular in ``w.motion``;
-    poses must be current.
-    """
+    """Velocities of the bodies in ``w.motion`` for joint rates ``v`` (nv,), at current poses."""
     local = np.empty(3)
     for b in range(1, tree.bodies.shape[0]):
         p, first, count = tree.bodies[b, 0], tree.bodies[b, 1], tree.bodies[b, 2]

@@ -27,9 +27,7 @@ ITERATIONS = 40
 
 @njit(cache=True)
 def add_point(tree, w, b, point, sign, rows, r):
-    """Add ``sign`` times the Jacobian of a point (3,) of body ``b`` to three rows of ``rows``, from
-    row ``r`` on.
-    """
+    """Add ``sign`` times the Jacobian of a point (3,) of body ``b`` to ``rows`` from row ``r``."""
     axis = w.spare[0:6]
     while b > 0:
         first = tree.bodies[b, 1]
@@ -86,9 +84,7 @@ def _column(pose, c, out):
 
 @njit(cache=True)
 def add_turn(tree, w, b, sign, rows, r):
-    """Add ``sign`` times the Jacobian of the rotation of body ``b`` to three rows of ``rows``, from
-    row ``r`` on.
-    """
+    """Add ``sign`` times the Jacobian of the rotation of body ``b`` to ``rows`` from row ``r``."""
     axis = w.spare[0:6]
     while b > 0:
         first = tree.bodies[b, 1]
@@ -225,9 +221,7 @@ def factor(tree, w):
 
 @njit(cache=True)
 def solve(tree, w, right, out):
-    """``out`` (nv,): least-squares solution of A out = ``right`` (r,) over the unknown joints; the
-    others are 0.
-    """
+    """``out`` (nv,): least squares A out = ``right`` (r,) over the unknown joints; others are 0."""
     u, x, square, first = tree.unknown.shape[0], w.right, w.square, w.first
     for i in range(u):
         x[i] = 0.0
@@ -251,9 +245,7 @@ def solve(tree, w, right, out):
 
 @njit(cache=True)
 def shift(tree, q, step, scale):
-    """Move the joint positions ``q`` by ``scale`` times the rates ``step`` (nv,), as
-    ``mj_integratePos`` does.
-    """
+    """Move the positions ``q`` by ``scale`` times the rates ``step``, as ``mj_integratePos``."""
     turn, quat, after, r = np.empty(4), np.empty(4), np.empty(4), np.empty(3)
     for j in range(tree.joints.shape[0]):
         kind, a, d = tree.joints[j, 0], tree.joints[j, 2], tree.joints[j, 3]
@@ -309,9 +301,7 @@ def newton(tree, q, poses, values, w, close, most):
 
 @njit(cache=True)
 def rates(tree, w, twists, speeds, out):
-    """``out`` (nv,): joint rates for the tools' ``twists`` (nt, 6) in W and the prescribed joints'
-    ``speeds``, from the current factor.
-    """
+    """``out`` (nv,): rates for the tools' ``twists`` and prescribed ``speeds``, once factored."""
     r = w.goal.shape[0] - 6 * twists.shape[0] - speeds.shape[0]
     w.goal[:r] = 0.0
     for t in range(twists.shape[0]):
@@ -325,9 +315,7 @@ def rates(tree, w, twists, speeds, out):
 
 @njit(cache=True)
 def ways(tree, w, out):
-    """``out`` (t, nv): joint rates for a unit rate of each task (tools' twists, prescribed joints),
-    from the current factor.
-    """
+    """``out`` (t, nv): joint rates per unit rate of each task, from the current factor."""
     first = w.goal.shape[0] - out.shape[0]
     for t in range(out.shape[0]):
         w.goal[:] = 0.0

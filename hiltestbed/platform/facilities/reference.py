@@ -60,9 +60,7 @@ class TickPlan(NamedTuple):
 
 @njit(cache=True)
 def cubic(t, s0, v0, s1, v1, h):
-    """The cubic between two positions and velocities, at the fraction ``t`` of their interval ``h``
-    [s].
-    """
+    """The cubic between two positions and velocities, at the fraction ``t`` of ``h`` [s]."""
     a = s1 - s0
     return s0 + t * (h * v0 + t * ((3.0 * a - h * (2.0 * v0 + v1)) + t * (h * (v0 + v1) - 2.0 * a)))
 

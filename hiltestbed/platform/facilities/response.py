@@ -3,8 +3,9 @@ axes, without mass or geometry.
 
 Each axis follows its command u, the position or the component of the rotation vector, as
 
-    order 2   x'' = w^2 (u - x) - 2 zeta w x' order 3   x''' = w^2 (K (u - x) - x') - 2 zeta w x''
-    (a hydraulic leg: K its gain, w, zeta the oil with its mass)
+    order 2   x'' = w^2 (u - x) - 2 zeta w x'
+    order 3   x''' = w^2 (K (u - x) - x') - 2 zeta w x''
+              (a hydraulic leg: K its gain, w, zeta the oil with its mass)
 
 u is linear over each tick and delayed by any time. Both are advanced exactly for a linear input
 (matrix exponential of the system and its input), so that the result does not depend on the number
@@ -16,44 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, quat_exp, rotation_vectors
-from hiltestbed.platform.facilities.facility import Response
 from hiltestbed.platform.facilities.settings import ResponseSettings
-
-
-def nominal(settings: ResponseSettings) -> Response:
-    """The nominal response, as used by delay ledger and compensation."""
-    band, zeta, gain = (
-        np.array(six(x)) for x in (settings.bandwidth, settings.damping_ratio, settings.gain)
-    )
-    if settings.order == 3:  # K w^2/(...) lags by 1/K at low frequency
-        near = np.sqrt(gain * 2.0 * math.pi * band) / (2.0 * math.pi)
-        zeta, band = math.pi * near / gain, near
-    return Response(tuple(map(float, band)), tuple(map(float, zeta)), settings.delay)
-
-
-def transfer(settings: ResponseSettings, frequency: Array, axis: int = 2) -> NDArray[np.complex128]:
-    """The closed form at frequencies [Hz]."""
-    s = 2j * math.pi * np.asarray(frequency, dtype=float)
-    w, zeta, gain = (
-        2.0 * math.pi * six(settings.bandwidth)[axis],
-        six(settings.damping_ratio)[axis],
-        six(settings.gain)[axis],
-    )
-    if settings.order == 2:
-        return w**2 / (s**2 + 2.0 * zeta * w * s + w**2) * np.exp(-s * settings.delay)
-    return (
-        gain
-        * w**2
-        / (s**3 + 2.0 * zeta * w * s**2 + w**2 * s + gain * w**2)
-        * np.exp(-s * settings.delay)
-    )
 
 
 def six(value: float | Sequence[float]) -> tuple[float, ...]:
@@ -90,9 +61,7 @@ def _at(ring, axis, when):
 
 @njit(cache=True)
 def _piece(ring, axis, begin, end, e, x, state):
-    """Advance one axis over an interval in which the delayed command is linear, from ``begin`` to
-    ``end``, both in ticks.
-    """
+    """Advance one axis while its delayed command is linear, from ``begin`` to ``end`` [ticks]."""
     before = _at(ring, axis, begin)
     rise = _at(ring, axis, end) - before
     for c in range(3):
@@ -103,36 +72,47 @@ def _piece(ring, axis, begin, end, e, x, state):
         state[c] = x[c]
 
 
-@njit(cache=True)
-def _advance(k, pose_cmd, turn_cmd, late, bend, step, ring, state, path, rate):
-    """One tick: store the command at t_(k+1) in the ring, then advance every axis over the m
-    substeps of the tick.
+class Axes(NamedTuple):
+    """The axes of n platforms.
 
-    bend: (n,) time within the tick at which the delayed command passes from one linear piece to the
-        next [ticks]. step: (n, 6, 3, 3, 5) matrices of a whole substep, and of the parts before and
-        after the bend of the substep that contains it.
+    Attributes:
+        late: (n,) delay [ticks]. bend: (n,) time within the tick at which the delayed command
+            passes from one linear piece to the next [ticks].
+        step: (n, 6, 3, 3, 5) matrices of a whole substep, and of the parts before and after the
+            bend of the substep that contains it.
+        ring: (n, slots, 6) commands; that for t_j is in slot j modulo their number. state: (n, 6,
+            3) of each axis.
+        path: (n, m, 7) pose of A in P at the m instants of the tick, the last of which is t_(k+1).
     """
+
+    late: Array
+    bend: Array
+    step: Array
+    ring: Array
+    state: Array
+    path: Array
+
+
+@njit(cache=True)
+def _advance(k, pose_cmd, turn_cmd, axes):
+    """One tick: store the command at t_(k+1), then advance every axis over the m substeps."""
+    ring, path, state, step = axes.ring, axes.path, axes.state, axes.step
     m = path.shape[1]
     r, x = np.empty(3), np.empty(3)
     for i in range(pose_cmd.shape[0]):
-        slot = (k + 1) % ring.shape[1]
+        slot, late, bend = (k + 1) % ring.shape[1], axes.late[i], axes.bend[i]
         for c in range(3):
             ring[i, slot, c] = pose_cmd[i, c]
             ring[i, slot, 3 + c] = turn_cmd[i, c]
-        parted = int(bend[i] * m) if bend[i] > 0.0 else -1
+        parted = int(bend * m) if bend > 0.0 else -1
         for s in range(m):
-            begin, end, middle = (
-                k + s / m - late[i],
-                k + (s + 1.0) / m - late[i],
-                k + bend[i] - late[i],
-            )
+            begin, end, middle = k + s / m - late, k + (s + 1.0) / m - late, k + bend - late
             for axis in range(6):
                 if s == parted:
                     _piece(ring[i], axis, begin, middle, step[i, axis, 1], x, state[i, axis])
                     _piece(ring[i], axis, middle, end, step[i, axis, 2], x, state[i, axis])
                 else:
                     _piece(ring[i], axis, begin, end, step[i, axis, 0], x, state[i, axis])
-                rate[i, s, axis] = x[1]
             for c in range(3):
                 path[i, s, c] = state[i, c, 0]
                 r[c] = state[i, 3 + c, 0]
@@ -140,70 +120,50 @@ def _advance(k, pose_cmd, turn_cmd, late, bend, step, ring, state, path, rate):
 
 
 class ResponsePath:
-    """Platforms of `n` runs modelled by their response alone.
-
-    Attributes:
-        path: (n, m, 7) pose of A in P at the m instants of the tick, the last of which is t_(k+1).
-            rate: (n, m, 6) its velocity, and the rate of its rotation vector.
-        state: (n, 6, 3) of each axis. ring: (n, slots, 6) commands; that for t_j is in slot j
-            modulo their number.
-    """
+    """Platforms of `n` runs modelled by their response alone."""
 
     def __init__(self, settings: Sequence[ResponseSettings], tick: float, substeps: int) -> None:
-        n = len(settings)
-        self.tick, self.substeps = tick, substeps
-        self._late = np.array([s.delay for s in settings]) / tick
-        self.ring = np.zeros((n, math.ceil(float(self._late.max())) + 3, 6))
-        self.state = np.zeros((n, 6, 3))
-        self.path, self.rate = np.zeros((n, substeps, 7)), np.zeros((n, substeps, 6))
-        self._bend = self._late - np.floor(self._late)
-        self._step = np.zeros((n, 6, 3, 3, 5))
+        n, late = len(settings), np.array([s.delay for s in settings]) / tick
+        self.tick = tick
+        self._axes = axes = Axes(
+            late=late,
+            bend=late - np.floor(late),
+            step=np.zeros((n, 6, 3, 3, 5)),
+            ring=np.zeros((n, math.ceil(float(late.max())) + 3, 6)),
+            state=np.zeros((n, 6, 3)),
+            path=np.zeros((n, substeps, 7)),
+        )
         for i, s in enumerate(settings):
             # part before the bend of the substep that contains it
-            before = math.modf(self._bend[i] * substeps)[0] / substeps
+            before = math.modf(axes.bend[i] * substeps)[0] / substeps
             parts = (1.0 / substeps, before, 1.0 / substeps - before)
             for axis, (band, zeta, gain) in enumerate(
                 zip(six(s.bandwidth), six(s.damping_ratio), six(s.gain), strict=True)
             ):
+                w = 2.0 * math.pi * band
                 for part, share in enumerate(parts):
                     if share > 0.0:
-                        self._step[i, axis, part] = advance_matrices(
-                            s.order, 2.0 * math.pi * band, zeta, gain, tick * share
+                        axes.step[i, axis, part] = advance_matrices(
+                            s.order, w, zeta, gain, tick * share
                         )
                     else:  # no time passes
-                        self._step[i, axis, part, :, :3] = np.eye(3)
-        self._ticks = np.zeros(1, dtype=np.int64)
+                        axes.step[i, axis, part, :, :3] = np.eye(3)
+        self._ticks, self._turn = np.zeros(1, dtype=np.int64), np.zeros((n, 3))
+        self._advance = Call(_advance, ..., GIVEN, self._turn, axes)
 
     def begin(self, pose: Array, twist: Array) -> None:
-        """Start a uniform motion with ``twist`` (n, 6) at ``pose`` (n, 7) less the distance
-        travelled during the delay.
-        """
+        """Start a uniform motion with ``twist`` (n, 6), behind ``pose`` (n, 7) by the delay."""
+        axes, slots = self._axes, self._axes.ring.shape[1]
         self._ticks[0] = 0
         start = np.hstack([pose[:, :3], rotation_vectors(pose[:, 3:])])
-        slots = self.ring.shape[1]
         for back in range(slots):
-            self.ring[:, -back % slots] = start - twist * (self.tick * back)
-        self.state[:, :, 0] = start - twist * (self._late * self.tick)[:, None]
-        self.state[:, :, 1], self.state[:, :, 2] = twist, 0.0
+            axes.ring[:, -back % slots] = start - twist * (self.tick * back)
+        axes.state[:, :, 0] = start - twist * (axes.late * self.tick)[:, None]
+        axes.state[:, :, 1], axes.state[:, :, 2] = twist, 0.0
 
     def advance(self, pose_cmd: Array) -> Array:
         """The path (n, m, 7) over the tick for whose end ``pose_cmd`` (n, 7) is commanded."""
-        turn = rotation_vectors(pose_cmd[:, 3:])
-        _advance(
-            int(self._ticks[0]),
-            pose_cmd,
-            turn,
-            self._late,
-            self._bend,
-            self._step,
-            self.ring,
-            self.state,
-            self.path,
-            self.rate,
-        )
+        self._turn[:] = rotation_vectors(pose_cmd[:, 3:])
+        self._advance.on(pose_cmd)(int(self._ticks[0]))
         self._ticks[0] += 1
-        return self.path
-
-    def buffers(self) -> dict[str, NDArray[Any]]:
-        """The arrays that make up the state."""
-        return {"ticks": self._ticks, "ring": self.ring, "state": self.state}
+        return self._axes.path

@@ -2,34 +2,25 @@
 
 Commands go to the controller at its own rate, are interpolated there, and take effect whole cycles
 later; each joint has a motor, an elastic gear, a link and friction
-(:mod:`hiltestbed.platform.facilities.elastic_joint`).
+(:mod:`hiltestbed.platform.facilities.force_servo`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from math import radians
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from hiltestbed.config.models import load
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.drives import Drives, drive_inputs
-from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
-from hiltestbed.platform.facilities.facility import (
-    MOUNT,
-    Facility,
-    Response,
-    add_carrier,
-    frame_of,
-    friction_law,
-    per_run,
-)
+from hiltestbed.platform.facilities.drives import Drives
+from hiltestbed.platform.facilities.facility import MOUNT, Facility, add_carrier, frame_of
+from hiltestbed.platform.facilities.force_servo import ElasticJoints
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
-from hiltestbed.platform.friction import DriveFriction
+from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.shipped.serial_arm import SerialArmSettings
 
 # Travel and speed of KR 210 R2700 extra as in the public description of the ROS-Industrial project;
@@ -45,25 +36,15 @@ PRESLIDING = 3.0e6  # [N m/rad] of the motor's bearings and seals, at the joint
 
 def arm_axes(prefix: str = "") -> tuple[Axis, ...]:
     """The six axes of one arm."""
-    travel, speed = np.radians(TRAVEL_DEG), np.radians(SPEED_DEG)
+    numbers = zip(TRAVEL_DEG, SPEED_DEG, ACCELERATION, TORQUE, strict=True)
     return tuple(
-        Axis(
-            f"{prefix}a{j + 1}",
-            "rad",
-            float(travel[j, 0]),
-            float(travel[j, 1]),
-            float(speed[j]),
-            ACCELERATION[j],
-            TORQUE[j],
-        )
-        for j in range(6)
+        Axis(f"{prefix}a{j + 1}", "rad", radians(low), radians(high), radians(speed), bend, torque)
+        for j, ((low, high), speed, bend, torque) in enumerate(numbers)
     )
 
 
 def pose_arm(spec: mujoco.MjSpec, angles: Array) -> None:
-    """Set the reference configuration of an arm's specification, its home, to the motor angles
-    ``angles`` (6,) [rad].
-    """
+    """Set an arm's reference configuration, its home, to the ``angles`` (6,) [rad]."""
     for j, angle in enumerate(angles):
         joint, rotor = spec.joint(f"a{j + 1}"), spec.body(f"rotor_{j + 1}")
         half = 0.5 * float(angle)
@@ -71,29 +52,15 @@ def pose_arm(spec: mujoco.MjSpec, angles: Array) -> None:
         joint.ref = float(angle)
 
 
-def arm_friction(
-    model: mujoco.MjModel,
-    settings: Sequence[Any],
-    axes: Sequence[Axis],
-    step: float,
-    share: Sequence[float],
-) -> DriveFriction | None:
-    """Friction of the motors of every run, None if no run has any; ``share`` (J,) relative to the
-    first axis.
-    """
-    law = friction_law(settings, "controller.friction", share)
-    if law is None:
-        return None
-    names = [axis.joint for axis in axes]
-    dofs = np.array([int(model.joint(name).dofadr[0]) for name in names])
-    return DriveFriction(
-        law,
-        PRESLIDING * np.array(share),
-        model.dof_armature[dofs],
-        dofs,
-        drive_inputs(model, names),
-        step,
-    )
+def gear_names(prefix: str = "") -> list[str]:
+    """The joints of an arm's gears."""
+    return [f"{prefix}g{j + 1}" for j in range(6)]
+
+
+def let_arms_rub(drives: ElasticJoints, share: Sequence[float]) -> None:
+    """Friction of the motors of one arm or two; ``share`` (J,): relative to the first axis."""
+    law = [s.controller.friction.law() for s in drives.runs.settings]
+    drives.rub(law, PRESLIDING, drives.model.dof_armature[drives.kinematics.v], share)
 
 
 class SerialArm(Facility):
@@ -113,42 +80,14 @@ class SerialArm(Facility):
         return spec
 
     def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
-        return Kinematics(model, [tool], self.axes, locked=[f"g{j + 1}" for j in range(6)])
+        return Kinematics(model, [tool], self.axes, locked=gear_names())
 
-    def drives(
-        self,
-        model: mujoco.MjModel,
-        settings: Sequence[Any],
-        tick: float,
-        substeps: int,
-        feed: NDArray[np.bool_],
-        tool: str = MOUNT,
-    ) -> Drives:
-        return ElasticJoints(
-            model,
-            self.kinematics(model, tool),
-            tick,
-            substeps,
-            settings,
-            feed,
-            gears=[f"g{j + 1}" for j in range(6)],
-            bandwidth=per_run(settings, "controller.bandwidth").tolist(),
-            damping_ratio=per_run(settings, "controller.damping_ratio").tolist(),
-            encoder=per_run(settings, "controller.encoder_resolution").tolist(),
-            friction=arm_friction(model, settings, self.axes, tick / substeps, FRICTION_SHARE),
-        )
+    def drives(self, model: mujoco.MjModel, runs: Runs, tool: str = MOUNT) -> Drives:
+        kinematics = self.kinematics(model, tool)
+        drives = ElasticJoints(model, kinematics, runs, "controller", gear_names())
+        let_arms_rub(drives, FRICTION_SHARE)
+        return drives
 
-    def response(self, rate: float, feed: bool) -> Response:
-        """The second-order response of the motors; at low frequency the gears add (w/w_gear)^2 and
-        no delay.
-        """
-        controller = self.settings.controller
-        return Response(
-            (controller.bandwidth,) * 6,
-            (controller.damping_ratio,) * 6,
-            self.settings.command.lag(rate),
-            followed=feed,
-        )
-
-    def alike(self) -> Hashable:
-        return self.kind
+    def bandwidth(self) -> float:
+        """Of the motors; at low frequency the gears add (w/w_gear)^2 and no delay."""
+        return self.settings.controller.bandwidth

@@ -7,17 +7,14 @@ The source [recalled] marks an order of magnitude from memory, not a figure that
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
-from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, Strict
 
 from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly
 from hiltestbed.platform.kinds import Platform
-from hiltestbed.plugins import placeholder
 
 if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.facility import Facility
     from hiltestbed.scenario.like import ScenarioLike
 
 Ratio = Annotated[float, Field(gt=0, le=10)]
@@ -39,12 +36,6 @@ class CommandPath(Strictly):
     def cycle(self, rate: float) -> int:
         """Ticks of a controller's cycle, at the loop's rate [Hz]."""
         return 1 if self.controller_rate is None else max(1, round(rate / self.controller_rate))
-
-    def lag(self, rate: float) -> float:
-        """Lag of the controller [s]: a pose commanded for the end of a tick is reached at the end
-        of a later cycle.
-        """
-        return (self.cycle(rate) * (self.delay_cycles + 1) - 1) / rate
 
     def problems(self, rate: float) -> Iterator[tuple[tuple[str | int, ...], str]]:
         """Check that the controller's cycle is a whole number of ticks."""
@@ -72,6 +63,10 @@ class Friction(Strictly):
     )
     viscous: NotNegative = Field(description="Viscous friction [N s/m, N m s/rad]")
 
+    def law(self) -> tuple[float, ...]:
+        """Coulomb, stiction, Stribeck speed, viscous, bias speed, as in the drives' friction."""
+        return self.coulomb, self.stiction, self.stribeck_speed, self.viscous, 0.0
+
 
 class ResponseSettings(Strictly):
     """A response of each axis instead of simulated drives."""
@@ -96,7 +91,7 @@ class ResponseSettings(Strictly):
 class Driven(Platform):
     """A platform of this package that follows commands."""
 
-    PARTS: ClassVar[tuple[str, ...]] = ("docstring", "build")
+    PARTS: ClassVar[tuple[str, ...]] = ("docstring",)
 
     tracking: Literal["servo", "response", "ideal"] = Field(
         default="servo",
@@ -109,45 +104,17 @@ class Driven(Platform):
         description="Response to the command; only with tracking response",
     )
 
-    @placeholder
-    def build(self) -> Facility:
-        """The facility that these settings describe. Raises InputError for an unsuitable model of
-        the user.
-        """
-        raise NotImplementedError
-
-    def facility(self) -> Facility:
-        return _built(self, self.stamp())  # type: ignore[arg-type]  # frozen, thus hashable
-
     def stamp(self) -> Hashable:
-        """State of the model's file, which may change while the settings stay the same; None for a
-        shipped model.
-        """
+        """State of the model's file, which may change; None for a shipped model."""
         return None
-
-
-@lru_cache(maxsize=32)
-def _built(settings: Driven, stamp: Hashable) -> Facility:
-    return settings.build()
 
 
 class Physical(Platform):
     """A hall in which the bodies move freely."""
 
-    PARTS: ClassVar[tuple[str, ...]] = ("docstring", "build")
+    PARTS: ClassVar[tuple[str, ...]] = ("docstring",)
     physical: ClassVar[bool] = True
     tracking: ClassVar[str] = "free"
-
-    @placeholder
-    def build(self) -> Facility:
-        """The hall that these settings describe."""
-        raise NotImplementedError
-
-    def facility(self) -> Facility:
-        return self.build()
-
-    def alike(self, scenario: ScenarioLike) -> Hashable:
-        return (super().alike(scenario), scenario.spacecraft.model_dump_json())
 
     def reference(self) -> dict[str, Any]:
         return {"kind": "pss33", "tracking": "ideal"}

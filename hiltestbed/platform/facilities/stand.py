@@ -6,7 +6,7 @@ act on the payload.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,12 +15,17 @@ from mujoco.batch import Batch
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.models import load
 from hiltestbed.contact.composition import drawn
-from hiltestbed.frames import Array, rotate_back
+from hiltestbed.frames import Array, rotate, rotate_back
+from hiltestbed.platform.facilities.composed import TOOL as ON_MECHANISM
+from hiltestbed.platform.facilities.composed import facility_model
+from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.facility import MOUNT, Facility, compiled
+from hiltestbed.platform.facilities.mover import Runs
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
 
+Stands = Callable[[int], "Stand"]  # so many rigs
 PAYLOAD = "payload_"
 TOOL = PAYLOAD + "A"
 LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
@@ -28,26 +33,14 @@ LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 
 @njit(cache=True)
 def _apply(wrench, body, place, centre, applied):
-    """Apply the wrench (n, 6) at A, in W, to the payload's body, whose centre of mass is at
-    ``centre`` (3,) from A, in A.
-    """
+    """Apply the wrench (n, 6) at A, in W, to a body with its centre (3,) from A, in A."""
     r = np.empty(3)
     for i in range(wrench.shape[0]):
-        _turned(place[i, 3:7], centre, r)
+        rotate(place[i, 3:7], centre, r)
         for c in range(3):
             k, l = (c + 1) % 3, (c + 2) % 3
             applied[i, body, c] = wrench[i, c]
             applied[i, body, 3 + c] = wrench[i, 3 + c] - (r[k] * wrench[i, l] - r[l] * wrench[i, k])
-
-
-@njit(cache=True)
-def _turned(q, v, out):
-    tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
-    ty = 2.0 * (q[2] * v[0] - q[0] * v[2])
-    tz = 2.0 * (q[0] * v[1] - q[1] * v[0])
-    out[0] = v[0] + q[3] * tx + q[1] * tz - q[2] * ty
-    out[1] = v[1] + q[3] * ty + q[2] * tx - q[0] * tz
-    out[2] = v[2] + q[3] * tz + q[0] * ty - q[1] * tx
 
 
 class Stand:
@@ -70,9 +63,7 @@ class Stand:
         mechanism: Mechanism | None = None,
         threads: int = 0,
     ) -> None:
-        """Args: settings: one per run, by default the facility's own. mechanism: both sides are
-        mounted; None: the bumper's active one.
-        """
+        """``settings``: of each run. ``mechanism``: both sides; None: the bumper's active one."""
         self.facility, self.tick, self.substeps = facility, 1.0 / rate, substeps
         tool = TOOL
         if mechanism is None:
@@ -80,19 +71,15 @@ class Stand:
             spec.attach(load("bumper/active"), prefix=PAYLOAD, site=spec.site(MOUNT))
             self.model = compiled(spec, self.tick / substeps)
         else:
-            from hiltestbed.platform.facilities.composed import TOOL as A
-            from hiltestbed.platform.facilities.composed import facility_model
-
-            tool, self.model = A, facility_model(facility, drawn(mechanism), self.tick / substeps)
+            tool = ON_MECHANISM
+            self.model = facility_model(facility, drawn(mechanism), self.tick / substeps)
         self.batch = Batch(self.model, n, threads, persistent=True)
-        self.drives = facility.drives(
-            self.model,
-            list(settings or [facility.settings] * n),
-            self.tick,
-            substeps,
-            np.full(n, feed),
-            tool,
+        runs = Runs(
+            self.tick, substeps, list(settings or [facility.settings] * n), np.full(n, feed)
         )
+        drives = facility.drives(self.model, runs, tool)
+        assert isinstance(drives, Drives)
+        self.drives = drives
         bind = self.batch.bind
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self.warmstart = bind("qacc_warmstart")
@@ -106,6 +93,7 @@ class Stand:
         self.wrench = np.zeros((n, 6))
         self.diverged = np.zeros(n, dtype=bool)
         self.pose, self.twist = self.drives.pose, self.drives.twist
+        self._observe = self.drives.observing(self.qpos, self.qvel, LIMIT, self.diverged)
 
     def reset(self, pose: Array, twist: Array) -> None:
         """Start in a uniform motion with ``twist`` (n, 6) whose command is at ``pose`` (n, 7)."""
@@ -115,7 +103,7 @@ class Stand:
         self._applied[:] = 0.0
         self.drives.settle(pose, twist, self.qpos, self.qvel)
         self.batch.forward()
-        self.drives.observe(self.qpos, self.qvel, LIMIT, self.diverged)
+        self._observe()
 
     def advance(self, pose: Array, twist: Array, accel: Array) -> None:
         """One tick towards ``pose`` (n, 7), with ``twist`` and ``accel`` (n, 6)."""
@@ -126,9 +114,4 @@ class Stand:
             self.drives.push(s, self.qpos, self.qvel, self.ctrl)
             self.batch.step()
         self.drives.arrive()
-        self.drives.observe(self.qpos, self.qvel, LIMIT, self.diverged)
-
-    def bare_steps(self, count: int) -> None:
-        """``count`` steps with unchanged inputs."""
-        for _ in range(count):
-            self.batch.step()
+        self._observe()

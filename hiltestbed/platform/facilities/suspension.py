@@ -15,8 +15,9 @@ the weight; the winch applies T along the cable and adds its own inertia and fri
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Sequence
-from typing import Any
+from collections.abc import Hashable
+from functools import cached_property
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,7 +28,8 @@ from hiltestbed.compiled.jit import njit
 from hiltestbed.config.models import load
 from hiltestbed.frames import Array
 from hiltestbed.platform.facilities.bodies import SIDES, Bodies, PhysicalFacility
-from hiltestbed.platform.facilities.facility import MOUNT, per_run
+from hiltestbed.platform.facilities.facility import MOUNT
+from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.friction import drag
 from hiltestbed.platform.payload import GRAVITY
 from hiltestbed.platform.shipped.suspension import SuspensionSettings
@@ -39,98 +41,85 @@ HOOK = 2.0  # [kg] gimbal and hook, in models/suspension
 THIN = 0.012  # [m] radius of the cable
 
 
-@njit(cache=True)
-def _push(numbers, rub, dt, hung, dofs, swings, tension, bristles, qvel, applied):
-    """numbers: (n, 3) swing damping, low-pass coefficient per step of the tension servo, tension
-    error. rub: (n, 7) friction.
-
-    dofs (2,): of the winches. swings (2, 2): of the cables' pivots.
-    """
-    for i in range(qvel.shape[0]):
-        for b in range(dofs.shape[0]):
-            goal = hung[b] * GRAVITY * (1.0 + numbers[i, 2])
-            tension[i, b] += numbers[i, 1] * (goal - tension[i, b])
-            applied[i, dofs[b]] = -tension[i, b] - drag(
-                qvel[i, dofs[b]], dt, rub[i], bristles[i, b], 0
-            )
-            for c in range(2):
-                applied[i, swings[b, c]] = -numbers[i, 0] * qvel[i, swings[b, c]]
-
-
-class Hung(Bodies):
-    """Articles of `n` runs on their cables.
+class Winches(NamedTuple):
+    """The cables and winches of n runs.
 
     Attributes:
+        numbers: (n, 3) swing damping, low-pass coefficient per step of the tension servo, tension
+            error. rub: (n, 7) friction. dt: [s]. hung: (b,) suspended mass [kg]. dofs: (b,) of the
+            winches. swings: (b, 2) of the cables' pivots.
         tension: (n, b) of each cable [N]. bristles: (n, b, 1) deflection of its winch's bristle
             [m].
     """
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        facility: Suspension,
-        settings: Sequence[Any],
-        step: float,
-        tool: str,
-    ) -> None:
-        super().__init__(model, facility.kinematics(model, tool), len(settings), step)
-        moving = [side for side in SIDES if facility.hangs(side)]
-        self._dofs = np.array([int(model.joint(f"{side}_winch").dofadr[0]) for side in moving])
-        self._swings = np.array(
-            [[int(model.joint(f"{side}_swing_{c}").dofadr[0]) for c in "xz"] for side in moving]
-        )
-        self._hung = np.array([float(model.body(f"{side}_hook").subtreemass[0]) for side in moving])
-        share = 1.0 - np.exp(-2.0 * math.pi * per_run(settings, "tension_bandwidth") * step)
-        self._numbers = np.column_stack(
-            [per_run(settings, "swing_damping"), share, per_run(settings, "tension_error")]
-        )
-        slides, n = per_run(settings, "winch_friction"), len(settings)
+    numbers: Array
+    rub: Array
+    dt: float
+    hung: Array
+    dofs: NDArray[np.int64]
+    swings: NDArray[np.int64]
+    tension: Array
+    bristles: Array
+
+
+@njit(cache=True)
+def _push(winches, qvel, applied):
+    dofs, swings, tension = winches.dofs, winches.swings, winches.tension
+    for i in range(qvel.shape[0]):
+        damping, share, error = winches.numbers[i, 0], winches.numbers[i, 1], winches.numbers[i, 2]
+        for b in range(dofs.shape[0]):
+            goal = winches.hung[b] * GRAVITY * (1.0 + error)
+            tension[i, b] += share * (goal - tension[i, b])
+            rub = drag(qvel[i, dofs[b]], winches.dt, winches.rub[i], winches.bristles[i, b], 0)
+            applied[i, dofs[b]] = -tension[i, b] - rub
+            for c in range(2):
+                applied[i, swings[b, c]] = -damping * qvel[i, swings[b, c]]
+
+
+class Hung(Bodies):
+    """Articles of `n` runs on their cables."""
+
+    @cached_property
+    def _winches(self) -> Winches:
+        model, runs, step = self.model, self.runs, self.runs.step
+        moving = [side for side in SIDES if model.body(side).jntnum[0]]
+        share = 1.0 - np.exp(-2.0 * math.pi * runs.numbers("tension_bandwidth") * step)
+        slides = runs.numbers("winch_friction")
         bristle = min(PRESLIDING, 0.25 * HOOK / step**2)
-        self._rub = np.column_stack(
-            [
-                slides,
-                BREAKAWAY * slides,
-                np.full(n, STRIBECK_SPEED),
-                np.zeros(n),
-                np.zeros(n),
-                np.full(n, bristle),
-                np.full(n, 2.0 * math.sqrt(bristle * HOOK)),
-            ]
+        rest = [STRIBECK_SPEED, 0.0, 0.0, bristle, 2.0 * math.sqrt(bristle * HOOK)]
+        n, b = len(slides), len(moving)
+        return Winches(
+            numbers=np.column_stack(
+                [runs.numbers("swing_damping"), share, runs.numbers("tension_error")]
+            ),
+            rub=np.column_stack([slides, BREAKAWAY * slides, np.tile(rest, (n, 1))]),
+            dt=step,
+            hung=np.array([float(model.body(f"{side}_hook").subtreemass[0]) for side in moving]),
+            dofs=np.array([int(model.joint(f"{side}_winch").dofadr[0]) for side in moving]),
+            swings=np.array(
+                [[int(model.joint(f"{side}_swing_{c}").dofadr[0]) for c in "xz"] for side in moving]
+            ),
+            tension=np.zeros((n, b)),
+            bristles=np.zeros((n, b, 1)),
         )
-        self.tension, self.bristles = np.zeros((n, len(moving))), np.zeros((n, len(moving), 1))
-        self._pushed = Call(
-            _push,
-            self._numbers,
-            self._rub,
-            step,
-            self._hung,
-            self._dofs,
-            self._swings,
-            self.tension,
-            self.bristles,
-            GIVEN,
-            GIVEN,
-        )
+
+    @cached_property
+    def _pushed(self) -> Call:
+        return Call(_push, self._winches, GIVEN, GIVEN)
 
     def rest(self, qpos: Array, qvel: Array) -> None:
-        self.tension[:] = self._hung * GRAVITY * (1.0 + self._numbers[:, 2:3])
-        self.bristles[:] = 0.0
+        winches = self._winches
+        winches.tension[:] = winches.hung * GRAVITY * (1.0 + winches.numbers[:, 2:3])
+        winches.bristles[:] = 0.0
 
-    def push(self, qpos: Array, qvel: Array, applied: Array) -> None:
-        self._pushed.on(qvel, applied)()
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        return {"tension": self.tension, "bristles": self.bristles}
+    def push(self, sub: int, qpos: Array, qvel: Array, inputs: Array) -> None:
+        self._pushed.on(qvel, inputs)()
 
 
 class Suspension(PhysicalFacility):
     """The cables of ``models/suspension``."""
 
     settings: SuspensionSettings
-
-    def hangs(self, side: str) -> bool:
-        """Whether an article can move."""
-        return side == "chaser" or self.settings.target == "free"
 
     def spec(self) -> mujoco.MjSpec:
         spec, s = load("suspension/suspension"), self.settings
@@ -151,37 +140,17 @@ class Suspension(PhysicalFacility):
             spec.joint(f"{side}_winch").armature = s.winch_mass
             body = spec.body(side)
             body.pos, body.quat = -up, [place[6], *place[3:6]]
-            inside = _in_body(up, place)
-            spec.joint(f"{side}_gimbal").pos = inside
-            if not self.hangs(side):
+            spec.joint(f"{side}_gimbal").pos = self.in_body(side, up)
+            if not self.moves(side):
                 for name in ("swing_x", "swing_z", "winch", "gimbal"):
                     spec.delete(spec.joint(f"{side}_{name}"))
             self.fit(spec, side, 0.0, np.zeros((3, 3)))
         self.add_ports(spec)
         return spec
 
-    def bodies(
-        self, model: mujoco.MjModel, settings: Sequence[Any], step: float, tool: str = MOUNT
-    ) -> Hung:
-        return Hung(model, self, settings, step, tool)
+    def drives(self, model: mujoco.MjModel, runs: Runs, tool: str = MOUNT) -> Hung:
+        return Hung(model, self.kinematics(model, tool), runs)
 
     def alike(self) -> Hashable:
         s = self.settings
         return (self.kind, s.target, s.length, s.cable_mass, s.winch_mass, s.gimbal_offset)
-
-
-def _in_body(vector: Array, place: Array) -> Array:
-    """A vector of W in the axes of a body at ``place`` (7,)."""
-    from hiltestbed.frames import rotate_back
-
-    out = np.empty(3)
-    rotate_back(place[3:7], vector, out)
-    return out
-
-
-def swing_frequency(settings: SuspensionSettings, mass: float) -> float:
-    """Small-swing frequency [rad/s] of a suspended mass [kg], gimbal and hook included: the closed
-    form of the module docstring.
-    """
-    ratio = settings.cable_mass / mass
-    return math.sqrt(GRAVITY / settings.length * (1.0 + 0.5 * ratio) / (1.0 + ratio / 3.0))

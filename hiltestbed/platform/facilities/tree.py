@@ -63,9 +63,7 @@ class JointTree(NamedTuple):
     unknown: Integers
 
     def towards_tools(self) -> JointTree:
-        """The subtree that determines poses and velocities of the tools for known joints: the
-        bodies between them and the world.
-        """
+        """The bodies between the tools and the world: they determine the tools' motion."""
         kept = {0}
         for b in map(int, self.tools):
             while b > 0:
@@ -159,9 +157,7 @@ def _inertias(m: mujoco.MjModel) -> Array:
 
 
 def _loops(m: mujoco.MjModel) -> tuple[list, list, list, list]:
-    """Loop closures (type, bodies; frames) and coupled joints (joints; polynomial) of the active
-    equality constraints.
-    """
+    """Loop closures (type, bodies; frames) and coupled joints (joints; polynomial)."""
     loops, frames, coupled, polynomial = [], [], [], []
     for e in range(m.neq):
         if not m.eq_active0[e]:

@@ -16,13 +16,11 @@ arm only moves with the rail.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call
 from hiltestbed.compiled.jit import njit
@@ -36,28 +34,29 @@ from hiltestbed.frames import (
     rotation_vector,
     twist_between,
 )
-from hiltestbed.platform.facilities.elastic_joint import ElasticJoints
 from hiltestbed.platform.facilities.facility import (
     MOUNT,
     NOMINAL,
     SENSOR_HEIGHT,
     TOOL_HOME,
     Facility,
-    Response,
     add_carrier,
-    per_run,
 )
+from hiltestbed.platform.facilities.force_servo import ElasticJoints
 from hiltestbed.platform.facilities.kinematics import Axis, Kinematics
+from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.facilities.serial_arm import (
     FRICTION_SHARE,
     arm_axes,
-    arm_friction,
+    gear_names,
+    let_arms_rub,
     pose_arm,
 )
 from hiltestbed.platform.facilities.tree import compose, inverse_pose
 from hiltestbed.platform.shipped.two_arms import TwoArmsSettings
 
 ACTIVE, PASSIVE = "chaser_", "target_"  # prefixes of the two arms' names
+GEARS = [*gear_names(ACTIVE), *gear_names(PASSIVE)]
 # [rad], a6 of the passive arm
 HOME = (0.0, -1.0506357359978915, 1.6113790755209094, 0.0, -0.5607433395296182, 1.5707963267948966)
 # [m] gap up to which the rail is at rest, and beyond which it performs the whole motion
@@ -80,9 +79,7 @@ def far(gap):
 
 @njit(cache=True)
 def share_out(pose, share, active, passive):
-    """Poses (7,) of A and P in W for the relative ``pose`` (7,) of A in P; returns the rail's
-    position [m].
-    """
+    """Poses (7,) of A and P in W for that of A in P; returns the rail's position [m]."""
     ride, slope = far(-pose[2])
     r, v = np.empty(3), np.empty(3)
     rotation_vector(pose[3:7], r)
@@ -103,44 +100,31 @@ def share_out(pose, share, active, passive):
 
 
 @njit(cache=True)
-def _allocate(pose, twist, accel, half, shares, poses, twists, held, speeds):
-    """Tools' poses and twists (n, 2, .) and the rail; twists are central differences of the
-    allocated poses over SLICE.
-    """
+def _allocate(pose, twist, accel, half, shares, targets):
+    """Poses, rail and, by central differences over SLICE, their rates, of the tools."""
+    poses = targets.poses
     speed = np.empty(6)
     moved, before, after = np.empty(7), np.empty((2, 7)), np.empty((2, 7))
     for i in range(pose.shape[0]):
         for c in range(6):
             speed[c] = twist[i, c] + half * accel[i, c]
-        held[i, 0] = share_out(pose[i], shares[i], poses[i, 0], poses[i, 1])
+        targets.held[i, 0] = share_out(pose[i], shares[i], poses[i, 0], poses[i, 1])
         pose_step(pose[i], speed, -0.5 * SLICE, moved)
         first = share_out(moved, shares[i], before[0], before[1])
         pose_step(pose[i], speed, 0.5 * SLICE, moved)
         last = share_out(moved, shares[i], after[0], after[1])
-        speeds[i, 0] = (last - first) / SLICE
+        targets.held_rates[i, 0] = (last - first) / SLICE
         for t in range(2):
-            twist_between(before[t], after[t], SLICE, twists[i, t])
+            twist_between(before[t], after[t], SLICE, targets.twists[i, t])
 
 
 class FacingArms(ElasticJoints):
     """Drives of both arms and the rail."""
 
-    shares: Array
-
     @cached_property
     def _allocated(self) -> Call:
-        return Call(
-            _allocate,
-            GIVEN,
-            GIVEN,
-            GIVEN,
-            ...,
-            self.shares,
-            self.poses,
-            self.twists,
-            self.held,
-            self.held_rates,
-        )
+        shares = self.runs.numbers("passive_share")
+        return Call(_allocate, GIVEN, GIVEN, GIVEN, ..., shares, self.targets)
 
 
 class TwoArms(Facility):
@@ -174,38 +158,16 @@ class TwoArms(Facility):
         return spec
 
     def kinematics(self, model: mujoco.MjModel, tool: str = MOUNT) -> Kinematics:
-        gears = [f"{prefix}g{j + 1}" for prefix in (ACTIVE, PASSIVE) for j in range(6)]
-        return Kinematics(model, [tool, NOMINAL], self.axes, locked=gears, prescribed=["rail"])
+        return Kinematics(model, [tool, NOMINAL], self.axes, locked=GEARS, prescribed=["rail"])
 
-    def drives(
-        self,
-        model: mujoco.MjModel,
-        settings: Sequence[Any],
-        tick: float,
-        substeps: int,
-        feed: NDArray[np.bool_],
-        tool: str = MOUNT,
-    ) -> FacingArms:
-        share = (*FRICTION_SHARE, *FRICTION_SHARE, RAIL_FRICTION)
-        drives = FacingArms(
-            model, self.kinematics(model, tool), tick, substeps, settings, feed,
-            gears=[*(f"{prefix}g{j + 1}" for prefix in (ACTIVE, PASSIVE) for j in range(6)), None],
-            bandwidth=per_run(settings, "controller.bandwidth").tolist(),
-            damping_ratio=per_run(settings, "controller.damping_ratio").tolist(),
-            encoder=per_run(settings, "controller.encoder_resolution").tolist(),
-            friction=arm_friction(model, settings, self.axes, tick / substeps, share),
-        )  # fmt: skip
-        drives.shares = per_run(settings, "passive_share")
+    def drives(self, model: mujoco.MjModel, runs: Runs, tool: str = MOUNT) -> FacingArms:
+        kinematics = self.kinematics(model, tool)
+        drives = FacingArms(model, kinematics, runs, "controller", [*GEARS, None])
+        let_arms_rub(drives, (*FRICTION_SHARE, *FRICTION_SHARE, RAIL_FRICTION))
         return drives
 
-    def response(self, rate: float, feed: bool) -> Response:
-        controller = self.settings.controller
-        return Response(
-            (controller.bandwidth,) * 6,
-            (controller.damping_ratio,) * 6,
-            self.settings.command.lag(rate),
-            followed=feed,
-        )
+    def bandwidth(self) -> float:
+        return self.settings.controller.bandwidth
 
     def complaints(self, pose: Array, tool: Array = TOOL_HOME) -> list[str]:
         active, passive = np.empty(7), np.empty(7)
@@ -215,6 +177,3 @@ class TwoArms(Facility):
         return self.bare.complaints(
             np.array([compose(active, inverse_pose(tool)), passive]), np.array([rail])
         )
-
-    def alike(self) -> Hashable:
-        return self.kind

@@ -55,9 +55,7 @@ def _ramp(x):
 
 @njit(cache=True)
 def share(pose, x):
-    """``x`` (3,), the upper platform's coordinates (u, rx, ry), for the relative pose ``(7,)``;
-    unchanged if that is not finite.
-    """
+    """``x`` (3,), (u, rx, ry) for the relative ``pose`` (7,); unchanged if not finite."""
     gap = -pose[2]
     if not math.isfinite(pose[0] + pose[1] + gap + pose[3] + pose[4] + pose[5] + pose[6]):
         return
@@ -83,9 +81,7 @@ def lower_pose(pose: Array) -> Array:
 
 
 def upper_coordinates(pose: Array) -> Array:
-    """``(n, 3)`` heave [m] and tilt [rad] of the upper platform for the relative poses ``(n,
-    7)``.
-    """
+    """``(n, 3)`` heave [m] and tilt [rad] of the upper platform for relative poses ``(n, 7)``."""
     out = np.zeros((len(pose), 3))
     for i in range(len(pose)):
         share(pose[i], out[i])

@@ -8,6 +8,7 @@ import numpy as np
 
 from hiltestbed.contact.composition import ACTIVE
 from hiltestbed.frames import Array, pose_compose, quat_to_mujoco, rotation_matrix
+from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.model import UPPER, nine_axis_scene
 from hiltestbed.platform.prs3.allocation import upper_coordinates
 from hiltestbed.platform.prs3.geometry import Upper, place, revolute, slider
@@ -25,7 +26,7 @@ class DrawnNineAxes:
 
     def __init__(self, scenario: Scenario) -> None:
         self.model = m = nine_axis_scene(scenario.mechanism)
-        self._lower = scenario.rig.platform.facility().kinematics(m, ACTIVE + "A")
+        self._lower = facility_of(scenario).kinematics(m, ACTIVE + "A")
         self._upper = Upper.load()
         self._legs = [int(m.joint(f"{UPPER}slider_{j}").qposadr[0]) for j in range(3)]
         self._free = int(m.joint(f"{UPPER}platform").qposadr[0])

@@ -18,8 +18,8 @@ rad, far beyond the tilt limit, they are accurate to 1e-13.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -35,9 +35,7 @@ RADIUS, ABOVE, COS3, SIN3 = range(4)
 
 @njit(cache=True)
 def _series(t):
-    """(1 - cos)/theta^2, its derivative with respect to theta^2, and (theta - sin)/theta^3, for t =
-    theta^2.
-    """
+    """(1 - cos)/theta^2, its derivative in theta^2, (theta - sin)/theta^3, for t = theta^2."""
     k = 0.5 - t * (1.0 / 24.0 - t * (1.0 / 720.0 - t * (1.0 / 40320.0 - t / 3628800.0)))
     dk = -1.0 / 24.0 + t * (1.0 / 360.0 - t * (1.0 / 13440.0 - t / 907200.0))
     b = 1.0 / 6.0 - t * (1.0 / 120.0 - t * (1.0 / 5040.0 - t / 362880.0))
@@ -132,9 +130,7 @@ def jacobian(legs, pose, sliders, out):
 
 @njit(cache=True)
 def revolute(leg, pose, arm):
-    """Angle [rad] of the leg's revolute joint at a pose of P, 0 at home; ``arm`` (3,) is
-    overwritten.
-    """
+    """Angle [rad] of the leg's revolute joint, 0 at home; ``arm`` (3,) is overwritten."""
     s = slider(leg, pose, arm)
     outward = math.hypot(leg[0], leg[1])
     inward = (
@@ -146,8 +142,7 @@ def revolute(leg, pose, arm):
     return at_home - math.atan2(down, inward)
 
 
-@dataclass(frozen=True)
-class Upper:
+class Upper(NamedTuple):
     """The upper platform's constants, read from its MJCF at home.
 
     Attributes:

@@ -5,17 +5,18 @@ The upper platform moves to the pose given by the allocation
 (:mod:`hiltestbed.platform.prs3.allocation`); the lower one is commanded to the resulting pose of A
 in W. Ports can touch only while the upper platform is clamped at home, where W and P coincide and
 the lower platform's command equals that without an upper one, bit for bit. The sensor's wrench is
-that of the contact plus the uncompensated rest
-of the moving payload: `payload_left` in a run's summary, some 0.05 N of 1177 N.
+that of the contact plus the uncompensated rest of the moving payload: `payload_left` in a run's
+summary, some 0.05 N of 1177 N.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call, bound
 from hiltestbed.compiled.jit import njit
@@ -31,107 +32,90 @@ if TYPE_CHECKING:
     from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
-@njit(cache=True)
-def _command(h, planned, x, pose, twist, accel, *given):
-    """The lower platform's command in W for that of A in P, ``pose`` (n, 7), ``twist`` and
-    ``accel`` (n, 6).
+class Commands(NamedTuple):
+    """The lower platform's commands in W of n runs.
 
-    planned (n, 7), x (n, 3): P in W and the upper platform's coordinates at the end of the tick.
-    given: was_home (n,), whether these were 0 at its start; before (n, 7), slope (n, 6), the
-        command of the last tick and its slope; all updated; and that command's pose_W, twist_W and
-        accel_W.
+    Attributes:
+        was_home: (n,) whether the upper platform's coordinates were 0 at the start of the tick.
+            before (n, 7), slope (n, 6): the command of the last tick and its slope.
+        pose (n, 7), twist and accel (n, 6): the command of this one.
     """
-    was_home, before, slope, pose_W, twist_W, accel_W = given
+
+    was_home: NDArray[np.bool_]
+    before: Array
+    slope: Array
+    pose: Array
+    twist: Array
+    accel: Array
+
+
+@njit(cache=True)
+def _command(h, upper, command, pose, twist, accel):
+    """The command in W for that of A in P; ``upper`` is at the end of the tick."""
+    x, before, slope = upper.x, command.before, command.slope
     for i in range(pose.shape[0]):
         home = x[i, 0] == 0.0 and x[i, 1] == 0.0 and x[i, 2] == 0.0
-        if home and was_home[i]:
-            pose_W[i], twist_W[i], accel_W[i] = pose[i], twist[i], accel[i]
+        if home and command.was_home[i]:
+            command.pose[i], command.twist[i], command.accel[i] = pose[i], twist[i], accel[i]
         else:
-            pose_compose(planned[i], pose[i], pose_W[i])
-            twist_between(before[i], pose_W[i], h, twist_W[i])
+            pose_compose(upper.planned[i], pose[i], command.pose[i])
+            twist_between(before[i], command.pose[i], h, command.twist[i])
             for j in range(6):
-                accel_W[i, j] = (twist_W[i, j] - slope[i, j]) / h
-        was_home[i] = home
-        before[i] = pose_W[i]
-        slope[i] = twist_W[i]
+                command.accel[i, j] = (command.twist[i, j] - slope[i, j]) / h
+        command.was_home[i] = home
+        before[i] = command.pose[i]
+        slope[i] = command.twist[i]
 
 
 @njit(cache=True)
-def _together(ideal, h, away, residual, *given):
+def _together(ideal, h, residual, upper, lower, both):
     """Relative pose and twist from those of A and of P in W, and the sensor's wrench as the sum of
     contact and payload ``residual``.
 
     ideal: while the upper platform is away from home, the twist is the slope of the relative pose
-        over the tick ``h``. given: pose, twist and wrench of the lower platform in W; pose and
-        twist of P; relative pose, twist and wrench.
+        over the tick ``h``. lower: pose and twist of A in W, contact wrench; both: relative pose,
+        twist and wrench.
     """
-    pose_W, twist_W, lower_wrench, place_P, motion_P, pose, twist, wrench = given
+    pose_W, twist_W, contact = lower
+    pose, twist, wrench = both
     before = pose.copy()
-    relate(pose_W, twist_W, place_P, motion_P, pose, twist)
+    relate(pose_W, twist_W, upper.reached, upper.twist, pose, twist)
     for i in range(pose.shape[0]):
-        if ideal and away[i]:
+        if ideal and upper.away[i]:
             twist_between(before[i], pose[i], h, twist[i])
         for s in range(wrench.shape[1]):
             for j in range(6):
-                wrench[i, s, j] = lower_wrench[i, s, j] + residual[i, s, j]
+                wrench[i, s, j] = contact[i, s, j] + residual[i, s, j]
 
 
 class NineAxes:
-    """The rigs of `n` runs with both platforms; arrays as in
-    :class:`hiltestbed.platform.plant.Plant`.
-    """
+    """The rigs of `n` runs; arrays as in :class:`hiltestbed.platform.plant.Plant`."""
 
     def __init__(
         self, scenarios: Sequence[Scenario], lower: ServoTracking | IdealTracking, nthread: int
     ) -> None:
-        n, first = len(scenarios), scenarios[0]
+        n, self.tick = len(scenarios), scenarios[0].tick
         self.lower, self.upper = lower, MovingUpper(scenarios, nthread)
-        self.tick = first.tick
         self.contacts, self.causes, self.diverged = lower.contacts, lower.causes, lower.diverged
-        self.contact_now, self.slider_cmd, self.slider_act = (
-            lower.contact_now,
-            lower.slider_cmd,
-            lower.slider_act,
-        )
+        self.contact_now = lower.contact_now
+        self.slider_cmd, self.slider_act = lower.slider_cmd, lower.slider_act
+        self.upper_cmd, self.upper_act = self.upper.motion.sliders.copy(), np.zeros((n, 3))
         self.pose_act, self.twist_act = np.zeros((n, 7)), np.zeros((n, 6))
         self.wrench_sub = np.zeros_like(lower.wrench_sub)
-        self._before, self._slope = np.zeros((n, 7)), np.zeros((n, 6))  # of the command in W
-        self._pose_W, self._twist_W, self._accel_W = (
-            np.zeros((n, 7)),
-            np.zeros((n, 6)),
-            np.zeros((n, 6)),
-        )
-        self._was_home = np.zeros(n, dtype=bool)
         self._left = np.zeros((n, 6))  # residual of the payload in the reading at t_k
-        self.upper_cmd, self.upper_act = np.zeros((n, 3)), np.zeros((n, 3))
-
-        self._commanded = Call(
-            _command,
-            self.tick,
-            self.upper.planned,
-            self.upper.x,
-            *(GIVEN,) * 3,
-            self._was_home,
-            self._before,
-            self._slope,
-            self._pose_W,
-            self._twist_W,
-            self._accel_W,
+        self._command = Commands(
+            np.zeros(n, dtype=bool), *(np.zeros((n, k)) for k in (7, 6, 7, 6, 6))
         )
+        motion, ideal = self.upper.motion, isinstance(lower, IdealTracking)
+        self._commanded = Call(_command, self.tick, motion, self._command, *(GIVEN,) * 3)
         self._joined = bound(
             _together,
-            isinstance(lower, IdealTracking),
+            ideal,
             self.tick,
-            self.upper.away,
             self.upper.residual,
-            lower.pose_act,
-            lower.twist_act,
-            lower.wrench_sub,
-            self.upper.pose,
-            self.upper.twist,
-            self.pose_act,
-            self.twist_act,
-            self.wrench_sub,
+            motion,
+            (lower.pose_act, lower.twist_act, lower.wrench_sub),
+            (self.pose_act, self.twist_act, self.wrench_sub),
         )
 
     @property
@@ -144,33 +128,26 @@ class NineAxes:
         self.lower.bare_steps(count)
 
     def reset(self, pose: Array, twist: Array) -> None:
-        """Start at the relative ``pose`` (n, 7), moving with the uniform relative ``twist`` (n,
-        6).
-        """
+        """Start at the relative ``pose`` (n, 7), moving with ``twist`` (n, 6)."""
         self.upper.reset(pose, twist)
+        motion, command = self.upper.motion, self._command
         before, x, place_before = np.empty(7), np.zeros(3), np.empty(7)
         for i in range(len(pose)):
-            pose_compose(self.upper.planned[i], pose[i], self._before[i])
+            pose_compose(motion.planned[i], pose[i], command.before[i])
             pose_step(pose[i], twist[i], -self.tick, before)
-            x[:] = self.upper.x[i] - self.tick * self.upper.rate[i]
+            x[:] = motion.x[i] - self.tick * motion.rate[i]
             place(Upper.load().shape, x, place_before)
-            pose_compose(place_before, before, self._pose_W[i])
-            twist_between(self._pose_W[i], self._before[i], self.tick, self._slope[i])
-        self._was_home[:] = ~self.upper.away
-        self._slope[self._was_home] = twist[self._was_home]
+            pose_compose(place_before, before, command.pose[i])
+            twist_between(command.pose[i], command.before[i], self.tick, command.slope[i])
+        command.was_home[:] = ~motion.away
+        command.slope[command.was_home] = twist[command.was_home]
         for i in range(len(pose)):
-            self.lower.path.begin(i, self._before[i, :3], self._slope[i, :3])
-        self.lower.reset(self._before, self._slope)
-        relate(
-            self.lower.pose_act,
-            self.lower.twist_act,
-            self.upper.pose,
-            self.upper.twist,
-            self.pose_act,
-            self.twist_act,
-        )
+            self.lower.path.begin(i, command.before[i, :3], command.slope[i, :3])
+        self.lower.reset(command.before, command.slope)
+        at_A, at_P = (self.lower.pose_act, self.lower.twist_act), (motion.reached, motion.twist)
+        relate(*at_A, *at_P, self.pose_act, self.twist_act)
         self.wrench_sub[:] = self.lower.wrench_sub
-        self.upper_cmd[:], self.upper_act[:] = self.upper.slider_cmd, self.upper.slider_act
+        self.upper_cmd[:], self.upper_act[:] = motion.sliders, motion.slid
 
     def begin(self, pose_cmd: Array, twist_cmd: Array, accel_cmd: Array) -> None:
         """Start the tick towards the relative ``pose_cmd`` (n, 7), with ``twist_cmd`` and
@@ -187,20 +164,17 @@ class NineAxes:
                     self.causes[i] or "the upper platform moves faster than 1000 m/s or rad/s"
                 )
         self._commanded.on(pose_cmd, twist_cmd, accel_cmd)()
-        lower.begin(self._pose_W, self._twist_W, self._accel_W)
+        lower.begin(self._command.pose, self._command.twist, self._command.accel)
         np.add(lower.wrench_sub[:, -1], self._left, out=self.wrench_sub[:, -1])
 
     def finish(self) -> None:
         """The rest of the tick."""
-        upper, lower = self.upper, self.lower
-        lower.finish()
+        self.lower.finish()
         self._joined()
-        self.upper_cmd[:], self.upper_act[:] = upper.slider_cmd, upper.slider_act
+        self.upper_cmd[:], self.upper_act[:] = self.upper.motion.sliders, self.upper.motion.slid
 
     def payload_left(self, i: int) -> dict[str, float] | None:
-        """Largest residual of the passive side's weight and inertia in the sensor's reading of run
-        ``i``; None: not simulated.
-        """
+        """Largest residual of the passive side's load in the reading of run ``i``, or None."""
         drives = self.upper.drives
         if drives is None:
             return None

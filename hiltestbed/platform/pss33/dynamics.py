@@ -35,9 +35,7 @@ def load_constants(m: mujoco.MjModel, tool: str = "active_A") -> Array:
 
 @njit(cache=True)
 def invert(a, out):
-    """``out = a^-1`` (6, 6) by Gauss-Jordan with row pivoting; ``a`` is overwritten. A singular
-    matrix gives huge numbers.
-    """
+    """``out = a^-1`` (6, 6), row pivoting; overwrites ``a``. Singular: huge numbers."""
     n = a.shape[0]
     for i in range(n):
         for k in range(n):

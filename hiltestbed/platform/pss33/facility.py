@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from hiltestbed.config.models import load
 from hiltestbed.platform.facilities.facility import (
@@ -15,11 +10,11 @@ from hiltestbed.platform.facilities.facility import (
     MOUNT_HOME,
     UPRIGHT,
     Facility,
-    Response,
     add_carrier,
     frame_of,
 )
 from hiltestbed.platform.facilities.kinematics import Axis
+from hiltestbed.platform.facilities.mover import Runs
 from hiltestbed.platform.pss33.kinematics import SliderKinematics
 from hiltestbed.platform.pss33.servo import SliderDrives
 from hiltestbed.platform.pss33.settings import Pss33
@@ -49,19 +44,8 @@ class Pss33Facility(Facility):
         origin = MOUNT_HOME[:3] if tool == MOUNT else UPRIGHT[:3]
         return SliderKinematics(model, tool, self.axes, origin)
 
-    def drives(
-        self,
-        model: mujoco.MjModel,
-        settings: Sequence[Any],
-        tick: float,
-        substeps: int,
-        feed: NDArray[np.bool_],
-        tool: str = MOUNT,
-    ) -> SliderDrives:
-        return SliderDrives(model, self.kinematics(model, tool), tick, substeps, settings, feed)
+    def drives(self, model: mujoco.MjModel, runs: Runs, tool: str = MOUNT) -> SliderDrives:
+        return SliderDrives(model, self.kinematics(model, tool), runs)
 
-    def response(self, rate: float, feed: bool) -> Response:
-        s = self.settings
-        return Response(
-            (s.bandwidth,) * 6, (s.damping_ratio,) * 6, s.command.lag(rate), followed=feed
-        )
+    def bandwidth(self) -> float:
+        return self.settings.bandwidth

@@ -148,9 +148,7 @@ def _all_joints(limbs, adr, centre, pose, twist, q, v):
 
 
 def limbs_of(m: mujoco.MjModel, origin: Array) -> Array:
-    """``(6, 16)`` constants of the limbs of a compiled model that contains the platform at home,
-    with A at ``origin`` (3,) in W.
-    """
+    """``(6, 16)`` constants of the limbs of a model at home, with A at ``origin`` (3,) in W."""
     data = mujoco.MjData(m)
     mujoco.mj_kinematics(m, data)
     limbs = np.empty((6, 16))
@@ -197,9 +195,7 @@ class SliderKinematics(Kinematics):
     def solve(
         self, poses: Array, held: Array | None = None, start: Array | None = None
     ) -> tuple[Array, float]:
-        """Joint positions ``(nq,)`` with the tool at ``poses`` (1, 7), and the length by which a
-        link is too short, or 0 [m].
-        """
+        """Joints ``(nq,)`` for the tool at ``poses`` (1, 7), and by how much a link is short."""
         pose = np.ravel(poses)
         q, _ = self.motion(pose, np.zeros(6), self.held_home, self.held_home)
         anchors = pose[:3] + self.limbs[:, 6:9] @ rotation_matrix(pose[3:7]).T - self.limbs[:, :3]

@@ -14,44 +14,34 @@ integrator reproduces the reference.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from hiltestbed.compiled.bound import GIVEN, Call, bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array, rotate
-from hiltestbed.platform.divergence import has_diverged
 from hiltestbed.platform.facilities.drives import Drives
-from hiltestbed.platform.facilities.facility import per_run
 from hiltestbed.platform.facilities.force_servo import quantised
-from hiltestbed.platform.facilities.reference import LEAVE, Cycles, TickPlan, plan_tick, sample
-from hiltestbed.platform.friction import DriveFriction
+from hiltestbed.platform.facilities.mover import Runs, has_diverged
+from hiltestbed.platform.facilities.reference import LEAVE, plan_tick, sample
 from hiltestbed.platform.pss33.dynamics import drive_forces, invert, load_constants
 from hiltestbed.platform.pss33.kinematics import SliderKinematics, jacobian, joints
-
-if TYPE_CHECKING:
-    from hiltestbed.platform.pss33.settings import Pss33
 
 # A drive's share of the mass moved in heave: platform and mechanism 350 kg, three links, carriages
 # and armatures of 97 kg, over 3.
 MOVED_PER_DRIVE = 214.0  # [kg]
 # [N/m] 300 N at 6 um: machine-tool drives give 1 to 50 um before they break away
 PRESLIDING = 5.0e7
-_CYCLES = len(Cycles._fields)
 KP, KV, ENCODER = range(3)  # [N/m], [N s/m], resolution [m], 0: not quantised
 
 
 @njit(cache=True)
-def _aim(limbs, constants, poses, twists, *given):
-    """Plan a tick of the sliders, with the drives' forces in place of accelerations; given: the
-    fields of Cycles and TickPlan.
-    """
-    cycles, plan = Cycles(*given[:_CYCLES]), TickPlan(*given[_CYCLES:])
+def _aim(limbs, constants, targets, cycles, plan):
+    """Plan a tick of the sliders, with the drives' forces in place of accelerations."""
+    poses, twists = targets.poses, targets.twists
     k = plan.ticks[0]
     jac, inverse, at, accel = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
     q, v = np.empty(3), np.empty(3)
@@ -83,7 +73,7 @@ def _aim(limbs, constants, poses, twists, *given):
 
 
 @njit(cache=True)
-def _push(plan, sub, gains, axes, inputs, qpos, qvel, ctrl):
+def _push(gains, axes, inputs, plan, sub, qpos, qvel, ctrl):
     """Forces of the drives [N] at the start of substep ``sub``; ``gains`` (n, 3)."""
     for i in range(qpos.shape[0]):
         p = gains[i]
@@ -97,20 +87,18 @@ def _push(plan, sub, gains, axes, inputs, qpos, qvel, ctrl):
 
 
 @njit(cache=True)
-def _observe(adr, centre, qpos, qvel, limit, diverged, *given):
+def _observe(adr, centre, readings, sides, qpos, qvel, limit, diverged):
     """Pose and twist of A from the platform's free joint, and the sliders; returns whether a run
-    has just exceeded ``limit`` or become non-finite. given: pose, twist, sliders and their rates.
+    has just exceeded ``limit`` or become non-finite.
     """
-    pose, twist, sliders, rates = given
+    pose, twist = sides.pose, sides.twist
     arm, turn = np.empty(3), np.empty(3)
     lost = False
     p, d = adr[0, 6], adr[1, 6]
     for i in range(qpos.shape[0]):
-        if diverged[i]:
-            continue
-        if has_diverged(qpos[i], qvel[i], limit):
+        if diverged[i] or has_diverged(qpos[i], qvel[i], limit):
+            lost = lost or not diverged[i]
             diverged[i] = True
-            lost = True
             continue
         for k in range(3):
             pose[i, 3 + k] = qpos[i, p + 4 + k]
@@ -124,7 +112,7 @@ def _observe(adr, centre, qpos, qvel, limit, diverged, *given):
         twist[i, 1] = qvel[i, d + 1] - (turn[2] * arm[0] - turn[0] * arm[2])
         twist[i, 2] = qvel[i, d + 2] - (turn[0] * arm[1] - turn[1] * arm[0])
         for j in range(6):
-            sliders[i, j], rates[i, j] = qpos[i, adr[0, j]], qvel[i, adr[1, j]]
+            readings.joints[i, j], readings.rates[i, j] = qpos[i, adr[0, j]], qvel[i, adr[1, j]]
     return lost
 
 
@@ -137,37 +125,21 @@ class SliderDrives(Drives):
 
     kinematics: SliderKinematics
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        kinematics: SliderKinematics,
-        tick: float,
-        substeps: int,
-        settings: Sequence[Pss33],
-        feed: NDArray[np.bool_],
-    ) -> None:
-        super().__init__(model, kinematics, tick, substeps, settings, feed)
+    def __init__(self, model: mujoco.MjModel, kinematics: SliderKinematics, runs: Runs) -> None:
+        super().__init__(model, kinematics, runs)
         self.place_A, self.motion_A = self.pose, self.twist  # P is W
         self._constants = load_constants(model, kinematics.tools[0])
-        band, damping = per_run(settings, "bandwidth"), per_run(settings, "damping_ratio")
+        band, damping = runs.numbers("bandwidth"), runs.numbers("damping_ratio")
         self.gains = np.column_stack(
             [
                 MOVED_PER_DRIVE * (2.0 * math.pi * band) ** 2,
                 2.0 * damping * MOVED_PER_DRIVE * 2.0 * math.pi * band,
-                per_run(settings, "encoder_resolution"),
+                runs.numbers("encoder_resolution"),
             ]
         )
-        law = np.array([s.actuator.law() for s in settings])
-        if law[:, [0, 1, 3]].any():
-            least = float(self._constants[14] + self._constants[15])  # carriage and armature
-            self._friction = DriveFriction(
-                np.tile(law[:, None], (1, 6, 1)),
-                PRESLIDING,
-                least,
-                self._axes[1],
-                self._inputs,
-                self.step,
-            )
+        self.encoder = self.gains[:, ENCODER]
+        carried = float(self._constants[14] + self._constants[15])  # carriage and armature
+        self.rub([s.actuator.law() for s in runs.settings], PRESLIDING, carried)
 
     @property
     def solution(self) -> Array:
@@ -176,35 +148,14 @@ class SliderDrives(Drives):
     @cached_property
     def _solve(self) -> Callable[[], None]:
         limbs = self.kinematics.limbs
-        given = (self.poses, self.twists, *self.cycles, *self.plan)
-        return bound(_aim, limbs, self._constants, *given)
+        return bound(_aim, limbs, self._constants, self.targets, self.cycles, self.plan)
 
     @cached_property
     def _seen(self) -> Call:
-        return Call(
-            _observe,
-            self.kinematics.addresses,
-            self.kinematics.centre,
-            *(GIVEN,) * 4,
-            self.pose,
-            self.twist,
-            self.joints,
-            self.joint_rates,
-        )
-
-    def rest(self, qpos: Array, qvel: Array) -> None:
-        if self._friction:
-            self._friction.settle(qvel)
-
-    def release(self) -> None:
-        super().release()
-        self.gains[:, ENCODER] = 0.0
+        at = self.kinematics.addresses, self.kinematics.centre
+        return Call(_observe, *at, self.readings, self.sides, *(GIVEN,) * 4)
 
     @cached_property
     def _pushed(self) -> Call:
-        return Call(
-            _push, self.plan.steps, ..., self.gains, self._axes, self._inputs, GIVEN, GIVEN, GIVEN
-        )
-
-    def push(self, sub: int, qpos: Array, qvel: Array, ctrl: Array) -> None:
-        self.pushing(self._pushed, qpos, qvel, ctrl)(sub)
+        law = self.gains, self._axes, self._inputs, self.plan.steps
+        return Call(_push, *law, ..., GIVEN, GIVEN, GIVEN)

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from hiltestbed.config.validation import NotNegative, Positive, Problem, Strictly, refuse
-from hiltestbed.platform.facilities.settings import CommandPath, ResponseSettings
-from hiltestbed.platform.kinds import Platform
+from hiltestbed.platform.facilities.settings import CommandPath, Driven
 from hiltestbed.plugins import register
 
 if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.facility import Facility
     from hiltestbed.scenario.like import ScenarioLike as Scenario
+
+
+# [m/s] highest approach speed at which the upper platform is clamped before the first touch
+UPPER_SPEED = 0.3
 
 
 class Actuator(Strictly):
@@ -120,13 +122,14 @@ class Workspace(Strictly):
 
 
 @register
-class Pss33(Platform):
+class Pss33(Driven):
     """Platform of the 3-3 PSS kind: six sliders, each with a link to the platform; drives with
     computed-torque control.
     """
 
     states_limits: ClassVar[bool] = False
     carries_upper: ClassVar[bool] = True
+    start_needs_model: ClassVar[bool] = False
     drives: ClassVar[tuple[str, ...]] = (
         "bandwidth",
         "damping_ratio",
@@ -144,16 +147,6 @@ class Pss33(Platform):
 
     kind: Literal["pss33"] = Field(
         default="pss33", description="Motion platform. pss33: 3-3 PSS, six sliders"
-    )
-    tracking: Literal["servo", "response", "ideal"] = Field(
-        default="servo",
-        description="Tracking. servo: dynamics with simulated drives; response: a second- or "
-        "third-order response with a delay instead; "
-        "ideal: the pose reaches the command exactly, one tick later",
-    )
-    response: ResponseSettings = Field(
-        default=ResponseSettings(),
-        description="Response to the command; only with tracking response",
     )
     bandwidth: Positive = Field(
         default=40.0,
@@ -181,24 +174,67 @@ class Pss33(Platform):
         description="Motors and friction of the drives; only with tracking servo",
     )
 
-    def facility(self) -> Facility:
-        from hiltestbed.platform.pss33.facility import Pss33Facility
-
-        return Pss33Facility(self)
-
     def problems(self, scenario: Scenario) -> Iterator[Problem]:
-        from hiltestbed.platform.pss33.checks import start_problems
+        yield from super().problems(scenario)
+        if scenario.rig.upper.kind == "prs3":
+            yield from self._nine_axis_problems(scenario)
+            return
+        approach, reach = scenario.approach, self.workspace.translation
+        turn = self.workspace.rotation_deg
+        lowest = -reach if scenario.mechanism.captured else 0.0
+        limits: list[tuple[tuple[str | int, ...], float, float, float, str]] = [
+            (("gap",), approach.gap, lowest, reach, "m"),
+            *(
+                (("offset", k), value, -reach, reach, "m")
+                for k, value in enumerate(approach.offset)
+            ),
+            *(
+                (("attitude_deg", k), value, -turn, turn, "deg")
+                for k, value in enumerate(approach.attitude_deg)
+            ),
+        ]
+        for path, value, low, high, unit in limits:
+            if not low <= value <= high:
+                yield (
+                    ("approach", *path),
+                    f"starts outside the workspace (got {value:g} {unit}); allowed is {low:g} to "
+                    f"{high:g} {unit}",
+                )
 
-        return start_problems(scenario)
+    def _nine_axis_problems(self, scenario: Scenario) -> Iterator[Problem]:
+        """The gap may be the upper platform's heave; the lower one must reach its share."""
+        import numpy as np
 
-    def nearest_bandwidth(self, scenario: Scenario) -> float:
-        return (
-            self.bandwidth if self.tracking != "response" else super().nearest_bandwidth(scenario)
+        from hiltestbed.frames import quat_from_attitude_deg, rotation_vectors
+        from hiltestbed.platform.prs3.allocation import LONGEST, lower_pose
+
+        approach = scenario.approach
+        reach, widest = self.workspace.translation, self.workspace.rotation_deg
+        lowest = -reach if scenario.mechanism.captured else 0.0
+        if not lowest <= approach.gap <= LONGEST:
+            yield (
+                ("approach", "gap"),
+                f"starts outside the workspace (got {approach.gap:g} m); allowed is {lowest:g} to "
+                f"{LONGEST:g} m",
+            )
+            return
+        if not abs(approach.velocity[2]) <= UPPER_SPEED:
+            yield (
+                ("approach", "velocity", 2),
+                "is too fast for the upper platform to come to rest before the touch (got "
+                f"{approach.velocity[2]:g} m/s); allowed is -{UPPER_SPEED:g} to {UPPER_SPEED:g} "
+                "m/s",
+            )
+        pose = np.array(
+            [[*approach.offset, -approach.gap, *quat_from_attitude_deg(approach.attitude_deg)]]
         )
-
-
-def pss33_of(scenario: Scenario) -> Pss33:
-    """The settings of a scenario's platform, which must be of this kind."""
-    platform = scenario.rig.platform
-    assert isinstance(platform, Pss33)
-    return platform
+        lower = lower_pose(pose)
+        place, turn = np.abs(lower[0, :3]), np.degrees(np.abs(rotation_vectors(lower[:, 3:])[0]))
+        if not (place.max() <= reach and turn.max() <= widest):
+            where = ", ".join(f"{value:.3g}" for value in lower[0, :3])
+            yield (
+                ("approach",),
+                f"starts outside the workspace (the lower platform would be at {where} m, rotated "
+                f"by up to {turn.max():.3g} deg); allowed are {reach:g} m and {widest:g} deg on "
+                "each axis: take a smaller offset or attitude_deg",
+            )

@@ -1,3 +1,1 @@
-"""The shipped platforms, one file each: the settings in a scenario, and the facility that they
-describe.
-"""
+"""The settings of the shipped platforms in a scenario, one file each."""

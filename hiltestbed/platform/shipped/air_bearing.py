@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from hiltestbed.config.validation import NotNegative, Positive, Vector2
 from hiltestbed.platform.facilities.settings import Physical
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.air_bearing import AirBearing
 
 
 @register
@@ -56,8 +53,3 @@ class AirBearingSettings(Physical):
         description="Stiffness of an air line, along x and z [N/m]; 0: bottles on board",
     )
     hose_damping: NotNegative = Field(default=0.5, description="Damping of an air line [N s/m]")
-
-    def build(self) -> AirBearing:
-        from hiltestbed.platform.facilities.air_bearing import AirBearing
-
-        return AirBearing(self)

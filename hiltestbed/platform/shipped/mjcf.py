@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -12,9 +12,6 @@ from hiltestbed.config.models import models_folder, stamp
 from hiltestbed.config.validation import ModelOrShipped, Positive
 from hiltestbed.platform.facilities.settings import CommandPath, Driven
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.mjcf import MjcfFacility
 
 
 @register
@@ -62,8 +59,3 @@ class MjcfSettings(Driven):
             if own
             else super().contest()
         )
-
-    def build(self) -> MjcfFacility:
-        from hiltestbed.platform.facilities.mjcf import MjcfFacility
-
-        return MjcfFacility(self)

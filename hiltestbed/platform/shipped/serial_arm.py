@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from hiltestbed.config.validation import NotNegative, Positive, Strictly
 from hiltestbed.platform.facilities.settings import CommandPath, Driven, Friction, Ratio
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.serial_arm import SerialArm
 
 
 class ArmController(Strictly):
@@ -68,8 +65,3 @@ class SerialArmSettings(Driven):
             "force": force,
             "motion": {"kind": "feedforward"},
         }
-
-    def build(self) -> SerialArm:
-        from hiltestbed.platform.facilities.serial_arm import SerialArm
-
-        return SerialArm(self)

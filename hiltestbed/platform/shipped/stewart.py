@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from hiltestbed.config.validation import NotNegative, Positive, Strictly
 from hiltestbed.platform.facilities.settings import CommandPath, Driven, Friction, Ratio
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.stewart import Stewart
 
 
 class Valve(Strictly):
@@ -146,8 +143,3 @@ class StewartSettings(Driven):
             f"stewart, {drive}": {"kind": "stewart", "drive": {"kind": drive}}
             for drive in ("hydraulic", "electric")
         }
-
-    def build(self) -> Stewart:
-        from hiltestbed.platform.facilities.stewart import Stewart
-
-        return Stewart(self)

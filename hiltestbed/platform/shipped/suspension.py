@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.platform.facilities.settings import Physical
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.suspension import Suspension
 
 
 @register
@@ -55,8 +52,3 @@ class SuspensionSettings(Physical):
         default=0.001,
         description="Height of the gimbal above the centre of mass [m]; balanced to 1 mm",
     )
-
-    def build(self) -> Suspension:
-        from hiltestbed.platform.facilities.suspension import Suspension
-
-        return Suspension(self)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from hiltestbed.platform.facilities.settings import CommandPath, Driven
 from hiltestbed.platform.shipped.serial_arm import ArmController
 from hiltestbed.plugins import register
-
-if TYPE_CHECKING:
-    from hiltestbed.platform.facilities.two_arms import TwoArms
 
 
 @register
@@ -45,8 +42,3 @@ class TwoArmsSettings(Driven):
             "force": force,
             "motion": {"kind": "feedforward"},
         }
-
-    def build(self) -> TwoArms:
-        from hiltestbed.platform.facilities.two_arms import TwoArms
-
-        return TwoArms(self)

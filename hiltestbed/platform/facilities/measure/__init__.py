@@ -1,15 +1,15 @@
 """Measurements on the model of a rig: workspace, response, modes, stiffness.
 
-Every function takes a facility of any kind. The rig carries a payload, by default the bumper's
-active side, and commands and wrenches refer to A, the tip of the mechanism.
+A rig carries a payload, by default the bumper's active side, and commands and wrenches refer to A,
+the tip of the mechanism.
 """
 
 from hiltestbed.platform.facilities.measure.frequency_response import (
     FrequencyResponse,
+    dynamic_stiffness,
     frequency_response,
 )
 from hiltestbed.platform.facilities.measure.modes import Mode, modes
-from hiltestbed.platform.facilities.measure.stiffness import dynamic_stiffness, static_compliance
 from hiltestbed.platform.facilities.measure.workspace import Reach, workspace
 
 __all__ = [
@@ -19,6 +19,5 @@ __all__ = [
     "dynamic_stiffness",
     "frequency_response",
     "modes",
-    "static_compliance",
     "workspace",
 ]

@@ -1,8 +1,7 @@
-"""Frequency response of a facility in six axes: stepped sines, one run of a batch for each axis and
-frequency.
+"""Response of a rig in six axes to sines: of its command, and of a wrench at A. One run of a batch
+for each axis and frequency.
 
-Ratio of reached to commanded pose of A, from a least-squares fit of sine, cosine and mean over
-whole cycles after the transient. The motion of the other axes is the cross response. Command and
+A sine and a cosine are fitted by least squares over whole cycles after the transient. Command and
 response are samples at t_k, without a hold in between.
 """
 
@@ -11,23 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiltestbed.frames import Array, rotation_vectors
-from hiltestbed.platform.facilities.facility import Facility
 from hiltestbed.platform.facilities.kinematics import LEVER
-from hiltestbed.platform.facilities.stand import Stand
-
-if TYPE_CHECKING:
-    from hiltestbed.contact.settings import Mechanism
+from hiltestbed.platform.facilities.stand import Stand, Stands
 
 AMPLITUDE = 2e-3  # [m]; divided by LEVER for a rotation
 PULL = 4.0  # [m/s^2] largest acceleration of a sine
+FORCE, TORQUE = 200.0, 60.0  # [N], [N m]
 CYCLES = 3  # number of cycles fitted
 LEAD_IN = 1.0  # [s] transient, in the first half of which the sine's amplitude grows
+LEVERS = np.array([1.0] * 3 + [LEVER] * 3)  # a rotation times its lever is a length
 
 
 @dataclass(frozen=True)
@@ -71,71 +67,58 @@ class FrequencyResponse:
 
 
 def frequency_response(
-    facility: Facility,
+    stands: Stands,
     frequency: Array | Sequence[float],
-    *,
-    feed: bool = False,
-    friction: bool = True,
     axes: Sequence[int] = range(6),
-    rate: float = 2000.0,
-    substeps: int = 2,
     amplitude: float = AMPLITUDE,
-    settings: Any = None,
-    mechanism: Mechanism | None = None,
 ) -> FrequencyResponse:
-    """Measure at the frequencies [Hz], about home. Axes that are left out are NaN.
-
-    Args:
-        feed: feed-forward of velocity and acceleration. friction: of the drives; without it the
-            response is linear.
+    """Ratio of reached to commanded pose of A at the frequencies [Hz], about home; the motion of
+    the other axes is the cross response. Axes that are left out are NaN.
     """
     f = np.asarray(frequency, dtype=float)
-    count = len(axes) * len(f)
-    stand = Stand(
-        facility,
-        count,
-        feed=feed,
-        rate=rate,
-        substeps=substeps,
-        settings=settings and [settings] * count,
-        mechanism=mechanism,
-    )
-    if not friction:
-        stand.drives.release()
+    stand = stands(len(axes) * len(f))
     axis, w = np.repeat(np.asarray(axes), len(f)), 2.0 * math.pi * np.tile(f, len(axes))
-    size = np.minimum(
-        np.where(axis < 3, amplitude, amplitude / LEVER),
-        np.where(axis < 3, PULL, PULL / LEVER) / w**2,
-    )
-    ticks = math.ceil((LEAD_IN + CYCLES / f.min()) * rate)
-    record = _drive(stand, axis, w, size, ticks)
+    size = np.minimum(amplitude, PULL / w**2) / LEVERS[axis]
+    ratios = _fitted(_command_sines(stand, axis, w, size), w, stand.tick) / size[:, None]
     own, cross = np.full((6, len(f)), np.nan, dtype=complex), np.full((6, len(f)), np.nan)
-    t = np.arange(1, ticks + 1) / rate
-    for i in range(count):
-        window = t > t[-1] - 2.0 * math.pi * CYCLES / w[i]
-        basis = np.column_stack(
-            [np.sin(w[i] * t[window]), np.cos(w[i] * t[window]), np.ones(window.sum())]
-        )
-        fit = np.linalg.lstsq(basis, record[window, i], rcond=None)[0]
-        ratio = (fit[0] + 1j * fit[1]) / size[i]
-        others = (
-            np.abs(ratio) * np.where(np.arange(6) < 3, 1.0, LEVER) / (1.0 if axis[i] < 3 else LEVER)
-        )
+    for i, ratio in enumerate(ratios):
         row, column = int(axis[i]), i % len(f)
         own[row, column] = ratio[row]
-        cross[row, column] = np.delete(others, row).max()
+        cross[row, column] = np.delete(np.abs(ratio) * LEVERS / LEVERS[row], row).max()
     return FrequencyResponse(f, own, cross)
 
 
-def _drive(stand: Stand, axis: NDArray[np.intp], w: Array, size: Array, ticks: int) -> Array:
+def dynamic_stiffness(stands: Stands, frequency: Array | Sequence[float]) -> NDArray[np.complex128]:
+    """``(6, F)`` complex stiffness of each axis at A, force over displacement, with a constant
+    command and without friction [N/m, N m/rad].
+    """
+    f = np.asarray(frequency, dtype=float)
+    n = 6 * len(f)
+    stand = stands(n)
+    stand.drives.release()
+    axis, w, runs = np.repeat(np.arange(6), len(f)), 2.0 * math.pi * np.tile(f, 6), np.arange(n)
+    size = np.where(axis < 3, FORCE, TORQUE)
+    pose, still = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 6))
+    stand.reset(pose, still)
+    record = np.empty((_ticks(w, stand.tick), n, 6))
+    for k in range(len(record)):
+        t = (k + 0.5) * stand.tick  # the wrench is constant over a tick
+        stand.wrench[runs, axis] = _grown(t) * size * np.sin(w * t)
+        stand.advance(pose, still, still)
+        record[k] = _placed(stand)
+    moved = _fitted(record, w, stand.tick)[runs, axis]
+    return (size / moved).reshape(6, len(f))
+
+
+def _command_sines(stand: Stand, axis: NDArray[np.intp], w: Array, size: Array) -> Array:
     """``(ticks, n, 6)`` position and rotation vector of A under sines that grow smoothly."""
     n, h = len(axis), stand.tick
     runs = np.arange(n)
     place, speed, bend = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
     pose = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
     stand.reset(pose, speed)
-    out = np.empty((ticks, n, 6))
-    for k in range(1, ticks + 1):
+    out = np.empty((_ticks(w, h), n, 6))
+    for k in range(1, len(out) + 1):
         t = k * h
         # The velocity of a tick belongs to its middle, its acceleration to its start.
         place[runs, axis] = size * _grown(t) * np.sin(w * t)
@@ -146,10 +129,28 @@ def _drive(stand: Stand, axis: NDArray[np.intp], w: Array, size: Array, ticks: i
         pose[:, 3:6] = 0.5 * place[:, 3:] * np.sinc(half / math.pi)
         pose[:, 6] = np.cos(half[:, 0])
         stand.advance(pose, speed, bend)
-        out[k - 1, :, :3], out[k - 1, :, 3:] = (
-            stand.pose[:, :3],
-            rotation_vectors(stand.pose[:, 3:]),
-        )
+        out[k - 1] = _placed(stand)
+    return out
+
+
+def _placed(stand: Stand) -> Array:
+    """``(n, 6)`` position and rotation vector of A."""
+    return np.hstack([stand.pose[:, :3], rotation_vectors(stand.pose[:, 3:])])
+
+
+def _ticks(w: Array, tick: float) -> int:
+    return math.ceil((LEAD_IN + CYCLES * 2.0 * math.pi / w.min()) / tick)
+
+
+def _fitted(record: Array, w: Array, tick: float) -> NDArray[np.complex128]:
+    """``(n, 6)`` complex amplitudes of a record (ticks, n, 6) of sines of w (n,)."""
+    t, out = np.arange(1, len(record) + 1) * tick, np.empty(record.shape[1:], dtype=complex)
+    for i, w_i in enumerate(w):
+        window = t > t[-1] - 2.0 * math.pi * CYCLES / w_i
+        phase = w_i * t[window]
+        basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones(len(phase))])
+        fit = np.linalg.lstsq(basis, record[window, i], rcond=None)[0]
+        out[i] = fit[0] + 1j * fit[1]
     return out
 
 

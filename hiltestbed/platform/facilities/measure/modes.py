@@ -10,18 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from hiltestbed.frames import Array
-from hiltestbed.platform.facilities.facility import Facility
 from hiltestbed.platform.facilities.kinematics import LEVER, direction
-from hiltestbed.platform.facilities.stand import Stand
-
-if TYPE_CHECKING:
-    from hiltestbed.contact.settings import Mechanism
+from hiltestbed.platform.facilities.stand import Stand, Stands
 
 NUDGE = 1e-6  # [m], [rad], and per second for a velocity: size of a perturbation
 SLOWEST = 0.05  # [Hz] lowest frequency of a mode
@@ -46,21 +41,13 @@ class Mode:
     motion: str
 
 
-def modes(
-    facility: Facility,
-    *,
-    highest: float = 200.0,
-    feed: bool = False,
-    rate: float = 2000.0,
-    substeps: int = 2,
-    mechanism: Mechanism | None = None,
-) -> tuple[Mode, ...]:
+def modes(stands: Stands, highest: float = 200.0) -> tuple[Mode, ...]:
     """The modes below ``highest`` [Hz] at home, in order of frequency."""
-    probe = Stand(facility, 1, feed=feed, rate=rate, substeps=substeps, mechanism=mechanism)
+    probe = stands(1)
     allowed = probe.drives.kinematics.allowed(probe.drives.kinematics.home)
     own = probe.drives.feedback().shape[1]
     count = 2 * allowed.shape[1] + own
-    stand = Stand(facility, 2 * count, feed=feed, rate=rate, substeps=substeps, mechanism=mechanism)
+    stand = stands(2 * count)
     stand.drives.release()
     phi = _map(probe, stand, allowed, count)
     values, vectors = np.linalg.eig(phi)
@@ -68,7 +55,7 @@ def modes(
     for value, vector in zip(values, vectors.T, strict=True):
         if value.imag <= 1e-9:
             continue
-        s = np.log(value) * rate
+        s = np.log(value) / stand.tick
         frequency, zeta = abs(s) / (2.0 * math.pi), -s.real / abs(s)
         if not SLOWEST < frequency < highest or abs(zeta) > LIGHTLY:
             continue
@@ -79,9 +66,7 @@ def modes(
 
 
 def _map(probe: Stand, stand: Stand, allowed: Array, count: int) -> Array:
-    """``(N, N)`` one-tick map of positions and velocities in the allowed motions and of the drives'
-    state.
-    """
+    """``(N, N)`` one-tick map of allowed positions and velocities, and of the drives' state."""
     n, free = 2 * count, allowed.shape[1]
     pose, still = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 6))
     probe.drives.release()

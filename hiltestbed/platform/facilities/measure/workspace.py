@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hiltestbed.frames import Array, pose_step
-from hiltestbed.platform.facilities.facility import Facility
+from hiltestbed.platform.facilities.drives import Drives
+from hiltestbed.platform.facilities.facility import UPRIGHT, Facility
 from hiltestbed.platform.facilities.kinematics import AXES
 from hiltestbed.platform.facilities.stand import Stand
 
@@ -32,11 +33,9 @@ class Reach:
     stops: tuple[str, str]
 
 
-def workspace(facility: Facility, stand: Stand | None = None) -> tuple[Reach, ...]:
-    """The reach of A from home in six axes, the others constant: up to a joint's travel, a
-    singularity or the limit of reach.
-    """
-    drives = (stand or Stand(facility)).drives
+def workspace(facility: Facility) -> tuple[Reach, ...]:
+    """The reach of A from home, axis by axis: up to travel, a singularity or the reach."""
+    drives = Stand(facility).drives
     out = []
     for k, axis in enumerate(AXES):
         ends = [_walk(drives, k, sign) for sign in (-1.0, 1.0)]
@@ -44,46 +43,32 @@ def workspace(facility: Facility, stand: Stand | None = None) -> tuple[Reach, ..
     return tuple(out)
 
 
-def _walk(drives, k: int, sign: float) -> tuple[float, str]:
+def _walk(drives: Drives, k: int, sign: float) -> tuple[float, str]:
     """Distance that A can move from home in one direction, and what limits it."""
-    kind = k // 3
-    stride, most = STRIDE[kind], FURTHEST[kind]
-    reached, far = 0.0, stride
-    q = drives.kinematics.home.copy()
-    why = ""
-    while far <= most:
-        found, q_next = _look(drives, k, sign * far, q)
-        if found:
-            why = found
-            break
-        reached, q, far = far, q_next, far + stride
+    stride, most = STRIDE[k // 3], FURTHEST[k // 3]
+    reached, far, q, why = 0.0, stride, drives.kinematics.home.copy(), ""
+    while far <= most and not why:
+        why, q_next = _look(drives, k, sign * far, q)
+        if not why:
+            reached, q, far = far, q_next, far + stride
     if not why:
         return reached, ""
-    low, high = reached, far
     for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
+        middle = 0.5 * (reached + far)
         found, q_next = _look(drives, k, sign * middle, q)
         if found:
-            high, why = middle, found
+            far, why = middle, found
         else:
-            low, q = middle, q_next
-    return low, why
+            reached, q = middle, q_next
+    return reached, why
 
 
-def _look(drives, k: int, shift: float, q: Array) -> tuple[str, Array]:
-    """Why A cannot be at ``shift`` from home along axis ``k`` (empty: it can), and the joints,
-    solved from nearby joints ``q``.
-    """
+def _look(drives: Drives, k: int, shift: float, q: Array) -> tuple[str, Array]:
+    """Why A cannot be at ``shift`` on axis ``k`` (empty: it can), and the joints, from ``q``."""
     step, pose = np.zeros(6), np.empty((1, 7))
     step[k] = shift
-    home = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    pose_step(home, step, 1.0, pose[0])
-    drives.allocate(
-        np.tile(pose, (len(drives.pose), 1)),
-        np.zeros_like(drives.twist),
-        np.zeros_like(drives.twist),
-        0.0,
-    )
+    pose_step(UPRIGHT, step, 1.0, pose[0])
+    drives.allocate(pose, np.zeros((1, 6)), np.zeros((1, 6)), 0.0)
     kinematics = drives.kinematics
     solved, left = kinematics.solve(drives.poses[0], drives.held[0], q)
     if not left < 1e-7:
