@@ -13,9 +13,12 @@ from ruamel.yaml import YAML
 
 from tests.bench.test_independent_rig import CHANGED, changed_by
 from tests.equipment.independent_rig import (
+    DOCKING_SIZES,
     EFFECTS,
     FOREIGN,
     LOOK_ALIKES,
+    PLAIN,
+    DockingFacility,
     acting_in,
     draw_docking_facility,
     draw_effects,
@@ -24,13 +27,11 @@ from tests.equipment.independent_rig import (
     draw_set,
     foreign_in,
     link_of,
+    rig_of,
     silence,
     simulate,
     write_set,
 )
-from tests.equipment.independent_rig.docking_facility import DockingFacility
-from tests.equipment.independent_rig.docking_sizes import SIZES
-from tests.equipment.independent_rig.generation import PLAIN, rig_of
 from tests.slow import ALL, SLOW
 
 FACILITIES: dict[str, DockingFacility] = {}
@@ -60,7 +61,7 @@ def test_in_a_docking_an_effect_changes_what_its_link_gives_and_nothing_else(
 
 
 def test_what_acts_where_is_told() -> None:
-    assert set(SIZES) == set(EFFECTS)
+    assert set(DOCKING_SIZES) == set(EFFECTS)
     assert set(acting_in("docking")) == set(EFFECTS) - {"contact.backlash"}
     for design in ("bumper", "docking", "mounted", "held"):
         assert len(foreign_in(design)) >= 16

@@ -10,6 +10,8 @@ import pytest
 from tests.equipment.independent_rig import (
     EFFECTS,
     FOREIGN,
+    NEEDS,
+    PLAIN,
     SIZES,
     Facility,
     Records,
@@ -18,12 +20,11 @@ from tests.equipment.independent_rig import (
     link_of,
     nominal_rig,
     overridden,
+    rig_of,
     silence,
     simulate,
     with_effect,
 )
-from tests.equipment.independent_rig.sets import PLAIN, rig_of
-from tests.equipment.independent_rig.sizes import NEEDS
 from tests.slow import ALL
 
 FLAT = {
