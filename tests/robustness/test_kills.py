@@ -35,7 +35,7 @@ def test_half_a_folder_is_a_fault(tmp_path: Path) -> None:
         kills._complete_or_absent(tmp_path / "out", COMMANDS["run"], "half")
     (tmp_path / "out" / "summary.json").write_text('{"half')
     with pytest.raises(ValueError, match="Unterminated"):
-        kills._complete_or_absent(tmp_path / "out", Command(lambda a, b: [], frozenset()), "half")
+        kills._complete_or_absent(tmp_path / "out", Command("", frozenset()), "half")
 
 
 @pytest.mark.parametrize(
