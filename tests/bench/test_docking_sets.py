@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -34,13 +35,10 @@ from tests.equipment.independent_rig import (
 )
 from tests.slow import ALL, SLOW
 
-FACILITIES: dict[str, DockingFacility] = {}
 
-
+@cache
 def _facility(design: str) -> DockingFacility:
-    if design not in FACILITIES:
-        FACILITIES[design] = draw_docking_facility(np.random.default_rng(2), design)
-    return FACILITIES[design]
+    return draw_docking_facility(np.random.default_rng(2), design)
 
 
 HIDDEN = [
@@ -111,21 +109,14 @@ def test_look_alikes_do_much_the_same_to_the_records(pair: tuple[str, str]) -> N
     both = draw_look_alike(rng, pair, facility)
     assert (both[0]["kind"], both[1]["kind"]) == pair
     plain = simulate(rig := rig_of(facility, 3, [], PLAIN), silence(rig.ticks))
-    links = {link_of(name) for name in pair}
-    channel = (
-        {"dynamics": "pose_cmd", "platform": "pose_act"}.get(links.pop(), "wrench_meas")
-        if len(links) == 1
-        else "wrench_meas"
-    )
+    (link, *others) = {link_of(name) for name in pair}
+    channel = {"dynamics": "pose_cmd", "platform": "pose_act"}.get(link, "wrench_meas")
+    channel = "wrench_meas" if others else channel
     channel = "wrench_comp" if "loop.deadzone" in pair else channel
+    cuts = {"pose_cmd": plain.pose_cmd, "wrench_comp": plain.wrench_comp}
     changes = []
     for effect in both:
-        cut = simulate(
-            rig_of(facility, 3, [effect], PLAIN),
-            silence(rig.ticks),
-            pose_cmd=plain.pose_cmd,
-            wrench_comp=plain.wrench_comp,
-        )
+        cut = simulate(rig_of(facility, 3, [effect], PLAIN), silence(rig.ticks), **cuts)
         changes.append((getattr(cut, channel) - getattr(plain, channel))[:, 2])
     sizes = [float(np.linalg.norm(c)) for c in changes]
     assert 0.4 < sizes[0] / sizes[1] < 2.5
