@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.analysis.metrics import ContactFigures
+from hiltestbed.bench.contenders import Briefing
 from hiltestbed.frames import Array
 from hiltestbed.loop import Loop
 from hiltestbed.numerical_model.bodies import effective_mass
@@ -82,6 +83,10 @@ class BenchContact:
     def believed_delay(self) -> float:
         return self.delay / 1.2 if self.delay_knowledge == "off" else self.delay
 
+    @property
+    def briefing(self) -> Briefing:
+        return Briefing(self.stiffness, self.damping, self.peak, self.believed_delay)
+
     def scenario(
         self,
         force: dict[str, Any],
@@ -89,11 +94,11 @@ class BenchContact:
         motion: str = "feedforward",
     ) -> Scenario:
         """The contact with a force compensation."""
-        effects = []
-        if self.delay_knowledge == "off":
-            effects.append({"kind": "sensor.delay", "delay": self.delay - self.believed_delay})
-        if self.delay_knowledge == "jitter":
-            effects.append({"kind": "sensor.jitter", "sigma": 0.1 * self.delay})
+        effects = {
+            "exact": [],
+            "off": [{"kind": "sensor.delay", "delay": self.delay - self.believed_delay}],
+            "jitter": [{"kind": "sensor.jitter", "sigma": 0.1 * self.delay}],
+        }
         data = {
             "name": f"bounce-{self.frequency:g}Hz-{1e3 * self.delay:g}ms"
             f"-zeta{self.damping_ratio:g}",
@@ -121,7 +126,7 @@ class BenchContact:
             },
             "compensation": {"force": force, "motion": {"kind": motion}},
             "identification": identification or {"kind": "rls"},
-            "effects": effects,
+            "effects": effects[self.delay_knowledge],
         }
         return scenario_from(data, self.changes)
 
@@ -142,34 +147,22 @@ def grid(
 def random_rigs(count: int, seed: int) -> list[BenchContact]:
     """Random rigs: masses, contact, delay, speed, off-axis hits with tilt, sliding and friction."""
     rng = np.random.default_rng(seed)
+
+    def scaled(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(*np.log([low, high]))))
+
     rigs = []
     for i in range(count):
-        masses = (
-            float(np.exp(rng.uniform(*np.log([300.0, 8000.0])))),
-            float(np.exp(rng.uniform(*np.log([500.0, 1e5])))),
-        )
+        masses = scaled(300.0, 8000.0), scaled(500.0, 1e5)
         changes = {
             "approach.offset": rng.uniform(-0.1, 0.1, 2).tolist(),
             "approach.attitude_deg": rng.uniform(-3.0, 3.0, 3).tolist(),
             "approach.rate_deg": rng.uniform(-0.3, 0.3, 3).tolist(),
             "mechanism.contact.friction": float(rng.uniform(0.02, 0.3)),
         }
-        frequency, delay, ratio = (
-            float(np.exp(rng.uniform(*np.log(r)))) for r in ([1.0, 6.0], [0.002, 0.02], [0.02, 0.2])
-        )
-        speed = float(np.exp(rng.uniform(*np.log([0.01, 0.06]))))
-        rigs.append(
-            BenchContact(
-                frequency,
-                delay,
-                ratio,
-                tracking="servo",
-                seed=seed + i,
-                masses=masses,
-                speed=speed,
-                changes=changes,
-            )
-        )
+        contact = scaled(1.0, 6.0), scaled(0.002, 0.02), scaled(0.02, 0.2)
+        own: dict[str, Any] = {"seed": seed + i, "masses": masses, "speed": scaled(0.01, 0.06)}
+        rigs.append(BenchContact(*contact, tracking="servo", changes=changes, **own))
     return rigs
 
 

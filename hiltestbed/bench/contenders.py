@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 from hiltestbed import plugins
 from hiltestbed.compensation.settings import FORCE_METHODS, ForceMethod
@@ -12,17 +12,13 @@ from hiltestbed.compensation.settings import FORCE_METHODS, ForceMethod
 BEST = "resynchronised"
 
 
-class Briefing(Protocol):
+class Briefing(NamedTuple):
     """What a method may be told: k [N/m], c [N s/m], peak force [N] and nominal delay [s]."""
 
-    @property
-    def stiffness(self) -> float: ...
-    @property
-    def damping(self) -> float: ...
-    @property
-    def peak(self) -> float: ...
-    @property
-    def believed_delay(self) -> float: ...
+    stiffness: float
+    damping: float
+    peak: float
+    believed_delay: float
 
 
 @dataclass(frozen=True)
@@ -41,8 +37,8 @@ class Contender:
     own: bool = False
 
 
-def _model(c: Briefing) -> dict[str, float]:
-    return {"stiffness": c.stiffness, "damping": c.damping}
+def _model(c: Briefing, off: float = 1.0) -> dict[str, float]:
+    return {"stiffness": off * c.stiffness, "damping": c.damping}
 
 
 CONTENDERS = (
@@ -66,24 +62,15 @@ CONTENDERS = (
     Contender(
         "smith_predictor_10pct_off",
         "known",
-        lambda c: {"kind": "smith_predictor", "stiffness": 1.1 * c.stiffness, "damping": c.damping},
+        lambda c: {"kind": "smith_predictor", **_model(c, 1.1)},
     ),
     Contender(
         "smith_predictor_lead_10pct_off",
         "known",
-        lambda c: {
-            "kind": "smith_predictor",
-            "stiffness": 1.1 * c.stiffness,
-            "damping": c.damping,
-            "lead_rest": True,
-        },
+        lambda c: {"kind": "smith_predictor", **_model(c, 1.1), "lead_rest": True},
     ),
     Contender(BEST, "known", lambda c: {"kind": BEST, "contact": _model(c)}),
-    Contender(
-        f"{BEST}_delay_known",
-        "first",
-        lambda c: {"kind": BEST, "delay": "known"},
-    ),
+    Contender(f"{BEST}_delay_known", "first", lambda c: {"kind": BEST, "delay": "known"}),
 )
 
 

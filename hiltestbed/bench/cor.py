@@ -15,7 +15,6 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -37,6 +36,7 @@ from hiltestbed.bench.result import BenchResult
 from hiltestbed.errors import HiltestbedError
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
+from hiltestbed.scenario import Scenario
 from hiltestbed.simulation import log_error, reference_scenario
 
 Progress = Callable[[float, float], None]
@@ -58,45 +58,37 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
         m for m in methods if m.own or (m.name in RANDOM_METHODS and m.contact == "first")
     ]
     under = {
-        condition: [
-            replace(c, tracking=condition[0], delay_knowledge=condition[1]) for c in contacts
-        ]
-        for condition in _conditions(quick)
+        (tracking, known): [replace(c, tracking=tracking, delay_knowledge=known) for c in contacts]
+        for tracking, known in _conditions(quick)
     }
     ideal_rigs = [replace(rig, tracking="ideal") for rig in rigs]
     random_effort = effort(rigs) + effort(ideal_rigs)
     boundary_effort = len(BOUNDARY) * effort(_boundary(points))
     ticks = COST_TICKS // (2 if quick else 1)
     cost_effort = effort(_costly(), ticks)
-    whole = (
-        effort(contacts)
-        + sum(effort(under[condition]) for condition, _ in jobs)
-        + len(random_methods) * random_effort
-        + boundary_effort
-        + len(methods) * cost_effort
-        + REPORT
-    )
+    whole = effort(contacts) + sum(effort(under[condition]) for condition, _ in jobs)
+    whole += len(random_methods) * random_effort + boundary_effort
+    whole += len(methods) * cost_effort + REPORT
     step = _counter(progress, whole)
     reference = bounce(
         [reference_scenario(c.scenario({"kind": "none"})) for c in contacts], THREADS
     )
     step(effort(contacts))
     records: list[dict[str, Any]] = []
+    random_records: list[dict[str, Any]] = []
     failed: dict[str, str] = {}
     for condition, contender in jobs:
-        measured = partial(measure, contender, under[condition], reference)
-        records += _unless_failed(contender, failed, measured) or []
+        found = _unless_failed(failed, contender, measure, under[condition], reference)
+        records += found or []
         step(effort(under[condition]))
-    random_records = []
     for contender in random_methods:
-        measured = partial(measure_random, contender, rigs)
-        random_records += _unless_failed(contender, failed, measured) or []
+        random_records += _unless_failed(failed, contender, measure_random, rigs) or []
         step(random_effort)
     boundary = stability_boundary(points)
     step(boundary_effort)
     costs = {}
     for m in methods:
-        costs[m.name, m.contact] = _unless_failed(m, failed, partial(cost, m, ticks))
+        costs[m.name, m.contact] = _unless_failed(failed, m, cost, ticks)
         step(cost_effort)
     records = [r for r in records if r["method"] not in failed]
     random_records = [r for r in random_records if r["method"] not in failed]
@@ -119,13 +111,13 @@ def cor(quick: bool = False, progress: Progress | None = None) -> BenchResult:
 
 
 def _unless_failed(
-    contender: Contender, failed: dict[str, str], measured: Callable[[], T]
+    failed: dict[str, str], contender: Contender, measured: Callable[..., T], *more: Any
 ) -> T | None:
     """Result of ``measured``; None if a user's method raises, with the reason in ``failed``."""
     if contender.name in failed:
         return None
     try:
-        return measured()
+        return measured(contender, *more)
     except HiltestbedError as error:
         if not contender.own:
             raise
@@ -151,11 +143,15 @@ def measure(
 ) -> list[dict[str, Any]]:
     """One record per contact."""
     servo = contacts[0].tracking == "servo"
-    result = bounce([c.scenario(contender.force(c)) for c in contacts], THREADS, trace=servo)
+    result = bounce(_scenarios(contender, contacts), THREADS, trace=servo)
     return [
         _record(contender, c, result, reference, i) | (_tracking(result, i) if servo else {})
         for i, c in enumerate(contacts)
     ]
+
+
+def _scenarios(contender: Contender, contacts: Sequence[BenchContact]) -> list[Scenario]:
+    return [c.scenario(contender.force(c.briefing)) for c in contacts]
 
 
 def _record(
@@ -212,28 +208,22 @@ def measure_random(contender: Contender, rigs: Sequence[BenchContact]) -> list[d
     """One record per rig; ``twist_error``: relative error of a body's change of velocity, linear or
     angular, the larger of both bodies'.
     """
-    scenarios = [r.scenario(contender.force(r)) for r in rigs]
+    scenarios = _scenarios(contender, rigs)
     result = bounce(scenarios, THREADS)
     reference = bounce([reference_scenario(s) for s in scenarios], THREADS)
-    records = []
-    for i, rig in enumerate(rigs):
-        change, error = (
-            np.linalg.norm(difference.reshape(2, 2, 3), axis=2)
-            for difference in (
-                reference.velocity[i] - reference.start[i],
-                result.velocity[i] - reference.velocity[i],
-            )
-        )
-        worst = float((error / change).max())
-        records.append(
-            _record(contender, rig, result, reference, i)
-            | {
-                "random_rig": i,
-                "w_tau": effective_contact(rig),
-                "twist_error": worst if np.isfinite(worst) else None,
-            }
-        )
-    return records
+    shape = (-1, 2, 2, 3)  # rig, body, linear or angular, axis
+    change = np.linalg.norm((reference.velocity - reference.start).reshape(shape), axis=3)
+    error = np.linalg.norm((result.velocity - reference.velocity).reshape(shape), axis=3)
+    worst = (error / change).max(axis=(1, 2))
+    return [
+        _record(contender, rig, result, reference, i)
+        | {
+            "random_rig": i,
+            "w_tau": effective_contact(rig),
+            "twist_error": float(worst[i]) if np.isfinite(worst[i]) else None,
+        }
+        for i, rig in enumerate(rigs)
+    ]
 
 
 def statistics_of(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -269,12 +259,9 @@ def stability_boundary(points: int) -> dict[str, Any]:
     out: dict[str, Any] = {"frequency": frequencies, "delay": delays, "damping_ratio": 0.05}
     for name in BOUNDARY:
         contender = next(m for m in CONTENDERS if m.name == name and m.contact == "first")
-        figures = bounce([c.scenario(contender.force(c)) for c in contacts], THREADS).figures
-        out[name] = (
-            np.array([np.nan if f.cor is None else f.cor for f in figures])
-            .reshape(points, points)
-            .tolist()
-        )
+        figures = bounce(_scenarios(contender, contacts), THREADS).figures
+        cor = np.array([np.nan if f.cor is None else f.cor for f in figures])
+        out[name] = cor.reshape(points, points).tolist()
     return out
 
 
@@ -292,7 +279,7 @@ def _costly() -> list[BenchContact]:
 
 def cost(contender: Contender, ticks: int = COST_TICKS) -> float:
     """Microseconds per sim-tick beyond the numerical model's, in a batch of 64 runs in contact."""
-    loop = Loop([c.scenario(contender.force(c)) for c in _costly()])
+    loop = Loop(_scenarios(contender, _costly()))
     craft, plant = loop.model, loop.plant
     assert isinstance(plant, Plant)  # the simulated side
     times = []
@@ -331,11 +318,8 @@ def leaderboard(
         groups["servo"] = [r for r in mine if r["tracking"] == "servo"]
         groups["delay_off"] = [r for r in mine if r["delay_knowledge"] == "off"]
         groups["delay_jitter"] = [r for r in mine if r["delay_knowledge"] == "jitter"]
-        row: dict[str, Any] = {
-            "method": name,
-            "contact": contact,
-            "runs": {key: len(group) for key, group in groups.items()},
-        }
+        row: dict[str, Any] = {"method": name, "contact": contact}
+        row["runs"] = {key: len(group) for key, group in groups.items()}
         row |= {key: _largest(group) for key, group in groups.items()}
         row["energy_created"] = max(r["energy_generated"] / r["energy_of_approach"] for r in exact)
         row["peak_force_error"] = max(abs(r["peak_force_error"]) for r in exact)

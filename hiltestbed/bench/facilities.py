@@ -18,19 +18,19 @@ import numpy as np
 from hiltestbed.analysis.stability import measured_response, stability
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.bench.throughput import side_by_side
-from hiltestbed.config.gallery import shipped
 from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.facilities.measure import workspace
 from hiltestbed.platform.kinds import PLATFORMS
 from hiltestbed.report.page import Report, new_figure
-from hiltestbed.scenario import Scenario, load_scenario
+from hiltestbed.scenario import Scenario, load_scenario, resolved, scenario_from
 from hiltestbed.simulation import log_error, reference_scenario, simulate
 
 DELAY = 0.002  # [s] of the force sensor
 RATIO = 0.05  # damping ratio of the contacts
 STIFFNESS = (1.0e4, 5.0e4, 1.0e5)  # [N/m]: 0.8, 1.8, 2.5 Hz
 LEAST = 1e-4  # smallest |ln(e/e_ref)| that is drawn
+QUIET = {"sensor": {"delay": DELAY}, "identification.kind": "none"}
 NONE = {"force": {"kind": "none"}, "motion": {"kind": "none"}}
 Progress = Callable[[int, int], None]
 
@@ -65,17 +65,15 @@ def facilities_entered() -> dict[str, dict[str, Any]]:
 
 def bounce(platform: dict[str, Any], stiffness: float) -> Scenario:
     """A bumper of a stiffness [N/m] between two free bodies, within reach of every facility."""
-    base = load_scenario(shipped("scenarios") / "18-stewart.yaml")
-    damping = 2.0 * RATIO * math.sqrt(stiffness * effective_mass(base))
-    keys = {"mechanism.contact.stiffness": stiffness, "mechanism.contact.damping": damping}
-    keys |= {
-        "sensor": {"delay": DELAY},
+    mass = effective_mass(load_scenario("18-stewart"))
+    keys = {
+        "mechanism.contact.stiffness": stiffness,
+        "mechanism.contact.damping": 2.0 * RATIO * math.sqrt(stiffness * mass),
         "rig.platform": platform,
         "approach.gap": 0.005,
         "duration": 2.0,
-        "identification.kind": "none",
     }
-    return load_scenario(shipped("scenarios") / "18-stewart.yaml", set=keys)
+    return load_scenario("18-stewart", set=keys | QUIET)
 
 
 def docking(platform: dict[str, Any]) -> Scenario:
@@ -86,22 +84,15 @@ def docking(platform: dict[str, Any]) -> Scenario:
         "approach.attitude_deg": [0.0, 0.0, 0.0],
         "duration": 4.0,
     }
-    return load_scenario(
-        shipped("scenarios") / "19-serial-arm.yaml",
-        set=keys | {"sensor": {"delay": DELAY}, "identification.kind": "none"},
-    )
+    return load_scenario("19-serial-arm", set=keys | QUIET)
 
 
 def treated(
     scenario: Scenario, compensation: dict[str, Any], identification: str = "none"
 ) -> Scenario:
     """A scenario with another compensation."""
-    from hiltestbed.scenario import resolved, scenario_from
-
-    return scenario_from(
-        resolved(scenario)
-        | {"compensation": compensation, "identification": {"kind": identification}}
-    )
+    changed = {"compensation": compensation, "identification": {"kind": identification}}
+    return scenario_from(resolved(scenario) | changed)
 
 
 def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
@@ -109,12 +100,9 @@ def treatments(scenario: Scenario) -> dict[str, tuple[dict[str, Any], str]]:
     platform = scenario.rig.platform
     if platform.physical:
         return {"as it is": (NONE, "none")}
+    contact = scenario.mechanism.contact
     judged = stability(treated(scenario, NONE | {"motion": {"kind": "feedforward"}}))
-    lost = (
-        scenario.mechanism.contact.damping - judged["net_damping"]
-        if judged
-        else scenario.mechanism.contact.stiffness * DELAY
-    )
+    lost = contact.damping - judged["net_damping"] if judged else contact.stiffness * DELAY
     method, cure = platform.cure(max(lost, 0.0))
     return {"uncompensated": (NONE, "none"), method: (cure, "none"), "default": ({}, "rls")}
 
@@ -182,9 +170,10 @@ def _dockings(platform: dict[str, Any]) -> list[dict[str, Any]]:
     scenario = docking(platform)
     reference = simulate([reference_scenario(scenario)]).outcomes[0]
     out = []
-    for name in (n for n in treatments(scenario) if n in ("uncompensated", "default", "as it is")):
-        compensation, identification = treatments(scenario)[name]
-        batch = simulate([treated(scenario, compensation, identification)])
+    for name, treatment in treatments(scenario).items():
+        if name not in ("uncompensated", "default", "as it is"):
+            continue
+        batch = simulate([treated(scenario, *treatment)])
         outcome = batch.outcomes[0]
         out.append(
             {
@@ -205,18 +194,10 @@ def _rig(name: str, scenario: Scenario, stretches: int) -> dict[str, Any]:
     """Characteristics of a facility: reach, response along the insertion, cost of a tick."""
     platform, facility = scenario.rig.platform, facility_of(scenario)
     cost = side_by_side(scenario, 16, 1, stretches)
-    out = {
-        "facility": name,
-        "distorts": platform.distorts,
-        "cost": cost["ratio"],
-        "real_time_factor": cost["real_time_factor"],
-        "reach": None,
-        "turn": None,
-        "delay": None,
-        "compliance": None,
-    }
+    out = {"facility": name, "distorts": platform.distorts, "cost": cost["ratio"]}
+    out["real_time_factor"] = cost["real_time_factor"]
     if platform.physical:
-        return out
+        return out | dict.fromkeys(("reach", "turn", "delay", "compliance"))
     reach = workspace(facility)
     response = measured_response(scenario)
     k = int(np.searchsorted(response.frequency, 2.0))
@@ -236,21 +217,20 @@ def _worst(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
             grouped.setdefault((r["facility"], r["treatment"]), []).append(r)
     out = []
     for (facility, treatment), rows in grouped.items():
-        errors = [abs(r["cor_log_error"]) for r in rows if r["cor_log_error"] is not None]
-        out.append(
-            {
-                "facility": facility,
-                "treatment": treatment,
-                "lost": len(rows) - len(errors),
-                "cor_log_error": max(errors, default=None),
-                "peak_force_error": max(abs(r["peak_force_error"]) for r in rows),
-                "passive": all(r["passive"] for r in rows),
-                **{
-                    name: min((r[name] for r in rows if r[name] is not None), default=None)
-                    for name in ("net_damping", "largest_delay")
-                },
-            }
-        )
+        known = {
+            name: [r[name] for r in rows if r[name] is not None]
+            for name in ("cor_log_error", "net_damping", "largest_delay")
+        }
+        errors = known.pop("cor_log_error")
+        worst = {
+            "facility": facility,
+            "treatment": treatment,
+            "lost": len(rows) - len(errors),
+            "cor_log_error": max(map(abs, errors), default=None),
+            "peak_force_error": max(abs(r["peak_force_error"]) for r in rows),
+            "passive": all(r["passive"] for r in rows),
+        }
+        out.append(worst | {name: min(values, default=None) for name, values in known.items()})
     return out
 
 

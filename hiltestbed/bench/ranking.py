@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from hiltestbed.bench.contenders import contenders
+from hiltestbed.bench.contenders import Briefing, contenders
 from hiltestbed.bench.result import BenchResult
 from hiltestbed.compensation.settings import MOTION_METHODS
 from hiltestbed.contact.directions import acting_along_z
@@ -29,16 +29,6 @@ HEADER = ("method", "is told", "ln(e/e_ref)", "20 % late", "energy [J]")
 ERRORS = ("cor_log_error", "late")
 RAN = ("completed", "diverged", "stopped")
 Progress = Callable[[float, float], None]
-
-
-@dataclass(frozen=True)
-class Knowledge:
-    """What a method may be told of a contact: k [N/m], c [N s/m], peak force [N], delay [s]."""
-
-    stiffness: float
-    damping: float
-    peak: float
-    believed_delay: float
 
 
 @dataclass(frozen=True)
@@ -91,7 +81,7 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
         raise HiltestbedError(
             f"rank: nothing touches in {scenario.name}; lengthen duration, or aim the approach"
         )
-    known, own = _knowledge(scenario), resolved(scenario)["compensation"]
+    known, own = _briefing(scenario), resolved(scenario)["compensation"]
     methods = [m for m in contenders() if not m.name.endswith("_off")]
     servo = not scenario.rig.platform.prescribed
     motions = [kind for kind in MOTION_METHODS if kind != own["motion"]["kind"]] if servo else []
@@ -119,18 +109,18 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
         "best": forces[0].method,
         "cor_reference": _rebound(reference),
         "unknown_delay": UNKNOWN * scenario.sensor.delay,
-        **asdict(known),
+        **known._asdict(),
     }
     records = [asdict(row) for row in (*forces, *others)]
     return BenchResult("rank", records, summary, _report(scenario, records, summary), command="")
 
 
-def _knowledge(scenario: Scenario) -> Knowledge:
+def _briefing(scenario: Scenario) -> Briefing:
     stiffness, damping = acting_along_z(scenario)
     mass = effective_mass(scenario)
     speed = math.dist(scenario.approach.velocity, (0.0, 0.0, 0.0))
     peak = speed * math.sqrt(stiffness * mass)
-    return Knowledge(stiffness, damping, peak, scenario.sensor.delay)
+    return Briefing(stiffness, damping, peak, scenario.sensor.delay)
 
 
 def _measured(scenario: Scenario, reference: Batch, row: RankedMethod) -> RankedMethod:

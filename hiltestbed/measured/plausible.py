@@ -16,14 +16,15 @@ import numpy as np
 
 from hiltestbed.frames import Array, quat_from_attitude_deg
 from hiltestbed.measured.balance import balances, imbalances
-from hiltestbed.measured.driven import is_driven
+from hiltestbed.measured.momentum import centred
 from hiltestbed.measured.record import Record
 from hiltestbed.measured.remark import Remark, error, note
 from hiltestbed.measured.sameness import copies_and_constants
 from hiltestbed.measured.shifts import shifts
 from hiltestbed.measured.start import factor_text, likely_scale, scale_fix, starts_at_fault
-from hiltestbed.measured.survey import MOVED, Survey, from_baseline, penetration
+from hiltestbed.measured.survey import MOVED, Survey, extent, from_baseline, penetration
 from hiltestbed.scenario import Scenario
+from hiltestbed.signals import GROUPS
 
 FORCE_FACTOR = 200.0  # a larger ratio means another unit, whatever the contact is
 CORRELATION = -0.5
@@ -35,21 +36,19 @@ TURNED_DEG = 30.0  # the platform rotates by 10 deg at most
 RATIO = (0.8, 1.25)
 EXPLAINED = 0.9  # of the variance of a torque that the off-axis force must explain
 LEVER_LIMIT = 20.0  # [m] torque over force: no rig is that large
+STILL_FREE = 20  # rows at the start of a run in which an approaching spacecraft feels no force
+# of the approach speed: largest change by the force in these rows that counts as free flight
+UNDRIVEN = 0.01
 
 
 def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:
     """Errors for contradictions, notes for what is merely unusual."""
-    if is_driven(record, scenario):
-        return [
-            error(
-                "",
-                record.run,
-                "",
-                "holds only a position and a force that drives it from the start: it is of one "
-                "axis of a machine and not of a rig",
-                "describe it by a dataset with `axis: drive`",
-            )
-        ]
+    if _is_driven(record, scenario):
+        text = (
+            "holds only a position and a force that drives it from the start: it is of one "
+            "axis of a machine and not of a rig"
+        )
+        return [error("", record.run, "", text, "describe it by a dataset with `axis: drive`")]
     return [
         *starts_at_fault(record, found, scenario),
         *_attitudes(record, scenario),
@@ -58,6 +57,24 @@ def contradictions(record: Record, found: Survey, scenario: Scenario) -> list[Re
         *_torques(record, found),
         *_arms(record, found, scenario),
     ]
+
+
+def _is_driven(record: Record, scenario: Scenario) -> bool:
+    """Whether the record has one position only, and a force that drives it from the start."""
+    place, force = "pose_cmd.pz", "wrench_comp.fz"
+    if not (record.has(place) and record.has(force) and centred(scenario)):
+        return False
+    if record.has("pose_act") or record.has("wrench_meas"):
+        return False
+    groups = {*GROUPS["pose_cmd"].columns, *GROUPS["wrench_comp"].columns} - {place, force}
+    if any(extent(record.column(name)) for name in groups if record.has(name)):
+        return False
+    speed, craft = abs(scenario.approach.velocity[2]), scenario.spacecraft
+    chaser, target = craft.chaser.mass, craft.target.mass
+    pushed = np.abs(record.filled("wrench_comp")[:STILL_FREE, 2])
+    impulse = float(np.sum(pushed)) * scenario.tick
+    free = speed > 0.0 and impulse * (chaser + target) / (chaser * target) < UNDRIVEN * speed
+    return not free
 
 
 def _forces(record: Record, found: Survey, scenario: Scenario) -> list[Remark]:

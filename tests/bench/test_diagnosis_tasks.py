@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -81,19 +82,12 @@ def test_bumpers_dockings_and_noises_are_counted_apart() -> None:
         Task(3, "single", ("sensor.gain",), design="docking"),
         Task(4, "healthy", noise=("pink", 1.0)),
     )
+    named = [record(bumper[0], "no_discrepancy", True), record(bumper[1], "named", True)]
     summary = summarise(
-        [
-            record(bumper[0], "no_discrepancy", True),
-            record(bumper[1], "named", True),
-            record(docking, "unknown", False),
-            record(noise, "unknown", False),
-        ]
+        [*named, record(docking, "unknown", False), record(noise, "unknown", False)]
     )
-    assert (summary["named_rate"], summary["docking_named_rate"], summary["false_alarm_rate"]) == (
-        1.0,
-        0.0,
-        0.0,
-    )
+    rates = "named_rate", "docking_named_rate", "false_alarm_rate"
+    assert [summary[name] for name in rates] == [1.0, 0.0, 0.0]
     assert summary["noise_alarms"] == {"pink 1": "1 of 1"}
     assert summary["confusion"] == {"sensor.delay": {"": 1}, "sensor.gain": {"unknown": 1}}
     assert diagnosis_report([], summary | {"planned": 4, "done": 4}) is not None
@@ -106,18 +100,11 @@ def test_false_names_are_counted_in_part_and_for_what_no_name_is_right() -> None
         ]
         return record(task, verdict, False) | {"causes": causes}
 
-    in_part = said(
-        Task(1, "single", ("sensor.delay",)), "named_in_part", "sensor.delay", "sensor.gain"
-    )
+    single = Task(1, "single", ("sensor.delay",))
+    in_part = said(single, "named_in_part", "sensor.delay", "sensor.gain")
     foreign = [Task(s, "foreign", ("unknown.play",)) for s in (2, 3, 4)]
-    summary = summarise(
-        [
-            in_part,
-            said(foreign[0], "named_in_part", "sensor.lag"),
-            said(foreign[1], "unknown"),
-            said(foreign[2], "unknown"),
-        ]
-    )
+    unknown = [said(task, "unknown") for task in foreign[1:]]
+    summary = summarise([in_part, said(foreign[0], "named_in_part", "sensor.lag"), *unknown])
     assert summary["named_in_part_wrong_rate"] == pytest.approx(2 / 3)
     assert summary["foreign_named_rate"] == pytest.approx(1 / 3)
     assert summarise([said(foreign[0], "unknown")])["named_in_part_wrong_rate"] is None
@@ -172,22 +159,15 @@ def test_nothing_else_of_the_package_reaches_for_the_tests() -> None:
 
 
 def test_a_facility_that_divides_its_ticks_otherwise_keeps_its_clocks() -> None:
+    every = computing_tasks({"single": 6})
     divided, clocks = (
-        next(t for t in computing_tasks({"single": 6}) if t.computing == way)
+        next(t for t in every if t.computing == way).draw().nuisances
         for way in ("divided", "clocks")
     )
-    found = divided.draw().nuisances
-    assert (found.substeps, found.lever) != (Nuisances().substeps, None)
-    assert (found.read, found.move, found.encoder, found.step, found.stamps) == (
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        {},
-    )
-    assert all(
-        0.0 < part <= 0.5 for part in (clocks.draw().nuisances.read, clocks.draw().nuisances.move)
-    )
+    plain = replace(Nuisances(), substeps=divided.substeps, lever=divided.lever)
+    assert divided == plain != Nuisances()
+    assert 0.0 < clocks.read <= 0.5
+    assert 0.0 < clocks.move <= 0.5
 
 
 def test_three_causes_are_none_of_them_alike() -> None:
@@ -244,12 +224,8 @@ def test_a_benchmark_that_was_stopped_goes_on_where_it_was(
     after = played(monkeypatch, last=0)
     result = diagnosis(quick=True, keep=keep, workers=1)
     assert set(before[:4]).isdisjoint(after)
-    assert (
-        len(result.records)
-        == len(set(before) | set(after))
-        == result.summary["planned"]
-        == result.summary["done"]
-    )
+    counts = {len(result.records), result.summary["planned"], result.summary["done"]}
+    assert counts == {len(set(before) | set(after))}
     assert not keep.exists()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -13,9 +14,12 @@ from ruamel.yaml import YAML
 
 from tests.bench.test_independent_rig import CHANGED, changed_by
 from tests.equipment.independent_rig import (
+    DOCKING_SIZES,
     EFFECTS,
     FOREIGN,
     LOOK_ALIKES,
+    PLAIN,
+    DockingFacility,
     acting_in,
     draw_docking_facility,
     draw_effects,
@@ -24,22 +28,17 @@ from tests.equipment.independent_rig import (
     draw_set,
     foreign_in,
     link_of,
+    rig_of,
     silence,
     simulate,
     write_set,
 )
-from tests.equipment.independent_rig.docking_facility import DockingFacility
-from tests.equipment.independent_rig.docking_sizes import SIZES
-from tests.equipment.independent_rig.generation import PLAIN, rig_of
 from tests.slow import ALL, SLOW
 
-FACILITIES: dict[str, DockingFacility] = {}
 
-
+@cache
 def _facility(design: str) -> DockingFacility:
-    if design not in FACILITIES:
-        FACILITIES[design] = draw_docking_facility(np.random.default_rng(2), design)
-    return FACILITIES[design]
+    return draw_docking_facility(np.random.default_rng(2), design)
 
 
 HIDDEN = [
@@ -60,7 +59,7 @@ def test_in_a_docking_an_effect_changes_what_its_link_gives_and_nothing_else(
 
 
 def test_what_acts_where_is_told() -> None:
-    assert set(SIZES) == set(EFFECTS)
+    assert set(DOCKING_SIZES) == set(EFFECTS)
     assert set(acting_in("docking")) == set(EFFECTS) - {"contact.backlash"}
     for design in ("bumper", "docking", "mounted", "held"):
         assert len(foreign_in(design)) >= 16
@@ -110,21 +109,14 @@ def test_look_alikes_do_much_the_same_to_the_records(pair: tuple[str, str]) -> N
     both = draw_look_alike(rng, pair, facility)
     assert (both[0]["kind"], both[1]["kind"]) == pair
     plain = simulate(rig := rig_of(facility, 3, [], PLAIN), silence(rig.ticks))
-    links = {link_of(name) for name in pair}
-    channel = (
-        {"dynamics": "pose_cmd", "platform": "pose_act"}.get(links.pop(), "wrench_meas")
-        if len(links) == 1
-        else "wrench_meas"
-    )
+    (link, *others) = {link_of(name) for name in pair}
+    channel = {"dynamics": "pose_cmd", "platform": "pose_act"}.get(link, "wrench_meas")
+    channel = "wrench_meas" if others else channel
     channel = "wrench_comp" if "loop.deadzone" in pair else channel
+    cuts = {"pose_cmd": plain.pose_cmd, "wrench_comp": plain.wrench_comp}
     changes = []
     for effect in both:
-        cut = simulate(
-            rig_of(facility, 3, [effect], PLAIN),
-            silence(rig.ticks),
-            pose_cmd=plain.pose_cmd,
-            wrench_comp=plain.wrench_comp,
-        )
+        cut = simulate(rig_of(facility, 3, [effect], PLAIN), silence(rig.ticks), **cuts)
         changes.append((getattr(cut, channel) - getattr(plain, channel))[:, 2])
     sizes = [float(np.linalg.norm(c)) for c in changes]
     assert 0.4 < sizes[0] / sizes[1] < 2.5

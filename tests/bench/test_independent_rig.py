@@ -7,9 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from hiltestbed.config.gallery import shipped
+from hiltestbed.config.yaml_source import read_source
 from tests.equipment.independent_rig import (
     EFFECTS,
     FOREIGN,
+    NEEDS,
+    PLAIN,
     SIZES,
     Facility,
     Records,
@@ -18,43 +22,24 @@ from tests.equipment.independent_rig import (
     link_of,
     nominal_rig,
     overridden,
+    rig_of,
     silence,
     simulate,
     with_effect,
 )
-from tests.equipment.independent_rig.sets import PLAIN, rig_of
-from tests.equipment.independent_rig.sizes import NEEDS
 from tests.slow import ALL
 
-FLAT = {
-    "rate": 8000,
-    "duration": 0.5,
-    "spacecraft": {
-        "chaser": {
-            "mass": 500.0,
-            "inertia": [200.0, 180.0, 150.0],
-            "port": {"position": [0, 0, 1.0], "attitude_deg": [0, 0, 0]},
-        },
-        "target": {
-            "mass": 2000.0,
-            "inertia": [900.0, 900.0, 700.0],
-            "port": {"position": [0, 0, -1.0], "attitude_deg": [0, 0, 0]},
-        },
+FLAT = overridden(
+    read_source(shipped("scenarios") / "reference-bumper.yaml").data,
+    {
+        "rate": 8000,
+        "duration": 0.5,
+        "approach.gap": 0.00151,
+        "mechanism.contact.damping": 400.0,
+        "sensor.delay": 0.0,
+        "compensation.force": {"kind": "none"},
     },
-    "approach": {
-        "gap": 0.00151,
-        "velocity": [0.0, 0.0, 0.03],
-        "offset": [0.0, 0.0],
-        "attitude_deg": [0, 0, 0],
-        "rate_deg": [0, 0, 0],
-    },
-    "mechanism": {
-        "kind": "bumper",
-        "contact": {"stiffness": 1e5, "damping": 400.0, "friction": 0.0},
-    },
-    "sensor": {"delay": 0.0},
-    "compensation": {"force": {"kind": "none"}},
-}
+)
 REDUCED = 400.0  # kg
 SPEED = 0.03
 

@@ -11,7 +11,6 @@ from hiltestbed.analysis.spring_damper import SpringDamper
 from hiltestbed.campaign.boundary import applies, bounce_cor, bounce_delay, margin, neutral
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.simulation import run_batch
-from tests.slow import slow
 
 
 @pytest.mark.parametrize("zeta", [0.05, 0.1, 0.2, 0.4])
@@ -84,11 +83,9 @@ def test_the_loop_returns_the_speed_it_came_with_on_the_boundary() -> None:
         assert abs(math.log(run.summary["cor"])) < 0.004 * 0.5 * math.pi * 10.0 * delay
 
 
-@pytest.mark.parametrize("zeta", [slow(0.03), slow(0.1), 0.25])
-def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it(
-    zeta: float,
-) -> None:
+def test_a_contact_that_stays_closed_grows_past_its_boundary_and_dies_before_it() -> None:
     """Latched, so that it pulls too: 1 % of delay on either side tells, up to w tau = 0.5."""
+    zeta = 0.25
     damping = 2 * zeta * math.sqrt(5.0e3 * 50.0)
     delay = SpringDamper(5.0e3, damping, 50.0).critical_delay
     closed = {

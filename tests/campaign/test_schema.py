@@ -25,21 +25,17 @@ def faults_of(path: Path, text: str) -> list[str]:
             "kind: grid",
             "vary.sensor.dealy: unknown key (did you mean 'delay'?)",
         ),
-        ("name.x: {values: [1]}", "kind: grid", "has no keys"),
         (
             "sensor.delay: {uniform: [0.01, 0.01]}",
             "kind: random, cases: 4",
             "is an empty range (got [0.01, 0.01])",
         ),
-        ("sensor.delay: {uniform: [0.02, 0.01]}", "kind: random, cases: 4", "low < high"),
         (
             "sensor.delay: {log_uniform: [0.0, 0.01]}",
             "kind: random, cases: 4",
             "allowed are limits > 0",
         ),
         ("sensor.delay: {normal: [0.01, 0]}", "kind: random, cases: 4", "no spread"),
-        ("sensor.delay: {values: []}", "kind: grid", "at least 1"),
-        ("sensor.delay: {}", "kind: grid", "exactly one of values, uniform, log_uniform, normal"),
         ("sensor.delay: {values: [0.1], uniform: [0, 1]}", "kind: grid", "exactly one of"),
         ("sensor.delay: {uniform: [0, 0.01]}", "kind: grid", "needs points"),
         (
@@ -48,23 +44,16 @@ def faults_of(path: Path, text: str) -> list[str]:
             "allowed in a grid alone",
         ),
         (
-            "sensor.delay: {values: [0.001, -1]}",
-            "kind: grid",
-            "vary.sensor.delay.values.1: is out of range (got -1)",
-        ),
-        (
             "sensor.delay: {uniform: [-1, 0.01]}",
             "kind: random, cases: 4",
             "vary.sensor.delay.uniform.0: is out of range (got -1.0)",
         ),
-        ("sensor.delay: {uniform: [0, .inf]}", "kind: random, cases: 4", "a finite number"),
         (
             "approach.velocity.2: {values: [0.1]}, approach.velocity: {values: [[0, 0, 1]]}",
             "kind: grid",
             "is a part of approach.velocity",
         ),
         ("sensor.delay: {values: [0.1]}", "kind: sobl, cases: 3", "did you mean 'sobol'"),
-        ("sensor.delay: {values: [0.1]}", "kind: sobol", "cases: is missing"),
         (
             "sensor.delay: {values: [0.1]}",
             "kind: sobol, cases: 1000000000",

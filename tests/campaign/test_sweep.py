@@ -118,15 +118,9 @@ def killed_alone(file: Path) -> None:
     wait_for(lambda: is_gone(process.pid), "the workers to end")
 
 
-def killed_with_its_workers(file: Path) -> None:
-    process = begun(file, "--workers", "1", "--chunk", "4")
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-
-
 @pytest.mark.parametrize(
     "ways",
-    [(interrupted,), slow((interrupted, killed_alone, killed_with_its_workers))],
+    [(interrupted,), slow((interrupted, killed_alone))],
     ids=lambda ways: "-".join(way.__name__ for way in ways),
 )
 def test_ended_in_every_way_it_goes_on_to_the_same_bytes(

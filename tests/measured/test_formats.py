@@ -4,129 +4,22 @@ read.
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv as pa_csv
-import pyarrow.parquet as pq
 import pytest
 
 from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.measured import apart, examine, load_dataset
 from hiltestbed.measured import columns as columns_module
 from hiltestbed.measured.formats import format_of, read_columns
+from tests.equipment.data_files import WRITERS
 
 from . import bounce
 
-Table = dict[str, np.ndarray]
-Units = dict[str, str]  # that a file states of columns
-NONE: Units = {}
-
 # asammdf's destructor stumbles over a file that its constructor has refused
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-
-
-def _of(table: Table, *groups: str) -> Table:
-    return {name: values for name, values in table.items() if name.startswith(groups)}
-
-
-def _csv(path: Path, table: Table, units: Units = NONE) -> None:
-    names = {name: f"{name} [{units[name]}]" if name in units else name for name in table}
-    pa_csv.write_csv(pa.table({names[name]: values for name, values in table.items()}), path)
-
-
-def _parquet(path: Path, table: Table, units: Units = NONE) -> None:
-    fields = [pa.field(n, pa.float64(), metadata={"unit": units.get(n, "")}) for n in table]
-    pq.write_table(pa.table(list(table.values()), schema=pa.schema(fields)), path)
-
-
-def _hdf5(path: Path, table: Table, units: Units = NONE) -> None:
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(path, "w") as file:
-        file["t"] = table["t"]
-        for group in ("pose_cmd", "pose_act"):
-            file[group] = np.stack(list(_of(table, group).values()), axis=1)
-        for name, values in _of(table, "wrench").items():
-            file[name.replace(".", "/")] = values
-            file[name.replace(".", "/")].attrs["units"] = np.bytes_(units.get(name, "").encode())
-
-
-def _mat_5(path: Path, table: Table, units: Units = NONE) -> None:
-    import scipy.io
-
-    nested: dict = {"t": table["t"][:, None]}
-    for name, values in _of(table, "pose", "wrench").items():
-        group, part = name.split(".")
-        nested.setdefault(group, {})[part] = values[:, None]
-    scipy.io.savemat(path, nested)
-
-
-def _mat_73(path: Path, table: Table, units: Units = NONE) -> None:
-    """As MATLAB's -v7.3 writes it: 512 bytes of its own, column-major matrices, so (1, rows) and
-    (parts, rows) in HDF5.
-    """
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(path, "w", userblock_size=512) as file:
-        file["t"] = table["t"][None, :]
-        file["pose_act"] = np.stack(list(_of(table, "pose_act").values()))
-        for name, values in _of(table, "wrench", "pose_cmd").items():
-            file[name.replace(".", "/")] = values[None, :]
-    with path.open("r+b") as file:
-        file.write(b"MATLAB 7.3 MAT-file")
-
-
-def _mdf(path: Path, table: Table, units: Units = NONE) -> None:
-    asammdf = pytest.importorskip("asammdf")
-    with asammdf.MDF(version="4.10") as mdf:
-        for group in ("pose", "wrench"):
-            columns = _of(table, group).items()
-            mdf.append(
-                [asammdf.Signal(v, table["t"], name=n, unit=units.get(n, "")) for n, v in columns]
-            )
-        mdf.save(path)
-
-
-def _tdms(path: Path, table: Table, units: Units = NONE) -> None:
-    nptdms = pytest.importorskip("nptdms")
-    wave = {"wf_increment": 1 / bounce.RATE, "wf_start_offset": 0.0, "wf_samples": len(table["t"])}
-    channels = []
-    for name, values in _of(table, "pose", "wrench").items():
-        unit = {"unit_string": units[name]} if name in units else {}
-        channels.append(nptdms.ChannelObject(*name.split("."), values, wave | unit))
-    with nptdms.TdmsWriter(path) as writer:
-        writer.write_segment(channels)
-
-
-def _mcap(path: Path, table: Table, units: Units = NONE) -> None:
-    pytest.importorskip("mcap")
-    from mcap.writer import Writer
-
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        for group in ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp"):
-            topic = writer.register_channel(f"/{group}", message_encoding="json", schema_id=0)
-            columns = _of(table, group).items()
-            for k, t in enumerate(table["t"]):
-                stamp = 1_700_000_000_000_000_000 + round(t * 1e9)
-                message = {name.split(".")[1]: float(values[k]) for name, values in columns}
-                writer.add_message(topic, stamp, json.dumps(message).encode(), stamp)
-        writer.finish()
-
-
-WRITERS = {
-    "run.csv": _csv,
-    "run.parquet": _parquet,
-    "run.h5": _hdf5,
-    "five.mat": _mat_5,
-    "seven.mat": _mat_73,
-    "run.mf4": _mdf,
-    "run.tdms": _tdms,
-    "run.mcap": _mcap,
-}
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -234,7 +127,7 @@ def test_a_large_csv_is_refused_before_it_is_read(tmp_path: Path) -> None:
     them is enough.
     """
     path = tmp_path / "run.csv"
-    _csv(path, bounce.columns(rate=10_000.0))
+    WRITERS["run.csv"](path, bounce.columns(rate=10_000.0))
     assert path.stat().st_size > 2e6
     with path.open("r+b") as file:
         file.truncate(2_000_000_000)
@@ -247,7 +140,7 @@ def test_a_csv_is_streamed_for_its_mapped_columns(
 ) -> None:
     """Twenty columns that nobody asked for count neither in memory nor against the limit."""
     table = bounce.columns() | {f"temperature {i}": np.arange(600.0) for i in range(20)}
-    _csv(tmp_path / "run.csv", table)
+    WRITERS["run.csv"](tmp_path / "run.csv", table)
     monkeypatch.setattr(columns_module, "SAMPLE_LIMIT", 3 * 600 + 300)
     found = read_columns(tmp_path / "run.csv", frozenset({"t", "pose_act.pz", "wrench_meas.fz"}))
     assert set(found.data) == {"t", "pose_act.pz", "wrench_meas.fz"}

@@ -42,10 +42,10 @@ def _late(delay: float, time_constant: float = 0.0) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("factor", [1.0, -1.0, 1 / POUND_FORCE, -0.6])
+@pytest.mark.parametrize("factor", [1.0, -1 / POUND_FORCE])
 @pytest.mark.parametrize(
     ("delay", "time_constant"),
-    [(0.0, 0.0), (0.0023, 0.0), (0.005, 0.0), (0.020, 0.0), (0.003, 0.006)],
+    [(0.0, 0.0), (0.0023, 0.0), (0.020, 0.0), (0.003, 0.006)],
 )
 def test_a_late_record_has_the_impulse_of_the_force(
     tmp_path: Path, factor: float, delay: float, time_constant: float

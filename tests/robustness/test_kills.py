@@ -15,15 +15,7 @@ from tests.equipment.robustness import kills
 from tests.equipment.robustness.kills import COMMANDS, Command, KillError, kill
 from tests.slow import slow
 
-KILLED, INTERRUPTED = 2, 0  # seeds of a trial that ends a command so, and gives it again
-
-
-def test_the_seeds_do_what_they_are_named_for() -> None:
-    for seed, hard in ((KILLED, True), (INTERRUPTED, False)):
-        rng = np.random.default_rng(seed)
-        assert (rng.random() < 0.5) is hard
-        rng.uniform(size=2)
-        assert rng.random() < kills.AGAIN
+KILLED, INTERRUPTED = 2, 0  # seeds of a trial that ends a command so, and repeats it
 
 
 @pytest.mark.parametrize("seed", [KILLED, slow(INTERRUPTED)])
@@ -43,18 +35,15 @@ def test_half_a_folder_is_a_fault(tmp_path: Path) -> None:
         kills._complete_or_absent(tmp_path / "out", COMMANDS["run"], "half")
     (tmp_path / "out" / "summary.json").write_text('{"half')
     with pytest.raises(ValueError, match="Unterminated"):
-        kills._complete_or_absent(tmp_path / "out", Command(lambda a, b: [], frozenset()), "half")
+        kills._complete_or_absent(tmp_path / "out", Command("", frozenset()), "half")
 
 
 @pytest.mark.parametrize(
     ("files", "excused"),
     [
-        (["<frozen importlib._bootstrap>", "/usr/lib/python3/signal.py"], True),
         ([f"{kills.PACKAGE}/__init__.py", f"{kills.PACKAGE}/kernel_cache.py"], True),
-        ([f"{kills.PACKAGE}/cli/__init__.py"], False),
         ([f"{kills.PACKAGE}/campaign/__init__.py"], False),
         ([f"{kills.PACKAGE}/__init__.py", "/usr/lib/python3/multiprocessing/spawn.py"], False),
-        (["/usr/lib/python3/concurrent/futures/process.py"], False),
     ],
 )
 def test_a_traceback_is_excused_only_before_the_programs_first_line(files, excused) -> None:

@@ -58,11 +58,9 @@ def test_every_writer_is_escaped(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("redirection", "status", "more"),
     [
-        (">&-", 0, ()),
-        ("2>&-", 0, ("--json",)),
         (">&- 2>&- <&-", 0, ()),
+        ("| :", 0, ()),  # nobody reads; the status is that of the reader
         (">/dev/full", 1, ()),
-        (">/dev/full", 1, ("--json",)),
         (">/dev/full 2>/dev/full", 1, ("--json",)),
     ],
 )
@@ -125,9 +123,8 @@ def test_a_working_folder_that_is_gone(tmp_path: Path, monkeypatch: pytest.Monke
     refuse_foreign(tmp_path / "new")
 
 
-@pytest.mark.parametrize("megabytes", [300, 600])
-def test_a_limit_of_memory_is_named(megabytes: int, tmp_path: Path) -> None:
-    size = megabytes * 1_000_000
+def test_a_limit_of_memory_is_named() -> None:
+    size = 300_000_000
     done = subprocess.run(
         [sys.executable, "-m", "hiltestbed.cli", "check", str(BUMPER)],
         capture_output=True,

@@ -84,12 +84,9 @@ INERTIA = "[200.0, 180.0, 150.0]"
 FAULTS = {  # what stands in the file, and where a fault in its place is; what is wrong there, words
     ("mass: 500.0", "6:12: spacecraft.chaser.mass"): {
         "mass: heavy": "got 'heavy'); allowed is a number",
-        'mass: "500"': "allowed is a number",
-        "mass: yes": "got 'yes'",
         "mass: true": "allowed is a number",
         "mass: -500": "got -500); allowed is > 0",
         "mass: .nan": "a finite number",
-        "mass: .inf": "a finite number",
         "mass: 1e999": "a finite number",
     },
     ("mass: 500.0,", "6:25: spacecraft.chaser.mass"): {
@@ -99,14 +96,12 @@ FAULTS = {  # what stands in the file, and where a fault in its place is; what i
     (INERTIA, "6:25: spacecraft.chaser.inertia"): {
         "[200.0, 180.0, 400.0]": "triangle inequality",
         "[200.0, 180.0, 150.0, 190.0, 0, 0]": "positive definite",
-        "[200.0, 180.0, 150.0, 1.0]": "3 (the diagonal) or 6",
         # on principal moments: the diagonal alone would pass
         "[2, 2, 2, 1.9, 0, 0]": "0.1, 2, 3.9",
     },
     (INERTIA, "6:49: spacecraft.chaser.inertia.2"): {"[200.0, 180.0, x]": "got 'x'"},
     ("physics_rate: 4000", "4:1: physics_rate"): {
         "physics_rate: 3000": "allowed is a whole multiple of rate, such as",
-        "physics_rate: 500": "whole multiple",
     },
     ("duration: 2.0", "2:1: duration"): {"duration: 0": "allowed is > 0", "duration: 1e7": "ticks"},
     ("delay: 0.005", "12:10: sensor.delay"): {
@@ -115,7 +110,6 @@ FAULTS = {  # what stands in the file, and where a fault in its place is; what i
     },
     ("gap: 0.01", "8:12: approach.gap"): {
         "gap: 0.3": "outside the workspace (got 0.3 m); allowed is 0 to 0.25 m",
-        "gap: -0.01": "outside the workspace",
     },
     ("gap: 0.01", "8:24: approach.offset.1"): {"offset: [0, -0.3]": "allowed is -0.25 to 0.25 m"},
     ("gap: 0.01", "8:30: approach.attitude_deg.1"): {
@@ -178,15 +172,11 @@ def test_two_duplicate_keys_are_both_named(file: Path) -> None:
     ("content", "words"),
     [
         (b"", "empty"),
-        (b"# nothing but a comment\n", "empty"),
         (b"just words\n", "a YAML mapping"),
-        (b"- a\n- b\n", "a YAML mapping"),
         (b"name: [1, 2\nrate: 3\n", "is not YAML"),
-        (b"name: a\n\tb: c\n", "is not YAML"),
         (b"a: 1\n---\nb: 2\n", "is not YAML"),
         (b"\x7fELF\x02\x01\x01\0\0\0", "binary"),
         (b"name: \xff\xfe\n", "UTF-8"),
-        (b"name: \x07bell\n", "is not YAML"),
         (b"name: !!python/object:os.system x\n", "tag"),
         (b"name: &a [*a]\n", "levels"),
         (b"[" * 5000, "levels"),
@@ -234,19 +224,16 @@ def test_set_overrides_keys_items_and_what_the_file_leaves_out(file: Path) -> No
     ("key", "value", "words"),
     [
         ("sensor.dely", "1", "did you mean 'delay'"),
-        ("aproach.gap", "1", "did you mean 'approach'"),
         ("sensor.delay", "-1", "allowed is >= 0"),
         ("approach.velocity.7", "0", "has 3 items"),
         ("approach.velocity.x", "0", "is a list"),
         ("name.first", "x", "has no keys"),
         ("name", "[x", "is not YAML"),
         ("a..b", "1", "is not a key"),
-        ("rate", "1999", "whole multiple of rate"),
         ("effects.0", "{kind: sensor.dealy, delay: 1}", "did you mean 'sensor.delay'"),
         ("effects.0", "{kind: sensor.delay}", "missing"),
         ("effects.0", "{kind: sensor.delay, delay: 1, axis: z}", "allowed: kind, delay"),
         ("effects.0", "{kind: sensor.gain, factor: 1.1, axis: w}", "allowed: x, y, z, rx, ry, rz"),
-        ("effects.0", "{kind: [sensor.delay]}", "unknown kind"),
         ("effects.0", "{delay: 0.001}", "kind"),
         ("effects", "sensor.delay", "a list"),
     ],

@@ -20,7 +20,7 @@ BLEND = 0.004  # [s] over which a corrected prediction is taken over
 ENOUGH = 8  # samples of contact before k and c are used: the noise of two parameters is then halved
 AXIAL = 2
 # a scenario needs a contact, which no method for a first contact reads
-UNREAD = BenchContact(1.0, 0.01, 0.05)
+UNREAD = BenchContact(1.0, 0.01, 0.05).briefing
 
 
 class Uncompensated:

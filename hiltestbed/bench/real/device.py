@@ -8,22 +8,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files as package_files
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.axis.models import AxisRun as AxisRecord
+
 Array = NDArray[np.float64]
-Predictor = Callable[["AxisRecord"], Array]
-
-
-class AxisRecord(NamedTuple):
-    """One run of one axis: times [s], recorded input and output in SI units, each of shape (N,)."""
-
-    name: str
-    t: Array
-    u: Array
-    y: Array
+Predictor = Callable[[AxisRecord], Array]
 
 
 @dataclass(frozen=True)

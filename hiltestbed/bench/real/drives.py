@@ -35,13 +35,8 @@ def _emps_records(data: Path, loop: bool) -> list[AxisRecord]:
 
 def _emps_expert(records: Sequence[AxisRecord]) -> Predictor:
     """Mass, viscous and dry friction each way: by regression first, then by the simulated path."""
-
-    def model(p: Array, record: AxisRecord) -> Array:
-        return experts.drive(p, record, window=0.01)
-
-    return experts.best_of(
-        model, records, [experts.drive_regression(records, window=0.01, slow=0.003)]
-    )
+    start = experts.drive_regression(records, window=0.01, slow=0.003)
+    return experts.best_of(lambda p, r: experts.drive(p, r, window=0.01), records, [start])
 
 
 @numba.njit(cache=True)
@@ -115,12 +110,10 @@ def _ur10e_records(data: Path, joint: int) -> list[AxisRecord]:
 
 def _ur10e_expert(records: Sequence[AxisRecord]) -> Predictor:
     """Inertia per gain, viscous and dry friction: regression, then the simulated path."""
-
-    def model(p: Array, record: AxisRecord) -> Array:
-        return experts.drive(p, record, window=0.1)
-
     start = experts.drive_regression(records, window=0.3, slow=0.02)
-    return experts.best_of(model, records, [start], also=[start])
+    return experts.best_of(
+        lambda p, r: experts.drive(p, r, window=0.1), records, [start], also=[start]
+    )
 
 
 def _ur10e(joint: int) -> Device:
@@ -160,12 +153,9 @@ def _hsm150_records(data: Path) -> list[AxisRecord]:
 
 def _hsm150_expert(records: Sequence[AxisRecord]) -> Predictor:
     """Inertia, viscous and dry friction each way, by the simulated path."""
-
-    def model(p: Array, record: AxisRecord) -> Array:
-        return experts.drive(np.abs(p), record, window=0.0)
-
     # the catalogue's inertia 1.2e-4 kg m^2; friction from the speeds of the two levels of a run
-    return experts.best_of(model, records, [[1 / 1.2e-4, 0.7, 150.0, 150.0]])
+    start = [1 / 1.2e-4, 0.7, 150.0, 150.0]
+    return experts.best_of(lambda p, r: experts.drive(np.abs(p), r, window=0.0), records, [start])
 
 
 HSM150 = Device(

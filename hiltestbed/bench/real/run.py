@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiltestbed.axis.diagnose import diagnosed
-from hiltestbed.axis.models import AxisRun, model_of
+from hiltestbed.axis.models import model_of
 from hiltestbed.bench.real import DEVICES
 from hiltestbed.bench.real.device import Array, AxisRecord, Device
 from hiltestbed.bench.result import BenchResult
@@ -119,16 +119,14 @@ def measured(device: Device, data: Path) -> tuple[dict[str, Any], Figure]:
     expert = device.expert(fit)
     start = time.process_time()
     assert device.kind != "sensor"
-    model = model_of(
-        device.kind, [as_run(r) for r in fit], device.nominal, device.units[1] in ("rad", "N m")
-    )
+    model = model_of(device.kind, fit, device.nominal, device.units[1] in ("rad", "N m"))
     found = diagnosed(model)
     cpu = time.process_time() - start
     conclusion = found.conclusion
     if conclusion is None:
         raise InputError(f"bench real: {device.name}: {' '.join(found.remarks)}")
     with np.errstate(all="ignore"):
-        there = model.of([as_run(r) for r in out])
+        there = model.of(out)
         product = there.predicted(conclusion.fit.of)
         nominal = there.predicted(conclusion.null.of)
     shown = [expert(r) for r in out]
@@ -153,11 +151,6 @@ def measured(device: Device, data: Path) -> tuple[dict[str, Any], Figure]:
     record |= {k: geometric(v) for k, v in left.items()}
     record["ratio"] = record["product"] / record["expert"]
     return record, picture(out[0], nominal[0], shown[0], product[0], device.units[1])
-
-
-def as_run(r: AxisRecord) -> AxisRun:
-    """A record as the axis takes it."""
-    return AxisRun(r.name, r.t, r.u, r.y)
 
 
 def rms(x: Array) -> float:

@@ -10,6 +10,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -30,11 +31,9 @@ def _with_unit_gain(
     steps: int,
 ) -> Predictor:
     """Second order with delay, play, speed limit and offset: six numbers, from several starts."""
-
-    def model(p: Array, record: AxisRecord) -> Array:
-        return experts.servo(np.append(p, 1.0), record, steps)
-
-    return experts.best_of(model, records, starts, bounds)
+    return experts.best_of(
+        lambda p, r: experts.servo(np.append(p, 1.0), r, steps), records, starts, bounds
+    )
 
 
 # --- SO-101
@@ -104,12 +103,8 @@ def _sts3215_record(data: Path, log: str, motor: int, name: str) -> AxisRecord:
 def _sts3215_expert(records: Sequence[AxisRecord]) -> Predictor:
     offset = _offset(records)
     bounds = ([2.0, 0.2, 0.0, 0.0, 0.1, -0.1], [60.0, 3.0, 0.3, 0.1, 10.0, 0.1])
-    starts = [
-        [w, 1.0, delay, 0.005, speed, offset]
-        for w in (10.0, 25.0)
-        for delay in (0.02, 0.1)
-        for speed in (0.6, 1.5)
-    ]
+    each = product((10.0, 25.0), (0.02, 0.1), (0.6, 1.5))
+    starts = [[w, 1.0, delay, 0.005, speed, offset] for w, delay, speed in each]
     return _with_unit_gain(records, starts, bounds, steps=50)
 
 

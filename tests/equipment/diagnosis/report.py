@@ -88,11 +88,8 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
         [name, f"{found['strength']:.2g}", _sizes(found)]
         for name, found in summary["smallest_found"].items()
     ]
-    report.table(
-        ["effect", "rms over noise", "parameters"],
-        small,
-        "The smallest size at which each effect was named.",
-    )
+    columns = ["effect", "rms over noise", "parameters"]
+    report.table(columns, small, "The smallest size at which each effect was named.")
     wrong = []
     for r in records:
         if not r["right"]:

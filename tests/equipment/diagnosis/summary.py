@@ -18,11 +18,8 @@ from tests.equipment.diagnosis.tasks import DOCKING_FULL, FULL
 
 def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The rates, the confusion matrix, the smallest size of each effect that was found."""
-    noisy, calibration, found = (
-        [r for r in records if r["noise"] and r["kind"] == "healthy"],
-        reliability(records),
-        groups(records),
-    )
+    noisy = [r for r in records if r["noise"] and r["kind"] == "healthy"]
+    calibration, found = reliability(records), groups(records)
     records = [r for r in records if not r["noise"] and r["computing"] == "plain"]
     moderate = [r for r in records if r["scale"] == 1.0 and r["design"] == "bumper"]
     dockings = {
@@ -45,10 +42,10 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "foreign_unknown_rate": _rate(by_kind["foreign"]),
         "foreign_named_rate": _share([bool(r["causes"]) for r in by_kind["foreign"]]),
         "named_in_part_wrong_rate": wrong_in_part(records),
-        "healthy_taken_off": max(
-            (r["alarm"]["taken_off"] for r in by_kind["healthy"]), default=None
-        ),
-        "healthy_excess": max((r["alarm"]["excess"] for r in by_kind["healthy"]), default=None),
+        **{
+            f"healthy_{name}": max((r["alarm"][name] for r in by_kind["healthy"]), default=None)
+            for name in ("taken_off", "excess")
+        },
         "abstention_rate": _share([r["verdict"] == "unknown" for r in hidden]),
         "interval_coverage": sum(r["intervals_held"] for r in hidden) / asked if asked else None,
         "gain_ratio": float(np.median(ratios)) if ratios else None,
@@ -71,11 +68,12 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def summary_lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Label and value of each line of the printed table."""
+
+    def text(value: Any) -> str:
+        return f"{value:.3g}" if isinstance(value, float) else "-" if value is None else str(value)
+
     lines = [
-        (
-            name.replace("_", " "),
-            f"{value:.3g}" if isinstance(value, float) else "-" if value is None else str(value),
-        )
+        (name.replace("_", " "), text(value))
         for name, value in summary.items()
         if not isinstance(value, (dict, list))
     ]
@@ -83,7 +81,11 @@ def summary_lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
         (f"{g['rig']}: {g['kind']}", f"{g['right']} of {g['sets']} right")
         for g in summary["groups"]
     ]
-    return lines + reliability_lines(summary["reliability"])
+    lines += [
+        (f"stated with {r['low']:g} to {r['high']:g}", f"{r['right']} of {r['causes']} right")
+        for r in summary["reliability"]
+    ]
+    return lines
 
 
 def groups(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -101,14 +103,8 @@ def groups(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     for (rig, kind), part in sorted(parted.items()):
         right, spent = sum(r["right"] for r in part), [r["cpu"] for r in part]
         low, high = wilson(right, len(part))
-        row = {
-            "rig": rig,
-            "kind": kind,
-            "sets": len(part),
-            "right": right,
-            "low": low,
-            "high": high,
-        }
+        row = {"rig": rig, "kind": kind, "sets": len(part), "right": right}
+        row |= {"low": low, "high": high}
         out.append(row | {"cpu_median": float(np.median(spent)), "cpu_longest": max(spent)})
     return out
 
@@ -172,9 +168,8 @@ def smallest(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
             continue
         name, strength = r["hidden"][0]["kind"], r["strengths"][0]
         if name not in out or strength < out[name]["strength"]:
-            out[name] = {"strength": strength} | {
-                k: v for k, v in r["hidden"][0].items() if k != "kind"
-            }
+            size = {k: v for k, v in r["hidden"][0].items() if k != "kind"}
+            out[name] = {"strength": strength} | size
     return dict(sorted(out.items()))
 
 
@@ -196,24 +191,9 @@ def reliability(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         inside = [(p, right) for p, right in first_causes if low < p <= high or (p == 0.0 == low)]
         if inside:
             stated = sum(p for p, _ in inside) / len(inside)
-            out.append(
-                {
-                    "low": low,
-                    "high": high,
-                    "stated": stated,
-                    "right": sum(r for _, r in inside),
-                    "causes": len(inside),
-                }
-            )
+            row = {"low": low, "high": high, "stated": stated}
+            out.append(row | {"right": sum(r for _, r in inside), "causes": len(inside)})
     return out
-
-
-def reliability_lines(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
-    """Label and value of each line of the printed table."""
-    return [
-        (f"stated with {r['low']:g} to {r['high']:g}", f"{r['right']} of {r['causes']} right")
-        for r in rows
-    ]
 
 
 def reliability_plot(rows: Sequence[dict[str, Any]]) -> Figure:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -87,19 +87,20 @@ class Task:
         )
 
 
+def _each(counts: Mapping[str, int]) -> Iterator[tuple[str, int]]:
+    """The kind of each set, and its number of this kind."""
+    return ((kind, i) for kind, count in counts.items() for i in range(count))
+
+
+def _cycled(kind: str, i: int, names: Sequence[str], stride: int = 7) -> tuple[str] | None:
+    """The effect of single number ``i``: they cycle through ``names``."""
+    return (names[(i * stride) % len(names)],) if kind == "single" else None
+
+
 def tasks(counts: Mapping[str, int], ladder: bool) -> list[Task]:
-    """The sets of a bumper; singles cycle through the vocabulary; with ``ladder`` also each effect
-    at decreasing sizes.
-    """
-    out: list[Task] = []
+    """The sets of a bumper; with ``ladder`` also each effect at decreasing sizes."""
     ids = [name for name in EFFECTS if name in SIZES]  # learned laws are not drawn
-    for kind, count in counts.items():
-        for i in range(count):
-            out.append(
-                Task(
-                    SEED + len(out), kind, (ids[(i * 7) % len(ids)],) if kind == "single" else None
-                )
-            )
+    out = [Task(SEED + n, kind, _cycled(kind, i, ids)) for n, (kind, i) in enumerate(_each(counts))]
     if ladder:
         out += [
             Task(SEED + 5000 + i, "single", (name,), scale)
@@ -111,14 +112,12 @@ def tasks(counts: Mapping[str, int], ladder: bool) -> list[Task]:
 
 
 def docking_tasks(counts: Mapping[str, int]) -> list[Task]:
-    """The docking sets; singles cycle through the effects that act in their design."""
+    """The docking sets; singles are effects that act in their design."""
     out: list[Task] = []
-    for kind, count in counts.items():
-        for i in range(count):
-            design = DOCKINGS[i % len(DOCKINGS)]
-            acting = acting_in(design)  # type: ignore[arg-type]
-            names = (acting[(i * 7) % len(acting)],) if kind == "single" else None
-            out.append(Task(DOCKING_SEED + len(out), kind, names, design=design))
+    for n, (kind, i) in enumerate(_each(counts)):
+        design = DOCKINGS[i % len(DOCKINGS)]
+        names = _cycled(kind, i, acting_in(design))  # type: ignore[arg-type]
+        out.append(Task(DOCKING_SEED + n, kind, names, design=design))
     return out
 
 
@@ -136,15 +135,10 @@ def computing_tasks(counts: Mapping[str, int]) -> list[Task]:
     ways.
     """
     each: list[tuple[Computing, str, int]] = [
-        (way, kind, i) for way in WAYS for kind, count in counts.items() for i in range(count)
+        (way, kind, i) for way in WAYS for kind, i in _each(counts)
     ]
     return [
-        Task(
-            COMPUTING_SEED + n,
-            kind,
-            (OF_COMPUTING[i % len(OF_COMPUTING)],) if kind == "single" else None,
-            computing=way,
-        )
+        Task(COMPUTING_SEED + n, kind, _cycled(kind, i, OF_COMPUTING, 1), computing=way)
         for n, (way, kind, i) in enumerate(each)
     ]
 

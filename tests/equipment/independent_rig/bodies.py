@@ -23,14 +23,8 @@ from tests.equipment.independent_rig.rotation import (
 )
 
 CHASER, TARGET = 0, 1
-R, Q, V, W, AQ, AV = (
-    slice(0, 3),
-    slice(3, 7),
-    slice(7, 10),
-    slice(10, 13),
-    slice(13, 16),
-    slice(16, 19),
-)
+R, Q, V = slice(0, 3), slice(3, 7), slice(7, 10)
+W, AQ, AV = slice(10, 13), slice(13, 16), slice(16, 19)
 
 
 class Bodies(NamedTuple):
@@ -159,9 +153,8 @@ def start(bodies: Bodies, approach: dict) -> tuple[np.ndarray, np.ndarray]:
     omega = into_world @ rate
     state[CHASER, Q] = q
     state[CHASER, R] = active - arm
-    state[CHASER, V] = into_world @ np.array(approach["velocity"], dtype=float) - np.cross(
-        omega, arm
-    )
+    velocity = into_world @ np.array(approach["velocity"], dtype=float)
+    state[CHASER, V] = velocity - np.cross(omega, arm)
     state[CHASER, W] = matrix(q).T @ omega
     return state, np.concatenate([position, attitude])
 

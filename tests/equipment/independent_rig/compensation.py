@@ -120,10 +120,8 @@ def _recall(history, k, ticks, column):
 @njit(cache=True)
 def _second_order(comp, u, h, past, out):
     """The second-order lead; `past` contains inputs and outputs of the last two ticks."""
-    a1, a2 = (
-        comp.delay + 2.0 * comp.t2,
-        0.5 * comp.delay**2 + 2.0 * comp.delay * comp.t2 + comp.t2**2,
-    )
+    a1 = comp.delay + 2.0 * comp.t2
+    a2 = 0.5 * comp.delay**2 + 2.0 * comp.delay * comp.t2 + comp.t2**2
     b1, b2 = 2.0 * comp.t2, comp.t2**2
     for i in range(6):
         u1, u2, y1, y2 = past[INPUT, i], past[INPUT + 1, i], past[OUTPUT, i], past[OUTPUT + 1, i]

@@ -138,11 +138,8 @@ def rod_clearance(s, ball, axis, normal, place):
         place[i] = ball[i] - at * axis[i]
     rho = math.sqrt(place[0] ** 2 + place[1] ** 2)
     out_x, out_y = (place[0] / rho, place[1] / rho) if rho > 1e-14 else (1.0, 0.0)
-    normal[0], normal[1], normal[2] = (
-        place[0] - ring * out_x,
-        place[1] - ring * out_y,
-        place[2] - level,
-    )
+    normal[0], normal[1] = place[0] - ring * out_x, place[1] - ring * out_y
+    normal[2] = place[2] - level
     away = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
     for i in range(3):
         normal[i] /= max(away, 1e-12)

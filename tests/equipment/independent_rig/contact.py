@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hiltestbed.compiled.jit import njit
+from tests.equipment.independent_rig.rotation import add_moment
 
 # states: Maxwell force [N], frame [m], [m/s], time since the touch [s], slider [m]
 BRANCH, FRAME, FRAME_V, AGE, SLIDER = range(5)
@@ -74,9 +75,13 @@ class Contact(NamedTuple):
 @njit(cache=True)
 def penetration(law, p):
     """Penetration [m] of the tip at p (3,); in a latch also negative."""
-    return with_play(
-        law, p[0] * law.normal[0] + p[1] * law.normal[1] + p[2] * law.normal[2] - law.touch
-    )
+    return with_play(law, along(law, p) - law.touch)
+
+
+@njit(cache=True)
+def along(law, vector):
+    """The part of a vector (3,) along the normal."""
+    return vector[0] * law.normal[0] + vector[1] * law.normal[1] + vector[2] * law.normal[2]
 
 
 @njit(cache=True)
@@ -161,11 +166,8 @@ def carried(law, force, state):
     mass, else the contact force.
     """
     if law.mode_w > 0.0 and law.mode_read:
-        return (
-            law.mode_mass
-            * law.mode_w
-            * (law.mode_w * state[FRAME] + 2.0 * law.mode_zeta * state[FRAME_V])
-        )
+        rate = law.mode_w * state[FRAME] + 2.0 * law.mode_zeta * state[FRAME_V]
+        return law.mode_mass * law.mode_w * rate
     return force
 
 
@@ -174,34 +176,24 @@ def wrench(law, p, velocity, state, out):
     """Wrench (6,) on the passive side, in P at its origin, with the tip at p (3,) and its velocity
     (3,).
     """
-    x = penetration(law, p)
-    v = velocity[0] * law.normal[0] + velocity[1] * law.normal[1] + velocity[2] * law.normal[2]
+    x, v = penetration(law, p), along(law, velocity)
     force = force_on(law, x, v, state)
     slip = velocity - v * law.normal
-    drag = (
-        law.friction
-        * abs(force)
-        / math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 + SLIDING**2)
-    )
+    speed = math.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 + SLIDING**2)
+    drag = law.friction * abs(force) / speed
     if law.friction_load != 0.0:
         drag *= 1.0 + law.friction_load * abs(force)
     read = carried(law, force, state)
-    along = p[0] * law.normal[0] + p[1] * law.normal[1] + p[2] * law.normal[2]
+    deep = along(law, p)
     for a in range(3):
         out[a] = read * law.normal[a] + drag * slip[a]
         if law.latched:  # a latch also holds laterally, on the axis
-            out[a] += law.stiffness * (p[a] - along * law.normal[a]) + law.damping * slip[a]
+            out[a] += law.stiffness * (p[a] - deep * law.normal[a]) + law.damping * slip[a]
     if law.side != 0.0:
         out[0] += force * law.side * x
     lift = (1.0 - law.lever) * x
-    rx, ry, rz = (
-        p[0] - lift * law.normal[0],
-        p[1] - lift * law.normal[1],
-        p[2] - lift * law.normal[2],
-    )
-    out[3] = ry * out[2] - rz * out[1]
-    out[4] = rz * out[0] - rx * out[2]
-    out[5] = rx * out[1] - ry * out[0]
+    n, out[3:] = law.normal, 0.0
+    add_moment(p[0] - lift * n[0], p[1] - lift * n[1], p[2] - lift * n[2], out, 1.0, out)
 
 
 @njit(cache=True)
@@ -227,8 +219,8 @@ def _ring(law, x0, x1, v, state, dt):
 @njit(cache=True)
 def advance(law, p0, p1, velocity, state, dt):
     """Advance the contact's `state` (STATES,) over dt, in which the tip moves from p0 to p1."""
-    v = velocity[0] * law.normal[0] + velocity[1] * law.normal[1] + velocity[2] * law.normal[2]
-    advance_along(law, penetration(law, p0), penetration(law, p1), v, state, dt)
+    x0, x1 = penetration(law, p0), penetration(law, p1)
+    advance_along(law, x0, x1, along(law, velocity), state, dt)
 
 
 @njit(cache=True)
@@ -249,6 +241,5 @@ def advance_along(law, x0, x1, v, state, dt):
         state[SLIDER] = min(max(state[SLIDER], x1 - reach), x1 + reach)
     if law.branch_stiffness > 0.0:
         fade = math.exp(-touching / law.branch_time)
-        state[BRANCH] = state[BRANCH] * fade + law.branch_stiffness * v * law.branch_time * (
-            1.0 - fade
-        )
+        drive = law.branch_stiffness * v * law.branch_time
+        state[BRANCH] = state[BRANCH] * fade + drive * (1.0 - fade)

@@ -21,6 +21,7 @@ from tests.equipment.independent_rig.cone import Surfaces, clearance, rod_cleara
 from tests.equipment.independent_rig.contact import SLIDING, Contact
 from tests.equipment.independent_rig.mount import Mount
 from tests.equipment.independent_rig.rotation import (
+    add_moment,
     apply,
     apply_back,
     inverse,
@@ -91,9 +92,7 @@ def add_at(point, force, out):
     """Add a force (3,) at `point` (3,) to the wrench (6,) at the origin."""
     for i in range(3):
         out[i] += force[i]
-    out[3] += point[1] * force[2] - point[2] * force[1]
-    out[4] += point[2] * force[0] - point[0] * force[2]
-    out[5] += point[0] * force[1] - point[1] * force[0]
+    add_moment(point[0], point[1], point[2], force, 1.0, out)
 
 
 @njit(cache=True)
@@ -199,9 +198,7 @@ def wrench_in_place(sides, pose, twist, y, latched, hold, states, out, seen):
         touch_wrench(law, docking.surfaces, local_pose, local_twist, states, local, seen)
     apply(into, local[0], local[1], local[2], out)
     apply(into, local[3], local[4], local[5], out[3:])
-    out[3] += y[1] * out[2] - y[2] * out[1]
-    out[4] += y[2] * out[0] - y[0] * out[2]
-    out[5] += y[0] * out[1] - y[1] * out[0]
+    add_moment(y[0], y[1], y[2], out, 1.0, out)
 
 
 @njit(cache=True)

@@ -17,9 +17,11 @@ from numpy.random import Generator
 from tests.equipment.independent_rig.closed_loop import simulate
 from tests.equipment.independent_rig.cone import Surfaces, clearance
 from tests.equipment.independent_rig.facility import (
+    KNOWN,
     METHODS,
     Facility,
     draw_body,
+    known_contact,
     log_uniform,
     rounded,
     scenario_of,
@@ -29,11 +31,8 @@ from tests.equipment.independent_rig.rig import docking_rig, overridden
 from tests.equipment.independent_rig.rotation import from_attitude, matrix, product, turn
 
 SIX = "six axes"  # in a facility's design: the rig has six axes
-DESIGNS = ("docking", "mounted", "held")
 DESCRIPTION = "A probe meets its cone off the axis, with the facility's nominal rig."
 SPEEDS = (0.4, 0.55, 0.75, 1.0, 0.6, 0.6)  # of each run, relative to the fastest
-# runs with other known springs, and their stiffness relative to the nominal one
-KNOWN = {4: 0.5, 5: 2.0}
 LONGEST, SHORTEST = 4.0, 1.2  # s, limits of the duration
 AFTER = 0.5  # s from the last capture to the end of the runs
 SCREENED = 4.5  # s, duration of the healthy runs from which the final duration is determined
@@ -75,7 +74,6 @@ class DockingFacility(Facility):
 
     @property
     def span(self) -> float:
-        """Median duration of contact [s]."""
         return float(np.median(self.spans))
 
     @property
@@ -117,9 +115,8 @@ def draw_docking_facility(
         if min(t.sum() for t in inside) < FEWEST or min(peaks) < LOWEST:
             continue
         spans = tuple(float(t.sum() / scenario["rate"]) for t in inside)
-        noise = rounded(
-            min(max(log_uniform(rng, 8e-4, 2.5e-3) * float(np.median(peaks)), 0.03), 1.0), 2
-        )
+        middle = float(np.median(peaks))
+        noise = rounded(min(max(log_uniform(rng, 8e-4, 2.5e-3) * middle, 0.03), 1.0), 2)
         torque_noise = rounded(noise * rng.uniform(0.04, 0.1), 2)
         scenario["sensor"] |= {"noise": noise, "torque_noise": torque_noise}
         pose = rng.uniform(1e-6, 2.5e-6)
@@ -140,14 +137,9 @@ def draw_docking_facility(
 
 def _scenario(rng: Generator, design: str, method: str, response) -> dict:
     while True:
-        chaser, target = (
-            rounded(log_uniform(rng, 300.0, 2000.0), 3),
-            rounded(log_uniform(rng, 1000.0, 8000.0), 3),
-        )
-        stiffness, delay = (
-            rounded(log_uniform(rng, 2e4, 1e5), 3),
-            float(rng.integers(1, 6)) / 1000.0,
-        )
+        ranges = (300.0, 2000.0), (1000.0, 8000.0), (2e4, 1e5)
+        chaser, target, stiffness = (rounded(log_uniform(rng, *ends), 3) for ends in ranges)
+        delay = float(rng.integers(1, 6)) / 1000.0
         rate = int(rng.choice([1000, 2000]))
         reduced = 1.0 / (1.0 / chaser + 1.0 / target)
         fastest = math.sqrt(2.0 * stiffness / (CONE_SHARE * reduced))
@@ -169,11 +161,8 @@ def _scenario(rng: Generator, design: str, method: str, response) -> dict:
         mechanism["mount"] = _mount(rng, stiffness)
     tracking: dict[str, Any] = {"tracking": "ideal"}
     if response is not None:
-        tracking = {
-            "tracking": "servo",
-            "bandwidth": float(response[0]),
-            "damping_ratio": float(response[1]),
-        }
+        bandwidth, ratio = map(float, response)
+        tracking = {"tracking": "servo", "bandwidth": bandwidth, "damping_ratio": ratio}
     of_body = (0.3, 0.8), 0.08, (0.8, 1.5)
     return scenario_of(
         DESCRIPTION,
@@ -204,13 +193,9 @@ def _mount(rng: Generator, stiffness: float) -> dict:
     springs += [rounded(springs[i] * 0.3**2 * rng.uniform(0.7, 1.4), 3) for i in range(3)]
     ratio = rng.uniform(0.08, 0.2)
     inertias = [BODY] * 3 + [20.0, 20.0, 10.0]  # about P
-    return {
-        "stiffness": springs,
-        "damping": [
-            rounded(2.0 * ratio * math.sqrt(k * m), 3)
-            for k, m in zip(springs, inertias, strict=True)
-        ],
-    }
+    pairs = zip(springs, inertias, strict=True)
+    dampers = [rounded(2.0 * ratio * math.sqrt(k * m), 3) for k, m in pairs]
+    return {"stiffness": springs, "damping": dampers}
 
 
 def _run(
@@ -224,21 +209,15 @@ def _run(
     far = rng.uniform(5e-4, 2e-3) if held else rng.uniform(0.015, 0.07)
     tilt, spin = (0.15, 0.3) if held else (1.5, 1.0)
     sideways = rng.uniform(-0.15, 0.15, 2) * speed
+    turned = rng.uniform(-tilt, tilt, 3)
+    rates = rng.uniform(-spin, spin, 3) * np.array([0.3, 0.3, 1.0])
     changes: dict[str, Any] = {
         "approach.velocity": [rounded(sideways[0], 2), rounded(sideways[1], 2), speed],
-        "approach.offset": [
-            rounded(far * math.cos(azimuth), 3),
-            rounded(far * math.sin(azimuth), 3),
-        ],
-        "approach.attitude_deg": [rounded(v, 2) for v in rng.uniform(-tilt, tilt, 3)],
-        "approach.rate_deg": [
-            rounded(v, 2) for v in rng.uniform(-spin, spin, 3) * np.array([0.3, 0.3, 1.0])
-        ],
+        "approach.offset": [rounded(far * f(azimuth), 3) for f in (math.cos, math.sin)],
+        "approach.attitude_deg": [rounded(v, 2) for v in turned],
+        "approach.rate_deg": [rounded(v, 2) for v in rates],
     }
-    if number in KNOWN:
-        contact, factor = scenario["mechanism"]["contact"], KNOWN[number]
-        changes["mechanism.contact.stiffness"] = factor * contact["stiffness"]
-        changes["mechanism.contact.damping"] = math.sqrt(factor) * contact["damping"]
+    changes |= known_contact(number, scenario)
     # The first touch is between two ticks: exactly on a tick, noise would decide in which tick the
     # force begins.
     ticks = math.floor(touch_time * scenario["rate"]) + rng.uniform(0.3, 0.7)

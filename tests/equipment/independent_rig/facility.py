@@ -57,6 +57,9 @@ class Facility:
             sigma, not in the scenario.
         design: what the runs excite in addition to the axial contact: any of "slide", "offset",
             "latched", "friction".
+        stiffness [N/m], damping [N s/m], noise [N] (of a force axis): nominal.
+        frequency [Hz], contact_time [s], half a period: of the contact with the nominal spring.
+        depth [m], peak [N]: of a run at the middle speed; top_peak [N]: of the fastest run.
     """
 
     scenario: dict
@@ -69,75 +72,65 @@ class Facility:
     design: frozenset[str]
 
     @property
+    def contact(self) -> dict[str, float]:
+        """Of the nominal scenario."""
+        return self.scenario["mechanism"]["contact"]
+
+    @property
     def stiffness(self) -> float:
-        """Of the nominal spring [N/m]."""
-        return self.scenario["mechanism"]["contact"]["stiffness"]
+        return self.contact["stiffness"]
 
     @property
     def damping(self) -> float:
-        """Of the nominal damper [N s/m]."""
-        return self.scenario["mechanism"]["contact"]["damping"]
+        return self.contact["damping"]
 
     @property
     def noise(self) -> float:
-        """Of a force axis [N]."""
         return self.scenario["sensor"]["noise"]
 
     @property
     def reduced_mass(self) -> float:
-        """Of the two bodies on the line of approach [kg]."""
         chaser, target = (self.scenario["spacecraft"][b]["mass"] for b in ("chaser", "target"))
         return 1.0 / (1.0 / chaser + 1.0 / target)
 
     @property
     def frequency(self) -> float:
-        """Of the contact with the nominal spring [Hz]."""
         return math.sqrt(self.stiffness / self.reduced_mass) / (2.0 * math.pi)
 
     @property
     def contact_time(self) -> float:
-        """Half a period [s]."""
         return 0.5 / self.frequency
 
     @property
     def tick(self) -> float:
-        """[s]"""
         return 1.0 / self.scenario["rate"]
 
     @property
     def top_speed(self) -> float:
-        """[m/s]"""
         return max(self.speeds)
 
     @property
     def middle_speed(self) -> float:
-        """[m/s]"""
         return float(np.median(self.speeds))
 
     @property
     def depth(self) -> float:
-        """Penetration of a run at the middle speed [m]."""
         return self.middle_speed / (2.0 * math.pi * self.frequency)
 
     @property
     def peak(self) -> float:
-        """Force of a run at the middle speed [N]."""
         return self.depth * self.stiffness
 
     @property
     def top_peak(self) -> float:
-        """Force of the fastest run with the nominal spring [N]."""
         return self.peak * self.top_speed / self.middle_speed
 
     @property
     def side(self) -> float:
         """Largest distance from the axis in runs that slide or are offset [m]."""
         far = [math.hypot(*r.get("approach.offset", [0.0, 0.0])) for r in self.runs]
-        slid = [
-            abs(r["approach.velocity"][0]) * (self.touch_time + self.contact_time)
-            for r in self.runs
-        ]
-        return max(max(far), max(slid), 1e-4)
+        fastest = max(abs(r["approach.velocity"][0]) for r in self.runs)
+        return max(*far, fastest * (self.touch_time + self.contact_time), 1e-4)
 
 
 def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_lead") -> Facility:
@@ -160,9 +153,8 @@ def draw_facility(rng: Generator, design: frozenset[str], method: str = "phase_l
     speeds = [rounded(fast * part, 2) for part in (0.25, 0.375, 0.625, 1.0, 0.5, 0.5)]
     touch_time = 0.1 + 0.1 * rng.random()
     longest = math.pi / (fastest / 2.0)
-    noise = rounded(
-        min(max(log_uniform(rng, 2e-4, 7e-4) * fast * math.sqrt(stiffness * reduced), 0.05), 1.5), 2
-    )
+    peak = fast * math.sqrt(stiffness * reduced)
+    noise = rounded(min(max(log_uniform(rng, 2e-4, 7e-4) * peak, 0.05), 1.5), 2)
     friction = rounded(rng.uniform(0.05, 0.2), 2) if "friction" in design else 0.0
     latched = "latched" in design
     duration = touch_time + (2.0 if latched else 1.3) * longest + 0.3
@@ -273,9 +265,19 @@ def _run(
     if "offset" in design and number in (1, 2, 3, 4):
         far = rng.uniform(0.04, 0.12, 2) * rng.choice([-1.0, 1.0], 2)
         changes["approach.offset"] = [rounded(v, 2) for v in far]
-    if number >= 4:
-        factor = 0.5 if number == 4 else 2.0
-        contact = scenario["mechanism"]["contact"]
-        changes["mechanism.contact.stiffness"] = factor * contact["stiffness"]
-        changes["mechanism.contact.damping"] = math.sqrt(factor) * contact["damping"]
-    return changes
+    return changes | known_contact(number, scenario)
+
+
+# runs with other known springs, and their stiffness relative to the nominal one
+KNOWN = {4: 0.5, 5: 2.0}
+
+
+def known_contact(number: int, scenario: dict) -> dict[str, float]:
+    """The changed keys of the contact of run `number`."""
+    if number not in KNOWN:
+        return {}
+    factor, contact = KNOWN[number], scenario["mechanism"]["contact"]
+    return {
+        "mechanism.contact.stiffness": factor * contact["stiffness"],
+        "mechanism.contact.damping": math.sqrt(factor) * contact["damping"],
+    }

@@ -8,80 +8,52 @@ that changes from run to run gets the run's number as `run` in its parameters.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
-from tests.equipment.independent_rig.facility import Facility, sign
-from tests.equipment.independent_rig.hidden import compensator, contact, platform
+from tests.equipment.independent_rig.facility import Facility
+from tests.equipment.independent_rig.hidden import Apply, angular, changed, sets
 from tests.equipment.independent_rig.links import Rig
+from tests.equipment.independent_rig.sizes import (
+    Draw,
+    Number,
+    between,
+    factor,
+    inverse,
+    of_contact_time,
+    of_depth,
+    of_peak,
+    of_stiffness,
+    plain,
+    scaled,
+)
 
 KNOTS = 6
 LINE = 23.0  # Hz
-COMPENSATION, DYNAMICS = "compensation", "dynamics"
 BUMPER, CONES, HELD = "bumper", ("docking", "mounted"), "held"
-
-Apply = Callable[[Rig, dict], Rig]
-Draw = Callable[[Generator, Facility, float], dict]
-Scaled = Callable[[float, Facility], float]
 
 
 class Foreign(NamedTuple):
-    """A foreign effect: its link, its application to a rig, and parameters of moderate size for a
-    facility (times `scale`).
-    """
+    """A foreign effect: its link, its application to a rig, and its parameters (see `sizes`)."""
 
     link: str
     apply: Apply
     draw: Draw
 
 
-def drawn(name: str, low: float, high: float, scaled: Scaled, signed: bool = False) -> Draw:
-    """One parameter: a share between `low` and `high`, of either sign if `signed`, times the scale,
-    as `scaled` makes it a size in a facility.
-    """
-
-    def draw(rng: Generator, f: Facility, s: float) -> dict:
-        way = sign(rng) if signed else 1.0
-        return {name: scaled(s * way * rng.uniform(low, high), f)}
-
-    return draw
-
-
-def sets(part: str, field: str, name: str) -> Apply:
-    """Set one field of a part of the rig to the parameter `name`."""
-    return lambda rig, e: rig._replace(**{part: getattr(rig, part)._replace(**{field: e[name]})})
-
-
-def one(
-    part: str,
-    field: str,
-    draw: tuple[str, float, float, Scaled],
-    link: str = "",
-    signed: bool = False,
-) -> Foreign:
-    """An effect with one parameter, which is a field of a part of the rig; ``link``: where it is
-    named differently.
-    """
-    return Foreign(link or part, sets(part, field, draw[0]), drawn(*draw, signed=signed))
-
-
-def _plain(v: float, f: Facility) -> float:
-    return v
-
-
-def _of_peak(v: float, f: Facility) -> float:
-    return v * f.peak
-
-
-def _of_depth(v: float, f: Facility) -> float:
-    return v * f.depth
-
-
-def _in_contact(v: float, f: Facility) -> float:
+def _per_contact_time(v: float, f: Facility) -> float:
     return v / f.contact_time
+
+
+def _per_span(v: float, f: Facility) -> float:
+    return v / f.span  # type: ignore[attr-defined]
+
+
+def _per_depth(v: float, f: Facility) -> float:
+    """Over the range of the contact along the insertion."""
+    return v / (max(f.side, f.depth) if "six axes" in f.design else f.depth)
 
 
 def _curve(rng: Generator, f: Facility, s: float) -> dict:
@@ -95,146 +67,139 @@ def _curve(rng: Generator, f: Facility, s: float) -> dict:
 def _oval(rig: Rig, e: dict) -> Rig:
     if rig.docking is None:
         return rig
-    return rig._replace(
-        docking=rig.docking._replace(surfaces=rig.docking.surfaces._replace(oval=e["ratio"]))
-    )
-
-
-def _depth_range(f: Facility) -> float:
-    """Range of the contact along the insertion [m]."""
-    return max(f.side, f.depth) if "six axes" in f.design else f.depth
-
-
-FOREIGN: dict[str, Foreign] = {
-    "unknown.unloading": one("contact", "unloading", ("loss", 0.08, 0.2, _plain)),
-    "unknown.ageing": one("contact", "ageing", ("rate", 0.2, 0.4, _in_contact), signed=True),
-    "unknown.speeding": one(
-        "contact", "speeding", ("slope", 0.25, 0.6, lambda v, f: v / f.top_speed)
-    ),
-    "unknown.teeth": Foreign(
-        "contact",
-        lambda rig, e: contact(rig, ripple=e["force"], ripple_period=e["period"]),
-        lambda rng, f, s: {
-            "force": s * rng.uniform(0.03, 0.08) * f.peak,
-            "period": rng.uniform(0.15, 0.35) * f.depth,
-        },
-    ),
-    "unknown.side_load": one("contact", "side", ("slope", 0.03, 0.1, lambda v, f: v / f.depth)),
-    "unknown.warming": one("sensor", "warming", ("rate", 0.15, 0.35, _in_contact)),
-    "unknown.lateral_gain": one(
-        "sensor", "slope", ("slope", 0.15, 0.4, lambda v, f: v / f.side), signed=True
-    ),
-    "unknown.heavy_delay": one(
-        "sensor", "heavy", ("slope", 0.08, 0.2, lambda v, f: v / f.frequency / f.top_peak)
-    ),
-    "unknown.force_play": one("sensor", "hysteresis", ("force", 0.02, 0.05, _of_peak)),
-    "unknown.coarse_converter": one("sensor", "quantum", ("step", 0.04, 0.1, _of_peak)),
-    "unknown.sample_hold": one(
-        "sensor", "repeat", ("time", 0.05, 0.1, lambda v, f: v * f.contact_time)
-    ),
-    "unknown.quantised_platform": one("platform", "quantum", ("step", 0.03, 0.08, _of_depth)),
-    "unknown.screw_error": Foreign(
-        "platform",
-        lambda rig, e: platform(rig, ripple=e["amplitude"], ripple_period=e["period"]),
-        lambda rng, f, s: {
-            "amplitude": s * rng.uniform(0.01, 0.04) * f.depth,
-            "period": rng.uniform(0.4, 1.2) * f.depth,
-        },
-    ),
-    "unknown.one_way_lag": Foreign(
-        "platform",
-        lambda rig, e: platform(
-            rig,
-            lag_w=2.0 * math.pi * e["bandwidth_in"],
-            lag_w_back=2.0 * math.pi * e["bandwidth_out"],
-        ),
-        lambda rng, f, s: _bandwidths(f.frequency * rng.uniform(1.5, 3.0) / s),
-    ),
-    "unknown.platform_gives": one(
-        "platform", "give", ("compliance", 0.03, 0.1, lambda v, f: v / f.stiffness)
-    ),
-    "unknown.acceleration_limit": Foreign(
-        "platform",
-        sets("platform", "acceleration", "limit"),
-        lambda rng, f, s: {"limit": rng.uniform(0.5, 0.8) / s * f.top_peak / f.reduced_mass},
-    ),
-    "unknown.slow_pole": one(
-        "compensator", "t2", ("t2", 0.005, 0.015, lambda v, f: v / f.frequency + 5e-4), COMPENSATION
-    ),
-    "unknown.lead_gain": one(
-        "compensator", "gain", ("factor", 0.04, 0.12, lambda v, f: 1.0 + v), COMPENSATION, True
-    ),
-    "unknown.lead_slew": Foreign(
-        COMPENSATION,
-        lambda rig, e: compensator(rig, slew=e["rate"]),
-        lambda rng, f, s: {
-            "rate": rng.uniform(0.4, 0.7) / s * f.top_peak * 2.0 * math.pi * f.frequency
-        },
-    ),
-    "unknown.drag": one(
-        "bodies",
-        "drag",
-        ("coefficient", 0.04, 0.15, lambda v, f: v * f.reduced_mass / f.contact_time),
-        DYNAMICS,
-    ),
-    "unknown.thrust": one("bodies", "thrust", ("force", 0.01, 0.03, _of_peak), DYNAMICS, True),
-    "unknown.tether": one(
-        "bodies", "tether", ("stiffness", 0.01, 0.04, lambda v, f: v * f.stiffness), DYNAMICS
-    ),
-    "unknown.fuel_flow": one(
-        "bodies", "mass_rate", ("rate", 0.1, 0.3, _in_contact), DYNAMICS, True
-    ),
-    "unknown.clock_stretch": one(
-        "sensor",
-        "stretch",
-        ("ratio", 0.05, 0.15, lambda v, f: v / f.frequency / (f.touch_time + f.contact_time)),
-        "log",
-    ),
-    "unknown.frozen_record": one("sensor", "freeze", ("time", 0.01, 0.03, _plain), "log"),
-}
-
-FURTHER: dict[str, Foreign] = {
-    "unknown.curve": Foreign(
-        "contact",
-        lambda rig, e: contact(
-            rig, curve=np.array(e["factors"], dtype=float), curve_depth=float(e["depth"])
-        ),
-        _curve,
-    ),
-    "unknown.line_in_contact": Foreign(
-        "contact",
-        lambda rig, e: contact(rig, line=e["part"], line_w=2.0 * math.pi * e["frequency"]),
-        lambda rng, f, s: {"part": s * rng.uniform(0.04, 0.12), "frequency": LINE},
-    ),
-    "unknown.wear": Foreign(
-        "contact",
-        lambda rig, e: contact(rig, stiffness=rig.contact.stiffness * (1.0 + e["rate"] * e["run"])),
-        lambda rng, f, s: {"rate": s * -rng.uniform(0.02, 0.05)},
-    ),
-    "unknown.loaded_friction": Foreign(
-        "contact",
-        lambda rig, e: contact(
-            rig, friction=rig.contact.friction + e["added"], friction_load=e["slope"]
-        ),
-        lambda rng, f, s: {"added": 0.05 * s, "slope": s * rng.uniform(0.8, 2.0) / f.peak},
-    ),
-    "unknown.oval_cone": Foreign("contact", _oval, drawn("ratio", 0.01, 0.03, _plain, True)),
-    "unknown.depth_gain": one(
-        "sensor",
-        "depth_slope",
-        ("slope", 0.1, 0.25, lambda v, f: v / _depth_range(f)),
-        signed=True,
-    ),
-}
+    return changed(rig, "docking", surfaces=rig.docking.surfaces._replace(oval=e["ratio"]))
 
 
 def _bandwidths(back: float) -> dict:
     return {"bandwidth_in": 3.0 * back, "bandwidth_out": back}
 
 
-def _over_span(v: float, f: Facility) -> float:
-    return v / f.span  # type: ignore[attr-defined]
+def _one(part: str, link: str = "", **fields: tuple[str, Number]) -> Foreign:
+    """An effect whose parameters are fields of one part of the rig; ``link``: if that has another
+    name.
+    """
+    apply = sets(part, **{field: name for field, (name, _) in fields.items()})
+    return Foreign(link or part, apply, dict(fields.values()))
 
+
+FOREIGN: dict[str, Foreign] = {
+    "unknown.unloading": _one("contact", unloading=("loss", scaled(0.08, 0.2))),
+    "unknown.ageing": _one("contact", ageing=("rate", scaled(0.2, 0.4, _per_contact_time, True))),
+    "unknown.speeding": _one(
+        "contact", speeding=("slope", scaled(0.25, 0.6, lambda v, f: v / f.top_speed))
+    ),
+    "unknown.teeth": _one(
+        "contact",
+        ripple=("force", scaled(0.03, 0.08, of_peak)),
+        ripple_period=("period", between(0.15, 0.35, of_depth)),
+    ),
+    "unknown.side_load": _one(
+        "contact", side=("slope", scaled(0.03, 0.1, lambda v, f: v / f.depth))
+    ),
+    "unknown.warming": _one("sensor", warming=("rate", scaled(0.15, 0.35, _per_contact_time))),
+    "unknown.lateral_gain": _one(
+        "sensor", slope=("slope", scaled(0.15, 0.4, lambda v, f: v / f.side, True))
+    ),
+    "unknown.heavy_delay": _one(
+        "sensor", heavy=("slope", scaled(0.08, 0.2, lambda v, f: v / f.frequency / f.top_peak))
+    ),
+    "unknown.force_play": _one("sensor", hysteresis=("force", scaled(0.02, 0.05, of_peak))),
+    "unknown.coarse_converter": _one("sensor", quantum=("step", scaled(0.04, 0.1, of_peak))),
+    "unknown.sample_hold": _one("sensor", repeat=("time", scaled(0.05, 0.1, of_contact_time))),
+    "unknown.quantised_platform": _one("platform", quantum=("step", scaled(0.03, 0.08, of_depth))),
+    "unknown.screw_error": _one(
+        "platform",
+        ripple=("amplitude", scaled(0.01, 0.04, of_depth)),
+        ripple_period=("period", between(0.4, 1.2, of_depth)),
+    ),
+    "unknown.one_way_lag": Foreign(
+        "platform",
+        sets("platform", lag_w=angular("bandwidth_in"), lag_w_back=angular("bandwidth_out")),
+        lambda rng, f, s: _bandwidths(f.frequency * rng.uniform(1.5, 3.0) / s),
+    ),
+    "unknown.platform_gives": _one(
+        "platform", give=("compliance", scaled(0.03, 0.1, lambda v, f: v / f.stiffness))
+    ),
+    "unknown.acceleration_limit": _one(
+        "platform",
+        acceleration=("limit", inverse(0.5, 0.8, lambda v, f: v * f.top_peak / f.reduced_mass)),
+    ),
+    "unknown.slow_pole": _one(
+        "compensator",
+        "compensation",
+        t2=("t2", scaled(0.005, 0.015, lambda v, f: v / f.frequency + 5e-4)),
+    ),
+    "unknown.lead_gain": _one("compensator", "compensation", gain=("factor", factor(0.04, 0.12))),
+    "unknown.lead_slew": _one(
+        "compensator",
+        "compensation",
+        slew=("rate", inverse(0.4, 0.7, lambda v, f: v * f.top_peak * 2.0 * math.pi * f.frequency)),
+    ),
+    "unknown.drag": _one(
+        "bodies",
+        "dynamics",
+        drag=(
+            "coefficient",
+            scaled(0.04, 0.15, lambda v, f: _per_contact_time(v * f.reduced_mass, f)),
+        ),
+    ),
+    "unknown.thrust": _one(
+        "bodies", "dynamics", thrust=("force", scaled(0.01, 0.03, of_peak, True))
+    ),
+    "unknown.tether": _one(
+        "bodies", "dynamics", tether=("stiffness", scaled(0.01, 0.04, of_stiffness))
+    ),
+    "unknown.fuel_flow": _one(
+        "bodies", "dynamics", mass_rate=("rate", scaled(0.1, 0.3, _per_contact_time, True))
+    ),
+    "unknown.clock_stretch": _one(
+        "sensor",
+        "log",
+        stretch=(
+            "ratio",
+            scaled(0.05, 0.15, lambda v, f: v / f.frequency / (f.touch_time + f.contact_time)),
+        ),
+    ),
+    "unknown.frozen_record": _one("sensor", "log", freeze=("time", scaled(0.01, 0.03))),
+}
+
+FURTHER: dict[str, Foreign] = {
+    "unknown.curve": Foreign(
+        "contact",
+        sets(
+            "contact",
+            curve=lambda e: np.array(e["factors"], dtype=float),
+            curve_depth=lambda e: float(e["depth"]),
+        ),
+        _curve,
+    ),
+    "unknown.line_in_contact": Foreign(
+        "contact",
+        sets("contact", line="part", line_w=angular("frequency")),
+        {"part": scaled(0.04, 0.12), "frequency": LINE},
+    ),
+    "unknown.wear": Foreign(
+        "contact",
+        lambda rig, e: changed(
+            rig, "contact", stiffness=rig.contact.stiffness * (1.0 + e["rate"] * e["run"])
+        ),
+        {"rate": scaled(0.02, 0.05, lambda v, f: -v)},
+    ),
+    "unknown.loaded_friction": Foreign(
+        "contact",
+        lambda rig, e: changed(
+            rig, "contact", friction=rig.contact.friction + e["added"], friction_load=e["slope"]
+        ),
+        {
+            "added": lambda rng, f, s: 0.05 * s,
+            "slope": scaled(0.8, 2.0, lambda v, f: v / f.peak),
+        },
+    ),
+    "unknown.oval_cone": Foreign("contact", _oval, {"ratio": scaled(0.01, 0.03, plain, True)}),
+    "unknown.depth_gain": _one(
+        "sensor", depth_slope=("slope", scaled(0.1, 0.25, _per_depth, True))
+    ),
+}
 
 RESIZED: dict[str, Draw] = {
     # A compliant platform reacts one tick later with a velocity: beyond a compliance of 1/(c rate)
@@ -243,23 +208,22 @@ RESIZED: dict[str, Draw] = {
         "compliance": s
         * min(rng.uniform(0.03, 0.1) / f.stiffness, rng.uniform(0.1, 0.2) * f.tick / f.damping)
     },
-    "unknown.ageing": drawn("rate", 0.15, 0.4, _over_span, True),
-    "unknown.warming": drawn("rate", 0.08, 0.2, _over_span),
-    "unknown.sample_hold": drawn("time", 0.006, 0.012, _plain),
-    "unknown.heavy_delay": drawn("slope", 0.006, 0.012, lambda v, f: v / f.top_peak),
+    "unknown.ageing": {"rate": scaled(0.15, 0.4, _per_span, True)},
+    "unknown.warming": {"rate": scaled(0.08, 0.2, _per_span)},
+    "unknown.sample_hold": {"time": scaled(0.006, 0.012)},
+    "unknown.heavy_delay": {"slope": scaled(0.006, 0.012, lambda v, f: v / f.top_peak)},
     "unknown.one_way_lag": lambda rng, f, s: _bandwidths(rng.uniform(10.0, 25.0) / s),
-    "unknown.acceleration_limit": lambda rng, f, s: {
-        "limit": rng.uniform(2.5, 4.0) / s * f.peak / f.reduced_mass
+    "unknown.acceleration_limit": {
+        "limit": inverse(2.5, 4.0, lambda v, f: v * f.peak / f.reduced_mass)
     },
-    "unknown.drag": drawn(
-        "coefficient",
-        0.02,
-        0.06,
-        lambda v, f: v * f.reduced_mass / f.span,  # type: ignore[attr-defined]
-    ),
-    "unknown.tether": drawn("stiffness", 0.02, 0.06, lambda v, f: v * f.peak / max(f.side, 0.01)),
-    "unknown.fuel_flow": drawn("rate", 0.05, 0.15, _over_span, True),
-    "unknown.clock_stretch": drawn("ratio", 0.004, 0.01, _plain),
+    "unknown.drag": {
+        "coefficient": scaled(0.02, 0.06, lambda v, f: _per_span(v * f.reduced_mass, f))
+    },
+    "unknown.tether": {
+        "stiffness": scaled(0.02, 0.06, lambda v, f: v * f.peak / max(f.side, 0.01))
+    },
+    "unknown.fuel_flow": {"rate": scaled(0.05, 0.15, _per_span, True)},
+    "unknown.clock_stretch": {"ratio": scaled(0.004, 0.01)},
 }
 LONGER = {name: FOREIGN[name]._replace(draw=draw) for name, draw in RESIZED.items()}
 

@@ -107,14 +107,6 @@ def draw_noise(rng: Generator, facility: Facility, ticks: int) -> Noise:
     return Noise(reading, still, rng.standard_normal(ticks), rng.random(ticks))
 
 
-def generate(
-    rng: Generator, facility: Facility, effects: list[dict[str, Any]], variants: dict[str, Any]
-) -> list[Records]:
-    """The records of all runs, in closed loop, with white noise."""
-    rigs = [rig_of(facility, i, effects, variants) for i in range(len(facility.runs))]
-    return [simulate(rig, draw_noise(rng, facility, rig.ticks)) for rig in rigs]
-
-
 def record(
     rng: Generator,
     facility: Facility,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -14,148 +15,133 @@ from tests.equipment.independent_rig.bodies import CHASER, TARGET
 from tests.equipment.independent_rig.links import Rig
 from tests.equipment.independent_rig.rotation import from_attitude, matrix
 
+Apply = Callable[[Rig, dict], Rig]
 AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5}
 BODIES = {"chaser": CHASER, "target": TARGET}
 
 
-def sensor(rig: Rig, **changes) -> Rig:
-    """The rig with another sensor."""
-    return rig._replace(sensor=rig.sensor._replace(**changes))
+def changed(rig: Rig, part: str, **changes: Any) -> Rig:
+    """The rig with other values of one of its links."""
+    return rig._replace(**{part: getattr(rig, part)._replace(**changes)})
 
 
-def contact(rig: Rig, **changes) -> Rig:
-    """The rig with another contact."""
-    return rig._replace(contact=rig.contact._replace(**changes))
+def sets(part: str, **fields: str | Callable[[dict], Any]) -> Apply:
+    """Sets fields of a link, each to a parameter by its name or to a value computed from all."""
+
+    def apply(rig: Rig, e: dict) -> Rig:
+        values = {k: v(e) if callable(v) else e[v] for k, v in fields.items()}
+        return changed(rig, part, **values)
+
+    return apply
 
 
-def platform(rig: Rig, **changes) -> Rig:
-    """The rig with another platform."""
-    return rig._replace(platform=rig.platform._replace(**changes))
+def angular(name: str) -> Callable[[dict], float]:
+    """A frequency [Hz] as an angular one [rad/s]."""
+    return lambda e: 2.0 * math.pi * e[name]
 
 
-def bodies(rig: Rig, **changes) -> Rig:
-    """The rig with another numerical model."""
-    return rig._replace(bodies=rig.bodies._replace(**changes))
+def _item(part: str, field: str, at: Callable[[dict], Any], value: Callable[[Any, dict], Any]):
+    """Sets an item of an array of a link, computed from the old one and the parameters."""
+
+    def apply(rig: Rig, e: dict) -> Rig:
+        array = getattr(getattr(rig, part), field).copy()
+        array[at(e)] = value(array[at(e)], e)
+        return changed(rig, part, **{field: array})
+
+    return apply
 
 
-def compensator(rig: Rig, **changes) -> Rig:
-    """The rig with another compensator."""
-    return rig._replace(compensator=rig.compensator._replace(**changes))
+def _axis(e: dict) -> int:
+    return AXES[e["axis"]]
 
 
-def _changed(array: np.ndarray, index: int | tuple[int, int], value) -> np.ndarray:
-    out = array.copy()
-    out[index] = value
-    return out
+def _body(e: dict) -> int:
+    return BODIES[e["body"]]
 
 
-def _gain(rig: Rig, e: dict) -> Rig:
-    a = AXES[e["axis"]]
-    return sensor(rig, gain=_changed(rig.sensor.gain, a, rig.sensor.gain[a] * e["factor"]))
-
-
-def _hum(rig: Rig, e: dict) -> Rig:
-    axis = e.get("axis", "z")
-    which = np.array([float(axis in ("all", a)) for a in "xyz"])
-    return sensor(
-        rig, hum=which * e["amplitude"], hum_frequency=e["frequency"], hum_phase=e.get("phase", 0.0)
-    )
+def _times(old: Any, e: dict) -> Any:
+    return old * e["factor"]
 
 
 def _misalignment(rig: Rig, e: dict) -> Rig:
     tilt = from_attitude([*e["angles_deg"], 0.0])
-    return contact(rig, normal=np.ascontiguousarray(matrix(tilt)[:, 2]), tilt=tilt)
-
-
-def _frame_mode(rig: Rig, e: dict) -> Rig:
-    w = 2.0 * math.pi * e["frequency"]
-    return contact(rig, mode_w=w, mode_zeta=e["damping_ratio"], mode_mass=e["mass"])
-
-
-def _mass(rig: Rig, e: dict) -> Rig:
-    b = BODIES[e["body"]]
-    return bodies(rig, mass=_changed(rig.bodies.mass, b, rig.bodies.mass[b] * e["factor"]))
+    return changed(rig, "contact", normal=np.ascontiguousarray(matrix(tilt)[:, 2]), tilt=tilt)
 
 
 def _inertia(rig: Rig, e: dict) -> Rig:
-    b = BODIES[e["body"]]
-    inertia = _changed(rig.bodies.inertia, b, rig.bodies.inertia[b] * e["factor"])
-    return bodies(rig, inertia=inertia, compliance=np.linalg.inv(inertia))
+    rig = _item("bodies", "inertia", _body, _times)(rig, e)
+    return changed(rig, "bodies", compliance=np.linalg.inv(rig.bodies.inertia))
 
 
-def _port(rig: Rig, e: dict) -> Rig:
-    b = BODIES[e["body"]]
-    return bodies(
-        rig,
-        port_position=_changed(
-            rig.bodies.port_position, b, rig.bodies.port_position[b] + np.array(e["offset"])
+EFFECTS: dict[str, Apply] = {
+    "sensor.delay": lambda rig, e: changed(rig, "sensor", delay=rig.sensor.delay + e["delay"]),
+    "sensor.lag": sets("sensor", lag="time_constant"),
+    "sensor.highpass": sets("sensor", highpass="time_constant"),
+    "sensor.drift": _item("sensor", "drift", _axis, lambda old, e: e["rate"]),
+    "sensor.bias": sets(
+        "sensor", bias=lambda e: np.array([*e["force"], *e["torque"]], dtype=float)
+    ),
+    "sensor.gain": _item("sensor", "gain", _axis, _times),
+    "sensor.crosstalk": _item(
+        "sensor", "cross", lambda e: (_axis(e), AXES[e["source"]]), lambda old, e: e["ratio"]
+    ),
+    "sensor.deadzone": sets("sensor", deadzone="width"),
+    "sensor.saturation": sets("sensor", limit="limit"),
+    "sensor.hum": sets(
+        "sensor",
+        hum=lambda e: (
+            e["amplitude"] * np.array([float(e.get("axis", "z") in ("all", a)) for a in "xyz"])
         ),
-    )
-
-
-def _appendage(rig: Rig, e: dict) -> Rig:
-    return bodies(
-        rig, appendage_body=BODIES[e["body"]], appendage_ratio=e["mass_ratio"],
-        appendage_w=2.0 * math.pi * e["frequency"], appendage_zeta=e["damping_ratio"],
-    )  # fmt: skip
-
-
-EFFECTS: dict[str, Callable[[Rig, dict], Rig]] = {
-    "sensor.delay": lambda rig, e: sensor(rig, delay=rig.sensor.delay + e["delay"]),
-    "sensor.lag": lambda rig, e: sensor(rig, lag=e["time_constant"]),
-    "sensor.highpass": lambda rig, e: sensor(rig, highpass=e["time_constant"]),
-    "sensor.drift": lambda rig, e: sensor(
-        rig, drift=_changed(rig.sensor.drift, AXES[e["axis"]], e["rate"])
+        hum_frequency="frequency",
+        hum_phase=lambda e: e.get("phase", 0.0),
     ),
-    "sensor.bias": lambda rig, e: sensor(
-        rig, bias=np.array([*e["force"], *e["torque"]], dtype=float)
+    "sensor.jitter": sets("sensor", jitter="sigma"),
+    "contact.stiffness": lambda rig, e: changed(
+        rig, "contact", stiffness=rig.contact.stiffness * e["factor"]
     ),
-    "sensor.gain": _gain,
-    "sensor.crosstalk": lambda rig, e: sensor(
-        rig, cross=_changed(rig.sensor.cross, (AXES[e["axis"]], AXES[e["source"]]), e["ratio"])
+    "contact.damping": lambda rig, e: changed(
+        rig, "contact", damping=rig.contact.damping * e["factor"]
     ),
-    "sensor.deadzone": lambda rig, e: sensor(rig, deadzone=e["width"]),
-    "sensor.saturation": lambda rig, e: sensor(rig, limit=e["limit"]),
-    "sensor.hum": _hum,
-    "sensor.jitter": lambda rig, e: sensor(rig, jitter=e["sigma"]),
-    "contact.stiffness": lambda rig, e: contact(rig, stiffness=rig.contact.stiffness * e["factor"]),
-    "contact.damping": lambda rig, e: contact(rig, damping=rig.contact.damping * e["factor"]),
-    "contact.power_law": lambda rig, e: contact(rig, exponent=e["exponent"], power=e["stiffness"]),
-    "contact.hunt_crossley": lambda rig, e: contact(rig, hunt=e["alpha"]),
-    "contact.dry_friction": lambda rig, e: contact(
-        rig, dry=e["force"], dry_stiffness=e.get("stiffness", 0.0)
+    "contact.power_law": sets("contact", exponent="exponent", power="stiffness"),
+    "contact.hunt_crossley": sets("contact", hunt="alpha"),
+    "contact.dry_friction": sets(
+        "contact", dry="force", dry_stiffness=lambda e: e.get("stiffness", 0.0)
     ),
-    "contact.preload": lambda rig, e: contact(rig, preload=e["force"]),
-    "contact.hard_stop": lambda rig, e: contact(
-        rig, stop_at=e["position"], stop_stiffness=e["stiffness"]
+    "contact.preload": sets("contact", preload="force"),
+    "contact.hard_stop": sets("contact", stop_at="position", stop_stiffness="stiffness"),
+    "contact.relaxation": sets(
+        "contact", branch_stiffness="stiffness", branch_time="time_constant"
     ),
-    "contact.relaxation": lambda rig, e: contact(
-        rig, branch_stiffness=e["stiffness"], branch_time=e["time_constant"]
-    ),
-    "contact.adhesion": lambda rig, e: contact(rig, adhesion=e["force"]),
-    "contact.surface_friction": lambda rig, e: contact(rig, friction=e["coefficient"]),
-    "contact.touch_offset": lambda rig, e: contact(rig, touch=e["offset"]),
-    "contact.backlash": lambda rig, e: contact(rig, play=e["width"]),
+    "contact.adhesion": sets("contact", adhesion="force"),
+    "contact.surface_friction": sets("contact", friction="coefficient"),
+    "contact.touch_offset": sets("contact", touch="offset"),
+    "contact.backlash": sets("contact", play="width"),
     "contact.misalignment": _misalignment,
-    "frame.compliance": lambda rig, e: contact(rig, frame_stiffness=e["stiffness"]),
-    "frame.mode": _frame_mode,
-    "platform.delay": lambda rig, e: platform(rig, delay=e["delay"]),
-    "platform.lag": lambda rig, e: platform(rig, lag_w=2.0 * math.pi * e["bandwidth"]),
-    "platform.backlash": lambda rig, e: platform(rig, play=e["width"]),
-    "platform.friction": lambda rig, e: platform(rig, stick=e["stick"]),
-    "platform.mode": lambda rig, e: platform(
-        rig, mode_w=2.0 * math.pi * e["frequency"], mode_zeta=e["damping_ratio"]
+    "frame.compliance": sets("contact", frame_stiffness="stiffness"),
+    "frame.mode": sets(
+        "contact", mode_w=angular("frequency"), mode_zeta="damping_ratio", mode_mass="mass"
     ),
-    "platform.scale": lambda rig, e: platform(
-        rig, scale=_changed(rig.platform.scale, AXES[e["axis"]], e["factor"])
-    ),
-    "platform.speed_limit": lambda rig, e: platform(rig, speed=e["speed"]),
-    "dynamics.mass": _mass,
+    "platform.delay": sets("platform", delay="delay"),
+    "platform.lag": sets("platform", lag_w=angular("bandwidth")),
+    "platform.backlash": sets("platform", play="width"),
+    "platform.friction": sets("platform", stick="stick"),
+    "platform.mode": sets("platform", mode_w=angular("frequency"), mode_zeta="damping_ratio"),
+    "platform.scale": _item("platform", "scale", _axis, lambda old, e: e["factor"]),
+    "platform.speed_limit": sets("platform", speed="speed"),
+    "dynamics.mass": _item("bodies", "mass", _body, _times),
     "dynamics.inertia": _inertia,
-    "dynamics.port_offset": _port,
-    "dynamics.appendage": _appendage,
-    "dynamics.step_delay": lambda rig, e: bodies(rig, late=int(e["ticks"])),
-    "dynamics.integrator": lambda rig, e: bodies(rig, explicit=True),
-    "loop.deadzone": lambda rig, e: compensator(rig, deadzone=e["width"]),
-    "log.skew": lambda rig, e: sensor(rig, skew=e["delay"]),
+    "dynamics.port_offset": _item(
+        "bodies", "port_position", _body, lambda old, e: old + np.array(e["offset"])
+    ),
+    "dynamics.appendage": sets(
+        "bodies",
+        appendage_body=_body,
+        appendage_ratio="mass_ratio",
+        appendage_w=angular("frequency"),
+        appendage_zeta="damping_ratio",
+    ),
+    "dynamics.step_delay": sets("bodies", late=lambda e: int(e["ticks"])),
+    "dynamics.integrator": sets("bodies", explicit=lambda e: True),
+    "loop.deadzone": sets("compensator", deadzone="width"),
+    "log.skew": sets("sensor", skew="delay"),
 }

@@ -14,13 +14,8 @@ from tests.equipment.independent_rig.rotation import slope
 if TYPE_CHECKING:
     from tests.equipment.independent_rig.sets import HiddenSet
 
-POSES, WRENCHES, TWISTS = (
-    ("pose_cmd", "pose_act"),
-    ("wrench_meas", "wrench_comp"),
-    ("twist_cmd", "twist_act"),
-)
-
-
+POSES, TWISTS = ("pose_cmd", "pose_act"), ("twist_cmd", "twist_act")
+WRENCHES = ("wrench_meas", "wrench_comp")
 PARTS = {
     "pose": ("px", "py", "pz", "qx", "qy", "qz", "qw"),
     "wrench": ("fx", "fy", "fz", "tx", "ty", "tz"),
@@ -73,22 +68,11 @@ def log_of(records: Records, rate: float, sigma: np.ndarray, run: int, twists: b
     """The log of a run's records, one row per tick; with `twists` also the velocities, as
     differences of the poses over a tick.
     """
-    t = np.arange(len(records.pose_cmd)) / rate
-    log = Log(
-        t,
-        records.pose_cmd,
-        records.pose_act,
-        records.wrench_meas,
-        records.wrench_comp,
-        1.0 / rate,
-        sigma,
-        run,
-    )
-    if not twists:
-        return log
-    return replace(
-        log, twist_cmd=_rates(log.pose_cmd, 1.0 / rate), twist_act=_rates(log.pose_act, 1.0 / rate)
-    )
+    t, tick = np.arange(len(records.pose_cmd)) / rate, 1.0 / rate
+    channels = {name: getattr(records, name) for name in (*POSES, *WRENCHES)}
+    if twists:
+        channels |= {f"twist_{p[5:]}": _rates(channels[p], tick) for p in POSES}
+    return Log(t=t, tick=tick, sigma=sigma, run=run, **channels)
 
 
 def _rates(pose: np.ndarray, h: float) -> np.ndarray:
@@ -114,11 +98,10 @@ def write_set(folder: str | Path, hidden: HiddenSet, truth: bool = False) -> Pat
         {"file": _write_log(folder, log), "set": hidden.facility.runs[log.run]}
         for log in hidden.logs
     ]
-    pages = {
-        "nominal.yaml": hidden.facility.scenario,
-        "dataset.yaml": {"scenario": "nominal.yaml", "runs": entries},
-    }
-    for name, content in (pages | ({"truth.yaml": hidden.truth} if truth else {})).items():
+    pages: dict[str, Any] = {"nominal.yaml": hidden.facility.scenario}
+    pages["dataset.yaml"] = {"scenario": "nominal.yaml", "runs": entries}
+    pages |= {"truth.yaml": hidden.truth} if truth else {}
+    for name, content in pages.items():
         with (folder / name).open("w", encoding="utf-8") as file:
             yaml.dump(plain(content), file)
     return folder
@@ -126,13 +109,10 @@ def write_set(folder: str | Path, hidden: HiddenSet, truth: bool = False) -> Pat
 
 def columns_of(log: Log) -> dict[str, np.ndarray]:
     """The columns of a log by name, t first."""
-    columns, channels = {"t": log.t}, log.channels()
-    for name in (*POSES, *TWISTS, *WRENCHES):
-        if name in channels:
-            columns |= {
-                f"{name}.{part}": channels[name][:, j].copy()
-                for j, part in enumerate(PARTS[name.split("_")[0]])
-            }
+    columns = {"t": log.t}
+    for name, rows in log.channels().items():
+        parts = PARTS[name.split("_")[0]]
+        columns |= {f"{name}.{part}": rows[:, j].copy() for j, part in enumerate(parts)}
     return columns
 
 
@@ -144,19 +124,15 @@ def _write_log(folder: Path, log: Log) -> str:
     if log.digits is None:
         pq.write_table(pa.table(columns), folder / f"run_{log.run}.parquet")
         return f"run_{log.run}.parquet"
-    with (folder / f"run_{log.run}.csv").open("w", encoding="utf-8") as file:
-        formats = [
-            f"%.{max(log.digits, STAMP_DIGITS)}g",
-            *[f"%.{log.digits}g"] * (len(columns) - 1),
-        ]
-        np.savetxt(
-            file,
-            np.stack(list(columns.values()), axis=1),
-            formats,
-            ",",
-            header=",".join(columns),
-            comments="",
-        )
+    stamps, rest = f"%.{max(log.digits, STAMP_DIGITS)}g", f"%.{log.digits}g"
+    np.savetxt(
+        folder / f"run_{log.run}.csv",
+        np.stack(list(columns.values()), axis=1),
+        [stamps, *[rest] * (len(columns) - 1)],
+        ",",
+        header=",".join(columns),
+        comments="",
+    )
     return f"run_{log.run}.csv"
 
 

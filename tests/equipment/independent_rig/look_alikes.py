@@ -12,45 +12,40 @@ from collections.abc import Callable
 from numpy.random import Generator
 
 from tests.equipment.independent_rig.facility import Facility, rounded, sign
+from tests.equipment.independent_rig.sizes import SIZES, drawn, lateness
 
 Pair = tuple[str, str]
-SHORTEST, LONGEST = 1.2e-3, 6e-3  # s
+Both = Callable[[Generator, Facility, float], tuple[dict, dict]]
 SEEN = 1e3  # the smallest factor is 1/SEEN
+_time = lateness(0.05, 0.1, 6e-3)
 
 
-def _time(rng: Generator, f: Facility, s: float) -> float:
-    return rounded(
-        s * min(max(rng.uniform(0.05, 0.1) / (2.0 * math.pi * f.frequency), SHORTEST), LONGEST)
-    )
+def _same(draw: Callable, first: str, second: str) -> Both:
+    """One number for both."""
+
+    def both(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
+        value = draw(rng, f, s)
+        return {first: value}, {second: value}
+
+    return both
 
 
 def _delay_or_damping(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
     """A force delayed by t corresponds to the damping c - k t."""
     time = min(_time(rng, f, s), 0.9 * f.damping / f.stiffness)
-    return {"delay": rounded(time)}, {
-        "factor": rounded(max(1.0 - f.stiffness * time / f.damping, 1.0 / SEEN))
-    }
+    factor = rounded(max(1.0 - f.stiffness * time / f.damping, 1.0 / SEEN))
+    return {"delay": rounded(time)}, {"factor": factor}
 
 
 def _gain_or_stiffness(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    factor = rounded(1.0 + s * sign(rng) * rng.uniform(0.05, 0.15))
-    return {"factor": factor, "axis": "z"}, {"factor": factor}
-
-
-def _same_delay(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    time = _time(rng, f, s)
-    return {"delay": time}, {"delay": time}
+    gain = drawn(SIZES["sensor.gain"], rng, f, s)
+    return gain, {"factor": gain["factor"]}
 
 
 def _lag_or_delay_of_platform(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
     """A second-order response with damping ratio 0.7 has a low-frequency delay of 1.4/w."""
     time = _time(rng, f, s)
     return {"bandwidth": rounded(1.4 / (2.0 * math.pi * time))}, {"delay": time}
-
-
-def _lag_or_delay_of_sensor(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    time = _time(rng, f, s)
-    return {"time_constant": time}, {"delay": time}
 
 
 def _either_mass(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
@@ -60,10 +55,8 @@ def _either_mass(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
         factor = rounded(1.0 + s * sign(rng) * rng.uniform(0.05, 0.2))
         rest = 1.0 / (factor * chaser) + 1.0 / target - 1.0 / chaser
         if rest > 0.2 / target:
-            return {"factor": factor, "body": "chaser"}, {
-                "factor": rounded(1.0 / (target * rest)),
-                "body": "target",
-            }
+            other = rounded(1.0 / (target * rest))
+            return {"factor": factor, "body": "chaser"}, {"factor": other, "body": "target"}
     raise RuntimeError("no mass of the target gives the same reduced mass as that of the chaser")
 
 
@@ -89,8 +82,8 @@ def _friction_or_damping(rng: Generator, f: Facility, s: float) -> tuple[dict, d
 
 
 def _either_dead_zone(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
-    width = rounded(s * max(rng.uniform(0.02, 0.06) * f.peak, 6.0 * f.noise))
-    return {"width": width}, {"width": width}
+    width = drawn(SIZES["sensor.deadzone"], rng, f, s)
+    return width, dict(width)
 
 
 def _play_or_stiction(rng: Generator, f: Facility, s: float) -> tuple[dict, dict]:
@@ -98,13 +91,13 @@ def _play_or_stiction(rng: Generator, f: Facility, s: float) -> tuple[dict, dict
     return {"width": width}, {"stick": rounded(0.5 * width)}
 
 
-LOOK_ALIKES: dict[Pair, Callable[[Generator, Facility, float], tuple[dict, dict]]] = {
+LOOK_ALIKES: dict[Pair, Both] = {
     ("sensor.delay", "contact.damping"): _delay_or_damping,
     ("sensor.gain", "contact.stiffness"): _gain_or_stiffness,
-    ("log.skew", "sensor.delay"): _same_delay,
+    ("log.skew", "sensor.delay"): _same(_time, "delay", "delay"),
     ("platform.lag", "platform.delay"): _lag_or_delay_of_platform,
-    ("sensor.lag", "sensor.delay"): _lag_or_delay_of_sensor,
-    ("sensor.delay", "platform.delay"): _same_delay,
+    ("sensor.lag", "sensor.delay"): _same(_time, "time_constant", "delay"),
+    ("sensor.delay", "platform.delay"): _same(_time, "delay", "delay"),
     ("dynamics.mass", "dynamics.mass"): _either_mass,
     ("contact.touch_offset", "contact.preload"): _offset_or_preload,
     ("frame.compliance", "contact.stiffness"): _frame_or_stiffness,

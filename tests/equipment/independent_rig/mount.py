@@ -16,6 +16,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from tests.equipment.independent_rig.rotation import (
+    add_moment,
     apply,
     apply_back,
     matrix,
@@ -58,17 +59,11 @@ def mount_of(
     """The mount of a scenario, stiffness and damping (6,), that carries the cone or another
     body.
     """
-    tensor = np.diag(np.array(inertia, dtype=float))
-    springs, dampers = np.array(stiffness, dtype=float), np.array(damping, dtype=float)
-    return Mount(
-        springs,
-        dampers,
-        float(mass),
-        tensor,
-        np.linalg.inv(tensor),
-        np.array(centre, dtype=float),
-        True,
+    springs, dampers, diagonal, place = (
+        np.array(v, dtype=float) for v in (stiffness, damping, inertia, centre)
     )
+    tensor = np.diag(diagonal)
+    return Mount(springs, dampers, float(mass), tensor, np.linalg.inv(tensor), place, True)
 
 
 @njit(cache=True)
@@ -78,15 +73,7 @@ def carried(mount, y, out):
     for i in range(3):
         out[i] = mount.stiffness[i] * y[i] + mount.damping[i] * y[7 + i]
         out[3 + i] = mount.stiffness[3 + i] * away[i] + mount.damping[3 + i] * y[10 + i]
-    _add_moment(y[0], y[1], y[2], out, 1.0, out)
-
-
-@njit(cache=True)
-def _add_moment(x, y, z, force, sign, out):
-    """Add to the torque of `out` (6,) the moment of a force (>= 3,) at x, y, z."""
-    out[3] += sign * (y * force[2] - z * force[1])
-    out[4] += sign * (z * force[0] - x * force[2])
-    out[5] += sign * (x * force[1] - y * force[0])
+    add_moment(y[0], y[1], y[2], out, 1.0, out)
 
 
 @njit(cache=True)
@@ -101,7 +88,7 @@ def derivative(mount, y, wrench, out):
     into = matrix(y[3:7])
     apply(into, mount.centre[0], mount.centre[1], mount.centre[2], arm)
     # now about the centre of mass
-    _add_moment(y[0] + arm[0], y[1] + arm[1], y[2] + arm[2], net, -1.0, net)
+    add_moment(y[0] + arm[0], y[1] + arm[1], y[2] + arm[2], net, -1.0, net)
     apply_back(into, y[10], y[11], y[12], inside)
     apply(mount.inertia, inside[0], inside[1], inside[2], turning)
     stir_x = inside[1] * turning[2] - inside[2] * turning[1]
@@ -144,15 +131,11 @@ def inner_steps(mount, contact_stiffness, contact_damping, rub, dt):
     rub: [N s/m] slope of the friction. The contact is off the centre of mass: the effective mass
         there is less than the body's mass.
     """
-    there = 1.0 / mount.mass + ARM2 * max(
-        mount.answer[0, 0], mount.answer[1, 1], mount.answer[2, 2]
-    )
+    answer = max(mount.answer[0, 0], mount.answer[1, 1], mount.answer[2, 2])
+    there = 1.0 / mount.mass + ARM2 * answer
     push = max(mount.stiffness[0], mount.stiffness[1], mount.stiffness[2]) + contact_stiffness
     twist = max(mount.stiffness[3], mount.stiffness[4], mount.stiffness[5])
-    swing = math.sqrt(
-        push * there + twist * max(mount.answer[0, 0], mount.answer[1, 1], mount.answer[2, 2])
-    )
-    loss = (
-        max(mount.damping[0], mount.damping[1], mount.damping[2]) + contact_damping + rub
-    ) * there
+    swing = math.sqrt(push * there + twist * answer)
+    dampers = max(mount.damping[0], mount.damping[1], mount.damping[2])
+    loss = (dampers + contact_damping + rub) * there
     return max(1, int(math.ceil(dt * max(swing / MOST_PHASE, loss / MOST_LOSS))))

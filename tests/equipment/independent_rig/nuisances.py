@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.random import Generator
@@ -22,17 +22,11 @@ from tests.equipment.independent_rig import platform, sensor
 from tests.equipment.independent_rig.links import SUBSTEPS, Records, Rig, Timing
 
 Scheme = Literal["as drawn", "exact", "semi_implicit", "trapezoidal"]
-PLATFORM = {
-    "as drawn": platform.AS_COARSE,
-    "exact": platform.RUNGE_KUTTA,
-    "semi_implicit": platform.SEMI_IMPLICIT,
-    "trapezoidal": platform.TRAPEZOIDAL,
-}
-SENSOR = {
-    "as drawn": sensor.EXPONENTIAL,
-    "exact": sensor.EXPONENTIAL,
-    "semi_implicit": sensor.BACKWARD,
-    "trapezoidal": sensor.TRAPEZOIDAL,
+SCHEMES = {  # of the platform and of the sensor
+    "as drawn": (platform.AS_COARSE, sensor.EXPONENTIAL),
+    "exact": (platform.RUNGE_KUTTA, sensor.EXPONENTIAL),
+    "semi_implicit": (platform.SEMI_IMPLICIT, sensor.BACKWARD),
+    "trapezoidal": (platform.TRAPEZOIDAL, sensor.TRAPEZOIDAL),
 }
 FEWEST, MOST = 2, 200  # sub-steps
 LONGEST = 0.5  # ticks, largest offset of an instant
@@ -86,29 +80,17 @@ def draw_nuisances(rng: Generator, width: float = 1.0) -> Nuisances:
     lever = min(max(0.5 + width * rng.uniform(-0.5, 0.5), 0.0), 1.0)
     read, move, encoder, step = (width * LONGEST * float(rng.random()) for _ in range(4))
     rate = width * float(rng.random())
-    scheme = (
-        str(rng.choice(["exact", "semi_implicit", "trapezoidal"])) if width > 0.0 else "as drawn"
-    )
+    scheme: Any = "as drawn"
+    if width > 0.0:
+        scheme = str(rng.choice(["exact", "semi_implicit", "trapezoidal"]))
     stamps = {}
     for channel in CHANNELS:
-        late, stays, whole = (
-            width * FARTHEST * rng.uniform(-1.0, 1.0),
-            rng.random() < 0.5,
-            rng.random() < 0.5,
-        )
+        late = width * FARTHEST * rng.uniform(-1.0, 1.0)
+        stays, whole = rng.random() < 0.5, rng.random() < 0.5
         if width > 0.0 and not stays:
             stamps[channel] = float(np.round(late)) if whole and width >= 0.5 else float(late)
-    return Nuisances(
-        substeps,
-        lever if width > 0.0 else None,
-        read,
-        move,
-        encoder,
-        step,
-        rate,
-        scheme,  # type: ignore[arg-type]
-        stamps,
-    )
+    at = lever if width > 0.0 else None
+    return Nuisances(substeps, at, read, move, encoder, step, rate, scheme, stamps)
 
 
 def with_nuisances(rig: Rig, nuisances: Nuisances) -> Rig:
@@ -116,17 +98,18 @@ def with_nuisances(rig: Rig, nuisances: Nuisances) -> Rig:
     (`restamped`).
     """
     h = 1.0 / rig.rate
-    contact = (
-        rig.contact if nuisances.lever is None else rig.contact._replace(lever=nuisances.lever)
-    )
+    of_platform, of_sensor = SCHEMES[nuisances.scheme]
+    contact = rig.contact
+    if nuisances.lever is not None:
+        contact = contact._replace(lever=nuisances.lever)
     return rig._replace(
         bodies=rig.bodies._replace(old_part=nuisances.step),
         platform=rig.platform._replace(
-            delay=rig.platform.delay + nuisances.move * h, scheme=PLATFORM[nuisances.scheme]
+            delay=rig.platform.delay + nuisances.move * h, scheme=of_platform
         ),
         contact=contact,
         sensor=rig.sensor._replace(
-            delay=rig.sensor.delay + nuisances.read * h, lag_scheme=SENSOR[nuisances.scheme]
+            delay=rig.sensor.delay + nuisances.read * h, lag_scheme=of_sensor
         ),
         timing=Timing(nuisances.substeps, nuisances.move, nuisances.encoder, nuisances.rate),
     )

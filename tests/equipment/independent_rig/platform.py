@@ -136,18 +136,8 @@ def follow(platform, state, u0, u1, dt, a):
         u0, u1 = before, state[LIMITED]
         rate = (u1 - u0) / dt
     if platform.response_w > 0.0:
-        before = state[NEAR]
-        state[NEAR], state[NEAR_V] = respond(
-            platform,
-            before,
-            state[NEAR_V],
-            u0,
-            rate,
-            dt,
-            platform.response_w,
-            platform.response_zeta,
-            0.0,
-        )
+        before, drive = state[NEAR], (platform.response_w, platform.response_zeta, 0.0)
+        state[NEAR], state[NEAR_V] = respond(platform, before, state[NEAR_V], u0, rate, dt, *drive)
         u0, u1 = before, state[NEAR]
         rate = (u1 - u0) / dt
     if platform.lag_w > 0.0:
@@ -159,16 +149,9 @@ def follow(platform, state, u0, u1, dt, a):
         u0, u1 = before, state[LAG]
         rate = (u1 - u0) / dt
     if platform.mode_w > 0.0:
+        mode = platform.mode_w, platform.mode_zeta, 1.0
         state[MODE], state[MODE_V] = respond(
-            platform,
-            state[MODE],
-            state[MODE_V],
-            u0,
-            rate,
-            dt,
-            platform.mode_w,
-            platform.mode_zeta,
-            1.0,
+            platform, state[MODE], state[MODE_V], u0, rate, dt, *mode
         )
         u1 = state[MODE]
     if platform.play > 0.0:

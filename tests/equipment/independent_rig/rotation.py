@@ -35,21 +35,12 @@ def matrix(q):
     """Rotation matrix (3, 3) of the quaternion (4,)."""
     x, y, z, w = q[0], q[1], q[2], q[3]
     out = np.empty((3, 3))
-    out[0, 0], out[0, 1], out[0, 2] = (
-        1.0 - 2.0 * (y * y + z * z),
-        2.0 * (x * y - z * w),
-        2.0 * (x * z + y * w),
-    )
-    out[1, 0], out[1, 1], out[1, 2] = (
-        2.0 * (x * y + z * w),
-        1.0 - 2.0 * (x * x + z * z),
-        2.0 * (y * z - x * w),
-    )
-    out[2, 0], out[2, 1], out[2, 2] = (
-        2.0 * (x * z - y * w),
-        2.0 * (y * z + x * w),
-        1.0 - 2.0 * (x * x + y * y),
-    )
+    out[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    out[0, 1], out[0, 2] = 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)
+    out[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    out[1, 0], out[1, 2] = 2.0 * (x * y + z * w), 2.0 * (y * z - x * w)
+    out[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    out[2, 0], out[2, 1] = 2.0 * (x * z - y * w), 2.0 * (y * z + x * w)
     return out
 
 
@@ -59,12 +50,8 @@ def turn(vector):
     angle = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     s = 0.5 - angle * angle / 48.0 if angle < 1e-4 else math.sin(0.5 * angle) / angle
     out = np.empty(4)
-    out[0], out[1], out[2], out[3] = (
-        s * vector[0],
-        s * vector[1],
-        s * vector[2],
-        math.cos(0.5 * angle),
-    )
+    out[0], out[1], out[2] = s * vector[0], s * vector[1], s * vector[2]
+    out[3] = math.cos(0.5 * angle)
     return out
 
 
@@ -103,14 +90,20 @@ def apply_back(m, x, y, z, out):
 
 
 @njit(cache=True)
+def add_moment(x, y, z, force, sign, out):
+    """Add to the torque of `out` (6,) the moment of a force (>= 3,) at x, y, z."""
+    out[3] += sign * (y * force[2] - z * force[1])
+    out[4] += sign * (z * force[0] - x * force[2])
+    out[5] += sign * (x * force[1] - y * force[0])
+
+
+@njit(cache=True)
 def cross(a, b):
     """Vector product of (3,) and (3,)."""
     out = np.empty(3)
-    out[0], out[1], out[2] = (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
     return out
 
 

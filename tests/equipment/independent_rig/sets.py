@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from numpy.random import Generator
 
-from tests.equipment.independent_rig import docking_sizes
 from tests.equipment.independent_rig.docking_facility import SIX, draw_docking_facility
-from tests.equipment.independent_rig.facility import Facility, draw_facility
-from tests.equipment.independent_rig.foreign import (
-    FOREIGN,
-    IN_DOCKING,
-    LEAD_ALONE,
-    Foreign,
-    foreign_in,
-)
+from tests.equipment.independent_rig.facility import Facility, draw_facility, rounded
+from tests.equipment.independent_rig.foreign import FOREIGN, IN_DOCKING, LEAD_ALONE, foreign_in
 from tests.equipment.independent_rig.generation import (
     PLAIN,
-    draw_noise,
     draw_variants,
-    generate,
     link_of,
     record,
     rig_of,
     stable,
     strength,
-    with_effect,
 )
 from tests.equipment.independent_rig.hidden import EFFECTS
 from tests.equipment.independent_rig.links import Records
@@ -37,29 +26,20 @@ from tests.equipment.independent_rig.look_alikes import LOOK_ALIKES, Pair, draw_
 from tests.equipment.independent_rig.noise_kinds import NOISE_KINDS
 from tests.equipment.independent_rig.nuisances import PLAIN as AS_TODAY
 from tests.equipment.independent_rig.nuisances import Nuisances
-from tests.equipment.independent_rig.sizes import NEEDS, SIZES, alike
+from tests.equipment.independent_rig.sizes import (
+    ACTING,
+    DOCKING_SIZES,
+    NEEDS,
+    SIZES,
+    alike,
+    drawn,
+)
 
 Kind = Literal["healthy", "single", "pair", "triple", "foreign", "alike"]
 Design = Literal["bumper", "docking", "mounted", "held"]
 FACILITIES = 200  # largest number of draws for a set
 STRONG_ENOUGH = 150  # draws after which a weak effect is accepted too
 WEAKEST = 0.3  # smallest strength of an observable effect
-
-__all__ = [
-    "PLAIN",
-    "Design",
-    "HiddenSet",
-    "Kind",
-    "draw_effects",
-    "draw_noise",
-    "draw_set",
-    "draw_variants",
-    "generate",
-    "link_of",
-    "rig_of",
-    "strength",
-    "with_effect",
-]
 
 
 @dataclass(frozen=True)
@@ -77,7 +57,7 @@ class HiddenSet:
         variants: interpretations of the definitions where they leave a choice: see `draw_variants`.
         runs: the records of each run, with noise, in the order of the facility's runs; logs: their
             logs, as written to files.
-        design, compensation, noise, nuisances: as requested. rival: for kind alike, the effect that
+        compensation, noise, nuisances: as requested. rival: for kind alike, the effect that
             looks like the hidden one.
     """
 
@@ -89,7 +69,6 @@ class HiddenSet:
     variants: dict[str, Any]
     runs: list[Records] = field(repr=False)
     logs: list[Log] = field(repr=False, default_factory=list)
-    design: Design = "bumper"
     compensation: str = "phase_lead"
     noise: tuple[str, float] | None = None
     nuisances: Nuisances = AS_TODAY
@@ -166,9 +145,8 @@ def draw_set(
         facility = _facility(rng, chosen, design, compensation, response)
         if kind == "alike":
             both = draw_look_alike(rng, _ordered(chosen), facility, scale)
-            effects, rival = (
-                ([both[0]], both[1]) if both[0]["kind"] == chosen[0] else ([both[1]], both[0])
-            )
+            hidden, rival = both if both[0]["kind"] == chosen[0] else both[::-1]
+            effects = [hidden]
         else:
             effects = draw_effects(rng, chosen, facility, scale)
         variants = dict(PLAIN) if literal else draw_variants(rng)
@@ -178,18 +156,15 @@ def draw_set(
         rigs = [rig_of(facility, i, effects, variants, how) for i in range(len(facility.runs))]
         runs, logs = record(rng, facility, rigs, how, noise, twists)
         if stable(facility, runs):
-            links = [link_of(e["kind"]) for e in effects]
-            found = [round(s, 3) for s in strengths]
             return HiddenSet(
                 kind,
                 facility,
                 effects,
-                links,
-                found,
+                [link_of(e["kind"]) for e in effects],
+                [round(s, 3) for s in strengths],
                 variants,
                 runs,
                 logs,
-                design,
                 compensation,
                 noise,
                 how,
@@ -204,34 +179,27 @@ def draw_effects(
     """The effects `names`, of the vocabulary or foreign, at moderate sizes for the facility, times
     `scale`.
     """
-    sizes, foreign = _tables(facility)
-    draws = [foreign[name].draw if name in foreign else sizes[name] for name in names]
-    found = [draw(rng, facility, scale) for draw in draws]
-    short = [
-        {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in given.items()}
-        for given in found
-    ]
-    return [{"kind": name, **given} for name, given in zip(names, short, strict=True)]
-
-
-def _tables(facility: Facility) -> tuple[Mapping[str, Any], Mapping[str, Foreign]]:
-    if SIX in facility.design:
-        return docking_sizes.SIZES, IN_DOCKING
-    return SIZES, IN_DOCKING | FOREIGN
+    in_docking = SIX in facility.design
+    sizes = DOCKING_SIZES if in_docking else SIZES
+    foreign = IN_DOCKING if in_docking else IN_DOCKING | FOREIGN
+    out = []
+    for name in names:
+        given = drawn(foreign[name].draw if name in foreign else sizes[name], rng, facility, scale)
+        short = {k: rounded(v) if isinstance(v, float) else v for k, v in given.items()}
+        out.append({"kind": name, **short})
+    return out
 
 
 def acting_in(design: Design) -> tuple[str, ...]:
     """The effects of the vocabulary that can be hidden in a design."""
-    return tuple(EFFECTS) if design == "bumper" else docking_sizes.ACTING[design]
+    return tuple(EFFECTS) if design == "bumper" else ACTING[design]
 
 
 def _known(
     names: tuple[str, ...], design: Design, noise: tuple[str, float] | None, pair: Pair | None
 ) -> None:
-    if design not in ("bumper", *docking_sizes.ACTING):
-        raise ValueError(
-            f"unknown design {design!r}; allowed: bumper, {', '.join(docking_sizes.ACTING)}"
-        )
+    if design not in ("bumper", *ACTING):
+        raise ValueError(f"unknown design {design!r}; allowed: bumper, {', '.join(ACTING)}")
     idle = [n for n in names if n not in acting_in(design) and n not in foreign_in(design)]
     if idle:
         raise ValueError(f"{', '.join(idle)} cannot be hidden in design {design}")
@@ -260,33 +228,17 @@ def _names(
 ) -> tuple[str, ...]:
     if kind == "healthy":
         return ()
-    if kind == "foreign":
-        table = FOREIGN if design == "bumper" else foreign_in(design)
-        return (
-            str(
-                rng.choice(
-                    [n for n in table if compensation == "phase_lead" or n not in LEAD_ALONE]
-                )
-            ),
-        )
     if kind == "alike":
         return _alike_names(rng, design, pair)
-    vocabulary = acting_in(design)
-    first = str(rng.choice(list(vocabulary)))
-    if kind == "single":
-        return (first,)
-    second = str(rng.choice([name for name in vocabulary if not alike(first, name)]))
-    if kind == "pair":
-        return (first, second)
-    return (
-        first,
-        second,
-        str(
-            rng.choice(
-                [name for name in vocabulary if not (alike(first, name) or alike(second, name))]
-            )
-        ),
-    )
+    if kind == "foreign":
+        table = FOREIGN if design == "bumper" else foreign_in(design)
+        acting = [n for n in table if compensation == "phase_lead" or n not in LEAD_ALONE]
+        return (str(rng.choice(acting)),)
+    names: tuple[str, ...] = ()
+    for _ in range({"single": 1, "pair": 2, "triple": 3}[kind]):
+        other = [n for n in acting_in(design) if not any(alike(n, name) for name in names)]
+        names += (str(rng.choice(other)),)
+    return names
 
 
 def _alike_names(rng: Generator, design: Design, pair: Pair | None) -> tuple[str, ...]:

@@ -70,12 +70,8 @@ def pose_at(trail, t, h, timing, pose, twist):
     if timing.rate > 0.0:
         first = max(ahead - max(m // 2, 1), 0)  # towards the slope of the half tick that ends there
         for i in range(3):
-            finer = (
-                (trail.place[ahead % length, i] - trail.place[first % length, i])
-                / (ahead - first)
-                * m
-                / h
-            )
+            moved = trail.place[ahead % length, i] - trail.place[first % length, i]
+            finer = moved / (ahead - first) * m / h
             twist[i] += timing.rate * (finer - twist[i])
 
 

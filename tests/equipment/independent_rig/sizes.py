@@ -1,20 +1,26 @@
 """Moderate sizes of the vocabulary's effects, for a given facility.
 
-`SIZES[kind](rng, facility, scale)` returns parameters; `scale` multiplies the deviation from the
-nominal rig: below 1 it is harder to find. Times scale with the contact's period, forces with its
-peak, lengths with its depth.
+`drawn(SIZES[kind], rng, facility, scale)` returns parameters; `scale` multiplies the deviation from
+the nominal rig: below 1 it is harder to find. Times scale with the contact's period, forces with
+its peak, lengths with its depth. A docking is longer, deeper and starts farther away:
+`DOCKING_SIZES`; `ACTING[design]` lists the effects that act in one.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from numpy.random import Generator
 
 from tests.equipment.independent_rig.facility import Facility, rounded, sign
 
-Draw = Callable[[Generator, Facility, float], dict]
+Number = Callable[[Generator, Facility, float], Any]
+Size = Callable[[float, Facility], float]  # of a share, in a facility
+Draw = Mapping[str, Any] | Callable[[Generator, Facility, float], dict]
+AXES = ("x", "y", "z")
+SHORTEST = 1.2e-3  # s, of a delay that is observable in the loop
 
 NEEDS: dict[str, frozenset[str]] = {
     "contact.surface_friction": frozenset({"slide"}),
@@ -23,65 +29,148 @@ NEEDS: dict[str, frozenset[str]] = {
     "dynamics.port_offset": frozenset({"offset"}),
 }  # what a facility's runs must excite to make the effect observable
 
-ALIKE: tuple[frozenset[str], ...] = (
-    frozenset({"sensor.delay", "sensor.lag", "log.skew", "sensor.jitter"}),
-    frozenset({"platform.delay", "platform.lag", "platform.mode"}),
-    frozenset({"platform.backlash", "platform.friction"}),
-    frozenset(
-        {"dynamics.mass", "dynamics.appendage", "dynamics.step_delay", "dynamics.integrator"}
-    ),
-    frozenset({"dynamics.inertia", "dynamics.port_offset"}),
-    frozenset(
-        {
-            "sensor.gain",
-            "contact.stiffness",
-            "frame.compliance",
-            "frame.mode",
-            "contact.power_law",
-            "contact.relaxation",
-        }
-    ),
-    frozenset(
-        {
-            "contact.damping",
-            "contact.hunt_crossley",
-            "contact.dry_friction",
-            "contact.relaxation",
-            "frame.compliance",
-            "frame.mode",
-        }
-    ),
-    frozenset(
-        {"contact.preload", "contact.touch_offset", "contact.dry_friction", "contact.power_law"}
-    ),
-    frozenset({"contact.hard_stop", "contact.power_law", "sensor.saturation"}),
-    frozenset({"sensor.crosstalk", "contact.misalignment"}),
-    frozenset({"sensor.deadzone", "loop.deadzone", "contact.adhesion"}),
-    frozenset({"sensor.drift", "sensor.bias", "sensor.highpass", "sensor.hum"}),
+ALIKE = (
+    "sensor.delay sensor.lag log.skew sensor.jitter",
+    "platform.delay platform.lag platform.mode",
+    "platform.backlash platform.friction",
+    "dynamics.mass dynamics.appendage dynamics.step_delay dynamics.integrator",
+    "dynamics.inertia dynamics.port_offset",
+    "sensor.gain contact.stiffness frame.compliance frame.mode contact.power_law "
+    "contact.relaxation",
+    "contact.damping contact.hunt_crossley contact.dry_friction contact.relaxation "
+    "frame.compliance frame.mode",
+    "contact.preload contact.touch_offset contact.dry_friction contact.power_law",
+    "contact.hard_stop contact.power_law sensor.saturation",
+    "sensor.crosstalk contact.misalignment",
+    "sensor.deadzone loop.deadzone contact.adhesion",
+    "sensor.drift sensor.bias sensor.highpass sensor.hum",
 )  # effects of one group are not hidden together: they mask each other
 
 
 def alike(a: str, b: str) -> bool:
     """Whether two effects are too similar to be hidden together."""
-    return a == b or any(a in group and b in group for group in ALIKE)
+    return a == b or any({a, b} <= set(group.split()) for group in ALIKE)
 
 
-def _lateness(rng: Generator, f: Facility, s: float, low: float = 0.04, high: float = 0.1) -> float:
+def drawn(draw: Draw, rng: Generator, f: Facility, s: float) -> dict:
+    """The parameters of an effect: numbers, drawn in their order, and constants."""
+    if callable(draw):
+        return draw(rng, f, s)
+    return {k: v(rng, f, s) if callable(v) else v for k, v in draw.items()}
+
+
+def plain(v: float, f: Facility) -> float:
+    """A size that is the same in every facility."""
+    return v
+
+
+def of_peak(v: float, f: Facility) -> float:
+    """Relative to the contact's peak force."""
+    return v * f.peak
+
+
+def of_depth(v: float, f: Facility) -> float:
+    """Relative to the contact's penetration."""
+    return v * f.depth
+
+
+def of_stiffness(v: float, f: Facility) -> float:
+    """Relative to the nominal spring."""
+    return v * f.stiffness
+
+
+def of_contact_time(v: float, f: Facility) -> float:
+    """Relative to the duration of the contact."""
+    return v * f.contact_time
+
+
+def scaled(
+    low: float,
+    high: float,
+    size: Size = plain,
+    signed: bool = False,
+    digits: int = 4,
+    least: Callable[[Facility], float] | None = None,
+) -> Number:
+    """A share between `low` and `high`, of either sign if `signed`, times the scale, as a size in
+    the facility; at least `least` times the scale.
+    """
+
+    def draw(rng: Generator, f: Facility, s: float) -> float:
+        way = sign(rng) if signed else 1.0
+        if least is not None:
+            return rounded(s * max(size(rng.uniform(low, high), f), least(f)))
+        return rounded(size(s * way * rng.uniform(low, high), f), digits)
+
+    return draw
+
+
+def between(low: float, high: float, size: Size = plain) -> Number:
+    """The same without the scale."""
+    return lambda rng, f, s: rounded(size(rng.uniform(low, high), f))
+
+
+def inverse(low: float, high: float, size: Size = plain) -> Number:
+    """The same divided by the scale."""
+    return lambda rng, f, s: rounded(size(rng.uniform(low, high) / s, f))
+
+
+def below(low: float, high: float, size: Size) -> Number:
+    """A size that is reduced by a share times the scale."""
+    return lambda rng, f, s: rounded(size(1.0 - min(s * rng.uniform(low, high), 0.9), f))
+
+
+def factor(low: float, high: float) -> Number:
+    """A factor that departs from 1 either way."""
+    return scaled(low, high, lambda v, f: 1.0 + v, signed=True)
+
+
+def lateness(low: float = 0.04, high: float = 0.1, longest: float = 7e-3) -> Number:
     """A time [s] that is a small phase of the contact's oscillation, but not too short to be
     observable in the loop.
     """
-    time = rng.uniform(low, high) / (2.0 * math.pi * f.frequency)
-    return rounded(s * min(max(time, 1.2e-3), 7e-3))
+
+    def draw(rng: Generator, f: Facility, s: float) -> float:
+        time = rng.uniform(low, high) / (2.0 * math.pi * f.frequency)
+        return rounded(s * min(max(time, SHORTEST), longest))
+
+    return draw
+
+
+def bandwidth(time: Number) -> Number:
+    """The bandwidth [Hz] of a lag that is worth the delay `time`: 1.4/w with damping ratio 0.7."""
+    return lambda rng, f, s: rounded(1.4 / (2.0 * math.pi * time(rng, f, s)))
+
+
+def several(*numbers: Number | float) -> Number:
+    """A list."""
+    return lambda rng, f, s: [n(rng, f, s) if callable(n) else n for n in numbers]
+
+
+def body(rng: Generator, f: Facility, s: float) -> str:
+    """One of the two bodies."""
+    return str(rng.choice(["chaser", "target"]))
+
+
+def _of_span(v: float, f: Facility) -> float:
+    return v * f.span  # type: ignore[attr-defined]
+
+
+def _axis(rng: Generator, f: Facility, s: float) -> str:
+    return str(rng.choice(AXES))
+
+
+def _six_noises(f: Facility) -> float:
+    return 6.0 * f.noise
+
+
+def _step(f: Facility) -> float:
+    return 4e-5
 
 
 def _jitter(rng: Generator, f: Facility, s: float) -> dict:
     time = rng.uniform(0.01, 0.03) / (2.0 * math.pi * f.frequency)
     return {"sigma": rounded(s * min(time, f.scenario["sensor"]["delay"] / 3.0))}
-
-
-def factor(rng: Generator, s: float, low: float, high: float) -> float:
-    """A factor that departs from 1 either way."""
-    return rounded(1.0 + s * sign(rng) * rng.uniform(low, high))
 
 
 def _damping(rng: Generator, f: Facility, s: float) -> dict:
@@ -91,172 +180,183 @@ def _damping(rng: Generator, f: Facility, s: float) -> dict:
 
 def _mode(rng: Generator, f: Facility, s: float) -> dict:
     ratio = rng.uniform(4.0, 8.0) / math.sqrt(min(s, 4.0))
-    return {
-        "frequency": rounded(ratio * f.frequency),
-        "damping_ratio": rounded(max(rng.uniform(0.02, 0.1), 2.0 / ratio**2)),
-    }
+    damping_ratio = rounded(max(rng.uniform(0.02, 0.1), 2.0 / ratio**2))
+    return {"frequency": rounded(ratio * f.frequency), "damping_ratio": damping_ratio}
 
 
-def _frame_mode(rng: Generator, f: Facility, s: float) -> dict:
-    static = rng.uniform(3.0, 10.0) * f.stiffness / s
-    frequency = f.frequency * rng.uniform(2.0, 5.0)
-    mass = static / (2.0 * math.pi * frequency) ** 2
-    return {
-        "frequency": rounded(frequency),
-        "damping_ratio": rounded(rng.uniform(0.02, 0.1)),
-        "mass": rounded(mass),
-    }
+def _frame_mode(frequency: Number, least_damping: float) -> Draw:
+    def draw(rng: Generator, f: Facility, s: float) -> dict:
+        static = rng.uniform(3.0, 10.0) * f.stiffness / s
+        hertz = frequency(rng, f, s)
+        mass = static / (2.0 * math.pi * hertz) ** 2
+        damping_ratio = rounded(rng.uniform(least_damping, 0.1))
+        return {
+            "frequency": rounded(hertz), "damping_ratio": damping_ratio, "mass": rounded(mass)
+        }  # fmt: skip
+
+    return draw
 
 
 def _power_law(rng: Generator, f: Facility, s: float) -> dict:
     exponent = rounded(1.0 + s * rng.uniform(0.15, 0.5), 3)
+    stiffness = f.stiffness * f.depth ** (1.0 - exponent) * rng.uniform(0.8, 1.2)
+    return {"exponent": exponent, "stiffness": rounded(stiffness)}
+
+
+def _appendage(share: float, frequency: Number) -> Draw:
     return {
-        "exponent": exponent,
-        "stiffness": rounded(f.stiffness * f.depth ** (1.0 - exponent) * rng.uniform(0.8, 1.2)),
-    }
-
-
-def _bias(rng: Generator, f: Facility, s: float) -> dict:
-    size = s * max(6.0 * f.noise, 0.008 * f.peak)
-    force = [rounded(size * sign(rng) * rng.uniform(0.7, 1.5), 3) for _ in range(3)]
-    torque = [rounded(s * f.torque_noise * sign(rng) * rng.uniform(5.0, 15.0), 3) for _ in range(3)]
-    return {"force": force, "torque": torque}
-
-
-def _misalignment(rng: Generator, f: Facility, s: float) -> dict:
-    return {"angles_deg": [rounded(s * sign(rng) * rng.uniform(0.7, 3.0), 3) for _ in range(2)]}
-
-
-def _crosstalk(rng: Generator, f: Facility, s: float) -> dict:
-    return {
-        "ratio": rounded(s * sign(rng) * rng.uniform(0.02, 0.06)),
-        "source": "z",
-        "axis": str(rng.choice(["x", "y"])),
-    }
-
-
-def _port_offset(rng: Generator, f: Facility, s: float) -> dict:
-    side = [rounded(s * sign(rng) * rng.uniform(0.03, 0.12), 3) for _ in range(2)]
-    return {"offset": [*side, 0.0], "body": either_body(rng)}
-
-
-def _appendage(rng: Generator, f: Facility, s: float) -> dict:
-    return {
-        "mass_ratio": rounded(min(s * rng.uniform(0.08, 0.25), 0.5)),
-        "frequency": rounded(f.frequency * rng.uniform(0.4, 1.8)),
-        "damping_ratio": rounded(rng.uniform(0.01, 0.06)),
+        "mass_ratio": scaled(0.08, share, lambda v, f: min(v, 0.5)),
+        "frequency": frequency,
+        "damping_ratio": between(0.01, 0.06),
         "body": "chaser",
     }
 
 
-def either_body(rng: Generator) -> str:
-    """One of the two bodies."""
-    return str(rng.choice(["chaser", "target"]))
-
-
 def _scale(rng: Generator, f: Facility, s: float) -> dict:
     axis = str(rng.choice(["x", "z"], p=[0.25, 0.75])) if "slide" in f.design else "z"
-    return {"factor": factor(rng, s, 0.02, 0.07), "axis": axis}
+    return {"factor": factor(0.02, 0.07)(rng, f, s), "axis": axis}
 
 
-def _hum(rng: Generator, f: Facility, s: float) -> dict:
-    return {
-        "frequency": rounded(rng.choice([50.0, 60.0, 100.0, rng.uniform(15.0, 150.0)])),
-        "amplitude": rounded(s * f.noise * rng.uniform(5.0, 12.0)),
-        "phase": rounded(rng.uniform(-math.pi, math.pi)),
-        "axis": "z",
-    }
+def _hum(rng: Generator, f: Facility, s: float) -> float:
+    return rounded(rng.choice([50.0, 60.0, 100.0, rng.uniform(15.0, 150.0)]))
 
 
-def _drift(rng: Generator, f: Facility, s: float) -> dict:
-    rate = s * sign(rng) * rng.uniform(20.0, 60.0) * f.noise / f.scenario["duration"]
-    return {"rate": rounded(rate), "axis": str(rng.choice(["x", "y", "z"], p=[0.2, 0.2, 0.6]))}
+def _crosstalk(rng: Generator, f: Facility, s: float) -> dict:
+    source, axis = (str(v) for v in rng.choice(AXES, 2, replace=False))
+    ratio = scaled(0.03, 0.08, signed=True)(rng, f, s)
+    return {"ratio": ratio, "source": source, "axis": axis}
 
+
+_bias = scaled(0.7, 1.5, lambda v, f: v * max(6.0 * f.noise, 0.008 * f.peak), True, 3)
+_bias_torque = scaled(5.0, 15.0, lambda v, f: v * f.torque_noise, True, 3)
+_docking_bias = scaled(6.0, 12.0, lambda v, f: v * f.noise, True, 3)
+_docking_bias_torque = scaled(6.0, 12.0, lambda v, f: v * f.torque_noise, True, 3)
+_angle, _docking_angle = scaled(0.7, 3.0, plain, True, 3), scaled(0.3, 1.5, plain, True, 3)
+_side, _docking_side = scaled(0.03, 0.12, plain, True, 3), scaled(0.02, 0.06, plain, True, 3)
+_deadzone = scaled(0.02, 0.06, of_peak, least=_six_noises)
 
 SIZES: dict[str, Draw] = {
-    "sensor.delay": lambda rng, f, s: {"delay": _lateness(rng, f, s)},
-    "sensor.lag": lambda rng, f, s: {"time_constant": _lateness(rng, f, s)},
-    "sensor.highpass": lambda rng, f, s: {
-        "time_constant": rounded(f.contact_time * rng.uniform(1.5, 5.0) / s)
+    "sensor.delay": {"delay": lateness()},
+    "sensor.lag": {"time_constant": lateness()},
+    "sensor.highpass": {"time_constant": inverse(1.5, 5.0, of_contact_time)},
+    "sensor.drift": {
+        "rate": scaled(20.0, 60.0, lambda v, f: v * f.noise / f.scenario["duration"], True),
+        "axis": lambda rng, f, s: str(rng.choice(AXES, p=[0.2, 0.2, 0.6])),
     },
-    "sensor.drift": _drift,
-    "sensor.bias": _bias,
-    "sensor.gain": lambda rng, f, s: {"factor": factor(rng, s, 0.05, 0.15), "axis": "z"},
-    "sensor.crosstalk": _crosstalk,
-    "sensor.deadzone": lambda rng, f, s: {
-        "width": rounded(s * max(rng.uniform(0.02, 0.06) * f.peak, 6.0 * f.noise))
+    "sensor.bias": {"force": several(*[_bias] * 3), "torque": several(*[_bias_torque] * 3)},
+    "sensor.gain": {"factor": factor(0.05, 0.15), "axis": "z"},
+    "sensor.crosstalk": {
+        "ratio": scaled(0.02, 0.06, signed=True),
+        "source": "z",
+        "axis": lambda rng, f, s: str(rng.choice(["x", "y"])),
     },
-    "sensor.saturation": lambda rng, f, s: {
-        "limit": rounded(f.top_peak * (1.0 - min(s * rng.uniform(0.2, 0.4), 0.9)))
+    "sensor.deadzone": {"width": _deadzone},
+    "sensor.saturation": {"limit": below(0.2, 0.4, lambda v, f: v * f.top_peak)},
+    "sensor.hum": {
+        "frequency": _hum,
+        "amplitude": scaled(5.0, 12.0, lambda v, f: v * f.noise),
+        "phase": between(-math.pi, math.pi),
+        "axis": "z",
     },
-    "sensor.hum": _hum,
     "sensor.jitter": _jitter,
-    "contact.stiffness": lambda rng, f, s: {"factor": factor(rng, s, 0.08, 0.3)},
+    "contact.stiffness": {"factor": factor(0.08, 0.3)},
     "contact.damping": _damping,
     "contact.power_law": _power_law,
-    "contact.hunt_crossley": lambda rng, f, s: {
-        "alpha": rounded(s * rng.uniform(0.1, 0.4) / f.middle_speed)
+    "contact.hunt_crossley": {"alpha": scaled(0.1, 0.4, lambda v, f: v / f.middle_speed)},
+    "contact.dry_friction": {"force": scaled(0.025, 0.08, of_peak)},
+    "contact.preload": {"force": scaled(0.04, 0.12, of_peak)},
+    "contact.hard_stop": {
+        "position": between(0.5, 0.9, of_depth),
+        "stiffness": scaled(0.5, 2.0, of_stiffness),
     },
-    "contact.dry_friction": lambda rng, f, s: {
-        "force": rounded(s * rng.uniform(0.025, 0.08) * f.peak)
+    "contact.relaxation": {
+        "stiffness": scaled(0.15, 0.4, of_stiffness),
+        "time_constant": between(0.15, 0.6, of_contact_time),
     },
-    "contact.preload": lambda rng, f, s: {"force": rounded(s * rng.uniform(0.04, 0.12) * f.peak)},
-    "contact.hard_stop": lambda rng, f, s: {
-        "position": rounded(f.depth * rng.uniform(0.5, 0.9)),
-        "stiffness": rounded(s * rng.uniform(0.5, 2.0) * f.stiffness),
-    },
-    "contact.relaxation": lambda rng, f, s: {
-        "stiffness": rounded(s * rng.uniform(0.15, 0.4) * f.stiffness),
-        "time_constant": rounded(f.contact_time * rng.uniform(0.15, 0.6)),
-    },
-    "contact.adhesion": lambda rng, f, s: {
-        "force": rounded(s * rng.uniform(0.25, 0.5) * f.damping * f.top_speed)
-    },
-    "contact.surface_friction": lambda rng, f, s: {
-        "coefficient": rounded(
-            f.scenario["mechanism"]["contact"]["friction"] + s * rng.uniform(0.06, 0.25)
+    "contact.adhesion": {"force": scaled(0.25, 0.5, lambda v, f: v * f.damping * f.top_speed)},
+    "contact.surface_friction": {
+        "coefficient": scaled(
+            0.06, 0.25, lambda v, f: f.scenario["mechanism"]["contact"]["friction"] + v
         )
     },
-    "contact.touch_offset": lambda rng, f, s: {
-        "offset": rounded(s * sign(rng) * rng.uniform(0.07, 0.2) * f.depth)
-    },
-    "contact.backlash": lambda rng, f, s: {"width": rounded(s * rng.uniform(0.1, 0.3) * f.depth)},
-    "contact.misalignment": _misalignment,
-    "frame.compliance": lambda rng, f, s: {
-        "stiffness": rounded(rng.uniform(3.0, 12.0) * f.stiffness / s)
-    },
-    "frame.mode": _frame_mode,
-    "platform.delay": lambda rng, f, s: {"delay": _lateness(rng, f, s)},
-    "platform.lag": lambda rng, f, s: {
-        "bandwidth": rounded(1.4 / (2.0 * math.pi * _lateness(rng, f, s, 0.05, 0.13)))
-    },
-    "platform.backlash": lambda rng, f, s: {
-        "width": rounded(s * max(rng.uniform(0.04, 0.12) * f.depth, 4e-5))
-    },
-    "platform.friction": lambda rng, f, s: {
-        "stick": rounded(s * max(rng.uniform(0.03, 0.08) * f.depth, 4e-5))
-    },
+    "contact.touch_offset": {"offset": scaled(0.07, 0.2, of_depth, True)},
+    "contact.backlash": {"width": scaled(0.1, 0.3, of_depth)},
+    "contact.misalignment": {"angles_deg": several(_angle, _angle)},
+    "frame.compliance": {"stiffness": inverse(3.0, 12.0, of_stiffness)},
+    "frame.mode": _frame_mode(lambda rng, f, s: f.frequency * rng.uniform(2.0, 5.0), 0.02),
+    "platform.delay": {"delay": lateness()},
+    "platform.lag": {"bandwidth": bandwidth(lateness(0.05, 0.13))},
+    "platform.backlash": {"width": scaled(0.04, 0.12, of_depth, least=_step)},
+    "platform.friction": {"stick": scaled(0.03, 0.08, of_depth, least=_step)},
     "platform.mode": _mode,
     "platform.scale": _scale,
-    "platform.speed_limit": lambda rng, f, s: {
-        "speed": rounded(f.top_speed * (1.0 - min(s * rng.uniform(0.04, 0.15), 0.9)))
+    "platform.speed_limit": {"speed": below(0.04, 0.15, lambda v, f: v * f.top_speed)},
+    "dynamics.mass": {"factor": factor(0.08, 0.25), "body": body},
+    "dynamics.inertia": {"factor": factor(0.2, 0.5), "body": body},
+    "dynamics.port_offset": {"offset": several(_side, _side, 0.0), "body": body},
+    "dynamics.appendage": _appendage(0.25, between(0.4, 1.8, lambda v, f: v * f.frequency)),
+    "dynamics.step_delay": {
+        "ticks": lambda rng, f, s: max(1, round(lateness()(rng, f, s) / f.tick))
     },
-    "dynamics.mass": lambda rng, f, s: {
-        "factor": factor(rng, s, 0.08, 0.25),
-        "body": either_body(rng),
+    "dynamics.integrator": {"scheme": "explicit_euler"},
+    "loop.deadzone": {"width": _deadzone},
+    "log.skew": {"delay": lateness()},
+}
+
+_late = lateness(0.03, 0.08, 6e-3)  # of the oscillation against a wall
+DOCKING_SIZES: dict[str, Draw] = SIZES | {
+    "sensor.delay": {"delay": _late},
+    "sensor.lag": {"time_constant": _late},
+    "sensor.highpass": {"time_constant": inverse(1.0, 4.0, _of_span)},
+    "sensor.bias": {
+        "force": several(*[_docking_bias] * 3),
+        "torque": several(*[_docking_bias_torque] * 3),
     },
-    "dynamics.inertia": lambda rng, f, s: {
-        "factor": factor(rng, s, 0.2, 0.5),
-        "body": either_body(rng),
+    "sensor.gain": {"factor": factor(0.05, 0.15), "axis": _axis},
+    "sensor.crosstalk": _crosstalk,
+    "sensor.saturation": {"limit": below(0.3, 0.5, of_peak)},
+    "sensor.jitter": {"sigma": scaled(0.1, 0.25, lambda v, f: v * f.scenario["sensor"]["delay"])},
+    "contact.hunt_crossley": lambda rng, f, s: {
+        "alpha": rounded(
+            s * rng.uniform(0.5, 1.0) * f.damping / (f.stiffness * f.depth * rng.uniform(0.3, 0.6))
+        )
     },
-    "dynamics.port_offset": _port_offset,
-    "dynamics.appendage": _appendage,
-    "dynamics.step_delay": lambda rng, f, s: {
-        "ticks": max(1, round(_lateness(rng, f, s) / f.tick))
+    "contact.relaxation": {
+        "stiffness": scaled(0.15, 0.4, of_stiffness),
+        "time_constant": between(0.02, 0.15),
     },
-    "dynamics.integrator": lambda rng, f, s: {"scheme": "explicit_euler"},
-    "loop.deadzone": lambda rng, f, s: {
-        "width": rounded(s * max(rng.uniform(0.02, 0.06) * f.peak, 6.0 * f.noise))
+    "contact.adhesion": {"force": scaled(0.15, 0.4, of_peak)},
+    "contact.touch_offset": {"offset": scaled(0.05, 0.2, of_depth, True)},
+    "contact.misalignment": {"angles_deg": several(_docking_angle, _docking_angle)},
+    "frame.mode": _frame_mode(lambda rng, f, s: rng.uniform(12.0, 35.0), 0.03),
+    "platform.delay": {"delay": _late},
+    "platform.lag": {"bandwidth": bandwidth(_late)},
+    # A position that sticks changes the contact force by damping times its step over a tick: the
+    # step must be small.
+    "platform.friction": {"stick": scaled(10.0, 25.0, lambda v, f: v * f.pose_noise)},
+    "platform.mode": {
+        "frequency": lambda rng, f, s: rounded(rng.uniform(8.0, 25.0) / math.sqrt(s)),
+        "damping_ratio": between(0.03, 0.1),
     },
-    "log.skew": lambda rng, f, s: {"delay": _lateness(rng, f, s)},
+    "platform.scale": {"factor": factor(0.005, 0.02), "axis": _axis},
+    "platform.speed_limit": {"speed": below(0.1, 0.3, lambda v, f: v * f.top_speed)},
+    "dynamics.mass": {"factor": factor(0.05, 0.2), "body": body},
+    "dynamics.inertia": {"factor": factor(0.1, 0.3), "body": body},
+    "dynamics.port_offset": {"offset": several(_docking_side, _docking_side, 0.0), "body": body},
+    "dynamics.appendage": _appendage(0.2, between(0.6, 3.0)),
+    "log.skew": {"delay": _late},
+}
+
+_NOT_HELD = {
+    "contact.surface_friction",
+    "contact.adhesion",
+    "contact.hard_stop",
+    "contact.touch_offset",
+    "contact.misalignment",
+}
+_DOCKING = tuple(name for name in DOCKING_SIZES if name != "contact.backlash")
+ACTING: dict[str, tuple[str, ...]] = {
+    "docking": _DOCKING,
+    "mounted": _DOCKING,
+    "held": tuple(name for name in DOCKING_SIZES if name not in _NOT_HELD),
 }

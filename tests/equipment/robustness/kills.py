@@ -49,24 +49,34 @@ class KillError(AssertionError):
     """A command that was killed has left an invalid result, failed, or hangs."""
 
 
+@contextmanager
+def _nothing() -> Iterator[dict[str, object]]:
+    yield {}
+
+
 @dataclass(frozen=True)
 class Command:
     """A command of the command line.
 
     Attributes:
-        arguments: for the folder of inputs and the output folder. files: contents of a complete
+        line: its arguments, with {inputs} and {out} for the folders. files: contents of a complete
             folder. same: result file that has the same bytes in every run, empty if there is none.
-        beside: context that must be active while it runs, for the folder of inputs. statuses:
-            allowed exit codes without interruption.
+        beside: context that must be active while it runs; gives further words of the line.
+            statuses: allowed exit codes without interruption.
     """
 
-    arguments: Callable[[Path, Path], list[str]]
+    line: str
     files: frozenset[str]
     same: str = ""
-    beside: Callable[[Path], contextlib.AbstractContextManager[None]] = lambda inputs: (
-        contextlib.nullcontext()
-    )
+    beside: Callable[[], contextlib.AbstractContextManager[dict[str, object]]] = _nothing
     statuses: frozenset[int] = frozenset({0})
+
+    @contextmanager
+    def started(self, inputs: Path, out: Path) -> Iterator[subprocess.Popen[bytes]]:
+        """Start the command in a process group of its own."""
+        with self.beside() as more:
+            given = {"inputs": inputs, "out": out, **more}
+            yield started([word.format(**given) for word in self.line.split()])
 
 
 def kill(rng: Generator, folder: Path, only: str | None = None) -> str:
@@ -79,8 +89,7 @@ def kill(rng: Generator, folder: Path, only: str | None = None) -> str:
     lasts, whole = _whole(name, inputs)
     with tempfile.TemporaryDirectory(prefix="killed-", dir=folder) as place:
         out = Path(place) / "out"
-        with command.beside(inputs):
-            process = started(command.arguments(inputs, out))
+        with command.started(inputs, out) as process:
             hard, part = bool(rng.random() < 0.5), float(rng.uniform(0.02, 1.0))
             err = _ended_early(process, part * lasts, hard, float(rng.uniform(0.0, TWICE)))
         how = f"{name}, {'killed' if hard else 'interrupted'} after {part:.2f} of {lasts:.1f} s"
@@ -114,7 +123,7 @@ def in_pythons_own_start(err: str) -> bool:
 
 
 def started(arguments: list[str]) -> subprocess.Popen[bytes]:
-    """Start the command in a process group of its own."""
+    """Start a command in a process group of its own."""
     order = [sys.executable, "-m", "hiltestbed.cli", *arguments]
     none, pipe = subprocess.DEVNULL, subprocess.PIPE
     return subprocess.Popen(order, stdin=none, stdout=none, stderr=pipe, start_new_session=True)
@@ -142,8 +151,7 @@ def _ended_early(process: subprocess.Popen[bytes], after: float, hard: bool, twi
 
 def run_whole(command: Command, inputs: Path, out: Path) -> tuple[int, str]:
     """Exit code and messages of the command without interruption. Raises KillError if it hangs."""
-    with command.beside(inputs):
-        process = started(command.arguments(inputs, out))
+    with command.started(inputs, out) as process:
         try:
             err = process.communicate(timeout=PATIENCE)[1].decode(errors="replace")
         except subprocess.TimeoutExpired:
@@ -224,44 +232,15 @@ def _in_place(made: Path, place: Path) -> None:
         made.rename(place)
 
 
-def _run(inputs: Path, out: Path) -> list[str]:
-    return ["run", "02-bumper", "--set", "duration=0.5", "--no-rerun", "--out", str(out)]
-
-
-def _sweep(inputs: Path, out: Path) -> list[str]:
-    campaign = str(inputs / "campaign.yaml")
-    return ["sweep", campaign, "--workers", "1", "--chunk", "1", "--out", str(out)]
-
-
-def _diagnose(inputs: Path, out: Path) -> list[str]:
-    return ["diagnose", str(inputs / "set" / "dataset.yaml"), "--out", str(out)]
-
-
-def _bench(inputs: Path, out: Path) -> list[str]:
-    return ["bench", "robustness", "--for", "0.05", "--workers", "1", "--out", str(out)]
-
-
-def _live(inputs: Path, out: Path) -> list[str]:
-    sensor, platform, listen, heard = json.loads((inputs / "ports.json").read_text())
-    words = (
-        "live 02-bumper --set rate=250 --set devices.communication.misses_in_window=1000 --for 1 "
-        f"--arm --no-rerun --sensor udp://127.0.0.1:{sensor}?listen={listen} "
-        f"--platform udp://127.0.0.1:{platform}?listen={heard} --out"
-    )
-    return [*words.split(), str(out)]
-
-
 @contextmanager
-def _devices(inputs: Path) -> Iterator[None]:
+def _devices() -> Iterator[dict[str, object]]:
     """The devices of the same scenario on free ports, started before the loop."""
     held = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(4)]
     for one in held:
         one.bind(("127.0.0.1", 0))
-    ports = [one.getsockname()[1] for one in held]
+    sensor, platform, listen, heard = (one.getsockname()[1] for one in held)
     for one in held:
         one.close()
-    (inputs / "ports.json").write_text(json.dumps(ports))
-    sensor, platform, listen, heard = ports
     words = (
         f"emulate 02-bumper --set rate=250 --for {PATIENCE:g} "
         f"--sensor udp://127.0.0.1:{sensor}?peer={listen} "
@@ -271,7 +250,7 @@ def _devices(inputs: Path) -> Iterator[None]:
     try:
         if process.stderr is None or not process.stderr.readline():
             raise KillError("the emulated devices did not start")
-        yield
+        yield {"sensor": f"{sensor}?listen={listen}", "platform": f"{platform}?listen={heard}"}
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
@@ -279,12 +258,26 @@ def _devices(inputs: Path) -> Iterator[None]:
 
 
 COMMANDS: dict[str, Command] = {
-    "run": Command(_run, frozenset(RUN), "trace.parquet"),
-    "sweep": Command(_sweep, frozenset(), "cases.parquet"),
-    "diagnose": Command(_diagnose, frozenset({"diagnosis.json", "report.html"})),
-    "bench": Command(_bench, frozenset({"bench.json", "report.html"})),
+    "run": Command(
+        "run 02-bumper --set duration=0.5 --no-rerun --out {out}", frozenset(RUN), "trace.parquet"
+    ),
+    "sweep": Command(
+        "sweep {inputs}/campaign.yaml --workers 1 --chunk 1 --out {out}",
+        frozenset(),
+        "cases.parquet",
+    ),
+    "diagnose": Command(
+        "diagnose {inputs}/set/dataset.yaml --out {out}",
+        frozenset({"diagnosis.json", "report.html"}),
+    ),
+    "bench": Command(
+        "bench robustness --for 0.05 --workers 1 --out {out}",
+        frozenset({"bench.json", "report.html"}),
+    ),
     "live": Command(
-        _live,
+        "live 02-bumper --set rate=250 --set devices.communication.misses_in_window=1000 --for 1 "
+        "--arm --no-rerun --sensor udp://127.0.0.1:{sensor} --platform udp://127.0.0.1:{platform} "
+        "--out {out}",
         frozenset({"scenario.yaml", "summary.json"}),
         beside=_devices,
         statuses=frozenset({0, 3}),

@@ -5,6 +5,7 @@ exception counts as a fault.
 from __future__ import annotations
 
 import socket
+import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -15,6 +16,8 @@ import numpy as np
 from numpy.random import Generator
 
 from hiltestbed.errors import HiltestbedError, InputError
+from hiltestbed.signals import GROUPS
+from tests.equipment.data_files import WRITERS
 from tests.equipment.robustness.distortions import DISTORTIONS
 from tests.equipment.robustness.kills import good_set, kill
 from tests.equipment.robustness.values import value_of
@@ -25,9 +28,7 @@ if TYPE_CHECKING:
 SURVIVED, REFUSED, REMARKED = "survived", "refused", "remarked"
 Trial = Callable[[Generator, Path], str]
 MOST_TICKS, MOST_INSTANTS = 600, 12_000  # limits of a scenario that is run, to save time
-ROWS = 200
-SUFFIXES = ("csv", "parquet", "h5", "mat", "mf4", "tdms", "mcap")
-_seeds: dict[str, bytes] = {}
+ROWS = 40
 _good: dict[str, Any] = {}
 
 
@@ -199,16 +200,14 @@ def _write(path: Path, table: dict[str, np.ndarray]) -> None:
 
 
 def data_file(rng: Generator, folder: Path) -> str:
-    """A data file of one of the seven formats with some bytes changed; read in this process, so
+    """A data file of one of the formats with some bytes changed; read in this process, so
     that a crash is detected.
     """
     from hiltestbed.measured.formats import format_of
 
-    suffix = SUFFIXES[int(rng.integers(len(SUFFIXES)))]
-    if suffix not in _seeds:
-        _seeds[suffix] = _seed_file(folder / f"seed.{suffix}")
-    path = folder / f"file.{suffix}"
-    path.write_bytes(mutated(_seeds[suffix], rng))
+    name = list(WRITERS)[int(rng.integers(len(WRITERS)))]
+    path = folder / name
+    path.write_bytes(mutated(_seed_file(name), rng))
     try:
         format_of(path).read(path, frozenset({"t", "pose_act.pz", "wrench_meas.fz"}))
     except HiltestbedError:
@@ -220,18 +219,16 @@ def data_file(rng: Generator, folder: Path) -> str:
     return SURVIVED
 
 
-def _seed_file(path: Path) -> bytes:
-    """A valid file of the format given by its suffix."""
-    from tests.equipment.robustness.seed_files import WRITERS
-
+@cache
+def _seed_file(name: str) -> bytes:
+    """A valid file of a format."""
     rng = np.random.default_rng(1)
-    table = {
-        "t": np.arange(ROWS) / 1000.0,
-        "pose_act.pz": rng.standard_normal(ROWS),
-        "wrench_meas.fz": rng.standard_normal(ROWS),
-    }
-    WRITERS[path.suffix[1:]](path, table)
-    return path.read_bytes()
+    table = {"t": np.arange(ROWS) / 1000.0}
+    for group in ("pose_cmd", "pose_act", "wrench_meas", "wrench_comp"):
+        table |= {name: rng.standard_normal(ROWS) for name in GROUPS[group].columns}
+    with tempfile.TemporaryDirectory() as folder:
+        WRITERS[name](Path(folder) / name, table)
+        return (Path(folder) / name).read_bytes()
 
 
 def campaign(rng: Generator, folder: Path) -> str:

@@ -7,6 +7,7 @@ are made once for all workers.
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import sys
 import tempfile
@@ -19,9 +20,12 @@ import numpy as np
 
 from tests.equipment.robustness.trials import TRIALS
 
+# [s] after which a trial hangs: it may have to compile kernels, on a machine that is busy
+HANGS, COMMAND_HANGS = 900.0, 4000.0
+
 
 def serve(kind: str, first: int, count: int, shared: Path | None = None) -> None:
-    """Run trials and print how each ended."""
+    """Run trials and print how each ended; one that hangs ends the process."""
     with (
         tempfile.TemporaryDirectory(prefix="hiltestbed-", dir=shared) as place,
         np.errstate(all="ignore"),
@@ -29,7 +33,8 @@ def serve(kind: str, first: int, count: int, shared: Path | None = None) -> None
         folder = Path(place) if shared else Path(place) / "trials"
         folder.mkdir(exist_ok=True)
         for number in range(first, first + count):
-            _send({"begin": number})
+            print(json.dumps({"begin": number}), flush=True)
+            faulthandler.dump_traceback_later(COMMAND_HANGS if kind == "kill" else HANGS, exit=True)
             start = time.perf_counter()
             try:
                 ended = TRIALS[kind](np.random.default_rng([crc32(kind.encode()), number]), folder)
@@ -42,18 +47,9 @@ def serve(kind: str, first: int, count: int, shared: Path | None = None) -> None
                     "fault": f"{type(error).__name__} at {where}: {str(error)[:200]}",
                     "place": f"{type(error).__name__} {where}",
                 }
-            _send(message | {"number": number, "wall": time.perf_counter() - start})
-
-
-def _send(message: dict) -> None:
-    sys.stdout.write(json.dumps(message) + "\n")
-    sys.stdout.flush()
+            message |= {"number": number, "wall": time.perf_counter() - start}
+            print(json.dumps(message), flush=True)
 
 
 if __name__ == "__main__":
-    serve(
-        sys.argv[1],
-        int(sys.argv[2]),
-        int(sys.argv[3]),
-        Path(sys.argv[4]) if len(sys.argv) > 4 else None,
-    )
+    serve(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), *map(Path, sys.argv[4:]))
