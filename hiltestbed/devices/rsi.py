@@ -297,10 +297,7 @@ class RsiClient(sockets.Datagrams, PlatformClient):
 
 class RsiServer(sockets.Datagrams, PlatformServer):
     """An emulated controller: :meth:`publish` begins a cycle, :meth:`poll` receives its answer
-    until the next cycle.
-
-    Attributes:
-        late: number of late or missing answers.
+    until the next cycle; ``late`` counts late and missing answers.
     """
 
     FIRST_IPOC = 1_000_000

@@ -47,11 +47,7 @@ _own: set[str] = set()  # names created by this process
 
 
 class Mailbox:
-    """One writer, one reader.
-
-    Attributes:
-        values: (7,) of the message last read. number, time, flag: of the same.
-    """
+    """One writer, one reader; ``values`` (7,), number, time and flag of the message last read."""
 
     def __init__(self, memory: SharedMemory, owner: bool) -> None:
         self._memory, self._owner = memory, owner
