@@ -167,7 +167,7 @@ def commission(
     """Measure sensor and platform of a live facility by small known motions: its nominal scenario,
     and a dataset for `diagnose`.
     """
-    from hiltestbed.devices.commission.folder import RESULT, figures, write_commission
+    from hiltestbed.devices.commission.procedure import RESULT, figures, write_commission
     from hiltestbed.devices.commission.procedure import commission as run_commission
     from hiltestbed.process.progress import step_line
     from hiltestbed.run_folder.folders import safe_name

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.devices.commission.folder import write_commission
-from hiltestbed.devices.commission.procedure import Commissioned, commission
+from hiltestbed.devices.commission.procedure import Commissioned, commission, write_commission
 from hiltestbed.devices.interface import DeviceError
 from hiltestbed.diagnosis.diagnose import diagnose
 from hiltestbed.errors import InputError
