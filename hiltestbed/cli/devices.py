@@ -139,7 +139,7 @@ def emulate(
 
     result = run_emulation(spec, sensor, platform, seconds, cpu, ready)
     if as_json:
-        print(json.dumps(result.record()))
+        print(json.dumps(vars(result)))
     else:
         print(
             f"{result.cycles} cycles, {result.missed} without a command in time, {result.skipped} "

@@ -60,45 +60,18 @@ class RsiSettings(DeviceSettings):
 
     default_port: ClassVar[int] = 59152
 
-    kind: Literal["rsi"] = "rsi"
-    period_ms: Literal[4, 12] = Field(
-        default=4, description="cycle time of the controller [ms]: 4 IPO_FAST, 12 IPO"
-    )
-    correction: Literal["absolute", "relative"] = Field(
-        default="absolute",
-        description="reference of RKorr: the pose at which the correction began, or the last one",
-    )
-    reference: Literal["base", "tool"] = Field(
-        default="base", description="axes of the correction: RefCorrSys of the object POSCORR"
-    )
-    sentype: str = Field(
-        default="ImFree",
-        min_length=1,
-        max_length=40,
-        pattern=r"^[A-Za-z0-9_.-]+$",
-        description="SENTYPE of the configuration file",
-    )
-    robot: str | None = Field(
-        default=None,
-        description="address of the controller; by default the first that sends a telegram",
-    )
-    connect: Positive = Field(
-        default=30.0, description="time to wait for the controller's first telegram [s]"
-    )
-    late_limit: int = Field(
-        default=100,
-        ge=0,
-        description="number of late answers after which an emulated controller stops: Timeout of "
-        "the object ETHERNET",
-    )
-    hold: bool = Field(
-        default=True,
-        description="whether an emulated controller keeps the last correction if none arrives: "
-        "HOLDON",
-    )
-    decimals: int = Field(
-        default=6, ge=1, le=12, description="decimals of the numbers in a telegram"
-    )
+    period_ms: Literal[4, 12] = 4  # of the controller's cycle: IPO_FAST or IPO
+    # reference of RKorr: the pose at which the correction began, or the last one
+    correction: Literal["absolute", "relative"] = "absolute"
+    reference: Literal["base", "tool"] = "base"  # axes of RKorr: RefCorrSys of the object POSCORR
+    # SENTYPE of the configuration file
+    sentype: str = Field(default="ImFree", max_length=40, pattern=r"^[A-Za-z0-9_.-]+$")
+    robot: str | None = None  # address of the controller; None: the first that sends a telegram
+    connect: Positive = 30.0  # [s] to wait for the controller's first telegram
+    # late answers after which an emulated controller stops: Timeout of the object ETHERNET
+    late_limit: int = Field(default=100, ge=0)
+    hold: bool = True  # HOLDON: an emulated controller keeps the last correction if none arrives
+    decimals: int = Field(default=6, ge=1, le=12)  # of the numbers in a telegram
 
     @property
     def period(self) -> float:

@@ -130,12 +130,7 @@ def attach(name: str) -> Mailbox | None:
 class ShmSettings(PacedSettings):
     """Options of ``shm://``; the host part of the URL is the name."""
 
-    kind: Literal["shm"] = "shm"
-    host: str = Field(
-        default="hiltestbed",
-        pattern=r"^[a-z0-9][a-z0-9_.-]{0,99}$",
-        description="name of the shared memory",
-    )
+    host: str = Field(default="hiltestbed", pattern=r"^[a-z0-9][a-z0-9_.-]{0,99}$")
 
 
 class _Mailboxes(Link):
