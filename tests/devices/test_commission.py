@@ -23,6 +23,7 @@ from tests.devices.lockstep import against, scenario_of
 from tests.slow import SLOW
 
 BELIEVED: dict[str, Any] = {
+    "rate": 500.0,
     "sensor__noise": 0.1,
     "sensor__torque_noise": 0.01,
     "sensor__delay": 0.002,
