@@ -45,6 +45,7 @@ from hiltestbed.devices.interface import (
 )
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
+from hiltestbed.frames import pose_between, pose_compose, quat_mul, quat_mul_conj
 
 MILLISECOND = 1e-3  # [s]
 LARGEST = 4096  # [byte] of a telegram
@@ -82,14 +83,26 @@ class RsiSettings(DeviceSettings):
         return self.correction == "absolute"
 
     def offset(self, start: Array, pose: Array) -> Array:
-        """The offset (7,) from ``start`` to ``pose`` in the axes of the reference system."""
-        in_base = self.reference == "base"
-        return (poses.offset_in_base if in_base else poses.offset_in_tool)(start, pose)
+        """The offset (7,) from ``start`` to ``pose``: in base axes, with the rotation about base
+        axes through the moved point, or in the axes of ``start``.
+        """
+        out = np.empty(7)
+        if self.reference == "tool":
+            pose_between(start, pose, out)
+        else:
+            out[:3] = pose[:3] - start[:3]
+            quat_mul_conj(pose[3:7], start[3:7], out[3:7])
+        return out
 
     def add(self, start: Array, offset: Array) -> Array:
-        """The pose (7,) at ``offset`` from ``start``."""
-        in_base = self.reference == "base"
-        return (poses.add_in_base if in_base else poses.add_in_tool)(start, offset)
+        """The pose (7,) at ``offset`` from ``start``; undoes :meth:`offset`."""
+        out = np.empty(7)
+        if self.reference == "tool":
+            pose_compose(start, offset, out)
+        else:
+            out[:3] = start[:3] + offset[:3]
+            quat_mul(offset[3:7], start[3:7], out[3:7])
+        return out
 
     def frame(self, name: str, frame: Array) -> str:
         """The element with the frame (6,) [mm, deg]."""
@@ -172,6 +185,7 @@ class RsiClient(sockets.Datagrams, PlatformClient):
         self._only: str | None = None
         self._answered, self._unanswered = True, 0
         self._odd = ""  # of the last malformed telegram: where it came from, and why it is one
+        settings.offset(self.start, self.start)  # compile now, not in the first cycle
 
     def open(self) -> None:
         settings = self.settings
@@ -285,6 +299,7 @@ class RsiServer(sockets.Datagrams, PlatformServer):
         self._answered = True
         self._first: Array = self.command.copy()
         self._step: Array = self.command.copy()
+        settings.add(self._first, self._step)  # compile now, not in the first cycle
 
     def open(self) -> None:
         self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)
