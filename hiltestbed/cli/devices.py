@@ -90,11 +90,10 @@ def live(
     from hiltestbed.devices.recorder import discard
     from hiltestbed.devices.session import Observed
     from hiltestbed.run_folder.folders import safe_name
-    from hiltestbed.run_folder.store import refuse_foreign, write_run
+    from hiltestbed.run_folder.store import write_run
 
     spec = _for_seconds(scenario, sets, seconds)
     folder = result_folder(out, safe_name(f"{spec.name}-live"))
-    refuse_foreign(folder)
     interrupt.track_shared_memory()
     # remains if the process dies; deleted once the run is written
     rows = folder.with_name(folder.name + ".rows.f64")
@@ -140,7 +139,7 @@ def emulate(
 
     result = run_emulation(spec, sensor, platform, seconds, cpu, ready)
     if as_json:
-        print(json.dumps(result.record()))
+        print(json.dumps(vars(result)))
     else:
         print(
             f"{result.cycles} cycles, {result.missed} without a command in time, {result.skipped} "
@@ -168,15 +167,13 @@ def commission(
     """Measure sensor and platform of a live facility by small known motions: its nominal scenario,
     and a dataset for `diagnose`.
     """
-    from hiltestbed.devices.commission.folder import RESULT, figures, write_commission
+    from hiltestbed.devices.commission.procedure import RESULT, figures, write_commission
     from hiltestbed.devices.commission.procedure import commission as run_commission
     from hiltestbed.process.progress import step_line
     from hiltestbed.run_folder.folders import safe_name
-    from hiltestbed.run_folder.store import refuse_foreign
 
     spec = read_scenario(scenario, sets)
-    folder = result_folder(out, safe_name(f"{spec.name}-commission"))
-    refuse_foreign(folder, RESULT)
+    folder = result_folder(out, safe_name(f"{spec.name}-commission"), RESULT)
     interrupt.track_shared_memory()
     with step_line(spec.name) as progress:
         result = run_commission(spec, _options(devices), force, progress)

@@ -85,9 +85,15 @@ ScenarioFile = Annotated[
 ]
 
 
-def result_folder(out: Path | None, label: str) -> Path:
-    """``out``, or if left out a folder below `runs` that does not exist yet."""
-    return out if out is not None else free_folder(Path("runs") / label)
+def result_folder(out: Path | None, label: str, mark: str | None = None) -> Path:
+    """``out``, or if left out a folder below `runs` that does not exist yet. Raises InputError for
+    one with anything else in it than a result with the file ``mark`` (None: a run).
+    """
+    from hiltestbed.run_folder.store import SUMMARY, refuse_foreign
+
+    folder = out if out is not None else free_folder(Path("runs") / label)
+    refuse_foreign(folder, mark or SUMMARY)
+    return folder
 
 
 def print_json(found: dict[str, Any], folder: Path | None = None) -> None:

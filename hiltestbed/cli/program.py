@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hiltestbed.cli import contact, devices, export, plan, scenarios, studies
+from hiltestbed.cli import contact, devices, scenarios, studies
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.process import interrupt, memory
 from hiltestbed.run_folder.folders import FIGURES_APART
@@ -59,7 +59,7 @@ def _root(
         plugins.load(plugin)
 
 
-for group in (scenarios, contact, plan, studies, export, devices):
+for group in (scenarios, contact, studies, devices):
     for command in group.app.registered_commands:
         command.epilog = (
             "With every command: --plugin MODULE, --figures (explained by hiltestbed --help)."

@@ -56,12 +56,10 @@ def run(
     label = spec.name if case is None else f"{scenario.stem}-case-{case}"
     folder = result_folder(out, safe_name(label))
 
-    from hiltestbed.run_folder.store import refuse_foreign, write_run
-    from hiltestbed.simulation import run as simulate
-
-    refuse_foreign(folder)
     from hiltestbed.config.budget import refuse_beyond, run_budget
     from hiltestbed.config.sense import warnings
+    from hiltestbed.run_folder.store import write_run
+    from hiltestbed.simulation import run as simulate
 
     refuse_beyond(
         run_budget([spec]),
@@ -174,11 +172,9 @@ def rig(
         return
     from hiltestbed.platform.rig_report import RIG, measure_rig, write_rig
     from hiltestbed.process.progress import count_bar
-    from hiltestbed.run_folder.store import refuse_foreign
 
     spec = read_scenario(scenario, sets)
-    folder = result_folder(out, f"rig-{safe_name(spec.name)}")
-    refuse_foreign(folder, RIG)
+    folder = result_folder(out, f"rig-{safe_name(spec.name)}", RIG)
     with count_bar(f"rig {spec.name}") as progress:
         figures = measure_rig(spec, progress)
     write_rig(figures, folder)
@@ -200,11 +196,9 @@ def rank(scenario: ScenarioFile, out: Out = None, sets: Sets = None, as_json: Js
     from hiltestbed.bench.ranking import rank as try_all
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.process.progress import count_bar
-    from hiltestbed.run_folder.store import refuse_foreign
 
     spec = read_scenario(scenario, sets)
-    folder = result_folder(out, f"rank-{safe_name(spec.name)}")
-    refuse_foreign(folder, BENCH)
+    folder = result_folder(out, f"rank-{safe_name(spec.name)}", BENCH)
     with count_bar(f"rank {spec.name}") as progress:
         result = try_all(spec, progress)
     write_bench(result, folder)

@@ -1,7 +1,10 @@
-"""The commands that make many runs: `hiltestbed bench | sweep | diagnose`."""
+"""The commands of many runs, before and after a test: `hiltestbed bench | sweep | diagnose | plan |
+export`.
+"""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hiltestbed.bench import BENCHES, benchmark
-from hiltestbed.cli.options import Json, Out, Sets, grouped, overrides, print_json, result_folder
+from hiltestbed.cli.options import (
+    Json,
+    Out,
+    Sets,
+    complete,
+    grouped,
+    overrides,
+    print_json,
+    read_scenario,
+    result_folder,
+)
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.run_folder.folders import safe_name
 
@@ -113,10 +126,8 @@ def bench(
     from hiltestbed.bench.result import BENCH, write_bench
     from hiltestbed.compiled.warm import tell_of_compiling
     from hiltestbed.process.progress import count_bar
-    from hiltestbed.run_folder.store import refuse_foreign
 
-    folder = result_folder(out, f"bench-{name}")
-    refuse_foreign(folder, BENCH)
+    folder = result_folder(out, f"bench-{name}", BENCH)
     tell_of_compiling()
     keep = {"keep": folder.with_name(folder.name + LASTING[name])} if name in LASTING else {}
     try:
@@ -247,12 +258,10 @@ def diagnose(
     from hiltestbed.config.yaml_source import read_source
     from hiltestbed.diagnosis.report.folder import DIAGNOSIS
     from hiltestbed.process.progress import step_line
-    from hiltestbed.run_folder.store import refuse_foreign
 
     tell_of_compiling()
     label = dataset.stem if dataset.stem != "dataset" else dataset.resolve().parent.name
-    folder = result_folder(out, f"diagnosis-{safe_name(label)}")
-    refuse_foreign(folder, DIAGNOSIS)
+    folder = result_folder(out, f"diagnosis-{safe_name(label)}", DIAGNOSIS)
     source = read_source(dataset)
     with step_line(label) as progress:
         found = _of_axis(source, progress) if is_axis(source) else _of_rig(source, folder, progress)
@@ -265,6 +274,99 @@ def diagnose(
         from hiltestbed.report.table import print_diagnosis
 
         print_diagnosis(result, folder)
+
+
+@app.command()
+def plan(
+    task: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENARIO|DATASET",
+            help="A scenario, or a dataset whose runs need not be on record yet.",
+            autocompletion=complete,
+        ),
+    ],
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Before a test: the smallest size of each effect that these runs would show, the effects that
+    they would confuse, and the runs that would settle most.
+
+    hiltestbed plan my-rig.yaml --set sensor.noise=0.2
+    """
+    from hiltestbed.compiled.warm import tell_of_compiling
+    from hiltestbed.config.check import file_kind
+    from hiltestbed.config.dataset import dataset_from
+    from hiltestbed.config.gallery import find_scenario
+    from hiltestbed.config.yaml_source import read_source
+    from hiltestbed.diagnosis.plan import plan as planned
+    from hiltestbed.process.progress import step_line
+
+    tell_of_compiling()
+    file = find_scenario(task)
+    kind = file_kind(read_source(file)) if file.is_file() else "scenario"
+    if kind == "axis":
+        raise InputError(f"{file}: is one axis; plan takes a scenario or the dataset of a rig")
+    known = (
+        dataset_from(read_source(file).with_set(overrides(sets)), on_record=False)
+        if kind == "dataset"
+        else read_scenario(task, sets)
+    )
+    with step_line(f"plan {task.stem}") as progress:
+        found = planned(known, progress)
+    if as_json:
+        print_json(found.to_json())
+        return
+    from hiltestbed.report.table import print_table
+
+    rows = [
+        (
+            e.effect,
+            "-" if e.smallest is None else f"{e.parameter} {e.smallest:.3g} {e.unit}".rstrip(" -"),
+            ", ".join(e.confused_with) or "-",
+        )
+        for e in found.effects
+    ]
+    print_table(f"plan {found.name}", ("effect", "would show from", "looks like"), rows, None)
+    lines = [found.sentence, *(f"{k} was not judged: {v}" for k, v in found.not_judged.items())]
+    for proposal in found.proposals:
+        apart = ", ".join(" from ".join(pair) for pair in proposal.settles)
+        settings = json.dumps(proposal.set)
+        lines.append(f"  - {{file: FILE, set: {settings}}}  # {proposal.words}: tells {apart}")
+    if not found.noise:
+        lines.append(
+            "noise: of the scenario's sensor; poses without noise. A dataset with one recorded run "
+            "gives that of the facility."
+        )
+    print("\n".join(lines))
+
+
+@app.command()
+def export(
+    diagnosis: Annotated[
+        Path, typer.Argument(metavar="DIAGNOSIS", help="Folder that `diagnose` has written.")
+    ],
+    mjcf: Annotated[
+        Path, typer.Option("--mjcf", metavar="FILE", help="MJCF file to write, for MuJoCo.")
+    ],
+    as_json: Json = False,
+) -> None:
+    """Write the extended model of a diagnosis as MJCF: a small model that loads, and what MuJoCo
+    cannot say as a comment at its top.
+
+    hiltestbed export runs/diagnosis-arm --mjcf arm.xml && python -m mujoco.viewer --mjcf arm.xml
+    """
+    from hiltestbed.analysis.export import export_mjcf
+
+    found = export_mjcf(diagnosis, mjcf)
+    if as_json:
+        print(json.dumps({"file": str(mjcf), "said": found.said, "unsaid": found.unsaid}))
+        return
+    print(f"{mjcf}: written")
+    print("".join(f"  {text}\n" for text in found.said), end="")
+    if found.unsaid:
+        print("MuJoCo cannot say:")
+        print("".join(f"  {text}\n" for text in found.unsaid), end="")
 
 
 def _of_axis(source: Source, progress: Callable[[str], None]) -> AxisDiagnosis:

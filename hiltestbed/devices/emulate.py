@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -38,10 +37,6 @@ class Emulated:
     ended: str
     sensor: dict[str, int]
     platform: dict[str, int]
-
-    def record(self) -> dict[str, Any]:
-        """As plain data."""
-        return vars(self)
 
 
 class Emulator:

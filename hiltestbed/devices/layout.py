@@ -61,20 +61,18 @@ class FieldOfRecord(Strictly):
 
     name: Name
     type: Literal[Whole, Real, Check]
-    scale: float = Field(default=1.0, description="SI value of 1 on the wire")
-    value: int | None = Field(default=None, description="value of a const field")
-    size: int = Field(
-        default=1, ge=1, le=256, description="number of fields of this type, for padding"
-    )
+    scale: float = 1.0  # SI value of 1 on the wire
+    value: int | None = None  # of a const field
+    size: int = Field(default=1, ge=1, le=256)  # number of fields of this type, for padding
 
 
 class Layout(Strictly):
     """The three records; a device needs those for its kind."""
 
     byte_order: Literal["little", "big"] = "little"
-    sensor: list[FieldOfRecord] = Field(default_factory=list)
-    state: list[FieldOfRecord] = Field(default_factory=list)
-    command: list[FieldOfRecord] = Field(default_factory=list)
+    sensor: list[FieldOfRecord] = []
+    state: list[FieldOfRecord] = []
+    command: list[FieldOfRecord] = []
 
     @model_validator(mode="after")
     def _whole(self) -> Self:

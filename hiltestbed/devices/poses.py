@@ -14,12 +14,8 @@ import numpy as np
 from hiltestbed.devices.interface import Array
 from hiltestbed.frames import (
     attitude_deg_from_quat,
-    pose_between,
-    pose_compose,
     quat_exp,
     quat_from_attitude_deg,
-    quat_mul,
-    quat_mul_conj,
     rotation_vector,
 )
 
@@ -66,39 +62,5 @@ def rotation_vector_from_pose(pose: Array) -> Array:
 
 def compile_now() -> None:
     """Compile what is used here, so that the first cycle need not."""
-    pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    pose_from_kuka(kuka_from_pose(add_in_base(pose, offset_in_base(pose, pose))))
-    turned = rotation_vector_from_pose(add_in_tool(pose, offset_in_tool(pose, pose)))
-    pose_from_rotation_vector(turned)
-
-
-def offset_in_base(start: Array, pose: Array) -> Array:
-    """The offset (7,) from ``start`` to ``pose``: translation in base axes, rotation about base
-    axes through the moved point.
-    """
-    offset = np.empty(7)
-    offset[:3] = pose[:3] - start[:3]
-    quat_mul_conj(pose[3:7], start[3:7], offset[3:7])
-    return offset
-
-
-def add_in_base(start: Array, offset: Array) -> Array:
-    """The pose (7,) that lies at ``offset`` (7,) from ``start``; undoes :func:`offset_in_base`."""
-    pose = np.empty(7)
-    pose[:3] = start[:3] + offset[:3]
-    quat_mul(offset[3:7], start[3:7], pose[3:7])
-    return pose
-
-
-def offset_in_tool(start: Array, pose: Array) -> Array:
-    """The offset (7,) from ``start`` to ``pose`` in the axes of ``start``."""
-    offset = np.empty(7)
-    pose_between(start, pose, offset)
-    return offset
-
-
-def add_in_tool(start: Array, offset: Array) -> Array:
-    """The pose (7,) that lies at ``offset`` (7,) from ``start``; undoes :func:`offset_in_tool`."""
-    pose = np.empty(7)
-    pose_compose(start, offset, pose)
-    return pose
+    pose = pose_from_kuka(kuka_from_pose(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])))
+    pose_from_rotation_vector(rotation_vector_from_pose(pose))

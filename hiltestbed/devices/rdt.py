@@ -69,41 +69,18 @@ class RdtSettings(DeviceSettings):
 
     default_port: ClassVar[int] = 49152
 
-    kind: Literal["rdt"] = "rdt"
-    counts_per_force: Positive | None = Field(default=None, description="counts per unit of force")
-    counts_per_torque: Positive | None = Field(
-        default=None, description="counts per unit of torque"
-    )
-    force_unit: ForceUnit = Field(
-        default="N", description="unit of force to which counts_per_force refers"
-    )
-    torque_unit: TorqueUnit = Field(
-        "N-m", description="unit of torque to which counts_per_torque refers"
-    )
-    rate: Positive | None = Field(default=None, description="rate of the records [Hz]")
-    internal_rate: Positive | None = Field(
-        default=None,
-        description="internal sampling rate, at which the sensor's own counter runs [Hz]",
-    )
-    mode: Literal["realtime", "buffered"] = Field(
-        default="realtime", description="one record per datagram, or several"
-    )
-    buffer: int = Field(
-        default=10,
-        ge=1,
-        le=MOST_RECORDS,
-        description="records per datagram of an emulated sensor in buffered mode",
-    )
-    http: Port | None = Field(
-        default=None,
-        description="port of the device's configuration page; 80 if it is not given",
-    )
-    ignore_status: int = Field(
-        default=0,
-        ge=0,
-        le=0xFFFFFFFF,
-        description="bits of the status word that are not errors, such as 0x80010000: a threshold",
-    )
+    counts_per_force: Positive | None = None  # for the unit of force, and of torque
+    counts_per_torque: Positive | None = None
+    force_unit: ForceUnit = "N"
+    torque_unit: TorqueUnit = "N-m"
+    rate: Positive | None = None  # [Hz] of the records
+    internal_rate: Positive | None = None  # [Hz] at which the sensor's own counter runs
+    mode: Literal["realtime", "buffered"] = "realtime"  # one record per datagram, or several
+    # records per datagram of an emulated sensor in buffered mode
+    buffer: int = Field(default=10, ge=1, le=MOST_RECORDS)
+    http: Port | None = None  # port of the device's configuration page; None: 80
+    # bits of the status word that are not errors, such as 0x80010000: a threshold
+    ignore_status: int = Field(default=0, ge=0, le=0xFFFFFFFF)
 
     @property
     def device_tells_rate(self) -> bool:

@@ -37,11 +37,7 @@ def shared(name: str, own: bool = False) -> shared_memory.SharedMemory:
 
 
 class Ring:
-    """Rows of ``columns`` numbers.
-
-    Attributes:
-        dropped: rows dropped because the ring was full.
-    """
+    """Rows of ``columns`` numbers; ``dropped`` counts those that found the ring full."""
 
     def __init__(self, columns: int, rows: int, name: str | None = None) -> None:
         """Create a ring for ``rows`` rows. Raises InputError if that is too large."""

@@ -45,6 +45,7 @@ from hiltestbed.devices.interface import (
 )
 from hiltestbed.devices.sequence import Sequence
 from hiltestbed.devices.url import DeviceSettings
+from hiltestbed.frames import pose_between, pose_compose, quat_mul, quat_mul_conj
 
 MILLISECOND = 1e-3  # [s]
 LARGEST = 4096  # [byte] of a telegram
@@ -60,45 +61,18 @@ class RsiSettings(DeviceSettings):
 
     default_port: ClassVar[int] = 59152
 
-    kind: Literal["rsi"] = "rsi"
-    period_ms: Literal[4, 12] = Field(
-        default=4, description="cycle time of the controller [ms]: 4 IPO_FAST, 12 IPO"
-    )
-    correction: Literal["absolute", "relative"] = Field(
-        default="absolute",
-        description="reference of RKorr: the pose at which the correction began, or the last one",
-    )
-    reference: Literal["base", "tool"] = Field(
-        default="base", description="axes of the correction: RefCorrSys of the object POSCORR"
-    )
-    sentype: str = Field(
-        default="ImFree",
-        min_length=1,
-        max_length=40,
-        pattern=r"^[A-Za-z0-9_.-]+$",
-        description="SENTYPE of the configuration file",
-    )
-    robot: str | None = Field(
-        default=None,
-        description="address of the controller; by default the first that sends a telegram",
-    )
-    connect: Positive = Field(
-        default=30.0, description="time to wait for the controller's first telegram [s]"
-    )
-    late_limit: int = Field(
-        default=100,
-        ge=0,
-        description="number of late answers after which an emulated controller stops: Timeout of "
-        "the object ETHERNET",
-    )
-    hold: bool = Field(
-        default=True,
-        description="whether an emulated controller keeps the last correction if none arrives: "
-        "HOLDON",
-    )
-    decimals: int = Field(
-        default=6, ge=1, le=12, description="decimals of the numbers in a telegram"
-    )
+    period_ms: Literal[4, 12] = 4  # of the controller's cycle: IPO_FAST or IPO
+    # reference of RKorr: the pose at which the correction began, or the last one
+    correction: Literal["absolute", "relative"] = "absolute"
+    reference: Literal["base", "tool"] = "base"  # axes of RKorr: RefCorrSys of the object POSCORR
+    # SENTYPE of the configuration file
+    sentype: str = Field(default="ImFree", max_length=40, pattern=r"^[A-Za-z0-9_.-]+$")
+    robot: str | None = None  # address of the controller; None: the first that sends a telegram
+    connect: Positive = 30.0  # [s] to wait for the controller's first telegram
+    # late answers after which an emulated controller stops: Timeout of the object ETHERNET
+    late_limit: int = Field(default=100, ge=0)
+    hold: bool = True  # HOLDON: an emulated controller keeps the last correction if none arrives
+    decimals: int = Field(default=6, ge=1, le=12)  # of the numbers in a telegram
 
     @property
     def period(self) -> float:
@@ -109,14 +83,26 @@ class RsiSettings(DeviceSettings):
         return self.correction == "absolute"
 
     def offset(self, start: Array, pose: Array) -> Array:
-        """The offset (7,) from ``start`` to ``pose`` in the axes of the reference system."""
-        in_base = self.reference == "base"
-        return (poses.offset_in_base if in_base else poses.offset_in_tool)(start, pose)
+        """The offset (7,) from ``start`` to ``pose``: in base axes, with the rotation about base
+        axes through the moved point, or in the axes of ``start``.
+        """
+        out = np.empty(7)
+        if self.reference == "tool":
+            pose_between(start, pose, out)
+        else:
+            out[:3] = pose[:3] - start[:3]
+            quat_mul_conj(pose[3:7], start[3:7], out[3:7])
+        return out
 
     def add(self, start: Array, offset: Array) -> Array:
-        """The pose (7,) at ``offset`` from ``start``."""
-        in_base = self.reference == "base"
-        return (poses.add_in_base if in_base else poses.add_in_tool)(start, offset)
+        """The pose (7,) at ``offset`` from ``start``; undoes :meth:`offset`."""
+        out = np.empty(7)
+        if self.reference == "tool":
+            pose_compose(start, offset, out)
+        else:
+            out[:3] = start[:3] + offset[:3]
+            quat_mul(offset[3:7], start[3:7], out[3:7])
+        return out
 
     def frame(self, name: str, frame: Array) -> str:
         """The element with the frame (6,) [mm, deg]."""
@@ -199,6 +185,7 @@ class RsiClient(sockets.Datagrams, PlatformClient):
         self._only: str | None = None
         self._answered, self._unanswered = True, 0
         self._odd = ""  # of the last malformed telegram: where it came from, and why it is one
+        settings.offset(self.start, self.start)  # compile now, not in the first cycle
 
     def open(self) -> None:
         settings = self.settings
@@ -297,10 +284,7 @@ class RsiClient(sockets.Datagrams, PlatformClient):
 
 class RsiServer(sockets.Datagrams, PlatformServer):
     """An emulated controller: :meth:`publish` begins a cycle, :meth:`poll` receives its answer
-    until the next cycle.
-
-    Attributes:
-        late: number of late or missing answers.
+    until the next cycle; ``late`` counts late and missing answers.
     """
 
     FIRST_IPOC = 1_000_000
@@ -315,6 +299,7 @@ class RsiServer(sockets.Datagrams, PlatformServer):
         self._answered = True
         self._first: Array = self.command.copy()
         self._step: Array = self.command.copy()
+        settings.add(self._first, self._step)  # compile now, not in the first cycle
 
     def open(self) -> None:
         self._towards = sockets.resolve(self.settings.host, self.settings.port, self.where)

@@ -51,11 +51,7 @@ class _Client:
 
 
 class _Controller(Link):
-    """Listens, sets up clients, sends them outputs and receives their inputs.
-
-    Attributes:
-        fields: the outputs by name. registers: the received inputs by name.
-    """
+    """Listens, sets up clients, sends them ``fields`` and receives ``registers``, by name."""
 
     settings: RtdeSettings
 

@@ -35,20 +35,12 @@ class RtdeSettings(DeviceSettings):
 
     default_port: ClassVar[int] = 30004
 
-    kind: Literal["rtde"] = "rtde"
-    rate: Positive = Field(default=500.0, le=500, description="rate of the data packages [Hz]")
-    wrench: Literal["actual_TCP_force", "ft_raw_wrench"] = Field(
-        default="actual_TCP_force", description="field that a sensor reads"
-    )
-    first_register: int = Field(
-        default=24, ge=0, le=42, description="first input register of the commanded pose"
-    )
-    need_program: bool = Field(
-        default=True, description="whether a robot without a running program is an error"
-    )
-    connect: Positive = Field(
-        default=2.0, description="time to wait for each answer while connecting [s]"
-    )
+    rate: Positive = Field(default=500.0, le=500)  # [Hz] of the data packages
+    # field that a sensor reads
+    wrench: Literal["actual_TCP_force", "ft_raw_wrench"] = "actual_TCP_force"
+    first_register: int = Field(default=24, ge=0, le=42)  # of those of the commanded pose
+    need_program: bool = True  # a robot without a running program is an error
+    connect: Positive = 2.0  # [s] to wait for each answer while connecting
 
     @property
     def period(self) -> float:

@@ -43,11 +43,7 @@ class Advancing:
 
 
 class Sequence:
-    """Follows a wrapping counter.
-
-    Attributes:
-        newest: the number of the newest record, unwrapped; -1 before the first.
-    """
+    """Follows a wrapping counter; ``newest`` number, unwrapped, -1 before the first."""
 
     def __init__(
         self, counts: NDArray, bits: int = 32, step: int = 1, longest_gap: int = 10_000

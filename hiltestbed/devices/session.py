@@ -63,7 +63,7 @@ class Options:
         pace: creates the :class:`Pace` from sensor, platform and tick; for tests without a clock.
         clock: the wall clock; None: that of the machine, or with a pace of one's own the time that
             it tells. say: called with a message when the platform is about to move.
-        devices: makes the clients from a scenario and these options; None: from the URLs.
+        devices: the clients themselves; None: those of the URLs.
     """
 
     sensor: str

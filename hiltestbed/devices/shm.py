@@ -47,11 +47,7 @@ _own: set[str] = set()  # names created by this process
 
 
 class Mailbox:
-    """One writer, one reader.
-
-    Attributes:
-        values: (7,) of the message last read. number, time, flag: of the same.
-    """
+    """One writer, one reader; ``values`` (7,), number, time and flag of the message last read."""
 
     def __init__(self, memory: SharedMemory, owner: bool) -> None:
         self._memory, self._owner = memory, owner
@@ -134,12 +130,7 @@ def attach(name: str) -> Mailbox | None:
 class ShmSettings(PacedSettings):
     """Options of ``shm://``; the host part of the URL is the name."""
 
-    kind: Literal["shm"] = "shm"
-    host: str = Field(
-        default="hiltestbed",
-        pattern=r"^[a-z0-9][a-z0-9_.-]{0,99}$",
-        description="name of the shared memory",
-    )
+    host: str = Field(default="hiltestbed", pattern=r"^[a-z0-9][a-z0-9_.-]{0,99}$")
 
 
 class _Mailboxes(Link):

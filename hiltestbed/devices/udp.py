@@ -13,8 +13,6 @@ import socket
 from abc import abstractmethod
 from typing import ClassVar, Literal
 
-from pydantic import Field
-
 from hiltestbed.devices import sockets
 from hiltestbed.devices.interface import (
     Array,
@@ -36,22 +34,12 @@ class UdpSettings(PacedSettings):
 
     default_port: ClassVar[int] = 5005
 
-    kind: Literal["udp"] = "udp"
-    layout: str | None = Field(
-        default=None,
-        description="YAML file that describes the records; omitted: the default layout",
-    )
-    listen: str | int | None = Field(
-        default=None,
-        description="address:port (or port) of this machine where the device's records arrive",
-    )
-    peer: str | int | None = Field(
-        default=None,
-        description="address:port (or port) of the controller that an emulated device sends to",
-    )
-    any_port: bool = Field(
-        default=False, description="whether the device may send from another port than the URL's"
-    )
+    layout: str | None = None  # YAML file that describes the records; None: the default layout
+    # address:port (or port) of this machine where the device's records arrive
+    listen: str | int | None = None
+    # address:port (or port) of the controller that an emulated device sends to
+    peer: str | int | None = None
+    any_port: bool = False  # the device may send from another port than the URL's
 
     def record(self, kind: RecordKind) -> WireRecord:
         """The record of ``kind``. Raises InputError if the layout has none."""

@@ -11,7 +11,7 @@ import math
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 from urllib.parse import parse_qsl, urlsplit
 
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from hiltestbed.config.validation import Positive, Strictly, nearest, validate
 from hiltestbed.config.yaml_source import Source, parse_yaml
@@ -22,7 +22,6 @@ LONGEST = 2000  # characters
 FORM = "give it as scheme://host:port?option=value"
 
 Port = Annotated[int, Field(ge=0, le=65535)]
-Settings = TypeVar("Settings", bound=BaseModel)
 
 
 class DeviceSettings(Strictly):
@@ -30,12 +29,9 @@ class DeviceSettings(Strictly):
 
     default_port: ClassVar[int] = 0
 
-    where: str = Field(default="", description="the URL as given")
-    host: str = Field(
-        default=LOOPBACK,
-        description="address of the device, or of this machine if the device opens the connection",
-    )
-    port: Port = Field(default=0, description="its port")
+    where: str = ""  # the URL as given
+    host: str = LOOPBACK  # of the device, or of this machine if the device opens the connection
+    port: Port = 0
 
     @property
     def period(self) -> float:
@@ -51,18 +47,17 @@ class DeviceSettings(Strictly):
 class PacedSettings(DeviceSettings):
     """Settings of protocols whose records come at a rate that the user gives."""
 
-    rate: Positive = Field(default=1000.0, description="rate of the records [Hz]")
-    clock: Literal["device", "host"] = Field(
-        default="device", description="what paces the cycle: the device's records, or the loop"
-    )
-    connect: Positive = Field(default=2.0, description="time to wait for the first record [s]")
+    rate: Positive = 1000.0  # [Hz] of the records
+    clock: Literal["device", "host"] = "device"  # what paces the cycle: the records, or the loop
+    connect: Positive = 2.0  # [s] to wait for the first record
 
     @property
     def period(self) -> float:
         return 1.0 / self.rate
 
 
-_FROM_ADDRESS = ("where", "host", "port", "kind")
+Settings = TypeVar("Settings", bound=DeviceSettings)
+_FROM_ADDRESS = ("where", "host", "port")
 
 
 def refused(where: str, message: str, key: str = "") -> InputError:
@@ -100,8 +95,7 @@ def parse(url: str, model: type[Settings], place: str) -> Settings:
         raise refused(
             file, f"is not a port (got {text!r}); allowed is 0 to 65535", "port"
         ) from None
-    default = getattr(model, "default_port", 0)
-    data: dict[str, Any] = {"port": default if port is None else port, "where": url}
+    data: dict[str, Any] = {"port": model.default_port if port is None else port, "where": url}
     if parts.hostname:
         data["host"] = parts.hostname
     if parts.path.strip("/") or parts.fragment or parts.username is not None:

@@ -49,11 +49,7 @@ class Stop:
 
 
 class CommunicationWatch:
-    """Monitors one connection, once per cycle.
-
-    Attributes:
-        stop: the first reason to stop; None while all is within the limits.
-    """
+    """Monitors one connection, once per cycle; ``stop`` is the first reason to stop, or None."""
 
     def __init__(self, link: Client, limits: CommunicationLimits, name: str) -> None:
         """``name``: the device's role in the messages (``sensor``, ``platform``)."""

@@ -35,11 +35,7 @@ LASTING = 2.0  # [s]
 
 
 class Watchdog:
-    """The loop's side of the watchdog.
-
-    Attributes:
-        timeout: [s] without a heartbeat after which it trips.
-    """
+    """The loop's side; trips after a ``timeout`` [s] without a heartbeat."""
 
     def __init__(
         self,

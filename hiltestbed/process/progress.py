@@ -99,66 +99,65 @@ def count_bar(name: str) -> Iterator[Callable[[float, float], None]]:
         yield update
 
 
+class _Line:
+    """When a line of progress is due: always on a terminal, otherwise every LOG_INTERVAL."""
+
+    def __init__(self) -> None:
+        self.start = self._shown = time.monotonic()
+        self.on_terminal = terminal()
+
+    def due(self) -> bool:
+        interrupt.check()
+        now = time.monotonic()
+        due = self.on_terminal or now - self._shown >= LOG_INTERVAL
+        self._shown = now if due else self._shown
+        return due
+
+
 @contextmanager
 def case_bar() -> Iterator[Callable[[int, int, Mapping[str, int]], None]]:
     """A callback (cases done, total cases, number of cases per status) that shows rate and
     remaining time, of this session alone.
     """
-    shown = time.monotonic()
     first: int | None = None
-    on_terminal = terminal()
-    pace = UnitTime()
+    line, pace = _Line(), UnitTime()
 
     def update(done: int, total: int, statuses: Mapping[str, int]) -> None:
-        nonlocal shown, first
-        interrupt.check()
-        now = time.monotonic()
-        ran = sum(statuses.values())
-        first = done - ran if first is None else first
+        nonlocal first
+        first = done - sum(statuses.values()) if first is None else first
         pace.update(done)
-        if not on_terminal and now - shown < LOG_INTERVAL and done < total:
+        if not line.due() and done < total:
             return
-        shown = now
         one = pace.left(1.0)
         rate = f", {1.0 / one:.1f} a second" if one else ""
         before = f" ({first} from before)" if first else ""
+        left = time_left_text(pace.left(total - done)) if done < total else ""
         odd = "".join(
             f", {count} {status}" for status, count in statuses.items() if status != "completed"
         )
-        line = (
-            f"{done} of {total} "
-            f"cases{before}{rate}"
-            f"{time_left_text(pace.left(total - done)) if done < total else ''}{odd}"
-        )
-        overwrite(line)
+        overwrite(f"{done} of {total} cases{before}{rate}{left}{odd}")
 
     try:
         yield update
     finally:
-        if on_terminal and first is not None:
+        if line.on_terminal and first is not None:
             sys.stderr.write("\n")
 
 
 @contextmanager
 def step_line(name: str) -> Iterator[Callable[[str], None]]:
     """A callback that takes the current step: an updated line, or occasional lines in a log."""
-    start = shown = time.monotonic()
-    on_terminal = terminal()
+    line = _Line()
 
     def update(step: str) -> None:
-        nonlocal shown
-        interrupt.check()
-        now = time.monotonic()
-        if not on_terminal and now - shown < LOG_INTERVAL:
-            return
-        shown = now
-        line = f"{name}: {now - start:.0f} s: {step}"
-        overwrite(line[:110] if on_terminal else line)
+        if line.due():
+            text = f"{name}: {time.monotonic() - line.start:.0f} s: {step}"
+            overwrite(text[:110] if line.on_terminal else text)
 
     try:
         yield update
     finally:
-        if on_terminal:
+        if line.on_terminal:
             overwrite("")
 
 
@@ -166,28 +165,21 @@ def step_line(name: str) -> Iterator[Callable[[str], None]]:
 def _bar_or_lines(
     name: str, describe: Callable[[float], str]
 ) -> Iterator[Callable[[float, float], None]]:
-    start = shown = time.monotonic()
-    bar = None
-    pace = UnitTime()
+    line, bar, pace = _Line(), None, UnitTime()
 
     def update(done: float, total: float) -> None:
-        nonlocal bar, shown
-        interrupt.check()
-        now = time.monotonic()
+        nonlocal bar
         pace.update(done)
-        if bar is None and now - start > QUIET and done < total and terminal():
+        due = line.due() and done < total
+        if bar is None and due and line.on_terminal and time.monotonic() - line.start > QUIET:
             bar = _bar(name, total)
+        if bar is None and (line.on_terminal or not due):
+            return
+        left = time_left_text(pace.left(total - done))
         if bar is not None:
-            bar.update(
-                bar.task_ids[0],
-                completed=done,
-                left=time_left_text(pace.left(total - done)).lstrip(", "),
-            )
-        elif now - shown > LOG_INTERVAL and done < total:
-            shown = now
-            sys.stderr.write(
-                f"{name}: {describe(done / total)}{time_left_text(pace.left(total - done))}\n"
-            )
+            bar.update(bar.task_ids[0], completed=done, left=left.lstrip(", "))
+        else:
+            sys.stderr.write(f"{name}: {describe(done / total)}{left}\n")
 
     try:
         yield update

@@ -51,20 +51,13 @@ class ProcessMonitor:
         self._settings = tuple(s.monitoring for s in scenarios)
         settings = [m or Monitoring() for m in self._settings]
         windows = np.array([m.window for m in settings])
-        self._ratio, self._enough = (
-            np.array([m.seat_ratio for m in settings]),
-            (windows / self.tick).astype(np.int64),
-        )
+        self._ratio = np.array([m.seat_ratio for m in settings])
+        self._enough = (windows / self.tick).astype(np.int64)
         self._local = RecursiveLeastSquares(
             ContactSamples(scenarios), list(np.exp(-self.tick / windows))
         )
         self._threshold = np.array([GATE_SIGMA * s.sensor.noise for s in scenarios])
-        self.touch, self.seat, self.capture = (
-            np.full(n, np.nan),
-            np.full(n, np.nan),
-            np.full(n, np.nan),
-        )
-        self.first_stiffness = np.full(n, np.nan)
+        self.touch, self.seat, self.capture, self.first_stiffness = np.full((4, n), np.nan)
         # successive readings that indicate touch, seat, capture
         self._runs = np.zeros((n, 3), dtype=np.int64)
         self._clock = np.zeros(1, dtype=np.int64)
@@ -146,10 +139,8 @@ def wear(
     for name in ("stiffness", "damping"):
         values = np.array([getattr(b, name) for b in baseline])
         weights = np.array([getattr(b, f"{name}_sd") for b in baseline]) ** -2.0
-        mean, variance = (
-            float(np.sum(weights * values) / np.sum(weights)),
-            1.0 / float(np.sum(weights)),
-        )
+        variance = 1.0 / float(np.sum(weights))
+        mean = float(np.sum(weights * values) / np.sum(weights))
         departure = getattr(contact, name) - mean
         squares += departure**2 / (variance + getattr(contact, f"{name}_sd") ** 2)
         change[name] = departure / mean if mean > 0.0 else None

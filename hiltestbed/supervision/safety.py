@@ -21,27 +21,16 @@ from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.pss33.kinematics import shipped_limbs, slider
 from hiltestbed.scenario import Scenario
 
-LIMITS = (
-    "stroke",
-    "speed",
-    "acceleration",
-    "limb_angle_deg",
-    "tracking_error",
-    "force",
-    "torque",
-    "energy",
-)
-_UNITS = ("m", "m/s", "m/s^2", "deg", "m", "N", "N m", "J")
-_MESSAGES = (
-    "a slider is {value:.4g} m from home",
-    "a slider moves at {value:.4g} m/s",
-    "a slider accelerates at {value:.4g} m/s^2",
-    "a limb leans {value:.4g} deg from its slider",
-    "the platform is {value:.4g} m from its command",
-    "the sensor carries {value:.4g} N",
-    "the sensor carries {value:.4g} N m",
-    "the rig has created {value:.4g} J",
-)
+LIMITS = {  # what is said beyond each, and its unit
+    "stroke": ("a slider is {value:.4g} m from home", "m"),
+    "speed": ("a slider moves at {value:.4g} m/s", "m/s"),
+    "acceleration": ("a slider accelerates at {value:.4g} m/s^2", "m/s^2"),
+    "limb_angle_deg": ("a limb leans {value:.4g} deg from its slider", "deg"),
+    "tracking_error": ("the platform is {value:.4g} m from its command", "m"),
+    "force": ("the sensor carries {value:.4g} N", "N"),
+    "torque": ("the sensor carries {value:.4g} N m", "N m"),
+    "energy": ("the rig has created {value:.4g} J", "J"),
+}
 
 
 class Safety:
@@ -89,10 +78,10 @@ class Safety:
 
     def reason(self, i: int) -> str | None:
         """The limit that run ``i`` has exceeded, with the value; None if it has exceeded none."""
-        for j, name in enumerate(LIMITS):
+        for j, (name, (said, unit)) in enumerate(LIMITS.items()):
             value, limit = self.quantities[i, j], self._limits[i, j]
             if value > limit:
-                return f"{_MESSAGES[j].format(value=value)}; safety.{name} is {limit:g} {_UNITS[j]}"
+                return f"{said.format(value=value)}; safety.{name} is {limit:g} {unit}"
         return self._plant.joint_limit(i) if self._plant is not None else None
 
 

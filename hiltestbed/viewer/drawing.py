@@ -77,14 +77,8 @@ def force_scale(peak: float, length: float = ARROW_LENGTH) -> float:
         return 1e-3
     least = peak / length
     decade = 10.0 ** np.floor(np.log10(least))
-    return float(
-        1.0
-        / next(
-            step * decade
-            for step in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)
-            if step * decade >= least * (1.0 - 1e-9)
-        )
-    )
+    round_numbers = decade * np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0])
+    return 1.0 / float(round_numbers[round_numbers >= least * (1.0 - 1e-9)][0])
 
 
 def force_origin(wrench: Array, pose: Array) -> Array:

@@ -45,10 +45,8 @@ class RigScene:
 
     def path(self, body: int) -> str:
         """Entity of a body: under the moving body that carries it, if any."""
-        root, name = (
-            int(self.model.body_weldid[body]),
-            self.model.body(body).name or ("world" if body == 0 else f"body_{body}"),
-        )
+        root = int(self.model.body_weldid[body])
+        name = self.model.body(body).name or ("world" if body == 0 else f"body_{body}")
         if root == body and root > 0:
             return f"{ROOT}/{name}"
         named = (self.model.body(root).name or f"body_{root}") if root > 0 else "fixed"
@@ -103,16 +101,13 @@ class RigScene:
         qpos = self._rig.joints(pose, pose_P)
         for place, values in strokes.items():
             qpos[:, place] = values
-        place, attitude = (
-            np.empty((len(pose), len(self.moving), 3)),
-            np.empty((len(pose), len(self.moving), 4)),
-        )
+        out = np.empty((len(self.moving), len(pose), 7))
         for f in range(len(pose)):
             self.data.qpos[:] = qpos[f]
             mujoco.mj_kinematics(self.model, self.data)
-            place[f] = self.data.xpos[self.moving]
-            attitude[f] = self.data.xquat[self.moving]
-        return np.concatenate([place, quat_from_mujoco(attitude)], axis=-1).swapaxes(0, 1)
+            out[:, f, :3] = self.data.xpos[self.moving]
+            out[:, f, 3:] = quat_from_mujoco(self.data.xquat[self.moving])
+        return out
 
     def port_poses(self, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
         """``(frames, 7)`` poses of P in W at the rows, at which A has ``pose`` (frames, 7) in P."""

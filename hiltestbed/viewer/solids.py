@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from hiltestbed.frames import Array
 
@@ -60,34 +61,14 @@ def box(half: Array, rgba: Array) -> Solid:
     bevel = min(BEVEL, 0.25 * half.min())
     signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     vertices, normals = [], []
-    for axis in range(3):  # the vertex of corner c on the face along an axis is number 8 axis + c
+    for axis in range(3):
         inset = np.full(3, bevel)
         inset[axis] = 0.0
         vertices.append(signs * (half - inset))
         normals.append(signs * np.eye(3)[axis])
-    return solid(
-        np.concatenate(vertices),
-        np.concatenate(normals),
-        _outward(np.concatenate(vertices), _box_triangles()),
-        rgba,
-    )
-
-
-def _box_triangles() -> NDArray[np.integer]:
-    """Faces, edges and corners of the box with 24 vertices, in either orientation."""
-    bits, triangles = (4, 2, 1), []
-    for axis in range(3):
-        b, c = bits[(axis + 1) % 3], bits[(axis + 2) % 3]
-        for side in (0, bits[axis]):
-            quad = [8 * axis + side + corner for corner in (0, b, b + c, c)]
-            triangles += [quad[:3], [quad[0], *quad[2:]]]
-        # the edge along this axis joins the faces of the two others
-        for corner in (0, b, c, b + c):
-            j, k = 8 * ((axis + 1) % 3), 8 * ((axis + 2) % 3)
-            quad = [j + corner, j + corner + bits[axis], k + corner + bits[axis], k + corner]
-            triangles += [quad[:3], [quad[0], *quad[2:]]]
-    triangles += [[corner, 8 + corner, 16 + corner] for corner in range(8)]
-    return np.array(triangles)
+    corners = np.concatenate(vertices)
+    triangles = _outward(corners, ConvexHull(corners).simplices)
+    return solid(corners, np.concatenate(normals), triangles, rgba)
 
 
 def _outward(vertices: Array, triangles: NDArray[np.integer]) -> NDArray[np.integer]:
@@ -104,13 +85,9 @@ def revolved(profile: Array, rgba: Array) -> Solid:
     angle = np.linspace(0.0, 2.0 * np.pi, SEGMENTS + 1)
     c, s = np.cos(angle), np.sin(angle)
     rings = len(profile)
-    r, z, nr, nz = (profile[:, None, i] for i in range(4))
-    vertices = np.stack([r * c, r * s, np.broadcast_to(z, (rings, SEGMENTS + 1))], axis=-1).reshape(
-        -1, 3
-    )
-    normals = np.stack(
-        [nr * c, nr * s, np.broadcast_to(nz, (rings, SEGMENTS + 1))], axis=-1
-    ).reshape(-1, 3)
+    r, z, nr, nz = (np.broadcast_to(column[:, None], (rings, SEGMENTS + 1)) for column in profile.T)
+    vertices = np.stack([r * c, r * s, z], axis=-1).reshape(-1, 3)
+    normals = np.stack([nr * c, nr * s, nz], axis=-1).reshape(-1, 3)
     i, j = np.meshgrid(np.arange(rings - 1), np.arange(SEGMENTS), indexing="ij")
     low = (i * (SEGMENTS + 1) + j).ravel()
     high = low + SEGMENTS + 1
@@ -163,12 +140,15 @@ def arrow(vector: Array, radius: float, rgba: Array) -> Solid:
         [2.5 * radius, neck, *side],
         [0.0, length, *side],
     ]
-    z = np.asarray(vector) / length
+    return revolved(np.array(profile), rgba).moved(np.zeros(3), along(vector))
+
+
+def along(vector: Array) -> Array:
+    """A rotation (3, 3) that turns z along ``vector`` (3,)."""
+    z = np.asarray(vector) / np.linalg.norm(vector)
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [0.0, 0.0, 1.0], z)
     x /= np.linalg.norm(x)
-    return revolved(np.array(profile), rgba).moved(
-        np.zeros(3), np.stack([x, np.cross(z, x), z], axis=-1)
-    )
+    return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
 def geom_solid(m: mujoco.MjModel, geom: int) -> Solid:

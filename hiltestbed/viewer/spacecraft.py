@@ -20,7 +20,7 @@ from hiltestbed.scenario import Scenario
 from hiltestbed.scenario.spacecraft import Body
 from hiltestbed.viewer import colors
 from hiltestbed.viewer.drawing import log_solid, send_poses
-from hiltestbed.viewer.solids import Solid, box, cylinder
+from hiltestbed.viewer.solids import Solid, along, box, cylinder
 
 ROOT = "spacecraft"
 NAMES = {CHASER: "chaser", TARGET: "target"}
@@ -108,12 +108,9 @@ def draw(rec: rr.RecordingStream, scenario: Scenario) -> None:
 
 def _tube(start: Array, end: Array, radius: float, rgba: Array) -> Solid:
     """A tube from ``start`` to ``end``."""
-    along = np.asarray(end) - start
-    length = max(float(np.linalg.norm(along)), 1e-3)
-    z = along / length if np.any(along) else np.array([0.0, 0.0, 1.0])
-    x = np.cross([0.0, 1.0, 0.0], z) if abs(z[1]) < 0.9 else np.cross([1.0, 0.0, 0.0], z)
-    x /= np.linalg.norm(x)
-    rotation = np.stack([x, np.cross(z, x), z], axis=-1)
+    way = np.asarray(end) - start
+    length = max(float(np.linalg.norm(way)), 1e-3)
+    rotation = along(way if np.any(way) else np.array([0.0, 0.0, 1.0]))
     return cylinder(radius, 0.5 * length, rgba).moved(0.5 * (np.asarray(end) + start), rotation)
 
 

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.devices.commission.folder import write_commission
-from hiltestbed.devices.commission.procedure import Commissioned, commission
+from hiltestbed.devices.commission.procedure import Commissioned, commission, write_commission
 from hiltestbed.devices.interface import DeviceError
 from hiltestbed.diagnosis.diagnose import diagnose
 from hiltestbed.errors import InputError
@@ -24,6 +23,7 @@ from tests.devices.lockstep import against, scenario_of
 from tests.slow import SLOW
 
 BELIEVED: dict[str, Any] = {
+    "rate": 500.0,
     "sensor__noise": 0.1,
     "sensor__torque_noise": 0.01,
     "sensor__delay": 0.002,

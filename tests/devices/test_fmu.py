@@ -383,19 +383,20 @@ UNITS = {
 FACTORS = {"kN": 1e3, "lbf by name only": 4.4482216152605}
 
 
-@pytest.mark.parametrize("kind", UNITS)
 def test_a_force_reaches_the_model_in_the_unit_that_it_declares(
-    built, kind: str, tmp_path: Path
+    built, tmp_path: Path, subtests: pytest.Subtests
 ) -> None:
     """A model that takes the declared unit accelerates by the number that it is given."""
-    units = {p: ("1", "") if u[0] == "-" else u for p, u in UNITS[kind].items()}
-    fmu = _described(built(), tmp_path / "own.fmu", lambda text: _with_units(text, units))
-    scenario = load_scenario(RIG, SHORT)
-    with CoSimulation(fmu, IN, ["twist.vz"]) as model:
-        before = model.outputs()[0]
-        gained = model.step(np.array([0.0, 0.0, 1000.0, 0.0, 0.0, 0.0]), PERIOD)[0] - before
-    given = 1000.0 / FACTORS.get(kind, 1.0)
-    assert gained == pytest.approx(-given / effective_mass(scenario) * PERIOD, rel=1e-12)
+    for kind, declared in UNITS.items():
+        with subtests.test(kind):
+            units = {p: ("1", "") if u[0] == "-" else u for p, u in declared.items()}
+            own = tmp_path / f"{kind}.fmu"
+            fmu = _described(built(), own, lambda text, units=units: _with_units(text, units))
+            with CoSimulation(fmu, IN, ["twist.vz"]) as model:
+                before = model.outputs()[0]
+                after = model.step(np.array([0.0, 0.0, 1000.0, 0.0, 0.0, 0.0]), PERIOD)[0]
+            given = 1000.0 / FACTORS.get(kind, 1.0) / effective_mass(load_scenario(RIG, SHORT))
+            assert after - before == pytest.approx(-given * PERIOD, rel=1e-12)
 
 
 def test_a_position_in_millimetres_is_read_as_such(built, tmp_path: Path) -> None:
@@ -408,21 +409,16 @@ def test_a_position_in_millimetres_is_read_as_such(built, tmp_path: Path) -> Non
         _run(fmu)
 
 
-@pytest.mark.parametrize(
-    ("unit", "base", "said"),
-    [
-        ("kg", 'kg="1"', r"wrench.fz: has the unit 'kg' \(kg\^1\), which is no unit of this"),
-        ("lb", "", r"wrench.fz: has the unit 'lb', which the FMU does not define by base units"),
-    ],
-)
-def test_a_unit_that_is_none_of_the_quantity_is_refused(
-    built, unit: str, base: str, said: str, tmp_path: Path
-) -> None:
-    fmu = _described(
-        built(), tmp_path / "own.fmu", lambda text: _with_units(text, {FORCE: (unit, base)})
-    )
-    with pytest.raises(InputError, match=said):
-        CoSimulation(fmu, ["wrench.fz"], [])
+def test_a_unit_that_is_none_of_the_quantity_is_refused(built, tmp_path: Path) -> None:
+    refused = {
+        ("kg", 'kg="1"'): r"wrench.fz: has the unit 'kg' \(kg\^1\), which is no unit of this",
+        ("lb", ""): r"wrench.fz: has the unit 'lb', which the FMU does not define by base units",
+    }
+    for unit, said in refused.items():
+        own = tmp_path / f"{unit[0]}.fmu"
+        fmu = _described(built(), own, lambda text, unit=unit: _with_units(text, {FORCE: unit}))
+        with pytest.raises(InputError, match=said):
+            CoSimulation(fmu, ["wrench.fz"], [])
 
 
 def test_an_output_that_is_no_rotation_is_a_failure_with_its_time(

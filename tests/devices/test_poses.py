@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.devices import poses
+from hiltestbed.devices.rsi import RsiSettings
 
 
 def _poses(count: int, seed: int = 1) -> list[np.ndarray]:
@@ -49,12 +50,13 @@ def test_rotation_vectors() -> None:
 
 
 def test_offsets_in_base_and_tool_axes() -> None:
+    in_base, in_tool = RsiSettings(), RsiSettings(reference="tool")
     for start, pose in zip(_poses(50, seed=3), _poses(50, seed=4), strict=True):
         r0, r1 = Rotation.from_quat(start[3:]), Rotation.from_quat(pose[3:])
-        base, tool = poses.offset_in_base(start, pose), poses.offset_in_tool(start, pose)
+        base, tool = in_base.offset(start, pose), in_tool.offset(start, pose)
         _same(base, np.concatenate([pose[:3] - start[:3], (r1 * r0.inv()).as_quat()]))
         _same(
             tool, np.concatenate([r0.inv().apply(pose[:3] - start[:3]), (r0.inv() * r1).as_quat()])
         )
-        _same(poses.add_in_base(start, base), pose)
-        _same(poses.add_in_tool(start, tool), pose)
+        _same(in_base.add(start, base), pose)
+        _same(in_tool.add(start, tool), pose)

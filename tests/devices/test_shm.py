@@ -11,9 +11,8 @@ import pytest
 
 from hiltestbed.devices.interface import DeviceError, Event
 from hiltestbed.devices.shm import attach, make
-from hiltestbed.devices.table import platform_client, platform_server, sensor_client, sensor_server
+from hiltestbed.devices.table import platform_server, sensor_client, sensor_server
 from hiltestbed.errors import InputError
-from tests.devices.running import START
 
 WRITER = """
 import select
@@ -75,30 +74,6 @@ def test_a_reader_that_has_paused_gets_the_newest_message() -> None:
             assert client.reading.sequence == 15_000
             assert client.counts[Event.LOST] == 15_000 - 2
             assert client.counts[Event.MALFORMED] == 0
-
-
-def test_a_platform() -> None:
-    name = _name("platform")
-    server = platform_server(f"shm://{name}")
-    with server:
-        server.publish(START, 0.5)
-        with platform_client(f"shm://{name}") as client:
-            np.testing.assert_array_equal(client.state.pose, START)
-            assert client.state.device_time == 0.5
-            assert server.poll()  # opening holds
-            target = START + np.array([0.01, 0, 0, 0, 0, 0, 0])
-            client.command(target)
-            assert server.poll()
-            np.testing.assert_array_equal(server.command, target)
-            assert not server.poll()
-            server.publish(target, 0.501)
-            assert client.poll()
-            server.publish(target, 0.502, status=4)
-            assert not client.poll()
-            assert client.state.status == 4
-            client.stop()
-            server.poll()
-            assert server.stopped is not None
 
 
 def test_a_message_that_is_not_whole_is_not_taken() -> None:

@@ -16,12 +16,13 @@ LONGEST = 0.2  # [s] largest delay that is fitted
 @dataclass(frozen=True)
 class TestedPath:
     """A motion from rest: command (N, 7), row k for t_(k+1); pose (N, 7) and wrench (N, 6), in P,
-    at t_k; whether it touches.
+    at t_k; the pose (7,) at which it was to start; whether it touches.
     """
 
     command: Array
     pose: Array
     wrench: Array
+    start: Array
     touches: bool
 
 

@@ -1,4 +1,5 @@
-"""The sequence of a commissioning: observe, tare, move in free space, press, fit.
+"""The sequence of a commissioning: observe, tare, move in free space, press, fit; and its result
+folder: the scenarios, a dataset of the motions, the figures.
 
 Nothing moves unless it is armed; every command passes the same guard as in a run. If anything goes
 wrong, the platform is held, retracted or stopped as the scenario specifies, and nothing is written.
@@ -6,13 +7,16 @@ wrong, the platform is held, retracted or stopped as the scenario specifies, and
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hiltestbed.config.yaml_source import dump_yaml
 from hiltestbed.devices.commission.motions import SETTLED, TestMotion, motions
 from hiltestbed.devices.commission.platform import PlatformFit, TestedPath, fit_platform
 from hiltestbed.devices.commission.sensor import Expected, SensorFit, Shown, fit_sensor
@@ -22,8 +26,11 @@ from hiltestbed.devices.mounting import Mounting
 from hiltestbed.devices.session import Observed, Options, Row, Session
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, attitude_deg_from_quat, quat_from_attitude_deg
-from hiltestbed.scenario import Scenario, resolved, scenario_from
+from hiltestbed.run_folder.store import whole_folder, write_trace
+from hiltestbed.run_folder.versions import versions
+from hiltestbed.scenario import Scenario, dump_scenario, resolved, scenario_from
 from hiltestbed.sensor.effects import SensorRotation
+from hiltestbed.signals import AXES, RunTrace
 
 FORCE = 100.0  # [N] of a press
 # relative difference of misfit within which two fits with equally many numbers are equivalent
@@ -31,6 +38,9 @@ FORCE = 100.0  # [N] of a press
 ALIKE = 1e-3
 LEAST_SCALE = 2e-3  # smallest error of a scale that is reported: 8 um of a press of 4 mm
 SHORTEST = 1e-4  # [s] smallest delay that is reported: a fifth of a tick at 2 kHz
+RESULT, DATASET = "commission.json", "dataset.yaml"
+NOMINAL, BELIEVED = "nominal.yaml", "believed.yaml"
+LEAST_COMPLIANCE = 1e-12  # [m/N] that can be measured: 0.1 nm of a press of 100 N
 Progress = Callable[[str], None]
 
 
@@ -53,7 +63,6 @@ class Commissioned:
     sensor: SensorFit
     platform: PlatformFit
     paths: dict[str, TestedPath]
-    starts: dict[str, Array]
     departures: tuple[dict[str, Any], ...] = ()
 
 
@@ -120,10 +129,7 @@ def _fitted(
 
     def paths(mounted: Scenario) -> dict[str, TestedPath]:
         mounting = Mounting(mounted.devices)
-        return {
-            m.name: _path(rows[m.name][begin:], mounting, observed.shown, m.touches)
-            for m in planned
-        }
+        return {m.name: _path(m, rows[m.name][begin:], mounting, observed.shown) for m in planned}
 
     believed = _mounted(scenario, sensor, noise)
     found = paths(believed)
@@ -133,6 +139,10 @@ def _fitted(
     if turned is not None:
         sensor, believed = turned, _mounted(scenario, None, noise)
         found, explained = paths(believed), _nominal(believed, turned, platform)
+    departures = [effect.model_dump(mode="json") for effect in explained.effects]
+    late = explained.sensor.delay - believed.sensor.delay
+    if late > _least_delay(sensor.delay_ci95):
+        departures.insert(0, {"kind": "sensor.delay", "delay": late})
     return Commissioned(
         believed,
         nominal,
@@ -140,8 +150,7 @@ def _fitted(
         sensor,
         platform,
         found,
-        {motion.name: motion.start for motion in planned},
-        _departures(explained, believed, sensor.delay_ci95),
+        tuple(departures),
     )
 
 
@@ -164,19 +173,12 @@ def _turned(
     return found if (len(found.numbers), found.misfit) <= worst else None
 
 
-def _departures(nominal: Scenario, believed: Scenario, ci95: float) -> tuple[dict[str, Any], ...]:
-    """The effects of ``nominal``, and the delay of its sensor beyond that in ``believed``."""
-    late = nominal.sensor.delay - believed.sensor.delay
-    delay = [{"kind": "sensor.delay", "delay": late}] if late > _least_delay(ci95) else []
-    return (*delay, *(effect.model_dump(mode="json") for effect in nominal.effects))
-
-
-def _path(rows: list[Row], mounting: Mounting, tare: Array, touches: bool) -> TestedPath:
+def _path(motion: TestMotion, rows: list[Row], mounting: Mounting, tare: Array) -> TestedPath:
     wrench = np.zeros((len(rows), 6))
     for k, row in enumerate(rows):
         mounting.wrench_in_P(row.shown - tare, wrench[k])
     command, pose = (np.array([getattr(row, name) for row in rows]) for name in ("command", "pose"))
-    return TestedPath(command, pose, wrench, touches)
+    return TestedPath(command, pose, wrench, motion.start, motion.touches)
 
 
 def _mounted(scenario: Scenario, sensor: SensorFit | None, noise: Array) -> Scenario:
@@ -225,3 +227,66 @@ def effects_of(sensor: SensorFit, platform: PlatformFit) -> list[dict[str, Any]]
 def _least_delay(ci95: float) -> float:
     """Smallest significant delay [s], given the half width of its 95 % interval."""
     return max(SHORTEST, 2.0 * ci95)
+
+
+def write_commission(result: Commissioned, path: Path) -> Path:
+    """Write the folder and return its path. Raises InputError if it cannot be written."""
+    with whole_folder(path, mark=RESULT) as folder:
+        (folder / NOMINAL).write_text(dump_scenario(result.nominal), encoding="utf-8")
+        (folder / BELIEVED).write_text(dump_scenario(result.believed), encoding="utf-8")
+        text = json.dumps(figures(result), indent=2, allow_nan=False) + "\n"
+        (folder / RESULT).write_text(text, encoding="utf-8")
+        runs = []
+        for number, found in enumerate(result.paths.values()):
+            file, t = f"run_{number:02d}.parquet", np.arange(len(found.pose)) / result.believed.rate
+            data = {"pose_cmd": found.command, "pose_act": found.pose, "wrench_meas": found.wrench}
+            write_trace(RunTrace(t, data, np.zeros(len(t), dtype=bool)), folder / file)
+            different = _differences(found.start, len(t) / result.believed.rate)
+            runs.append({"file": file, "set": different})
+        name = f"commissioning of {result.believed.name}"
+        dataset = {"name": name, "scenario": BELIEVED, "runs": runs}
+        (folder / DATASET).write_text(dump_yaml(dataset), encoding="utf-8")
+    return path
+
+
+def _differences(start: np.ndarray, duration: float) -> dict[str, Any]:
+    """Differences of a motion from the scenario: its start pose, at rest."""
+    return {
+        "approach.gap": float(-start[2]),
+        "approach.offset": [float(v) for v in start[:2]],
+        "approach.velocity": [0.0, 0.0, 0.0],
+        "approach.attitude_deg": attitude_deg_from_quat(start[3:7]).tolist(),
+        "approach.rate_deg": [0.0, 0.0, 0.0],
+        "duration": duration,
+    }
+
+
+def figures(result: Commissioned) -> dict[str, Any]:
+    """All measured quantities, as plain data."""
+    sensor, platform = result.sensor, result.platform
+    gain = next((n.value for n in sensor.numbers if n.source == n.axis == "z"), 1.0)
+    return {
+        "name": result.believed.name,
+        "versions": versions(),
+        "rate": result.observed.rate,
+        "noise": dict(zip(AXES, result.observed.shown_noise.tolist(), strict=True)),
+        "tare": dict(zip(AXES, result.observed.shown.tolist(), strict=True)),
+        "sensor": {
+            "sign": sensor.sign,
+            "attitude_deg": attitude_deg_from_quat(sensor.attitude).tolist(),
+            "attitude_ci95_deg": sensor.attitude_ci95_deg,
+            "turn_deg": sensor.turn_deg,
+            "delay": sensor.delay,
+            "delay_ci95": sensor.delay_ci95,
+            "gains_and_crosstalk": [vars(n) for n in sensor.numbers],
+            "residual": dict(zip(AXES, sensor.residual, strict=True)),
+            "reading": dict(zip(AXES, sensor.reading, strict=True)),
+        },
+        "platform": vars(platform),
+        "stiffness": {
+            "contact_as_felt": gain * result.believed.mechanism.contact.stiffness,
+            "rig": [1.0 / c if c > LEAST_COMPLIANCE else None for c in platform.compliance],
+        },
+        "effects": [e.model_dump(mode="json") for e in result.nominal.effects],
+        "departures": list(result.departures),
+    }
