@@ -19,12 +19,11 @@ from hiltestbed.platform.facilities.measure import dynamic_stiffness, frequency_
 from hiltestbed.platform.facilities.stand import TOOL, Stand
 from hiltestbed.platform.facilities.stewart import ARMATURE, STROKE
 from tests.platform.halls import (
-    GANTRY,
+    TABLE,
     arm,
     arms,
     facility,
     mass_and_jacobian,
-    own,
     static_compliance,
     stewart,
 )
@@ -178,10 +177,7 @@ def test_an_arm_follows_as_its_elastic_joints_say() -> None:
     """
     rig = arm(**NO_FRICTION)
     mass, stiffness, damping, rigid, jac = arm_terms(rig)
-    w, zeta = (
-        2 * np.pi * rig.settings.controller.bandwidth,
-        rig.settings.controller.damping_ratio,
-    )
+    w, zeta = (2 * np.pi * rig.settings.controller.bandwidth, rig.settings.controller.damping_ratio)
     f = [2.0, 4.5, 7.0, 10.0]
     found = response(rig, f, axes=[0, 2, 4], amplitude=5e-4)
     reach = np.linalg.inv(jac[:, :6])  # what the motors are told for a pose of A
@@ -210,10 +206,7 @@ def test_an_arm_is_as_stiff_as_its_gears_and_motors_in_series() -> None:
 def test_an_arms_first_modes_are_those_of_its_linear_equations() -> None:
     rig = arm(**NO_FRICTION)
     mass, stiffness, damping, rigid, _ = arm_terms(rig)
-    w, zeta = (
-        2 * np.pi * rig.settings.controller.bandwidth,
-        rig.settings.controller.damping_ratio,
-    )
+    w, zeta = (2 * np.pi * rig.settings.controller.bandwidth, rig.settings.controller.damping_ratio)
     stiffness[:6, :6], damping[:6, :6] = rigid * w**2, rigid * 2 * zeta * w
     first = np.block(
         [
@@ -284,12 +277,10 @@ def test_position_servos_follow_as_their_linear_equations_say() -> None:
     np.testing.assert_allclose(np.diag(static_compliance(gantry, 2.0))[:3], yields[:3], rtol=0.02)
 
 
-def test_a_users_ram_yields_as_its_servo_on_its_mass(tmp_path) -> None:
-    """kp - m w^2 + i w kv, with m the ram, wrist and payload."""
-    path = tmp_path / "gantry.xml"
-    path.write_text(GANTRY)
-    moved, kp, kv, w = 90.0 + 30.0 + 25.0 + 20.0 + 200.0, 1e7, 9e4, 2 * np.pi * 10.0
-    found = dynamic_stiffness(partial(Stand, own(path)), [10.0])[2, 0]
+def test_a_users_lift_yields_as_its_servo_on_its_mass() -> None:
+    """kp - m w^2 + i w kv, with m the lift, gimbal and payload."""
+    moved, kp, kv, w = 110.0 + 40.0 + 30.0 + 25.0 + 200.0, 5.2e6, 4.6e4, 2 * np.pi * 10.0
+    found = dynamic_stiffness(partial(Stand, facility("mjcf", model=TABLE)), [10.0])[2, 0]
     assert abs(found / (kp - moved * w**2 + 1j * w * kv) - 1.0) < 0.02
 
 

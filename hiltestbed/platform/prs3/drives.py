@@ -25,14 +25,7 @@ from hiltestbed.frames import Array, rotate, rotate_back, twist_between
 from hiltestbed.platform import model
 from hiltestbed.platform.facilities.mover import has_diverged
 from hiltestbed.platform.payload import GRAVITY, carry, load_of
-from hiltestbed.platform.prs3.geometry import (
-    Upper,
-    jacobian,
-    motion,
-    place,
-    revolute,
-    slider,
-)
+from hiltestbed.platform.prs3.geometry import Upper, jacobian, motion, place, revolute, slider
 from hiltestbed.platform.pss33.dynamics import add_force, invert, load_constants
 
 if TYPE_CHECKING:
