@@ -8,9 +8,8 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.frames import Array, rotation_vectors
+from hiltestbed.frames import Array
 from hiltestbed.platform.build import built
-from hiltestbed.platform.facilities.stand import Stand
 from hiltestbed.platform.kinds import PLATFORMS
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -85,20 +84,3 @@ def mass_and_jacobian(m: mujoco.MjModel, q: Array, site: str) -> tuple[Array, Ar
     loops = loops[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
     _, values, right = np.linalg.svd(loops)
     return mass, jac, right[int(np.sum(values > 1e-9 * values[0])) :].T
-
-
-def static_compliance(facility: Any, settle: float) -> Array:
-    """``(6, 6)`` displacement of A for a unit force or torque on each axis, after ``settle`` [s]
-    [m/N, rad/N, ...]: half the difference between push and pull, so that the weight cancels.
-    """
-    size = np.array([200.0] * 3 + [60.0] * 3)
-    stand = Stand(facility, 12)
-    stand.drives.release()
-    pose, still = np.tile(UPRIGHT, (12, 1)), np.zeros((12, 6))
-    stand.reset(pose, still)
-    for k in range(round(settle / stand.tick)):
-        share = min(4.0 * k * stand.tick / settle, 1.0)
-        stand.wrench[:6], stand.wrench[6:] = share * np.diag(size), -share * np.diag(size)
-        stand.advance(pose, still, still)
-    place = np.hstack([stand.pose[:, :3], rotation_vectors(stand.pose[:, 3:])])
-    return ((place[:6] - place[6:]) / (2.0 * size[:, None])).T
