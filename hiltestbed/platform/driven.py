@@ -87,9 +87,8 @@ class ServoTracking:
         self.mover = mover = facility.drives(self.model, runs_of(scenarios), TOOL)
         self.watch = _watch(facility, scenarios, mover.kinematics.joints_home)
         self.load = CarriedLoad(self.model, mover.kinematics.home) if self.moves_passive else None
-        self._stepwise = self.contacts.written or self.moves_passive
         # state and contacts are read after every step
-        self._watched = self._stepwise
+        self._stepwise = self.contacts.written or self.moves_passive
         bind = self.batch.bind
         self._qpos, self._qvel, self._time = bind("qpos"), bind("qvel"), bind("time")
         self._inputs, self._forces = bind(mover.writes), bind("qfrc_actuator")
@@ -188,6 +187,10 @@ class ServoTracking:
         """``count`` steps with unchanged inputs."""
         for _ in range(count):
             self.batch.step()
+
+    def joint_limit(self, i: int) -> str | None:
+        """The limit that run ``i`` has exceeded, in words; None if there is none."""
+        return self.watch.reason(i) if self.watch is not None else None
 
     def joint_limit_passed(self) -> bool:
         """Whether a run has exceeded a limit of its joints at this tick."""

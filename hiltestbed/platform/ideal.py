@@ -214,6 +214,13 @@ class IdealTracking:
             self._evaluate()
         self._conclude()
 
+    def joint_limit_passed(self) -> bool:
+        """Never: nothing is driven."""
+        return False
+
+    def joint_limit(self, i: int) -> None:
+        """None, likewise."""
+
     def bare_steps(self, count: int) -> None:
         """``count`` evaluations of the contact at the current pose."""
         for _ in range(count):

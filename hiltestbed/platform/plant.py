@@ -67,8 +67,8 @@ class Plant:
         contact: (n,) bool, whether the mechanisms touch. captured: (n,) bool, whether they are
             latched to each other.
         slider_cmd, slider_act: (n, J) the platform's driven joints [units], 0 at home; J = 0 if
-            nothing is driven. upper_cmd,
-            upper_act: (n, 3) those of the upper platform. units: (J,) "m" or "rad".
+            nothing is driven. upper_cmd, upper_act: (n, 3) those of the upper platform. units: (J,)
+            "m" or "rad".
         phases: of capture, if the mechanism has them. pose_W: (n, 7) pose of A in W, which is P
             without an upper platform.
         physical: whether the bodies move freely: commands are ignored, and the reached pose is the
@@ -98,40 +98,36 @@ class Plant:
                 "rig.platform, rig.upper and mechanism.kind; "
                 "mechanism.mount, contact.friction > 0 and effects of the contact in all or in none"
             )
-        above, made_of = scenarios[0].rig.upper.kind == "prs3", structure(scenarios[0])
+        first, made_of = scenarios[0], structure(scenarios[0])
         if force is not None:
             made_of = replace(made_of, constant=True, latched=False, touches=False, held=held)
         lower: IdealTracking | ServoTracking
-        self.physical = scenarios[0].rig.platform.physical
-        if scenarios[0].rig.platform.prescribed:
+        self.physical = first.rig.platform.physical
+        if first.rig.platform.prescribed:
             lower = IdealTracking(scenarios, nthread, made_of, force)
         else:
             lower = ServoTracking(scenarios, nthread, made_of, late, force)
-        self.units, self._lower = lower.units, lower
-        self._tracking = NineAxes(scenarios, lower, nthread) if above else lower
-        self.pose_W: Array = lower.pose_act
-        self._latch: LatchCondition | None = None
-        if force is None and any(s.mechanism.latch for s in scenarios):
-            self._latch = LatchCondition(scenarios)
+        above = NineAxes(scenarios, lower, nthread) if first.rig.upper.kind == "prs3" else None
+        tracking = lower if above is None else above
+        self.units, self._lower, self._above, self._tracking = lower.units, lower, above, tracking
         self._batch, self._made_of = lower.batch, made_of
+        latches = force is None and any(s.mechanism.latch for s in scenarios)
+        self._latch = LatchCondition(scenarios) if latches else None
         self.phases: Phases | None = None
         if force is None and made_of.mechanism.phases():
-            self.phases = Phases(lower.batch, made_of, scenarios[0].tick, len(scenarios))
-        self.pose_act: Array = self._tracking.pose_act
-        self.twist_act: Array = self._tracking.twist_act
-        self.wrench_sub: Array = self._tracking.wrench_sub
-        self.contact: NDArray[np.bool_] = self._tracking.contact_now
-        self.captured: NDArray[np.bool_] = self._tracking.contacts.latched
-        self.slider_cmd: Array = self._tracking.slider_cmd
-        self.slider_act: Array = self._tracking.slider_act
+            self.phases = Phases(lower.batch, made_of, first.tick, len(scenarios))
+        self.pose_W: Array = lower.pose_act
+        self.pose_act: Array = tracking.pose_act
+        self.twist_act: Array = tracking.twist_act
+        self.wrench_sub: Array = tracking.wrench_sub
+        self.contact: NDArray[np.bool_] = tracking.contact_now
+        self.captured: NDArray[np.bool_] = tracking.contacts.latched
+        self.slider_cmd: Array = tracking.slider_cmd
+        self.slider_act: Array = tracking.slider_act
         still = np.zeros((len(scenarios), 3))
-        self.upper_cmd: Array = (
-            self._tracking.upper_cmd if isinstance(self._tracking, NineAxes) else still
-        )
-        self.upper_act: Array = (
-            self._tracking.upper_act if isinstance(self._tracking, NineAxes) else still
-        )
-        self.diverged: NDArray[np.bool_] = self._tracking.diverged
+        self.upper_cmd: Array = above.upper_cmd if above else still
+        self.upper_act: Array = above.upper_act if above else still
+        self.diverged: NDArray[np.bool_] = tracking.diverged
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -148,25 +144,21 @@ class Plant:
 
     def held_pair(self, i: int) -> tuple[Array, Array] | None:
         """Stiffness and damping (6, 6) of the latches of run ``i``; None without phases."""
-        return (
-            held_pair(self.contacts(), self._batch, self._made_of, i)
-            if self.phases is not None
-            else None
-        )
+        if self.phases is None:
+            return None
+        return held_pair(self.contacts(), self._batch, self._made_of, i)
 
     def joint_limit_passed(self) -> bool:
         """Whether a joint has exceeded a limit of its facility, or a command its reach."""
-        lower = self._lower
-        return isinstance(lower, ServoTracking) and lower.joint_limit_passed()
+        return self._lower.joint_limit_passed()
 
     def joint_limit(self, i: int) -> str | None:
         """The limit that run ``i`` has exceeded, in words; None if there is none."""
-        watch = self._lower.watch if isinstance(self._lower, ServoTracking) else None
-        return watch.reason(i) if watch is not None else None
+        return self._lower.joint_limit(i)
 
     def payload_left(self, i: int) -> dict[str, float] | None:
         """Residual of a moving passive side's load in the reading of run ``i``, or None."""
-        return self._tracking.payload_left(i) if isinstance(self._tracking, NineAxes) else None
+        return self._above.payload_left(i) if self._above else None
 
     def divergence(self, i: int) -> str:
         """Why run ``i`` diverged: the quantity and its value."""

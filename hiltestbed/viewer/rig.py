@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hiltestbed.contact.composition import ACTIVE, PASSIVE
 from hiltestbed.frames import Array, quat_from_mujoco
-from hiltestbed.platform.facilities.drawing import drawn_rig
+from hiltestbed.platform.drawing import drawn_rig
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import JOINT, RunTrace
 from hiltestbed.viewer import colors

@@ -8,57 +8,14 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hiltestbed.frames import Array, rotation_vectors
+from hiltestbed.frames import Array
 from hiltestbed.platform.build import built
-from hiltestbed.platform.facilities.stand import Stand
 from hiltestbed.platform.kinds import PLATFORMS
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 DIRECT = {"controller_rate": None, "delay_cycles": 0}
 
-# A bridge crane with a ram and a wrist below it: six position servos, drawn with its mount looking
-# down.
-GANTRY = """
-<mujoco model="gantry">
-  <compiler angle="radian" autolimits="true"/>
-  <default><geom contype="0" conaffinity="0" mass="0"/></default>
-  <worldbody>
-    <body name="bridge" pos="0 0 4">
-      <inertial pos="0 0 0" mass="400" diaginertia="100 100 100"/>
-      <joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
-      <body name="trolley">
-        <inertial pos="0 0 0" mass="150" diaginertia="20 20 20"/>
-        <joint name="y" type="slide" axis="0 1 0" range="-1 1"/>
-        <body name="ram" pos="0 0 -1">
-          <inertial pos="0 0 0.4" mass="90" diaginertia="10 10 2"/>
-          <joint name="z" type="slide" axis="0 0 1" range="-0.8 0.8"/>
-          <body name="yaw">
-            <inertial pos="0 0 0" mass="30" diaginertia="1 1 1"/>
-            <joint name="c" axis="0 0 1" range="-2 2"/>
-            <body name="tilt" pos="0 0 -0.2">
-              <inertial pos="0 0 0" mass="25" diaginertia="1 1 1"/>
-              <joint name="b" axis="0 1 0" range="-1 1"/>
-              <body name="swing">
-                <inertial pos="0 0 -0.1" mass="20" diaginertia="1 1 1"/>
-                <joint name="a" axis="1 0 0" range="-1 1"/>
-                <site name="mount" pos="0 0 -0.25" quat="0 1 0 0"/>
-              </body>
-            </body>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <position name="px" joint="x" kp="2e7" kv="2e5"/>
-    <position name="py" joint="y" kp="1.2e7" kv="1.2e5"/>
-    <position name="pz" joint="z" kp="1e7" kv="9e4"/>
-    <position name="pc" joint="c" kp="4e5" kv="4e3"/>
-    <position name="pb" joint="b" kp="2e6" kv="1.6e4"/>
-    <position name="pa" joint="a" kp="2e6" kv="1.6e4"/>
-  </actuator>
-</mujoco>
-"""
+TABLE = "xyz_table/xyz_table.xml"  # six position servos
 
 
 def facility(kind: str, **settings: Any) -> Any:
@@ -75,10 +32,6 @@ def arm(command: dict[str, Any] = DIRECT, **controller: Any) -> Any:
 
 def arms(command: dict[str, Any] = DIRECT, share: Any = 0.5, **controller: Any) -> Any:
     return facility("two_arms", passive_share=share, controller=controller, command=command)
-
-
-def own(path) -> Any:
-    return facility("mjcf", model=str(path))
 
 
 def poses(n: int, reach: float, turn_deg: float, seed: int = 3) -> Array:
@@ -131,20 +84,3 @@ def mass_and_jacobian(m: mujoco.MjModel, q: Array, site: str) -> tuple[Array, Ar
     loops = loops[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
     _, values, right = np.linalg.svd(loops)
     return mass, jac, right[int(np.sum(values > 1e-9 * values[0])) :].T
-
-
-def static_compliance(facility: Any, settle: float) -> Array:
-    """``(6, 6)`` displacement of A for a unit force or torque on each axis, after ``settle`` [s]
-    [m/N, rad/N, ...]: half the difference between push and pull, so that the weight cancels.
-    """
-    size = np.array([200.0] * 3 + [60.0] * 3)
-    stand = Stand(facility, 12)
-    stand.drives.release()
-    pose, still = np.tile(UPRIGHT, (12, 1)), np.zeros((12, 6))
-    stand.reset(pose, still)
-    for k in range(round(settle / stand.tick)):
-        share = min(4.0 * k * stand.tick / settle, 1.0)
-        stand.wrench[:6], stand.wrench[6:] = share * np.diag(size), -share * np.diag(size)
-        stand.advance(pose, still, still)
-    place = np.hstack([stand.pose[:, :3], rotation_vectors(stand.pose[:, 3:])])
-    return ((place[:6] - place[6:]) / (2.0 * size[:, None])).T

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from hiltestbed.platform.parameters import PlatformParameters
     from hiltestbed.scenario import Scenario
 
+Grid = dict[str, list[float]]
+Bounds = dict[str, tuple[float, float]]
+Response = tuple[float, float]
 LONGEST = 20.0  # ticks: longest delay that is searched for on a slow loop
 # [Hz] loop rate below which the frequencies that are searched are lowered in proportion
 SLOW = 500.0
@@ -73,6 +76,33 @@ def stepped(w: float, zeta: float, base: float, step: float) -> Stepped:
     return Stepped(found, decay / found, (1.0 - base) * 2.0 * decay / found**2 - distance, begun)
 
 
+class SecondOrder(Effect):
+    """Base of the responses that a facility may integrate in time steps of its own."""
+
+    def respond(
+        self, p: PlatformParameters, frequency: float, zeta: float, base: float
+    ) -> Response:
+        """Natural frequency [rad/s] and damping ratio of the continuous response that equals it,
+        for ``frequency`` [Hz]; what else the steps change is put into ``p``.
+        """
+        step = min(self.variant.get(AHEAD, 0.0), p.tick)
+        found = stepped(2.0 * math.pi * frequency, zeta, base, step)
+        p.delay -= found.lead
+        p.begun *= found.begun
+        return found.w, found.zeta
+
+    @classmethod
+    def stepped_or_not(cls, grid: Grid, bounds: Bounds, tick: float) -> Iterator[Candidate]:
+        """Candidates of the continuous response, and of one in time steps."""
+        yield candidate(cls, grid, bounds=bounds)
+        yield candidate(
+            cls,
+            grid | {AHEAD: [0.1 * tick]},
+            bounds=bounds | {AHEAD: (0.0, tick)},
+            variant={"steps": True},
+        )
+
+
 @register
 class PlatformDelay(Effect):
     """Transport delay of the motion platform."""
@@ -105,7 +135,7 @@ class PlatformDelay(Effect):
 
 
 @register
-class PlatformLag(Effect):
+class PlatformLag(SecondOrder):
     """Second-order response of the platform, damping ratio 0.7."""
 
     kind: Literal["platform.lag"] = "platform.lag"
@@ -121,15 +151,7 @@ class PlatformLag(Effect):
     vanishes = True
 
     def apply(self, p: PlatformParameters) -> None:
-        found = stepped(
-            2.0 * math.pi * self.bandwidth,
-            LAG_DAMPING,
-            0.0,
-            min(self.variant.get(AHEAD, 0.0), p.tick),
-        )
-        p.lag.append((found.w, found.zeta))
-        p.delay -= found.lead
-        p.begun *= found.begun
+        p.lag.append(self.respond(p, self.bandwidth, LAG_DAMPING, 0.0))
 
     def worth(self, scenario: Scenario, frequency: float) -> float:
         return 2.0 * LAG_DAMPING / (2.0 * math.pi * self.bandwidth)
@@ -138,18 +160,11 @@ class PlatformLag(Effect):
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         slow = pace(scales.tick)
         grid = {"bandwidth": [slow * f for f in (4, 8, 15, 30, 60, 120, 250)]}
-        bounds = {"bandwidth": (2.0 * slow, 400.0)}
-        yield candidate(cls, grid, bounds=bounds)
-        yield candidate(
-            cls,
-            grid | {AHEAD: [0.1 * scales.tick]},
-            bounds=bounds | {AHEAD: (0.0, scales.tick)},
-            variant={"steps": True},
-        )
+        return cls.stepped_or_not(grid, {"bandwidth": (2.0 * slow, 400.0)}, scales.tick)
 
 
 @register
-class PlatformMode(Effect):
+class PlatformMode(SecondOrder):
     """A lightly damped mode between drive and port."""
 
     kind: Literal["platform.mode"] = "platform.mode"
@@ -168,15 +183,7 @@ class PlatformMode(Effect):
     vanishes = True
 
     def apply(self, p: PlatformParameters) -> None:
-        found = stepped(
-            2.0 * math.pi * self.frequency,
-            self.damping_ratio,
-            1.0,
-            min(self.variant.get(AHEAD, 0.0), p.tick),
-        )
-        p.mode.append((found.w, found.zeta))
-        p.delay -= found.lead
-        p.begun *= found.begun
+        p.mode.append(self.respond(p, self.frequency, self.damping_ratio, 1.0))
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
@@ -185,11 +192,4 @@ class PlatformMode(Effect):
             "frequency": [slow * f for f in (5, 8, 12, 18, 27, 40, 60, 90, 130)],
             "damping_ratio": [0.02, 0.1],
         }
-        bounds = {"frequency": (2.0 * slow, min(400.0, 0.5 / h))}
-        yield candidate(cls, grid, bounds=bounds)
-        yield candidate(
-            cls,
-            grid | {AHEAD: [0.1 * h]},
-            bounds=bounds | {AHEAD: (0.0, h)},
-            variant={"steps": True},
-        )
+        return cls.stepped_or_not(grid, {"frequency": (2.0 * slow, min(400.0, 0.5 / h))}, h)

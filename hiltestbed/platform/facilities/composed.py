@@ -23,13 +23,7 @@ from hiltestbed.contact.composition import (
 from hiltestbed.contact.mount import CARRIER
 from hiltestbed.frames import Array, cross, rotate_back
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
-from hiltestbed.platform.facilities.facility import (
-    MOUNT,
-    NOMINAL,
-    TOOL_HOME,
-    Facility,
-    set_steps,
-)
+from hiltestbed.platform.facilities.facility import MOUNT, NOMINAL, TOOL_HOME, Facility, set_steps
 from hiltestbed.platform.payload import load_of
 
 TOOL = ACTIVE + "A"  # the site that follows the command

@@ -26,8 +26,10 @@ ITERATIONS = 40
 
 
 @njit(cache=True)
-def add_point(tree, w, b, point, sign, rows, r):
-    """Add ``sign`` times the Jacobian of a point (3,) of body ``b`` to ``rows`` from row ``r``."""
+def add_rows(tree, w, b, point, sign, r, turns):
+    """Add ``sign`` times the Jacobian of a point (3,) of body ``b`` to three rows of ``w.rows``
+    from row ``r`` on, and, if it ``turns``, that of its rotation to the three after them.
+    """
     axis = w.spare[0:6]
     while b > 0:
         first = tree.bodies[b, 1]
@@ -35,27 +37,30 @@ def add_point(tree, w, b, point, sign, rows, r):
             kind, a = tree.joints[j, 0], tree.joints[j, 3]
             if kind == SLIDE:
                 for i in range(3):
-                    rows[r + i, a] += sign * w.axes[j, 3 + i]
+                    w.rows[r + i, a] += sign * w.axes[j, 3 + i]
             elif kind == HINGE:
-                _add_lever(w.axes[j], point, sign, rows, r, a)
+                _add_axis(w.axes[j], point, sign, w.rows, r, a, turns)
             else:
                 if kind == FREE:
                     for i in range(3):
-                        rows[r + i, a + i] += sign
+                        w.rows[r + i, a + i] += sign
                     a += 3
                 axis[:3] = w.axes[j, :3]
                 for c in range(3):
                     _column(w.poses[b], c, axis)
-                    _add_lever(axis, point, sign, rows, r, a + c)
+                    _add_axis(axis, point, sign, w.rows, r, a + c, turns)
         b = tree.bodies[b, 0]
 
 
 @njit(cache=True)
-def _add_lever(axis, point, sign, rows, r, column):
+def _add_axis(axis, point, sign, rows, r, column, turns):
     x, y, z = point[0] - axis[0], point[1] - axis[1], point[2] - axis[2]
     rows[r, column] += sign * (axis[4] * z - axis[5] * y)
     rows[r + 1, column] += sign * (axis[5] * x - axis[3] * z)
     rows[r + 2, column] += sign * (axis[3] * y - axis[4] * x)
+    if turns:
+        for i in range(3):
+            rows[r + 3 + i, column] += sign * axis[3 + i]
 
 
 @njit(cache=True)
@@ -80,26 +85,6 @@ def _column(pose, c, out):
             2.0 * (y * z - x * s),
             1.0 - 2.0 * (x * x + y * y),
         )
-
-
-@njit(cache=True)
-def add_turn(tree, w, b, sign, rows, r):
-    """Add ``sign`` times the Jacobian of the rotation of body ``b`` to ``rows`` from row ``r``."""
-    axis = w.spare[0:6]
-    while b > 0:
-        first = tree.bodies[b, 1]
-        for j in range(first, first + tree.bodies[b, 2]):
-            kind, a = tree.joints[j, 0], tree.joints[j, 3]
-            if kind == HINGE:
-                for i in range(3):
-                    rows[r + i, a] += sign * w.axes[j, 3 + i]
-            elif kind != SLIDE:
-                a += 3 if kind == FREE else 0
-                for c in range(3):
-                    _column(w.poses[b], c, axis)
-                    for i in range(3):
-                        rows[r + i, a + c] += sign * axis[3 + i]
-        b = tree.bodies[b, 0]
 
 
 @njit(cache=True)
@@ -140,8 +125,7 @@ def equations(tree, q, poses, values, w):
     pose = w.spare[20:27]
     for t in range(tree.tools.shape[0]):
         tool_pose(tree, w, t, pose)
-        add_point(tree, w, tree.tools[t], pose, 1.0, rows, r)
-        add_turn(tree, w, tree.tools[t], 1.0, rows, r + 3)
+        add_rows(tree, w, tree.tools[t], pose, 1.0, r, True)
         for i in range(3):
             residual[r + i] = pose[i] - poses[t, i]
         attitude_error(poses[t, 3:7], pose[3:7], residual[r + 3 : r + 6])
@@ -159,21 +143,19 @@ def _close_loops(tree, w):
     ends, turns = w.spare[6:12].reshape((2, 3)), w.spare[12:20].reshape((2, 4))
     r = 0
     for k in range(tree.loops.shape[0]):
+        whole = tree.loops[k, 0] == FRAME
         for e in range(2):
             pose, frame = w.poses[tree.loops[k, 1 + e]], tree.loop_frames[k, e]
             rotate(pose[3:7], frame, ends[e])
             for i in range(3):
                 ends[e, i] += pose[i]
-            add_point(tree, w, tree.loops[k, 1 + e], ends[e], 1.0 - 2.0 * e, w.rows, r)
+            quat_mul(pose[3:7], frame[3:7], turns[e])
+            add_rows(tree, w, tree.loops[k, 1 + e], ends[e], 1.0 - 2.0 * e, r, whole)
         for i in range(3):
             w.residual[r + i] = ends[0, i] - ends[1, i]
-        r += 3
-        if tree.loops[k, 0] == FRAME:
-            for e in range(2):
-                quat_mul(w.poses[tree.loops[k, 1 + e], 3:7], tree.loop_frames[k, e, 3:7], turns[e])
-                add_turn(tree, w, tree.loops[k, 1 + e], 1.0 - 2.0 * e, w.rows, r)
-            attitude_error(turns[1], turns[0], w.residual[r : r + 3])
-            r += 3
+        if whole:
+            attitude_error(turns[1], turns[0], w.residual[r + 3 : r + 6])
+        r += 6 if whole else 3
     return r
 
 

@@ -18,13 +18,7 @@ import numpy as np
 
 from hiltestbed.config.models import load
 from hiltestbed.platform.facilities.drives import Drives, mass_matrix
-from hiltestbed.platform.facilities.facility import (
-    MOUNT,
-    Facility,
-    add_carrier,
-    compiled,
-    frame_of,
-)
+from hiltestbed.platform.facilities.facility import MOUNT, Facility, add_carrier, compiled, frame_of
 from hiltestbed.platform.facilities.force_servo import ForceServo
 from hiltestbed.platform.facilities.hydraulic import Hydraulic
 from hiltestbed.platform.facilities.kinematics import Axis

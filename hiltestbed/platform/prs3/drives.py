@@ -25,14 +25,7 @@ from hiltestbed.frames import Array, rotate, rotate_back, twist_between
 from hiltestbed.platform import model
 from hiltestbed.platform.facilities.mover import has_diverged
 from hiltestbed.platform.payload import GRAVITY, carry, load_of
-from hiltestbed.platform.prs3.geometry import (
-    Upper,
-    jacobian,
-    motion,
-    place,
-    revolute,
-    slider,
-)
+from hiltestbed.platform.prs3.geometry import Upper, jacobian, motion, place, slider, write_joints
 from hiltestbed.platform.pss33.dynamics import add_force, invert, load_constants
 
 if TYPE_CHECKING:
@@ -278,29 +271,19 @@ class UpperDrives:
     def settle(self, i: int, x: Array, rates: Array) -> None:
         """Put run ``i`` in a motion with ``rates`` (3,) at the coordinates ``x`` (3,)."""
         self._warmstart[i] = 0.0
-        ahead = [self._joints(x + side * self._dt * rates) for side in (-1.0, 0.0, 1.0)]
-        self._qpos[i] = ahead[1]
-        mujoco.mj_differentiatePos(self.model, self._qvel[i], 2.0 * self._dt, ahead[0], ahead[2])
         arm, before, plan = np.empty(3), np.empty(7), self._plan
+        joints = np.tile(self.model.qpos0, (3, 1))
+        for q, side in zip(joints, (-1.0, 0.0, 1.0), strict=True):
+            place(self.upper.shape, x + side * self._dt * rates, before)
+            write_joints(self.model, before, q)
+        self._qpos[i] = joints[1]
+        mujoco.mj_differentiatePos(self.model, self._qvel[i], 2.0 * self._dt, joints[0], joints[2])
         place(self.upper.shape, x, plan.pose[i])
         place(self.upper.shape, x - self._dt * rates, before)
         twist_between(before, plan.pose[i], self._dt, plan.twist[i])
         for j, leg in enumerate(self.upper.legs):
             plan.target[i, j] = slider(leg, plan.pose[i], arm)
             plan.velocity[i, j] = (plan.target[i, j] - slider(leg, before, arm)) / self._dt
-
-    def _joints(self, x: Array) -> Array:
-        """``(nq,)`` MuJoCo's joints at the coordinates ``x`` (3,)."""
-        q, pose, arm = self.model.qpos0.copy(), np.empty(7), np.empty(3)
-        place(self.upper.shape, x, pose)
-        for j, leg in enumerate(self.upper.legs):
-            q[self._adr[0, j]] = slider(leg, pose, arm)
-            q[self.model.joint(f"revolute_{j}").qposadr[0]] = revolute(leg, pose, arm)
-        rotate(pose[3:7], np.array([0.0, 0.0, self.upper.shape[1]]), arm)
-        p = self._adr[0, 3]
-        q[p : p + 3] = pose[:3] + arm
-        q[p + 3 : p + 7] = pose[[6, 3, 4, 5]]
-        return q
 
     def run(self, going: NDArray[np.intp]) -> None:
         """One tick of the planned motion for the runs ``going``, which are away."""

@@ -171,3 +171,15 @@ class Upper(NamedTuple):
         return Upper(
             np.array([math.hypot(x, y), above, math.cos(3.0 * phi), math.sin(3.0 * phi)]), legs
         )
+
+
+def write_joints(m: mujoco.MjModel, pose: Array, q: Array, prefix: str = "") -> None:
+    """Write the platform's joint positions at the ``pose`` (7,) of P in W to ``q`` (nq,)."""
+    upper, arm = Upper.load(), np.empty(3)
+    for j, leg in enumerate(upper.legs):
+        q[m.joint(f"{prefix}slider_{j}").qposadr[0]] = slider(leg, pose, arm)
+        q[m.joint(f"{prefix}revolute_{j}").qposadr[0]] = revolute(leg, pose, arm)
+    rotate(pose[3:7], np.array([0.0, 0.0, upper.shape[ABOVE]]), arm)
+    free = int(m.joint(f"{prefix}platform").qposadr[0])
+    q[free : free + 3] = pose[:3] + arm
+    q[free + 3 : free + 7] = pose[[6, 3, 4, 5]]

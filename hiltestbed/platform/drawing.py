@@ -1,6 +1,4 @@
-"""A facility for drawing: its model with all visual parts, and its joints at given relative
-poses.
-"""
+"""A rig for drawing: its model with all visual parts, and its joints at given relative poses."""
 
 from __future__ import annotations
 
@@ -9,16 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hiltestbed.contact.composition import drawn
-from hiltestbed.frames import Array
+from hiltestbed.contact.composition import ACTIVE, drawn
+from hiltestbed.frames import Array, pose_compose
 from hiltestbed.platform.build import facility_of
 from hiltestbed.platform.driven import runs_of
 from hiltestbed.platform.facilities.composed import TOOL, facility_model, facility_spec
 from hiltestbed.platform.facilities.drives import Drives
 from hiltestbed.platform.facilities.mover import UPRIGHT
+from hiltestbed.platform.model import UPPER, nine_axis_scene
+from hiltestbed.platform.prs3.allocation import upper_coordinates
+from hiltestbed.platform.prs3.geometry import Upper, place, write_joints
 
 if TYPE_CHECKING:
-    from hiltestbed.platform.prs3.drawing import DrawnNineAxes
     from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 STEP = 1e-3  # [s] nothing is stepped
@@ -63,10 +63,31 @@ class DrawnFacility:
         return qpos, place
 
 
+class DrawnNineAxes:
+    """Both platforms with their mechanisms; the interface is that of :class:`DrawnFacility`."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.model = nine_axis_scene(scenario.mechanism)
+        self._lower = facility_of(scenario).kinematics(self.model, ACTIVE + "A")
+
+    def port_poses(self, rows: NDArray[np.intp], pose_cmd: Array, pose: Array) -> Array:
+        """``(frames, 7)`` planned poses of P in W at the rows of ``pose_cmd`` (ticks, 7)."""
+        out = np.empty((len(rows), 7))
+        # commanded one tick before it is reached
+        for goal, x in zip(out, upper_coordinates(pose_cmd[np.maximum(rows - 1, 0)]), strict=True):
+            place(Upper.load().shape, x, goal)
+        return out
+
+    def joints(self, pose: Array, pose_P: Array) -> Array:
+        """Joint positions ``(frames, nq)`` at the poses ``(frames, 7)`` of A in P and of P in W."""
+        out, pose_A = np.empty((len(pose), self.model.nq)), np.empty(7)
+        for q, at, port in zip(out, pose, pose_P, strict=True):
+            pose_compose(port, at, pose_A)
+            q[:] = self._lower.solve(pose_A)[0]
+            write_joints(self.model, port, q, UPPER)
+        return out
+
+
 def drawn_rig(scenario: Scenario) -> DrawnFacility | DrawnNineAxes:
     """The rig of a scenario for drawing."""
-    if scenario.rig.upper.kind == "fixed":
-        return DrawnFacility(scenario)
-    from hiltestbed.platform.prs3.drawing import DrawnNineAxes
-
-    return DrawnNineAxes(scenario)
+    return (DrawnFacility if scenario.rig.upper.kind == "fixed" else DrawnNineAxes)(scenario)
