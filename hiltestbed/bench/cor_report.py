@@ -79,12 +79,9 @@ def _leaderboard(report: Report, board: Sequence[dict[str, Any]]) -> None:
     rows = []
     for row in board:
         cells = [_error(row, key) for key, _ in COLUMNS]
-        rest = [
-            f"{row['energy_created']:+.3f}",
-            f"{100 * row['peak_force_error']:.1f} %",
-            f"{100 * row['stable']:.0f} %",
-        ]
-        rows.append([row["method"], row["contact"], *cells, *rest, f"{row['cost']:.1f}"])
+        peak, stable = f"{100 * row['peak_force_error']:.1f} %", f"{100 * row['stable']:.0f} %"
+        rest = f"{row['energy_created']:+.3f}", peak, stable, f"{row['cost']:.1f}"
+        rows.append([row["method"], row["contact"], *cells, *rest])
     report.table(
         header,
         rows,

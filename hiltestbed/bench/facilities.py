@@ -251,18 +251,12 @@ def facilities_report(records: list[dict[str, Any]], summary: dict[str, Any]) ->
         "add energy to a contact without compensation; the rows below give the remaining errors "
         "with the field's usual compensation and with the default."
     )
-    rows = [
-        [
-            w["facility"],
-            w["treatment"],
-            _number(w["cor_log_error"], 4),
-            f"{100.0 * w['peak_force_error']:.1f} %",
-            "yes" if w["passive"] else "no",
-            _number(w["net_damping"], 0),
-            _number(w["largest_delay"], 1, 1e3),
-        ]
-        for w in worst
-    ]
+    rows = []
+    for w in worst:
+        error, passive = f"{100.0 * w['peak_force_error']:.1f} %", "yes" if w["passive"] else "no"
+        limits = _number(w["net_damping"], 0), _number(w["largest_delay"], 1, 1e3)
+        first = w["facility"], w["treatment"], _number(w["cor_log_error"], 4)
+        rows.append([*first, error, passive, *limits])
     report.table(
         ("facility", "compensation", "|ln(e/e_ref)|", "peak force error", "passive",
          "net damping [N s/m]", "largest delay [ms]"),
@@ -276,18 +270,12 @@ def facilities_report(records: list[dict[str, Any]], summary: dict[str, Any]) ->
         "Error of the coefficient of restitution, the largest over the contacts; hatched: active.",
     )
     report.heading("The rigs")
-    rows = [
-        [
-            r["facility"],
-            _number(r["reach"], 2),
-            _number(r["turn"], 0),
-            _number(r["delay"], 2, 1e3),
-            "-" if r["compliance"] is None else f"{r['compliance']:.2e}",
-            f"{r['cost']:.2f}",
-            f"{r['real_time_factor']:.2f}",
-        ]
-        for r in summary["rigs"]
-    ]
+    rows = []
+    for r in summary["rigs"]:
+        size = r["facility"], _number(r["reach"], 2), _number(r["turn"], 0)
+        gives = "-" if r["compliance"] is None else f"{r['compliance']:.2e}"
+        pace = f"{r['cost']:.2f}", f"{r['real_time_factor']:.2f}"
+        rows.append([*size, _number(r["delay"], 2, 1e3), gives, *pace])
     report.table(
         ("facility", "reach [m]", "rotation [deg]", "delay at 2 Hz [ms]", "compliance [m/N]",
          "tick / bare steps", "times real time"),
@@ -302,11 +290,9 @@ def facilities_report(records: list[dict[str, Any]], summary: dict[str, Any]) ->
             ("facility", "compensation", "outcome", "captured at [s]", "without rig [s]",
              "energy generated [J]"),
             [
-                [
-                    *(r[key] for key in ("facility", "treatment", "outcome")),
-                    *(_number(r[key], 3) for key in ("captured_at", "captured_at_reference")),
-                    f"{r['energy_generated']:.3g}",
-                ]
+                [*(r[key] for key in ("facility", "treatment", "outcome")),
+                 *(_number(r[key], 3) for key in ("captured_at", "captured_at_reference")),
+                 f"{r['energy_generated']:.3g}"]
                 for r in dockings
             ],
             "A probe 30 mm off the axis of its cone. The reference is the contact of the free "

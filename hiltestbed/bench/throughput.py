@@ -45,11 +45,9 @@ Progress = Callable[[int, int], None]
 def throughput(quick: bool = False, progress: Progress | None = None) -> BenchResult:
     """Loop against bare steps, 1 to 512 runs; recording; scaling with cases and ticks."""
     scenario = load_scenario(shipped("scenarios") / "reference-bumper.yaml")
-    sizes = (
-        [(1, 1), (64, 1), (64, 2)]
-        if quick
-        else [(n, t) for t in (1, 2) for n in (1, 4, 16, 64, 256, 512)]
-    )
+    sizes = [(n, t) for t in (1, 2) for n in (1, 4, 16, 64, 256, 512)]
+    if quick:
+        sizes = [(1, 1), (64, 1), (64, 2)]
     records = []
     for done, (n, threads) in enumerate(sizes):
         if progress:
@@ -67,8 +65,7 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
     }
     blocks = {n: per_block(scenario, n) for n in (1, 64)}
     grown = growth(quick)
-    summary["growth"] = grown
-    summary["memory"] = max(record["memory"] for record in grown)
+    summary |= {"growth": grown, "memory": max(record["memory"] for record in grown)}
     if progress:
         progress(len(sizes) + 1, len(sizes) + 1)
     lines = [
@@ -76,11 +73,11 @@ def throughput(quick: bool = False, progress: Progress | None = None) -> BenchRe
         ("a sim-tick of 64 runs over its bare steps, 2 threads", f"{batch['ratio']:.2f}"),
         ("real-time factor of one run, one core", f"{single['real_time_factor']:.1f}"),
         ("recording of 1e5 ticks", f"{recording:.2f} s"),
-        *(
-            (f"a tick of {n} run(s), {case}, over the bumper's", f"{ratio:.2f}")
-            for n, ratios in summary["docking_ratios"].items()
-            for case, ratio in ratios.items()
-        ),
+    ]
+    lines += [
+        (f"a tick of {n} run(s), {case}, over the bumper's", f"{ratio:.2f}")
+        for n, ratios in summary["docking_ratios"].items()
+        for case, ratio in ratios.items()
     ]
     report = _report(records, summary, blocks)
     report_growth(report, grown)
@@ -97,12 +94,8 @@ def side_by_side(scenario: Scenario, n: int, threads: int, stretches: int) -> di
     bare.bare_steps(m)
     start = time.perf_counter()
     loop.step(trace)
-    ticks = max(
-        4,
-        min(
-            scenario.ticks // (2 * stretches), int(STRETCH / max(time.perf_counter() - start, 1e-6))
-        ),
-    )
+    taken = max(time.perf_counter() - start, 1e-6)
+    ticks = max(4, min(scenario.ticks // (2 * stretches), int(STRETCH / taken)))
     skip = int(0.3 * scenario.rate)  # the intervals are around the contact
     ratios, passes = [], []
     for s in range(stretches):
@@ -164,12 +157,8 @@ def docking_ratios(n: int, stretches: int) -> dict[str, float]:
                 loop.step()
             taken.append(time.thread_time() - start)
     # the first interval may include compilation
-    medians = [statistics.median(taken[1:]) for taken in times]
-    return {
-        name: taken / medians[0]
-        for name, taken in zip(cases, medians, strict=True)
-        if name != "bumper"
-    }
+    plain, *others = (statistics.median(taken[1:]) for taken in times)
+    return {name: cost / plain for name, cost in zip([*cases][1:], others, strict=True)}
 
 
 def _oval_cone(folder: Path) -> dict[str, str]:
@@ -248,16 +237,10 @@ def _report(
         f"run goes {summary['real_time_factor']:.1f} times real time."
     )
     header = ["runs", "threads", "loop / bare steps", "lowest", "highest", "sim-ticks per second"]
-    keys = ("ratio", "ratio_low", "ratio_high")
-    rows = [
-        [
-            r["runs"],
-            r["threads"],
-            *(f"{r[k]:.2f}" for k in keys),
-            f"{r['sim_ticks_per_second']:.3g}",
-        ]
-        for r in records
-    ]
+    rows = []
+    for r in records:
+        ratios = (f"{r[k]:.2f}" for k in ("ratio", "ratio_low", "ratio_high"))
+        rows.append([r["runs"], r["threads"], *ratios, f"{r['sim_ticks_per_second']:.3g}"])
     report.table(
         header,
         rows,
@@ -267,12 +250,8 @@ def _report(
     figure, axes = new_figure(8, 3.4)
     for threads in sorted({r["threads"] for r in records}):
         line = [r for r in records if r["threads"] == threads]
-        axes.plot(
-            [r["runs"] for r in line],
-            [r["sim_ticks_per_second"] for r in line],
-            "o-",
-            label=f"{threads} thread(s)",
-        )
+        runs, pace = ([r[k] for r in line] for k in ("runs", "sim_ticks_per_second"))
+        axes.plot(runs, pace, "o-", label=f"{threads} thread(s)")
     axes.set(xscale="log", xlabel="runs in the batch", ylabel="sim-ticks per second")
     axes.legend()
     report.figure(figure, "Simulated ticks per second against the size of the batch.")
@@ -295,9 +274,8 @@ def growth(quick: bool = False) -> list[dict[str, Any]]:
 def measured(cases: int, ticks: int) -> dict[str, Any]:
     """One point: a campaign with the reference bumper, ended after `ticks`, in chunks."""
     file = shipped("scenarios") / "campaigns" / "delay-stiffness.yaml"
-    campaign = load_campaign(
-        file, {"set.duration": ticks / 2000.0, "set.identification": {"kind": "none"}}
-    )
+    keys = {"set.duration": ticks / 2000.0, "set.identification": {"kind": "none"}}
+    campaign = load_campaign(file, keys)
     run_chunk(campaign, range(2))  # not timed: compiles and loads what every process needs
     start = time.perf_counter()
     for first in range(0, cases, CHUNK):

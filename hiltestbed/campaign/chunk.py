@@ -56,15 +56,12 @@ def run_chunk(campaign: LoadedCampaign, cases: Sequence[int]) -> ChunkResult:
 
 def _has_rows(campaign: LoadedCampaign, scenario: Scenario) -> bool:
     """Whether rows of the trace are needed: kept, or because `log.*` effects act on the record."""
-    return campaign.spec.keep != "summary" or any(
-        effect.link == "log" for effect in scenario.effects
-    )
+    on_record = any(effect.link == "log" for effect in scenario.effects)
+    return campaign.spec.keep != "summary" or on_record
 
 
 def _group_size(campaign: LoadedCampaign, scenarios: list[tuple[int, Scenario]]) -> int:
-    longest = max(
-        (scenario.ticks for _, scenario in scenarios if _has_rows(campaign, scenario)), default=0
-    )
+    longest = max((s.ticks for _, s in scenarios if _has_rows(campaign, s)), default=0)
     return max(1, ROWS_LIMIT // longest) if longest else max(len(scenarios), 1)
 
 
@@ -83,11 +80,9 @@ def _run_group(
         return digests[-1]
 
     keep = campaign.spec.keep
+    trace: Any = True if _has_rows(campaign, group[0][1]) else digest
     try:
-        runs = run_batch(
-            [scenario for _, scenario in group],
-            trace=True if _has_rows(campaign, group[0][1]) else digest,
-        )
+        runs = run_batch([scenario for _, scenario in group], trace=trace)
     # the rig rejects this scenario: the others of the group run without it
     except HiltestbedError as error:
         if len(group) == 1:

@@ -12,27 +12,29 @@ from hiltestbed.signals import AXES
 
 _TEXT = ("name", "scenario_sha256", "status", "stop_reason", "outcome")
 _COUNTS = ("seed", "contacts")
-_FIGURES = (
-    "cor",
-    "cor_reference",
-    "cor_log_error",
-    "cor_normal",
-    "cor_normal_reference",
-    "cor_normal_log_error",
-    "cor_log_error_predicted",
-    "approach_speed",
-    "approach_energy",
-    "rebound_speed",
-    "energy_generated",
-    "energy_reference",
-    "energy_resolution",
-    "peak_force",
-    "contact_duration",
-    "first_contact",
-    "captured_at",
-    "impulse",
-    "tracking_error",
-    "tracking_compliance",
+_FIGURES = tuple(
+    [
+        "cor",
+        "cor_reference",
+        "cor_log_error",
+        "cor_normal",
+        "cor_normal_reference",
+        "cor_normal_log_error",
+        "cor_log_error_predicted",
+        "approach_speed",
+        "approach_energy",
+        "rebound_speed",
+        "energy_generated",
+        "energy_reference",
+        "energy_resolution",
+        "peak_force",
+        "contact_duration",
+        "first_contact",
+        "captured_at",
+        "impulse",
+        "tracking_error",
+        "tracking_compliance",
+    ]
 )
 SCALARS = (*_TEXT, *_COUNTS, *_FIGURES)
 ESTIMATES = tuple(
@@ -80,13 +82,8 @@ def row(
     trace: str | None,
 ) -> dict:
     """One case as column name to value; null for figures that the case lacks."""
-    cells: dict[str, Any] = {
-        "case": case,
-        "seed": values["seed"],
-        "error": error,
-        "trace_sha256": trace,
-        "status": "invalid",
-    }
+    cells: dict[str, Any] = {"case": case, "seed": values["seed"], "error": error}
+    cells |= {"trace_sha256": trace, "status": "invalid"}
     if summary is not None:
         cells |= {name: summary[name] for name in SCALARS}
         cells["error"] = error if error is not None else summary["stop_reason"]
@@ -105,10 +102,4 @@ def table(campaign: Campaign, rows: list[dict[str, Any]]):
 
     layout = schema(campaign)
     ordered = sorted(rows, key=lambda cells: cells["case"])
-    return pa.table(
-        {
-            name: pa.array([cells.get(name) for cells in ordered], layout.field(name).type)
-            for name in layout.names
-        },
-        schema=layout,
-    )
+    return pa.Table.from_pylist(ordered, schema=layout)

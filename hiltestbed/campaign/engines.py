@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -36,15 +37,15 @@ def processes(workers: int) -> Engine:
     """The engine of `workers` processes on this machine."""
 
     def engine(campaign: LoadedCampaign, chunks: Iterable[Chunk]) -> Results:
-        attempts: dict[Chunk, int] = {}
+        attempts: Counter[Chunk] = Counter()
         waiting = iter(chunks)
         again: list[Chunk] = []
         while True:
             lost = yield from _until_broken(campaign, waiting, again, workers)
             if not lost:
                 return
+            attempts.update(lost)
             for chunk in lost:
-                attempts[chunk] = attempts.get(chunk, 0) + 1
                 if attempts[chunk] >= ATTEMPTS:
                     raise HiltestbedError(
                         f"cases {min(chunk)} to {max(chunk)}: the worker process died {ATTEMPTS} "
@@ -112,10 +113,8 @@ def _connect(address: str):
         from distributed.security import Security
     except ImportError:
         raise MissingExtra("--scheduler", "cluster") from None
-    if (
-        address.startswith("tls://")
-        and Security().get_connection_args("client").get("ssl_context") is None
-    ):
+    certified = Security().get_connection_args("client").get("ssl_context") is not None
+    if address.startswith("tls://") and not certified:
         raise InputError(
             f"--scheduler {address}: TLS has no certificates; give them to Dask, as "
             f"DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "

@@ -196,9 +196,7 @@ def _cells(inputs: tuple[Array, Array], edges: tuple[Array, Array], figure: Arra
         return np.ma.masked_invalid(cells)
     counts = np.histogram2d(*places, bins=edges)[0]
     sums = np.histogram2d(*places, bins=edges, weights=figure[good])[0]
-    return np.ma.masked_invalid(
-        np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
-    )
+    return np.ma.masked_array(sums, counts == 0) / np.maximum(counts, 1)
 
 
 def _draw_neutral(axes: Any, edges: tuple[Array, Array], cor: Any) -> None:
@@ -246,15 +244,13 @@ def _boundary(
         for e, log in zip(edges, logs, strict=True)
     )
     margins = np.full((2, MESH, MESH), np.nan)
-    for i, first in enumerate(x):
-        for j, second in enumerate(y):
-            try:
-                scenario = scenario_from(
-                    campaign.source, {keys[0]: float(first), keys[1]: float(second)}
-                )
-                margins[:, j, i] = margin(scenario) if applies(scenario) else np.nan
-            except (InputError, ValueError):
-                continue
+    for j, i in np.ndindex(MESH, MESH):
+        try:
+            changed = {keys[0]: float(x[i]), keys[1]: float(y[j])}
+            scenario = scenario_from(campaign.source, changed)
+            margins[:, j, i] = margin(scenario) if applies(scenario) else np.nan
+        except (InputError, ValueError):
+            continue
     return (x, y, margins) if np.nanmin(margins) < 0 < np.nanmax(margins) else None
 
 

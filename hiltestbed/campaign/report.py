@@ -68,6 +68,10 @@ class Cases:
     def is_number(self, key: str) -> bool:
         return is_numeric(self.campaign.spec.vary[key])
 
+    def numbers(self, keys: Sequence[str]) -> list[str]:
+        """Those of the keys that are numbers and vary."""
+        return [k for k in keys if self.is_number(k) and np.unique(self.inputs[k]).size > 1]
+
 
 def write_report(folder: Path, campaign: LoadedCampaign) -> None:
     """Writes report.html from the folder's cases.parquet."""
@@ -119,9 +123,7 @@ def _active(report: Report, cor: Array) -> None:
     known = int(np.isfinite(cor).sum())
     faster = int((cor > 1.0).sum())
     if known:
-        rebounding = (
-            "none rebounds" if not faster else "1 rebounds" if faster == 1 else f"{faster} rebound"
-        )
+        rebounding = {0: "none rebounds", 1: "1 rebounds"}.get(faster, f"{faster} rebound")
         report.text(
             f"Of {known} cases with a rebound {rebounding} faster than the approach: e > 1, the "
             f"loop feeds energy in."
@@ -169,11 +171,7 @@ def _maps(
     """The response over its two strongest numeric keys, one map per choice: the mean of each cell
     and, if other keys vary, its worst.
     """
-    numeric = [
-        key
-        for key in strongest
-        if cases.is_number(key) and np.unique(cases.inputs[key][:1000]).size > 1
-    ]
+    numeric = cases.numbers(strongest)
     if len(numeric) < 2 or not np.isfinite(cases.figure).any():
         return
     from hiltestbed.campaign.figures import heat_maps
@@ -185,20 +183,13 @@ def _maps(
     )
     report.heading(f"{cases.response} over {x} and {y}")
     for worst in (False, True) if others else (False,):
+        inputs, response = (cases.inputs[x], cases.inputs[y]), cases.response
         picture, drawn = heat_maps(
-            cases.campaign,
-            (x, y),
-            (cases.inputs[x], cases.inputs[y]),
-            cases.figures,
-            cases.response,
-            shown,
-            worst=worst,
+            cases.campaign, (x, y), inputs, cases.figures, response, shown, worst
         )
-        words = [
-            "The case with the largest magnitude in each cell."
-            if worst
-            else "Mean over the cases of each cell."
-        ]
+        words = ["Mean over the cases of each cell."]
+        if worst:
+            words = ["The case with the largest magnitude in each cell."]
         if others:
             words.append(f"Also varied within a cell: {', '.join(others)}.")
         if len(choices) > 1:
@@ -220,27 +211,22 @@ def _maps(
 def _marginals(
     report: Report, cases: Cases, choices: Sequence[CaseGroup], strongest: Sequence[str]
 ) -> None:
-    numeric = {
-        key: cases.inputs[key]
-        for key in strongest
-        if cases.is_number(key) and np.unique(cases.inputs[key]).size > 1
-    }
+    numeric = cases.numbers(strongest)
     if not numeric or np.isfinite(cases.figure).sum() < 8:
         return
     from hiltestbed.campaign.figures import MARGINAL_CHOICES, marginals
 
     report.heading(f"{cases.response} over each key alone")
     shown = choices[:MARGINAL_CHOICES]
-    some = dict(list(numeric.items())[:6])
+    some = {key: cases.inputs[key] for key in numeric[:6]}
     picture = marginals(cases.campaign, some, cases.figure, cases.response, shown)
-    least = (
-        f" The best {len(shown)} of {len(choices)} choices." if len(shown) < len(choices) else ""
+    words = (
+        "Line: median of the cases; band: from 5 % to 95 % of them, over all values of the other "
+        "keys."
     )
-    report.figure(
-        picture,
-        f"Line: median of the cases; band: from 5 % to 95 % of them, over all values of the other "
-        f"keys.{least}",
-    )
+    if len(shown) < len(choices):
+        words += f" The best {len(shown)} of {len(choices)} choices."
+    report.figure(picture, words)
 
 
 def _distributions(report: Report, cases: Cases) -> None:

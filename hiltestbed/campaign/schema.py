@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -15,15 +15,15 @@ from hiltestbed.config.yaml_source import Source, key_path, read_source, referen
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.scenario import Scenario, scenario_from
 
-# shown in a report
-FIGURES = (
+Figure = Literal[  # shown in a report
     "cor",
     "cor_log_error",
     "energy_generated",
     "peak_force",
     "contact_duration",
     "tracking_error",
-)
+]
+FIGURES: tuple[str, ...] = get_args(Figure)
 # a day on a thousand cores; a larger number is assumed to be a typing error
 CASE_LIMIT = 10_000_000
 
@@ -165,17 +165,7 @@ class Campaign(Strictly):
         "run folder without report.html",
     )
 
-    criterion: (
-        Literal[
-            "cor",
-            "cor_log_error",
-            "energy_generated",
-            "peak_force",
-            "contact_duration",
-            "tracking_error",
-        ]
-        | None
-    ) = Field(
+    criterion: Figure | None = Field(
         default=None,
         description="figure by which the report ranks choices, smallest magnitude first; null: "
         "cor_log_error, or peak_force",
@@ -248,13 +238,11 @@ def load_campaign(path: str | Path, set: Mapping[str, Any] | None = None) -> Loa
 def campaign_from(source: Source) -> LoadedCampaign:
     """The campaign in a source that has been read already. Raises InputError with every fault."""
     if "vary" not in source.data and "design" not in source.data:
-        raise InputError(
-            source.fault(
-                (),
-                "is no campaign (got neither vary nor design); a campaign names a scenario and "
-                "what varies in it",
-            )
+        text = (
+            "is no campaign (got neither vary nor design); a campaign names a scenario and what "
+            "varies in it"
         )
+        raise InputError(source.fault((), text))
     spec = validate(Campaign, source)
     base = referenced_source(source)
     try:
@@ -280,11 +268,8 @@ def _key_faults(source: Source, base: Source, key: str, variation: Variation) ->
         except InputError as error:
             below = (variation.kind, index) if variation.kind != "normal" else (variation.kind,)
             for fault in error.faults:
-                path = (
-                    ("vary", key)
-                    if "unknown key" in fault.message or "has no keys" in fault.message
-                    else ("vary", key, *below)
-                )
+                wrong = any(text in fault.message for text in ("unknown key", "has no keys"))
+                path = ("vary", key) if wrong else ("vary", key, *below)
                 message = fault.message if fault.key == key else f"{fault.key}: {fault.message}"
                 yield source.fault(path, message)
             if "unknown key" in str(error):

@@ -52,9 +52,8 @@ def sensitivity(
             not finite are left out.
         choices: for each key, whether its numbers are only labels of categorical values.
     """
-    usable = np.random.default_rng(seed).permutation(np.flatnonzero(np.isfinite(figure)))[
-        :MOST_CASES
-    ]
+    known = np.flatnonzero(np.isfinite(figure))
+    usable = np.random.default_rng(seed).permutation(known)[:MOST_CASES]
     y = figure[usable]
     if usable.size < FEWEST_CASES or np.ptp(y) == 0.0:
         return None
@@ -81,10 +80,8 @@ def _basis(values: Array, degree: int, choice: bool) -> list[tuple[int, Array]]:
         raw = [(values == level).astype(float) for level in levels[1:]]
         degrees = [1] * len(raw)
     else:
-        at = (
-            2.0 * np.argsort(np.argsort(values, kind="stable"), kind="stable") / (values.size - 1)
-            - 1.0
-        )
+        ranks = np.argsort(np.argsort(values, kind="stable"), kind="stable")
+        at = 2.0 * ranks / (values.size - 1) - 1.0
         if levels.size <= 64:  # cases with equal values are evaluated once
             place = np.array([at[values == level].mean() for level in levels])
             at = place[np.searchsorted(levels, values)]
@@ -123,16 +120,12 @@ def _fit(
     error = (y - matrix @ coefficients) / left  # of each case when it is left out
     variance = coefficients[1:] ** 2
     total = float(variance.sum()) or 1.0
-    alone = [
-        float(sum(v for v, owner in zip(variance, owners, strict=True) if owner == (j,))) / total
-        for j in range(len(keys))
-    ]
-    joint = [
-        float(sum(v for v, owner in zip(variance, owners, strict=True) if j in owner)) / total
-        for j in range(len(keys))
-    ]
-    indices = tuple(Index(key, a, b) for key, a, b in zip(keys, alone, joint, strict=True))
-    return Sensitivity(indices, max(0.0, 1.0 - float(np.mean(error**2))))
+    indices = []
+    for j, key in enumerate(keys):
+        own = [(v, owner) for v, owner in zip(variance, owners, strict=True) if j in owner]
+        alone = float(sum(v for v, owner in own if owner == (j,)))
+        indices.append(Index(key, alone / total, float(sum(v for v, _ in own)) / total))
+    return Sensitivity(tuple(indices), max(0.0, 1.0 - float(np.mean(error**2))))
 
 
 def explained_share(values: Array, figure: Array, bins: int = 16) -> float:
@@ -142,13 +135,10 @@ def explained_share(values: Array, figure: Array, bins: int = 16) -> float:
         return 0.0
     x, y = values[good], figure[good]
     levels = np.unique(x)
-    parts = (
-        [y[x == level] for level in levels]
-        if levels.size <= bins
-        else np.array_split(y[np.argsort(x, kind="stable")], bins)
-    )
+    parts = [y[x == level] for level in levels]
+    if levels.size > bins:
+        parts = np.array_split(y[np.argsort(x, kind="stable")], bins)
     sizes = np.array([part.size for part in parts], dtype=float)
     means = np.array([part.mean() for part in parts])
-    return float(
-        np.average((means - np.average(means, weights=sizes)) ** 2, weights=sizes) / np.var(y)
-    )
+    away = (means - np.average(means, weights=sizes)) ** 2
+    return float(np.average(away, weights=sizes) / np.var(y))

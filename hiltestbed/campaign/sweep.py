@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -191,20 +192,11 @@ def _finish(store: Store, engine: str, chunk: int, ran: int, wall: float) -> Non
     store.merge()
     write_report(store.folder, store.campaign)
     statuses = parquet_table(store.folder / CASES, ["status"])["status"].value_counts().to_pylist()
-    store.write_about(
-        {
-            "status": "complete",
-            "counts": {entry["values"]: entry["counts"] for entry in statuses},
-            "engine": engine,
-            "chunk": chunk,
-            "wall": {
-                "last_session": wall,
-                "last_session_cases": ran,
-                "work": sum(entry["wall"] for entry in walls),
-                "chunks": walls,
-            },
-        }
-    )
+    counts = {entry["values"]: entry["counts"] for entry in statuses}
+    spent = {"last_session": wall, "last_session_cases": ran}
+    spent |= {"work": sum(entry["wall"] for entry in walls), "chunks": walls}
+    about = {"status": "complete", "counts": counts, "engine": engine, "chunk": chunk}
+    store.write_about(about | {"wall": spent})
     store.remove_chunks()
 
 
@@ -229,12 +221,8 @@ def varied_in_vain(campaign: LoadedCampaign) -> tuple[str, ...]:
     found: dict[str, str] | None = None
     for case in sorted({round(i * last / (LOOKED_AT - 1)) for i in range(LOOKED_AT)}):
         idle = [(tuple(map(str, p)), why) for p, why in idle_keys(case_scenario(campaign, case))]
-        here = {
-            key: why
-            for key, path in paths.items()
-            for above, why in idle
-            if path[: len(above)] == above
-        }
+        pairs = product(paths.items(), idle)
+        here = {key: why for (key, path), (a, why) in pairs if path[: len(a)] == a}
         found = here if found is None else {k: why for k, why in found.items() if k in here}
     return tuple(f"vary.{key}: has no effect: {why}" for key, why in (found or {}).items())
 

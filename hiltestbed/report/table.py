@@ -46,9 +46,7 @@ def print_run(
 
 def print_lines(title: str, lines: list[tuple[str, str]], folder: Path | None) -> None:
     """Prints figures, and the path of their report if there is one, to standard output."""
-    table = _table(title, header=False)
-    table.add_column("figure")
-    table.add_column("value", justify="right")
+    table = _table(title, "", ">")
     for label, value in lines:
         table.add_row(label, value)
     console().print(table)
@@ -99,9 +97,9 @@ def print_comparison(
 
 def print_doctor(findings: Sequence[Examined]) -> None:
     """Prints the findings on an installation to standard output."""
-    table = _table("this installation", header=False)
-    for name in ("", "what", "state"):
-        table.add_column(name, overflow="fold")
+    table = _table("this installation", "", "", "")
+    for column in table.columns:
+        column.overflow = "fold"
     for found in findings:
         table.add_row(
             "[green]ok[/green]" if found.good else "[red]no[/red]" if found.needed else "-",
@@ -173,10 +171,7 @@ def _whole_words(columns: Sequence[Sequence[str]], room: int) -> list[int] | Non
 
 
 def _figures(summary: dict[str, Any], elapsed: float | None) -> Table:
-    table = _table(f"{summary['name']}: {summary['status']}", header=False)
-    table.add_column("figure")
-    table.add_column("value", justify="right")
-    table.add_column("note")
+    table = _table(f"{summary['name']}: {summary['status']}", "", ">", "")
     table.add_row("outcome", summary["outcome"].replace("_", " "), _outcome_note(summary))
     cor, reference, log_error = summary["cor"], summary["cor_reference"], summary["cor_log_error"]
     table.add_row("coefficient of restitution", number(cor, 4), _cor_note(cor, reference))
@@ -232,10 +227,7 @@ def _error_note(summary: dict[str, Any]) -> str:
 
 
 def _ledger(entries: list[dict[str, Any]]) -> Table:
-    table = _table("delays in the loop")
-    table.add_column("source")
-    table.add_column(escape("delay [ms]"), justify="right")
-    table.add_column(escape("as damping [N s/m]"), justify="right")
+    table = _table("delays in the loop", "source", ">delay [ms]", ">as damping [N s/m]")
     for entry in entries:
         table.add_row(
             entry["source"], f"{1e3 * entry['delay']:+.4f}", f"{entry['equivalent_damping']:+.2f}"
@@ -255,15 +247,20 @@ def _identified(axes: dict[str, dict[str, Any]]) -> Table:
     return table
 
 
-def _table(title: str, header: bool = True) -> Table:
-    return Table(
+def _table(title: str, *columns: str) -> Table:
+    """An empty table; columns of numbers begin with ``>``. Without names there is no header."""
+    table = Table(
         title=escape(title),
         title_justify="left",
         title_style="bold",
         box=box.SIMPLE_HEAD,
-        show_header=header,
+        show_header=any(column.lstrip(">") for column in columns) or not columns,
         pad_edge=False,
     )
+    for column in columns:
+        justify = "right" if column.startswith(">") else "left"
+        table.add_column(escape(column.removeprefix(">")), justify=justify)
+    return table
 
 
 def against(values: Mapping[str, Any], quantity: str) -> tuple[str, str, str]:

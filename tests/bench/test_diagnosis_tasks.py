@@ -33,26 +33,18 @@ from tests.equipment.independent_rig import NOISE_KINDS, Nuisances, acting_in, a
 
 
 def record(task: Task, verdict: str, right: bool) -> dict[str, Any]:
+    same = "seed", "kind", "design", "scale", "computing", "noise"
     return {
-        "seed": task.seed,
-        "kind": task.kind,
-        "design": task.design,
-        "scale": 1.0,
+        **{name: getattr(task, name) for name in same},
+        **{"verdict": verdict, "right": right, "causes": [], "strengths": [5.0], "cpu": 3.0},
         "hidden": [{"kind": n} for n in task.names or ()],
-        "noise": list(task.noise) if task.noise else None,
-        "computing": task.computing,
-        "strengths": [5.0],
-        "verdict": verdict,
-        "link": None,
-        "right": right,
-        "intervals_held": 0,
-        "intervals": 0,
-        "causes": [],
         "alarm": {"taken_off": 1.0, "excess": 0.5},
-        "cpu": 3.0,
-        "gain": None,
-        "gain_true": None,
+        **{"link": None, "intervals_held": 0, "intervals": 0, "gain": None, "gain_true": None},
     }
+
+
+def cause(name: str, probability: float = 1.0) -> dict[str, Any]:
+    return {"effect": name, "indistinguishable_from": [], "probability": probability}
 
 
 def test_every_effect_that_acts_in_a_docking_comes_up_in_a_design_in_which_it_acts() -> None:
@@ -95,10 +87,7 @@ def test_bumpers_dockings_and_noises_are_counted_apart() -> None:
 
 def test_false_names_are_counted_in_part_and_for_what_no_name_is_right() -> None:
     def said(task: Task, verdict: str, *names: str) -> dict[str, Any]:
-        causes = [
-            {"effect": name, "indistinguishable_from": [], "probability": 1.0} for name in names
-        ]
-        return record(task, verdict, False) | {"causes": causes}
+        return record(task, verdict, False) | {"causes": [cause(name) for name in names]}
 
     single = Task(1, "single", ("sensor.delay",))
     in_part = said(single, "named_in_part", "sensor.delay", "sensor.gain")
@@ -113,9 +102,7 @@ def test_false_names_are_counted_in_part_and_for_what_no_name_is_right() -> None
 def test_stated_probabilities_are_counted_against_what_was_hidden() -> None:
     def said(name: str, probability: float) -> dict[str, Any]:
         found = record(Task(1, "single", ("sensor.delay",)), "named", True)
-        return found | {
-            "causes": [{"effect": name, "indistinguishable_from": [], "probability": probability}]
-        }
+        return found | {"causes": [cause(name, probability)]}
 
     rows = reliability(
         [said("sensor.delay", 1.0)] * 3 + [said("sensor.gain", 0.999), said("sensor.delay", 0.6)]
@@ -178,18 +165,10 @@ def test_three_causes_are_none_of_them_alike() -> None:
 
 
 def test_a_group_is_a_rig_and_a_kind_of_set() -> None:
-    plain, odd = (
-        Task(1, "single", ("sensor.delay",)),
-        Task(2, "single", ("platform.lag",), computing="clocks"),
-    )
-    small = Task(3, "single", ("sensor.delay",), scale=0.1)
-    rows = groups(
-        [
-            record(plain, "named", True),
-            record(odd, "unknown", False),
-            record(small, "unknown", False) | {"scale": 0.1},
-        ]
-    )
+    plain = record(Task(1, "single", ("sensor.delay",)), "named", True)
+    odd = record(Task(2, "single", ("platform.lag",), computing="clocks"), "unknown", False)
+    small = record(Task(3, "single", ("sensor.delay",), scale=0.1), "unknown", False)
+    rows = groups([plain, odd, small])
     assert [(r["rig"], r["kind"], r["right"], r["sets"]) for r in rows] == [
         ("bumper", "single", 1, 1),
         ("bumper", "single, 0.1 of its size", 0, 1),

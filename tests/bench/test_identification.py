@@ -5,15 +5,9 @@ from __future__ import annotations
 from hiltestbed.bench.contacts import grid
 from hiltestbed.bench.identification import METHODS, identification_report, leaderboard, measure
 
-RECORD = {
-    "method",
-    "frequency",
-    "delay",
-    "damping_ratio",
-    "noise",
-    "stiffness_error",
-    "damping_error",
-}
+RECORD = set(
+    ["method", "frequency", "delay", "damping_ratio", "noise", "stiffness_error", "damping_error"]
+)
 
 
 def test_methods_side_by_side() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -99,63 +100,46 @@ def test_the_reading_is_the_physical_wrench_late() -> None:
     assert not records.wrench_meas[:24].any()
 
 
-CLOSED = [
-    (
-        {"kind": "sensor.gain", "factor": 1.1, "axis": "z"},
-        lambda r: (r.wrench_meas[:, 2], 1.1 * r.physical[:, 2]),
+CLOSED: dict[str, tuple[dict, Callable[[Records], tuple]]] = {
+    "sensor.gain": (
+        {"factor": 1.1, "axis": "z"}, lambda r: (r.wrench_meas[:, 2], 1.1 * r.physical[:, 2]),
     ),
-    (
-        {"kind": "sensor.crosstalk", "ratio": 0.03, "source": "z", "axis": "x"},
+    "sensor.crosstalk": (
+        {"ratio": 0.03, "source": "z", "axis": "x"},
         lambda r: (r.wrench_meas[:, 0], 0.03 * r.physical[:, 2]),
     ),
-    (
-        {"kind": "sensor.saturation", "limit": 50.0},
-        lambda r: (r.wrench_meas[:, 2], np.minimum(r.physical[:, 2], 50.0)),
+    "sensor.saturation": (
+        {"limit": 50.0}, lambda r: (r.wrench_meas[:, 2], np.minimum(r.physical[:, 2], 50.0)),
     ),
-    (
-        {"kind": "sensor.deadzone", "width": 30.0},
-        lambda r: (r.wrench_meas[:, 2], np.where(r.physical[:, 2] < 30.0, 0.0, r.physical[:, 2])),
+    "sensor.deadzone": ({"width": 30.0}, lambda r: (r.wrench_meas[:, 2], _dead(r.physical[:, 2]))),
+    "sensor.drift": (
+        {"rate": 2.0, "axis": "y"}, lambda r: (r.wrench_meas[:, 1], 2.0 * np.arange(4000) / 8000),
     ),
-    (
-        {"kind": "sensor.drift", "rate": 2.0, "axis": "y"},
-        lambda r: (r.wrench_meas[:, 1], 2.0 * np.arange(4000) / 8000),
+    "contact.preload": ({"force": 12.0}, lambda r: (r.physical[:, 2], _spring(r, preload=12.0))),
+    "contact.stiffness": (
+        {"factor": 0.8}, lambda r: (r.physical[:, 2], _spring(r, stiffness=8e4)),
     ),
-    (
-        {"kind": "contact.preload", "force": 12.0},
-        lambda r: (r.physical[:, 2], _spring(r, preload=12.0)),
-    ),
-    (
-        {"kind": "contact.stiffness", "factor": 0.8},
-        lambda r: (r.physical[:, 2], _spring(r, stiffness=8e4)),
-    ),
-    (
-        {"kind": "contact.touch_offset", "offset": 2e-4},
-        lambda r: (r.physical[:, 2], _spring(r, offset=2e-4)),
+    "contact.touch_offset": (
+        {"offset": 2e-4}, lambda r: (r.physical[:, 2], _spring(r, offset=2e-4)),
     ),
     # k, c times 1/(1 + k/K)
-    (
-        {"kind": "frame.compliance", "stiffness": 9e5},
-        lambda r: (r.physical[:, 2], 0.9 * _spring(r)),
-    ),
+    "frame.compliance": ({"stiffness": 9e5}, lambda r: (r.physical[:, 2], 0.9 * _spring(r))),
     # no slip
-    (
-        {"kind": "contact.surface_friction", "coefficient": 0.2},
-        lambda r: (r.physical[:, 0], 0.0 * r.physical[:, 2]),
+    "contact.surface_friction": (
+        {"coefficient": 0.2}, lambda r: (r.physical[:, 0], 0.0 * r.physical[:, 2]),
     ),
-    (
-        {"kind": "platform.scale", "factor": 1.05, "axis": "z"},
-        lambda r: (r.pose_act[1:, 2], 1.05 * r.pose_cmd[:-1, 2]),
+    "platform.scale": (
+        {"factor": 1.05, "axis": "z"}, lambda r: (r.pose_act[1:, 2], 1.05 * r.pose_cmd[:-1, 2]),
     ),
-    (
-        {"kind": "platform.delay", "delay": 0.002},
-        lambda r: (r.pose_act[17:, 2], r.pose_cmd[:-17, 2]),
-    ),
-    (
-        {"kind": "loop.deadzone", "width": 30.0},
-        lambda r: (r.wrench_comp[:, 2], np.where(r.used[:, 2] < 30.0, 0.0, r.used[:, 2])),
-    ),
-    ({"kind": "log.skew", "delay": 0.002}, lambda r: (r.wrench_meas[16:, 2], r.used[:-16, 2])),
-]  # an effect, and records that are to be equal under it
+    "platform.delay": ({"delay": 0.002}, lambda r: (r.pose_act[17:, 2], r.pose_cmd[:-17, 2])),
+    "loop.deadzone": ({"width": 30.0}, lambda r: (r.wrench_comp[:, 2], _dead(r.used[:, 2]))),
+    "log.skew": ({"delay": 0.002}, lambda r: (r.wrench_meas[16:, 2], r.used[:-16, 2])),
+}  # fmt: skip
+"""Of an effect: its parameters, and records that are to be equal under it."""
+
+
+def _dead(force: np.ndarray) -> np.ndarray:
+    return np.where(force < 30.0, 0.0, force)
 
 
 def _spring(
@@ -166,10 +150,10 @@ def _spring(
     return np.where(z > 0.0, np.maximum(stiffness * z + 400.0 * v + preload, 0.0), 0.0)
 
 
-@pytest.mark.parametrize("case", CLOSED, ids=lambda c: c[0]["kind"])
-def test_an_effect_does_what_its_definition_says(case) -> None:
-    effect, equal = case
-    found, expected = equal(_quiet(None, (effect,)))
+@pytest.mark.parametrize("name", CLOSED)
+def test_an_effect_does_what_its_definition_says(name: str) -> None:
+    size, equal = CLOSED[name]
+    found, expected = equal(_quiet(None, ({"kind": name, **size},)))
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 

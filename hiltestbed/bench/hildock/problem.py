@@ -78,10 +78,9 @@ class Case:
             return 0.0
         k, c = self.stiffness, self.damping
         depth = SPEED / (2.0 * math.pi * self.frequency)
+        force = k * x + c * v
         if self.track == "hunt_crossley":
             force = k * x * (1.0 + 2.0 * c / (k * depth) * v)
-        else:
-            force = k * x + c * v
         if self.track == "hard_stop" and x > STOP * depth:
             force += STOP_STIFFNESS * k * (x - STOP * depth)
         return max(0.0, force)
@@ -245,10 +244,8 @@ def indices(case: Case, course: Course, ideal: Course) -> dict[str, Any]:
     }
     if course.identified is not None and case.track not in ("hunt_crossley", "hard_stop"):
         k, c = course.identified
-        record |= {
-            "stiffness_error": k / case.stiffness - 1.0,
-            "damping_error": c / case.damping - 1.0,
-        }
+        record["stiffness_error"] = k / case.stiffness - 1.0
+        record["damping_error"] = c / case.damping - 1.0
     return record
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.report.page import Report, new_figure
-from tests.equipment.diagnosis.summary import reliability_plot
+from tests.equipment.diagnosis.summary import reliability_plot, rig_of
 
 RATES = {
     "named_rate": "one hidden effect, named (alone or in a set of three)",
@@ -52,10 +52,11 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
             f"{summary['done']} of {summary['planned']} sets, in random order, were done in the "
             f"given time."
         )
-    rows = []
-    for g in summary["groups"]:
-        share, cpu = f"{g['low']:.2f} to {g['high']:.2f}", (g["cpu_median"], g["cpu_longest"])
-        rows.append([g["rig"], g["kind"], g["sets"], g["right"], share, *(f"{c:.0f}" for c in cpu)])
+    rows = [
+        [g["rig"], g["kind"], g["sets"], g["right"], f"{g['low']:.2f} to {g['high']:.2f}"]
+        + [f"{g[cpu]:.0f}" for cpu in ("cpu_median", "cpu_longest")]
+        for g in summary["groups"]
+    ]
     columns = ["rig", "hidden", "sets", "correct", "95 % interval of the share"]
     columns += ["CPU s, median", "longest"]
     report.table(columns, rows, "Each kind of set on each kind of rig.")
@@ -78,12 +79,9 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
         ["hidden", "named", "sets"], called, "The names that each hidden effect was given."
     )
     if summary["noise_alarms"]:
-        rows = [[name, alarms] for name, alarms in summary["noise_alarms"].items()]
-        report.table(
-            ["noise", "alarms"],
-            rows,
-            "Healthy rigs with non-white noise, and how many of them raised a false alarm.",
-        )
+        rows = [list(row) for row in summary["noise_alarms"].items()]
+        caption = "Healthy rigs with non-white noise, and how many of them raised a false alarm."
+        report.table(["noise", "alarms"], rows, caption)
     small = [
         [name, f"{found['strength']:.2g}", _sizes(found)]
         for name, found in summary["smallest_found"].items()
@@ -93,26 +91,20 @@ def diagnosis_report(records: Sequence[dict[str, Any]], summary: dict[str, Any])
     wrong = []
     for r in records:
         if not r["right"]:
+            rig = rig_of(r, "{} {:g}".format(*r["noise"] or ("", 0)))
             names = _names(r["hidden"]), r["verdict"], _names(r["causes"], "effect")
-            wrong.append([r["seed"], f"{r['kind']}, {_rig(r)}", *names])
+            wrong.append([r["seed"], f"{r['kind']}, {rig}", *names])
     caption = "All sets that were judged wrongly, or whose effect was not found."
     report.table(["seed", "kind", "hidden", "verdict", "named"], wrong, caption)
     return report
 
 
 def _counted(summary: dict[str, Any]) -> str:
-    def words(counts: dict[str, int]) -> str:
-        return ", ".join(f"{n} {kind}" for kind, n in counts.items())
-
-    return (
-        f"Sets of a bumper: {words(summary['sets'])}; of dockings: "
-        f"{words(summary['docking_sets'])}."
+    bumper, docking = (
+        ", ".join(f"{n} {kind}" for kind, n in summary[sets].items())
+        for sets in ("sets", "docking_sets")
     )
-
-
-def _rig(record: dict[str, Any]) -> str:
-    noise = f"{record['noise'][0]} {record['noise'][1]:g}" if record["noise"] else ""
-    return noise or (record["design"] if record["computing"] == "plain" else record["computing"])
+    return f"Sets of a bumper: {bumper}; of dockings: {docking}."
 
 
 def _sizes(found: dict[str, Any]) -> str:

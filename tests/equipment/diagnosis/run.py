@@ -56,12 +56,8 @@ def diagnosis(
         workers: processes, by default one per core. keep: file to which records are saved as they
             arrive, to resume from.
     """
-    parts = [
-        name
-        for name, asked in (("docking", docking), ("noise", noise), ("computing", computing))
-        if asked
-    ]
-    todo = plan(quick, parts)
+    asked = {"docking": docking, "noise": noise, "computing": computing}
+    todo = plan(quick, [name for name in asked if asked[name]])
     kept = Kept(keep, lambda record: (record["seed"], record["scale"]))
     until = time.monotonic() + 60.0 * minutes if minutes is not None else math.inf
     waiting = [
@@ -102,8 +98,7 @@ def _diagnosed(
     except BrokenProcessPool:
         raise HiltestbedError(
             "bench diagnosis: a worker process died (killed, or out of memory); the same command "
-            "with the same --out resumes it; "
-            "--workers 1 needs less memory"
+            "with the same --out resumes it; --workers 1 needs less memory"
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)
@@ -146,11 +141,8 @@ def one_set(task: Task) -> dict[str, Any]:
         "intervals_held": held,
         "intervals": asked,
         "causes": [
-            {
-                "effect": c.effect,
-                "indistinguishable_from": list(c.indistinguishable_from),
-                "probability": c.probability,
-            }
+            {name: getattr(c, name) for name in ("effect", "probability")}
+            | {"indistinguishable_from": list(c.indistinguishable_from)}
             for c in causes
         ],
         "alarm": alarm_figures(findings),
@@ -234,15 +226,10 @@ def true_gain(findings: Any, verdict: Any, hidden: Sequence[dict[str, Any]]) -> 
         return None
     residual, fitted = findings.explanations[cause.link].residual(), cause.fitted
     true = {name: value for name, value in hidden[0].items() if name != "kind"}
-    if any(
-        isinstance(value, str) and value != true.get(name)
-        for name, value in fitted.parameters().items()
-    ):
+    found = fitted.parameters()
+    if any(isinstance(value, str) and value != true.get(name) for name, value in found.items()):
         return None
-    values = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in (fitted.parameters() | true).items()
-    }
+    values = {n: tuple(v) if isinstance(v, list) else v for n, v in (found | true).items()}
     effect = type(fitted).hypothesis(fitted.variant, **values)
     before, after = (
         [heldout.mean_square(residual, i, effects) for i in residual.runs]

@@ -95,10 +95,7 @@ def groups(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     parted: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for r in records:
         kind = r["kind"] if r["scale"] == 1.0 else f"{r['kind']}, {r['scale']:g} of its size"
-        rig = (
-            "noise" if r["noise"] else r["design"] if r["computing"] == "plain" else r["computing"]
-        )
-        parted.setdefault((rig, kind), []).append(r)
+        parted.setdefault((rig_of(r, "noise"), kind), []).append(r)
     out = []
     for (rig, kind), part in sorted(parted.items()):
         right, spent = sum(r["right"] for r in part), [r["cpu"] for r in part]
@@ -107,6 +104,12 @@ def groups(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         row |= {"low": low, "high": high}
         out.append(row | {"cpu_median": float(np.median(spent)), "cpu_longest": max(spent)})
     return out
+
+
+def rig_of(record: dict[str, Any], noisy: str) -> str:
+    """The rig of a set: `noisy` with noise, otherwise its design or its way of computing."""
+    plain = record["computing"] == "plain"
+    return noisy if record["noise"] else record["design" if plain else "computing"]
 
 
 def _misnamed(record: dict[str, Any]) -> bool:

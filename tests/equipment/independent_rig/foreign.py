@@ -8,6 +8,7 @@ that changes from run to run gets the run's number as `run` in its parameters.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from tests.equipment.independent_rig.links import Rig
 from tests.equipment.independent_rig.sizes import (
     Draw,
     Number,
+    Size,
     between,
     factor,
     inverse,
@@ -43,17 +45,18 @@ class Foreign(NamedTuple):
     draw: Draw
 
 
-def _per_contact_time(v: float, f: Facility) -> float:
-    return v / f.contact_time
-
-
-def _per_span(v: float, f: Facility) -> float:
-    return v / f.span  # type: ignore[attr-defined]
+def _over(name: str) -> Size:
+    """A share over a size of the facility."""
+    return lambda v, f: v / getattr(f, name)
 
 
 def _per_depth(v: float, f: Facility) -> float:
     """Over the range of the contact along the insertion."""
     return v / (max(f.side, f.depth) if "six axes" in f.design else f.depth)
+
+
+def _drag_in_docking(v: float, f: Facility) -> float:
+    return v * f.reduced_mass / f.span  # type: ignore[attr-defined]
 
 
 def _curve(rng: Generator, f: Facility, s: float) -> dict:
@@ -82,33 +85,29 @@ def _one(part: str, link: str = "", **fields: tuple[str, Number]) -> Foreign:
     return Foreign(link or part, apply, dict(fields.values()))
 
 
+_contact, _sensor, _platform = (partial(_one, part) for part in ("contact", "sensor", "platform"))
+_lead, _bodies = partial(_one, "compensator", "compensation"), partial(_one, "bodies", "dynamics")
+_log = partial(_one, "sensor", "log")
+
 FOREIGN: dict[str, Foreign] = {
-    "unknown.unloading": _one("contact", unloading=("loss", scaled(0.08, 0.2))),
-    "unknown.ageing": _one("contact", ageing=("rate", scaled(0.2, 0.4, _per_contact_time, True))),
-    "unknown.speeding": _one(
-        "contact", speeding=("slope", scaled(0.25, 0.6, lambda v, f: v / f.top_speed))
-    ),
-    "unknown.teeth": _one(
-        "contact",
+    "unknown.unloading": _contact(unloading=("loss", scaled(0.08, 0.2))),
+    "unknown.ageing": _contact(ageing=("rate", scaled(0.2, 0.4, _over("contact_time"), True))),
+    "unknown.speeding": _contact(speeding=("slope", scaled(0.25, 0.6, _over("top_speed")))),
+    "unknown.teeth": _contact(
         ripple=("force", scaled(0.03, 0.08, of_peak)),
         ripple_period=("period", between(0.15, 0.35, of_depth)),
     ),
-    "unknown.side_load": _one(
-        "contact", side=("slope", scaled(0.03, 0.1, lambda v, f: v / f.depth))
+    "unknown.side_load": _contact(side=("slope", scaled(0.03, 0.1, _over("depth")))),
+    "unknown.warming": _sensor(warming=("rate", scaled(0.15, 0.35, _over("contact_time")))),
+    "unknown.lateral_gain": _sensor(slope=("slope", scaled(0.15, 0.4, _over("side"), True))),
+    "unknown.heavy_delay": _sensor(
+        heavy=("slope", scaled(0.08, 0.2, lambda v, f: v / f.frequency / f.top_peak))
     ),
-    "unknown.warming": _one("sensor", warming=("rate", scaled(0.15, 0.35, _per_contact_time))),
-    "unknown.lateral_gain": _one(
-        "sensor", slope=("slope", scaled(0.15, 0.4, lambda v, f: v / f.side, True))
-    ),
-    "unknown.heavy_delay": _one(
-        "sensor", heavy=("slope", scaled(0.08, 0.2, lambda v, f: v / f.frequency / f.top_peak))
-    ),
-    "unknown.force_play": _one("sensor", hysteresis=("force", scaled(0.02, 0.05, of_peak))),
-    "unknown.coarse_converter": _one("sensor", quantum=("step", scaled(0.04, 0.1, of_peak))),
-    "unknown.sample_hold": _one("sensor", repeat=("time", scaled(0.05, 0.1, of_contact_time))),
-    "unknown.quantised_platform": _one("platform", quantum=("step", scaled(0.03, 0.08, of_depth))),
-    "unknown.screw_error": _one(
-        "platform",
+    "unknown.force_play": _sensor(hysteresis=("force", scaled(0.02, 0.05, of_peak))),
+    "unknown.coarse_converter": _sensor(quantum=("step", scaled(0.04, 0.1, of_peak))),
+    "unknown.sample_hold": _sensor(repeat=("time", scaled(0.05, 0.1, of_contact_time))),
+    "unknown.quantised_platform": _platform(quantum=("step", scaled(0.03, 0.08, of_depth))),
+    "unknown.screw_error": _platform(
         ripple=("amplitude", scaled(0.01, 0.04, of_depth)),
         ripple_period=("period", between(0.4, 1.2, of_depth)),
     ),
@@ -117,50 +116,30 @@ FOREIGN: dict[str, Foreign] = {
         sets("platform", lag_w=angular("bandwidth_in"), lag_w_back=angular("bandwidth_out")),
         lambda rng, f, s: _bandwidths(f.frequency * rng.uniform(1.5, 3.0) / s),
     ),
-    "unknown.platform_gives": _one(
-        "platform", give=("compliance", scaled(0.03, 0.1, lambda v, f: v / f.stiffness))
+    "unknown.platform_gives": _platform(give=("compliance", scaled(0.03, 0.1, _over("stiffness")))),
+    "unknown.acceleration_limit": _platform(
+        acceleration=("limit", inverse(0.5, 0.8, lambda v, f: v * f.top_peak / f.reduced_mass))
     ),
-    "unknown.acceleration_limit": _one(
-        "platform",
-        acceleration=("limit", inverse(0.5, 0.8, lambda v, f: v * f.top_peak / f.reduced_mass)),
+    "unknown.slow_pole": _lead(
+        t2=("t2", scaled(0.005, 0.015, lambda v, f: v / f.frequency + 5e-4))
     ),
-    "unknown.slow_pole": _one(
-        "compensator",
-        "compensation",
-        t2=("t2", scaled(0.005, 0.015, lambda v, f: v / f.frequency + 5e-4)),
+    "unknown.lead_gain": _lead(gain=("factor", factor(0.04, 0.12))),
+    "unknown.lead_slew": _lead(
+        slew=("rate", inverse(0.4, 0.7, lambda v, f: v * f.top_peak * 2.0 * math.pi * f.frequency))
     ),
-    "unknown.lead_gain": _one("compensator", "compensation", gain=("factor", factor(0.04, 0.12))),
-    "unknown.lead_slew": _one(
-        "compensator",
-        "compensation",
-        slew=("rate", inverse(0.4, 0.7, lambda v, f: v * f.top_peak * 2.0 * math.pi * f.frequency)),
+    "unknown.drag": _bodies(
+        drag=("coefficient", scaled(0.04, 0.15, lambda v, f: v * f.reduced_mass / f.contact_time))
     ),
-    "unknown.drag": _one(
-        "bodies",
-        "dynamics",
-        drag=(
-            "coefficient",
-            scaled(0.04, 0.15, lambda v, f: _per_contact_time(v * f.reduced_mass, f)),
-        ),
-    ),
-    "unknown.thrust": _one(
-        "bodies", "dynamics", thrust=("force", scaled(0.01, 0.03, of_peak, True))
-    ),
-    "unknown.tether": _one(
-        "bodies", "dynamics", tether=("stiffness", scaled(0.01, 0.04, of_stiffness))
-    ),
-    "unknown.fuel_flow": _one(
-        "bodies", "dynamics", mass_rate=("rate", scaled(0.1, 0.3, _per_contact_time, True))
-    ),
-    "unknown.clock_stretch": _one(
-        "sensor",
-        "log",
+    "unknown.thrust": _bodies(thrust=("force", scaled(0.01, 0.03, of_peak, True))),
+    "unknown.tether": _bodies(tether=("stiffness", scaled(0.01, 0.04, of_stiffness))),
+    "unknown.fuel_flow": _bodies(mass_rate=("rate", scaled(0.1, 0.3, _over("contact_time"), True))),
+    "unknown.clock_stretch": _log(
         stretch=(
             "ratio",
             scaled(0.05, 0.15, lambda v, f: v / f.frequency / (f.touch_time + f.contact_time)),
-        ),
+        )
     ),
-    "unknown.frozen_record": _one("sensor", "log", freeze=("time", scaled(0.01, 0.03))),
+    "unknown.frozen_record": _log(freeze=("time", scaled(0.01, 0.03))),
 }
 
 FURTHER: dict[str, Foreign] = {
@@ -192,13 +171,11 @@ FURTHER: dict[str, Foreign] = {
         ),
         {
             "added": lambda rng, f, s: 0.05 * s,
-            "slope": scaled(0.8, 2.0, lambda v, f: v / f.peak),
+            "slope": scaled(0.8, 2.0, _over("peak")),
         },
     ),
     "unknown.oval_cone": Foreign("contact", _oval, {"ratio": scaled(0.01, 0.03, plain, True)}),
-    "unknown.depth_gain": _one(
-        "sensor", depth_slope=("slope", scaled(0.1, 0.25, _per_depth, True))
-    ),
+    "unknown.depth_gain": _sensor(depth_slope=("slope", scaled(0.1, 0.25, _per_depth, True))),
 }
 
 RESIZED: dict[str, Draw] = {
@@ -208,21 +185,19 @@ RESIZED: dict[str, Draw] = {
         "compliance": s
         * min(rng.uniform(0.03, 0.1) / f.stiffness, rng.uniform(0.1, 0.2) * f.tick / f.damping)
     },
-    "unknown.ageing": {"rate": scaled(0.15, 0.4, _per_span, True)},
-    "unknown.warming": {"rate": scaled(0.08, 0.2, _per_span)},
+    "unknown.ageing": {"rate": scaled(0.15, 0.4, _over("span"), True)},
+    "unknown.warming": {"rate": scaled(0.08, 0.2, _over("span"))},
     "unknown.sample_hold": {"time": scaled(0.006, 0.012)},
-    "unknown.heavy_delay": {"slope": scaled(0.006, 0.012, lambda v, f: v / f.top_peak)},
+    "unknown.heavy_delay": {"slope": scaled(0.006, 0.012, _over("top_peak"))},
     "unknown.one_way_lag": lambda rng, f, s: _bandwidths(rng.uniform(10.0, 25.0) / s),
     "unknown.acceleration_limit": {
         "limit": inverse(2.5, 4.0, lambda v, f: v * f.peak / f.reduced_mass)
     },
-    "unknown.drag": {
-        "coefficient": scaled(0.02, 0.06, lambda v, f: _per_span(v * f.reduced_mass, f))
-    },
+    "unknown.drag": {"coefficient": scaled(0.02, 0.06, _drag_in_docking)},
     "unknown.tether": {
         "stiffness": scaled(0.02, 0.06, lambda v, f: v * f.peak / max(f.side, 0.01))
     },
-    "unknown.fuel_flow": {"rate": scaled(0.05, 0.15, _per_span, True)},
+    "unknown.fuel_flow": {"rate": scaled(0.05, 0.15, _over("span"), True)},
     "unknown.clock_stretch": {"ratio": scaled(0.004, 0.01)},
 }
 LONGER = {name: FOREIGN[name]._replace(draw=draw) for name, draw in RESIZED.items()}

@@ -14,7 +14,7 @@ from tests.equipment.independent_rig.compensation import METHODS
 from tests.equipment.independent_rig.docking_facility import SIX, DockingFacility
 from tests.equipment.independent_rig.facility import Facility
 from tests.equipment.independent_rig.foreign import FOREIGN, IN_DOCKING
-from tests.equipment.independent_rig.hidden import EFFECTS
+from tests.equipment.independent_rig.hidden import EFFECTS, changed
 from tests.equipment.independent_rig.links import Noise, Records, Rig, silence
 from tests.equipment.independent_rig.log import Log, log_of
 from tests.equipment.independent_rig.noise_kinds import NOISE_KINDS
@@ -60,15 +60,10 @@ def rig_of(
     """The rig of a run of the facility."""
     scenario = overridden(facility.scenario, facility.runs[run])
     rig = docking_rig(scenario) if SIX in facility.design else nominal_rig(scenario)
-    rig = rig._replace(
-        platform=rig.platform._replace(coarse=variants["coarse"]),
-        sensor=rig.sensor._replace(quiet_zone=variants["quiet_zone"]),
-        contact=rig.contact._replace(
-            lever=variants["lever"],
-            frame_rate=variants["frame_rate"],
-            mode_read=variants["mode_read"],
-        ),
-    )
+    rig = changed(rig, "platform", coarse=variants["coarse"])
+    rig = changed(rig, "sensor", quiet_zone=variants["quiet_zone"])
+    of_contact = {name: variants[name] for name in ("lever", "frame_rate", "mode_read")}
+    rig = changed(rig, "contact", **of_contact)
     for effect in effects:
         rig = with_effect(rig, effect, run)
     return with_held(with_nuisances(rig, nuisances))
@@ -78,9 +73,8 @@ def draw_variants(rng: Generator) -> dict[str, Any]:
     """Random interpretations of the definitions.
 
     coarse: the platform's filters advance by semi-implicit Euler in each sub-step, not exactly.
-        quiet_zone: noise is added after
-    the dead zone and the saturation of the sensor. lever: the force acts at the tip (1) or at the
-    undeformed surface (0).
+    quiet_zone: noise is added after the dead zone and the saturation of the sensor.
+    lever: the force acts at the tip (1) or at the undeformed surface (0).
     frame_rate: a compliant frame reduces the forces of spring and damper equally (0), that of the
         damper twice (1) or not at all (-1).
     mode_read: the sensor is below the vibrating mass.
@@ -165,10 +159,8 @@ def stable(facility: Facility, runs: list[Records]) -> bool:
 
 
 def _axial_peak(facility: Facility, run: int) -> float:
-    factor = np.sqrt(
-        facility.runs[run].get("mechanism.contact.stiffness", facility.stiffness)
-        / facility.stiffness
-    )
+    own = facility.runs[run].get("mechanism.contact.stiffness", facility.stiffness)
+    factor = np.sqrt(own / facility.stiffness)
     return factor * facility.peak * facility.speeds[run] / facility.middle_speed
 
 

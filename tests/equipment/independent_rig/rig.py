@@ -104,19 +104,13 @@ def docking_rig(scenario: dict) -> Rig:
     """
     flat = nominal_rig(scenario)
     mechanism, platform = scenario["mechanism"], scenario["rig"]["platform"]
-    response = {}
+    drive = flat.platform
     if platform["tracking"] == "servo":
-        response = {
-            "response_w": 2.0 * np.pi * float(platform["bandwidth"]),
-            "response_zeta": float(platform["damping_ratio"]),
-        }
+        w, zeta = 2.0 * np.pi * float(platform["bandwidth"]), float(platform["damping_ratio"])
+        drive = drive._replace(response_w=w, response_zeta=zeta)
     contact = flat.contact._replace(latched=False, lever=MIDDLE)
-    rig = flat._replace(
-        contact=contact,
-        platform=flat.platform._replace(**response),
-        docking=_docking(mechanism, contact),
-    )
-    return with_held(rig)
+    docking = _docking(mechanism, contact)
+    return with_held(flat._replace(contact=contact, platform=drive, docking=docking))
 
 
 def _docking(mechanism: dict, contact: Contact) -> Docking:
@@ -128,22 +122,17 @@ def _docking(mechanism: dict, contact: Contact) -> Docking:
     if not latch:
         return docking
     cosine = float(np.cos(np.radians(latch["angle_deg"])))
+    depth, speed = float(latch["depth"]), float(latch["speed"])
     return docking._replace(
-        captures=True,
-        latch_depth=float(latch["depth"]),
-        latch_cosine=cosine,
-        latch_speed=float(latch["speed"]),
+        captures=True, latch_depth=depth, latch_cosine=cosine, latch_speed=speed
     )
 
 
 def _mount(mount: dict | None, kind: str) -> Mount:
     if mount is None:
         return no_mount()
-    return mount_of(
-        mount["stiffness"],
-        mount.get("damping", np.zeros(6)),
-        *(CONE_BODY if kind == "probe_cone" else BUMPER_BODY),
-    )
+    body = CONE_BODY if kind == "probe_cone" else BUMPER_BODY
+    return mount_of(mount["stiffness"], mount.get("damping", np.zeros(6)), *body)
 
 
 def with_held(rig: Rig) -> Rig:

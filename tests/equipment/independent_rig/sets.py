@@ -78,15 +78,9 @@ class HiddenSet:
     def truth(self) -> dict[str, Any]:
         """Contents of `truth.yaml`; entries equal to those of a plain bumper set are omitted."""
         weak = [e["kind"] for e, s in zip(self.effects, self.strengths, strict=True) if s < WEAKEST]
-        found = {
-            "kind": self.kind,
-            "effects": self.effects,
-            "links": self.links,
-            "strengths": self.strengths,
-            "unobservable": weak,
-            "variants": self.variants,
-            "design": sorted(self.facility.design),
-        }
+        found = {name: getattr(self, name) for name in ("kind", "effects", "links", "strengths")}
+        found |= {"unobservable": weak, "variants": self.variants}
+        found["design"] = sorted(self.facility.design)
         if self.rival is not None:
             found["rival"] = self.rival
         if self.compensation != "phase_lead":
@@ -206,9 +200,8 @@ def _known(
     if noise is not None and noise[0] not in NOISE_KINDS:
         raise ValueError(f"unknown noise {noise[0]!r}; allowed: {', '.join(NOISE_KINDS)}")
     if pair is not None and pair not in LOOK_ALIKES:
-        raise ValueError(
-            f"unknown pair {pair!r}; allowed: {', '.join(' / '.join(p) for p in LOOK_ALIKES)}"
-        )
+        allowed = ", ".join(" / ".join(p) for p in LOOK_ALIKES)
+        raise ValueError(f"unknown pair {pair!r}; allowed: {allowed}")
 
 
 def _facility(

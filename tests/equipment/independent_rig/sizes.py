@@ -64,24 +64,13 @@ def plain(v: float, f: Facility) -> float:
     return v
 
 
-def of_peak(v: float, f: Facility) -> float:
-    """Relative to the contact's peak force."""
-    return v * f.peak
+def of(name: str) -> Size:
+    """A share of a size of the facility."""
+    return lambda v, f: v * getattr(f, name)
 
 
-def of_depth(v: float, f: Facility) -> float:
-    """Relative to the contact's penetration."""
-    return v * f.depth
-
-
-def of_stiffness(v: float, f: Facility) -> float:
-    """Relative to the nominal spring."""
-    return v * f.stiffness
-
-
-def of_contact_time(v: float, f: Facility) -> float:
-    """Relative to the duration of the contact."""
-    return v * f.contact_time
+of_peak, of_depth, of_noise = of("peak"), of("depth"), of("noise")
+of_stiffness, of_contact_time = of("stiffness"), of("contact_time")
 
 
 def scaled(
@@ -152,20 +141,8 @@ def body(rng: Generator, f: Facility, s: float) -> str:
     return str(rng.choice(["chaser", "target"]))
 
 
-def _of_span(v: float, f: Facility) -> float:
-    return v * f.span  # type: ignore[attr-defined]
-
-
 def _axis(rng: Generator, f: Facility, s: float) -> str:
     return str(rng.choice(AXES))
-
-
-def _six_noises(f: Facility) -> float:
-    return 6.0 * f.noise
-
-
-def _step(f: Facility) -> float:
-    return 4e-5
 
 
 def _jitter(rng: Generator, f: Facility, s: float) -> dict:
@@ -228,12 +205,12 @@ def _crosstalk(rng: Generator, f: Facility, s: float) -> dict:
 
 
 _bias = scaled(0.7, 1.5, lambda v, f: v * max(6.0 * f.noise, 0.008 * f.peak), True, 3)
-_bias_torque = scaled(5.0, 15.0, lambda v, f: v * f.torque_noise, True, 3)
-_docking_bias = scaled(6.0, 12.0, lambda v, f: v * f.noise, True, 3)
-_docking_bias_torque = scaled(6.0, 12.0, lambda v, f: v * f.torque_noise, True, 3)
+_bias_torque = scaled(5.0, 15.0, of("torque_noise"), True, 3)
+_docking_bias = scaled(6.0, 12.0, of_noise, True, 3)
+_docking_bias_torque = scaled(6.0, 12.0, of("torque_noise"), True, 3)
 _angle, _docking_angle = scaled(0.7, 3.0, plain, True, 3), scaled(0.3, 1.5, plain, True, 3)
 _side, _docking_side = scaled(0.03, 0.12, plain, True, 3), scaled(0.02, 0.06, plain, True, 3)
-_deadzone = scaled(0.02, 0.06, of_peak, least=_six_noises)
+_deadzone = scaled(0.02, 0.06, of_peak, least=lambda f: 6.0 * f.noise)
 
 SIZES: dict[str, Draw] = {
     "sensor.delay": {"delay": lateness()},
@@ -251,10 +228,10 @@ SIZES: dict[str, Draw] = {
         "axis": lambda rng, f, s: str(rng.choice(["x", "y"])),
     },
     "sensor.deadzone": {"width": _deadzone},
-    "sensor.saturation": {"limit": below(0.2, 0.4, lambda v, f: v * f.top_peak)},
+    "sensor.saturation": {"limit": below(0.2, 0.4, of("top_peak"))},
     "sensor.hum": {
         "frequency": _hum,
-        "amplitude": scaled(5.0, 12.0, lambda v, f: v * f.noise),
+        "amplitude": scaled(5.0, 12.0, of_noise),
         "phase": between(-math.pi, math.pi),
         "axis": "z",
     },
@@ -286,15 +263,15 @@ SIZES: dict[str, Draw] = {
     "frame.mode": _frame_mode(lambda rng, f, s: f.frequency * rng.uniform(2.0, 5.0), 0.02),
     "platform.delay": {"delay": lateness()},
     "platform.lag": {"bandwidth": bandwidth(lateness(0.05, 0.13))},
-    "platform.backlash": {"width": scaled(0.04, 0.12, of_depth, least=_step)},
-    "platform.friction": {"stick": scaled(0.03, 0.08, of_depth, least=_step)},
+    "platform.backlash": {"width": scaled(0.04, 0.12, of_depth, least=lambda f: 4e-5)},
+    "platform.friction": {"stick": scaled(0.03, 0.08, of_depth, least=lambda f: 4e-5)},
     "platform.mode": _mode,
     "platform.scale": _scale,
-    "platform.speed_limit": {"speed": below(0.04, 0.15, lambda v, f: v * f.top_speed)},
+    "platform.speed_limit": {"speed": below(0.04, 0.15, of("top_speed"))},
     "dynamics.mass": {"factor": factor(0.08, 0.25), "body": body},
     "dynamics.inertia": {"factor": factor(0.2, 0.5), "body": body},
     "dynamics.port_offset": {"offset": several(_side, _side, 0.0), "body": body},
-    "dynamics.appendage": _appendage(0.25, between(0.4, 1.8, lambda v, f: v * f.frequency)),
+    "dynamics.appendage": _appendage(0.25, between(0.4, 1.8, of("frequency"))),
     "dynamics.step_delay": {
         "ticks": lambda rng, f, s: max(1, round(lateness()(rng, f, s) / f.tick))
     },
@@ -307,7 +284,7 @@ _late = lateness(0.03, 0.08, 6e-3)  # of the oscillation against a wall
 DOCKING_SIZES: dict[str, Draw] = SIZES | {
     "sensor.delay": {"delay": _late},
     "sensor.lag": {"time_constant": _late},
-    "sensor.highpass": {"time_constant": inverse(1.0, 4.0, _of_span)},
+    "sensor.highpass": {"time_constant": inverse(1.0, 4.0, of("span"))},
     "sensor.bias": {
         "force": several(*[_docking_bias] * 3),
         "torque": several(*[_docking_bias_torque] * 3),
@@ -333,13 +310,13 @@ DOCKING_SIZES: dict[str, Draw] = SIZES | {
     "platform.lag": {"bandwidth": bandwidth(_late)},
     # A position that sticks changes the contact force by damping times its step over a tick: the
     # step must be small.
-    "platform.friction": {"stick": scaled(10.0, 25.0, lambda v, f: v * f.pose_noise)},
+    "platform.friction": {"stick": scaled(10.0, 25.0, of("pose_noise"))},
     "platform.mode": {
         "frequency": lambda rng, f, s: rounded(rng.uniform(8.0, 25.0) / math.sqrt(s)),
         "damping_ratio": between(0.03, 0.1),
     },
     "platform.scale": {"factor": factor(0.005, 0.02), "axis": _axis},
-    "platform.speed_limit": {"speed": below(0.1, 0.3, lambda v, f: v * f.top_speed)},
+    "platform.speed_limit": {"speed": below(0.1, 0.3, of("top_speed"))},
     "dynamics.mass": {"factor": factor(0.05, 0.2), "body": body},
     "dynamics.inertia": {"factor": factor(0.1, 0.3), "body": body},
     "dynamics.port_offset": {"offset": several(_docking_side, _docking_side, 0.0), "body": body},

@@ -60,13 +60,16 @@ def _scaled(groups: tuple[str, ...], parts: str, factor: float) -> Callable[[Tab
     return change
 
 
-def _exchanged(first: str, second: str) -> Callable[[Table], None]:
-    """Exchange two columns, or all columns of two groups."""
+def _pairs(first: str, second: str) -> list[tuple[str, str]]:
+    """Two columns, or those of two groups."""
+    if first not in GROUPS:
+        return [(first, second)]
+    return [(f"{first}.{p}", f"{second}.{p}") for p in GROUPS[first].parts]
 
+
+def _exchanged(first: str, second: str) -> Callable[[Table], None]:
     def change(table: Table) -> None:
-        parts = GROUPS[first].parts if first in GROUPS else None
-        pairs = [(f"{first}.{p}", f"{second}.{p}") for p in parts] if parts else [(first, second)]
-        for a, b in pairs:
+        for a, b in _pairs(first, second):
             table[a], table[b] = table[b], table[a]
 
     return change
@@ -82,10 +85,7 @@ def _each(*changes: Callable[[Table], None]) -> Callable[[Table], None]:
 
 def _copied(source: str, target: str) -> Callable[[Table], None]:
     def change(table: Table) -> None:
-        parts = GROUPS[source].parts if source in GROUPS else None
-        for a, b in (
-            [(f"{source}.{p}", f"{target}.{p}") for p in parts] if parts else [(source, target)]
-        ):
+        for a, b in _pairs(source, target):
             table[b] = table[a].copy()
 
     return change

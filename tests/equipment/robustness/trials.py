@@ -94,9 +94,8 @@ def _stretch(node: Any, rng: Generator) -> None:
         key = keys[int(rng.integers(len(keys)))]
         inner = node[key]
         if isinstance(inner, (int, float)) and not isinstance(inner, bool):
-            node[key] = (
-                0.0 if rng.random() < 0.1 else float(inner) * 10.0 ** int(rng.integers(-9, 10))
-            )
+            factor = 0.0 if rng.random() < 0.1 else 10.0 ** int(rng.integers(-9, 10))
+            node[key] = float(inner) * factor
             return
         node = inner
 
@@ -146,10 +145,8 @@ def distortion(rng: Generator, folder: Path) -> str:
     from hiltestbed.measured import examine
 
     tables = _good_set(folder)
-    names = [
-        str(n)
-        for n in rng.choice(list(DISTORTIONS), size=1 if rng.random() < 0.7 else 2, replace=False)
-    ]
+    several = 1 if rng.random() < 0.7 else 2
+    names = [str(n) for n in rng.choice(list(DISTORTIONS), size=several, replace=False)]
     for name, good in tables.items():
         table = {column: values.copy() for column, values in good.items()}
         for distorted in names:
@@ -176,20 +173,16 @@ def _good_set(folder: Path) -> dict[str, dict[str, np.ndarray]]:
 
     if "tables" not in _good:
         made = good_set(folder.parent)
-        files = sorted(made.glob("run_*.parquet"))[:1]
+        file = min(made.glob("run_*.parquet"))
+        read = pq.read_table(file)
+        columns = zip(read.column_names, read.columns, strict=True)
         _good["scenario"] = (made / "nominal.yaml").read_text()
-        _good["tables"] = {
-            f.name: {n: c.to_numpy().copy() for n, c in _columns(pq.read_table(f))} for f in files
-        }
+        _good["tables"] = {file.name: {n: c.to_numpy().copy() for n, c in columns}}
     if not (folder / "nominal.yaml").exists():
         (folder / "nominal.yaml").write_text(_good["scenario"])
         for name, table in _good["tables"].items():
             _write(folder / name, table)
     return _good["tables"]
-
-
-def _columns(table: Any):
-    return zip(table.column_names, table.columns, strict=True)
 
 
 def _write(path: Path, table: dict[str, np.ndarray]) -> None:
@@ -267,11 +260,9 @@ def campaign(rng: Generator, folder: Path) -> str:
             {"normal": [low, low]},
         )
         data |= {"vary": {keys[int(rng.integers(3))]: way[int(rng.integers(4))]}, "set": {}}
-        data["design"] = (
-            {"kind": "sobol", "cases": int(rng.integers(1, 2**20))}
-            if rng.random() < 0.5
-            else {"kind": "grid"}
-        )
+        data["design"] = {"kind": "grid"}
+        if rng.random() < 0.5:
+            data["design"] = {"kind": "sobol", "cases": int(rng.integers(1, 2**20))}
     path = folder / "campaign.yaml"
     try:
         path.write_text(dump_yaml(data), encoding="utf-8")
@@ -293,11 +284,8 @@ def packet(rng: Generator, folder: Path) -> str:
     which = int(rng.integers(4))
     if which == 0:
         record = WireRecord(default_layout(), "sensor")
-        return (
-            SURVIVED
-            if record.unpack(mutated(record.pack(np.arange(6.0), 1, 0.5), rng))
-            else REFUSED
-        )
+        data = mutated(record.pack(np.arange(6.0), 1, 0.5), rng)
+        return SURVIVED if record.unpack(data) else REFUSED
     if which == 1:
         try:
             read_telegram(mutated(RsiSettings().answer(np.zeros(6), 123), rng), "Sen", "RKorr")
@@ -349,11 +337,8 @@ def mutated(data: bytes, rng: Generator) -> bytes:
             out[at:at] = part * int(rng.integers(1, 4))
         else:
             width = int(rng.choice([1, 2, 4, 8]))
-            out[at : at + width] = [
-                b"\xff" * width,
-                b"\x00" * width,
-                b"\x7f" + b"\xff" * (width - 1),
-            ][int(rng.integers(3))]
+            first = (b"\xff", b"\x00", b"\x7f")[int(rng.integers(3))]
+            out[at : at + width] = first + (first if first != b"\x7f" else b"\xff") * (width - 1)
     return bytes(out)
 
 

@@ -10,19 +10,12 @@ from numpy.random import Generator
 
 WORDS = (
     "",
-    "x",
-    "reference",
-    "[/x]",
     "\x1b[31m",
-    "<script>",
-    "../../up",
     "a" * 300,
-    "ß→µ",
-    "nan",
-    "${HOME}",
-    "-",
-    "1e5",
+    *["x", "reference", "[/x]", "<script>", "../../up", "ß→µ", "nan", "${HOME}", "-", "1e5"],
 )
+NUMBERS = -1, 0, 1e308, -1e-308, math.inf, math.nan, 10**30
+ODD = (None, True, "x", "1e5", [], {}, [[1]], {"kind": "?"}, *NUMBERS)
 DEEPEST = 8
 WRONG = 0.01  # fraction of values that the schema does not allow
 LARGEST = 1e9
@@ -34,7 +27,7 @@ def value_of(
     """A random value of ``schema``; ``root`` contains the definitions that it refers to."""
     root = schema if root is None else root
     if rng.random() < WRONG:
-        return _wrong(rng)
+        return ODD[int(rng.integers(len(ODD)))]
     if "$ref" in schema:
         name = schema["$ref"].rpartition("/")[2]
         return value_of(root.get("$defs", {}).get(name, {}), rng, root, depth + 1)
@@ -71,11 +64,9 @@ def number(schema: Mapping[str, Any], rng: Generator) -> float:
     if low >= 0:
         least = math.log(max(low, 1e-12))
         return math.exp(rng.uniform(least, max(math.log(max(high, 1e-12)), least)))
-    return (
-        float(rng.uniform(low, high))
-        if rng.random() < 0.5
-        else float(rng.standard_normal() * 10.0 ** rng.integers(-6, 3))
-    )
+    if rng.random() < 0.5:
+        return float(rng.uniform(low, high))
+    return float(rng.standard_normal() * 10.0 ** rng.integers(-6, 3))
 
 
 def _mapping(
@@ -88,11 +79,10 @@ def _mapping(
             out[name] = value_of(inner, rng, root, depth + 1)
         elif "const" in inner:
             out[name] = inner["const"]
-    if not schema.get("properties") and isinstance(schema.get("additionalProperties"), dict):
+    free = schema.get("additionalProperties")
+    if not schema.get("properties") and isinstance(free, dict):
         for _ in range(int(rng.integers(0, 3))):
-            out[WORDS[int(rng.integers(len(WORDS)))]] = value_of(
-                schema["additionalProperties"], rng, root, depth + 1
-            )
+            out[WORDS[int(rng.integers(len(WORDS)))]] = value_of(free, rng, root, depth + 1)
     return out
 
 
@@ -104,24 +94,3 @@ def _list(
     low = schema.get("minItems", 0)
     count = int(rng.integers(low, schema.get("maxItems", low + 2) + 1))
     return [value_of(schema.get("items", {}), rng, root, depth + 1) for _ in range(count)]
-
-
-def _wrong(rng: Generator) -> Any:
-    options = (
-        None,
-        True,
-        -1,
-        0,
-        1e308,
-        -1e-308,
-        math.inf,
-        math.nan,
-        "x",
-        [],
-        {},
-        [[1]],
-        {"kind": "?"},
-        10**30,
-        "1e5",
-    )
-    return options[int(rng.integers(len(options)))]
