@@ -33,7 +33,7 @@ from hiltestbed.devices.interface import (
     SensorServer,
 )
 from hiltestbed.devices.sequence import Advancing, Sequence
-from hiltestbed.devices.url import DeviceSettings, Port
+from hiltestbed.devices.url import DeviceSettings, Port, refused
 
 REQUEST = struct.Struct(">HHI")
 RECORD = struct.Struct(">III6i")
@@ -170,6 +170,9 @@ class RdtServer(sockets.Datagrams, SensorServer):
     _largest = 63  # [byte] far above a request of 8
 
     def __init__(self, settings: RdtSettings) -> None:
+        if settings.http is not None:
+            message = "an emulated sensor has no configuration page; leave it out"
+            raise refused(settings.where, message, "http")
         super().__init__(settings)
         page = page_of(settings, 1.0e6, None)
         self.address: sockets.Address = (settings.host, settings.port)
