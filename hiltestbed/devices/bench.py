@@ -13,7 +13,6 @@ import os
 import socket
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -69,17 +68,9 @@ class Steadiness:
 
 
 def measure(
-    rate: float,
-    seconds: float,
-    *,
-    device: bool = False,
-    cpu: int | None = None,
-    priority: int | None = PRIORITY,
-    work: Callable[[], None] | None = None,
+    rate: float, seconds: float, *, device: bool = False, priority: int | None = PRIORITY
 ) -> Steadiness:
-    """Run cycles at ``rate`` [Hz] for ``seconds``; ``work`` is called in each, for example a step
-    of the loop. Raises InputError.
-    """
+    """Run cycles at ``rate`` [Hz] for ``seconds``. Raises InputError."""
     if not 0.0 < seconds <= 86_400.0 or not 1.0 <= rate <= 20_000.0:
         raise InputError(
             f"the measurement cannot be made (got {rate:g} Hz for {seconds:g} s); allowed are 1 "
@@ -91,12 +82,11 @@ def measure(
     echo = _Echo(rate, priority) if device else None
     before = _processors()
     try:
-        with prepared(cpu, priority) as given:
-            missed = _run(clock, cycles, round_trips, echo.client if echo else None, work)
+        with prepared(priority=priority) as given:
+            missed = _run(clock, round_trips, echo.client if echo else None)
     finally:
         if echo is not None:
             echo.close()
-    answered = round_trips[round_trips > 0.0]
     return Steadiness(
         rate=rate,
         device=device,
@@ -104,25 +94,19 @@ def measure(
         skipped=clock.skipped,
         missed=missed,
         wake_up=_times(clock.latency()),
-        round_trip=_times(answered) if device else None,
+        round_trip=_times(round_trips[round_trips > 0.0]) if device else None,
         granted=given.granted,
         refused=given.refused,
         stolen=_stolen(before, _processors()),
     )
 
 
-def _run(
-    clock: CycleClock,
-    cycles: int,
-    round_trips: NDArray[np.float64],
-    client: PlatformClient | None,
-    work: Callable[[], None] | None,
-) -> int:
-    """Run all cycles; returns the number of missed deadlines."""
+def _run(clock: CycleClock, round_trips: NDArray[np.float64], client: PlatformClient | None) -> int:
+    """Run a cycle for each of the ``round_trips`` [s]; returns the number of missed deadlines."""
     missed = 0
     pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     clock.start()
-    for k in range(cycles):
+    for k in range(len(round_trips)):
         clock.wait()
         answered = True
         if client is not None:
@@ -132,8 +116,6 @@ def _run(
             answered = client.wait(clock.left())
             if answered:
                 round_trips[k] = (time.monotonic_ns() - sent) * 1e-9
-        if work is not None:
-            work()
         missed += not answered or clock.left() < 0.0
     return missed
 

@@ -79,21 +79,12 @@ class Emulator:
                 if self.platform.stopped is None:
                     self.mounting.pose_in_P(self.platform.command, self._goal)
             self.rig.step(self._goal)
-        self.publish()
-        self.cycles += 1
-
-    def publish(self) -> None:
-        """Publish the rig's present pose and wrench."""
         self.mounting.wrench_shown(self.rig.wrench, self._wrench)
         self.mounting.command_of(self.rig.pose, self._pose)
         now = self.cycles * self.rig.period
         self.sensor.publish(self._wrench, now)
         self.platform.publish(self._pose, now)
-
-    def result(self, ended: str, skipped: int = 0) -> Emulated:
-        """The result so far."""
-        events = said(self.sensor), said(self.platform)
-        return Emulated(self.cycles, self.missed, skipped, ended, *events)
+        self.cycles += 1
 
 
 def emulate(
@@ -125,7 +116,8 @@ def emulate(
             ended = "interrupted"
     if emulator.platform.stopped is not None:
         ended = f"{ended}; the platform had stopped: {emulator.platform.stopped}"
-    return emulator.result(ended, clock.skipped)
+    events = said(emulator.sensor), said(emulator.platform)
+    return Emulated(emulator.cycles, emulator.missed, clock.skipped, ended, *events)
 
 
 def with_rate(url: str, scenario: Scenario, place: str) -> str:

@@ -136,8 +136,7 @@ def _fits(field: FieldOfRecord) -> bool:
 
 def _range(kind: str) -> tuple[int, int]:
     """Smallest and largest number of a type of whole numbers."""
-    bits = 8 * struct.calcsize(CODES[kind])
-    return (-(1 << bits - 1), (1 << bits - 1) - 1) if kind[0] == "i" else (0, (1 << bits) - 1)
+    return int(np.iinfo(kind).min), int(np.iinfo(kind).max)
 
 
 def read_layout(path: str | Path) -> Layout:
@@ -192,14 +191,8 @@ class WireRecord:
         self._wide = crc == "I"
         self._fields = [field for field in body if field.name != "pad"]
         self.size = self._body.size + (self._crc.size if self._crc else 0)
-        self.sequence_bits, self.clock_bits = (
-            sum(
-                8 * struct.calcsize(CODES[field.type])
-                for field in body
-                if field.name == name and field.type.startswith("uint")
-            )
-            for name in ("sequence", "time")
-        )
+        bits = {f.name: np.iinfo(f.type).bits for f in body if f.type.startswith("uint")}
+        self.sequence_bits, self.clock_bits = bits.get("sequence", 0), bits.get("time", 0)
         attitude = QUATERNION if any(f.name == "qw" for f in body) else ROTATION
         self._names = FORCE if kind == "sensor" else POSITION + attitude
         self._turned = self._names[-1] == "rz"

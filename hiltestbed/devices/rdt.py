@@ -42,6 +42,7 @@ STOP, SINGLE, REALTIME, BUFFERED = 0, 1, 2, 3  # 1 only on an Axia, where it equ
 RESET_LATCH, BIAS = 0x41, 0x42
 MOST_RECORDS = 40  # largest number of records in one datagram
 ERROR = 1 << 31  # of the status word: set with any other bit
+COUNTS = 1.0e6  # per unit, of an emulated sensor
 # requests before giving up, and the wait [s] for the first record after each
 TRIES, PATIENCE = 10, 0.1
 
@@ -105,7 +106,7 @@ class RdtClient(sockets.Datagrams, SensorClient):
     def open(self) -> None:
         settings = self.settings
         address = sockets.resolve(settings.host, settings.port, self.where)
-        page = page_of(settings, 1.0, address[0])
+        page = page_of(settings, address[0])
         scale = page.force / page.counts_per_force, page.torque / page.counts_per_torque
         self._scale[:] = np.repeat(scale, 3)
         self.period, self._internal_period = 1.0 / page.rate, 1.0 / page.internal_rate
@@ -174,10 +175,16 @@ class RdtServer(sockets.Datagrams, SensorServer):
             message = "an emulated sensor has no configuration page; leave it out"
             raise refused(settings.where, message, "http")
         super().__init__(settings)
-        page = page_of(settings, 1.0e6, None)
+        page = rdt_page.Page(
+            settings.counts_per_force or COUNTS,
+            settings.counts_per_torque or COUNTS,
+            settings.force_unit,
+            settings.torque_unit,
+        )
         self.address: sockets.Address = (settings.host, settings.port)
         scale = page.counts_per_force / page.force, page.counts_per_torque / page.torque
-        self._scale, self._rate = np.repeat(scale, 3), page.internal_rate
+        self._scale = np.repeat(scale, 3)
+        self._rate = settings.internal_rate or page.internal_rate
         self._load, self._bias = np.zeros(6), np.zeros(6)
         self._client: sockets.Address | None = None
         self._left = 0  # records still to send; -1: unlimited
@@ -222,24 +229,24 @@ class RdtServer(sockets.Datagrams, SensorServer):
             self._pending.clear()
 
 
-def page_of(settings: RdtSettings, counts: float, host: str | None) -> rdt_page.Page:
-    """The page from the URL's options, completed from the device at ``host``, or (None) with
-    ``counts`` per unit. Raises DeviceError.
-    """
+def page_of(settings: RdtSettings, host: str) -> rdt_page.Page:
+    """What the URL gives, completed from the page of the device at ``host``. Raises DeviceError."""
     given = {"force": settings.counts_per_force, "torque": settings.counts_per_torque}
     by_hand = {name for name, scale in given.items() if scale is not None}
     whole = settings.http is None or (settings.rate and settings.internal_rate)
-    if host is None or (len(by_hand) == 2 and whole):
-        page = rdt_page.Page(counts, counts, settings.force_unit, settings.torque_unit)
+    if len(by_hand) == 2 and whole:
+        page = rdt_page.Page(COUNTS, COUNTS, settings.force_unit, settings.torque_unit)
     else:
         port = settings.http or rdt_page.HTTP_PORT
         page = rdt_page.fetch(host, port, settings.where, by_hand)
     own = {f"{name}_unit": getattr(settings, f"{name}_unit") for name in by_hand}
-    own |= {f"counts_per_{name}": scale for name, scale in given.items() if scale is not None}
-    rates = {
-        name: getattr(settings, name) or getattr(page, name) for name in ("rate", "internal_rate")
-    }
-    return replace(page, **own, **rates)
+    own |= {f"counts_per_{name}": given[name] for name in by_hand}
+    return replace(
+        page,
+        **own,
+        rate=settings.rate or page.rate,
+        internal_rate=settings.internal_rate or page.internal_rate,
+    )
 
 
 PROTOCOL = Protocol(

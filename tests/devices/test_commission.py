@@ -24,6 +24,8 @@ from tests.slow import SLOW
 
 BELIEVED: dict[str, Any] = {
     "rate": 500.0,
+    "physics_rate": 2000.0,
+    "devices__platform__travel_speed": 0.2,
     "sensor__noise": 0.1,
     "sensor__torque_noise": 0.01,
     "sensor__delay": 0.002,

@@ -91,7 +91,7 @@ def test_counts_given_by_hand_need_no_unit_from_the_page() -> None:
     head = b"HTTP/1.0 200 OK\r\n\r\n" + _body("dyn", "Nmm")
     with _serving(lambda client: client.sendall(head)) as port:
         url = f"rdt://127.0.0.1?http={port}&counts_per_force=10&force_unit=gf"
-        page = page_of(settings_of(url), 1.0, "127.0.0.1")  # type: ignore[arg-type]
+        page = page_of(settings_of(url), "127.0.0.1")  # type: ignore[arg-type]
     assert (page.counts_per_force, page.force) == (10.0, pytest.approx(9.80665e-3))
     assert (page.counts_per_torque, page.torque, page.rate) == (1e6, 1e-3, 250.0)
     with pytest.raises(InputError, match=r"torque_unit: is no unit \(got 'mN'\); allowed: N-m"):

@@ -46,7 +46,7 @@ def test_a_cycle_that_takes_too_long_is_not_made_up_for() -> None:
     assert clock.due[1] - clock.due[0] == pytest.approx((1 + left_out) * 2e6, abs=1)
 
 
-def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone() -> None:
+def test_what_is_asked_of_the_system_is_granted_or_refused_and_undone(as_prepared: None) -> None:
     cpu = min(os.sched_getaffinity(0))
 
     def settings() -> tuple:

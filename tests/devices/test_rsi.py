@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import socket
 from collections.abc import Callable, Iterator
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -45,59 +46,50 @@ def _far(pose: np.ndarray, position, rotation: Rotation) -> tuple[float, float]:
 def test_the_client_moves_an_independent_robot(correction: str) -> None:
     """Through poses up to 50 mm and 0.2 rad off: what is commanded is where the robot goes."""
     (port,) = free_ports(1)
-    robot = IndependentRobot(port, relative=correction == "relative", patience=0.2)
-    try:
-        with _client(port, f"&correction={correction}") as client:
-            assert client.clock == "device"
-            assert client.period == 0.004
-            np.testing.assert_allclose(client.start[:3], robot.start_position, atol=1e-9)
-            rng = np.random.default_rng(3)
+    relative = correction == "relative"
+    with (
+        closing(IndependentRobot(port, relative, patience=0.2)) as robot,
+        _client(port, f"&correction={correction}") as client,
+    ):
+        assert client.clock == "device"
+        assert client.period == 0.004
+        np.testing.assert_allclose(client.start[:3], robot.start_position, atol=1e-9)
+        rng = np.random.default_rng(3)
+        assert client.wait(5.0)
+        for k in range(1, 41):
+            position = robot.start_position + rng.uniform(-0.05, 0.05, 3)
+            rotation = Rotation.from_rotvec(rng.uniform(-0.1, 0.1, 3)) * robot.start_rotation
+            client.command(_pose(position, rotation))
             assert client.wait(5.0)
-            for k in range(1, 41):
-                position = robot.start_position + rng.uniform(-0.05, 0.05, 3)
-                rotation = Rotation.from_rotvec(rng.uniform(-0.1, 0.1, 3)) * robot.start_rotation
-                client.command(_pose(position, rotation))
-                assert client.wait(5.0)
-                distance, angle = _far(client.state.pose, position, rotation)
-                # each telegram is rounded to 1e-6 mm and 1e-6 deg; relative ones add up
-                steps = k if correction == "relative" else 1
-                assert distance < 2e-9 * (steps + 1)
-                assert angle < 5e-8 * (steps + 1)
-            assert (
-                client.counts[Event.MALFORMED]
-                == client.counts[Event.SENDER]
-                == client.counts[Event.LOST]
-                == 0
-            )
-    finally:
-        robot.close()
+            distance, angle = _far(client.state.pose, position, rotation)
+            # each telegram is rounded to 1e-6 mm and 1e-6 deg; relative ones add up
+            steps = k if relative else 1
+            assert distance < 2e-9 * (steps + 1)
+            assert angle < 5e-8 * (steps + 1)
+        assert not client.counts[[Event.MALFORMED, Event.SENDER, Event.LOST]].any()
 
 
 def test_the_client_holds_and_counts_what_the_controller_calls_late() -> None:
     (port,) = free_ports(1)
-    robot = IndependentRobot(port, patience=0.1)
-    try:
-        with _client(port) as client:
-            target = client.start.copy()
-            target[2] += 0.01
+    with closing(IndependentRobot(port, patience=0.1)) as robot, _client(port) as client:
+        target = client.start.copy()
+        target[2] += 0.01
 
-            def arrived() -> bool:
-                client.wait(1.0)
-                client.command(target)
-                return abs(robot.position[2] - 1.11) < 1e-8
+        def arrived() -> bool:
+            client.wait(1.0)
+            client.command(target)
+            return abs(robot.position[2] - 1.11) < 1e-8
 
-            until(arrived)
-            for _ in range(5):
-                assert client.wait(1.0)
-                client.hold()
-            assert robot.position[2] == pytest.approx(1.11, abs=1e-8)
-            before = client.counts[Event.LATE]
-            robot.late += 3
-            until(lambda: client.wait(1.0) and client.counts[Event.LATE] >= before + 3)
-            with pytest.raises(DeviceError, match=r"not finite"):
-                client.command(np.full(7, np.nan))
-    finally:
-        robot.close()
+        until(arrived)
+        for _ in range(5):
+            assert client.wait(1.0)
+            client.hold()
+        assert robot.position[2] == pytest.approx(1.11, abs=1e-8)
+        before = client.counts[Event.LATE]
+        robot.late += 3
+        until(lambda: client.wait(1.0) and client.counts[Event.LATE] >= before + 3)
+        with pytest.raises(DeviceError, match=r"not finite"):
+            client.command(np.full(7, np.nan))
 
 
 @pytest.mark.parametrize("correction", ["absolute", "relative"])
@@ -182,13 +174,12 @@ def test_what_keeps_a_client_from_opening_is_said() -> None:
         DeviceError, match=r"no telegram of a robot in 0.05 s; check IP_NUMBER and PORT"
     ):
         platform_client(f"rsi://127.0.0.1:{port}?connect=0.05").open()
-    robot = IndependentRobot(port)
     with (
+        closing(IndependentRobot(port)),
         _client(port),
         pytest.raises(InputError, match=rf"UDP 127.0.0.1:{port} is in use by another program"),
     ):
         _client(port).open()
-    robot.close()
 
 
 ODD = {

@@ -16,43 +16,24 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-
-def to_frame(position_m, rotation: Rotation) -> list[float]:
-    a, b, c = rotation.as_euler("ZYX", degrees=True)
-    return [1e3 * position_m[0], 1e3 * position_m[1], 1e3 * position_m[2], a, b, c]
-
-
-def from_frame(frame) -> tuple[np.ndarray, Rotation]:
-    return np.array(frame[:3]) * 1e-3, Rotation.from_euler("ZYX", frame[3:], degrees=True)
+PERIOD = 0.004  # [s]
 
 
 class IndependentRobot:
     """The controller: sends cycle after cycle from a thread and moves to start + correction, turned
     about the base axes.
 
-    With ``patience`` [s] the next cycle begins when the answer has come, or after that time: a
-    robot that a busy machine can keep up with.
+    The next cycle begins when the answer has come, or after ``patience`` [s]: a robot that a busy
+    machine can keep up with.
     """
 
-    def __init__(
-        self,
-        port: int,
-        position=(0.5, -0.2, 1.1),
-        angles=(20.0, -35.0, 60.0),
-        period: float = 0.004,
-        relative=False,
-        patience=0.0,
-    ) -> None:
+    def __init__(self, port: int, relative=False, patience=PERIOD) -> None:
         self.towards = ("127.0.0.1", port)
-        self.start_position, self.start_rotation = (
-            np.array(position),
-            Rotation.from_euler("ZYX", angles, degrees=True),
-        )
+        self.start_position = np.array([0.5, -0.2, 1.1])
+        self.start_rotation = Rotation.from_euler("ZYX", [20.0, -35.0, 60.0], degrees=True)
         self.position, self.rotation = self.start_position.copy(), self.start_rotation
-        self.period, self.relative, self.patience = period, relative, patience
-        self.ipoc = 4_208_000_000
-        self.answers: list[dict] = []
-        self.late = self.missed = self.cycles = 0
+        self.relative, self.patience = relative, patience
+        self.ipoc, self.late = 4_208_000_000, 0
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self._stop = threading.Event()
@@ -60,7 +41,7 @@ class IndependentRobot:
         self._thread.start()
 
     def telegram(self) -> bytes:
-        frame = to_frame(self.position, self.rotation)
+        frame = [*(1e3 * self.position), *self.rotation.as_euler("ZYX", degrees=True)]
         inside = " ".join(f'{n}="{v:.6f}"' for n, v in zip("XYZABC", frame, strict=True))
         body = (
             f'<RIst {inside}/><RSol {inside}/><Delay D="{self.late}"/><Tech C11="0.0" '
@@ -69,20 +50,17 @@ class IndependentRobot:
         return f'<Rob TYPE="KUKA">\r\n{body}\r\n<IPOC>{self.ipoc}</IPOC></Rob>'.encode()
 
     def _run(self) -> None:
-        due = time.monotonic()
         while not self._stop.is_set():
-            self.ipoc += round(1e3 * self.period)
-            self.cycles += 1
+            self.ipoc += round(1e3 * PERIOD)
             self.socket.sendto(self.telegram(), self.towards)
-            due = max(due + self.period, time.monotonic() + self.patience)
-            answered = False
-            while (left := due - time.monotonic()) > 0.0 and not (answered and self.patience):
+            begun, answered = time.monotonic(), False
+            while (left := begun + self.patience - time.monotonic()) > 0.0 and not answered:
                 self.socket.settimeout(left)
                 try:
-                    answered = self._take(self.socket.recv(4096)) or answered
+                    answered = self._take(self.socket.recv(4096))
                 except OSError:
                     continue
-            self.missed += not answered
+            time.sleep(max(begun + PERIOD - time.monotonic(), 0.0))
 
     def _take(self, data: bytes) -> bool:
         root = ElementTree.fromstring(data)
@@ -94,8 +72,8 @@ class IndependentRobot:
         if int(root.findtext("IPOC", "")) != self.ipoc:
             self.late += 1
             return False
-        self.answers.append({"ipoc": self.ipoc, "frame": frame})
-        shift, turn = from_frame(frame)
+        shift = 1e-3 * np.array(frame[:3])
+        turn = Rotation.from_euler("ZYX", frame[3:], degrees=True)
         if self.relative:
             self.position, self.rotation = self.position + shift, turn * self.rotation
         else:
