@@ -78,13 +78,8 @@ def _law(numbers, side, bound):
     push = numbers[OFFSET] - side * numbers[FRICTION]
     if bound != 0.0:
         push += bound * numbers[LIMIT] / stiffness
-    return (
-        stiffness,
-        2.0 * numbers[ZETA] * numbers[W],
-        push,
-        1.0 / numbers[INTEGRAL],
-        1.0 if bound == 0.0 else 0.0,
-    )
+    damping, follows = 2.0 * numbers[ZETA] * numbers[W], 1.0 if bound == 0.0 else 0.0
+    return stiffness, damping, push, 1.0 / numbers[INTEGRAL], follows
 
 
 @njit(cache=True)
@@ -177,11 +172,8 @@ def _passes(c0, c1, c2):
 @njit(cache=True)
 def _breaks_loose(numbers, x, q, u, rate, bound):
     """Time until an axis at rest moves, its direction; ``bound``: force limit as an error [m]."""
-    hold, offset, integral = (
-        numbers[FRICTION] * numbers[STATIC],
-        numbers[OFFSET],
-        1.0 / numbers[INTEGRAL],
-    )
+    hold, offset = numbers[FRICTION] * numbers[STATIC], numbers[OFFSET]
+    integral = 1.0 / numbers[INTEGRAL]
     error, closing, bend = u - x + q, rate + integral * (u - x), 0.5 * integral * rate
     up = _passes(error - (hold - offset), closing, bend) if hold - offset < bound else math.inf
     down = _passes(-error - (hold + offset), -closing, -bend) if hold + offset < bound else math.inf
@@ -198,9 +190,8 @@ def drive_over(before, after, dt, numbers, state):
     numbers: (NUMBERS,) parameters of the drive. state: (STATE,), updated in place.
     """
     rate, w, integral = (after - before) / dt, numbers[W], 1.0 / numbers[INTEGRAL]
-    longest = 1.0 / (
-        w * (numbers[ZETA] + math.sqrt(1.0 + numbers[ZETA] * numbers[ZETA])) + integral
-    )
+    zeta = numbers[ZETA]
+    longest = 1.0 / (w * (zeta + math.sqrt(1.0 + zeta * zeta)) + integral)
     most = numbers[LIMIT] / (w * w)
     dry = numbers[FRICTION] > 0.0
     x, v, q = state[PLACE], state[RATE], state[SUM]

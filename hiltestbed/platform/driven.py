@@ -34,14 +34,8 @@ SPEED_LIMIT = 1e3  # [m/s], [rad/s] a joint faster than this has diverged
 # [kg] half the effective mass at a point of the platform: its viscous friction cannot reverse a
 # speed in one step
 YIELDING = 150.0
-NONE, VEL, ACC = (
-    int(stage)
-    for stage in (
-        mujoco.mjtStage.mjSTAGE_NONE,
-        mujoco.mjtStage.mjSTAGE_VEL,
-        mujoco.mjtStage.mjSTAGE_ACC,
-    )
-)
+_S = mujoco.mjtStage
+NONE, VEL, ACC = int(_S.mjSTAGE_NONE), int(_S.mjSTAGE_VEL), int(_S.mjSTAGE_ACC)
 
 
 def least_creep(dt: float) -> float:
@@ -288,7 +282,5 @@ def _cause(m: mujoco.MjModel, qpos: Array, qvel: Array) -> str:
     turns = kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL) or (
         kind == mujoco.mjtJoint.mjJNT_FREE and dof - joint.dofadr[0] > 2
     )
-    return (
-        f"{joint.name} moves at {qvel[dof]:.3g} {'rad/s' if turns else 'm/s'} (limit "
-        f"{SPEED_LIMIT:g})"
-    )
+    unit = "rad/s" if turns else "m/s"
+    return f"{joint.name} moves at {qvel[dof]:.3g} {unit} (limit {SPEED_LIMIT:g})"

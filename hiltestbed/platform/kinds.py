@@ -55,13 +55,10 @@ class Platform(Strictly):
         if tracking == "response":
             why = (
                 "tracking is response, in which rig.platform.response replaces drives and "
-                "controller"
+                "controller; put delay and bandwidth there (response.delay, response.bandwidth), "
+                "or take tracking servo"
             )
-            do = (
-                "put delay and bandwidth there (response.delay, response.bandwidth), or "
-                "take tracking servo"
-            )
-            yield from (((name,), f"{why}; {do}") for name in self.drives)
+            yield from (((name,), why) for name in self.drives)
         elif tracking == "ideal":
             why = (
                 "tracking is ideal, in which the pose reaches the command exactly; take "
@@ -69,11 +66,8 @@ class Platform(Strictly):
             )
             yield from (((name,), why) for name in (*self.drives, "response"))
         elif tracking == "servo":
-            yield (
-                ("response",),
-                "tracking is servo, in which the drives themselves are simulated; take tracking "
-                "response",
-            )
+            simulated = "tracking is servo, in which the drives themselves are simulated"
+            yield ("response",), f"{simulated}; take tracking response"
 
     def problems(self, scenario: Scenario) -> Iterator[Problem]:
         """What a scenario requires that these settings exclude. Paths: in the scenario."""
@@ -93,10 +87,8 @@ class Platform(Strictly):
             lost: damping [N s/m] that the lags of sensor and platform remove from the contact, for
                 methods designed from it.
         """
-        return "phase lead of the force", {
-            "force": {"kind": "phase_lead"},
-            "motion": {"kind": "feedforward"},
-        }
+        lead = {"force": {"kind": "phase_lead"}, "motion": {"kind": "feedforward"}}
+        return "phase lead of the force", lead
 
     @classmethod
     def contest(cls) -> Mapping[str, Mapping[str, Any]]:
@@ -105,12 +97,8 @@ class Platform(Strictly):
 
         A kind with required settings takes part only if it overrides this method and gives them.
         """
-        kind = kind_of(cls)
-        needs = [
-            name
-            for name, field in cls.model_fields.items()
-            if field.is_required() and name != "kind"
-        ]
+        kind, fields = kind_of(cls), cls.model_fields.items()
+        needs = any(field.is_required() and name != "kind" for name, field in fields)
         return {} if kind is None or needs else {kind: {"kind": kind}}
 
     # how this kind of rig distorts a contact, in two or three sentences

@@ -255,11 +255,9 @@ def _sum_at(ring, sums, axis, at, h):
     part = at - first
     slot, after = int(first) % ring.shape[0], int(first + 1) % ring.shape[0]
     low = ring[slot, axis]
-    return (
-        sums[slot, axis] + h * part * (low + 0.5 * part * (ring[after, axis] - low))
-        if part > 0.0
-        else sums[slot, axis]
-    )
+    if part == 0.0:
+        return sums[slot, axis]
+    return sums[slot, axis] + h * part * (low + 0.5 * part * (ring[after, axis] - low))
 
 
 @njit(cache=True)

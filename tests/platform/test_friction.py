@@ -12,11 +12,10 @@ import pytest
 
 from hiltestbed.frames import Array
 from hiltestbed.platform.friction import BRISTLE, DriveFriction
-from hiltestbed.platform.plant import Plant
 from hiltestbed.platform.pss33.servo import PRESLIDING
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.scenario import Scenario, scenario_from
-from tests.platform.rigs import pose, scenario
+from tests.platform.rigs import scenario
 from tests.running import run
 
 COULOMB, STICTION, STRIBECK, VISCOUS, BIAS = 200.0, 300.0, 0.005, 400.0, 0.3
@@ -121,24 +120,6 @@ def test_friction_only_takes_energy(kind: str) -> None:
         assert (now <= before + 0.02 * start + 1e-9).all()
         before = now
     assert (before < 0.01 * start + 1e-9).all() if kind == "single" else (before < start).all()
-
-
-def test_a_run_with_friction_is_the_run_in_a_batch_bit_for_bit() -> None:
-    """Among ideal ones, which stay what they are on their own."""
-    ideal = scenario()
-    rubbing = with_actuator(ideal, "dual")
-    plants = [Plant([ideal, rubbing, ideal], nthread=2), Plant([rubbing]), Plant([ideal])]
-    for plant in plants:
-        n = len(plant.pose_act)
-        goal, twist = pose(z=-1e-3, n=n), np.tile([0.0, 0.0, 0.02, 0.0, 0.0, 0.0], (n, 1))
-        plant.reset(goal, twist)
-        for _ in range(100):
-            goal[:, 2] += 0.02 / 2000.0
-            plant.advance(goal, twist, np.zeros((n, 6)))
-    together, alone, without = plants
-    assert np.array_equal(together.wrench_sub[1], alone.wrench_sub[0])
-    assert np.array_equal(together.pose_act[2], without.pose_act[0])
-    assert not np.array_equal(alone.pose_act[0], without.pose_act[0])
 
 
 def test_a_single_drive_makes_energy_at_the_reversal_and_a_pair_does_not() -> None:

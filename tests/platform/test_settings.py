@@ -6,16 +6,19 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from typing import get_args
+from typing import Literal, get_args
 
 import pytest
 from pydantic import BaseModel, ValidationError
 
+from hiltestbed.errors import InputError
 from hiltestbed.platform.build import built
 from hiltestbed.platform.facilities.bodies import PhysicalFacility
+from hiltestbed.platform.facilities.facility import Facility
 from hiltestbed.platform.facilities.settings import ResponseSettings
 from hiltestbed.platform.kinds import PLATFORMS, Platform
-from tests.platform.halls import TABLE
+from hiltestbed.plugins import register
+from tests.platform.halls import TABLE, stewart
 
 KINDS = [
     kind
@@ -75,3 +78,22 @@ def test_settings_are_read_without_the_physics() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_users_kind_gives_its_own_facility_and_is_refused_without() -> None:
+    class Own(Platform):
+        """Six legs in a hall of their own."""
+
+        kind: Literal["own"] = "own"
+
+        def facility(self) -> Facility:
+            return stewart("electric")
+
+    class Bare(Platform):
+        """Nothing."""
+
+        kind: Literal["bare"] = "bare"
+
+    assert built(Own.model_validate({"kind": "own"})).kind == "stewart"
+    with pytest.raises(InputError, match="lacks facility"):
+        register(Bare)

@@ -89,21 +89,14 @@ class PlatformDrive(Effect):
     rich = True
 
     def apply(self, p: PlatformParameters) -> None:
-        limit, integral = (
-            math.inf if number is None else number
-            for number in (self.acceleration_limit, self.integral_time)
-        )
+        w, limit, integral = 2.0 * math.pi * self.bandwidth, math.inf, math.inf
+        if self.acceleration_limit is not None:
+            limit = self.acceleration_limit
+        if self.integral_time is not None:
+            integral = self.integral_time
         static = 1.0 if self.static is None else self.static
-        numbers = (
-            2.0 * math.pi * self.bandwidth,
-            self.damping_ratio,
-            self.friction,
-            self.offset,
-            limit,
-            integral,
-            static,
-        )
-        p.drive[slice(None) if self.axis == "all" else AXES.index(self.axis)] = numbers
+        own = w, self.damping_ratio, self.friction, self.offset, limit, integral, static
+        p.drive[slice(None) if self.axis == "all" else AXES.index(self.axis)] = own
 
     def unfit(self, scenario: Scenario) -> str | None:
         """By Routh's criterion s^3 + 2 zeta w s^2 + w^2 s + w^2/T_i is stable if 2 zeta w T_i >
@@ -111,11 +104,8 @@ class PlatformDrive(Effect):
         """
         if self.integral_time is None:
             return None
-        least = (
-            math.inf
-            if self.damping_ratio == 0.0
-            else 1.0 / (4.0 * math.pi * self.damping_ratio * self.bandwidth)
-        )
+        loss = 4.0 * math.pi * self.damping_ratio * self.bandwidth
+        least = 1.0 / loss if loss > 0.0 else math.inf
         if self.integral_time > least:
             return None
         return (
@@ -141,16 +131,11 @@ class PlatformDrive(Effect):
             "acceleration_limit": (1e-2 * scales.fast**2 / travel, 1e2 * scales.fast / scales.tick),
             "integral_time": (5.0 * scales.tick, 100.0 * max(scales.duration, 1.0)),
         }  # fmt: skip
-        linear = {
-            "bandwidth": [slow * f for f in (5, 12, 30, 75, 180)],
-            "damping_ratio": [0.3, 1.0],
-        }
+        bands = [slow * f for f in (5, 12, 30, 75, 180)]
+        linear = {"bandwidth": bands, "damping_ratio": [0.3, 1.0]}
         dry = linear | {"friction": [part * travel for part in STOPS]}
-        few = {
-            "bandwidth": [slow * f for f in (12, 40, 120)],
-            "damping_ratio": [0.6],
-            "friction": [STOPS[0] * travel],
-        }
+        few = {"bandwidth": [slow * f for f in (12, 40, 120)], "damping_ratio": [0.6]}
+        few |= {"friction": [STOPS[0] * travel]}
         limits = [part * scales.fast**2 / travel for part in (0.3, 1.0, 3.0, 10.0)]
         for grid in (
             linear,
@@ -159,6 +144,5 @@ class PlatformDrive(Effect):
             few | {"offset": [0.0], "acceleration_limit": limits},
             few | {"integral_time": [20.0 * scales.tick, 200.0 * scales.tick]},
         ):
-            yield candidate(
-                cls, grid, bounds={name: bounds[name] for name in grid if name in bounds}
-            )
+            own_bounds = {name: bounds[name] for name in grid if name in bounds}
+            yield candidate(cls, grid, bounds=own_bounds)

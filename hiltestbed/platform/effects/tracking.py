@@ -67,20 +67,16 @@ class PlatformFriction(Effect):
 
     def apply(self, p: PlatformParameters) -> None:
         p.stick += self.stick
-        p.instants, p.phase = (
-            self.variant.get("instants", p.instants),
-            self.variant.get("phase", p.phase),
-        )
+        p.instants = self.variant.get("instants", p.instants)
+        p.phase = self.variant.get("phase", p.phase)
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         few = list(np.geomspace(5e-6, 8e-4, 6))
-        for (instants, phase), starts in (
-            scales.sticks or {(n, 0.0): few for n in (scales.substeps, FINE)}
-        ).items():
-            yield candidate(
-                cls, {"stick": list(starts)}, variant={"instants": instants, "phase": phase}
-            )
+        sticks = scales.sticks or {(n, 0.0): few for n in (scales.substeps, FINE)}
+        for (instants, phase), starts in sticks.items():
+            variant = {"instants": instants, "phase": phase}
+            yield candidate(cls, {"stick": list(starts)}, variant=variant)
 
 
 @register

@@ -72,12 +72,10 @@ class Bodies(Mover):
         for i in range(len(pose)):
             q, left = self.kinematics.nearest(np.array([pose[i], UPRIGHT]))
             if not left < NEAR:
-                raise InputError(
-                    f"the start cannot be: {missed(self.kinematics.poses(q)[0], pose[i])}"
-                )
+                why = missed(self.kinematics.poses(q)[0], pose[i])
+                raise InputError(f"the start cannot be: {why}")
             qpos[i] = q
-            twists = np.array([twist[i], np.zeros(6)])
-            qvel[i] = self.kinematics.rates(q, twists)
+            qvel[i] = self.kinematics.rates(q, np.array([twist[i], np.zeros(6)]))
             slip = self.kinematics.twists(q, qvel[i])[0] - twist[i]
             if not np.abs(slip).max() < NEAR:
                 k = int(np.argmax(np.abs(slip)))

@@ -217,10 +217,8 @@ class Kinematics:
         twists, free = self.jacobian(q)
         if free.shape[1]:
             joint = self._names[int(self._joint_of(int(np.argmax(np.abs(free[:, 0])))))]
-            return (
-                f"{joint!r} is neither driven nor constrained by a loop, so the tool can "
-                f"move freely"
-            )
+            loose = f"{joint!r} is neither driven nor constrained by a loop"
+            return f"{loose}, so the tool can move freely"
         scaled = twists[:6] * np.array([axis.speed for axis in self.axes])
         scaled[3:] *= LEVER
         left, values, _ = np.linalg.svd(scaled)

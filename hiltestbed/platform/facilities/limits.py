@@ -133,19 +133,12 @@ class Watch:
         turn, unit, newton = (math.degrees(1.0), "deg", "N m") if turns else (1.0, "m", "N")
         if worst == TRAVEL:
             value = (now.joints[i, j] + now.home[j]) * turn
-            return (
-                f"joint {axis.joint} is at {value:.4g} {unit}; its travel is "
-                f"{axis.low * turn:.4g} to {axis.high * turn:.4g} {unit}"
-            )
-        what, limit, scale, per = {
-            SPEED: (f"joint {axis.joint} moves at", axis.speed, turn, f"{unit}/s"),
-            ACCELERATION: (
-                f"joint {axis.joint} accelerates at",
-                axis.acceleration,
-                turn,
-                f"{unit}/s^2",
-            ),
-            FORCE: (f"the drive of joint {axis.joint} exerts", axis.force, 1.0, newton),
+            travel = f"{axis.low * turn:.4g} to {axis.high * turn:.4g} {unit}"
+            return f"joint {axis.joint} is at {value:.4g} {unit}; its travel is {travel}"
+        what, top, per = {
+            SPEED: ("joint {} moves at", axis.speed * turn, f"{unit}/s"),
+            ACCELERATION: ("joint {} accelerates at", axis.acceleration * turn, f"{unit}/s^2"),
+            FORCE: ("the drive of joint {} exerts", axis.force, newton),
         }[worst]
-        top = limit * scale
-        return f"{what} {share * top:.4g} {per}; its limit is {top:.4g} {per}"
+        value = f"{share * top:.4g} {per}; its limit is {top:.4g} {per}"
+        return f"{what.format(axis.joint)} {value}"

@@ -66,13 +66,13 @@ class MjcfFacility(Facility):
         """Raises InputError for an unreadable file, one without `mount`, or too few drives."""
         super().__init__(settings)
         own = model_of(self.settings.file()).spec().compile()
-        if not any(own.site(s).name == MOUNT for s in range(own.nsite)):
-            names = [own.site(s).name for s in range(own.nsite) if own.site(s).name]
+        names = [own.site(s).name for s in range(own.nsite)]
+        if MOUNT not in names:
             raise self._fault(
                 f"has no site {MOUNT!r}, where the active mechanism is attached (sites: "
-                f"{', '.join(names) or 'none'}); add one"
+                f"{', '.join(filter(None, names)) or 'none'}); add one"
             )
-        self._passive = any(own.site(s).name == PASSIVE for s in range(own.nsite))
+        self._passive = PASSIVE in names
         self._sites = {
             name: np.concatenate([own.site(name).pos, own.site(name).quat[[1, 2, 3, 0]]])
             for name in (MOUNT, PASSIVE)[: 1 + self._passive]
@@ -92,29 +92,20 @@ class MjcfFacility(Facility):
                 continue
             joint = own.joint(int(own.actuator_trnid[a, 0]))
             slides = own.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_SLIDE
-            low, high = (
-                own.jnt_range[joint.id] if own.jnt_limited[joint.id] else (-math.inf, math.inf)
-            )
+            limited = own.jnt_limited[joint.id]
+            low, high = own.jnt_range[joint.id] if limited else (-math.inf, math.inf)
             if own.actuator_ctrllimited[a]:
                 ratio = own.actuator_gear[a, 0]
                 span = sorted(own.actuator_ctrlrange[a] / ratio)
                 low, high = max(low, span[0]), min(high, span[1])
-            force = (
-                float(np.abs(own.actuator_forcerange[a]).min())
-                if own.actuator_forcelimited[a]
-                else math.inf
-            )
-            speed = self.settings.speed if slides else self.settings.spin
-            unit = "m" if slides else "rad"
-            yield Axis(
-                PREFIX + joint.name,
-                unit,
-                float(low),
-                float(high),
-                speed,
-                self.settings.acceleration,
-                force * abs(own.actuator_gear[a, 0]),
-            )
+            force = math.inf
+            if own.actuator_forcelimited[a]:
+                ratio = abs(own.actuator_gear[a, 0])
+                force = float(np.abs(own.actuator_forcerange[a]).min()) * ratio
+            s = self.settings
+            unit, speed = ("m", s.speed) if slides else ("rad", s.spin)
+            name = PREFIX + joint.name
+            yield Axis(name, unit, float(low), float(high), speed, s.acceleration, force)
 
     def _placed(self, own: mujoco.MjModel) -> tuple[dict[str, Array], Array]:
         """Home positions by joint, in the file's world, and the pose (7,) of that world in W."""
@@ -123,11 +114,8 @@ class MjcfFacility(Facility):
         if keys:
             mujoco.mj_resetDataKeyframe(own, data, keys[0])
         mujoco.mj_kinematics(own, data)
-        into = (
-            compose(UPRIGHT, inverse_pose(site_pose(own, data, PASSIVE))) if self._passive else None
-        )
-        if into is None:
-            into = compose(MOUNT_HOME, inverse_pose(site_pose(own, data, MOUNT)))
+        site, at = (PASSIVE, UPRIGHT) if self._passive else (MOUNT, MOUNT_HOME)
+        into = compose(at, inverse_pose(site_pose(own, data, site)))
         home = {}
         for j in range(own.njnt):
             start, width = own.jnt_qposadr[j], {0: 7, 1: 4}.get(int(own.jnt_type[j]), 1)
@@ -138,23 +126,20 @@ class MjcfFacility(Facility):
         """Raise InputError unless the drives move the mount in six axes, at home or near it."""
         model = compiled(self.spec())
         kinematics = self.kinematics(model)
-        if kinematics.lost_motion(kinematics.home) is None:
-            return
         found, rng = kinematics.lost_motion(kinematics.home), np.random.default_rng(1)
+        if found is None:
+            return
         for _ in range(TRIES):
             q = kinematics.home.copy()
             step = np.array([NEARBY * min(axis.high - axis.low, 2.0) for axis in self._axes])
             q[kinematics.q] += step * rng.uniform(-1.0, 1.0, len(step))
             if kinematics.lost_motion(kinematics.closed(q)) is None:
                 return  # only home is singular: the start is checked separately
-        others = (
-            ""
-            if model.nu == len(self._axes)
-            else "; actuators that are not position servos do not count"
-        )
+        others = "; actuators that are not position servos do not count"
         raise self._fault(
             f"its {len(self._axes)} position actuators do not move {MOUNT!r} in six axes: {found}; "
-            f"add what is missing, or drive it by position actuators{others}"
+            f"add what is missing, or drive it by position actuators"
+            + (others if model.nu != len(self._axes) else "")
         )
 
     @property

@@ -49,11 +49,10 @@ def _plan(upper, h, settle, pose, diverged, motion):
                 t = (s + 1.0) / m
                 a = goal[j] - x[i, j]
                 b, c = h * speed[i, j], h * leave
-                xs[i, s, j] = (
-                    goal[j]
-                    if s == m - 1
-                    else x[i, j] + t * (b + t * ((3.0 * a - 2.0 * b - c) + t * (b + c - 2.0 * a)))
+                xs[i, s, j] = x[i, j] + t * (
+                    b + t * ((3.0 * a - 2.0 * b - c) + t * (b + c - 2.0 * a))
                 )
+            xs[i, m - 1, j] = goal[j]
             rate[i, j], speed[i, j] = new, leave
         still[i] = 0 if moves else still[i] + 1
         away[i] = still[i] <= settle and not diverged[i]

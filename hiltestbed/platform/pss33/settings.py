@@ -49,20 +49,12 @@ class Actuator(Strictly):
 
     def idle(self, scenario: Scenario) -> Iterator[Problem]:
         if self.kind == "ideal":
+            why = "the actuator's kind is ideal, a drive without friction; take kind single or dual"
             names = ("coulomb", "stiction", "stribeck_speed", "viscous", "bias_speed")
-            yield from (
-                (
-                    (name,),
-                    "the actuator's kind is ideal, a drive without friction; take kind single or "
-                    "dual",
-                )
-                for name in names
-            )
+            yield from (((name,), why) for name in names)
         elif self.kind == "single":
-            yield (
-                ("bias_speed",),
-                "the actuator's kind is single, whose motor has no bias speed; take kind dual",
-            )
+            why = "the actuator's kind is single, whose motor has no bias speed; take kind dual"
+            yield ("bias_speed",), why
 
     def law(self) -> tuple[float, ...]:
         """Coulomb, stiction, Stribeck speed, viscous and bias speed of
@@ -77,15 +69,9 @@ class Actuator(Strictly):
     @model_validator(mode="after")
     def _breaks_away(self) -> Actuator:
         if self.stiction < self.coulomb:
-            refuse(
-                [
-                    (
-                        ("stiction",),
-                        f"is less than coulomb (got {self.stiction:g} N); allowed is "
-                        f"{self.coulomb:g} N and more",
-                    )
-                ]
-            )
+            given, least = f"{self.stiction:g} N", f"{self.coulomb:g} N"
+            message = f"is less than coulomb (got {given}); allowed is {least} and more"
+            refuse([(("stiction",), message)])
         return self
 
 
@@ -130,13 +116,7 @@ class Pss33(Driven):
     states_limits: ClassVar[bool] = False
     carries_upper: ClassVar[bool] = True
     start_needs_model: ClassVar[bool] = False
-    drives: ClassVar[tuple[str, ...]] = (
-        "bandwidth",
-        "damping_ratio",
-        "encoder_resolution",
-        "command",
-        "actuator",
-    )
+    drives = ("bandwidth", "damping_ratio", "encoder_resolution", "command", "actuator")
     distorts: ClassVar[str] = (
         "Computed torque with feed-forward removes the drives' lag in free motion; in contact the "
         "position loops yield like springs, so "

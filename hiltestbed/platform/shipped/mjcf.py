@@ -55,12 +55,10 @@ class MjcfSettings(Driven):
 
     @classmethod
     def contest(cls) -> Mapping[str, Mapping[str, Any]]:
-        own = cls is MjcfSettings  # its model has no default
-        return (
-            {"mjcf": {"kind": "mjcf", "model": "xyz_table/xyz_table.xml"}}
-            if own
-            else super().contest()
-        )
+        if cls is not MjcfSettings:
+            return super().contest()
+        # its model has no default
+        return {"mjcf": {"kind": "mjcf", "model": "xyz_table/xyz_table.xml"}}
 
 
 @register
