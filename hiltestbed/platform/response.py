@@ -168,8 +168,8 @@ class PlatformResponse:
     tick.
 
     Attributes:
-        path: see :class:`PlatformPaths`. active: whether any platform alters its command; otherwise the
-            path equals the command.
+        path: see :class:`PlatformPaths`. active: whether any platform alters its command; otherwise
+            the path equals the command.
     """
 
     def __init__(
