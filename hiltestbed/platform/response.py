@@ -136,7 +136,7 @@ def follow_behind(before, after, dt, limits, drive, lag, mode, state):
     return follow(before, after, dt, (speed, play, stick), lag, mode, state)
 
 
-class Paths(NamedTuple):
+class PlatformPaths(NamedTuple):
     """The platforms of n runs.
 
     Attributes:
@@ -168,8 +168,8 @@ class PlatformResponse:
     tick.
 
     Attributes:
-        path: see :class:`Paths`. active: whether any platform alters its command; otherwise the
-            path equals the command.
+        path: see :class:`PlatformPaths`. active: whether any platform alters its command; otherwise
+            the path equals the command.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class PlatformResponse:
         p, late = stack(parameters), np.array([each.delay for each in parameters]) / self.tick
         slots = math.ceil(float(late.max()) + longest_memory(p.step) / self.tick) + 3
         lags, modes = p.lag.shape[1], p.mode.shape[1]
-        self._paths = paths = Paths(
+        self._paths = paths = PlatformPaths(
             dt=self.tick / self.substeps,
             late=late,
             numbers=p,

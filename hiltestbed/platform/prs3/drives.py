@@ -65,7 +65,7 @@ class UpperMotion(NamedTuple):
     slid: Array
 
 
-class Plan(NamedTuple):
+class UpperPlan(NamedTuple):
     """The planned motion of n upper platforms.
 
     Attributes:
@@ -250,7 +250,7 @@ class UpperDrives:
             MOVED_PER_DRIVE * (2.0 * math.pi * BANDWIDTH) ** 2,
             2.0 * MOVED_PER_DRIVE * 2.0 * math.pi * BANDWIDTH,
         )
-        self._plan = plan = Plan(
+        self._plan = plan = UpperPlan(
             pose=np.zeros((n, 7)),
             twist=np.zeros((n, 6)),
             target=np.zeros((n, 3)),
