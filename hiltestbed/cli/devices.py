@@ -53,7 +53,7 @@ app = typer.Typer()
 
 
 @dataclass
-class Devices:
+class DeviceOptions:
     """The devices of a loop, and what they may do."""
 
     sensor: Sensor
@@ -71,7 +71,7 @@ class Devices:
 @grouped
 def live(
     scenario: ScenarioFile,
-    devices: Devices,
+    devices: DeviceOptions,
     seconds: Annotated[
         float | None, typer.Option("--for", metavar="SECONDS", help="Duration of the run.")
     ] = None,
@@ -151,7 +151,7 @@ def emulate(
 @grouped
 def commission(
     scenario: ScenarioFile,
-    devices: Devices,
+    devices: DeviceOptions,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -224,7 +224,7 @@ def fmu(
     )
 
 
-def _options(devices: Devices, record: Path | None = None) -> Options:
+def _options(devices: DeviceOptions, record: Path | None = None) -> Options:
     from hiltestbed.devices.session import Options
 
     return Options(
