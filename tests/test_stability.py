@@ -26,7 +26,6 @@ from hiltestbed.numerical_model.bodies import effective_mass
 from hiltestbed.platform.pss33.settings import Pss33
 from hiltestbed.signals import Trace
 from tests.running import judged, shipped
-from tests.slow import SLOW, slow
 
 # of the platform: natural frequency [Hz], damping ratio, delay [s]
 BAND, ZETA, LATE = 10.0, 0.7, 0.006
@@ -52,51 +51,76 @@ def critical_damping(mass: float, stiffness: float) -> float:
     )
 
 
-def latched(damping: float):
-    """A contact that pulls, too: a linear loop, behind a second order with a delay."""
+def latched(damping: float, **changes):
+    """A contact that pulls, too: a linear loop."""
+    keys = {
+        "mechanism": {"kind": "latched", "contact": {"stiffness": K, "damping": damping}},
+        "rate": 2000.0,
+        "physics_rate": 4000.0,
+        "approach.gap": 0.0,
+        "identification.kind": "none",
+    }
+    return shipped("02-bumper", keys | changes)
+
+
+def late(damping: float):
+    """Behind a second order with a delay."""
     effects = [
         {"kind": "platform.delay", "delay": LATE},
         {"kind": "platform.lag", "bandwidth": BAND},
     ]
-    return shipped(
-        "02-bumper",
-        {
-            "mechanism": {"kind": "latched", "contact": {"stiffness": K, "damping": damping}},
-            "effects": effects,
-            "rate": 2000.0,
-            "physics_rate": 4000.0,
-            "duration": 4.0,
-            "approach.gap": 0.0,
-            "identification.kind": "none",
-        },
-    )
+    return latched(damping, effects=effects, duration=4.0)
+
+
+def slow_across(damping: float):
+    """Behind a platform that is slow along x alone, ports at the centres of mass."""
+    answer = {
+        "bandwidth": [4.0, 30.0, 30.0, 30.0, 30.0, 30.0],
+        "damping_ratio": 0.7,
+        "delay": 0.002,
+    }
+    keys = {
+        "spacecraft.chaser.port.position": [0.0, 0.0, 0.0],
+        "spacecraft.target.port.position": [0.0, 0.0, 0.0],
+        "sensor": {},
+        "duration": 3.0,
+        "rig.platform": {"kind": "pss33", "tracking": "response", "response": answer},
+        "rate": 1000.0,
+        "physics_rate": 2000.0,
+        "approach.velocity": [0.004, 0.0, 0.004],
+        "compensation": {"force": {"kind": "none"}, "motion": {"kind": "none"}},
+    }
+    return latched(damping, **keys)
+
+
+def motion(scenarios):
+    """Time (N,) and relative position (N, R, 3) of the loop of these runs."""
+    loop, trace = Loop(scenarios), Trace(scenarios[0].ticks, len(scenarios), scenarios[0].rate)
+    for _ in range(scenarios[0].ticks):
+        loop.step(trace)
+    return trace.t, trace["pose_cmd"][:, :, :3]
+
+
+def growth(t, x, start: float) -> float:
+    """[1/s] of the peaks of a vibration from ``start`` [s] on."""
+    z = np.abs(x)
+    peaks = 1 + np.flatnonzero((z[1:-1] > z[:-2]) & (z[1:-1] >= z[2:]) & (t[1:-1] > start))
+    return float(np.polyfit(t[peaks], np.log(z[peaks]), 1)[0])
 
 
 def test_the_critical_damping_of_a_second_order_with_delay() -> None:
     """The measured response, and the loop itself, are at their limit at the closed form's critical
     damping within 2 %.
     """
-    mass = effective_mass(latched(1.0))
-    closed = critical_damping(mass, K)
-    response = measured_response(latched(closed))
-    above, below = (judge(latched(factor * closed), response, 0.0) for factor in (1.02, 0.98))
-    assert above is not None
-    assert above.stable
-    assert below is not None
-    assert not below.stable
+    closed = critical_damping(effective_mass(late(1.0)), K)
+    response = measured_response(late(closed))
+    for factor, stable in ((1.02, True), (0.98, False)):
+        found = judge(late(factor * closed), response, 0.0)
+        assert found is not None
+        assert found.stable is stable
     around = np.array([0.9, 0.95, 1.0, 1.05, 1.1]) * closed
-    scenarios = [latched(float(c)) for c in around]
-    loop, trace = Loop(scenarios), Trace(8000, len(scenarios), 2000.0)
-    for _ in range(8000):
-        loop.step(trace)
-    z, t = np.abs(trace["pose_cmd"][:, :, 2]), trace.t
-    growth = []
-    for i in range(len(around)):
-        peaks = 1 + np.flatnonzero(
-            (z[1:-1, i] > z[:-2, i]) & (z[1:-1, i] >= z[2:, i]) & (t[1:-1] > 0.5)
-        )
-        growth.append(np.polyfit(t[peaks], np.log(z[peaks, i]), 1)[0])
-    slope, offset = np.polyfit(around, growth, 1)
+    t, x = motion([late(float(c)) for c in around])
+    slope, offset = np.polyfit(around, [growth(t, x[:, i, 2], 0.5) for i in range(5)], 1)
     assert -offset / slope == pytest.approx(closed, rel=0.02)
 
 
@@ -128,12 +152,11 @@ def test_the_measured_response_is_the_drives_second_order() -> None:
     assert np.abs(np.degrees(np.angle(ratio))).max() < 5.0
 
 
-@pytest.mark.parametrize("kind", ["pss33", slow("stewart"), slow("serial_arm")])
-def test_what_is_said_before_the_run_is_what_the_run_does(kind) -> None:
+def test_what_is_said_before_the_run_is_what_the_run_does() -> None:
     """ln e = -pi c_net/(2 m w): the net damping that was foretold is the one that the bounce shows,
     and the verdict its sign.
     """
-    s = shipped("03-bumper-delay-uncompensated", {"rig.platform": {"kind": kind}})
+    s = shipped("03-bumper-delay-uncompensated")
     done = run(s).summary
     said = done["stability"]
     foretold = (
@@ -172,50 +195,16 @@ def test_a_slower_controller_of_the_sliders_is_as_late_as_its_cycles() -> None:
 
 
 def test_stiffer_or_later_than_the_limit_is_unstable() -> None:
-    s = shipped("18-stewart", {"sensor.delay": 0.001, "compensation.force.kind": "none"})
-    said = judged(s)
+    keys = {"sensor.delay": 0.001, "compensation.force.kind": "none"}
+    said = judged(shipped("18-stewart", keys))
     assert said["stable"]
     for key, limit in (
         ("mechanism.contact.stiffness", said["largest_stiffness"]),
         ("sensor.delay", said["largest_delay"]),
     ):
         for factor, stable in ((0.99, True), (1.01, False)):
-            again = judged(
-                shipped(
-                    "18-stewart",
-                    {"sensor.delay": 0.001, "compensation.force.kind": "none"}
-                    | {key: factor * limit},
-                )
-            )
+            again = judged(shipped("18-stewart", keys | {key: factor * limit}))
             assert again["stable"] is stable, (key, factor)
-
-
-def slow_across(damping: float):
-    """A latch behind a platform that is slow along x alone, ports at the centres of mass."""
-    answer = {
-        "bandwidth": [4.0, 30.0, 30.0, 30.0, 30.0, 30.0],
-        "damping_ratio": 0.7,
-        "delay": 0.002,
-    }
-    still = {
-        "spacecraft.chaser.port.position": [0.0, 0.0, 0.0],
-        "spacecraft.target.port.position": [0.0, 0.0, 0.0],
-    }
-    return shipped(
-        "02-bumper",
-        {
-            "mechanism": {"kind": "latched", "contact": {"stiffness": K, "damping": damping}},
-            "sensor": {},
-            "duration": 3.0,
-            "rig.platform": {"kind": "pss33", "tracking": "response", "response": answer},
-            "rate": 1000.0,
-            "physics_rate": 2000.0,
-            "approach": {"gap": 0.0, "velocity": [0.004, 0.0, 0.004], "offset": [0.0, 0.0]},
-            "identification.kind": "none",
-            "compensation": {"force": {"kind": "none"}, "motion": {"kind": "none"}},
-        }
-        | still,
-    )
 
 
 def test_the_worst_axis_is_what_the_verdict_says() -> None:
@@ -228,17 +217,10 @@ def test_the_worst_axis_is_what_the_verdict_says() -> None:
     by = {d["direction"]: d for d in said["directions"]}
     assert by["along z"]["stable"]
     assert set(by) == {"along x", "along y", "along z", "about x", "about y", "about z"}
-    loop, trace = Loop([s]), Trace(3000, 1, s.rate)
-    for _ in range(3000):
-        loop.step(trace)
-    t, mass = trace.t, effective_mass(s)
+    t, x = motion([s])
     for axis, name in ((0, "along x"), (2, "along z")):
-        z = np.abs(trace["pose_cmd"][:, 0, axis])
-        peaks = 1 + np.flatnonzero((z[1:-1] > z[:-2]) & (z[1:-1] >= z[2:]) & (t[1:-1] > 0.3))
-        growth = np.polyfit(t[peaks], np.log(z[peaks]), 1)[0]
-        assert growth == pytest.approx(
-            -by[name]["net_damping"] / (2.0 * mass), rel=0.15, abs=0.02
-        ), name
+        expected = -by[name]["net_damping"] / (2.0 * effective_mass(s))
+        assert growth(t, x[:, 0, axis], 0.3) == pytest.approx(expected, rel=0.15, abs=0.02), name
 
 
 def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
@@ -262,52 +244,47 @@ def test_a_probe_that_meets_the_cone_off_the_axis_turns_both_bodies() -> None:
     assert way.mass == pytest.approx(1.0 / total, rel=1e-6)
 
 
-@SLOW
 def test_a_command_through_the_inverse_of_the_platform_is_judged_as_it_runs() -> None:
     """The platform's response times its inverse is 1 to second order: the lag of 2 zeta/w = 15 ms,
     by far too much, is gone.
     """
-    rig = {
+    second_order = {"bandwidth": 15.0, "damping_ratio": 0.7}
+    keys = {
         "rig.platform.tracking": "response",
-        "rig.platform.response": {"bandwidth": 15.0, "damping_ratio": 0.7},
+        "rig.platform.response": second_order,
         "sensor.noise": 0.0,
-    }
-    inverse = {
-        "compensation.motion": {"kind": "inverse_model", "bandwidth": 15.0, "damping_ratio": 0.7}
-    }
-    found = {}
-    for name, changes in {
-        "none": {"compensation.motion": {"kind": "none"}},
-        "inverse": inverse,
-    }.items():
-        summary = run(
-            shipped("02-bumper", {"compensation.force": {"kind": "phase_lead"}} | rig | changes)
-        ).summary
-        found[name] = summary["stability"]
-        assert found[name]["rebound"] == pytest.approx(summary["cor"], rel=1e-3)
-        assert found[name]["stable"] is (summary["cor"] < 1.0)
-    assert (found["none"]["stable"], found["inverse"]["stable"]) == (False, True)
-
-
-def test_what_changes_the_command_by_measurements_is_not_judged() -> None:
-    changes = {
-        "compensation.motion": {"kind": "adaptive_time_series"},
         "compensation.force": {"kind": "phase_lead"},
     }
-    found = judged(shipped("02-bumper", changes))
+    for motion, stable in (
+        ({"kind": "none"}, False),
+        ({"kind": "inverse_model"} | second_order, True),
+    ):
+        done = run(shipped("02-bumper", keys | {"compensation.motion": motion})).summary
+        assert done["stability"]["rebound"] == pytest.approx(done["cor"], rel=1e-3)
+        assert done["stability"]["stable"] is (done["cor"] < 1.0) is stable
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"compensation.motion": {"kind": "adaptive_time_series"}},
+            "adaptive_time_series, which changes the command by measurements; without it",
+        ),
+        (
+            {"compensation.force": {"kind": "cor_designed", "stiffness": 1e5, "damping": 400.0}},
+            "cor_designed",
+        ),
+    ],
+)
+def test_what_adds_a_force_or_changes_the_command_by_measurements_is_not_judged(
+    changes, said
+) -> None:
+    phase_lead = {"compensation.force": {"kind": "phase_lead"}, "sensor.delay": 0.01}
+    found = judged(shipped("02-bumper", phase_lead | changes))
     assert found["stable"] is None
-    assert found["verdict"].startswith(
-        "not judged with adaptive_time_series, which changes the command by measurements; without "
-        "it"
-    )
-
-
-@SLOW
-def test_what_adds_a_force_of_its_own_is_not_judged() -> None:
-    said = judged(shipped("20-facing-arms"))
-    assert said["stable"] is None
-    assert "not judged with cor_designed" in said["verdict"]
-    assert said["uncompensated"]["stable"] is False
+    assert found["verdict"].startswith(f"not judged with {said}")
+    assert found["uncompensated"]["stable"] is False
 
 
 def test_bodies_that_move_by_themselves_have_no_loop() -> None:

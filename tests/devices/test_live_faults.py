@@ -4,7 +4,9 @@ out.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +14,14 @@ import pytest
 
 from hiltestbed.devices.emulate import Emulator
 from hiltestbed.devices.interface import Link
-from hiltestbed.devices.session import Session
+from hiltestbed.devices.session import Options, Session
 from hiltestbed.devices.sockets import Datagrams
 from hiltestbed.devices.watch import CommunicationLimits
-from hiltestbed.scenario import Scenario
+from hiltestbed.run_folder.store import read_run
+from hiltestbed.scenario import Scenario, dump_scenario
+from hiltestbed.simulation import Run
 from tests.devices.lockstep import Disturbance, played, scenario_of, watched
+from tests.devices.running import urls
 
 STRICT = CommunicationLimits(
     misses_in_a_row=0, misses_in_window=0, disturbances_in_window=0, stale=1000.0
@@ -182,3 +187,26 @@ def test_a_limit_stops_the_run_before_anything_beyond_it_is_sent(key: str) -> No
         np.testing.assert_allclose(
             outcome.emulator.platform.command, outcome.session.rig.last, atol=1e-12
         )
+
+
+def test_a_run_that_its_supervision_stops_ends_the_command_with_status_3(
+    call: Callable[..., tuple[int, str, str]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """By the command itself, but for the wall clock: its devices move in lockstep."""
+
+    def in_lockstep(scenario: Scenario, options: Options) -> Run:
+        return played(
+            scenario, "udp", Fault("gone", "platform", TOUCHED), record=options.record
+        ).run
+
+    monkeypatch.setattr("hiltestbed.devices.live.live", in_lockstep)
+    file, folder = tmp_path / "s.yaml", tmp_path / "run"
+    file.write_text(dump_scenario(_strict("udp")))
+    (sensor, _), (platform, _) = urls("rdt"), urls("udp")
+    devices = ("--sensor", sensor, "--platform", platform, "--arm", "--no-rerun")
+    status, out, err = call("live", str(file), *devices, "--out", str(folder), "--json")
+    summary = json.loads(out)
+    assert (status, summary["status"]) == (3, "stopped")
+    assert f"{summary['stop_reason']}; the run is in {folder}" in err
+    assert read_run(folder).summary["status"] == "stopped"
+    assert sorted(tmp_path.iterdir()) == [folder, file], "rows are left of a process that dies only"
