@@ -46,25 +46,24 @@ print(force(1.0), constant(1.0), of_module(1.0), *(sum(f.stats.cache_hits.values
 """
 
 
-def ran(folder: Path, factor: float, sign: str) -> list[float]:
-    (folder / "law.py").write_text(LAW.format(factor=factor, sign=sign))
-    (folder / "user.py").write_text(USER)
-    done = subprocess.run(
-        [sys.executable, "-B", "user.py"], cwd=folder, capture_output=True, text=True, check=True
-    )
-    return [float(word) for word in done.stdout.split()]
+def printed(folder: Path, program: str, text: str, *arguments: str) -> str:
+    """By a program of its own in the folder."""
+    (folder / program).write_text(text)
+    line = [sys.executable, "-B", program, *arguments]
+    done = subprocess.run(line, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("kernels")
-
-
-def test_an_old_kernel_is_taken_only_where_nothing_has_changed(folder: Path) -> None:
-    assert ran(folder, 2.0, "") == [2.0, 2.0, 2.0, 0, 0, 0]
-    assert ran(folder, 2.0, "") == [2.0, 2.0, 2.0, 1, 1, 1]
-    assert ran(folder, 3.0, "") == [3.0, 3.0, 3.0, 0, 0, 0]
-    assert ran(folder, 3.0, "-") == [-3.0, 3.0, 3.0, 0, 1, 1]
+def test_an_old_kernel_is_taken_only_where_nothing_has_changed(tmp_path: Path) -> None:
+    for factor, sign, expected in (
+        (2.0, "", "2.0 2.0 2.0 0 0 0"),
+        (2.0, "", "2.0 2.0 2.0 1 1 1"),
+        (3.0, "", "3.0 3.0 3.0 0 0 0"),
+        (3.0, "-", "-3.0 3.0 3.0 0 1 1"),
+    ):
+        (tmp_path / "law.py").write_text(LAW.format(factor=factor, sign=sign))
+        assert printed(tmp_path, "user.py", USER) == expected
 
 
 RECORD = """
@@ -90,10 +89,7 @@ print(twice({name}(1.5)), sum(twice.stats.cache_hits.values()))
 
 def taken(folder: Path, module: str, name: str) -> str:
     (folder / f"{module}.py").write_text(RECORD.format(name=name))
-    (folder / "taker.py").write_text(TAKER.format(module=module, name=name))
-    done = subprocess.run([sys.executable, "-B", "taker.py"], cwd=folder, capture_output=True)
-    assert done.returncode == 0, done.stderr.decode()
-    return done.stdout.decode().strip()
+    return printed(folder, "taker.py", TAKER.format(module=module, name=name))
 
 
 @pytest.mark.parametrize(("module", "name"), [("records", "Renamed"), ("moved", "Record")])
@@ -152,16 +148,6 @@ print(*values)
 
 def test_a_kernel_inside_another_is_the_kernel_that_python_calls(tmp_path: Path) -> None:
     """Value and error, compiled or from the disk, and taken from there by a kernel that is new."""
-    (tmp_path / "inside.py").write_text(INSIDE)
-    said = [
-        subprocess.run(
-            [sys.executable, "-B", "inside.py", what],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.strip()
-        for what in ("", "", "changed")
-    ]
+    said = [printed(tmp_path, "inside.py", INSIDE, what) for what in ("", "", "changed")]
     assert said == ["10.0 5.0 below zero"] * 2 + ["10.0 11.0 5.0 below zero"]
     assert list(tmp_path.rglob("inner-inside.inner*.nbc"))

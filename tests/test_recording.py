@@ -12,6 +12,7 @@ from hiltestbed import read_run, replay_failure, run, write_run
 from hiltestbed.errors import HiltestbedError, InputError
 from hiltestbed.run_folder import store as recording_module
 from hiltestbed.signals import GROUPS
+from hiltestbed.simulation import run_batch
 from tests.running import shipped
 
 
@@ -30,10 +31,7 @@ def test_a_run_is_read_back_as_it_was(short_run, tmp_path: Path) -> None:
     assert again.trace is not None
     for name, values in short_run.trace.columns().items():
         np.testing.assert_array_equal(again.trace.columns()[name], values)
-
-
-def test_every_column_says_its_unit_and_frame(short_run, tmp_path: Path) -> None:
-    schema = pq.read_schema(write_run(short_run, tmp_path / "run", rerun=False) / "trace.parquet")
+    schema = pq.read_schema(folder / "trace.parquet")
     for group in GROUPS.values():
         for column, unit in zip(group.columns, group.units, strict=True):
             metadata = schema.field(column).metadata
@@ -47,19 +45,7 @@ def test_the_same_seed_gives_the_same_file(short_run, tmp_path: Path) -> None:
     assert (first / "trace.parquet").read_bytes() == (second / "trace.parquet").read_bytes()
 
 
-def test_what_fails_half_way_leaves_nothing(
-    short_run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full_disk(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(recording_module, "write_trace", full_disk)
-    with pytest.raises(HiltestbedError, match="No space"):
-        write_run(short_run, tmp_path / "run", rerun=False)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_earlier_run_is_kept_when_the_new_one_fails(
+def test_what_fails_half_way_leaves_what_was_there(
     short_run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = write_run(short_run, tmp_path / "run", rerun=False)
@@ -69,8 +55,10 @@ def test_an_earlier_run_is_kept_when_the_new_one_fails(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(recording_module, "write_trace", full_disk)
-    with pytest.raises(HiltestbedError, match="No space"):
-        write_run(short_run, folder, rerun=False)
+    for place in (folder, tmp_path / "new"):
+        with pytest.raises(HiltestbedError, match="No space"):
+            write_run(short_run, place, rerun=False)
+    assert list(tmp_path.iterdir()) == [folder]
     assert (folder / "trace.parquet").read_bytes() == before
 
 
@@ -81,55 +69,27 @@ def test_a_folder_with_other_things_in_it_is_refused_untouched(short_run, tmp_pa
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
-UNWATCHED = {
+# a spring of 1e12 N/m that is late throws the bodies apart at some 1e6 m/s: the model leaves the
+# room in the next tick
+WILD = {"mechanism.contact.stiffness": 1e12} | {
     f"safety.{limit}": None for limit in ("stroke", "speed", "limb_angle_deg", "force", "torque")
 }
 
 
-def test_a_divergence_says_when_and_why_and_can_be_replayed(tmp_path: Path) -> None:
-    """A spring of 1e12 N/m felt 5 ms late throws the bodies apart at some 1e6 m/s: the model leaves
-    the room in the next tick.
-    """
-    scenario = shipped(
-        "04-bumper-delay-compensated",
-        {
-            "rig.platform.tracking": "ideal",
-            "mechanism.contact.stiffness": 1e12,
-            "compensation.force": {"kind": "none"},
-        }
-        | UNWATCHED,
-    )
-    failed = run(scenario)
+def test_a_divergence_says_when_and_why_can_be_replayed_and_leaves_its_batch_alone(
+    short_run, tmp_path: Path
+) -> None:
+    short = {"duration": 0.45, "rig.platform.tracking": "ideal"}
+    wild = shipped("04-bumper-delay-compensated", short | WILD)
+    failed, other = run_batch([wild, short_run.scenario], trace=True)
     assert failed.summary["status"] == "diverged"
-    assert "tick" in failed.summary["stop_reason"]
     folder = write_run(failed, tmp_path / "failed", rerun=False)
     loop, (tick, _, reason) = replay_failure(folder)
     assert f"tick {tick}," in failed.summary["stop_reason"]
     assert reason in failed.summary["stop_reason"]
     assert failed.trace is not None
+    assert other.trace is not None
     np.testing.assert_array_equal(loop.drive.pose[0], failed.trace["pose_cmd"][-1])
-
-
-def test_a_run_that_diverges_leaves_the_others_of_its_batch_alone() -> None:
-    from hiltestbed.simulation import simulate
-
-    base = shipped(
-        "04-bumper-delay-compensated", {"rig.platform.tracking": "ideal", "duration": 0.6}
-    )
-    wild = shipped(
-        "04-bumper-delay-compensated",
-        {
-            "rig.platform.tracking": "ideal",
-            "duration": 0.6,
-            "mechanism.contact.stiffness": 1e12,
-            "seed": 9,
-        }
-        | UNWATCHED,
-    )
-    alone = simulate([base], trace=True).trace
-    batch = simulate([wild, base], trace=True)
-    assert list(batch.trouble) == [0]
-    assert alone is not None
-    assert batch.trace is not None
-    assert alone["pose_cmd"][:, 0].tobytes() == batch.trace["pose_cmd"][:, 1].tobytes()
-    assert batch.trace.length[0] < batch.trace.length[1]
+    assert other.summary["status"] == "completed"
+    assert other.trace["pose_cmd"].tobytes() == short_run.trace["pose_cmd"].tobytes()
+    assert len(failed.trace.t) < len(other.trace.t)

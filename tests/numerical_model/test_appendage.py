@@ -37,6 +37,12 @@ def with_panel(rate: int = 2000, **changes: Any) -> Scenario:
     return load_scenario(SCENARIO, set={"rate": rate, "physics_rate": rate, "effects": [panel]})
 
 
+def point(mass: float, at: Any) -> Array:
+    """(3, 3) inertia about the origin of a mass at a place."""
+    at = np.asarray(at)
+    return np.asarray(mass * (at @ at * np.eye(3) - np.outer(at, at)))
+
+
 def momentum(model: NumericalModel, ratio: float) -> Array:
     """(6,) of both bodies and the chaser's panel about the inertial origin."""
     place, velocity = model._swing[0, CHASER, 0]
@@ -84,9 +90,8 @@ def test_it_is_at_rest_what_is_believed_of_the_whole_body() -> None:
     panel = turn.inv().apply(model._swing[0, CHASER, 0, 0] - model.centres()[0, CHASER, :3])
     np.testing.assert_allclose(panel, PLACE, atol=1e-12)
     np.testing.assert_allclose((1.0 - ratio) * rest + ratio * panel, 0.0, atol=1e-12)
-    whole = model._inertia[0, CHASER].copy()
-    for mass, at in (((1.0 - ratio) * body.mass, rest), (ratio * body.mass, panel)):
-        whole += mass * (at @ at * np.eye(3) - np.outer(at, at))
+    whole = model._inertia[0, CHASER] + point((1.0 - ratio) * body.mass, rest)
+    whole += point(ratio * body.mass, panel)
     np.testing.assert_allclose(whole, inertia_matrix(body.inertia), atol=1e-9)
 
 
@@ -123,8 +128,7 @@ def in_mujoco(scenario: Scenario, duration: float) -> tuple[Array, Array]:
         body.ipos = rest
         whole = inertia_matrix(bodies[b].inertia)
         if b == CHASER:
-            for mass, at in ((body.mass, rest), (ratio * bodies[b].mass, np.array(PLACE))):
-                whole = whole - mass * (at @ at * np.eye(3) - np.outer(at, at))
+            whole = whole - point(body.mass, rest) - point(ratio * bodies[b].mass, PLACE)
         body.fullinertia = whole[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     panel = spec.body("chaser").add_body(name="panel", pos=PLACE)
     mass, w = ratio * bodies[CHASER].mass, 2.0 * math.pi * PANEL["frequency"]

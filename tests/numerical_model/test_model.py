@@ -8,9 +8,10 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from hiltestbed import load_scenario
-from hiltestbed.numerical_model.bodies import inertia_matrix, pair_momentum
-from hiltestbed.numerical_model.kernels import CHASER, TARGET
+from hiltestbed.numerical_model.bodies import pair_momentum
+from hiltestbed.numerical_model.kernels import TARGET
 from hiltestbed.numerical_model.model import NumericalModel
+from tests.physics.closed_forms import newton_euler
 
 SCENARIO = "05-off-centre"
 
@@ -30,29 +31,18 @@ def _newton_euler(scenario, wrench, duration):
     """Both bodies under a constant wrench in P at P's origin, by an eighth-order integrator."""
     craft = NumericalModel([scenario])
     bodies = (scenario.spacecraft.chaser, scenario.spacecraft.target)
-    inertia = [inertia_matrix(b.inertia) for b in bodies]
     port = Rotation.from_euler("xyz", bodies[TARGET].port.attitude_deg, degrees=True)
 
     def rates(_, y):
-        state, out = y.reshape(2, 13), np.empty((2, 13))
+        state = y.reshape(2, 13)
         target = Rotation.from_quat(state[TARGET, 3:7])
         force, torque = (target * port).apply(wrench[:3]), (target * port).apply(wrench[3:])
         point = state[TARGET, :3] + target.apply(bodies[TARGET].port.position)
-        for b, sign in ((CHASER, -1.0), (TARGET, 1.0)):
-            p, q, v, w = np.split(state[b], [3, 7, 10])
-            moment = Rotation.from_quat(q).inv().apply(sign * (torque + np.cross(point - p, force)))
-            out[b, :3] = v
-            out[b, 3:7] = 0.5 * np.concatenate([q[3] * w + np.cross(q[:3], w), [-q[:3] @ w]])
-            out[b, 7:10] = sign * force / bodies[b].mass
-            out[b, 10:] = np.linalg.solve(inertia[b], moment - np.cross(w, inertia[b] @ w))
-        return out.ravel()
+        return newton_euler(bodies, state, force, torque, point)
 
     start = np.concatenate([craft.q[0], craft.v[0]], axis=1).ravel()
-    return (
-        solve_ivp(rates, (0.0, duration), start, method="DOP853", rtol=1e-12, atol=1e-14)
-        .y[:, -1]
-        .reshape(2, 13)
-    )
+    found = solve_ivp(rates, (0.0, duration), start, method="DOP853", rtol=1e-12, atol=1e-14)
+    return found.y[:, -1].reshape(2, 13)
 
 
 def test_the_step_converges_to_newton_and_euler_in_first_order() -> None:

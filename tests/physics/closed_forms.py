@@ -1,12 +1,17 @@
-"""What theory says of one bounce of two free bodies: the yardsticks of the tests in this folder."""
+"""What theory says of two free bodies and of their bounce: the yardsticks of the tests."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.integrate import quad
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from hiltestbed.numerical_model.bodies import inertia_matrix
+from hiltestbed.scenario.spacecraft import Body
 
 
 def cor_at_zero_force(k: float, c: float, mu: float) -> float:
@@ -43,3 +48,21 @@ def cor_pure_delay(w: float, tau: float) -> float:
     after = int(np.argmax(np.array([x(t) for t in times]) < 0.0))
     end = brentq(x, times[after - 1], times[after])
     return w * w * quad(x, 0.0, end, limit=200)[0] - 1.0
+
+
+def newton_euler(
+    bodies: Sequence[Body], state: np.ndarray, force: np.ndarray, torque: np.ndarray, at: np.ndarray
+) -> np.ndarray:
+    """(26,) rates of p, q, v, w of chaser and target, state (2, 13), w in the body, under what the
+    chaser exerts on the target at a point, in inertial axes.
+    """
+    out = np.empty((2, 13))
+    for body, given, rate, sign in zip(bodies, state, out, (-1.0, 1.0), strict=True):
+        p, q, v, w = np.split(given, [3, 7, 10])
+        inertia = inertia_matrix(body.inertia)
+        moment = Rotation.from_quat(q).inv().apply(sign * (torque + np.cross(at - p, force)))
+        rate[:3] = v
+        rate[3:7] = 0.5 * np.concatenate([q[3] * w + np.cross(q[:3], w), [-q[:3] @ w]])
+        rate[7:10] = sign * force / body.mass
+        rate[10:] = np.linalg.solve(inertia, moment - np.cross(w, inertia @ w))
+    return out.ravel()

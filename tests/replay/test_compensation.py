@@ -17,7 +17,6 @@ from hiltestbed.replay.compensation import needs
 from hiltestbed.scenario import Scenario
 from tests.effects.examples import example
 from tests.replay.recorded import record, scenario
-from tests.slow import slow
 
 # of the peak. The resynchronised one looks at poses, whose last bit decides its own
 ROUND_OFF = 1e-12
@@ -56,22 +55,18 @@ def error(s: Scenario) -> float:
 
 
 @pytest.mark.parametrize(
-    "rig",
-    [slow("bumper with friction"), "probe and cone with latch", slow("latched on a mount")],
-)
-@pytest.mark.parametrize(
     "force", FORCE, ids=lambda f: "-".join([f["kind"], *(k for k in f if k != "kind")])
 )
-def test_a_method_gives_what_it_gave_in_the_loop(force: dict[str, Any], rig: str) -> None:
-    assert error(scenario(rig, "ideal", NOISE | {"compensation.force": force})) < ROUND_OFF
+def test_a_method_gives_what_it_gave_in_the_loop(force: dict[str, Any]) -> None:
+    changes = NOISE | {"compensation.force": force}
+    assert error(scenario("probe and cone with latch", "ideal", changes)) < ROUND_OFF
 
 
-@pytest.mark.parametrize("force", [slow("phase_lead"), "resynchronised", slow("reconstruction")])
 @pytest.mark.parametrize("motion", MOTION, ids=lambda m: m["kind"])
 def test_so_it_does_beside_every_way_to_tell_the_platform_where_to_go(
-    motion: dict[str, Any], force: str
+    motion: dict[str, Any],
 ) -> None:
-    changes = {"compensation.force": {"kind": force}, "compensation.motion": motion}
+    changes = {"compensation.force": {"kind": "resynchronised"}, "compensation.motion": motion}
     assert error(scenario("bumper with friction", "servo", NOISE | changes)) < ROUND_OFF
 
 
