@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -42,9 +41,7 @@ def test_a_planted_delay_is_found_to_a_fraction_of_a_sample(rate: float) -> None
     assert shift_between(t_a, np.zeros_like(a), t_b, b) is None
 
 
-def test_delays_of_two_logs_are_a_ledger(
-    call: Callable[..., tuple[int, str, str]], tmp_path: Path
-) -> None:
+def test_delays_of_two_logs_are_a_ledger(call, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     late = {"a": (0.002, 0.001), "b": (0.0065, 0.0035)}  # of the force, of the platform
     for name, clock, rate in (("a", 0.0, 1000.0), ("b", 12.3456, 800.0)):

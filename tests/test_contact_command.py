@@ -8,7 +8,6 @@ from __future__ import annotations
 import cmath
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -140,9 +139,7 @@ def test_a_pair_of_an_mjcf_is_measured_in_its_own_contact(tmp_path: Path) -> Non
     assert pair_in_mjcf(file, ("tip", "floor"), None, SPEED)[0].misfit > 0.005
 
 
-def test_the_command_prints_one_object_or_one_page(
-    call: Callable[..., tuple[int, str, str]], tmp_path: Path
-) -> None:
+def test_the_command_prints_one_object_or_one_page(call, tmp_path: Path) -> None:
     numbers = ("contact", "--k", "1e5", "--cor", "0.85", "--masses", "500,2000")
     status, out, _ = call(*numbers, "--engine", "mujoco", "--json")
     found = json.loads(out)
@@ -171,17 +168,13 @@ def test_the_command_prints_one_object_or_one_page(
         (("--k", "1e5", "--c", "1", "--masses", "1,1", "--engine", "odd"), "allowed are"),
     ],
 )
-def test_what_cannot_be_is_said(
-    call: Callable[..., tuple[int, str, str]], arguments: tuple[str, ...], words: str
-) -> None:
+def test_what_cannot_be_is_said(call, arguments: tuple[str, ...], words: str) -> None:
     status, out, err = call("contact", *arguments)
     assert (status, out) == (2, "")
     assert words in err
 
 
-def test_geoms_that_do_not_touch_and_names_are_said(
-    call: Callable[..., tuple[int, str, str]], tmp_path: Path
-) -> None:
+def test_geoms_that_do_not_touch_and_names_are_said(call, tmp_path: Path) -> None:
     file = tmp_path / "pair.xml"
     file.write_text(PAIR)
     status, _, err = call("contact", "--mjcf", str(file), "--geom", "ball", "flor")

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import hiltestbed
+from hiltestbed import load_scenario
 from hiltestbed.analysis.assessment import NEUTRAL, assess, energy_share
 from hiltestbed.errors import InputError
 from hiltestbed.signals import GROUPS
@@ -30,20 +31,12 @@ OVERRIDES = {
 @pytest.fixture(scope="module")
 def late() -> hiltestbed.Run:
     """5 ms of delay, uncompensated: it rebounds faster than it came."""
-    return hiltestbed.run(
-        hiltestbed.load_scenario(
-            hiltestbed.shipped("scenarios") / "03-bumper-delay-uncompensated.yaml", OVERRIDES
-        )
-    )
+    return hiltestbed.run(load_scenario("03-bumper-delay-uncompensated", OVERRIDES))
 
 
 @pytest.fixture(scope="module")
 def right() -> hiltestbed.Run:
-    return hiltestbed.run(
-        hiltestbed.load_scenario(
-            hiltestbed.shipped("scenarios") / "04-bumper-delay-compensated.yaml", OVERRIDES
-        )
-    )
+    return hiltestbed.run(load_scenario("04-bumper-delay-compensated", OVERRIDES))
 
 
 def trace_of(run: hiltestbed.Run) -> hiltestbed.RunTrace:
@@ -107,13 +100,7 @@ def test_plot_returns_axes_with_what_was_asked(late: hiltestbed.Run) -> None:
 
 
 def test_a_run_without_trace_says_so() -> None:
-    bare = hiltestbed.run_batch(
-        [
-            hiltestbed.load_scenario(
-                hiltestbed.shipped("scenarios") / "02-bumper.yaml", {"duration": 0.01}
-            )
-        ]
-    )[0]
+    (bare,) = hiltestbed.run_batch([load_scenario("02-bumper", {"duration": 0.01})])
     assert "no trace" in repr(bare)
     with pytest.raises(ValueError, match="no trace"):
         bare.to_pandas()
@@ -131,20 +118,14 @@ def test_the_verdict_on_energy_follows_the_number(
     assert "gained" in wrong.energy
     assert any("faster than the approach" in text for text in wrong.warnings)
     trace = trace_of(late)
-    taken = (
-        float(np.trapezoid(trace["wrench_true.fz"], trace["pose_act.pz"]))
-        / late.summary["approach_energy"]
-    )
-    assert energy_share(late.summary) == pytest.approx(
-        late.summary["cor"] ** 2 - 1.0 + taken, rel=0.01
-    )
+    work = float(np.trapezoid(trace["wrench_true.fz"], trace["pose_act.pz"]))
+    made = late.summary["cor"] ** 2 - 1.0 + work / late.summary["approach_energy"]
+    assert energy_share(late.summary) == pytest.approx(made, rel=0.01)
     assert abs(energy_share(right.summary) or 0.0) <= NEUTRAL
     assert good.passive is None
     assert good.warnings == ()
-    lost = assess(
-        late.summary
-        | {"energy_generated": -late.summary["energy_generated"], "cor": 0.5, "cor_log_error": -0.6}
-    )
+    figures = {"energy_generated": -late.summary["energy_generated"], "cor_log_error": -0.6}
+    lost = assess(late.summary | figures | {"cor": 0.5})
     assert lost.passive is True
     assert not any("active" in text for text in lost.warnings)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,9 +25,7 @@ def pushing(rate: float) -> list[dict[str, object]]:
 
 
 @pytest.mark.parametrize("rate", [100.0, 300.0])
-def test_a_reference_that_makes_energy_is_an_error(
-    call: Callable[..., tuple[int, str, str]], tmp_path: Path, rate: float
-) -> None:
+def test_a_reference_that_makes_energy_is_an_error(call, tmp_path: Path, rate: float) -> None:
     changes = {**IDEAL, "effects": pushing(rate)}
     sets = [word for k, v in changes.items() for word in ("--set", f"{k}={json.dumps(v)}")]
     status, _, said = call("run", "02-bumper", *sets, "--no-rerun", "--out", str(tmp_path / "run"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -81,9 +80,7 @@ def test_the_callback_of_mujoco_reads_the_force_of_ten_steps_before() -> None:
     np.testing.assert_allclose(measured[10:], true[:-10], atol=1e-12)
 
 
-def test_the_packed_sensor_is_that_in_python(
-    tmp_path: Path, call: Callable[..., tuple[int, str, str]]
-) -> None:
+def test_the_packed_sensor_is_that_in_python(tmp_path: Path, call) -> None:
     pytest.importorskip("pythonfmu3")
     from hiltestbed.devices.fmu import WRENCH, CoSimulation
 

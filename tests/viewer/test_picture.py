@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +38,7 @@ def test_the_stroke_of_a_probe_is_a_column(touched: Run, tmp_path: Path) -> None
 
 def test_a_picture_needs_no_display(
     touched: Run,
-    call: Callable[..., tuple[int, str, str]],
+    call,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

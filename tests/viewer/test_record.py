@@ -11,7 +11,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-import hiltestbed
+from hiltestbed import load_scenario
 from hiltestbed.frames import Array, rotation_matrix
 from hiltestbed.platform.prs3.geometry import Upper
 from hiltestbed.platform.pss33.kinematics import shipped_limbs
@@ -39,10 +39,7 @@ def _strict() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     """Both ports off the axis, tilted and turning, with friction and noise: every axis moves."""
-    off_centre = hiltestbed.load_scenario(
-        Path(__file__).parents[2] / "scenarios" / "05-off-centre.yaml"
-    )
-    return off_centre.model_copy(update={"duration": 0.6})
+    return load_scenario("05-off-centre", {"duration": 0.6})
 
 
 @pytest.fixture(scope="module")
@@ -214,15 +211,9 @@ def test_spacecraft_stand_apart_as_their_ports_do(
     craft = done.scenario.spacecraft
     x_c, r_c = recording.pose("spacecraft/chaser")
     x_t, r_t = recording.pose("spacecraft/target")
-    apart = (
-        x_c
-        + r_c @ np.array(craft.chaser.port.position)
-        - x_t
-        - r_t @ np.array(craft.target.port.position)
-    )
-    np.testing.assert_allclose(
-        np.einsum("fji,fj->fi", r_t, apart), trace["pose_cmd"][rows, :3], atol=2 * SINGLE
-    )
+    apart = x_c + r_c @ craft.chaser.port.position - x_t - r_t @ craft.target.port.position
+    seen = np.einsum("fji,fj->fi", r_t, apart)
+    np.testing.assert_allclose(seen, trace["pose_cmd"][rows, :3], atol=2 * SINGLE)
 
 
 def test_centre_of_mass_of_the_spacecraft_moves_uniformly(
@@ -255,15 +246,12 @@ def test_scene_holds_rig_ports_and_spacecraft(recording: Read) -> None:
     assert {"/spacecraft/chaser/body", "/spacecraft/target/body"} <= meshes
 
 
-def test_layout_lies_inside_the_file(done: Run, tmp_path: Path) -> None:
-    path = tmp_path / "recording.rrd"
-    write_recording(path, done)
-    assert len(RrdReader(path).blueprints()) == 1
-
-
-def test_the_same_run_gives_the_same_content(recording: Read, done: Run, tmp_path: Path) -> None:
+def test_the_same_run_gives_the_same_content_and_the_layout_lies_inside_the_file(
+    recording: Read, done: Run, tmp_path: Path
+) -> None:
     write_recording(tmp_path / "again.rrd", done)
     again = Read(tmp_path / "again.rrd")
+    assert len(RrdReader(tmp_path / "again.rrd").blueprints()) == 1
     for one, other in ((recording.moving, again.moving), (recording.static, again.static)):
         assert one.keys() == other.keys()
         for entity in one:
@@ -272,8 +260,8 @@ def test_the_same_run_gives_the_same_content(recording: Read, done: Run, tmp_pat
 
 
 def test_upper_platform_carries_P_and_its_legs_close(tmp_path: Path) -> None:
-    far = hiltestbed.load_scenario(Path(__file__).parents[2] / "scenarios" / "14-rendezvous.yaml")
-    done = run(far.model_copy(update={"duration": 0.2}))
+    far = load_scenario("14-rendezvous", {"duration": 0.2})
+    done = run(far)
     assert done.trace is not None
     write_recording(tmp_path / "recording.rrd", done)
     read, rows = Read(tmp_path / "recording.rrd"), frame_rows(done.trace, far.rate)
