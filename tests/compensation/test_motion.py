@@ -91,9 +91,8 @@ def test_a_compliant_platform_holds_the_peak_force(tracking: str, kind: str) -> 
     contact = BenchContact(4.0, 0.005, 0.05, tracking=tracking)
     limit = 0.6 * contact.peak
     free = bounce([contact.scenario({"kind": kind})]).figures[0]
-    held = bounce([_with(contact, {"kind": "admittance", "limit": limit}, {"kind": kind})]).figures[
-        0
-    ]
+    yielding = {"kind": "admittance", "limit": limit}
+    held = bounce([_with(contact, yielding, {"kind": kind})]).figures[0]
     assert free.peak_force > 1.5 * limit
     assert 0.85 * limit < held.peak_force <= limit
 
@@ -101,24 +100,12 @@ def test_a_compliant_platform_holds_the_peak_force(tracking: str, kind: str) -> 
 def test_the_numerical_model_need_not_notice_that_the_platform_yields() -> None:
     """The force is corrected for the platform's place: the rebound is that without a limit."""
     contact = BenchContact(4.0, 0.005, 0.05)
-    assert (
-        abs(
-            _error(
-                _with(
-                    contact,
-                    {"kind": "admittance", "limit": 0.6 * contact.peak},
-                    {"kind": "resynchronised"},
-                )
-            )
-        )
-        < 0.003
-    )
+    yielding = {"kind": "admittance", "limit": 0.6 * contact.peak}
+    assert abs(_error(_with(contact, yielding, {"kind": "resynchronised"}))) < 0.003
 
 
 def test_feed_forward_tells_the_velocity_of_the_tick() -> None:
     result = bounce([BenchContact(4.0, 0.0, 0.05, tracking="servo").scenario(BARE)], trace=True)
     assert result.trace is not None
-    error = np.abs(result.trace["pose_cmd"][:-1, 0, 2] - result.trace["pose_act"][1:, 0, 2])[
-        : result.loop.k - 1
-    ]
-    assert error.max() < 0.02 * np.abs(result.trace["pose_cmd"][: result.loop.k, 0, 2]).max()
+    told, reached = (result.trace[name][: result.loop.k, 0, 2] for name in ("pose_cmd", "pose_act"))
+    assert np.abs(told[:-1] - reached[1:]).max() < 0.02 * np.abs(told).max()

@@ -20,6 +20,7 @@ OWN_STIFFNESS = np.array([8e4, 8e4, 2e5, 1.2e4, 1.2e4, 3e4])
 OWN_DAMPING = np.array([500.0, 500.0, 900.0, 60.0, 60.0, 90.0])
 # [N/m], [N s/m] of a ball joint, [m] behind the latched place
 JOINT, JOINT_DAMPING, BEHIND = 4e4, 250.0, 0.17
+START = np.array([1e-3, -0.8e-3, 1e-3, 2e-3, -1e-3, 2e-3])  # [m], [rad]
 INERTIA = np.array([400.0, 400.0, 400.0, 60.0, 60.0, 60.0])  # [kg], [kg m^2]
 
 
@@ -88,6 +89,13 @@ def two_regressors(x: np.ndarray, v: np.ndarray, force: np.ndarray) -> np.ndarra
     return np.linalg.lstsq(columns, force, rcond=None)[0][:2] / [x.std(), v.std()]
 
 
+def alone(motion: np.ndarray, rate: np.ndarray, felt: np.ndarray, axis: int) -> list[np.ndarray]:
+    """k and c of an axis by its own motion, of each run, over the ticks that count."""
+    used = slice(TICKS - 1 - len(felt), TICKS - 1)
+    x, v = motion[used, axis], rate[used, axis]
+    return [two_regressors(x, v, felt[:, run, axis]) for run in range(felt.shape[1])]
+
+
 def test_a_joint_off_the_latched_place_is_no_part_of_k_and_c() -> None:
     """Two modes of x with ry and of y with rx: errors over standard deviations as of a normal
     distribution, over the seeds.
@@ -95,7 +103,7 @@ def test_a_joint_off_the_latched_place_is_no_part_of_k_and_c() -> None:
     Mean and spread within four standard deviations of either: 4/sqrt(N), 4/sqrt(2 N).
     """
     runs = 100
-    motion, rate = ring_down(STIFFNESS, DAMPING, np.array([1e-3, -0.8e-3, 1e-3, 2e-3, -1e-3, 2e-3]))
+    motion, rate = ring_down(STIFFNESS, DAMPING, START)
     force = motion @ STIFFNESS.T + rate @ DAMPING.T
     (k, c, k_sd, c_sd), _ = identified(motion, rate, force, runs)
     for found, sd, true in ((k, k_sd, np.diag(STIFFNESS)), (c, c_sd, np.diag(DAMPING))):
@@ -117,7 +125,6 @@ def test_motion_that_goes_together_is_explained_by_the_axis_alone() -> None:
     motion[:, 4], rate[:, 4] = part * x[:, 2], part * v[:, 2]
     force = motion @ STIFFNESS.T + rate @ DAMPING.T
     (k, c, k_sd, c_sd), felt = identified(motion, rate, force, 20)
-    used = slice(TICKS - 1 - len(felt), TICKS - 1)
     for axis, other, times in ((0, 4, part), (4, 0, 1.0 / part)):
         assert k[:, axis] == pytest.approx(
             STIFFNESS[axis, axis] + times * STIFFNESS[axis, other], abs=4.0 * k_sd[0, axis]
@@ -125,34 +132,20 @@ def test_motion_that_goes_together_is_explained_by_the_axis_alone() -> None:
         assert c[:, axis] == pytest.approx(
             DAMPING[axis, axis] + times * DAMPING[axis, other], abs=4.0 * c_sd[0, axis]
         )
-        alone = [
-            two_regressors(motion[used, axis], rate[used, axis], felt[:, run, axis])
-            for run in range(20)
-        ]
-        np.testing.assert_allclose(np.stack([k[:, axis], c[:, axis]], axis=1), alone, rtol=1e-7)
+        bare = alone(motion, rate, felt, axis)
+        np.testing.assert_allclose(np.stack([k[:, axis], c[:, axis]], axis=1), bare, rtol=1e-7)
 
 
 def test_without_coupling_the_axis_stays_alone() -> None:
     """Of six separate springs that all move, no run of any axis is other than by two regressors:
     chances of 1/n^2 at each of n samples.
     """
-    runs = 20
-    motion, rate = ring_down(
-        np.diag(OWN_STIFFNESS),
-        np.diag(OWN_DAMPING),
-        np.array([1e-3, -0.8e-3, 1e-3, 2e-3, -1e-3, 2e-3]),
-    )
+    motion, rate = ring_down(np.diag(OWN_STIFFNESS), np.diag(OWN_DAMPING), START)
     force = motion * OWN_STIFFNESS + rate * OWN_DAMPING
-    (k, c, *_), felt = identified(motion, rate, force, runs)
-    used = slice(TICKS - 1 - len(felt), TICKS - 1)
+    (k, c, *_), felt = identified(motion, rate, force, 20)
     for axis in range(6):
-        alone = [
-            two_regressors(motion[used, axis], rate[used, axis], felt[:, run, axis])
-            for run in range(runs)
-        ]
-        np.testing.assert_allclose(
-            np.stack([k[:, axis], c[:, axis]], axis=1), alone, rtol=1e-7, err_msg=AXES[axis]
-        )
+        bare, found = alone(motion, rate, felt, axis), np.stack([k[:, axis], c[:, axis]], axis=1)
+        np.testing.assert_allclose(found, bare, rtol=1e-7, err_msg=AXES[axis])
 
 
 def sums_of(x: np.ndarray, v: np.ndarray, y: np.ndarray) -> np.ndarray:

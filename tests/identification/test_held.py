@@ -15,9 +15,7 @@ from hiltestbed.contact.sides import sides_of
 from hiltestbed.identification.methods.rls import Rls
 from hiltestbed.loop import Loop
 from hiltestbed.platform.plant import Plant
-from hiltestbed.signals import AXES
 from tests.contact.test_jacobian import measured
-from tests.slow import slow
 
 QUIET = {"sensor.noise": 0.0, "sensor.torque_noise": 0.0}
 
@@ -30,16 +28,17 @@ def ended(name: str, **changes: object) -> Loop:
     return loop
 
 
-@pytest.mark.parametrize("name", [slow("09-docking"), "10-glancing"])
-def test_a_latch_is_found_on_six_axes_as_its_jacobian_has_it(name: str) -> None:
+def test_a_latch_is_found_on_six_axes_as_its_jacobian_has_it() -> None:
     """Through servo and delay, off the axis and askew; the Jacobian is that of the same latch under
     ideal tracking.
 
     Across the axes it has half the angle by which the latch is turned, under half a degree here:
     turns do not add up like shifts.
     """
-    found = ended(name)
-    ideal = ended(name, **{"rig.platform.tracking": "ideal", "duration": 4.0, "sensor.delay": 0.0})
+    found = ended("10-glancing")
+    ideal = ended(
+        "10-glancing", **{"rig.platform.tracking": "ideal", "duration": 4.0, "sensor.delay": 0.0}
+    )
     assert found.plant.captured[0]
     assert ideal.plant.captured[0]
     assert found.identification is not None
@@ -87,15 +86,9 @@ def test_the_lever_of_a_latch_is_taken_out(scenario: str) -> None:
     estimate.source.captured[:], estimate.source.steps[:] = True, len(phases)
     for k in range(len(t)):
         estimate.update(wrench[max(k - delay, 0)][None], pose[k][None], twist[k][None])
-    turning = close.radius**2
-    for axis in range(6):
-        factor = 1.0 if axis < 3 else turning
-        assert estimate.stiffness[0, axis] == pytest.approx(close.stiffness * factor, rel=1e-3), (
-            AXES[axis]
-        )
-        assert estimate.damping[0, axis] == pytest.approx(close.damping * factor, rel=1e-3), AXES[
-            axis
-        ]
+    factor = np.array([1.0] * 3 + [close.radius**2] * 3)
+    np.testing.assert_allclose(estimate.stiffness[0], close.stiffness * factor, rtol=1e-3)
+    np.testing.assert_allclose(estimate.damping[0], close.damping * factor, rtol=1e-3)
 
 
 def body_rate(vector: np.ndarray, rate: np.ndarray) -> np.ndarray:

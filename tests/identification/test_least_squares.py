@@ -46,24 +46,22 @@ def _identify(scenarios, offset: float = 0.0) -> RecursiveLeastSquares:
     return estimator
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.005, 0.00537, 0.02])
-@pytest.mark.parametrize("lowpass", [None, 200.0, 50.0])
-def test_delay_and_filter_do_not_bias_the_estimate(delay: float, lowpass: float | None) -> None:
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        *({"delay": d, "lowpass": f} for d in (0.0, 0.00537, 0.02) for f in (None, 50.0)),
+        {"time_constant": 1.0},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("offset", [0.0, 2e-4])
+def test_neither_delay_nor_filter_nor_a_touch_point_that_is_off_biases_the_estimate(
+    sensor: dict[str, float | None], offset: float
+) -> None:
     """What is left is interpolation and the tick-wise filter: below 0.1 % of k, 1 % of c."""
-    s = {
-        "sensor.delay": delay,
-        "sensor.noise": 0.0,
-        "sensor.lowpass": lowpass,
-        "rig.platform.tracking": "servo",
-    }
-    estimator = _identify([load_scenario(SCENARIO, set=s)])
-    assert estimator.stiffness[0, 2] == pytest.approx(K, rel=1e-3)
-    assert estimator.damping[0, 2] == pytest.approx(C, rel=1e-2)
-
-
-def test_a_high_pass_and_a_touch_point_that_is_off_do_not_bias_the_estimate() -> None:
-    s = {"sensor.noise": 0.0, "sensor.time_constant": 1.0, "rig.platform.tracking": "servo"}
-    estimator = _identify([load_scenario(SCENARIO, set=s)], offset=2e-4)
+    keys = {f"sensor.{key}": value for key, value in sensor.items()}
+    s = {"sensor.noise": 0.0, "rig.platform.tracking": "servo"} | keys
+    estimator = _identify([load_scenario(SCENARIO, set=s)], offset)
     assert estimator.stiffness[0, 2] == pytest.approx(K, rel=1e-3)
     assert estimator.damping[0, 2] == pytest.approx(C, rel=1e-2)
 

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
-from hiltestbed.analysis.ledger import delay_ledger, predicted_log_error
-from hiltestbed.loop import Loop
-from hiltestbed.numerical_model.bodies import pair_momentum
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import run_batch, simulate
 from tests.physics.closed_forms import cor_at_zero_force, cor_pure_delay
@@ -33,7 +29,7 @@ def test_a_rebound_without_delay_is_the_closed_form(damping: float) -> None:
     assert figures.impulse == pytest.approx(MU * 0.03 * (1.0 + figures.cor), rel=1e-9)
 
 
-@pytest.mark.parametrize("w_tau", [0.063, 0.126, 0.251, 0.503, 1.005])
+@pytest.mark.parametrize("w_tau", [0.063, 0.251, 1.005])
 def test_a_pure_delay_makes_the_energy_of_the_exact_series(w_tau: float) -> None:
     scenario = head_on(mechanism__contact__damping=0.0, sensor__delay=w_tau / W)
     figures = simulate([scenario]).figures[0]
@@ -44,19 +40,7 @@ def test_a_pure_delay_makes_the_energy_of_the_exact_series(w_tau: float) -> None
     assert figures.energy_generated == pytest.approx(made, rel=1e-3)
 
 
-@pytest.mark.parametrize("w_tau", [0.063, 0.126, 0.251])
-@pytest.mark.parametrize("damping", [0.0, 400.0])
-def test_the_delay_ledger_predicts_the_rebound(w_tau: float, damping: float) -> None:
-    scenario = head_on(mechanism__contact__damping=damping, sensor__delay=w_tau / W)
-    figures = simulate([scenario]).figures[0]
-    assert figures.cor is not None
-    predicted = predicted_log_error(scenario, delay_ledger(scenario, figures))
-    assert predicted == pytest.approx(
-        math.log(figures.cor / cor_at_zero_force(K, damping, MU)), abs=0.01
-    )
-
-
-@pytest.mark.parametrize("rate", [1000, 2000, 4000])
+@pytest.mark.parametrize("rate", [1000, 4000])
 def test_the_coupling_adds_no_delay(rate: int) -> None:
     """A hold would add half a tick, ln e = (pi/2) w h/2; less than a twentieth is there."""
     figures = simulate([head_on(rate=rate, physics_rate=2 * rate)]).figures[0]
@@ -68,9 +52,8 @@ def test_the_coupling_adds_no_delay(rate: int) -> None:
 
 
 def test_free_flight_makes_neither_force_nor_energy() -> None:
-    batch = simulate(
-        [load_scenario("01-free-flight", set={"rig.platform.tracking": "ideal"})], trace=True
-    )
+    ideal = {"rig.platform.tracking": "ideal"}
+    batch = simulate([load_scenario("01-free-flight", set=ideal)], trace=True)
     assert batch.trace is not None
     assert not batch.trace.contact.any()
     assert not batch.trace["wrench_true"].any()
@@ -95,22 +78,21 @@ def test_stiffness_and_damping_are_identified_through_the_delay(tracking: str) -
 
 
 def test_the_same_seed_gives_the_same_bytes_alone_and_in_a_batch() -> None:
-    base = load_scenario("05-off-centre", set={"duration": 0.5})
+    short = {"duration": 0.5}
+    base = load_scenario("05-off-centre", set=short)
     others = [
-        load_scenario(
-            "05-off-centre", set={"duration": 0.5, "seed": 50 + i, "sensor.delay": 1e-4 * i}
-        )
-        for i in range(63)
+        load_scenario("05-off-centre", set=short | {"seed": 50 + i, "sensor.delay": 1e-4 * i})
+        for i in range(15)
     ]
     alone = simulate([base], trace=True).trace
     again = simulate([base], trace=True).trace
-    among = simulate([*others[:30], base, *others[30:]], trace=True, nthread=2).trace
+    among = simulate([*others[:10], base, *others[10:]], trace=True, nthread=2).trace
     assert alone is not None
     assert again is not None
     assert among is not None
     for name, array in alone.data.items():
         assert array[:, 0].tobytes() == again[name][:, 0].tobytes(), name
-        assert array[:, 0].tobytes() == among[name][:, 30].tobytes(), name
+        assert array[:, 0].tobytes() == among[name][:, 10].tobytes(), name
 
 
 def test_the_reference_is_the_closed_form() -> None:
@@ -122,21 +104,3 @@ def test_the_reference_is_the_closed_form() -> None:
             abs(math.log(run.summary["cor_reference"] / cor_at_zero_force(K, damping, MU))) < 2e-3
         )
         assert run.summary["cor_log_error"] > 0.2
-
-
-def test_momentum_is_constant_off_centre() -> None:
-    scenario = load_scenario(
-        "05-off-centre",
-        set={"rig.platform.tracking": "ideal", "rate": 8000, "physics_rate": 16000},
-    )
-    loop = Loop([scenario])
-    craft = loop.model
-    before = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)[0]
-    arm = np.abs(craft.q[0, :, :3]).max()
-    for _ in range(scenario.ticks):
-        loop.step()
-    after = pair_momentum(craft.mass, craft.inertia, craft.q, craft.v)[0]
-    assert loop.tally.peak_force[0] > 50.0
-    exchanged = loop.tally.impulse[0]  # the scale: what the bodies gave to each other
-    assert np.abs(after[:3] - before[:3]).max() < 1e-12 * exchanged
-    assert np.abs(after[3:] - before[3:]).max() < 1e-6 * exchanged * arm
