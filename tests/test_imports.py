@@ -5,10 +5,13 @@ imports for type checkers alone and those inside functions count as well.
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -131,6 +134,16 @@ def late():
     seen = [ast.unparse(node) for node in every_import(ast.parse(source))]
     assert sorted(seen) == ["from a import b", "import c"]
     assert circles({"a": {"b"}, "b": {"c", "d"}, "c": {"a"}, "d": set()}) == [{"a", "b", "c"}]
+
+
+@pytest.mark.parametrize(
+    "first", ["replay", "compensation.force_methods.phase_lead", "identification.methods.rls"]
+)
+def test_whatever_is_imported_first_the_table_of_methods_is_whole(first: str) -> None:
+    program = (
+        f"import hiltestbed.{first}, hiltestbed as h; h.load_scenario('26-force-compensation')"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 def test_the_walk_sees_imports() -> None:

@@ -149,7 +149,8 @@ def _all_of(method: type, sections: list[Any]) -> list[Any]:
     return sections
 
 
-class Compensation(Strictly):
+# Its schema lists the methods, whose modules import this one: it is built when it is first used.
+class Compensation(Strictly, defer_build=True):
     """Compensation of the delays in the loop."""
 
     force: AnyForceMethod = Field(

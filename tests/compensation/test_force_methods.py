@@ -144,7 +144,7 @@ def test_the_smith_predictor_is_stable_and_slightly_convergent_past_the_leads_th
     contact = BenchContact(8.0, 0.02, 0.05)
     reference = _cors([reference_scenario(contact.scenario({"kind": "none"}))])[0]
     by_name = {
-        c.name: _cors([contact.scenario(c.force(contact))])[0]
+        c.name: _cors([contact.scenario(c.force(contact.briefing))])[0]
         for c in CONTENDERS
         if c.contact == "known" or c.name == "phase_lead"
     }

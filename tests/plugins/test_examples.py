@@ -107,7 +107,10 @@ def test_a_method_of_the_users_that_raises_is_left_out_and_a_built_in_one_is_not
     from hiltestbed.bench.contenders import BEST, Contender
     from hiltestbed.bench.cor import _unless_failed
 
-    def breaks() -> list[int]:
+    def works(contender: Contender) -> list[int]:
+        return [1]
+
+    def breaks(contender: Contender) -> list[int]:
         raise HiltestbedError("mine.py:59: ValueError: too steep")
 
     failed: dict[str, str] = {}
@@ -115,12 +118,12 @@ def test_a_method_of_the_users_that_raises_is_left_out_and_a_built_in_one_is_not
         Contender(name, "first", lambda c: {}, own=own)
         for name, own in (("mine", True), (BEST, False))
     )
-    assert _unless_failed(mine, failed, lambda: [1]) == [1]
-    assert _unless_failed(mine, failed, breaks) is None
+    assert _unless_failed(failed, mine, works) == [1]
+    assert _unless_failed(failed, mine, breaks) is None
     assert failed == {"mine": "mine.py:59: ValueError: too steep"}
-    assert _unless_failed(mine, failed, lambda: [1]) is None  # it is not tried again
+    assert _unless_failed(failed, mine, works) is None  # it is not tried again
     with pytest.raises(HiltestbedError, match="too steep"):
-        _unless_failed(theirs, failed, breaks)
+        _unless_failed(failed, theirs, breaks)
 
 
 def test_one_batch_and_many_give_the_same_bytes() -> None:
