@@ -10,12 +10,19 @@ from numpy.typing import NDArray
 
 from hiltestbed.config.part import compiled
 from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE
-from hiltestbed.contact.surfaces import MeshFault, Surface, hollow, of_geom, of_mesh
-from hiltestbed.contact.surfaces.surface import KINDS
+from hiltestbed.contact.surfaces.soundness import MeshFault
+from hiltestbed.contact.surfaces.surface import (
+    CAPSULE,
+    KINDS,
+    MESH,
+    Surface,
+    hollow,
+    of_geom,
+    of_mesh,
+)
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_mujoco
 
-CAPSULE, MESH = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_MESH)
 WIDTHS = np.array([7, 4, 1, 1])  # numbers in qpos of a free, ball, slide and hinge joint
 
 

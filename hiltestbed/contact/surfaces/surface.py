@@ -31,6 +31,7 @@ CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 KINDS = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 
 
@@ -153,7 +154,6 @@ def _multiplier(sizes, point, t):
     return t
 
 
-MESH = 7  # number of this kind of surface, as in MuJoCo
 # largest distance from the hull of a convex mesh, over its size: the digits of an STL or OBJ file
 CONVEX = 1e-5
 HALVINGS = 5  # largest number of times that a segment is halved in the search for minima
