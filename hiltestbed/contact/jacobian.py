@@ -77,15 +77,8 @@ def pair_at(
     springs = _springs(engagement, structure, batch.model, i)
     if springs is None:
         return None
-    frames = engagement.frames[i]
-    axes = rotation_matrix(frames[PASSIVE, 3:7])
-    joints = _Joints(batch, structure, i, frames)
-    stiffness = np.diag(np.concatenate([np.zeros(6), joints.stiffness]))
-    damping = np.diag(np.concatenate([np.zeros(6), joints.damping]))
-    for spring in springs:
-        stretch = joints.stretch(spring, place, axes)
-        stiffness += spring.stiffness * stretch.T @ stretch
-        damping += spring.damping * stretch.T @ stretch
+    joints = _Joints(batch, structure, i, engagement.frames[i])
+    stiffness, damping = joints.sums(springs, place)
     if not joints.count:
         return stiffness, damping
     follow = np.vstack(
@@ -103,15 +96,11 @@ def fastest(engagement: Engagement, batch: Batch, structure: Structure, i: int) 
     joints = _Joints(batch, structure, i, frames)
     if not joints.count:
         return 0.0
-    stiffness, damping = np.diag(joints.stiffness), np.diag(joints.damping)
-    axes = rotation_matrix(frames[PASSIVE, 3:7])
-    for spring in _springs(engagement, structure, batch.model, i) or ():
-        stretch = joints.stretch(spring, frames[ACTIVE, :3], axes)[:, 6:]
-        stiffness += spring.stiffness * stretch.T @ stretch
-        damping += spring.damping * stretch.T @ stretch
+    springs = _springs(engagement, structure, batch.model, i) or []
     root = 1.0 / np.sqrt(joints.inertia)
     modes, rates = (
-        np.linalg.eigvalsh(root[:, None] * matrix * root)[-1] for matrix in (stiffness, damping)
+        np.linalg.eigvalsh(root[:, None] * matrix[6:, 6:] * root)[-1]
+        for matrix in joints.sums(springs, frames[ACTIVE, :3])
     )
     return max(float(np.sqrt(max(modes, 0.0))), float(rates))
 
@@ -167,7 +156,8 @@ class _Joints:
 
     def __init__(self, batch: Batch, structure: Structure, i: int, frames: Array) -> None:
         """frames: (F, 7) poses in W of A, S and moving parts."""
-        self._model = m = batch.model
+        self._model, self._axes = batch.model, rotation_matrix(frames[PASSIVE, 3:7])
+        m = self._model
         self._data = data = mujoco.MjData(m)
         data.qpos[:] = batch.bind("qpos")[i]
         mujoco.mj_kinematics(m, data)
@@ -190,10 +180,20 @@ class _Joints:
             self.stiffness[k] += spring
             self.damping[k] += damper
 
-    def stretch(self, spring: _Spring, place: Array, axes: Array) -> Array:
-        """(m, 6 + joints) stretch per displacement of the active side at ``place`` (3,), in P, and
-        of the joints.
+    def sums(self, springs: list[_Spring], place: Array) -> tuple[Array, Array]:
+        """(6 + joints, 6 + joints) stiffness and damping, of the active side's displacement at
+        ``place`` (3,) in P, and of the joints.
         """
+        stiffness = np.diag(np.concatenate([np.zeros(6), self.stiffness]))
+        damping = np.diag(np.concatenate([np.zeros(6), self.damping]))
+        for spring in springs:
+            stretch = self._stretch(spring, place)
+            stiffness += spring.stiffness * stretch.T @ stretch
+            damping += spring.damping * stretch.T @ stretch
+        return stiffness, damping
+
+    def _stretch(self, spring: _Spring, place: Array) -> Array:
+        """(m, 6 + joints) stretch per displacement."""
         jac, moved = np.zeros((2, 3, self._model.nv)), np.zeros((3, 6 + self.count))
         for body, sign in zip(spring.bodies, (1.0, -1.0), strict=True):
             passive = self._model.body(body).name.startswith(PASSIVE_NAMES)
@@ -204,10 +204,10 @@ class _Joints:
             if passive:
                 continue
             if spring.turns:
-                moved[:, 3:6] += sign * axes
+                moved[:, 3:6] += sign * self._axes
             else:
-                moved[:, :3] += sign * axes
-                moved[:, 3:6] += sign * np.cross(axes.T, spring.place - place).T
+                moved[:, :3] += sign * self._axes
+                moved[:, 3:6] += sign * np.cross(self._axes.T, spring.place - place).T
         return spring.axes.T @ moved
 
 

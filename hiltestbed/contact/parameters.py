@@ -134,15 +134,8 @@ def contact_rows(
 # The columns of a row, named after the fields; a curve takes PACKED columns, the first of which is
 # its number of knots.
 NAMES = tuple(f.name for f in fields(ContactParameters))
-# the last ones
-CURVES = (
-    "over_penetration",
-    "over_rate",
-    "over_stretch",
-    "spring_over_penetration",
-    "spring_over_rate",
-)
-NUMBERS = NAMES[: -len(CURVES)]
+CURVES = NAMES[-5:]
+NUMBERS = NAMES[:-5]
 (
     STIFFNESS,
     DAMPING,

@@ -151,7 +151,8 @@ def _sides(
             f"{MOST_PAIRS}); name only those that do, "
             "or give a class of pairs a reach"
         )
-    facets, native, candidates, frames = [], [], [], Frames()
+    facets, native, candidates = [], [], []
+    frames: Frames = {}
     for a, p, k in pairs:
         names = active.name(a), passive.name(p)
         if _facets(active.type(a), passive.type(p)):
@@ -181,7 +182,7 @@ def _sides(
         tuple(facets),
         packed(candidates),
         tuple(native),
-        tuple(frames.names),
+        tuple(frames),
         placed,
         exact and not moving,
         np.array([active.pose(), passive.pose()]),

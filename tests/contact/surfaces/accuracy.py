@@ -17,7 +17,6 @@ import mujoco
 import numpy as np
 from numba import njit
 
-from hiltestbed.contact.surfaces import mesh
 from hiltestbed.contact.surfaces.mesh import plant
 from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.surface import MESH, TURNED, Surface, signed_distance
@@ -177,11 +176,11 @@ def _field(segments: int) -> Row:
 def _turned(segments: int) -> Surface:
     found = recognise(*turned_cone(segments))
     assert found is not None
-    return Surface(TURNED, np.zeros(3), found.profile, mesh.no_tree())
+    return Surface(TURNED, np.zeros(3), found.profile)
 
 
 def _tree(segments: int) -> Surface:
-    return Surface(MESH, np.zeros(3), np.empty((0, 1)), plant(*turned_cone(segments)))
+    return Surface(MESH, np.zeros(3), tree=plant(*turned_cone(segments)))
 
 
 def table() -> list[Row]:
