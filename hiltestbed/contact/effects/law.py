@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from hiltestbed.config.piecewise import Curve, packed
 from hiltestbed.contact.law import MODE_STEP
@@ -22,6 +22,13 @@ class ContactEffect(Effect):
     """Base of the effects that change the parameters of a contact."""
 
     link = "contact"
+
+    @classmethod
+    def by_force(cls, scales: Scales, **fixed: Any) -> Candidate:
+        """A candidate whose ``force`` is a part of the largest."""
+        f = scales.force
+        parts = {"force": [0.01 * f, 0.04 * f, 0.15 * f]}
+        return candidate(cls, parts, bounds={"force": (0.0, 0.8 * f)}, **fixed)
 
 
 # starting values of alpha times the speed at touch in the search for Hunt-Crossley damping
@@ -108,12 +115,7 @@ class ContactDryFriction(ContactEffect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         f, x = scales.force, scales.depth
-        yield candidate(
-            cls,
-            {"force": [0.01 * f, 0.04 * f, 0.15 * f]},
-            bounds={"force": (0.0, 0.8 * f)},
-            stiffness=0.0,
-        )
+        yield cls.by_force(scales, stiffness=0.0)
         if scales.captured:
             drag = {"force": [0.3 * f, 0.8 * f], "stiffness": [q * f / x for q in (2.0, 8.0, 30.0)]}
             yield candidate(
@@ -442,7 +444,4 @@ class ContactPreload(ContactEffect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        f = scales.force
-        yield candidate(
-            cls, {"force": [0.01 * f, 0.04 * f, 0.15 * f]}, bounds={"force": (0.0, 0.8 * f)}
-        )
+        yield cls.by_force(scales)

@@ -72,10 +72,7 @@ class ContactAdhesion(ContactEffect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         if not scales.captured:
-            f = scales.force
-            yield candidate(
-                cls, {"force": [0.01 * f, 0.04 * f, 0.15 * f]}, bounds={"force": (0.0, 0.8 * f)}
-            )
+            yield cls.by_force(scales)
 
 
 @register
