@@ -211,7 +211,7 @@ def _rows(scenario: Scenario, rules: Sequence[int]) -> Array:
 def _linear(rows: Array) -> NDArray[np.bool_]:
     """Whether only a linear spring and damper act along the normal."""
     neutral = ContactParameters(1.0).row()
-    return np.all(rows[..., LINEAR] == neutral[list(LINEAR)], axis=-1)
+    return np.all(rows[..., LINEAR] == neutral[LINEAR], axis=-1)
 
 
 class _Bodies:

@@ -124,12 +124,9 @@ def remarks(scenario: ScenarioLike) -> list[str]:
         for k, contact in enumerate(contacts):
             found = [f"{p.active} - {p.passive}" for p in pairs if p.rule == k]
             if found:
-                shown = ", ".join(found[:LISTED]) + (
-                    f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
-                )
                 out.append(
                     f"can meet ({what}; {contact.stiffness:g} N/m, {contact.damping:g} N s/m, "
-                    f"friction {contact.friction:g}): {shown}"
+                    f"friction {contact.friction:g}): {_listed(found)}"
                 )
     if nothing_met(scenario):
         out.append(
@@ -145,11 +142,10 @@ def remarks(scenario: ScenarioLike) -> list[str]:
             "same penetration, up to 8 % too stiff if parts roll on an edge"
         )
     if sides.apart:
-        shown = ", ".join(" - ".join(pair) for pair in sides.apart[:LISTED])
-        more = f" and {len(sides.apart) - LISTED} more" if len(sides.apart) > LISTED else ""
+        shown = _listed([" - ".join(pair) for pair in sides.apart])
         out.append(
             f"geoms of one side do not touch each other unless a <pair> in its file says "
-            f"so; these would in MuJoCo: {shown}{more}"
+            f"so; these would in MuJoCo: {shown}"
         )
     for file in mechanism.files():
         if unused := model_of(file).settings():
@@ -158,3 +154,8 @@ def remarks(scenario: ScenarioLike) -> list[str]:
             )
     out += [f"mesh of the geom {name!r}: {finding.message}" for name, finding in sides.findings]
     return out
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more

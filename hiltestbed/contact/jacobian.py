@@ -20,9 +20,10 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from hiltestbed.contact.composition import PASSIVE as PASSIVE_NAMES
 from hiltestbed.contact.composition import PREFIXES, Structure
 from hiltestbed.contact.facets import NORM, POINT, PUSH
-from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE, ROUND_FRAME, ROW, SURFACE_FRAME
+from hiltestbed.contact.geometry import ACTIVE, PASSIVE
 from hiltestbed.contact.parameters import DAMPING, STIFFNESS
 from hiltestbed.frames import Array, quat_mul, rotation_matrix
 
@@ -33,11 +34,11 @@ SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE
 
 
 class _Spring(NamedTuple):
-    """Springs along ``axes`` (3, m) in W, at a point ``place`` (3,) in W, between two frames;
-    ``turns``: rotational, about the axes.
+    """Springs along ``axes`` (3, m) in W, at a point ``place`` (3,) in W, between two bodies of
+    MuJoCo's model; ``turns``: rotational, about the axes.
     """
 
-    frames: tuple[int, int]
+    bodies: tuple[int, int]
     place: Array
     axes: Array
     stiffness: float
@@ -76,15 +77,8 @@ def pair_at(
     springs = _springs(engagement, structure, batch.model, i)
     if springs is None:
         return None
-    frames = engagement.frames[i]
-    axes = rotation_matrix(frames[PASSIVE, 3:7])
-    joints = _Joints(batch, structure, i, frames[[ACTIVE, PASSIVE]])
-    stiffness = np.diag(np.concatenate([np.zeros(6), joints.stiffness]))
-    damping = np.diag(np.concatenate([np.zeros(6), joints.damping]))
-    for spring in springs:
-        stretch = _stretch(spring, place, axes, joints)
-        stiffness += spring.stiffness * stretch.T @ stretch
-        damping += spring.damping * stretch.T @ stretch
+    joints = _Joints(batch, structure, i, engagement.frames[i])
+    stiffness, damping = joints.sums(springs, place)
     if not joints.count:
         return stiffness, damping
     follow = np.vstack(
@@ -99,18 +93,14 @@ def fastest(engagement: Engagement, batch: Batch, structure: Structure, i: int) 
     part; 0 without moving parts. The inertia is the diagonal of the joints' at the start.
     """
     frames = engagement.frames[i]
-    joints = _Joints(batch, structure, i, frames[[ACTIVE, PASSIVE]])
+    joints = _Joints(batch, structure, i, frames)
     if not joints.count:
         return 0.0
-    stiffness, damping = np.diag(joints.stiffness), np.diag(joints.damping)
-    axes = rotation_matrix(frames[PASSIVE, 3:7])
-    for spring in _springs(engagement, structure, batch.model, i) or ():
-        stretch = _stretch(spring, frames[ACTIVE, :3], axes, joints)[:, 6:]
-        stiffness += spring.stiffness * stretch.T @ stretch
-        damping += spring.damping * stretch.T @ stretch
+    springs = _springs(engagement, structure, batch.model, i) or []
     root = 1.0 / np.sqrt(joints.inertia)
     modes, rates = (
-        np.linalg.eigvalsh(root[:, None] * matrix * root)[-1] for matrix in (stiffness, damping)
+        np.linalg.eigvalsh(root[:, None] * matrix[6:, 6:] * root)[-1]
+        for matrix in joints.sums(springs, frames[ACTIVE, :3])
     )
     return max(float(np.sqrt(max(modes, 0.0))), float(rates))
 
@@ -119,96 +109,41 @@ def _springs(
     engagement: Engagement, structure: Structure, model: mujoco.MjModel, i: int
 ) -> list[_Spring] | None:
     frames, latches, out = engagement.frames[i], engagement.latches, []
+    bodies, between = _bodies(structure, model), _met_by(structure, model)
     for k in np.flatnonzero(latches.closed[i]):
         closure, (stiffness, damping, radius) = latches.closures[k], latches.springs[i, k]
-        at = _in_world(frames[closure.frames[0]], closure.places[0])
-        turn = rotation_matrix(_in_world(frames[closure.frames[1]], closure.places[1])[3:7])
-        out.append(_Spring(closure.frames, at[:3], turn, stiffness, damping))
+        first, second = closure.frames
+        at = _in_world(frames[first], closure.places[0])[:3]
+        turn = rotation_matrix(_in_world(frames[second], closure.places[1])[3:7])
+        spring = _Spring((bodies[first], bodies[second]), at, turn, stiffness, damping)
+        out.append(spring)
         if closure.turns:
-            out.append(
-                _Spring(
-                    closure.frames,
-                    at[:3],
-                    turn,
-                    stiffness * radius**2,
-                    damping * radius**2,
-                    turns=True,
-                )
-            )
+            square = radius**2
+            turning = spring._replace(stiffness=stiffness * square, damping=damping * square)
+            out.append(turning._replace(turns=True))
     for c in np.flatnonzero(engagement.met[i, :, PUSH] > 0.0):
         if not engagement.linear[i, c]:
             return None
         met, law = engagement.met[i, c], engagement.parameters[i, c]
-        between = _frames_of(engagement, structure, model, int(c))
-        out.append(
-            _Spring(
-                between,
-                met[POINT : POINT + 3],
-                met[NORM : NORM + 3, None],
-                law[STIFFNESS],
-                law[DAMPING],
-            )
-        )
+        at, normal = met[POINT : POINT + 3], met[NORM : NORM + 3, None]
+        out.append(_Spring(between[c], at, normal, law[STIFFNESS], law[DAMPING]))
     return out
 
 
-def _frames_of(
-    engagement: Engagement, structure: Structure, model: mujoco.MjModel, c: int
-) -> tuple[int, int]:
-    """The frames to which the geoms of a pair are fixed."""
-    sides = structure.sides
-    if c < len(sides.facets):
-        index = sides.geometry[0]
-        return int(index[c * ROW + ROUND_FRAME]), int(index[c * ROW + SURFACE_FRAME])
-    pair, moving = sides.native[c - len(sides.facets)], _moving(structure, model)
-    bodies = [("A", _carrier("A", pair.active, model)), ("P", _carrier("P", pair.passive, model))]
-    first, second = (
-        FRAMES + moving.index(b) if b in moving else {"A": ACTIVE, "P": PASSIVE}[b[0]]
-        for b in bodies
-    )
-    return first, second
+def _bodies(structure: Structure, model: mujoco.MjModel) -> list[int]:
+    """Numbers of the bodies to which the frames are fixed: A, S and moving parts."""
+    ports = [int(model.site(prefix + port).bodyid[0]) for port, prefix in PREFIXES.items()]
+    return ports + [model.body(PREFIXES[port] + name).id for port, name in structure.sides.frames]
 
 
-def _moving(structure: Structure, model: mujoco.MjModel) -> list[tuple[str, str]]:
-    """Port and body of each frame beyond A and S, moving parts with native geoms included."""
-    sides = structure.sides
-    native = [("A", _carrier("A", pair.active, model)) for pair in sides.native]
-    native += [("P", _carrier("P", pair.passive, model)) for pair in sides.native]
-    return list(dict.fromkeys([*sides.frames, *(b for b in native if b[1])]))
-
-
-def _carrier(port: str, geom: str, model: mujoco.MjModel) -> str:
-    """Name of the moving body that carries a geom of a side; empty if it is fixed to the side."""
-    body = model.body(int(model.geom(PREFIXES[port] + geom).bodyid[0]))
-    while body.name.startswith(PREFIXES[port]):
-        if body.jntnum[0]:
-            return body.name.removeprefix(PREFIXES[port])
-        body = model.body(int(body.parentid[0]))
-    return ""
-
-
-def _stretch(spring: _Spring, place: Array, axes: Array, joints: _Joints) -> Array:
-    """(m, 6 + joints) stretch per displacement of the active side, in P, and of the joints."""
-    a, p = spring.frames
-    rigid = np.zeros((3, 6))
-    if spring.turns:
-        rigid[:, 3:] = axes
-    else:
-        rigid[:, :3] = axes
-        rigid[:, 3:] = np.cross(axes.T, spring.place - place).T
-    active = np.hstack(
-        [
-            rigid if joints.side(a) == "A" else 0.0 * rigid,
-            joints.motion(a, spring.place, spring.turns),
-        ]
-    )
-    passive = np.hstack(
-        [
-            rigid if joints.side(p) == "A" else 0.0 * rigid,
-            joints.motion(p, spring.place, spring.turns),
-        ]
-    )
-    return spring.axes.T @ (active - passive)
+def _met_by(structure: Structure, model: mujoco.MjModel) -> list[tuple[int, int]]:
+    """Numbers of the bodies that meet in each pair of geoms."""
+    bodies, sides = _bodies(structure, model), structure.sides
+    facets = [sides.candidate(k)[:2] for k in range(len(sides.facets))]
+    geoms = [(PREFIXES["A"] + pair.active, PREFIXES["P"] + pair.passive) for pair in sides.native]
+    return [(bodies[a], bodies[p]) for a, p in facets] + [
+        (int(model.geom(a).bodyid[0]), int(model.geom(p).bodyid[0])) for a, p in geoms
+    ]
 
 
 class _Joints:
@@ -219,62 +154,61 @@ class _Joints:
         inertia: (count,) [kg], [kg m^2] of each at the start, all others fixed.
     """
 
-    def __init__(self, batch: Batch, structure: Structure, i: int, places: Array) -> None:
-        """places: (2, 7) poses of A and P in W."""
-        m, self._frames = batch.model, _moving(structure, batch.model)
-        bodies = [m.body(PREFIXES[port] + name).id for port, name in self._frames]
-        self._chains = [_chain(m, body) for body in bodies]
-        every = sorted({j for chain in self._chains for j in chain})
+    def __init__(self, batch: Batch, structure: Structure, i: int, frames: Array) -> None:
+        """frames: (F, 7) poses in W of A, S and moving parts."""
+        self._model, self._axes = batch.model, rotation_matrix(frames[PASSIVE, 3:7])
+        m = self._model
+        self._data = data = mujoco.MjData(m)
+        data.qpos[:] = batch.bind("qpos")[i]
+        mujoco.mj_kinematics(m, data)
+        mujoco.mj_comPos(m, data)
+        self._ports = []  # of each side: the port in W, and in MuJoCo's world; from this to W
+        for frame, (port, prefix) in zip(frames, PREFIXES.items(), strict=False):
+            site = data.site(prefix + port)
+            turn = rotation_matrix(frame[3:7]) @ site.xmat.reshape(3, 3).T
+            self._ports.append((frame[:3], site.xpos, turn))
+        bodies = {*_bodies(structure, m), *(b for pair in _met_by(structure, m) for b in pair)}
+        every = sorted({j for body in bodies for j in _chain(m, body)})
         self._free = [j for j in every if not _held(batch, i, j)]
-        self._anchor, self._axis = _in_place(batch, i, places)
-        self._slides = m.jnt_type == SLIDE
+        self._dofs = m.jnt_dofadr[self._free]
         self.count = len(self._free)
-        self.stiffness = np.array([m.jnt_stiffness[j] for j in self._free], dtype=float)
-        self.damping = np.array([m.dof_damping[m.jnt_dofadr[j]] for j in self._free], dtype=float)
-        self.inertia = np.array([m.dof_M0[m.jnt_dofadr[j]] for j in self._free], dtype=float)
+        self.stiffness = np.array(m.jnt_stiffness[self._free])
+        self.damping = np.array(m.dof_damping[self._dofs])
+        self.inertia = np.array(m.dof_M0[self._dofs])
         for k, j in enumerate(self._free):
             spring, damper = _driven(batch, i, j)
             self.stiffness[k] += spring
             self.damping[k] += damper
 
-    def side(self, frame: int) -> str:
-        """Port of the side to which a frame belongs."""
-        return (
-            {ACTIVE: "A", PASSIVE: "P"}[frame]
-            if frame < FRAMES
-            else self._frames[frame - FRAMES][0]
-        )
+    def sums(self, springs: list[_Spring], place: Array) -> tuple[Array, Array]:
+        """(6 + joints, 6 + joints) stiffness and damping, of the active side's displacement at
+        ``place`` (3,) in P, and of the joints.
+        """
+        stiffness = np.diag(np.concatenate([np.zeros(6), self.stiffness]))
+        damping = np.diag(np.concatenate([np.zeros(6), self.damping]))
+        for spring in springs:
+            stretch = self._stretch(spring, place)
+            stiffness += spring.stiffness * stretch.T @ stretch
+            damping += spring.damping * stretch.T @ stretch
+        return stiffness, damping
 
-    def motion(self, frame: int, place: Array, turns: bool) -> Array:
-        """(3, count) velocity in W, or rotation, of a frame's point ``place``, per joint speed."""
-        out = np.zeros((3, self.count))
-        chain: list[int] = self._chains[frame - FRAMES] if frame >= FRAMES else []
-        for k, j in enumerate(self._free):
-            if j not in chain:
+    def _stretch(self, spring: _Spring, place: Array) -> Array:
+        """(m, 6 + joints) stretch per displacement."""
+        jac, moved = np.zeros((2, 3, self._model.nv)), np.zeros((3, 6 + self.count))
+        for body, sign in zip(spring.bodies, (1.0, -1.0), strict=True):
+            passive = self._model.body(body).name.startswith(PASSIVE_NAMES)
+            port, origin, turn = self._ports[PASSIVE if passive else ACTIVE]
+            point = origin + turn.T @ (spring.place - port)
+            mujoco.mj_jac(self._model, self._data, *jac, point, body)
+            moved[:, 6:] += sign * turn @ jac[int(spring.turns)][:, self._dofs]
+            if passive:
                 continue
-            if self._slides[j]:
-                out[:, k] = 0.0 if turns else self._axis[j]
+            if spring.turns:
+                moved[:, 3:6] += sign * self._axes
             else:
-                out[:, k] = (
-                    self._axis[j] if turns else np.cross(self._axis[j], place - self._anchor[j])
-                )
-        return out
-
-
-def _in_place(batch: Batch, i: int, places: Array) -> tuple[Array, Array]:
-    """(J, 3) anchors and axes in W of all joints, the sides' ports at ``places`` (2, 7)."""
-    m = batch.model
-    data = mujoco.MjData(m)
-    data.qpos[:] = batch.bind("qpos")[i]
-    mujoco.mj_kinematics(m, data)
-    anchors, axes = data.xanchor.copy(), data.xaxis.copy()
-    for place, (port, prefix) in zip(places, PREFIXES.items(), strict=True):
-        own = [j for j in range(m.njnt) if m.body(int(m.jnt_bodyid[j])).name.startswith(prefix)]
-        site = data.site(prefix + port)
-        turn = rotation_matrix(place[3:7]) @ site.xmat.reshape(3, 3).T
-        anchors[own] = place[:3] + (anchors[own] - site.xpos) @ turn.T
-        axes[own] = axes[own] @ turn.T
-    return anchors, axes
+                moved[:, :3] += sign * self._axes
+                moved[:, 3:6] += sign * np.cross(self._axes.T, spring.place - place).T
+        return spring.axes.T @ moved
 
 
 def _chain(m: mujoco.MjModel, body: int) -> list[int]:

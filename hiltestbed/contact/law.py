@@ -40,6 +40,7 @@ from hiltestbed.contact.parameters import (
     MODE,
     MODE_DAMPING,
     MODE_MASS,
+    NON_LINEAR,
     OFFSET,
     OVER_PENETRATION,
     OVER_RATE,
@@ -262,16 +263,6 @@ def _ringing(x, v, dt, p, memory, q, rate, held):
 
 
 Pair = tuple[float, float]
-# terms that make a law non-linear, beside learned curves
-NON_LINEAR = (
-    "power_stiffness",
-    "alpha",
-    "dry",
-    "stop_stiffness",
-    "branch_stiffness",
-    "play",
-    "mode",
-)
 PHASES = 400  # of the half sine: midpoints, error of order 1/PHASES^2
 ROUNDS, SAME = 60, 1e-9  # of the iteration for w; relative change at which it has converged
 

@@ -127,12 +127,8 @@ def mount_place(q, qd, tilt, place, motion):
     """One mount: ``place`` (7,) and ``motion`` (6,) of S in W from the joints ``q`` (6,) and their
     rates ``qd`` (6,); ``tilt`` (7,).
     """
-    place[0] = q[0]
-    place[1] = q[1]
-    place[2] = q[2]
-    motion[0] = qd[0]
-    motion[1] = qd[1]
-    motion[2] = qd[2]
+    for j in range(3):
+        place[j], motion[j] = q[j], qd[j]
     (s0, c0, s1, c1), (x, y, z, w) = _turned(q)
     # Axes of the hinges, rotated by those before: (1, 0, 0), (0, cosine, sine) and the third
     sine, cosine, across = 2.0 * s0 * c0, 1.0 - 2.0 * s0 * s0, 1.0 - 2.0 * s1 * s1

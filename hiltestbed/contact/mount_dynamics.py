@@ -46,7 +46,7 @@ class MountDynamics:
         mounts = [s.mechanism.mount for s in scenarios if s.mechanism.mount is not None]
         spec = mujoco.MjSpec()
         add_side(spec, scenarios[0].mechanism, PASSIVE, spec.worldbody.add_body(name=MOUNTED))
-        body = carried(spec.compile(), MOUNTED)
+        body = carried(spec.compile())
         return cls(
             np.array([m.stiffness for m in mounts]), np.array([m.damping for m in mounts]), body
         )
@@ -103,21 +103,13 @@ def _inertia(body: Array) -> Array:
 MASS, CENTRE, INERTIA, BODY = 0, 1, 4, 13  # start of each part of a body row, and its length
 
 
-def carried(model: mujoco.MjModel, body: str) -> Array:
-    """``(BODY,)`` a body and all that it carries as one, about its origin in its axes."""
+def carried(model: mujoco.MjModel) -> Array:
+    """``(BODY,)`` all bodies of a model as one, about the origin."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    root = model.body(body).id
-    origin, axes = data.xpos[root], data.xmat[root].reshape(3, 3)
     mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
-    for b in range(model.nbody):
-        ancestor = b
-        while ancestor not in (0, root):
-            ancestor = model.body_parentid[ancestor]
-        if ancestor != root:
-            continue
-        m, r = model.body_mass[b], axes.T @ (data.xipos[b] - origin)
-        own = axes.T @ data.ximat[b].reshape(3, 3)
+    for b in range(1, model.nbody):
+        m, r, own = model.body_mass[b], data.xipos[b], data.ximat[b].reshape(3, 3)
         mass += m
         moment += m * r
         inertia += own @ np.diag(model.body_inertia[b]) @ own.T + m * (

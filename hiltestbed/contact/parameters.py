@@ -134,15 +134,8 @@ def contact_rows(
 # The columns of a row, named after the fields; a curve takes PACKED columns, the first of which is
 # its number of knots.
 NAMES = tuple(f.name for f in fields(ContactParameters))
-# the last ones
-CURVES = (
-    "over_penetration",
-    "over_rate",
-    "over_stretch",
-    "spring_over_penetration",
-    "spring_over_rate",
-)
-NUMBERS = NAMES[: -len(CURVES)]
+CURVES = NAMES[-5:]
+NUMBERS = NAMES[:-5]
 (
     STIFFNESS,
     DAMPING,
@@ -178,22 +171,8 @@ NUMBERS = NAMES[: -len(CURVES)]
 OVER_RATE, OVER_STRETCH, SPRING_OVER_PENETRATION, SPRING_OVER_RATE, PARAMETERS = (
     OVER_PENETRATION + i * PACKED for i in range(1, 6)
 )
-# Those that are neutral if only a linear spring and damper act along the normal.
-LINEAR = [
-    POWER_STIFFNESS,
-    ALPHA,
-    DRY,
-    PRELOAD,
-    STOP,
-    BRANCH_STIFFNESS,
-    ADHESION,
-    FRAME,
-    OFFSET,
-    PLAY,
-    MODE,
-    OVER_PENETRATION,
-    OVER_RATE,
-    OVER_STRETCH,
-    SPRING_OVER_PENETRATION,
-    SPRING_OVER_RATE,
-]
+# terms that make a law non-linear, beside curves
+NON_LINEAR = "power_stiffness", "alpha", "dry", "stop_stiffness", "branch_stiffness", "play", "mode"
+# columns that are neutral if only a linear spring and damper act along the normal
+LINEAR = [NUMBERS.index(name) for name in (*NON_LINEAR, "preload", "adhesion", "frame", "offset")]
+LINEAR += range(OVER_PENETRATION, PARAMETERS, PACKED)

@@ -1,15 +1,15 @@
-"""The phases of capture: when each begins, and what it does.
+"""Capture: the phases of a mechanism, when each begins and what it does; the latch of a probe in
+its cone.
 
-They are evaluated once per tick, at the state for which the contacts were last evaluated. A phase
-begins when its condition has held for
-the required time and the previous phase has begun: its latch closes, its actuators get their
-commands, its geoms no longer touch.
+Conditions are evaluated once per tick, at the state for which the contacts were last evaluated. A
+phase begins when its condition has held for the required time and the previous phase has begun: its
+latch closes, its actuators get their commands, its geoms no longer touch.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
@@ -26,6 +26,9 @@ from hiltestbed.contact.sides import Sides
 from hiltestbed.contact.wrench import relate_one
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
+
+if TYPE_CHECKING:
+    from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
 class _Condition(NamedTuple):
@@ -175,3 +178,46 @@ def _look(k, tick, condition, qpos, frames, motions, begun, held, due):
             continue
         due[i] = held[i] >= lasting - 0.5 * tick
         held[i] += tick
+
+
+def latch_limits(scenarios: Sequence[Scenario]) -> Array:
+    """``(n, 3)`` limits at which latches close: depth [m] (pz >= -depth), least cosine between the
+    axes, highest speed [m/s]; without a latch they are never met.
+    """
+    latches = [s.mechanism.latch for s in scenarios]
+    never = (-np.inf, 2.0, 0.0)
+    return np.array(
+        [(la.depth, np.cos(np.radians(la.angle_deg)), la.speed) if la else never for la in latches]
+    )
+
+
+class LatchCondition:
+    """The closing conditions of `n` runs: depth, alignment and speed, all at once."""
+
+    def __init__(self, scenarios: Sequence[Scenario]) -> None:
+        self._limits = latch_limits(scenarios)
+        self._closing = np.zeros(len(scenarios), dtype=bool)
+        self._due = Call(_due, GIVEN, GIVEN, self._limits, GIVEN, self._closing)
+
+    def close(self, engagement: Engagement) -> None:
+        """Latch the runs whose condition holds at the state of the last update."""
+        if self._due.on(*engagement.relative(), engagement.latched)():
+            engagement.capture(self._closing)
+
+
+@njit(cache=True)
+def closes(pose, twist, limits):
+    """Whether a latch closes; ``limits`` (3,) as in :func:`latch_limits`."""
+    aligned = 1.0 - 2.0 * (pose[3] ** 2 + pose[4] ** 2)  # cosine between the axes
+    speed2 = twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2
+    return pose[2] >= -limits[0] and aligned >= limits[1] and speed2 <= limits[2] ** 2
+
+
+@njit(cache=True)
+def _due(pose, twist, limits, latched, due):
+    """Mark in ``due`` (n,) the runs that are to latch now; returns whether there is any."""
+    some = False
+    for i in range(pose.shape[0]):
+        due[i] = not latched[i] and closes(pose[i], twist[i], limits[i])
+        some |= due[i]
+    return some

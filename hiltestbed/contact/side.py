@@ -10,25 +10,24 @@ from numpy.typing import NDArray
 
 from hiltestbed.config.part import compiled
 from hiltestbed.contact.geometry import ACTIVE, FRAMES, PASSIVE
-from hiltestbed.contact.surfaces import MeshFault, Surface, hollow, of_geom, of_mesh
-from hiltestbed.contact.surfaces.surface import KINDS
+from hiltestbed.contact.surfaces.soundness import MeshFault
+from hiltestbed.contact.surfaces.surface import (
+    CAPSULE,
+    KINDS,
+    MESH,
+    Surface,
+    hollow,
+    of_geom,
+    of_mesh,
+)
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array, quat_from_mujoco
 
-CAPSULE, MESH = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_MESH)
 WIDTHS = np.array([7, 4, 1, 1])  # numbers in qpos of a free, ball, slide and hinge joint
 
 
-class Frames:
-    """Numbers of the frames to which geoms are fixed: A, S, and moving bodies of a side."""
-
-    def __init__(self) -> None:
-        self.names: list[tuple[str, str]] = []
-
-    def number(self, side: str, body: str) -> int:
-        if (side, body) not in self.names:
-            self.names.append((side, body))
-        return FRAMES + self.names.index((side, body))
+# by port of a side and name of its moving body: number of the frame, after those of A and S
+Frames = dict[tuple[str, str], int]
 
 
 class Side:
@@ -103,7 +102,8 @@ class Side:
                 self.axes.T @ turn,
             )
         axes = d.xmat[root].reshape(3, 3)
-        return frames.number(self.port, m.body(root).name), (
+        number = frames.setdefault((self.port, m.body(root).name), FRAMES + len(frames))
+        return number, (
             (place - d.xpos[root]) @ axes,
             axes.T @ turn,
         )

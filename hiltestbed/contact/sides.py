@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from hiltestbed.config.models import stamp
@@ -38,29 +37,27 @@ from hiltestbed.contact.geometry import (
     packed,
 )
 from hiltestbed.contact.side import Frames, Side, quaternion
-from hiltestbed.contact.surfaces import MeshFault
-from hiltestbed.contact.surfaces.surface import KINDS
+from hiltestbed.contact.surfaces.soundness import MeshFault
+from hiltestbed.contact.surfaces.surface import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    KINDS,
+    MESH,
+    PLANE,
+    SPHERE,
+)  # fmt: skip
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array
 
 if TYPE_CHECKING:
     from hiltestbed.contact.settings import Mechanism
 
-_G = mujoco.mjtGeom
-SPHERE, CAPSULE, CYLINDER, ELLIPSOID, MESH = (
-    int(g)
-    for g in (
-        _G.mjGEOM_SPHERE,
-        _G.mjGEOM_CAPSULE,
-        _G.mjGEOM_CYLINDER,
-        _G.mjGEOM_ELLIPSOID,
-        _G.mjGEOM_MESH,
-    )
-)
 # on a plane or a box a rod touches at both ends, which MuJoCo handles
 ROD_FACETS = (CYLINDER, ELLIPSOID, MESH)
 # closed form against a ball
-EXACT = tuple(int(g) for g in (_G.mjGEOM_PLANE, _G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_BOX))
+EXACT = {PLANE, SPHERE, CAPSULE, BOX}
 MOST_PAIRS = 4000
 
 
@@ -154,7 +151,8 @@ def _sides(
             f"{MOST_PAIRS}); name only those that do, "
             "or give a class of pairs a reach"
         )
-    facets, native, candidates, frames = [], [], [], Frames()
+    facets, native, candidates = [], [], []
+    frames: Frames = {}
     for a, p, k in pairs:
         names = active.name(a), passive.name(p)
         if _facets(active.type(a), passive.type(p)):
@@ -175,7 +173,7 @@ def _sides(
         for port, name in sites
     }
     exact = not native and all(
-        SPHERE in types and set(types) <= set(EXACT)
+        SPHERE in types and EXACT.issuperset(types)
         for types in ((active.type(a), passive.type(p)) for a, p, _ in pairs)
     )
     moving = bool(active.model.njnt or passive.model.njnt)
@@ -184,7 +182,7 @@ def _sides(
         tuple(facets),
         packed(candidates),
         tuple(native),
-        tuple(frames.names),
+        tuple(frames),
         placed,
         exact and not moving,
         np.array([active.pose(), passive.pose()]),

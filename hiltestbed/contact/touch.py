@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiltestbed.contact.geometry import FRAMES, Met
+from hiltestbed.contact.geometry import FRAMES, unmet
 from hiltestbed.contact.law import Pair, acting_contacts, acting_law, in_series, linear_law
 from hiltestbed.contact.parameters import LEVER, OFFSET, PARAMETERS
 from hiltestbed.contact.sides import Sides, sides_of
@@ -184,7 +184,7 @@ class Meeting:
         p[:, LEVER], p[:, OFFSET] = 0.5, 0.0
         self.frames = np.zeros((frames, 7))
         self.frames[1, 6] = 1.0
-        met = Met(*np.zeros((2, count)), *np.zeros((3, count, 3)))
+        met = unmet(count)
         self.depth, self.point, self.normal = met.depth, met.point, met.normal
         self._met = sides.geometry, p, self.frames, np.zeros((frames, 6)), np.empty((9, 7)), met
 
@@ -202,8 +202,6 @@ class _Parts:
 
     def __init__(self, scenario: Scenario) -> None:
         # the platform's models are made of the mechanism, so that they import its package
-        from dataclasses import replace
-
         from mujoco.batch import Batch
 
         from hiltestbed.contact.engagement import Engagement

@@ -22,9 +22,9 @@ import numpy as np
 from scipy.signal import correlate, savgol_filter
 
 from hiltestbed.compensation.input import InputParameters
-from hiltestbed.contact.latch import latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import believed_contacts, contact_rows
+from hiltestbed.contact.phases import latch_limits
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects.log import log_parameters
 from hiltestbed.frames import Array, pose_step

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from hiltestbed.contact.composition import Structure, structure_of
 from hiltestbed.contact.engagement import Engagement
 from hiltestbed.contact.jacobian import held_pair
-from hiltestbed.contact.latch import LatchCondition
 from hiltestbed.contact.parameters import ContactParameters
-from hiltestbed.contact.phases import Phases
+from hiltestbed.contact.phases import LatchCondition, Phases
 from hiltestbed.effects.table import by_link
 from hiltestbed.errors import InputError
 from hiltestbed.frames import Array

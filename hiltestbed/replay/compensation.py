@@ -13,7 +13,7 @@ from hiltestbed.compensation.blocks import make_drive
 from hiltestbed.compensation.input import InputDeadZone, InputParameters
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compiled.jit import njit
-from hiltestbed.contact.latch import closes, latch_limits
+from hiltestbed.contact.phases import closes, latch_limits
 from hiltestbed.frames import Array
 from hiltestbed.identification.settings import IDENTIFIERS
 from hiltestbed.numerical_model.bodies import approach_state

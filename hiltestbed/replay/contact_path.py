@@ -12,7 +12,6 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.contact.geometry import Geometry, Met, arm
-from hiltestbed.contact.latch import closes
 from hiltestbed.contact.mount import mount_place
 from hiltestbed.contact.mount_dynamics import mount_reading
 from hiltestbed.contact.parameters import (
@@ -26,6 +25,7 @@ from hiltestbed.contact.parameters import (
     TILT_X,
     TILT_Y,
 )
+from hiltestbed.contact.phases import closes
 from hiltestbed.contact.wrench import contact_wrench, held_at, relate_one, surface_wrench
 from hiltestbed.frames import Array, quat_exp, quat_mul
 from hiltestbed.replay.felt import NEAR, way_between

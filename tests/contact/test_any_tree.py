@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from hiltestbed.scenario import Scenario, load_scenario
 from hiltestbed.simulation import simulate
-from tests.slow import slow
 
 INERTIA = '<inertial pos="0 0 0.05" mass="10" diaginertia="0.2 0.2 0.1"/>'
 PART = '<inertial pos="0 0 0" mass="3" diaginertia="0.02 0.02 0.01"/>'
@@ -114,7 +113,6 @@ def written(
     folder: Path,
     active: str,
     passive: str,
-    friction: float,
     moves: str,
     depth: int,
     capture: str = "",
@@ -123,7 +121,7 @@ def written(
     (folder / "cup.obj").write_text(cup())
     (folder / "active.xml").write_text(side("A", active, "A" in moves, depth))
     (folder / "passive.xml").write_text(side("P", passive, "P" in moves, depth))
-    (folder / "mine.yaml").write_text(SCENARIO.format(friction).replace("rig:", f"{capture}rig:"))
+    (folder / "mine.yaml").write_text(SCENARIO.format(0.1).replace("rig:", f"{capture}rig:"))
     return load_scenario(folder / "mine.yaml")
 
 
@@ -139,15 +137,12 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("friction", [slow(0.0), 0.1])
 @pytest.mark.parametrize(("active", "surface", "moves"), CASES)
 def test_flat_and_nested_are_one_mechanism(
-    tmp_path: Path, active: str, surface: str, moves: str, friction: float
+    tmp_path: Path, active: str, surface: str, moves: str
 ) -> None:
-    """To 1e-9 of the peak, with friction, which acts beside the normal force, or without; ``moves``:
-    sides whose geom is on a part that moves.
-    """
-    peak = same_trace(tmp_path, active, SURFACES[surface], friction, moves)
+    """To 1e-9 of the peak; ``moves``: sides whose geom is on a part that moves."""
+    peak = same_trace(tmp_path, active, SURFACES[surface], moves)
     assert 20.0 < peak < 2.0 * 0.05 * np.sqrt(1.0e5 * 63.2)
 
 
@@ -158,16 +153,16 @@ def test_a_latch_holds_sites_of_child_bodies(
 ) -> None:
     """To 1e-6 of the peak: contacts and a latch at once are solved iteratively."""
     capture = CAPTURE.format(*closure)
-    same_trace(tmp_path, BALL, SURFACES["box"], 0.1, moves, capture, within=1e-6)
+    same_trace(tmp_path, BALL, SURFACES["box"], moves, capture, within=1e-6)
 
 
 def same_trace(folder: Path, *what: object, within: float = 1e-9) -> float:
     """The peak of the wrench [N, N m] of a mechanism, the same written flat and nested."""
-    active, passive, friction, moves, *capture = what
+    active, passive, moves, *capture = what
     traces = []
     for depth in (0, 2):
         place = folder / str(depth)
-        scenario = written(place, active, passive, friction, moves, depth, *capture)  # type: ignore[arg-type]
+        scenario = written(place, active, passive, moves, depth, *capture)  # type: ignore[arg-type]
         batch = simulate([scenario], trace=True)
         assert not batch.trouble
         assert batch.trace is not None

@@ -51,7 +51,7 @@ def test_a_law_in_place_of_the_linear_contact_acts_as_written(tracking: str, pla
 
 @pytest.mark.parametrize("tracking", ["ideal", "servo"])
 def test_each_run_of_a_batch_has_its_own_contact(tracking: str) -> None:
-    stiffness = [2e4, 1e5, 5e5]
+    stiffness = [1e4, 1e5, 1e6]
     scenarios = [scenario(tracking, stiffness=k, damping=0.0) for k in stiffness]
     plant, still = Plant(scenarios), np.zeros((3, 6))
     plant.reset(pose(z=1e-3, n=3), still)
@@ -60,35 +60,3 @@ def test_each_run_of_a_batch_has_its_own_contact(tracking: str) -> None:
     np.testing.assert_allclose(
         plant.wrench_sub[:, -1, 2] / plant.pose_act[:, 2], stiffness, rtol=1e-6
     )
-
-
-@pytest.mark.parametrize("tracking", ["ideal", "servo"])
-def test_sliding_friction_is_at_the_coulomb_limit_and_opposes_the_motion(tracking: str) -> None:
-    s = scenario(tracking, friction=0.2, damping=0.0)
-    plant = Plant([s])
-    twist = np.array([[0.05, 0.0, 0.0, 0.0, 0.0, 0.0]])
-    plant.reset(pose(-0.02, 0.0, 1e-3), twist)
-    for k in range(400):
-        plant.advance(pose(-0.02 + 0.05 * (k + 1) / s.rate, 0.0, 1e-3), twist, np.zeros((1, 6)))
-    wrench = plant.wrench_sub[0, -1]
-    # the active side drags the passive one along
-    assert wrench[0] == pytest.approx(0.2 * wrench[2], rel=1e-2)
-    assert abs(wrench[1]) < 1e-2 * wrench[0]
-
-
-@pytest.mark.parametrize("place", [(0.0, 0.0), (0.3, 0.0)])
-@pytest.mark.parametrize("stiffness", [1e4, 1e6])
-def test_static_stiffness_under_a_constant_load(
-    place: tuple[float, float], stiffness: float
-) -> None:
-    """The platform is held pressed in; what the sensor reads over the depth reached is k, damping
-    playing no part.
-    """
-    s = scenario(stiffness=stiffness)
-    plant, still = Plant([s]), np.zeros((1, 6))
-    goal = pose(*place, 100.0 / stiffness)
-    plant.reset(goal, still)
-    for _ in range(1000):
-        plant.advance(goal, still, still)
-    assert np.abs(plant.twist_act).max() < 1e-9
-    assert plant.wrench_sub[0, -1, 2] / plant.pose_act[0, 2] == pytest.approx(stiffness, rel=1e-6)

@@ -67,23 +67,6 @@ def test_the_force_follows_the_law(
     assert kind != "contact.adhesion" or force.min() < -4.0
 
 
-def test_a_held_relaxation_fades_with_its_time_constant() -> None:
-    """A Maxwell branch that was drawn out fast keeps k_b x exp(-t/T)."""
-    s = with_effect(
-        {"kind": "contact.relaxation", "stiffness": 4.0e4, "time_constant": 0.05}, damping=0.0
-    )
-    plant, still = Plant([s]), np.zeros((1, 6))
-    plant.reset(pose(), still)
-    goal = pose(z=1e-3)
-    extra = []
-    for _ in range(400):
-        plant.advance(goal, still, still)
-        extra.append(plant.wrench_sub[0, -1, 2] - K * 1e-3)
-    fade = np.exp(-np.arange(400) * s.tick / 0.05)
-    np.testing.assert_allclose(extra, extra[0] * fade, rtol=1e-9)
-    assert extra[0] == pytest.approx(40.0, rel=0.02)
-
-
 def test_surface_friction_takes_the_place_of_the_one_believed() -> None:
     s = with_effect({"kind": "contact.surface_friction", "coefficient": 0.3})
     plant, twist = Plant([s]), np.array([[0.05, 0.0, 0.0, 0.0, 0.0, 0.0]])

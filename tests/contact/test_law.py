@@ -49,12 +49,6 @@ def friction(force: float, stiffness: float) -> dict[str, dict[str, Any]]:
     return {"contact.dry_friction": {"force": force, "stiffness": stiffness}}
 
 
-def test_springs_in_series() -> None:
-    x = np.linspace(0, 2e-3, 20)
-    force = law({"frame.compliance": {"stiffness": 4e5}}, x, np.zeros(20))
-    np.testing.assert_allclose(force, 1e5 * 4e5 / 5e5 * x, rtol=1e-9)
-
-
 def test_a_maxwell_branch_relaxes_with_its_time_constant() -> None:
     t = np.arange(1, 4001) * 1e-4
     ramp = np.minimum(t, 0.1) * 0.01
@@ -92,12 +86,6 @@ def test_a_slow_push_on_a_frame_with_a_mode_meets_its_static_stiffness() -> None
     force = law({"frame.mode": mode}, 1e-3 * np.minimum(t, 1.0), np.where(t <= 1.0, 1e-3, 0.0))
     frame = 40.0 * (2 * math.pi * 20.0) ** 2
     assert force[-1] == pytest.approx(1e-3 * 1e5 * frame / (1e5 + frame), rel=1e-4)
-
-
-def test_adhesion_pulls_and_a_bumper_does_not() -> None:
-    x, v = np.full(3, 1e-5), np.full(3, -0.05)
-    assert np.all(law({}, x, v, c=400.0) == 0.0)
-    np.testing.assert_allclose(law({"contact.adhesion": {"force": 8.0}}, x, v, c=400.0), -8.0)
 
 
 def test_a_table_with_a_kink_is_a_hard_stop() -> None:

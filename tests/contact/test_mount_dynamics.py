@@ -34,7 +34,7 @@ def test_a_step_is_that_of_mujoco_at_small_and_large_angles(angle: float) -> Non
     data = mujoco.MjData(model)
     q = np.array([1e-3, -2e-3, 1e-3, angle, -0.8 * angle, 0.5 * angle])
     qd = np.zeros(6)
-    body = carried(model, "mounted")
+    body = carried(model)
     data.qpos[:] = q
     for _ in range(2000):
         mujoco.mj_step(model, data)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hiltestbed.config.check import look_at
-from hiltestbed.contact.surfaces import hollow
+from hiltestbed.contact.surfaces.surface import hollow
 from hiltestbed.errors import InputError
 from hiltestbed.platform.plant import Plant
 from hiltestbed.scenario import Scenario, load_scenario

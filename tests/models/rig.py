@@ -17,7 +17,7 @@ from mujoco.batch import Batch
 from scipy.spatial.transform import Rotation
 
 from hiltestbed.contact.description import Closure, Condition, Touching, matching, read
-from hiltestbed.contact.surfaces import Surface, of_mesh, segment_distance, signed_distance
+from hiltestbed.contact.surfaces.surface import Surface, of_mesh, segment_distance, signed_distance
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 IMPEDANCE = 1e-4

@@ -13,21 +13,6 @@ GROOVE = math.radians(20.0)  # half angle
 FINGERS = 4  # of a jaw
 
 
-@pytest.mark.parametrize(
-    ("offset", "speed", "attitude"),
-    [
-        ((0.01, 0.006), 0.02, (0.5, -0.5, 1)),
-    ],
-)
-def test_the_jaws_centre_clamp_and_hold(offset, speed, attitude) -> None:
-    rig = Rig("marman_gripper")
-    rig.start(0.005, (0.0, 0.0, speed), offset, attitude)
-    rig.run(2.5)
-    assert rig.done == ["close_jaws", "soft_capture", "hard_capture"]
-    assert np.linalg.norm(rig.site("active_A") - rig.site("passive_P")) < 2e-3
-    assert rig.momentum()[2] == pytest.approx(500.0 * speed, rel=1e-5)
-
-
 def test_the_groove_turns_the_drive_into_normal_force_as_a_wedge_does() -> None:
     """Without friction F = 4 N sin 20 deg at each jaw: the drive's kp (0.078 - q) against 4 K x sin
     20, x the penetration.

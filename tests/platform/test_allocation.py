@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hiltestbed.contact.sides import sides_of
+from hiltestbed.contact.touch import Meeting
 from hiltestbed.frames import Array, quat_from_attitude_deg
 from hiltestbed.platform.facilities.tree import between
 from hiltestbed.platform.prs3.allocation import (
@@ -17,8 +19,8 @@ from hiltestbed.platform.prs3.allocation import (
 )
 from hiltestbed.platform.prs3.geometry import HEAVE, TILT, Upper, place
 from hiltestbed.platform.prs3.upper import SETTLE
-from tests.contact.cone_in_closed_form import ROD_RADIUS, TIP_RADIUS, cone_distance, rod_distance
 from tests.platform.halls import apart
+from tests.platform.rigs import scenario
 
 
 def poses(
@@ -67,16 +69,15 @@ def test_nothing_touches_before_the_upper_platform_is_clamped() -> None:
     rest at 0.3 m/s.
     """
     rng = np.random.default_rng(2)
-    free, nearest = np.empty(3), np.empty(3)
+    contact = {"stiffness": 1e5}
+    docking = scenario("ideal", mechanism={"kind": "probe_cone", "contact": contact})
+    meeting = Meeting(sides_of(docking.mechanism))
     for _ in range(500):
         x, y = rng.uniform(-0.25, 0.25, 2)
         pose = poses(np.array([DOCKING - 0.3 * SETTLE]), tuple(rng.uniform(-10.0, 10.0, 3)), x, y)[
             0
         ]
-        axis = Rotation.from_quat(pose[3:]).apply([0.0, 0.0, 1.0])
-        centre = pose[:3] - TIP_RADIUS * axis
-        assert cone_distance(centre, free) > TIP_RADIUS
-        assert rod_distance(centre, axis, free, nearest) > ROD_RADIUS
+        assert meeting.deepest(pose) < 0.0
 
 
 def test_speed_and_acceleration_follow_without_a_step() -> None:

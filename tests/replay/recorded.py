@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.contact.latch import latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import believed_contacts, contact_rows
+from hiltestbed.contact.phases import latch_limits
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import Effect
 from hiltestbed.effects.log import log_parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from hiltestbed.config.piecewise import Curve, packed
 from hiltestbed.contact.law import MODE_STEP
@@ -18,6 +18,19 @@ if TYPE_CHECKING:
     from hiltestbed.scenario.like import ScenarioLike as Scenario
 
 
+class ContactEffect(Effect):
+    """Base of the effects that change the parameters of a contact."""
+
+    link = "contact"
+
+    @classmethod
+    def by_force(cls, scales: Scales, **fixed: Any) -> Candidate:
+        """A candidate whose ``force`` is a part of the largest."""
+        f = scales.force
+        parts = {"force": [0.01 * f, 0.04 * f, 0.15 * f]}
+        return candidate(cls, parts, bounds={"force": (0.0, 0.8 * f)}, **fixed)
+
+
 # starting values of alpha times the speed at touch in the search for Hunt-Crossley damping
 LOSSES = (0.01, 0.05, 0.2, 0.6)
 # its upper bound: y - ln(1 + y) is equal at y = 6 and y = -6 e for e of about 1/6, the share of the
@@ -28,12 +41,11 @@ STIFFEST = 1e3
 
 
 @register
-class ContactDamping(Effect):
+class ContactDamping(ContactEffect):
     """The contact damping differs from the nominal damping."""
 
     kind: Literal["contact.damping"] = "contact.damping"
     factor: float = quantity("-", "True damping over nominal damping", ge=0.0, search=(0.0, 6.0))
-    link = "contact"
     equation = "c -> factor c"
     reference = "viscous damper"
     resembles = ("sensor.delay", "log.skew", "contact.hunt_crossley")
@@ -49,14 +61,13 @@ class ContactDamping(Effect):
 
 
 @register
-class ContactHuntCrossley(Effect):
+class ContactHuntCrossley(ContactEffect):
     """Hunt-Crossley damping: it grows with the penetration, so that the force has no step at
     touch.
     """
 
     kind: Literal["contact.hunt_crossley"] = "contact.hunt_crossley"
     alpha: float = quantity("s/m", "Hunt-Crossley damping coefficient", ge=0.0, search=(0.0, 30.0))
-    link = "contact"
     equation = "F = k x (1 + alpha v)"
     reference = "K. H. Hunt, F. R. E. Crossley, ASME J. Appl. Mech. 42, 1975"
     resembles = ("contact.damping",)
@@ -75,7 +86,7 @@ class ContactHuntCrossley(Effect):
 
 
 @register
-class ContactDryFriction(Effect):
+class ContactDryFriction(ContactEffect):
     """Dry friction in the buffer: a hysteresis loop whose width depends on neither speed nor
     stroke.
     """
@@ -90,7 +101,6 @@ class ContactDryFriction(Effect):
         search=(1e2, 1e9),
         ratio=True,
     )
-    link = "contact"
     equation = (
         "F += force tanh(v/2e-4); with a stiffness F += f, f' = stiffness v while |f| < force"
     )
@@ -105,12 +115,7 @@ class ContactDryFriction(Effect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         f, x = scales.force, scales.depth
-        yield candidate(
-            cls,
-            {"force": [0.01 * f, 0.04 * f, 0.15 * f]},
-            bounds={"force": (0.0, 0.8 * f)},
-            stiffness=0.0,
-        )
+        yield cls.by_force(scales, stiffness=0.0)
         if scales.captured:
             drag = {"force": [0.3 * f, 0.8 * f], "stiffness": [q * f / x for q in (2.0, 8.0, 30.0)]}
             yield candidate(
@@ -119,7 +124,7 @@ class ContactDryFriction(Effect):
 
 
 @register
-class ContactRelaxation(Effect):
+class ContactRelaxation(ContactEffect):
     """The contact is stiffer under fast loading and relaxes under constant penetration."""
 
     kind: Literal["contact.relaxation"] = "contact.relaxation"
@@ -129,7 +134,6 @@ class ContactRelaxation(Effect):
     time_constant: float = quantity(
         "s", "Relaxation time of the Maxwell branch", gt=0.0, search=(1e-3, 10.0), ratio=True
     )
-    link = "contact"
     equation = "F += z, z' = stiffness v - z/time_constant"
     reference = "Maxwell branch of the standard linear solid"
     resembles = ("sensor.highpass", "contact.damping")
@@ -162,14 +166,13 @@ MOST_STEPS = 1000
 
 
 @register
-class FrameCompliance(Effect):
+class FrameCompliance(ContactEffect):
     """The sensor's frame is compliant: it deflects quasi-statically under the contact force."""
 
     kind: Literal["frame.compliance"] = "frame.compliance"
     stiffness: float = quantity(
         "N/m", "Stiffness of the frame", gt=0.0, search=(1e5, 1e9), ratio=True
     )
-    link = "contact"
     equation = "x = pz - F/stiffness"
     reference = "springs in series"
     resembles = ("contact.stiffness",)
@@ -201,7 +204,7 @@ class FrameCompliance(Effect):
 
 
 @register
-class FrameMode(Effect):
+class FrameMode(ContactEffect):
     """A vibration mode of the sensor's frame: the contact force excites it, and the sensor reads
     the force in the frame.
     """
@@ -216,7 +219,6 @@ class FrameMode(Effect):
     mass: float = quantity(
         "kg", "Modal mass of the frame", gt=0.0, search=(1.0, 2000.0), ratio=True
     )
-    link = "contact"
     equation = "m q'' + 2 zeta w m q' + w^2 m q = F, x = pz - q, measured: w^2 m q + 2 zeta w m q'"
     reference = "single structural mode"
     resembles = ("frame.compliance", "sensor.hum")
@@ -263,7 +265,7 @@ class FrameMode(Effect):
 
 
 @register
-class ContactMap(Effect):
+class ContactMap(ContactEffect):
     """A force added to the nominal spring and damper, given as curves over penetration, rate and
     the stretch of a friction slider.
     """
@@ -296,7 +298,6 @@ class ContactMap(Effect):
         "constant beyond the ends",
         default=(),
     )
-    link = "contact"
     equation = (
         "F += f(x) + g(v) + h(s) + (p(x) + q(v)) k x, s' = v while s is within the "
         "knots of h, each curve piecewise linear"
@@ -328,14 +329,13 @@ class ContactMap(Effect):
 
 
 @register
-class ContactStiffness(Effect):
+class ContactStiffness(ContactEffect):
     """The contact stiffness differs from the nominal stiffness."""
 
     kind: Literal["contact.stiffness"] = "contact.stiffness"
     factor: float = quantity(
         "-", "True stiffness over nominal stiffness", gt=0.0, search=(0.3, 3.0), ratio=True
     )
-    link = "contact"
     equation = "k -> factor k"
     reference = "Hooke"
     resembles = ("frame.compliance", "sensor.gain")
@@ -352,7 +352,7 @@ class ContactStiffness(Effect):
 
 
 @register
-class ContactPowerLaw(Effect):
+class ContactPowerLaw(ContactEffect):
     """The elastic force is a power of the penetration, in place of the linear spring."""
 
     kind: Literal["contact.power_law"] = "contact.power_law"
@@ -366,7 +366,6 @@ class ContactPowerLaw(Effect):
         search=(1e3, 1e10),
         ratio=True,
     )
-    link = "contact"
     equation = "F = stiffness x^exponent + c v"
     reference = "Hertz for exponent 1.5"
     resembles = ("contact.stiffness", "sensor.saturation")
@@ -396,7 +395,7 @@ class ContactPowerLaw(Effect):
 
 
 @register
-class ContactHardStop(Effect):
+class ContactHardStop(ContactEffect):
     """A second spring acts beyond a given penetration."""
 
     kind: Literal["contact.hard_stop"] = "contact.hard_stop"
@@ -406,7 +405,6 @@ class ContactHardStop(Effect):
     stiffness: float = quantity(
         "N/m", "Stiffness of the stop", gt=0.0, search=(1e3, 1e8), ratio=True
     )
-    link = "contact"
     equation = "F += stiffness (x - position) while x > position"
     reference = "bilinear buffer"
     resembles = ("contact.power_law",)
@@ -430,12 +428,11 @@ class ContactHardStop(Effect):
 
 
 @register
-class ContactPreload(Effect):
+class ContactPreload(ContactEffect):
     """A force step at touch, independent of the speed."""
 
     kind: Literal["contact.preload"] = "contact.preload"
     force: float = quantity("N", "Force of the preload", ge=0.0, search=(0.0, 300.0))
-    link = "contact"
     equation = "F += force while x > 0"
     reference = "preloaded buffer spring"
     resembles = ("contact.dry_friction", "contact.touch_offset")
@@ -447,7 +444,4 @@ class ContactPreload(Effect):
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
-        f = scales.force
-        yield candidate(
-            cls, {"force": [0.01 * f, 0.04 * f, 0.15 * f]}, bounds={"force": (0.0, 0.8 * f)}
-        )
+        yield cls.by_force(scales)

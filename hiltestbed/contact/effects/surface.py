@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, Strict
 
-from hiltestbed.effects.base import Effect
+from hiltestbed.contact.effects.law import ContactEffect
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, Scales, candidate
 from hiltestbed.plugins import register
@@ -25,14 +25,13 @@ Tilt = Annotated[
 
 
 @register
-class ContactSurfaceFriction(Effect):
+class ContactSurfaceFriction(ContactEffect):
     """The coefficient of friction between the surfaces differs from the nominal one."""
 
     kind: Literal["contact.surface_friction"] = "contact.surface_friction"
     coefficient: float = quantity(
         "-", "True coefficient of friction", ge=0.0, le=10.0, search=(0.0, 1.0)
     )
-    link = "contact"
     equation = "F_t = coefficient |F| v_t/sqrt(v_t^2 + (1e-4)^2)"
     reference = "Coulomb, regularised"
     resembles = ("sensor.crosstalk", "contact.misalignment")
@@ -48,12 +47,11 @@ class ContactSurfaceFriction(Effect):
 
 
 @register
-class ContactAdhesion(Effect):
+class ContactAdhesion(ContactEffect):
     """Adhesion: the surfaces pull on each other as they separate."""
 
     kind: Literal["contact.adhesion"] = "contact.adhesion"
     force: float = quantity("N", "Largest pulling force", ge=0.0, search=(0.0, 300.0))
-    link = "contact"
     equation = "F may fall to -force while x > 0"
     reference = "magnet or latch pull"
     resembles = ("contact.damping",)
@@ -74,14 +72,11 @@ class ContactAdhesion(Effect):
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
         if not scales.captured:
-            f = scales.force
-            yield candidate(
-                cls, {"force": [0.01 * f, 0.04 * f, 0.15 * f]}, bounds={"force": (0.0, 0.8 * f)}
-            )
+            yield cls.by_force(scales)
 
 
 @register
-class ContactTouchOffset(Effect):
+class ContactTouchOffset(ContactEffect):
     """The mechanisms touch at a larger (or smaller) insertion than in the nominal rig."""
 
     kind: Literal["contact.touch_offset"] = "contact.touch_offset"
@@ -90,7 +85,6 @@ class ContactTouchOffset(Effect):
         "Distance along the insertion by which the touch comes later; negative: earlier",
         search=(-2e-3, 2e-3),
     )
-    link = "contact"
     equation = "x = pz - offset"
     reference = "position of the surface"
     resembles = ("contact.preload", "platform.scale")
@@ -109,12 +103,11 @@ class ContactTouchOffset(Effect):
 
 
 @register
-class ContactBacklash(Effect):
+class ContactBacklash(ContactEffect):
     """Backlash in a captured mechanism: no elastic force within the play."""
 
     kind: Literal["contact.backlash"] = "contact.backlash"
     width: float = quantity("m", "Total play, from stop to stop", ge=0.0, search=(0.0, 5e-3))
-    link = "contact"
     equation = (
         "x = pz - (width/2) sgn(pz) where |pz| > width/2, else 0; with elastic dry "
         "friction the play moves along with the slider"
@@ -147,12 +140,11 @@ class ContactBacklash(Effect):
 
 
 @register
-class ContactMisalignment(Effect):
+class ContactMisalignment(ContactEffect):
     """The passive port is tilted, and the contact force with it."""
 
     kind: Literal["contact.misalignment"] = "contact.misalignment"
     angles_deg: Tilt = quantity("deg", "Tilt of the port about x and about y", search=(-8.0, 8.0))
-    link = "contact"
     equation = "surface normal n = R_y R_x e_z"
     reference = "mounting error"
     resembles = ("sensor.crosstalk", "contact.surface_friction")

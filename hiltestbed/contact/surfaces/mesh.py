@@ -43,14 +43,10 @@ class Tree(NamedTuple):
     links: NDArray[np.int64]
 
 
-def no_tree() -> Tree:
-    """An empty tree, for surfaces that are not a mesh."""
-    return Tree(
-        np.empty((0, 3, 3)),
-        np.empty((0, 7, 3)),
-        np.empty((0, 15)),
-        np.empty((0, 2), dtype=np.int64),
-    )
+# of a surface that is not a mesh
+NO_TREE = Tree(
+    np.empty((0, 3, 3)), np.empty((0, 7, 3)), np.empty((0, 15)), np.empty((0, 2), dtype=np.int64)
+)
 
 
 def plant(vertices: Array, faces: NDArray[np.int_]) -> Tree:

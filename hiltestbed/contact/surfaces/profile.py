@@ -46,6 +46,15 @@ class Element:
     centre: tuple[float, float] | None = None
     clockwise: bool = False
 
+    def sweep(self) -> tuple[float, float]:
+        """Of an arc: angle of its start about the centre, and from there to its end [rad]."""
+        assert self.centre is not None
+        (rho, z), full = self.centre, 2.0 * math.pi
+        start, end = (math.atan2(p[1] - z, p[0] - rho) for p in (self.a, self.b))
+        if self.clockwise:
+            return start, -((start - end) % full or full)
+        return start, (end - start) % full or full
+
 
 def compile_profile(loops: list[list[Element]], origin: Array, axis: Array) -> Array:
     """``(1 + m, COLUMNS)`` profile of chains of elements about the ``axis`` (3,) through ``origin``
@@ -82,9 +91,8 @@ def _row(e: Element) -> Array:
         row[SIZE] = np.linalg.norm(b - a)
         return row
     centre = np.array(e.centre)
-    start, end = (math.atan2(p[1] - centre[1], p[0] - centre[0]) for p in (a, b))
-    sweep = (start - end if e.clockwise else end - start) % (2.0 * math.pi) or 2.0 * math.pi
-    middle = start - 0.5 * sweep if e.clockwise else start + 0.5 * sweep
+    start, sweep = e.sweep()
+    middle = start + 0.5 * sweep
     radius = 0.5 * (np.linalg.norm(a - centre) + np.linalg.norm(b - centre))
     row[KIND], row[U : U + 2], row[V : V + 2] = ARC, centre, (math.cos(middle), math.sin(middle))
     row[SIZE] = radius

@@ -34,18 +34,10 @@ class Revolution:
         profile: for :func:`hiltestbed.contact.surfaces.profile.profile_distance`, in the frame of
             the mesh.
         loops: the chains of elements of the profile, in (rho, z).
-        origin, axis: (3,) a point on the axis [m] and its direction, in the frame of the mesh.
-        segments: of the mesh per revolution. closed: whether it bounds a solid. deviation: largest,
-            of a vertex from the profile [m].
     """
 
     profile: Array
     loops: list[list[Element]]
-    origin: Array
-    axis: Array
-    segments: int
-    closed: bool
-    deviation: float
 
 
 def recognise(vertices: Array, faces: Faces, tolerance: float = TOLERANCE) -> Revolution | None:
@@ -109,15 +101,7 @@ def _about(
     if chains is None:
         return None
     loops = [_fit(rings[c], tolerance) for c in chains]
-    off = rings[:, 0] > 0.0
-    segments = int(min(np.bincount(ring, minlength=len(rings))[off]))
-    closed = all(
-        c[0] == c[-1] or (rings[c[0], 0] == 0.0 and rings[c[-1], 0] == 0.0) for c in chains
-    )
-    profile = compile_profile(loops, origin, axis)
-    return Revolution(
-        profile, loops, origin, axis, segments, closed, _deviation(loops, chains, rings)
-    )
+    return Revolution(compile_profile(loops, origin, axis), loops)
 
 
 def _group(rho: Array, z: Array, tolerance: float) -> tuple[NDArray[np.int_] | None, Array]:
@@ -309,21 +293,3 @@ def _element(a: Array, b: Array, circle: Array | None, second: Array) -> Element
     arm, step = a - circle[:2], second - circle[:2]
     centre = (float(circle[0]), float(circle[1]))
     return Element(*ends, centre, clockwise=bool(arm[0] * step[1] - arm[1] * step[0] < 0.0))
-
-
-def _deviation(loops: list[list[Element]], chains: list[list[int]], rings: Array) -> float:
-    """Largest distance [m] of a ring from the elements of its chain."""
-    worst = 0.0
-    for loop, chain in zip(loops, chains, strict=True):
-        for p in rings[chain]:
-            worst = max(worst, min(_away(e, p) for e in loop))
-    return worst
-
-
-def _away(e: Element, p: Array) -> float:
-    a, b = np.array(e.a), np.array(e.b)
-    if e.centre is None:
-        t = b - a
-        along = float(np.clip((p - a) @ t / (t @ t), 0.0, 1.0))
-        return float(np.linalg.norm(p - a - along * t))
-    return abs(float(np.linalg.norm(p - e.centre)) - float(np.linalg.norm(a - np.array(e.centre))))

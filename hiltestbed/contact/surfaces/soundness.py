@@ -28,7 +28,7 @@ class MeshFault:
     kind: str
     count: int
     message: str
-    usable: bool
+    usable: bool = False
 
 
 def welded(vertices: Array, faces: NDArray[np.int_]) -> tuple[Array, NDArray[np.int_]]:
@@ -65,33 +65,22 @@ def examine(vertices: Array, faces: NDArray[np.int_]) -> list[MeshFault]:
             f"{len(faces)} triangles; at most {MOST_TRIANGLES} are taken: simplify the "
             f"mesh, or split it into geoms"
         )
-        return [MeshFault("too_large", len(faces), what, usable=False)]
+        return [MeshFault("too_large", len(faces), what)]
     if len(faces) < FEWEST_TRIANGLES:
-        return [
-            MeshFault(
-                "too_small",
-                len(faces),
-                f"{len(faces)} triangles bound no solid; the fewest are {FEWEST_TRIANGLES}",
-                usable=False,
-            )
-        ]
+        what = f"{len(faces)} triangles bound no solid; the fewest are {FEWEST_TRIANGLES}"
+        return [MeshFault("too_small", len(faces), what)]
     lost = int((~np.isfinite(vertices)).any(axis=1).sum())
     if lost:
-        return [
-            MeshFault("not_finite", lost, f"{lost} vertices are not finite numbers", usable=False)
-        ]
+        return [MeshFault("not_finite", lost, f"{lost} vertices are not finite numbers")]
     sound, kept = welded(vertices, faces)
     findings = []
     flat = len(faces) - len(kept)
     if flat:
-        findings.append(
-            MeshFault(
-                "flat", flat, f"{flat} triangles without area; they are left out", usable=True
-            )
-        )
+        what = f"{flat} triangles without area; they are left out"
+        findings.append(MeshFault("flat", flat, what, usable=True))
     if len(kept) < FEWEST_TRIANGLES:
         what = f"only {len(kept)} triangles have an area"
-        return [*findings, MeshFault("too_small", len(kept), what, usable=False)]
+        return [*findings, MeshFault("too_small", len(kept), what)]
     return findings + _edges(kept) + _orientation(sound, kept)
 
 
@@ -103,23 +92,24 @@ def _edges(faces: NDArray[np.int_]) -> list[MeshFault]:
     forward = np.bincount(
         number.reshape(-1), weights=directed[:, 0] < directed[:, 1], minlength=len(count)
     )
-    findings = []
-    if n := int((count == 1).sum()):
-        what = (
-            f"{n} edges belong to one triangle only: the mesh is not closed, so inside "
-            f"and outside are undefined; close it"
-        )
-        findings.append(MeshFault("open", n, what, usable=False))
-    if n := int((count > 2).sum()):
-        what = (
-            f"{n} edges belong to more than two triangles: surfaces branch there; make "
-            f"the mesh one boundary of one solid"
-        )
-        findings.append(MeshFault("branched", n, what, usable=False))
-    if n := int(((count == 2) & (forward != 1.0)).sum()):
-        what = f"{n} edges lie between triangles of opposite orientation; flip the inverted faces"
-        findings.append(MeshFault("crossed", n, what, usable=False))
-    return findings
+    faulty = {
+        "open": (
+            count == 1,
+            "edges belong to one triangle only: the mesh is not closed, so inside and outside are "
+            "undefined; close it",
+        ),
+        "branched": (
+            count > 2,
+            "edges belong to more than two triangles: surfaces branch there; make the mesh one "
+            "boundary of one solid",
+        ),
+        "crossed": (
+            (count == 2) & (forward != 1.0),
+            "edges lie between triangles of opposite orientation; flip the inverted faces",
+        ),
+    }
+    found = [(kind, int(where.sum()), what) for kind, (where, what) in faulty.items()]
+    return [MeshFault(kind, n, f"{n} {what}") for kind, n, what in found if n]
 
 
 def _orientation(vertices: Array, faces: NDArray[np.int_]) -> list[MeshFault]:
@@ -128,5 +118,5 @@ def _orientation(vertices: Array, faces: NDArray[np.int_]) -> list[MeshFault]:
             "the normals of all faces point inwards: the enclosed volume is negative; "
             "flip the faces"
         )
-        return [MeshFault("inverted", len(faces), what, usable=False)]
+        return [MeshFault("inverted", len(faces), what)]
     return []

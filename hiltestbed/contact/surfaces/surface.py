@@ -31,6 +31,7 @@ CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 KINDS = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 
 
@@ -153,7 +154,6 @@ def _multiplier(sizes, point, t):
     return t
 
 
-MESH = 7  # number of this kind of surface, as in MuJoCo
 # largest distance from the hull of a convex mesh, over its size: the digits of an STL or OBJ file
 CONVEX = 1e-5
 HALVINGS = 5  # largest number of times that a segment is halved in the search for minima
@@ -167,15 +167,14 @@ class Surface(NamedTuple):
 
     kind: int
     sizes: Array
-    profile: Array
-    tree: Tree
+    profile: Array = np.empty((0, COLUMNS))
+    tree: Tree = mesh.NO_TREE
 
 
 def of_geom(kind: int, sizes: Array) -> Surface:
     """A plane, sphere, capsule, ellipsoid, cylinder or box, with MuJoCo's number and sizes."""
     # a plane's size in MuJoCo is only for drawing
-    own = np.zeros(3) if kind == PLANE else np.array(sizes, dtype=float)
-    return Surface(kind, own, np.empty((0, COLUMNS)), mesh.no_tree())
+    return Surface(kind, np.zeros(3) if kind == PLANE else np.array(sizes, dtype=float))
 
 
 def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, list[MeshFault]]:
@@ -185,8 +184,8 @@ def of_mesh(vertices: Array, faces: NDArray[np.int_]) -> tuple[Surface | None, l
         return None, findings
     turned = recognise(vertices, faces)
     if turned is not None:
-        return Surface(TURNED, np.zeros(3), turned.profile, mesh.no_tree()), findings
-    return Surface(MESH, np.zeros(3), np.empty((0, COLUMNS)), mesh.plant(vertices, faces)), findings
+        return Surface(TURNED, np.zeros(3), turned.profile), findings
+    return Surface(MESH, np.zeros(3), tree=mesh.plant(vertices, faces)), findings
 
 
 def hollow(vertices: Array, faces: NDArray[np.int_]) -> float | None:

@@ -27,10 +27,8 @@ def polyline(loop: list[Element], arc_step: float) -> Array:
 def _on_arc(e: Element, arc_step: float) -> list[tuple[float, float]]:
     assert e.centre is not None
     (rho, z) = e.centre
-    (start, end) = (math.atan2(p[1] - e.centre[1], p[0] - e.centre[0]) for p in (e.a, e.b))
+    start, sweep = e.sweep()
     radius = math.hypot(e.a[0] - rho, e.a[1] - z)
-    sweep = -((start - end) % (2.0 * math.pi)) if e.clockwise else (end - start) % (2.0 * math.pi)
-    sweep = sweep or (-2.0 * math.pi if e.clockwise else 2.0 * math.pi)
     steps = max(math.ceil(abs(sweep) / arc_step - 1e-9), 3)
     angles = start + sweep * np.arange(1, steps) / steps
     return [(rho + radius * math.cos(a), z + radius * math.sin(a)) for a in angles]

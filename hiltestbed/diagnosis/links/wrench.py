@@ -12,7 +12,6 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 from scipy.special import ndtr
 
-from hiltestbed.contact.latch import closes, latch_limits
 from hiltestbed.contact.mount_dynamics import MountDynamics
 from hiltestbed.contact.parameters import (
     FRICTION,
@@ -20,6 +19,7 @@ from hiltestbed.contact.parameters import (
     believed_contacts,
     contact_rows,
 )
+from hiltestbed.contact.phases import closes, latch_limits
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.diagnosis.links.base import (
     Effects,

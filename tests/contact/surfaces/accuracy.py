@@ -17,15 +17,16 @@ import mujoco
 import numpy as np
 from numba import njit
 
-from hiltestbed.contact.surfaces import mesh
 from hiltestbed.contact.surfaces.mesh import plant
 from hiltestbed.contact.surfaces.revolution import recognise
 from hiltestbed.contact.surfaces.surface import MESH, TURNED, Surface, signed_distance
 from hiltestbed.contact.surfaces.turned import obj_text, polyline, shell, turn
+from tests.contact.cone_in_closed_form import GENERATOR, HALF_ANGLE, SHELL
+from tests.contact.cone_in_closed_form import SOCKET_RADIUS as SOCKET
+from tests.contact.cone_in_closed_form import TIP_RADIUS as BALL
 
 CONE = Path(__file__).resolve().parents[3] / "models" / "probe_cone"
-BALL, SOCKET, GENERATOR, HALF_ANGLE = 0.03, 0.035, 0.20, math.radians(45.0)
-THICKNESS = 0.024
+THICKNESS = 2.0 * SHELL
 DEPTH = 1e-3  # [m]
 # a place of the ball's centre to penetration and outward normal
 Query = Callable[[np.ndarray], tuple[float, np.ndarray]]
@@ -175,11 +176,11 @@ def _field(segments: int) -> Row:
 def _turned(segments: int) -> Surface:
     found = recognise(*turned_cone(segments))
     assert found is not None
-    return Surface(TURNED, np.zeros(3), found.profile, mesh.no_tree())
+    return Surface(TURNED, np.zeros(3), found.profile)
 
 
 def _tree(segments: int) -> Surface:
-    return Surface(MESH, np.zeros(3), np.empty((0, 1)), plant(*turned_cone(segments)))
+    return Surface(MESH, np.zeros(3), tree=plant(*turned_cone(segments)))
 
 
 def table() -> list[Row]:

@@ -8,12 +8,17 @@ import coal
 import numpy as np
 import pytest
 
-from hiltestbed.contact.surfaces import examine, of_mesh, segment_distance, signed_distance
 from hiltestbed.contact.surfaces.mesh import mesh_beyond, mesh_distance, plant
-from hiltestbed.contact.surfaces.profile import profile_distance
+from hiltestbed.contact.surfaces.profile import TURNED, profile_distance
 from hiltestbed.contact.surfaces.revolution import recognise
-from hiltestbed.contact.surfaces.soundness import MOST_TRIANGLES
-from hiltestbed.contact.surfaces.surface import MESH, TURNED, of_geom
+from hiltestbed.contact.surfaces.soundness import MOST_TRIANGLES, examine
+from hiltestbed.contact.surfaces.surface import (
+    MESH,
+    of_geom,
+    of_mesh,
+    segment_distance,
+    signed_distance,
+)
 from tests.contact.surfaces.accuracy import table, turned_cone
 
 CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])

@@ -9,7 +9,6 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
 from hiltestbed.contact.surfaces.surface import (
     BOX,
@@ -85,19 +84,6 @@ def test_no_point_of_the_surface_is_nearer(kind: int) -> None:
             inside(kind, SIZES[kind], q) == within
             for q in p + abs(distance) * (1.0 - 1e-9) * directions
         )
-
-
-def test_ellipsoid_against_a_constrained_minimiser() -> None:
-    sizes, normal = np.array(SIZES[ELLIPSOID]), np.zeros(3)
-    on = {"type": "eq", "fun": lambda x: ((x / sizes) ** 2).sum() - 1.0}
-    for p in awkward_points(ELLIPSOID)[100:120]:
-        distance = shape_distance(ELLIPSOID, sizes, p, normal)
-        starts = [p - distance * normal + 0.02, p / np.sqrt(((p / sizes) ** 2).sum())]
-        found = min(
-            float(minimize(lambda x, p=p: ((x - p) ** 2).sum(), s, constraints=on, tol=1e-14).fun)
-            for s in starts
-        )
-        assert abs(distance) == pytest.approx(np.sqrt(found), abs=1e-6)
 
 
 @pytest.mark.parametrize("kind", SIZES)
