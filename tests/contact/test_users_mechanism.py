@@ -260,6 +260,7 @@ def test_what_departs_in_it_is_named(folder: Path, tracking: str) -> None:
     assert cause.parameters["factor"].estimate == pytest.approx(1.3, rel=0.005)
 
 
+@SLOW
 def test_where_nothing_departs_in_it_nothing_is_found(folder: Path) -> None:
     found = verdict_on(recorded(folder, **{"rig.platform.tracking": "servo"}))
     assert found.verdict == "no_discrepancy"

@@ -110,9 +110,12 @@ def test_free_flight_is_gone_through_once(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(whole, "_flight", lambda kind: None)
     touch = EFFECTS["contact.touch_offset"]
     for effects in (
-        [EFFECTS["contact.stiffness"](factor=1.3), EFFECTS["contact.dry_friction"](force=20.0)],
-        [touch(offset=-0.002)],
-        [touch(offset=-0.02)],
+        [
+            EFFECTS["contact.stiffness"].hypothesis({}, factor=1.3),
+            EFFECTS["contact.dry_friction"].hypothesis({}, force=20.0),
+        ],
+        [touch.hypothesis({}, offset=-0.002)],
+        [touch.hypothesis({}, offset=-0.02)],
     ):
         monkeypatch.setattr("hiltestbed.replay.simulated.threads", lambda: 2)
         once = resumed.exerted([(1, effects), (0, [])])
@@ -191,7 +194,9 @@ def test_boxes_that_collide_at_several_points_push_with_the_stiffness_of_their_p
     poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (1, len(t), 1))
     poses[0, :, 2] = depth
     rate = np.diff(depth, prepend=depth[:1]) / s.tick
-    (wrench,) = Simulated([s], poses).exerted([(0, [EFFECTS["contact.stiffness"](factor=1.3)])])
+    (wrench,) = Simulated([s], poses).exerted(
+        [(0, [EFFECTS["contact.stiffness"].hypothesis({}, factor=1.3)])]
+    )
     law = 2.0 * (1.3e5 * depth + 400.0 * rate)
     # the first row has the rate of the approach
     np.testing.assert_allclose(wrench[1:, -1, 2], law[1:], atol=1e-4 * 2.6e5 * depth.max())
@@ -202,7 +207,7 @@ def test_lanes_of_one_batch_give_what_each_gives_alone() -> None:
     recorded = record([docking("jaws that close")])
     both: list[tuple[int, list[Effect]]] = [
         (0, []),
-        (0, [EFFECTS["contact.stiffness"](factor=0.7)]),
+        (0, [EFFECTS["contact.stiffness"].hypothesis({}, factor=0.7)]),
     ]
     together: list[Array] = simulated(recorded).exerted(both)
     for wrench, lane in zip(together, both, strict=True):
