@@ -149,7 +149,8 @@ def _close_loops(tree, w):
             rotate(pose[3:7], frame, ends[e])
             for i in range(3):
                 ends[e, i] += pose[i]
-            quat_mul(pose[3:7], frame[3:7], turns[e])
+            if whole:
+                quat_mul(pose[3:7], frame[3:7], turns[e])
             add_rows(tree, w, tree.loops[k, 1 + e], ends[e], 1.0 - 2.0 * e, r, whole)
         for i in range(3):
             w.residual[r + i] = ends[0, i] - ends[1, i]
