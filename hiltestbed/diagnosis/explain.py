@@ -209,9 +209,10 @@ class _SoFar:
             there = interpreted(self.model.under(found.best.of.each()), found.best)
             if there is not self.model:
                 same = there.link is self.model.link
-                likelihood = self._likelihood.through(there)
                 self._through(
-                    there, found.best, likelihood if same else Likelihood(there, self._counts)
+                    there,
+                    found.best,
+                    self._likelihood.through(there) if same else Likelihood(there, self._counts),
                 )
         return grown
 

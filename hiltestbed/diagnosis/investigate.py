@@ -133,12 +133,15 @@ def investigate(dataset: MeasuredDataset, progress: Progress | None = None) -> F
             found["wrench"] = with_other_clock(
                 explain(LinkModel(contact), candidates, told("wrench"), found.get("compensation"))
             )
-            read = found["wrench"].link
-            assert isinstance(read, WrenchLink)
-            whole["wrench"] = make_wrench_link(layout, path, layout.whole).as_interpreted(read)
+            whole["wrench"] = make_wrench_link(layout, path, layout.whole)
     for name in stamped_alone(found):
         e = found[name]
         found[name] = explain(e.model.as_stamped(), e.candidates, told(name))
+    if "wrench" in found:
+        read, entire = found["wrench"].link, whole["wrench"]
+        assert isinstance(read, WrenchLink)
+        assert isinstance(entire, WrenchLink)
+        whole["wrench"] = entire.as_interpreted(read)
     for name, explained in found.items():
         if not explained.departs and (why := too_little(explained.link)):
             missing[name] = why
