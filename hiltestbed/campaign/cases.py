@@ -78,14 +78,14 @@ def _sobol(campaign: Campaign, cases: Sequence[int]) -> list[np.ndarray]:
 
 def skeleton(scenario: Scenario) -> str:
     """The scenario without its numbers: kinds, methods, optional parts, rates, number of ticks."""
+    from hiltestbed.platform.build import alike  # MuJoCo, which reading a campaign does not need
+
     data = {
         key: value if key in _KEPT else _bare(value)
         for key, value in resolved(scenario).items()
         if key not in _FREE
     }
     contact = scenario.mechanism.contact
-    from hiltestbed.platform.build import alike
-
     platform = str(alike(scenario))  # numbers that its model depends on
     return json.dumps([scenario.ticks, contact.friction > 0, platform, data], sort_keys=True)
 

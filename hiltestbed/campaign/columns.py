@@ -12,29 +12,27 @@ from hiltestbed.signals import AXES
 
 _TEXT = ("name", "scenario_sha256", "status", "stop_reason", "outcome")
 _COUNTS = ("seed", "contacts")
-_FIGURES = tuple(
-    [
-        "cor",
-        "cor_reference",
-        "cor_log_error",
-        "cor_normal",
-        "cor_normal_reference",
-        "cor_normal_log_error",
-        "cor_log_error_predicted",
-        "approach_speed",
-        "approach_energy",
-        "rebound_speed",
-        "energy_generated",
-        "energy_reference",
-        "energy_resolution",
-        "peak_force",
-        "contact_duration",
-        "first_contact",
-        "captured_at",
-        "impulse",
-        "tracking_error",
-        "tracking_compliance",
-    ]
+_FIGURES = (
+    "cor",
+    "cor_reference",
+    "cor_log_error",
+    "cor_normal",
+    "cor_normal_reference",
+    "cor_normal_log_error",
+    "cor_log_error_predicted",
+    "approach_speed",
+    "approach_energy",
+    "rebound_speed",
+    "energy_generated",
+    "energy_reference",
+    "energy_resolution",
+    "peak_force",
+    "contact_duration",
+    "first_contact",
+    "captured_at",
+    "impulse",
+    "tracking_error",
+    "tracking_compliance",
 )
 SCALARS = (*_TEXT, *_COUNTS, *_FIGURES)
 ESTIMATES = tuple(

@@ -134,8 +134,8 @@ def contact_rows(
 # The columns of a row, named after the fields; a curve takes PACKED columns, the first of which is
 # its number of knots.
 NAMES = tuple(f.name for f in fields(ContactParameters))
-CURVES = NAMES[-5:]
-NUMBERS = NAMES[:-5]
+CURVES = tuple(f.name for f in fields(ContactParameters) if f.type == "Array")
+NUMBERS = tuple(name for name in NAMES if name not in CURVES)
 (
     STIFFNESS,
     DAMPING,
