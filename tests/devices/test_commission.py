@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from hiltestbed.devices.commission.procedure import Commissioned, commission, write_commission
 from hiltestbed.devices.interface import DeviceError
 from hiltestbed.diagnosis.diagnose import diagnose
+from hiltestbed.diagnosis.investigate import CLOCKS
 from hiltestbed.errors import InputError
 from hiltestbed.frames import attitude_deg_from_quat, quat_from_attitude_deg, rotation_matrix
 from hiltestbed.measured.load import load_dataset
@@ -127,7 +128,11 @@ def test_a_sensor_that_is_mounted_askew_is_told_beside_delay_gain_and_crosstalk(
     askew: Commissioned,
 ) -> None:
     """Gain and crosstalk as they are in the sensor's own axes."""
-    _as_hidden({e["kind"]: e for e in askew.departures}, gain=0.01 * 0.08)
+    found = {e["kind"]: e for e in askew.departures}
+    _as_hidden(found, gain=0.01 * 0.08)
+    assert found["sensor.gain"]["axis"] == "z"
+    leak = found["sensor.crosstalk"]
+    assert (leak["source"], leak["axis"]) == ("z", "x")
     # the data are as it was believed to be mounted
     assert tuple(askew.believed.devices.sensor.attitude_deg) == (0.0, 0.0, 0.0)
     mounted = quat_from_attitude_deg(askew.nominal.devices.sensor.attitude_deg)
@@ -140,8 +145,9 @@ def test_a_diagnosis_of_the_dataset_says_the_same(askew: Commissioned, tmp_path:
     """Four causes on one link; without a loop a late record cannot be told from a late sensor."""
     causes = diagnose(write_commission(askew, tmp_path / "facility") / "dataset.yaml").causes
     found = {c.effect: {n: p.estimate for n, p in c.parameters.items()} for c in causes}
-    if "log.skew" in found:
-        found["sensor.delay"] = found.pop("log.skew")
+    late = next(c for c in causes if c.effect in CLOCKS)
+    assert {late.effect, *late.indistinguishable_from} == set(CLOCKS)
+    found["sensor.delay"] = found.pop(late.effect)
     _as_hidden(found, gain=0.01 * 1.08)
 
 

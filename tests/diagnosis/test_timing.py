@@ -14,16 +14,18 @@ import pytest
 
 from hiltestbed.config.yaml_source import dump_yaml, read_source
 from hiltestbed.diagnosis import timing
+from hiltestbed.diagnosis.explain import explain
 from hiltestbed.diagnosis.find import Judged, judge
 from hiltestbed.diagnosis.floors import smooth_levels
 from hiltestbed.diagnosis.investigate import investigate
-from hiltestbed.diagnosis.links import Timing
+from hiltestbed.diagnosis.link_model import LinkModel
+from hiltestbed.diagnosis.links import DynamicsLink, Timing
 from hiltestbed.diagnosis.links.base import NO_SHIFT
 from hiltestbed.measured import load_dataset
 from tests.equipment.independent_rig import Nuisances, draw_set, write_set
 from tests.slow import SLOW, slow
 
-from .made import H, candidates, effect, platform_link, scenario
+from .made import H, candidates, effect, link_run, platform_link, scenario
 from .made import explained as explained_link
 
 
@@ -196,6 +198,27 @@ def test_an_offset_that_no_other_link_of_its_channels_shows_is_a_delay(
     assert timing.stamped_alone(found) == delayed
     # without the record of a channel nobody knows
     assert timing.stamped_alone({n: e for n, e in found.items() if n != "compensation"}) == []
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_tick_of_delay_is_one_where_the_channels_are_known_to_be_stamped_right(late: int) -> None:
+    """Alone, a numerical model's own tick and a stamp of its output are the same record."""
+    rng, runs, wrenches = np.random.default_rng(3), [], []
+    hidden = [effect("dynamics.step_delay", ticks=1)] * late
+    for _ in range(2):
+        wrenches.append(rng.normal(0.0, [30.0, 20.0, 200.0, 5.0, 8.0, 3.0], (400, 6)))
+        made = DynamicsLink([link_run(scenario(), 400)], wrenches[-1:])
+        shown = made.shown(0, hidden)
+        runs.append(link_run(scenario(), shown + rng.normal(0.0, 1e-9, shown.shape), 1e-9))
+    model = LinkModel(DynamicsLink(runs, wrenches))
+    causes = candidates("dynamics.step_delay", "dynamics.mass")
+    alone, beside = explain(model, causes), explain(model.as_stamped(), causes)
+    assert alone.kinds == ()
+    assert timing.shift_rows(alone) == pytest.approx(late, abs=0.01)
+    assert beside.kinds == ("dynamics.step_delay",) * late
+    assert timing.shift_rows(beside) == pytest.approx(0.0, abs=0.01)
+    assert alone.adequate
+    assert beside.adequate
 
 
 @pytest.mark.parametrize(("rows", "cause"), [(0.4, False), (3.0, True)])
