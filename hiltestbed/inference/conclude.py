@@ -312,8 +312,7 @@ def _rivals(
     cause, here = fit.causes[index], likelihood.again(fit)
     others = [c for c in candidates if c.kind != cause.kind or c.place != cause.place]
     close: dict[str, tuple[float, PosteriorFit]] = {}
-    least = here.evidence - TOLD_APART if likelihood.model.noise_known else -math.inf
-    for other in extended(likelihood, fewer, others, RIVALS, least):
+    for other in extended(likelihood, fewer, others, RIVALS):
         gap = other.evidence - here.evidence
         kinds = {c.kind for c in other.causes} - {c.kind for c in fit.causes} or {cause.kind}
         for kind in sorted(kinds):
