@@ -149,7 +149,7 @@ class SensorGain(Effect):
     leading = "factor"
 
     def apply(self, p: SensorParameters) -> None:
-        p.calibration[WRENCH_AXES.index(self.axis)] *= self.factor
+        p.gain[WRENCH_AXES.index(self.axis)] *= self.factor
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
@@ -177,16 +177,14 @@ class SensorCrosstalk(Effect):
         default="x", description="Axis of the wrench on which the crosstalk appears"
     )
     link = "sensor"
-    equation = "w_axis += ratio w_source"
+    equation = "w_axis += ratio w_source, after the gains"
     reference = "calibration-matrix error"
     resembles = ("contact.misalignment", "contact.surface_friction")
     repeats = True
     leading = "ratio"
 
     def apply(self, p: SensorParameters) -> None:
-        p.calibration[WRENCH_AXES.index(self.axis)] += (
-            self.ratio * p.calibration[WRENCH_AXES.index(self.source)]
-        )
+        p.cross[WRENCH_AXES.index(self.axis), WRENCH_AXES.index(self.source)] += self.ratio
 
     @classmethod
     def candidates(cls, scales: Scales) -> Iterator[Candidate]:
@@ -433,7 +431,7 @@ class SensorRotation(Effect):
     def apply(self, p: SensorParameters) -> None:
         quaternion = np.empty(4)
         quat_exp(np.radians(np.array(self.angles_deg, dtype=float)), quaternion)
-        p.calibration[:] = p.calibration @ np.kron(np.eye(2), rotation_matrix(quaternion).T)
+        p.mounting = p.mounting @ np.kron(np.eye(2), rotation_matrix(quaternion).T)
 
     @classmethod
     def hypothesis(cls, variant: Mapping[str, Any], **values: Any) -> Self:

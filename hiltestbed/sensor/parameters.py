@@ -27,8 +27,9 @@ class SensorParameters:
 
     Attributes:
         delay: nominal plus additional [s]. jitter: standard deviation of the delay [s].
-        calibration: (6, 6) matrix from the wrench to the reading. curve: of each axis pairs of true
-            value and reading; empty: identity.
+        mounting: (6, 6) from the wrench in P to that in the sensor's axes. gain: (6,) of each.
+            cross: (6, 6) of these, from the axis that is felt (column) to the one that shows it.
+        curve: of each axis pairs of true value and reading; empty: identity.
         lag, leak: time constant [s] of each low-pass and of each high-pass.
         offset: (6,) [N, N m]. drift: (6,) [N/s, N m/s]. tone: amplitude on x, y, z [N], frequency
             [Hz], phase [rad] of each.
@@ -37,7 +38,9 @@ class SensorParameters:
 
     delay: float = 0.0
     jitter: float = 0.0
-    calibration: Array = field(default_factory=lambda: np.eye(6))
+    mounting: Array = field(default_factory=lambda: np.eye(6))
+    gain: Array = field(default_factory=lambda: np.ones(6))
+    cross: Array = field(default_factory=lambda: np.eye(6))
     curve: list[Pairs] = field(default_factory=lambda: [()] * 6)
     lag: list[float] = field(default_factory=list)
     leak: list[float] = field(default_factory=list)
@@ -47,6 +50,11 @@ class SensorParameters:
     deadzone: Array = field(default_factory=lambda: np.zeros(6))
     limit: Array = field(default_factory=lambda: np.full(6, np.inf))
     step: Array = field(default_factory=lambda: np.zeros(6))
+
+    @property
+    def calibration(self) -> Array:
+        """(6, 6) from the wrench in P to the reading, whatever the order of the effects."""
+        return self.cross @ np.diag(self.gain) @ self.mounting
 
     @classmethod
     def believed(cls, settings: SensorSettings) -> SensorParameters:
@@ -66,7 +74,9 @@ class SensorParameters:
         """An independent copy."""
         return replace(
             self,
-            calibration=self.calibration.copy(),
+            mounting=self.mounting.copy(),
+            gain=self.gain.copy(),
+            cross=self.cross.copy(),
             curve=list(self.curve),
             lag=list(self.lag),
             leak=list(self.leak),

@@ -4,6 +4,8 @@ told from a crosstalk.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -48,10 +50,10 @@ def test_a_second_turn_is_about_the_axes_that_are_believed() -> None:
 
 @pytest.mark.parametrize(
     "order",
-    [(TURN, GAIN, LEAK), (GAIN, TURN, LEAK), (GAIN, LEAK, TURN)],
-    ids=["first", "between", "last"],
+    list(itertools.permutations((TURN, GAIN, LEAK))),
+    ids=lambda order: "-".join(e["kind"].partition(".")[2] for e in order),
 )
-def test_gain_and_crosstalk_are_those_of_the_turned_axes_wherever_the_turn_stands(
+def test_turn_then_gain_then_crosstalk_whatever_the_order_of_the_effects(
     order: tuple[dict, ...],
 ) -> None:
     expected = felt(ANGLES)
