@@ -95,6 +95,11 @@ def exported(folder: Path) -> Exported:
     head = [f"Extended model of the diagnosis {about.get('name', '')}, written by hiltestbed."]
     source = read_source(folder / EXTENDED)
     if is_axis(source):
+        if source.data["axis"] == "arm":
+            raise InputError(
+                f"{folder}: is that of an arm, which has a model already; what was found, by joint "
+                f"and body, is under effects: of {folder / EXTENDED}"
+            )
         text, said, unsaid = axis_mjcf(validate(AxisDataset, source), head)
         return Exported(text, tuple(said), tuple(unsaid))
     return _rig(scenario_from(source), head)

@@ -1,47 +1,48 @@
-"""The file that describes measured runs of one axis: a drive, a servo or a damper.
+"""The file that describes measured runs of one axis, a drive, a servo or a damper, or of an arm.
 
 axis: drive
 nominal: {mass: 95.1}
 runs: [{file: trapezoid.csv}, {file: pulses.csv}]
 channels: {t: {column: t}, input: {column: force}, output: {column: position, unit: mm}}
+
+axis: arm
+model: arm.urdf
+joints: {shoulder: {}, elbow: {gain: 10.1}}
+runs: [{file: sweep.csv}, {file: circle.csv}, {file: rest.csv}]
+channels: {shoulder.position: {column: q1, unit: deg}, shoulder.input: {column: tau1}, ...}
 """
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from hiltestbed.axis.effects.base import AXIS_EFFECTS, AxisEffect, AxisKind
+from hiltestbed.axis.arm import Arm, ArmModel, ArmRun, read_arm
+from hiltestbed.axis.effects.base import AXIS_EFFECTS, AxisEffect, AxisKind, BodyEffect
 from hiltestbed.axis.models import AxisModel, AxisRun, model_of
+from hiltestbed.axis.records import Reading, Signal, read_record
 from hiltestbed.config.dataset import Channel
 from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.errors import Fault, InputError
-from hiltestbed.frames import Array
-from hiltestbed.measured.columns import Columns
-from hiltestbed.measured.formats import AnyFormat, read_columns
+from hiltestbed.measured.formats import AnyFormat
 from hiltestbed.measured.formats.ros2 import data_file, no_file
-from hiltestbed.measured.outliers import declared
-from hiltestbed.measured.units import UNITS, split_unit, unit_named
 from hiltestbed.plugins import OneOf, depends
 from hiltestbed.run_folder.folders import is_file
 
-LEAST_ROWS = 60  # of a run: three times the parameters of the largest hypothesis
 SIGNALS = ("input", "output")
-ANGLE = {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
-CURRENT = {"A": 1.0, "mA": 1e-3}
 # what each kind of axis relates, by the SI units of an axis that slides and of one that turns
 QUANTITIES: dict[AxisKind, tuple[tuple[str, str], tuple[str, str]]] = {
     "drive": (("N", "N m"), ("m", "rad")),
     "servo": (("m", "rad"), ("m", "rad")),
     "damper": (("m", "rad"), ("N", "N m")),
+    "arm": (("m", "rad"), ("N", "N m")),
 }
 
 
@@ -97,6 +98,72 @@ class AxisRunEntry(Strictly):
     )
 
 
+AxisEffects = Annotated[tuple[Annotated[AxisEffect, OneOf(AXIS_EFFECTS)], ...], Field(strict=False)]
+
+
+class JointNumbers(Strictly):
+    """What the owner believes of a joint; what is left out is what the arm's model states."""
+
+    gain: Annotated[float, Field(gt=0.0)] | None = Field(
+        default=None, description="torque or force per unit of its input, such as N m/A; else 1"
+    )
+    viscous: Annotated[float, Field(ge=0.0)] | None = Field(
+        default=None, description="viscous friction [N m s/rad]"
+    )
+    coulomb: Annotated[float, Field(ge=0.0)] | None = Field(
+        default=None, description="dry friction [N m]"
+    )
+    offset: float | None = Field(default=None, description="constant torque against it [N m]")
+    armature: Annotated[float, Field(ge=0.0)] | None = Field(
+        default=None, description="inertia of the rotor at the joint [kg m^2]"
+    )
+
+
+class ArmRunEntry(Strictly):
+    """One file of measured data of an arm."""
+
+    file: Annotated[str, Field(min_length=1)] = Field(
+        description="as of a single axis, relative to the folder of this file"
+    )
+    format: AnyFormat | None = Field(
+        default=None, description="format of this file, where it differs from the others"
+    )
+    channels: dict[str, Channel] = Field(
+        default={}, description="channels that are mapped differently in this file"
+    )
+
+
+class ArmDataset(Strictly):
+    """Measured runs of an arm of several joints, and the model of it."""
+
+    axis: Literal["arm"] = Field(description="arm: motion of its joints to their torques")
+    name: str = Field(default="", description="Name of the arm")
+    description: str = Field(default="", description="Where the data come from")
+    model: Annotated[str, Field(min_length=1)] = Field(
+        description="URDF (.urdf) or MJCF of the arm, relative to the folder of this file: bodies, "
+        "gravity, and what it states of friction"
+    )
+    joints: Annotated[dict[str, JointNumbers], Field(min_length=1)] = Field(
+        description="the recorded joints, each with what is believed beside the model; the others "
+        "of the model stay at zero"
+    )
+    effects: AxisEffects = Field(
+        default=(), description="departures that are known, each with its joint or body"
+    )
+    runs: Annotated[tuple[ArmRunEntry, ...], Field(strict=False, min_length=1)] = Field(
+        description="the measured runs, one file each"
+    )
+    channels: dict[str, Channel] = Field(
+        default={},
+        description="columns of t and, of each joint, JOINT.position and JOINT.input; left out: "
+        "columns of that name",
+    )
+    rate: Annotated[float, Field(gt=0.0)] | None = Field(
+        default=None, description="sample rate [Hz] of files without a column of times"
+    )
+    format: AnyFormat | None = Field(default=None, description="how the files are written")
+
+
 class AxisDataset(Strictly):
     """Measured runs of one axis, and what its owner believes of it."""
 
@@ -110,9 +177,9 @@ class AxisDataset(Strictly):
         default=False, description="whether it turns: positions in rad, forces as torques in N m"
     )
     nominal: Nominal = Field(default=Nominal(), description="what is believed of it")
-    effects: Annotated[
-        tuple[Annotated[AxisEffect, OneOf(AXIS_EFFECTS)], ...], Field(strict=False)
-    ] = Field(default=(), description="departures from the nominal numbers that are known")
+    effects: AxisEffects = Field(
+        default=(), description="departures from the nominal numbers that are known"
+    )
     runs: Annotated[tuple[AxisRunEntry, ...], Field(strict=False, min_length=1)] = Field(
         description="the measured runs, one file each"
     )
@@ -127,7 +194,7 @@ class AxisDataset(Strictly):
 
 @depends
 def _rebuild() -> None:
-    for model in (AxisRunEntry, AxisDataset):
+    for model in (AxisRunEntry, AxisDataset, ArmRunEntry, ArmDataset):
         model.model_rebuild(force=True)
 
 
@@ -137,14 +204,15 @@ class LoadedAxis:
 
     Attributes:
         spec: what the file says. path: of the file. source: its tree. records: one of each run.
-            remarks: on the data.
+            remarks: on the data. arm: the nominal arm, if it is one.
     """
 
-    spec: AxisDataset
+    spec: AxisDataset | ArmDataset
     path: Path
     source: Source
-    records: tuple[AxisRun, ...]
+    records: tuple[Any, ...]
     remarks: tuple[str, ...]
+    arm: Arm | None = None
 
     @property
     def name(self) -> str:
@@ -153,11 +221,16 @@ class LoadedAxis:
     def units(self) -> tuple[str, str]:
         """The SI units of input and output."""
         a, b = QUANTITIES[self.spec.axis]
-        return a[self.spec.rotates], b[self.spec.rotates]
+        spec, arm = self.spec, self.arm
+        rotates = spec.rotates if isinstance(spec, AxisDataset) else arm is not None and arm.rotates
+        return a[rotates], b[rotates]
 
     def model(self) -> AxisModel:
         """The nominal model of the records."""
         spec = self.spec
+        if isinstance(spec, ArmDataset):
+            assert self.arm is not None
+            return ArmModel(self.records, self.arm, spec.effects)
         return model_of(spec.axis, self.records, nominal_of(spec), spec.rotates, spec.effects)
 
 
@@ -173,22 +246,30 @@ def is_axis(source: Source) -> bool:
 
 
 def load_axis(path: str | Path | Source, data: bool = True) -> LoadedAxis:
-    """The runs of an axis in a YAML file. data: whether the records are read.
+    """The runs of an axis or an arm in a YAML file. data: whether the records are read.
 
     Raises:
         InputError: with every fault of the file and of its data.
     """
     source = path if isinstance(path, Source) else read_source(path)
-    spec = validate(AxisDataset, source)
+    of_arm = source.data["axis"] == "arm"
+    spec: AxisDataset | ArmDataset = validate(ArmDataset if of_arm else AxisDataset, source)
     faults = list(_faults(spec, source))
+    arm = None
+    if isinstance(spec, ArmDataset):
+        given = {n: j.model_dump(exclude_none=True) for n, j in spec.joints.items()}
+        try:
+            arm = read_arm(source.folder / os.path.expandvars(spec.model), given)
+        except InputError as error:
+            faults.append(source.fault(("model",), str(error)))
+        else:
+            faults += _misplaced(spec, arm, source)
     if faults:
         raise InputError(faults)
-    if not data:
-        return LoadedAxis(spec, Path(source.file), source, (), ())
     records, remarks = [], []
-    for index, run in enumerate(spec.runs):
+    for index, run in enumerate(spec.runs if data else ()):
         try:
-            record, found = _read(spec, run, source)
+            record, found = _read(spec, run, source, arm)
         except InputError as error:
             faults += error.faults or (source.fault(("runs", index), str(error)),)
             continue
@@ -199,27 +280,53 @@ def load_axis(path: str | Path | Source, data: bool = True) -> LoadedAxis:
     names = [r.name for r in records]
     if len(set(names)) < len(names):
         records = [r._replace(name=f"{i}: {r.name}") for i, r in enumerate(records)]
-    return LoadedAxis(spec, Path(source.file), source, tuple(records), tuple(remarks))
+    return LoadedAxis(spec, Path(source.file), source, tuple(records), tuple(remarks), arm)
 
 
-def _faults(spec: AxisDataset, source: Source) -> Iterator[Fault]:
-    allowed = NUMBERS[spec.axis]
-    for key in spec.nominal.model_fields_set:
-        if key not in allowed:
-            yield source.fault(
-                ("nominal", key),
-                f"is no number of a {spec.axis}; allowed: {', '.join(allowed)}",
-            )
-    if spec.axis == "drive" and spec.nominal.mass is None:
-        yield source.fault(
-            ("nominal",), "lacks mass, the moved mass [kg] or inertia [kg m^2] that is believed"
+def _misplaced(spec: ArmDataset, arm: Arm, source: Source) -> Iterator[Fault]:
+    """Channels and effects of joints and bodies that the arm lacks."""
+    signals = ["t", *(f"{j}.{s}" for j in arm.joints for s in ("position", "input"))]
+    for where, channels in (
+        (("channels",), spec.channels),
+        *((("runs", i, "channels"), run.channels) for i, run in enumerate(spec.runs)),
+    ):
+        for name in channels:
+            if name not in signals:
+                allowed = ", ".join(signals)
+                yield source.fault((*where, name), f"is no signal; allowed: {allowed}")
+    for index, effect in enumerate(spec.effects):
+        if "arm" not in effect.axes:
+            continue
+        key, allowed = (
+            ("body", arm.bodies) if isinstance(effect, BodyEffect) else ("joint", arm.joints)
         )
+        if getattr(effect, key) not in allowed:
+            yield source.fault(
+                ("effects", index, key),
+                f"is none of the arm (got {getattr(effect, key)!r}); allowed: {', '.join(allowed)}",
+            )
+
+
+def _faults(spec: AxisDataset | ArmDataset, source: Source) -> Iterator[Fault]:
+    if isinstance(spec, AxisDataset):
+        allowed = NUMBERS[spec.axis]
+        for key in spec.nominal.model_fields_set:
+            if key not in allowed:
+                yield source.fault(
+                    ("nominal", key),
+                    f"is no number of a {spec.axis}; allowed: {', '.join(allowed)}",
+                )
+        if spec.axis == "drive" and spec.nominal.mass is None:
+            yield source.fault(
+                ("nominal",), "lacks mass, the moved mass [kg] or inertia [kg m^2] that is believed"
+            )
     for index, effect in enumerate(spec.effects):
         if spec.axis not in effect.axes:
             kinds = [k for k, e in AXIS_EFFECTS.items() if spec.axis in e.axes]
             yield source.fault(
                 ("effects", index, "kind"),
-                f"does not act on a {spec.axis} (got {effect.kind}); allowed: {', '.join(kinds)}",
+                f"does not act on {'an' if spec.axis == 'arm' else 'a'} {spec.axis} "
+                f"(got {effect.kind}); allowed: {', '.join(kinds)}",
             )
     for index, run in enumerate(spec.runs):
         where = data_file(source.folder / os.path.expandvars(run.file))
@@ -229,140 +336,27 @@ def _faults(spec: AxisDataset, source: Source) -> Iterator[Fault]:
             )
 
 
-def _read(spec: AxisDataset, run: AxisRunEntry, source: Source) -> tuple[AxisRun, list[str]]:
+def _read(
+    spec: AxisDataset | ArmDataset, run: AxisRunEntry | ArmRunEntry, source: Source, arm: Arm | None
+) -> tuple[AxisRun | ArmRun, list[str]]:
     path = data_file(source.folder / os.path.expandvars(run.file))
-    channels = {**spec.channels, **run.channels}
-    names = {s: (channels[s].column if s in channels else None) or s for s in ("t", *SIGNALS)}
-    columns = read_columns(path, frozenset(names.values()), run.format or spec.format)
-    columns.refuse_others(path, names.values())
-    missing = [s for s in SIGNALS if names[s] not in columns.data]
-    if missing:
-        wanted = [names[s] for s in missing]
-        raise InputError(
-            Fault(
-                str(path),
-                None,
-                None,
-                ", ".join(f"channels.{s}" for s in missing),
-                f"names no column of the file (got {', '.join(map(repr, wanted))}); "
-                f"{columns.nearest(wanted)}",
-            )
-        )
+    channels: dict[Any, Channel] = {**spec.channels, **run.channels}
+    how = Reading(channels, run.format or spec.format, spec.rate)
     quantities = QUANTITIES[spec.axis]
-    u, y = (
-        _in_si(path, s, columns, names[s], channels.get(s, Channel()), q[spec.rotates])
-        for s, q in zip(SIGNALS, quantities, strict=True)
-    )
-    t = _times(path, columns, names, channels.get("t", Channel()), spec.rate, len(y))
-    u = _at_times(path, spec.axis, columns, names, t, u)
-    count = min(len(t), len(u), len(y))
-    good = np.isfinite(t[:count]) & np.isfinite(u[:count]) & np.isfinite(y[:count])
-    remarks = [f"{path.name}: {note}" for note in columns.notes]
-    if not good.all():
-        remarks.append(f"{path.name}: {int((~good).sum())} of {count} rows lack a sample")
-    t, u, y = t[:count][good], u[:count][good], y[:count][good]
-    back = np.flatnonzero(np.diff(t) < 0.0)
-    if len(back):
-        raise _unusable(
-            path,
-            "t",
-            f"runs backwards at {len(back)} place(s), first after row {back[0]}",
-            "allowed are rows in order of time; split the file where a second record begins",
-        )
-    new = np.r_[True, np.diff(t) > 0.0]
-    if not new.all():
-        remarks.append(f"{path.name}: {int((~new).sum())} rows repeat a stamp and are left out")
-    t, u, y = t[new], u[new], y[new]
-    if len(t) < LEAST_ROWS:
-        raise _unusable(
-            path,
-            "",
-            f"holds {len(t)} usable rows; a run needs at least {LEAST_ROWS}",
-            "record the run again or take it out of the dataset",
-        )
-    return AxisRun(path.name, t - t[0], u, y), remarks
-
-
-def _unusable(path: Path, key: str, what: str, do: str) -> InputError:
-    return InputError(Fault(str(path), None, None, key, f"{what}; {do}"))
-
-
-def _times(
-    path: Path,
-    columns: Columns,
-    names: Mapping[str, str],
-    channel: Channel,
-    rate: float | None,
-    rows: int,
-) -> Array:
-    """The times of the rows [s]."""
-    if names["t"] in columns.data:
-        known = {**UNITS["s"]}
-        unit = channel.unit or columns.units.get(names["t"]) or split_unit(names["t"])[1]
-        factor = _factor(path, "t", unit, known) if unit else 1.0
-        return columns.data[names["t"]] * factor * channel.scale + channel.offset
-    own = columns.clock.get(names["output"])
-    if own is not None:
-        return own
-    if rate is not None:
-        return np.arange(rows) / rate
-    raise _unusable(
+    if isinstance(spec, AxisDataset):
+        given, reached = (q[spec.rotates] for q in quantities)
+        signals = (Signal("input", given, held=spec.axis != "damper"), Signal("output", reached))
+        t, (u, y), remarks = read_record(path, signals, how)
+        return AxisRun(path.name, t, u, y), remarks
+    assert arm is not None
+    place, effort = (q[arm.rotates] for q in quantities)
+    t, values, remarks = read_record(
         path,
-        "channels.t",
-        f"names no column of the file (got {names['t']!r}), and no rate is given; "
-        f"{columns.nearest([names['t']])}",
-        "name the column of times there, or give the sample rate [Hz] as rate",
+        [
+            *(Signal(f"{j}.input", effort, held=True) for j in arm.joints),
+            *(Signal(f"{j}.position", place) for j in arm.joints),
+        ],
+        how,
     )
-
-
-def _at_times(
-    path: Path, axis: AxisKind, columns: Columns, names: Mapping[str, str], t: Array, u: Array
-) -> Array:
-    """The input ``u`` at the times ``t`` of the output, where it has other times of its own: a
-    displacement is interpolated, a command stands until the next. NaN before the first.
-
-    Raises InputError if its times run backwards.
-    """
-    if names["t"] in columns.data or names["input"] not in columns.clock:
-        return u
-    own = columns.clock[names["input"]]
-    if np.array_equal(own, t):
-        return u
-    if np.any(np.diff(own) < 0.0):
-        raise _unusable(
-            path,
-            "channels.input",
-            "has times of its own that run backwards",
-            "allowed are messages in order of time; split the file where a second record begins",
-        )
-    if axis == "damper":
-        return np.interp(t, own, u, left=np.nan, right=np.nan)
-    return np.r_[np.nan, u][np.searchsorted(own, t, side="right")]
-
-
-def _in_si(
-    path: Path, signal: str, columns: Columns, name: str, channel: Channel, si: str
-) -> Array:
-    """A signal in its SI unit, NaN where it is missing."""
-    values = columns.data[name]
-    marks = (*(channel.missing or ()), *columns.missing.get(name, ()))
-    if marks:
-        values = np.where(declared(values, marks), np.nan, values)
-    unit = channel.unit or columns.units.get(name, "").strip() or split_unit(name)[1]
-    known = {"rad": ANGLE, "N": UNITS["N"] | CURRENT, "N m": UNITS["N m"] | CURRENT}.get(
-        si, UNITS.get(si, {})
-    )
-    factor = _factor(path, signal, unit, known) if unit else 1.0
-    return values * factor * channel.scale + channel.offset
-
-
-def _factor(path: Path, signal: str, unit: str, known: Mapping[str, float]) -> float:
-    named = unit if unit in known else unit_named(unit)
-    if named is None or named not in known:
-        raise _unusable(
-            path,
-            f"channels.{signal}.unit",
-            f"is no unit of it (got {unit!r}); allowed: {', '.join(known)}",
-            "give any other by scale, and unit: '1' is not needed then",
-        )
-    return known[named]
+    inputs, places = np.split(np.array(values), 2)
+    return ArmRun(path.name, t, places.T, inputs.T), remarks

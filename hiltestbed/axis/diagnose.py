@@ -14,7 +14,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,9 +29,6 @@ from hiltestbed.inference.search import Searched, search
 
 # of the rms of a constant on left-out runs: a model that is no better says nothing of its input
 LEAST_BETTER = 0.9
-# of the largest input, rms difference of two runs that count as repeats of one
-REPEATED = 0.02
-COPIED = 1e-6  # of the range of an output: a straight line of its input leaves less
 OF_ROTATION = {  # units of an axis that slides, and of one that turns
     "m": "rad",
     "m/s": "rad/s",
@@ -84,7 +81,7 @@ class Diagnosed(NamedTuple):
 def diagnosed(model: AxisModel, progress: Progress | None = None) -> Diagnosed:
     """Search, left-out runs and verdict on the records of a model."""
     constant = np.array([spread(test.measured()) for _, _, test in model.folds()])
-    if why := tells_nothing(model):
+    if why := model.tells_nothing():
         return Diagnosed("inconclusive", (), None, constant, model.floors, (why,))
     with np.errstate(all="ignore"):
         found = searched(model, progress)
@@ -105,24 +102,11 @@ def spread(parts: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate([x - np.mean(x) for x in parts]) ** 2)))
 
 
-def tells_nothing(model: AxisModel) -> str | None:
-    """Why records tell nothing of an axis; None where they do."""
-    for r in model.records:
-        if float(np.ptp(r.u)) == 0.0:
-            return f"The input of {r.name} is constant."
-        if float(np.ptp(r.y)) == 0.0:
-            return f"The output of {r.name} is constant."
-        slope, zero = np.polyfit(r.u, r.y, 1)
-        if float(np.abs(r.y - slope * r.u - zero).max()) < COPIED * float(np.ptp(r.y)):
-            return f"The output of {r.name} is {slope:.6g} times its input: it is a copy of it."
-    return None
-
-
 def decide(
     model: AxisModel, found: Searched, c: SearchConclusion, constant: Array
 ) -> tuple[str, tuple[AxisCause, ...], Array, tuple[str, ...]]:
     """Verdict, causes, noise floors and remarks."""
-    floors = np.maximum(model.floors, repeatability(model))
+    floors = np.maximum(model.floors, model.repeatability())
     null_noise = bool(np.all(c.null.rms() <= CLOSE * floors))
     causes = merged(c.causes, {x.kind for x in model.candidates()}, model.rotates)
     if not causes:
@@ -141,22 +125,6 @@ def decide(
     return "named_in_part", causes, floors, ()
 
 
-def repeatability(model: AxisModel) -> Array:
-    """(R,) rms by which the output of a run differs from that of a repeat of it, over the root of
-    two; 0 where a run has none.
-    """
-    out = np.zeros(len(model.records))
-    for i, a in enumerate(model.records):
-        for b in model.records[:i]:
-            n = min(len(a.u), len(b.u))
-            size = float(np.abs(a.u[:n]).max())
-            if float(np.sqrt(np.mean((a.u[:n] - b.u[:n]) ** 2))) <= REPEATED * size:
-                apart = float(np.sqrt(np.mean((a.y[:n] - b.y[:n]) ** 2) / 2.0))
-                out[i], j = max(out[i], apart), model.records.index(b)
-                out[j] = max(out[j], apart)
-    return out
-
-
 def merged(
     causes: Sequence[Confirmed], searched: set[str], rotates: bool = False
 ) -> tuple[AxisCause, ...]:
@@ -166,10 +134,10 @@ def merged(
     groups: dict[tuple, list[Confirmed]] = {}
     for number, c in enumerate(causes):
         own = number if c.cause.effect.repeats and not c.cause.needs else -1
-        groups.setdefault((c.cause.kind, own), []).append(c)
+        groups.setdefault((c.cause.kind, c.cause.place, own), []).append(c)
     out = []
-    for (kind, _), parts in groups.items():
-        parameters: dict[str, tuple[float, tuple[float, float] | None, str]] = {}
+    for (kind, *_), parts in groups.items():
+        parameters: dict[str, tuple[Any, tuple[float, float] | None, str]] = {}
         for part in parts:
             for e in part.estimates:
                 unit = part.cause.effect.unit(e.name)

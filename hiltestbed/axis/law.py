@@ -85,6 +85,22 @@ class AxisLaw:
             rows[free[0]] = values
 
 
+class ArmNumbers:
+    """The numbers of an arm; effects change them in place.
+
+    Attributes:
+        laws: of each joint, by name: what acts along it beside the rigid bodies. armature: [kg m^2]
+            or [kg] of each joint's rotor, reflected by its gear, by name. bodies: (10,) inertial
+            parameters of each body by name, in the frame of its joint: mass [kg], first moments
+            [kg m], second moments xx, xy, yy, xz, yz, zz about its origin [kg m^2].
+    """
+
+    def __init__(
+        self, laws: dict[str, AxisLaw], armature: dict[str, float], bodies: dict[str, Array]
+    ) -> None:
+        self.laws, self.armature, self.bodies = laws, armature, bodies
+
+
 @njit(cache=True)
 def viscous(p, v):
     """Viscous force [N] at the speed ``v``."""

@@ -22,7 +22,16 @@ from hiltestbed.axis.law import (
     force_along,
     motion_under,
 )
-from hiltestbed.axis.motion import Motion, averaged, even, motion_of, noise_of, weights_of
+from hiltestbed.axis.motion import (
+    Motion,
+    averaged,
+    block_of,
+    blocks,
+    even,
+    motion_of,
+    noise_of,
+    weights_of,
+)
 from hiltestbed.effects.departure import Departure
 from hiltestbed.effects.search import Candidate
 from hiltestbed.frames import Array
@@ -46,6 +55,9 @@ START_STEPS = 2  # of Gauss-Newton: a motion is all but linear in its start
 START_NUDGE = 1e-3
 # standard deviations of the speed below which the sign of a motion is not known
 RESOLVED_SIGMA = 3.0
+# of the largest input, rms difference of two runs that count as repeats of one
+REPEATED = 0.02
+COPIED = 1e-6  # of the range of an output: a straight line of its input leaves less
 
 
 class AxisRun(NamedTuple):
@@ -61,8 +73,8 @@ class AxisModel(Model):
     """A model of one axis.
 
     Attributes:
-        kind: of the axis. records: of the runs. nominal: the owner's numbers. reach: orders of
-            magnitude of the records. rotates: whether positions are angles.
+        kind: of the axis. records: of the runs. nominal: the owner's numbers. rotates: whether
+            positions are angles.
     """
 
     kind: AxisKind
@@ -90,19 +102,13 @@ class AxisModel(Model):
         """The same model of other records."""
         return type(self)(records, self.nominal, self.rotates, self.believed)
 
+    @abstractmethod
     def candidates(self) -> tuple[Candidate, ...]:
         """Every part of every effect that acts on this kind of axis."""
-        return tuple(
-            c
-            for effect in AXIS_EFFECTS.values()
-            if self.kind in effect.axes
-            for c in effect.parts(self.reach)
-        )
 
-    @property
-    @abstractmethod
-    def reach(self) -> RecordScale:
-        """Orders of magnitude of the records."""
+    def _parts(self, scale: RecordScale) -> tuple[Candidate, ...]:
+        effects = [e for e in AXIS_EFFECTS.values() if self.kind in e.axes]
+        return tuple(c for effect in effects for c in effect.parts(scale))
 
     @abstractmethod
     def _prepare(self) -> None:
@@ -140,7 +146,34 @@ class AxisModel(Model):
         pairs = zip(self._compared(of), self._zeros(), strict=True)
         return [_tared(x, 2.0 * zero) for x, zero in pairs]
 
-    def _reach(
+    def tells_nothing(self) -> str | None:
+        """Why records tell nothing of an axis; None where they do."""
+        for r in self.records:
+            if float(np.ptp(r.u)) == 0.0:
+                return f"The input of {r.name} is constant."
+            if float(np.ptp(r.y)) == 0.0:
+                return f"The output of {r.name} is constant."
+            slope, zero = np.polyfit(r.u, r.y, 1)
+            if float(np.abs(r.y - slope * r.u - zero).max()) < COPIED * float(np.ptp(r.y)):
+                return f"The output of {r.name} is {slope:.6g} times its input: it is a copy of it."
+        return None
+
+    def repeatability(self) -> Array:
+        """(R,) rms by which the output of a run differs from that of a repeat of it, over the root
+        of two; 0 where a run has none.
+        """
+        out = np.zeros(len(self.records))
+        for i, a in enumerate(self.records):
+            for b in self.records[:i]:
+                n = min(len(a.u), len(b.u))
+                size = float(np.abs(a.u[:n]).max())
+                if float(np.sqrt(np.mean((a.u[:n] - b.u[:n]) ** 2))) <= REPEATED * size:
+                    apart = float(np.sqrt(np.mean((a.y[:n] - b.y[:n]) ** 2) / 2.0))
+                    out[i], j = max(out[i], apart), self.records.index(b)
+                    out[j] = max(out[j], apart)
+        return out
+
+    def _scale(
         self, places: Sequence[Array], motions: Sequence[Motion], **more: Any
     ) -> RecordScale:
         """Of recorded places and the motions through them."""
@@ -203,19 +236,19 @@ class DamperModel(AxisModel):
     kind = "damper"
 
     def _prepare(self) -> None:
-        self._even, self._motions = [], []
+        self._even, self._slopes, self._motions = [], [], []
         for r in self.records:
             t, x, y = even(r.t, r.u, r.y)
             motion = motion_of(t, x)
-            few = slice(None, None, max(1, motion.window // ROWS_A_WINDOW))
+            few = rows_of(motion)
             self._even.append((t[few], x[few], y[few]))
+            self._slopes.append(motion_of(t, y).v[few])
             self._motions.append(motion.thinned(few))
         self.floors = np.array([noise_of(r.y) for r in self.records])
 
-    @property
-    def reach(self) -> RecordScale:
+    def candidates(self) -> tuple[Candidate, ...]:
         m = self._motions
-        return self._reach(
+        scale = self._scale(
             [x.x for x in m],
             m,
             force=_largest([y for _, _, y in self._even]),
@@ -223,24 +256,27 @@ class DamperModel(AxisModel):
             stiffness=self.nominal.get("stiffness", 0.0),
             damping=self.nominal.get("damping", 0.0),
         )
+        return self._parts(scale)
 
     def law(self, effects: Sequence[Departure]) -> AxisLaw:
         """The law with ``effects``."""
         return damper_law(self.nominal, (*self.believed, *effects))
 
-    def _force(self, of: Hypothesis) -> list[Array]:
-        """(N,) at the even times."""
-        law, late = self.law(of.effects()), float(of.nuisances[0])
-        return [_shifted(m.t, _along(m, law), late) for m in self._motions]
-
     def _compared(self, of: Hypothesis) -> list[Array]:
-        return [y - f for (_, _, y), f in zip(self._even, self._force(of), strict=True)]
+        rows = zip(self._even, self._slopes, self._force(of), strict=True)
+        return [y + float(of.nuisances[0]) * slope - f for (_, _, y), slope, f in rows]
 
     def predicted(self, of: Hypothesis) -> list[Array]:
+        late = float(of.nuisances[0])
         return [
-            np.interp(r.t, e[0], f)
+            np.interp(r.t - late, e[0], f)
             for r, e, f in zip(self.records, self._even, self._force(of), strict=True)
         ]
+
+    def _force(self, of: Hypothesis) -> list[Array]:
+        """(N,) at the even times."""
+        law = self.law(of.effects())
+        return [along(m, law) for m in self._motions]
 
 
 class DriveModel(AxisModel):
@@ -256,35 +292,36 @@ class DriveModel(AxisModel):
     stretches = 4  # it integrates: what is left out has to last, or its neighbours tell it
 
     def _prepare(self) -> None:
-        self._motions, self._inputs, self._moves, noise = [], [], [], []
+        self._motions, self._inputs, self._slopes, self._moves = [], [], [], []
+        self._sizes, noise = [], []
         for r in self.records:
             t, u, y = even(r.t, r.u, r.y)
             motion = motion_of(t, y)
-            few = slice(None, None, max(1, motion.window // ROWS_A_WINDOW))
-            about = 0.5 * (u + np.r_[u[:1], u[:-1]])  # what is held before and after each row
-            self._inputs.append(averaged(about, motion.window)[few])
+            few = rows_of(motion)
+            driven, slope = driven_by(motion, u)
+            self._inputs.append(driven[few])
+            self._slopes.append(slope[few])
+            self._moves.append(in_motion(motion)[few])
+            size, lowered = block_of(motion, few.step)
+            self._sizes.append(size)
             motion = motion._replace(way=averaged(np.sign(motion.v), motion.window))
-            # where dry friction holds the axis, its force is not that of a motion
-            moves = np.abs(motion.v) > RESOLVED_SIGMA * motion.resolved
-            moves[: motion.window // 2] = moves[len(moves) - motion.window // 2 :] = False
-            self._moves.append(moves[few])
             self._motions.append(motion.thinned(few))
             # of the input, and of the acceleration that it is compared with
             inertial = self.nominal.get("mass", 0.0) / self.nominal.get("gain", 1.0)
-            own = noise_of(u) * float(np.linalg.norm(weights_of(motion.window)))
-            noise.append(math.hypot(own, inertial * motion.shaken))
+            own = noise_of(u) * float(np.linalg.norm(weights_of(motion.window))) / math.sqrt(size)
+            noise.append(math.hypot(own, inertial * lowered * motion.shaken))
         self.floors = np.array(noise)
 
-    @property
-    def reach(self) -> RecordScale:
+    def candidates(self) -> tuple[Candidate, ...]:
         m = self._motions
-        return self._reach(
+        scale = self._scale(
             [x.x for x in m],
             m,
             force=_largest([u * self.nominal.get("gain", 1.0) for u in self._inputs]),
             duration=max(float(x.t[-1] - x.t[0]) for x in m),
             resists=any(self.nominal.get(k, 0.0) for k in RESISTANCES) or bool(self.believed),
         )
+        return self._parts(scale)
 
     def law(self, effects: Sequence[Departure]) -> AxisLaw:
         """The law with ``effects``."""
@@ -292,11 +329,12 @@ class DriveModel(AxisModel):
 
     def residuals(self, of: Hypothesis) -> list[Array]:
         law, late = self.law(of.effects()), float(of.nuisances[0])
-        out = []
-        for m, u, moves in zip(self._motions, self._inputs, self._moves, strict=True):
-            shown = _shifted(m.t, _along(m, law) / law.numbers[GAIN], -late)
-            out.append((u - shown)[moves])
-        return [*out, of.nuisances / self.prior_sigma()]
+        rows = zip(self._motions, self._inputs, self._slopes, self._moves, strict=True)
+        left = [
+            (u - late * slope - along(m, law) / law.numbers[GAIN])[moves]
+            for m, u, slope, moves in rows
+        ]
+        return [*map(blocks, left, self._sizes), of.nuisances / self.prior_sigma()]
 
     def scored(self, of: Hypothesis) -> list[Array]:
         return self.residuals(of)[:-1]
@@ -341,14 +379,14 @@ class ServoModel(AxisModel):
     def _prepare(self) -> None:
         self.floors = np.array([noise_of(r.y) for r in self.records])
 
-    @property
-    def reach(self) -> RecordScale:
-        return self._reach(
+    def candidates(self) -> tuple[Candidate, ...]:
+        scale = self._scale(
             [r.y for r in self.records],
-            [motion_of(*even(r.t, r.y)) for r in self.records],
+            [motion_of(t, y) for t, y in (even(r.t, r.y) for r in self.records)],
             force=0.0,
             duration=max(float(r.t[-1] - r.t[0]) for r in self.records),
         )
+        return self._parts(scale)
 
     def numbers(self, effects: Sequence[Departure]) -> Array:
         """The numbers of the response with ``effects``."""
@@ -379,14 +417,30 @@ def started(r: AxisRun, late: float, law: Array) -> tuple[float, float]:
     return float(start[0]), float(start[1])
 
 
-def _along(m: Motion, law: AxisLaw) -> Array:
+def rows_of(m: Motion) -> slice:
+    """The rows of a motion that are used."""
+    return slice(None, None, max(1, m.window // ROWS_A_WINDOW))
+
+
+def in_motion(m: Motion) -> np.ndarray:
+    """(N,) whether the axis moves: where dry friction holds it, its force is not that of a
+    motion.
+    """
+    moves = np.abs(m.v) > RESOLVED_SIGMA * m.resolved
+    moves[: m.window // 2] = moves[len(moves) - m.window // 2 :] = False
+    return moves
+
+
+def driven_by(m: Motion, u: Array) -> tuple[Array, Array]:
+    """(N,) the input ``u``, averaged as the acceleration of the motion is, and its slope [1/s]."""
+    about = 0.5 * (u + np.r_[u[:1], u[:-1]])  # what is held before and after each row
+    driven = averaged(about, m.window)
+    return driven, motion_of(m.t, driven).v
+
+
+def along(m: Motion, law: AxisLaw) -> Array:
     """(N,) force of a ``law`` along a motion."""
     return force_along(m.t, m.x, m.v, m.a, m.way, law.numbers, law.sliders, law.branches)
-
-
-def _shifted(t: Array, values: Array, late: float) -> Array:
-    """``values`` (N,) as they were ``late`` [s] before."""
-    return np.interp(t - late, t, values) if late else values
 
 
 MODELS: dict[AxisKind, type[AxisModel]] = {

@@ -16,6 +16,9 @@ WINDOWS = (5, 7, 9, 13, 17, 25, 35, 49, 69, 97, 137)  # rows of a window, each 1
 # of the noise: what a window may leave of a position. White noise leaves 1 - 9/(4 w) of itself, so
 # that a tenth above it is motion that the window cut off
 CUT_OFF = 1.1
+# of the rms of an acceleration, its noise: a mass is estimated too small by the square of that
+# (W. A. Fuller, Measurement Error Models, 1987, 1.1)
+NOISY = 0.02
 UNEVEN = 0.02  # of the median interval: largest departure of an even clock
 
 
@@ -61,19 +64,23 @@ def noise_of(y: Array) -> float:
     return max(white_noise(y, step), step / math.sqrt(12.0))
 
 
-def motion_of(t: Array, x: Array) -> Motion:
-    """The motion through positions (N,) at even times, by local cubics (A. Savitzky, M. J. E.
-    Golay, Anal. Chem. 36, 1964) over the longest window that leaves no more than their noise.
-    """
-    tick, noise = float(np.median(np.diff(t))), noise_of(x)
-    window = WINDOWS[0]
+def window_of(x: Array) -> int:
+    """Rows of the longest window that leaves no more of positions (N,) than their noise."""
+    window, noise = WINDOWS[0], noise_of(x)
     for longer in WINDOWS[1:]:
-        if longer > len(x) // 4:
-            break
-        left = x - smoothed(x, longer)
+        left = x - smoothed(x, longer) if longer <= len(x) // 4 else np.array([np.inf])
         if float(np.sqrt(np.mean(left * left))) > CUT_OFF * noise:
             break
         window = longer
+    return window
+
+
+def motion_of(t: Array, x: Array, window: int | None = None) -> Motion:
+    """The motion through positions (N,) at even times, by local cubics (A. Savitzky, M. J. E.
+    Golay, Anal. Chem. 36, 1964) over a ``window`` of rows, by default that of :func:`window_of`.
+    """
+    tick, noise = float(np.median(np.diff(t))), noise_of(x)
+    window = window or window_of(x)
     smooth, v, a = (
         np.asarray(savgol_filter(x, window, ORDER, deriv=d, delta=tick)) for d in range(3)
     )
@@ -87,6 +94,28 @@ def motion_of(t: Array, x: Array) -> Motion:
     resolved = gains[0] * noise
     way = np.tanh(v / max(resolved, 1e-12))
     return Motion(t, smooth, v, a, way, window, resolved, gains[1] * noise)
+
+
+def block_of(m: Motion, step: int) -> tuple[int, float]:
+    """How many rows, each ``step`` from the next, have to be averaged until the noise of their
+    acceleration is :data:`NOISY` of its rms, and by what factor that lowers the noise. Measured and
+    predicted are averaged alike, so that nothing else is lost than the time of an event.
+    """
+    one = np.asarray(savgol_filter(np.eye(1, 2 * m.window + 1, m.window)[0], m.window, ORDER, 2))
+    most = NOISY * float(np.sqrt(np.mean(m.a * m.a))) / max(m.shaken, 1e-300)
+    lowered = 1.0
+    for rows in (1, *WINDOWS):
+        spread = np.zeros((rows - 1) * step + 1)
+        spread[::step] = 1.0 / rows
+        lowered = float(np.linalg.norm(np.convolve(one, spread)) / np.linalg.norm(one))
+        if lowered <= most:
+            return rows, lowered
+    return WINDOWS[-1], lowered
+
+
+def blocks(x: Array, rows: int) -> Array:
+    """(N // rows,) means of a signal over blocks of ``rows``."""
+    return x[: len(x) // rows * rows].reshape(-1, rows).mean(axis=1)
 
 
 def weights_of(window: int) -> Array:

@@ -51,6 +51,8 @@ def extended_yaml(d: AxisFinding) -> str:
     folder = d.loaded.source.folder.resolve()
     for run, entry in zip(data["runs"], d.loaded.spec.runs, strict=True):
         run["file"] = str(folder / entry.file) if "${" not in entry.file else entry.file
+    if "model" in data and "${" not in data["model"]:
+        data["model"] = str(folder / data["model"])
     data["effects"] = [*data.get("effects", []), *(c.entry() for c in d.causes if d.extends)]
     head = "# The axis with the effects that its diagnosis named.\n" if d.extends else ""
     return head + json.dumps(data, indent=2) + "\n"
@@ -72,7 +74,8 @@ def page_of(d: AxisFinding) -> Report:
             (
                 cause.effect,
                 name,
-                f"{value:.5g}" + ("" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"),
+                (value if isinstance(value, str) else f"{value:.5g}")
+                + ("" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"),
                 own,
                 f"{100.0 * cause.gain:.0f} %",
                 f"{cause.probability:.2f}",

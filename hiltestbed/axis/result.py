@@ -20,11 +20,12 @@ from hiltestbed.run_folder.versions import versions
 
 # times the noise: a residual that a test engineer calls noise
 CLOSE = 1.5
-LINKS = {"drive": "dynamics", "servo": "platform", "damper": "contact"}
+LINKS = {"drive": "dynamics", "servo": "platform", "damper": "contact", "arm": "dynamics"}
 WORDS = {
-    "dynamics": "the drive (force to position)",
-    "platform": "the servo (command to position)",
-    "contact": "the damper (displacement to force)",
+    "drive": "the drive (force to position)",
+    "servo": "the servo (command to position)",
+    "damper": "the damper (displacement to force)",
+    "arm": "the arm (motion to torques)",
 }
 
 
@@ -39,7 +40,7 @@ class AxisCause:
     """
 
     effect: str
-    parameters: Mapping[str, tuple[float, tuple[float, float] | None, str]]
+    parameters: Mapping[str, tuple[Any, tuple[float, float] | None, str]]
     probability: float
     indistinguishable_from: tuple[str, ...]
     gain: float
@@ -51,7 +52,7 @@ class AxisCause:
     def words(self) -> str:
         """`dynamics.mass [factor 0.953 (0.931 to 0.978)]`."""
         inner = ", ".join(
-            f"{name} {value:.4g}"
+            (f"{name} {value}" if isinstance(value, str) else f"{name} {value:.4g}")
             + (f" ({ends[0]:.4g} to {ends[1]:.4g})" if ends is not None else "")
             + ("" if unit in ("-", "") else f" {unit}")
             for name, (value, ends, unit) in self.parameters.items()
@@ -120,7 +121,7 @@ class AxisFinding:
 
     def sentence(self) -> str:
         """The verdict in one or two self-contained sentences."""
-        where = WORDS[LINKS[self.loaded.spec.axis]]
+        where = WORDS[self.loaded.spec.axis]
         if self.verdict == "inconclusive":
             return f"These records do not tell how the axis behaves. {' '.join(self.remarks)}"
         if self.verdict == "no_discrepancy":

@@ -133,7 +133,7 @@ def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -
     refuse_unknown(file, scenario_names() if case is None else campaign_names())
     source = read_source(find_scenario(file))
     kind = file_kind(source)
-    one = "an axis" if kind == "axis" else f"a {kind}"
+    one = f"an {kind}" if kind in ("axis", "arm") else f"a {kind}"
     if kind == "campaign" and case is not None:
         from hiltestbed.campaign.schema import campaign_from
         from hiltestbed.campaign.sweep import case_scenario
@@ -146,6 +146,7 @@ def read_scenario(file: Path, sets: list[str] | None, case: int | None = None) -
             "campaign": "sweep FILE` or `hiltestbed run FILE --case N",
             "dataset": "diagnose FILE",
             "axis": "diagnose FILE",
+            "arm": "diagnose FILE",
         }[kind]
         raise InputError(
             source.fault(

@@ -363,7 +363,7 @@ def schema(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="[scenario|campaign|dataset|axis|KEY]",
+            metavar="[scenario|campaign|dataset|axis|arm|KEY]",
             help="A kind of file, or a key such as rig.platform.",
         ),
     ] = "scenario",

@@ -305,8 +305,8 @@ def plan(
     tell_of_compiling()
     file = find_scenario(task)
     kind = file_kind(read_source(file)) if file.is_file() else "scenario"
-    if kind == "axis":
-        raise InputError(f"{file}: is one axis; plan takes a scenario or the dataset of a rig")
+    if kind in ("axis", "arm"):
+        raise InputError(f"{file}: is an {kind}; plan takes a scenario or the dataset of a rig")
     known = (
         dataset_from(read_source(file).with_set(overrides(sets)), on_record=False)
         if kind == "dataset"

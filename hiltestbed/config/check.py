@@ -13,14 +13,16 @@ from hiltestbed.config.budget import Budget
 from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.errors import Fault, InputError
 
-Kind = Literal["scenario", "campaign", "dataset", "axis"]
-KINDS: tuple[Kind, ...] = ("scenario", "campaign", "dataset", "axis")
+Kind = Literal["scenario", "campaign", "dataset", "axis", "arm"]
+KINDS: tuple[Kind, ...] = ("scenario", "campaign", "dataset", "axis", "arm")
 
 
 def file_kind(source: Source) -> Kind:
-    """A campaign varies keys, an axis names itself, a dataset lists runs; else: a scenario."""
+    """A campaign varies keys, an axis or arm names itself, a dataset lists runs; else: a
+    scenario.
+    """
     if "axis" in source.data:
-        return "axis"
+        return "arm" if source.data["axis"] == "arm" else "axis"
     if "vary" in source.data or "design" in source.data:
         return "campaign"
     return "dataset" if "runs" in source.data else "scenario"
@@ -112,10 +114,16 @@ def _dataset(source: Source, data: bool) -> FileReport:
 def _axis(source: Source, data: bool) -> FileReport:
     from hiltestbed.axis.dataset import load_axis
 
-    return FileReport("axis", (), load_axis(source, data).remarks)
+    return FileReport(file_kind(source), (), load_axis(source, data).remarks)
 
 
-_CHECKS = {"scenario": _scenario, "campaign": _campaign, "dataset": _dataset, "axis": _axis}
+_CHECKS = {
+    "scenario": _scenario,
+    "campaign": _campaign,
+    "dataset": _dataset,
+    "axis": _axis,
+    "arm": _axis,
+}
 
 
 def _as_warnings(found: tuple[str, ...]) -> tuple[str, ...]:
@@ -131,12 +139,18 @@ def _within(found: FileReport, source: Source) -> FileReport:
 def json_schema(kind: Kind) -> dict[str, Any]:
     """The JSON Schema of one kind of file."""
     from hiltestbed import plugins
-    from hiltestbed.axis.dataset import AxisDataset
+    from hiltestbed.axis.dataset import ArmDataset, AxisDataset
     from hiltestbed.campaign.schema import Campaign
     from hiltestbed.config.dataset import Dataset
     from hiltestbed.scenario import Scenario
 
     plugins.load()
-    models = {"scenario": Scenario, "campaign": Campaign, "dataset": Dataset, "axis": AxisDataset}
+    models = {
+        "scenario": Scenario,
+        "campaign": Campaign,
+        "dataset": Dataset,
+        "axis": AxisDataset,
+        "arm": ArmDataset,
+    }
     schema = models[kind].model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema

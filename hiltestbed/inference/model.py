@@ -80,6 +80,7 @@ class Model(ABC):
     nuisances: tuple[Nuisance, ...]
     stretches: int = 16  # of a run, of which every fourth is left out together
     noise_known: bool = False
+    axes: int = 1
 
     @abstractmethod
     def residuals(self, of: Hypothesis) -> Sequence[Array]:
@@ -177,7 +178,8 @@ class Part(Model):
     def __init__(self, whole: Model, fold: int, inside: bool) -> None:
         self.whole, self.fold, self.inside = whole, fold, inside
         self.runs, self.floors, self.nuisances = whole.runs, whole.floors, whole.nuisances
-        self.stretches, self.noise_known = whole.stretches, whole.noise_known
+        self.stretches, self.axes = whole.stretches, whole.axes
+        self.noise_known = whole.noise_known
 
     def _rows(self, x: Array) -> Array:
         block = np.arange(len(x)) * self.whole.stretches // len(x)

@@ -17,7 +17,9 @@ from hiltestbed.inference.model import places
 from hiltestbed.inference.residuals import Changes
 
 Progress = Callable[[str], None]
-MOST_CAUSES = 10  # parts of effects; more than twice as many as any of the machines at hand has
+MOST_CAUSES = (
+    10  # parts of effects on an axis; more than twice as many as any of the machines at hand has
+)
 MOST_PARALLEL = 3  # effects of one kind that act side by side
 KEPT = 4  # candidates that are fitted beside a hypothesis
 # moves of which a few steps are made before the best are fitted, those of one kind in one variant,
@@ -66,7 +68,7 @@ def search(
     best = null if start is None else start
     if best.keys not in visited:
         best = pruned(likelihood, best)
-    most = MOST_CAUSES if more is None else len(best.causes) + more
+    most = MOST_CAUSES * likelihood.model.axes if more is None else len(best.causes) + more
     tried: set[tuple[str, ...]] = set()
     while len(best.causes) < most:
         # the counts are those of what the present hypothesis leaves: it is smoother than what a
@@ -241,7 +243,12 @@ def moves(causes: Sequence[Candidate], candidates: Sequence[Candidate]) -> list[
             continue
         for base in candidates:
             own = {f"{base.kind}:{name}" for name in base.names}
-            if set(c.needs) & own and _may_join(base, causes) and _may_join(c, (*causes, base)):
+            if (
+                set(c.needs) & own
+                and base.place == c.place
+                and _may_join(base, causes)
+                and _may_join(c, (*causes, base))
+            ):
                 out.append((base, c))
     return out
 
@@ -250,7 +257,7 @@ def _may_join(c: Candidate, causes: Sequence[Candidate]) -> bool:
     """Whether a candidate may act beside ``causes``: it is not among them, what it is a part of
     is, and another form of it is not.
     """
-    have = {f"{o.kind}:{name}" for o in causes for name in o.names}
+    have = {f"{o.kind}:{name}" for o in causes if o.place == c.place for name in o.names}
     if not all(need in have for need in c.needs):
         return False
     if c.effect.parallel and not c.needs:
@@ -275,8 +282,14 @@ def without(here: Likelihood, found: PosteriorFit, index: int) -> PosteriorFit:
     """The other causes fitted again from where they stand, without those that are parts of it."""
     gone = {index}
     while True:
-        given = {f"{found.causes[i].kind}:{n}" for i in gone for n in found.causes[i].names}
-        more = {i for i, c in enumerate(found.causes) if given & set(c.needs)} | gone
+        given = {
+            (f"{found.causes[i].kind}:{n}", found.causes[i].place)
+            for i in gone
+            for n in found.causes[i].names
+        }
+        more = gone | {
+            i for i, c in enumerate(found.causes) if given & {(need, c.place) for need in c.needs}
+        }
         if more == gone:
             break
         gone = more

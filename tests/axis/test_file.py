@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 import yaml
 
-from hiltestbed.axis.dataset import _at_times, load_axis
+from hiltestbed.axis.dataset import load_axis
 from hiltestbed.axis.diagnose import diagnose_axis
+from hiltestbed.axis.records import Signal, at_times
 from hiltestbed.config.check import check_file, look_at
 from hiltestbed.errors import InputError
-from hiltestbed.measured.columns import Columns
 from tests.axis import machines
 
 
@@ -105,14 +105,12 @@ def test_a_log_without_a_clock_asks_for_its_rate(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("axis", "expected"),
-    [("servo", [np.nan, 1.0, 1.0, 3.0, 3.0]), ("damper", [np.nan, 1.0, 2.0, 3.0, np.nan])],
+    ("held", "expected"),
+    [(True, [np.nan, 1.0, 1.0, 3.0, 3.0]), (False, [np.nan, 1.0, 2.0, 3.0, np.nan])],
 )
-def test_an_input_with_a_clock_of_its_own_is_taken_at_the_times_of_the_output(axis, expected):
-    columns = Columns(("u",), {"u": np.array([1.0, 3.0])}, clock={"u": np.array([1.0, 3.0])})
-    names, t = {"t": "t", "input": "u", "output": "y"}, np.arange(5.0)
-    found = _at_times(Path("log"), axis, columns, names, t, columns.data["u"])
-    assert np.array_equal(found, expected, equal_nan=True)
-    columns.clock["u"][:] = 3.0, 1.0
+def test_an_input_with_a_clock_of_its_own_is_taken_at_the_times_of_the_output(held, expected):
+    u, own, t = np.array([1.0, 3.0]), np.array([1.0, 3.0]), np.arange(5.0)
+    signal = Signal("input", "N", held)
+    assert np.array_equal(at_times(Path("log"), signal, own, t, u), expected, equal_nan=True)
     with pytest.raises(InputError, match="run backwards"):
-        _at_times(Path("log"), axis, columns, names, t, columns.data["u"])
+        at_times(Path("log"), signal, own[::-1], t, u)

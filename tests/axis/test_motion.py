@@ -10,11 +10,14 @@ import pytest
 from hiltestbed.axis import law
 from hiltestbed.axis.models import AxisRun, model_of
 from hiltestbed.axis.motion import averaged, motion_of
+from hiltestbed.inference.likelihood import Likelihood
 from hiltestbed.inference.model import Hypothesis
 from tests.axis.test_recovery import found
 
 ROW = 0.002  # [s]
 MASS, VISCOUS, COULOMB = 1.2, 20.0, 8.0
+FOUND = ("dynamics.mass", "dynamics.force")
+NOTHING = Hypothesis((), np.zeros(0), np.zeros(1))
 
 
 def numbers(**given: float) -> np.ndarray:
@@ -101,14 +104,34 @@ def test_an_acceleration_is_compared_with_what_is_averaged_like_it():
 def test_a_force_that_jumps_gives_back_what_resists_to_a_thousandth():
     runs = [held(seed) for seed in (0, 1, 2)]
     _, causes, c = found("drive", runs, {"mass": 1.0})
-    assert set(causes) == {"dynamics.mass", "dynamics.force"}
+    assert set(causes) == set(FOUND)
     force = causes["dynamics.force"].parameters
     assert causes["dynamics.mass"].parameters["factor"][0] == pytest.approx(MASS, rel=1e-3)
     assert force["viscous"][0] == pytest.approx(VISCOUS, rel=1e-3)
     assert force["coulomb"][0] == pytest.approx(COULOMB, rel=1e-3)
     # an inverse model whose friction turned at once, beside a smoothed force, gave 3 % less
     model = model_of("drive", runs, {"mass": MASS, "viscous": VISCOUS, "coulomb": COULOMB})
-    nothing = Hypothesis((), np.zeros(0), np.zeros(1))
-    for left, u in zip(model.residuals(nothing), (r.u for r in runs), strict=False):
+    for left, u in zip(model.residuals(NOTHING), (r.u for r in runs), strict=False):
         assert np.std(left) < 0.02 * np.std(u)
     assert np.all(c.after < 0.01 * c.before)
+
+
+def test_noise_of_the_position_biases_neither_the_mass_nor_the_time_stamps():
+    """The noise is that of an acceleration as large as the motion's. What is predicted from it was
+    shifted between rows, which averages neighbours: the fit took that for a time-stamp offset of
+    half a row; and noise in a regressor makes its coefficient smaller.
+    """
+    rng = np.random.default_rng(5)
+    runs = [held(seed) for seed in (0, 1, 2)]
+    runs = [r._replace(y=r.y + 1e-5 * rng.standard_normal(len(r.y))) for r in runs]
+    model = model_of("drive", runs, {"mass": 1.0})
+    wanted = (("viscous",), ("coulomb",), ("factor",))
+    causes = [c for c in model.candidates() if c.kind in FOUND and c.names in wanted]
+    starts = [np.array([c.grid[0][0] for c in causes])]
+    likelihood = Likelihood(model, np.array([float(len(x)) for x in model.scored(NOTHING)]))
+    fit = likelihood.fit(causes, starts)
+    values = dict(zip([c.names[0] for c in causes], fit.of.theta, strict=True))
+    assert values["factor"] == pytest.approx(MASS, rel=5e-3)
+    assert values["viscous"] == pytest.approx(VISCOUS, rel=5e-4)
+    assert values["coulomb"] == pytest.approx(COULOMB, rel=5e-4)
+    assert abs(fit.of.nuisances[0]) < 0.1 * ROW

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiltestbed.axis.diagnose import decide, searched, spread, tells_nothing
+from hiltestbed.axis.diagnose import decide, searched, spread
 from hiltestbed.axis.models import AxisRun, model_of
 from hiltestbed.inference.conclude import conclude
 from tests.axis import machines
@@ -109,8 +109,8 @@ def test_random_walks_are_no_response():
 def test_constants_and_copies_tell_nothing():
     t, u = machines.chirp(10.0, 100.0, 0.1, 2.0, 0.4)
     for y in (np.full(len(t), 0.2), 3.0 * u + 0.1):
-        assert tells_nothing(model_of("servo", [AxisRun("a", t, u, y)], {}))
-    assert tells_nothing(model_of("servo", [AxisRun("a", t, 0.0 * u, u)], {}))
+        assert model_of("servo", [AxisRun("a", t, u, y)], {}).tells_nothing()
+    assert model_of("servo", [AxisRun("a", t, 0.0 * u, u)], {}).tells_nothing()
 
 
 def test_causes_that_explain_only_together_are_found_together():

@@ -6,11 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+from pydantic import Field
+
+from hiltestbed.axis.law import ArmNumbers
 from hiltestbed.effects.departure import Departure
 from hiltestbed.effects.search import Candidate
 from hiltestbed.plugins import Registry, placeholder
 
-AxisKind = Literal["drive", "servo", "damper"]
+AxisKind = Literal["drive", "servo", "damper", "arm"]
 
 
 @dataclass(frozen=True)
@@ -67,10 +70,27 @@ class AxisEffect(Departure):
 
 
 class DriveEffect(AxisEffect):
-    """Base of the effects on a drive alone."""
+    """Base of the effects on a drive, alone or in a joint of an arm."""
 
+    joint: str | None = Field(default=None, description="of an arm: the joint on which it acts")
     link = "dynamics"
-    axes = ("drive",)
+    axes = ("drive", "arm")
+
+    def apply_to_arm(self, p: ArmNumbers) -> None:
+        """Change the numbers of an arm in place: those of the joint."""
+        self.apply(p.laws[self.joint or ""])
+
+
+class BodyEffect(AxisEffect):
+    """Base of the effects on what an arm moves; of a single drive, there is one body."""
+
+    body: str | None = Field(default=None, description="of an arm: the body on which it acts")
+    link = "dynamics"
+    axes = ("arm",)
+
+    def apply_to_arm(self, p: ArmNumbers) -> None:
+        """Change the numbers of an arm in place: those of the body."""
+        self.apply(p)
 
 
 class ServoEffect(AxisEffect):
@@ -92,6 +112,7 @@ AXIS_EFFECTS: Registry[AxisEffect] = Registry(
     AxisEffect,
     (
         "hiltestbed.axis.effects.inertia",
+        "hiltestbed.axis.effects.arm",
         "hiltestbed.axis.effects.resistance",
         "hiltestbed.axis.effects.position",
         "hiltestbed.axis.effects.damper",

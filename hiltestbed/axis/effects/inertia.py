@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from hiltestbed.axis import law
-from hiltestbed.axis.effects.base import DamperEffect, DriveEffect, RecordScale
+from hiltestbed.axis.effects.base import BodyEffect, DamperEffect, DriveEffect, RecordScale
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
@@ -18,20 +18,24 @@ FACTORS = [0.5, 1.0, 2.0]  # from which a factor is sought; the law is linear in
 
 
 @register
-class AxisMass(DriveEffect):
+class AxisMass(BodyEffect):
     """The moved mass or inertia differs from the nominal one."""
 
     kind: Literal["dynamics.mass"] = "dynamics.mass"
     factor: float = quantity(
         "-", "True mass over nominal mass", gt=0.0, search=(0.01, 100.0), ratio=True
     )
-    equation = "m -> factor m"
+    axes = ("drive", "arm")
+    equation = "m -> factor m, and the inertia with it"
     reference = "Newton"
     resembles = ("dynamics.gain",)
     same = ("dynamics.gain",)
 
     def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.MASS] *= self.factor
+
+    def apply_to_arm(self, p: law.ArmNumbers) -> None:
+        p.bodies[self.body or ""] = self.factor * p.bodies[self.body or ""]
 
     @classmethod
     def parts(cls, reach: RecordScale) -> Iterator[Candidate]:

@@ -23,6 +23,7 @@ class AxisGravity(DriveEffect):
     equation = "R += sine sin x + cosine cos x"
     reference = "m g l of a rigid load"
     resembles = ("dynamics.spring",)
+    axes = ("drive",)  # of an arm, gravity follows from its bodies
 
     def apply(self, p: law.AxisLaw) -> None:
         p.numbers[law.GRAVITY_SIN] += self.sine

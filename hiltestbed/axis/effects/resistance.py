@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from hiltestbed.axis import law
-from hiltestbed.axis.effects.base import AxisEffect, DriveEffect, RecordScale
+from hiltestbed.axis.effects.base import DriveEffect, RecordScale
 from hiltestbed.effects.departure import quantity
 from hiltestbed.effects.search import Candidate, candidate
 from hiltestbed.plugins import register
@@ -138,13 +138,12 @@ class AxisFrictionWave(DriveEffect):
 
 
 @register
-class AxisFade(AxisEffect):
+class AxisFade(DriveEffect):
     """Friction and damping change slowly over a run, as a machine warms up."""
 
     kind: Literal["dynamics.fade"] = "dynamics.fade"
     rate: float = quantity("1/s", "Relative change per second")
-    link = "dynamics"
-    axes = ("drive", "damper")
+    axes = ("drive", "damper", "arm")
     equation = "dissipative forces -> (1 + rate t) times themselves"
     reference = "first order in time"
 

@@ -1,0 +1,299 @@
+"""An arm of several joints: the torques that its bodies and joints need for the recorded motion.
+
+The rigid torque of a motion is linear in the inertial parameters of the bodies, ``tau = Y(q, v, a)
+pi`` (W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002, ch. 12); the
+regressor ``Y`` is Pinocchio's. What acts along each joint beside it is the law of a drive.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hiltestbed.axis.effects.base import BodyEffect, RecordScale
+from hiltestbed.axis.law import (
+    COULOMB,
+    COULOMB_BACK,
+    GAIN,
+    OFFSET,
+    VISCOUS,
+    VISCOUS_BACK,
+    ArmNumbers,
+    AxisLaw,
+)
+from hiltestbed.axis.models import AxisModel, AxisRun, along, driven_by, in_motion, rows_of
+from hiltestbed.axis.motion import (
+    Motion,
+    averaged,
+    block_of,
+    blocks,
+    even,
+    motion_of,
+    noise_of,
+    weights_of,
+    window_of,
+)
+from hiltestbed.effects.search import Candidate
+from hiltestbed.errors import InputError
+from hiltestbed.frames import Array
+from hiltestbed.inference.model import FEWEST, Hypothesis, Model
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """The nominal arm.
+
+    Attributes:
+        pinocchio: its model, of the ``joints`` alone, in this order. bodies: name of what each
+            joint moves, with all that is fixed to it. joints: number by name to value, ``gain``
+            [N m/unit], ``viscous``, ``coulomb``, ``offset``, ``armature``.
+    """
+
+    pinocchio: Any
+    bodies: tuple[str, ...]
+    joints: Mapping[str, Mapping[str, float]]
+
+    @cached_property
+    def _inertial(self) -> list[Array]:
+        return [i.toDynamicParameters() for i in list(self.pinocchio.inertias)[1:]]
+
+    @property
+    def rotates(self) -> bool:
+        """Whether its joints turn."""
+        return "JointModelP" not in self.pinocchio.joints[1].shortname()
+
+    def numbers(self) -> ArmNumbers:
+        """Its numbers, as the owner believes them."""
+        laws = {}
+        for name, own in self.joints.items():
+            laws[name] = law = AxisLaw(1.0, own["gain"])  # of one times the rigid torque
+            law.numbers[[VISCOUS, VISCOUS_BACK]] = own["viscous"]
+            law.numbers[[COULOMB, COULOMB_BACK]] = own["coulomb"]
+            law.numbers[OFFSET] = own["offset"]
+        bodies = dict(zip(self.bodies, self._inertial, strict=True))
+        return ArmNumbers(laws, {n: own["armature"] for n, own in self.joints.items()}, bodies)
+
+    def regressor(self, motions: Sequence[Motion]) -> Array:
+        """``(N, J, 10 B)`` Y of the motions of the joints, (N,) each."""
+        import pinocchio as pin
+
+        model, data = self.pinocchio, self.pinocchio.createData()
+        q, v, a = (np.column_stack([getattr(m, part) for m in motions]) for part in "xva")
+        zero = pin.neutral(model)
+        return np.array(
+            [
+                pin.computeJointTorqueRegressor(model, data, pin.integrate(model, zero, x), *of)
+                for x, *of in zip(q, v, a, strict=True)
+            ]
+        )
+
+    def inertia(self, q: Array) -> Array:
+        """(J, J) mass matrix at the angles ``q`` (J,)."""
+        import pinocchio as pin
+
+        model, data = self.pinocchio, self.pinocchio.createData()
+        upper = np.triu(pin.crba(model, data, pin.integrate(model, pin.neutral(model), q)))
+        return upper + np.triu(upper, 1).T
+
+
+def read_arm(path: Path, given: Mapping[str, Mapping[str, float]]) -> Arm:
+    """The arm of a URDF or MJCF file, with the joints that were recorded; the others stay at zero.
+
+    Args:
+        given: numbers of each recorded joint that the file does not state.
+
+    Raises:
+        InputError: the file cannot be read, or lacks a joint.
+    """
+    import pinocchio as pin
+
+    if not path.is_file():
+        raise InputError(f"{path}: is no file; model: takes the URDF or MJCF of the arm")
+    try:
+        model = _from_urdf(path) if path.suffix.lower() == ".urdf" else _from_mjcf(path)
+    except (ValueError, RuntimeError) as error:
+        first = str(error).strip().splitlines()[0]
+        raise InputError(
+            f"{path}: cannot be read as the model of an arm ({first}); allowed are a URDF (.urdf) "
+            f"and MJCF (any other suffix)"
+        ) from None
+    joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
+    single = [name for name, joint in joints if joint.nv == 1]
+    absent = [n for n in given if n not in single]
+    if absent:
+        raise InputError(
+            f"{path}: has no joint {', '.join(absent)}; its joints of one axis are "
+            f"{', '.join(single) or 'none'}"
+        )
+    other = [i for i, n in enumerate(model.names) if i and n not in given]
+    model = pin.buildReducedModel(model, other, pin.neutral(model))
+    names = list(model.names)[1:]
+    bodies = [
+        next((f.name for f in model.frames if f.parentJoint == i and "BODY" in str(f.type)), name)
+        for i, name in enumerate(names, 1)
+    ]
+    numbers = {}
+    for i, name in enumerate(names):
+        stated = {
+            "gain": 1.0,
+            "viscous": float(model.damping[i]),
+            "coulomb": float(model.upperDryFrictionLimit[i]),
+            "offset": 0.0,
+            "armature": float(model.armature[i]),
+        }
+        numbers[name] = stated | dict(given[name])
+    return Arm(model, tuple(bodies), numbers)
+
+
+def _from_urdf(path: Path) -> Any:
+    import pinocchio as pin
+
+    return pin.buildModelFromUrdf(str(path))
+
+
+def _from_mjcf(path: Path) -> Any:
+    """Pinocchio's reader leaves out gravity, and bodies without names of their own."""
+    import mujoco
+    import pinocchio as pin
+
+    model, spec = pin.buildModelFromMJCF(str(path)), mujoco.MjSpec.from_file(str(path))
+    if len(spec.joints) != model.njoints - 1:
+        raise ValueError("give every body and every joint a name of its own")
+    model.gravity.linear = spec.option.gravity
+    return model
+
+
+class ArmRun(NamedTuple):
+    """One record of an arm: times [s] (N,), positions and torques or currents (N, J) of its
+    joints.
+    """
+
+    name: str
+    t: Array
+    q: Array
+    u: Array
+
+
+class ArmModel(AxisModel):
+    """The torques, or currents, of an arm for its recorded motion. Each joint of each run is a
+    record with noise of its own; runs are left out whole.
+    """
+
+    kind = "arm"
+
+    def __init__(self, runs: Sequence[ArmRun], arm: Arm, believed: Sequence[Any] = ()) -> None:
+        """``believed``: effects that are part of the nominal model."""
+        self._arm, self._runs, self.axes = arm, tuple(runs), len(arm.joints)
+        records = [
+            AxisRun(f"{r.name}: {joint}", r.t, r.q[:, j], r.u[:, j])
+            for r in runs
+            for j, joint in enumerate(arm.joints)
+        ]
+        super().__init__(records, {}, believed=believed)
+
+    def on(self, runs: Sequence[int]) -> ArmModel:
+        return ArmModel([self._runs[i] for i in runs], self._arm, self.believed)
+
+    def folds(self) -> list[tuple[str, Model, Model]]:
+        count = len(self._runs)
+        if count < FEWEST:
+            return self.stretch_folds()
+        rest = [[j for j in range(count) if j != i] for i in range(count)]
+        return [(r.name, self.on(rest[i]), self.on([i])) for i, r in enumerate(self._runs)]
+
+    def _prepare(self) -> None:
+        self._motions: list[list[Motion]] = []
+        self._sizes: list[int] = []
+        self._regressors, self._inputs, self._slopes, self._moves, floors = [], [], [], [], []
+        for r in self._runs:
+            t, *signals = even(r.t, *r.q.T, *r.u.T)
+            count = r.q.shape[1]
+            window = min(map(window_of, signals[:count]))
+            motions = [motion_of(t, q, window) for q in signals[:count]]
+            few, shaken = rows_of(motions[0]), np.array([m.shaken for m in motions])
+            inertia = self._arm.inertia(np.median(r.q, axis=0))
+            size, lowered = max(block_of(m, few.step) for m in motions)
+            for m, u, row, own in zip(
+                motions, signals[count:], inertia, self._arm.joints.values(), strict=True
+            ):
+                driven, slope = driven_by(m, u)
+                self._inputs.append(driven[few])
+                self._slopes.append(slope[few])
+                self._moves.append(in_motion(m)[few])
+                self._sizes.append(size)
+                reading = noise_of(u) * float(np.linalg.norm(weights_of(window))) / math.sqrt(size)
+                inertial = lowered * float(np.linalg.norm(row * shaken)) / own["gain"]
+                floors.append(math.hypot(reading, inertial))
+            turned = [m._replace(way=averaged(np.sign(m.v), window)) for m in motions]
+            self._motions.append([m.thinned(few) for m in turned])
+            regressor = self._arm.regressor(self._motions[-1])
+            self._regressors.append(np.ascontiguousarray(regressor.transpose(1, 0, 2)))
+        self.floors = np.array(floors)
+
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Every part of every effect on each joint and body."""
+        places = zip(self._arm.joints, self._arm.bodies, strict=True)
+        out = []
+        for number, (joint, body) in enumerate(places):
+            for c in self._parts(self._of_joint(number)):
+                own = {"body": body} if issubclass(c.effect, BodyEffect) else {"joint": joint}
+                ways = c.choices * len(self._arm.joints)
+                out.append(replace(c, fixed={**c.fixed, **own}, choices=ways))
+        return tuple(out)
+
+    def _of_joint(self, joint: int) -> RecordScale:
+        """The orders of magnitude of a joint."""
+        motions = [of[joint] for of in self._motions]
+        gain = list(self._arm.joints.values())[joint]["gain"]
+        inputs = self._inputs[joint :: len(self._arm.joints)]
+        return self._scale(
+            [m.x for m in motions],
+            motions,
+            force=max(float(np.quantile(np.abs(u), 0.999)) for u in inputs) * gain or 1e-12,
+            duration=max(float(m.t[-1] - m.t[0]) for m in motions),
+            resists=True,
+        )
+
+    def _shown(self, of: Hypothesis) -> list[Array]:
+        """(N,) input that the motion of each joint of each run takes."""
+        p = self._arm.numbers()
+        acting: list[Any] = [*self.believed, *of.effects()]
+        for effect in acting:
+            effect.apply_to_arm(p)
+        out = []
+        inertial = np.concatenate([p.bodies[name] for name in self._arm.bodies])
+        for motions, regressor in zip(self._motions, self._regressors, strict=True):
+            for j, (m, (name, law)) in enumerate(zip(motions, p.laws.items(), strict=True)):
+                rigid = regressor[j] @ inertial + p.armature[name] * m.a
+                force = along(m._replace(a=rigid), law)
+                out.append(force / law.numbers[GAIN])
+        return out
+
+    def residuals(self, of: Hypothesis) -> list[Array]:
+        late = float(of.nuisances[0])
+        rows = zip(self._inputs, self._slopes, self._shown(of), self._moves, strict=True)
+        left = [(u - late * slope - x)[moves] for u, slope, x, moves in rows]
+        return [*map(blocks, left, self._sizes), of.nuisances / self.prior_sigma()]
+
+    def scored(self, of: Hypothesis) -> list[Array]:
+        return self.residuals(of)[:-1]
+
+    def measured(self) -> list[Array]:
+        moving = [u[moves] for u, moves in zip(self._inputs, self._moves, strict=True)]
+        return list(map(blocks, moving, self._sizes))
+
+    def predicted(self, of: Hypothesis) -> list[Array]:
+        times, late = [m.t for motions in self._motions for m in motions], float(of.nuisances[0])
+        rows = zip(self.records, times, self._shown(of), strict=True)
+        return [np.interp(r.t + late, t, x) for r, t, x in rows]
+
+    def tells_nothing(self) -> str | None:
+        if not any(float(np.ptp(r.u)) for r in self.records):
+            return "No joint moves."
+        return super().tells_nothing() if all(float(np.ptp(r.u)) for r in self.records) else None

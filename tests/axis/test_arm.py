@@ -1,0 +1,171 @@
+"""An arm of two joints, simulated by MuJoCo with more than its nominal URDF says: what is planted is
+found by Pinocchio's regressor.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+import hiltestbed
+from hiltestbed.axis.arm import read_arm
+from hiltestbed.axis.dataset import load_axis
+from hiltestbed.axis.law import VISCOUS as VISCOUS_AT
+from hiltestbed.axis.motion import Motion
+from hiltestbed.axis.result import CLOSE
+from hiltestbed.config.check import look_at
+from hiltestbed.inference.model import Hypothesis
+
+TICK, NOISE = 1e-3, 2e-6  # [s], [rad]
+MORE = 1.15  # times the nominal mass of the lower arm
+COULOMB, VISCOUS = {"shoulder": 0.9, "elbow": 0.5}, {"shoulder": 0.4, "elbow": 0.25}
+
+URDF = """<robot name="arm"><link name="base"/>
+<link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="2.0"/>
+ <inertia ixx="0.002" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="lower"><inertial><origin xyz="0.15 0 0"/><mass value="1.0"/>
+ <inertia ixx="0.001" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/>
+ <axis xyz="0 1 0"/></joint>
+<joint name="elbow" type="revolute"><parent link="upper"/><child link="lower"/>
+ <origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
+ <limit effort="100" velocity="10" lower="-3" upper="3"/></joint></robot>
+"""
+MJCF = """<mujoco><option timestep="1e-4" integrator="RK4" gravity="0 0 -9.81"/><worldbody>
+<body name="upper"><joint name="shoulder" axis="0 1 0" damping="{viscous[shoulder]}"/>
+ <inertial pos="0.2 0 0" mass="2.0" diaginertia="0.002 0.03 0.03"/>
+ <body name="lower" pos="0.4 0 0"><joint name="elbow" axis="0 1 0" damping="{viscous[elbow]}"/>
+  <inertial pos="0.15 0 0" mass="{mass}" diaginertia="{xx} {yy} {yy}"/></body></body></worldbody>
+</mujoco>"""
+
+
+def moved(size: float, rng: np.random.Generator) -> np.ndarray:
+    """Rows of time, two angles and two torques, of a motion under a controller."""
+    model = mujoco.MjModel.from_xml_string(
+        MJCF.format(viscous=VISCOUS, mass=MORE, xx=0.001 * MORE, yy=0.01 * MORE)
+    )
+    data, dry = mujoco.MjData(model), np.array(list(COULOMB.values()))
+    rows = []
+    for k in range(4000):
+        t = k * TICK
+        goal = size * np.array([np.sin(1.9 * t) + 0.4 * np.sin(4.7 * t), np.sin(2.7 * t + 1.0)])
+        torque = np.array([150.0, 60.0]) * (goal - data.qpos) - np.array([12.0, 4.0]) * data.qvel
+        rows.append([t, *data.qpos, *torque])
+        for _ in range(10):
+            data.qfrc_applied[:] = torque - dry * np.tanh(data.qvel / 1e-3)
+            mujoco.mj_step(model, data)
+    out = np.array(rows)
+    out[:, 1:3] += NOISE * rng.standard_normal((len(out), 2))
+    return out
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    where, rng = tmp_path_factory.mktemp("arm"), np.random.default_rng(3)
+    (where / "arm.urdf").write_text(URDF)
+    for number, size in enumerate((0.5, 0.8, 1.1)):
+        np.savetxt(
+            where / f"run_{number}.csv",
+            moved(size, rng) * [1.0, np.degrees(1.0), np.degrees(1.0), 1.0, 1.0],
+            delimiter=",",
+            header="t,q1,q2,tau1,tau2",
+            comments="",
+        )
+    (where / "arm.yaml").write_text(
+        """axis: arm
+model: arm.urdf
+joints: {shoulder: {}, elbow: {}}
+runs: [{file: run_0.csv}, {file: run_1.csv}, {file: run_2.csv}]
+channels:
+  shoulder.position: {column: q1, unit: deg}
+  shoulder.input: {column: tau1}
+  elbow.position: {column: q2, unit: deg}
+  elbow.input: {column: tau2}
+"""
+    )
+    return where
+
+
+def test_friction_of_each_joint_and_the_mass_of_a_body_are_found(folder: Path) -> None:
+    found = hiltestbed.diagnose(folder / "arm.yaml")
+    told = {
+        (c.effect, c.parameters.get("joint", c.parameters.get("body", ("",)))[0]): c
+        for c in found.causes
+    }
+    assert set(told) == {
+        ("dynamics.mass", "lower"),
+        ("dynamics.force", "shoulder"),
+        ("dynamics.force", "elbow"),
+    }
+    factor = told["dynamics.mass", "lower"].parameters["factor"]
+    assert factor[0] == pytest.approx(MORE, rel=0.01)
+    for joint in COULOMB:
+        friction = told["dynamics.force", joint].parameters
+        for name, planted in (("coulomb", COULOMB[joint]), ("viscous", VISCOUS[joint])):
+            value, (low, high), _ = friction[name]
+            assert value == pytest.approx(planted, rel=0.01)
+            assert low < planted < high
+    extended = load_axis(found.write(folder / "found") / "extended.yaml").model()
+    left = extended.scored(Hypothesis((), np.zeros(0), np.zeros(1)))
+    assert all(np.std(x) < CLOSE * floor for x, floor in zip(left, extended.floors, strict=True))
+
+
+def test_the_regressor_of_a_model_file_gives_the_torques_of_mujocos_inverse_dynamics(
+    tmp_path: Path,
+) -> None:
+    """With gravity that is not the usual one, a third joint that stays at zero, and armature."""
+    text = MJCF.format(viscous=VISCOUS, mass=1.3, xx=0.004, yy=0.02).replace("-9.81", "-1.62")
+    text = text.replace('name="elbow"', 'name="elbow" armature="0.07"').replace(
+        "</body></body>",
+        '<body name="hand"><joint name="wrist"/><geom size="0.1" mass="0.2"/></body></body></body>',
+    )
+    (tmp_path / "arm.xml").write_text(text)
+    arm = read_arm(tmp_path / "arm.xml", {"elbow": {}, "shoulder": {}})
+    assert list(arm.joints) == ["shoulder", "elbow"]
+    rng = np.random.default_rng(0)
+    t, (q, v, a) = np.arange(5.0), rng.standard_normal((3, 5, 2))
+    still = np.zeros(5)
+    motions = [Motion(t, q[:, j], v[:, j], a[:, j], still, 5, 0.0, 0.0) for j in range(2)]
+    numbers = arm.numbers()
+    rigid = arm.regressor(motions) @ np.concatenate(list(numbers.bodies.values()))
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    for k in range(5):
+        data.qpos[:2], data.qvel[:2], data.qacc[:2] = q[k], v[k], a[k]
+        mujoco.mj_inverse(model, data)
+        others = np.array(list(VISCOUS.values())) * v[k] + [0.0, 0.07 * a[k, 1]]
+        np.testing.assert_allclose(rigid[k] + others, data.qfrc_inverse[:2], atol=1e-9)
+    assert numbers.armature == {"shoulder": 0.0, "elbow": pytest.approx(0.07)}
+    assert [numbers.laws[j].numbers[VISCOUS_AT] for j in VISCOUS] == list(VISCOUS.values())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"joints": {"wrist": {}}},
+            "has no joint wrist; its joints of one axis are shoulder, elbow",
+        ),
+        ({"model": "none.urdf"}, "is no file; model: takes the URDF or MJCF of the arm"),
+        ({"channels": {"elbow.torque": {}}}, "is no signal; allowed: t, shoulder.position"),
+        ({"effects": [{"kind": "dynamics.mass", "body": "hand", "factor": 2.0}]}, "allowed: upper"),
+        ({"effects": [{"kind": "dynamics.force", "coulomb": 1.0}]}, "allowed: shoulder, elbow"),
+        (
+            {"effects": [{"kind": "dynamics.gravity", "sine": 1.0}]},
+            "does not act on an arm",
+        ),
+        ({"channels": {}}, "names no column of the file (got 'shoulder.input'"),
+    ],
+)
+def test_what_contradicts_the_arm_is_refused_in_words(
+    folder: Path, change: dict[str, Any], message: str
+) -> None:
+    data = yaml.safe_load((folder / "arm.yaml").read_text()) | change
+    (folder / "bad.yaml").write_text(yaml.safe_dump(data))
+    faults = look_at(folder / "bad.yaml").faults
+    assert message in "\n".join(map(str, faults))
