@@ -203,13 +203,16 @@ class DamperModel(AxisModel):
     kind = "damper"
 
     def _prepare(self) -> None:
-        self._even, self._motions = [], []
+        self._even, self._motions, self._kept = [], [], []
         for r in self.records:
             t, x, y = even(r.t, r.u, r.y)
             motion = motion_of(t, x)
-            few = slice(None, None, max(1, motion.window // ROWS_A_WINDOW))
-            self._even.append((t[few], x[few], y[few]))
-            self._motions.append(motion.thinned(few))
+            few = np.arange(0, len(t), max(1, motion.window // ROWS_A_WINDOW))
+            rows = np.union1d(few, motion.turns(RESOLVED_SIGMA))  # dry friction remembers them
+            self._even.append((t[rows], x[rows], y[rows]))
+            self._motions.append(motion.thinned(rows))
+            # how it stood before the first row is not known
+            self._kept.append(np.isin(rows, few[1:]))
         self.floors = np.array([noise_of(r.y) for r in self.records])
 
     @property
@@ -234,7 +237,8 @@ class DamperModel(AxisModel):
         return [_shifted(m.t, _along(m, law), late) for m in self._motions]
 
     def _compared(self, of: Hypothesis) -> list[Array]:
-        return [y - f for (_, _, y), f in zip(self._even, self._force(of), strict=True)]
+        pairs = zip(self._even, self._force(of), self._kept, strict=True)
+        return [(y - f)[kept] for (_, _, y), f, kept in pairs]
 
     def predicted(self, of: Hypothesis) -> list[Array]:
         return [
