@@ -57,12 +57,15 @@ def pages(reference: ModuleType) -> dict[str, str]:
 @pytest.mark.usefixtures("tables_as_shipped")
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_the_blocks_of_a_page_run_one_after_the_other(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In one folder and one namespace, as a reader would type them."""
+    """In one folder and one namespace, as a reader would type them; the numbers that a page shows
+    below a command are those that it prints.
+    """
     pytest.importorskip("pandas")
     pytest.importorskip("matplotlib").use("Agg")
     monkeypatch.chdir(tmp_path)
+    printed = ""
     namespace: dict[str, object] = {}
     for block in BLOCK.finditer(page.read_text()):
         if block["skip"]:
@@ -76,10 +79,16 @@ def test_the_blocks_of_a_page_run_one_after_the_other(
                 arguments = shlex.split(
                     line.removeprefix("$ hiltestbed ").replace(
                         "PLUGINS", str(ROOT / "examples" / "plugins")
-                    )
+                    ),
+                    comments=True,
                 )
                 if arguments[0] not in OPEN:
+                    capsys.readouterr()
                     assert status(arguments, monkeypatch) == 0, line
+                    printed = capsys.readouterr().out
+            elif not line.startswith("$"):
+                shown = re.findall(r"-?\d[\d.e+]*", line)
+                assert not [number for number in shown if number not in printed], line
 
 
 def status(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
