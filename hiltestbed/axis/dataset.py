@@ -20,6 +20,7 @@ from pydantic import Field
 
 from hiltestbed.axis.effects.base import AXIS_EFFECTS, AxisEffect, AxisKind
 from hiltestbed.axis.models import AxisModel, AxisRun, model_of
+from hiltestbed.axis.motion import noise_of
 from hiltestbed.config.dataset import Channel
 from hiltestbed.config.validation import Strictly, validate
 from hiltestbed.config.yaml_source import Source, read_source
@@ -34,6 +35,9 @@ from hiltestbed.plugins import OneOf, depends
 from hiltestbed.run_folder.folders import is_file
 
 LEAST_ROWS = 60  # of a run: three times the parameters of the largest hypothesis
+# standard deviations of its noise below which a force is none; the share of the range over which a
+# displacement then changes by more than a loaded damper's does where it turns
+FREE_SIGMA, FREE_TRAVEL = 5.0, 0.02
 SIGNALS = ("input", "output")
 ANGLE = {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
 CURRENT = {"A": 1.0, "mA": 1e-3}
@@ -280,7 +284,23 @@ def _read(spec: AxisDataset, run: AxisRunEntry, source: Source) -> tuple[AxisRun
             f"holds {len(t)} usable rows; a run needs at least {LEAST_ROWS}",
             "record the run again or take it out of the dataset",
         )
+    free = _unloaded(u, y) if spec.axis == "damper" else 0
+    if free:
+        remarks.append(
+            f"{path.name}: the displacement changes over {free} rows without a force; if nothing "
+            f"touches there, cut the record to the rows in contact"
+        )
     return AxisRun(path.name, t - t[0], u, y), remarks
+
+
+def _unloaded(u: Array, y: Array) -> int:
+    """Rows of the longest stretch over which a displacement changes by a share :data:`FREE_TRAVEL`
+    of its range and the force is noise; 0: there is none.
+    """
+    still = np.r_[False, np.abs(y) < FREE_SIGMA * noise_of(y), False]
+    begins, ends = np.flatnonzero(np.diff(still)).reshape(-1, 2).T
+    moved = [np.ptp(u[a:b]) > FREE_TRAVEL * np.ptp(u) for a, b in zip(begins, ends, strict=True)]
+    return int(max((ends - begins)[moved], default=0))
 
 
 def _unusable(path: Path, key: str, what: str, do: str) -> InputError:
