@@ -11,6 +11,7 @@ from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.plain import listed
 from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.result import CONTRADICTION
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
 from hiltestbed.inference.model import Hypothesis
@@ -141,7 +142,7 @@ def contradiction(found: Explanation) -> str:
                 for i, f in zip(found.model.members, each, strict=True)
             )
             return (
-                f"the runs contradict each other: {effects_of(known)[0].kind} explains each of "
+                f"{CONTRADICTION}: {effects_of(known)[0].kind} explains each of "
                 f"them alone, with a size that changes from run to run, or with what differs "
                 f"between them ({sizes})"
             )
