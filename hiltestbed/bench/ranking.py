@@ -25,7 +25,7 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.simulation import Batch, log_error, reference_scenario, simulate
 
 UNKNOWN = 0.2  # of sensor.delay: that by which `bench cor` lets the known delay be wrong
-HEADER = ("method", "is told", "ln(e/e_ref)", "20 % late", "energy [J]")
+HEADER = ("method", "knows", "ln(e/e_ref)", "20 % late", "energy [J]")
 ERRORS = ("cor_log_error", "late")
 RAN = ("completed", "diverged", "stopped")
 Progress = Callable[[float, float], None]

@@ -130,6 +130,13 @@ def test_every_effect_method_column_and_name_is_in_the_reference(
     assert set(reference.EXIT_STATUS) == {0, 1, 2, 3}
 
 
+def test_a_page_with_a_picture_names_the_command_that_made_it() -> None:
+    for page in (*DOCS.rglob("*.md"), ROOT / "README.md"):
+        text = page.read_text()
+        if re.search(r"\.(png|gif)[\")]", text):
+            assert re.search(r"`[^`]*(python docs/examples/|hiltestbed view )[^`]*`", text), page
+
+
 LINK = re.compile(r"\]\((?!https?://|mailto:|#)([^)#]+)")
 BESIDE = ("README", "CHANGELOG", "CONTRIBUTING", "SECURITY", "SUPPORT")
 
