@@ -43,15 +43,9 @@ PAIR = """<mujoco>
 """
 
 
-@pytest.mark.parametrize(
-    ("stiffness", "cor", "masses"),
-    [
-        (1e3, 1.0, (1.0, 100.0)),
-        (1e5, 0.85, (500.0, 2000.0)),
-        (3e6, 0.4, (10.0, math.inf)),
-        (1e7, 0.1, (2.0, 200.0)),
-    ],
-)
+@pytest.mark.parametrize("masses", [(1.0, 1.0), (1.0, 100.0), (5e4, 500.0), (10.0, math.inf)])
+@pytest.mark.parametrize("cor", [0.1, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e7])
 def test_solref_is_the_spring_and_damper_that_a_drop_shows(
     stiffness: float, cor: float, masses: tuple[float, float]
 ) -> None:

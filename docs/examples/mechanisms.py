@@ -1,4 +1,4 @@
-"""The pictures of the shipped mechanisms in docs/explanation/contact.md, from their MJCF.
+"""The pictures of the shipped mechanisms in docs/devices-and-mechanisms.md, from their MJCF.
 
     MUJOCO_GL=egl python docs/examples/mechanisms.py        # or MUJOCO_GL=glfw on a desktop
 

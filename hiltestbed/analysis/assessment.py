@@ -239,10 +239,24 @@ def _advice(summary: dict[str, Any]) -> list[str]:
     if summary["status"] == "no_reference":
         return ["Correct what makes energy in the reference: the run is compared with it."]
     if summary["status"] != "completed":
+        if summary["status"] == "diverged":
+            cure = (
+                "Make the delay shorter, or take a compensation that knows it (`hiltestbed rank` "
+                "tries all); a lower approach speed does not help a loop that diverges."
+            )
+        elif "joint" in str(summary.get("stop_reason")):
+            cure = (
+                "Lower the approach speed, or take a compensation that asks less of the drives: "
+                "`hiltestbed rank` tries all."
+            )
+        else:
+            cure = (
+                "Lower the approach speed, or raise the limit under `safety` if the rig allows it."
+            )
         return [
             "Replay the last ticks with hiltestbed.replay_failure(FOLDER) and see which quantity "
             "grows first.",
-            "Lower the approach speed, or raise the limit under `safety` if the rig allows it.",
+            cure,
         ]
     if summary["outcome"] == "miss":
         return [

@@ -246,7 +246,8 @@ def _read(path: Path, channels: Mapping[str, Channel], tick: float | None) -> Re
     if not found:
         what = (
             f"holds none of the columns {', '.join(f'{g}.*' for g in GROUPS_READ)} "
-            f"({columns.nearest(['pose_act'])}); map them with --channels DATASET"
+            f"({columns.nearest(['pose_act'])}); map them with --channels DATASET, as "
+            "`hiltestbed new NAME --from LOG` writes it"
         )
         raise InputError(Fault(str(path), None, None, "channels", what))
     return _ends(found, tick)

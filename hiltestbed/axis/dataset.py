@@ -26,6 +26,7 @@ from pydantic import Field
 from hiltestbed.axis.arm import Arm, ArmModel, ArmRun, read_arm
 from hiltestbed.axis.effects.base import AXIS_EFFECTS, AxisEffect, AxisKind, BodyEffect
 from hiltestbed.axis.models import AxisModel, AxisRun, model_of
+from hiltestbed.axis.motion import noise_of
 from hiltestbed.axis.records import Reading, Signal, read_record
 from hiltestbed.config.dataset import Channel
 from hiltestbed.config.validation import Strictly, validate
@@ -36,7 +37,9 @@ from hiltestbed.measured.formats.ros2 import data_file, no_file
 from hiltestbed.plugins import OneOf, depends
 from hiltestbed.run_folder.folders import is_file
 
-SIGNALS = ("input", "output")
+# standard deviations of its noise below which a force is none; the share of the range over which a
+# displacement then changes by more than a loaded damper's does where it turns
+FREE_SIGMA, FREE_TRAVEL = 5.0, 0.02
 # what each kind of axis relates, by the SI units of an axis that slides and of one that turns
 QUANTITIES: dict[AxisKind, tuple[tuple[str, str], tuple[str, str]]] = {
     "drive": (("N", "N m"), ("m", "rad")),
@@ -347,6 +350,12 @@ def _read(
         given, reached = (q[spec.rotates] for q in quantities)
         signals = (Signal("input", given, held=spec.axis != "damper"), Signal("output", reached))
         t, (u, y), remarks = read_record(path, signals, how)
+        free = _unloaded(u, y) if spec.axis == "damper" else 0
+        if free:
+            remarks.append(
+                f"{path.name}: the displacement changes over {free} rows without a force; if "
+                f"nothing touches there, cut the record to the rows in contact"
+            )
         return AxisRun(path.name, t, u, y), remarks
     assert arm is not None
     place, effort = (q[arm.rotates] for q in quantities)
@@ -360,3 +369,13 @@ def _read(
     )
     inputs, places = np.split(np.array(values), 2)
     return ArmRun(path.name, t, places.T, inputs.T), remarks
+
+
+def _unloaded(u: Array, y: Array) -> int:
+    """Rows of the longest stretch over which a displacement changes by a share :data:`FREE_TRAVEL`
+    of its range and the force is noise; 0: there is none.
+    """
+    still = np.r_[False, np.abs(y) < FREE_SIGMA * noise_of(y), False]
+    begins, ends = np.flatnonzero(np.diff(still)).reshape(-1, 2).T
+    moved = [np.ptp(u[a:b]) > FREE_TRAVEL * np.ptp(u) for a, b in zip(begins, ends, strict=True)]
+    return int(max((ends - begins)[moved], default=0))

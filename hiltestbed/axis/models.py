@@ -236,14 +236,17 @@ class DamperModel(AxisModel):
     kind = "damper"
 
     def _prepare(self) -> None:
-        self._even, self._slopes, self._motions = [], [], []
+        self._even, self._slopes, self._motions, self._kept = [], [], [], []
         for r in self.records:
             t, x, y = even(r.t, r.u, r.y)
             motion = motion_of(t, x)
-            few = rows_of(motion)
-            self._even.append((t[few], x[few], y[few]))
-            self._slopes.append(motion_of(t, y).v[few])
-            self._motions.append(motion.thinned(few))
+            few = np.arange(len(t))[rows_of(motion)]
+            rows = np.union1d(few, motion.turns(RESOLVED_SIGMA))  # dry friction remembers them
+            self._even.append((t[rows], x[rows], y[rows]))
+            self._slopes.append(motion_of(t, y).v[rows])
+            self._motions.append(motion.thinned(rows))
+            # how it stood before the first row is not known
+            self._kept.append(np.isin(rows, few[1:]))
         self.floors = np.array([noise_of(r.y) for r in self.records])
 
     def candidates(self) -> tuple[Candidate, ...]:
@@ -263,8 +266,9 @@ class DamperModel(AxisModel):
         return damper_law(self.nominal, (*self.believed, *effects))
 
     def _compared(self, of: Hypothesis) -> list[Array]:
-        rows = zip(self._even, self._slopes, self._force(of), strict=True)
-        return [y + float(of.nuisances[0]) * slope - f for (_, _, y), slope, f in rows]
+        late = float(of.nuisances[0])
+        rows = zip(self._even, self._slopes, self._force(of), self._kept, strict=True)
+        return [(y + late * slope - f)[kept] for (_, _, y), slope, f, kept in rows]
 
     def predicted(self, of: Hypothesis) -> list[Array]:
         late = float(of.nuisances[0])

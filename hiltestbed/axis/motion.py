@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from hiltestbed.frames import Array
@@ -40,7 +41,17 @@ class Motion(NamedTuple):
     resolved: float
     shaken: float
 
-    def thinned(self, rows: slice) -> Motion:
+    def turns(self, sigma: float) -> NDArray[np.intp]:
+        """The rows just before and just after each change of direction on whose both sides, half a
+        window away, the speed is more than ``sigma`` standard deviations.
+        """
+        before = np.flatnonzero(np.diff(np.signbit(self.v)))
+        moves, last = np.abs(self.v) > sigma * self.resolved, len(self.v) - 1
+        half = self.window // 2
+        both = moves[np.maximum(before - half, 0)] & moves[np.minimum(before + 1 + half, last)]
+        return np.union1d(before[both], before[both] + 1)
+
+    def thinned(self, rows: slice | NDArray[np.intp]) -> Motion:
         """Some of its rows."""
         t, x, v, a, way = (np.ascontiguousarray(part[rows]) for part in self[:5])
         return Motion(t, x, v, a, way, self.window, self.resolved, self.shaken)

@@ -25,7 +25,7 @@ from hiltestbed.scenario import Scenario, resolved, scenario_from
 from hiltestbed.simulation import Batch, log_error, reference_scenario, simulate
 
 UNKNOWN = 0.2  # of sensor.delay: that by which `bench cor` lets the known delay be wrong
-HEADER = ("method", "is told", "ln(e/e_ref)", "20 % late", "energy [J]")
+HEADER = ("method", "knows", "ln(e/e_ref)", "20 % late", "energy [J]")
 ERRORS = ("cor_log_error", "late")
 RAN = ("completed", "diverged", "stopped")
 Progress = Callable[[float, float], None]
@@ -38,9 +38,10 @@ class RankedMethod:
     Attributes:
         link: force or motion. method: its name. needs: what it is told. section: its keys.
         status: completed, diverged or stopped; or why the method cannot be used here.
-        cor_log_error: ln(e/e_ref), of the first contact along its impulse where there is no rebound
-            along z; None without either. late: the same with the delay that is not known.
-        energy: made by the rig [J]. peak_force: [N].
+        cor_log_error: ln(e/e_ref), of the first contact along its impulse where the run or its
+            reference has no rebound along z; None without either. late: the same with the delay
+            that is not known.
+        energy: made by the rig [J]. peak_force: [N]. why: it did not complete.
     """
 
     link: str
@@ -52,6 +53,7 @@ class RankedMethod:
     late: float | None = None
     energy: float | None = None
     peak_force: float | None = None
+    why: str = ""
 
     @property
     def order(self) -> tuple[float, float, float]:
@@ -107,7 +109,7 @@ def rank(scenario: Scenario, progress: Progress | None = None) -> BenchResult:
     summary = {
         "name": scenario.name,
         "best": forces[0].method,
-        "cor_reference": _rebound(reference),
+        "cor_reference": _rebounds(reference, reference)[1],
         "unknown_delay": UNKNOWN * scenario.sensor.delay,
         **known._asdict(),
     }
@@ -134,7 +136,7 @@ def _measured(scenario: Scenario, reference: Batch, row: RankedMethod) -> Ranked
         # each alone: what an effect adds to the structure need not be that of the other
         runs = [simulate([one]) for one in scenarios]
     except HiltestbedError as error:
-        return replace(row, status=str(error))
+        return replace(row, status=str(error).removeprefix("scenario: "))
     trouble, figures = runs[0].trouble.get(0), runs[0].figures[0]
     errors = [_error(run, reference) for run in runs]
     return replace(
@@ -144,24 +146,28 @@ def _measured(scenario: Scenario, reference: Batch, row: RankedMethod) -> Ranked
         late=errors[-1],
         energy=figures.energy_generated,
         peak_force=figures.peak_force,
+        why="" if trouble is None else f"t = {trouble[0] / scenario.rate:.4g} s: {trouble[2]}",
     )
 
 
-def _rebound(batch: Batch) -> float | None:
-    figures = batch.figures[0]
-    return figures.cor_normal if figures.cor is None else figures.cor
+def _rebounds(batch: Batch, reference: Batch) -> tuple[float | None, float | None]:
+    """Both coefficients of restitution, of the same kind."""
+    one, other = batch.figures[0], reference.figures[0]
+    if one.cor is None or other.cor is None:
+        return one.cor_normal, other.cor_normal
+    return one.cor, other.cor
 
 
 def _error(batch: Batch, reference: Batch) -> float | None:
-    return None if 0 in batch.trouble else log_error(_rebound(batch), _rebound(reference))
+    return None if 0 in batch.trouble else log_error(*_rebounds(batch, reference))
 
 
 def table(records: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """The records of :func:`rank` that could run, as cells below :data:`HEADER`."""
     return [
         (
-            ("motion: " if record["link"] == "motion" else "") + record["method"],
-            record["needs"],
+            ("motion " if record["link"] == "motion" else "") + record["method"],
+            record["needs"].replace(",", ""),
             *(
                 [f"{v:+.4f}" if (v := record[n]) is not None else "-" for n in ERRORS]
                 if record["status"] == "completed"
@@ -175,8 +181,10 @@ def table(records: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 
 
 def left_out(records: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Why a method could not run on this scenario, one line each."""
-    return [f"{r['method']}: left out, {r['status']}" for r in records if r["status"] not in RAN]
+    """Why a method could not run on this scenario to its end, one line each."""
+    ended = [f"{r['method']}: {r['status']} at {r['why']}" for r in records if r["why"]]
+    left = [f"{r['method']}: left out, {r['status']}" for r in records if r["status"] not in RAN]
+    return ended + left
 
 
 def _report(

@@ -8,7 +8,7 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -307,11 +307,17 @@ def new(
     name: Annotated[
         str, typer.Argument(metavar="NAME", help="Name of the scenario; NAME.yaml is written.")
     ],
-    log: Annotated[
-        Path | None,
+    logs: Annotated[
+        list[Path] | None,
         typer.Option(
-            "--from", metavar="LOG", help="Measured data: NAME.yaml is a dataset for `diagnose`."
+            "--from",
+            metavar="LOG",
+            help="Measured data: NAME.yaml is a dataset for `diagnose` (repeatable: one a run).",
         ),
+    ] = None,
+    kind: Annotated[
+        Literal["dataset", "drive", "servo", "damper"] | None,
+        typer.Option("--as", help="What the log is of, instead of the guess; dataset: a rig."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -320,16 +326,18 @@ def new(
 
     hiltestbed new my-rig; hiltestbed new my-axis --from log.csv
     """
-    if log is not None:
+    if logs:
         from hiltestbed.config.from_log import write_from_log
 
-        written = write_from_log(name, log)
+        written = write_from_log(name, logs, kind or "")
         path = written.files[0]
         if as_json:
             print(json.dumps(written.to_json()))
         else:
             print("".join(f"{line}\n" for line in written.lines()), end="")
         return
+    if kind:
+        raise InputError(f"new: --as {kind} goes with --from LOG; give the log, or leave --as out")
     from hiltestbed.config.template import write_template
 
     path = write_template(name)

@@ -1,7 +1,7 @@
 """A dataset from a log: the columns that it may hold, as commented YAML with guesses to correct.
 
-An axis (drive, servo or damper) by default; a docking dataset, with a scenario beside it, where the
-log holds a pose and a wrench.
+A docking dataset, with a scenario beside it, where the log holds a pose and a wrench; an axis
+(drive, servo or damper) otherwise.
 """
 
 from __future__ import annotations
@@ -40,8 +40,10 @@ DAMPER = re.compile(r"damper|displac|disp\b|stroke|deflect", re.IGNORECASE)
 KINDS = (
     "drive: force or current to position; servo: command to position; damper: displacement to force"
 )
+DATASET = "dataset"
 BELIEVED = {  # of an axis
-    "drive": "state {mass: ...} [kg], or inertia [kg m^2]; gain, viscous, coulomb, offset",
+    "drive": "state {mass: ...} [kg; of an axis that rotates: kg m^2]; gain, viscous, coulomb, "
+    "offset",
     "servo": "delay [s], bandwidth [Hz], damping_ratio; left out: it follows its command",
     "damper": "stiffness [N/m], damping [N s/m], preload [N]",
     "": "what you believe of it",
@@ -64,22 +66,29 @@ class Log(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """A channel: its column, the unit, and why; no column: the choices that there are."""
+    """A channel: its column, the unit, and why; no column: the choices that there are. turned:
+    whether its sign is the other one.
+    """
 
     channel: str
     column: str
     unit: str
     why: str
+    turned: bool = False
 
 
 @dataclass(frozen=True)
 class FromLog:
-    """What was written: the file and those beside it, its kind, its guesses, and what is open."""
+    """What was written: the file and those beside it, its kind, its guesses, what is open, the
+    columns that are not used, and the other kinds of dataset that the log may be.
+    """
 
     files: tuple[Path, ...]
     kind: str
     guesses: dict[str, str]
     open: tuple[str, ...]
+    not_used: tuple[str, ...]
+    others: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
         """As `--json` prints it."""
@@ -89,6 +98,8 @@ class FromLog:
             "kind": self.kind,
             "channels": self.guesses,
             "open": list(self.open),
+            "not_used": list(self.not_used),
+            "other_kinds": list(self.others),
         }
 
     def lines(self) -> Iterator[str]:
@@ -98,31 +109,79 @@ class FromLog:
         yield from (f"  {channel}: {column}" for channel, column in self.guesses.items())
         if self.open:
             yield f"  not found: {', '.join(self.open)}; the file lists the choices"
+        if self.not_used:
+            yield f"  not used: {_listed(self.not_used)}"
+        if self.others:
+            yield f"it may also be read with --as {' or --as '.join(self.others)}"
         yield f"next: correct {files}, then hiltestbed check {self.files[0]}"
 
 
-def write_from_log(name: str, log: Path) -> FromLog:
-    """Write NAME.yaml for a log, and NAME-scenario.yaml if it is of a docking rig.
+def write_from_log(name: str, logs: Sequence[Path], kind: str = "") -> FromLog:
+    """Write NAME.yaml for logs of one kind, and NAME-scenario.yaml if they are of a docking rig.
 
-    Raises InputError if the log cannot be read or a file exists.
+    Args:
+        logs: one a run; the columns are those of the first. kind: of dataset: `dataset`, or the
+            kind of axis; "": the likeliest.
+
+    Raises InputError if a log cannot be read or lacks a column, the first does not hold what the
+    ``kind`` needs, or a file exists.
     """
     path = free_file(name)
-    found = read_log(log)
-    where = os.path.relpath(log)
-    docking = _docking(found)
-    if docking:
-        beside = free_file(f"{path.stem}-scenario")
-        text = _dataset_text(path, beside, where, found, docking)
-        beside.write_text(template(beside.stem, _start(found, docking)), encoding="utf-8")
-        files, kind, entries = (path, beside), "dataset", docking
+    found = read_log(logs[0])
+    likely, axes = _docking(found, False), _axes(found)
+    docking = likely or _docking(found, True)
+    kinds = [DATASET, *axes] if likely else [*axes, *([DATASET] if docking else [])]
+    if kind and kind not in kinds:
+        raise InputError(
+            f"--as {kind}: {logs[0]} has no columns for it; allowed here: {', '.join(kinds)}"
+            if kinds
+            else f"--as {kind}: no column of {logs[0]} could be guessed; leave it out"
+        )
+    chosen = kind or (kinds[0] if likely or axes else "")
+    if chosen == DATASET:
+        entries, rotates = docking, False
     else:
-        kind, rotates, entries = _axis(found)
-        text = _axis_text(path, where, found, kind, rotates, entries)
-        files, kind = (path,), f"axis: {kind}" if kind else "axis"
+        rotates, entries = _axis(found, chosen, axes.get(chosen, _ends(found)))
+    others = [found, *(read_log(log) for log in logs[1:])]
+    runs = [_run(*pair, found, entries, chosen) for pair in zip(logs, others, strict=True)]
+    if chosen == DATASET:
+        beside = free_file(f"{path.stem}-scenario")
+        text = _dataset_text(path, beside, runs, found, entries)
+        beside.write_text(template(beside.stem, _start(found, entries)), encoding="utf-8")
+        files, title = (path, beside), DATASET
+    else:
+        text = _axis_text(path, runs, found, chosen, rotates, entries)
+        files, title = (path,), f"axis: {chosen}" if chosen else "axis"
     path.write_text(text, encoding="utf-8")
     lacking = [e.channel for e in entries if not e.column]
     lacking += [] if found.own or any(e.channel == "t" for e in entries) else ["t"]
-    return FromLog(files, kind, {e.channel: e.column for e in entries if e.column}, tuple(lacking))
+    guesses = {e.channel: e.column for e in entries if e.column}
+    unused = tuple(n for n in found.roles if n not in guesses.values())
+    rest = tuple(k for k in kinds if k != chosen)
+    return FromLog(files, title, guesses, tuple(lacking), unused, rest)
+
+
+def _run(path: Path, other: Log, first: Log, entries: Sequence[Entry], kind: str) -> str:
+    """The line of a run: its file, and how its approach differs from that of the first one."""
+    lacks = [e.column for e in entries if e.column and e.column not in other.roles]
+    if lacks:
+        raise InputError(
+            f"--from {path}: has no column {lacks[0]!r} that changes, as {first.path} has; allowed "
+            "are logs with the same columns, one a run"
+        )
+    line = f"file: {_quoted(os.path.relpath(path))}"
+    if kind == DATASET:
+        own, base = _start(other, entries), _start(first, entries)
+        differs = {k: v for k, v in _flat(own).items() if _flat(base).get(k) != v and k != "rate"}
+        if differs:
+            line += f", set: {{{', '.join(f'{k}: {v}' for k, v in differs.items())}}}"
+    return f"  - {{{line}}}"
+
+
+def _flat(start: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys of a scenario with dots between them."""
+    approach = {f"approach.{k}": v for k, v in start.get("approach", {}).items()}
+    return {k: v for k, v in start.items() if k != "approach"} | approach
 
 
 def read_log(path: Path) -> Log:
@@ -185,24 +244,40 @@ def _time(log: Log) -> list[Entry]:
     return []
 
 
-def _axis(log: Log) -> tuple[str, bool, list[Entry]]:
-    """The kind of axis, "" if it cannot be guessed, whether it turns, and its channels."""
+def _ends(log: Log, quantities: Sequence[str] = ()) -> tuple[Role | None, Role | None]:
+    """What drives an axis, a command or one of ``quantities``, and its position; None: no column
+    may be it.
+    """
     roles = list(log.roles.values())
-    commands = [r for r in roles if r.commanded and r.quantity in ("position", "")]
     places = [r for r in roles if not r.commanded and r.quantity == "position"]
     places += [r for r in roles if r.commanded is False and not r.quantity]
-    pushes = [r for q in PUSHES for r in roles if r.quantity == q and not r.commanded]
-    pushes += [r for q in PUSHES for r in roles if r.quantity == q and r.commanded]
     place = places[0] if places else None
-    partners = commands or pushes
-    partner = max(partners, key=lambda r: _likeness(r, place), default=None)
-    if place is not None and commands:
-        kind, ends = "servo", (partner, place)
-    elif place is not None and pushes:
-        damper = DAMPER.search(f"{log.path.name} {place.column}") and pushes[0].quantity == "force"
-        kind, ends = ("damper", (place, partner)) if damper else ("drive", (partner, place))
+    if quantities:
+        inputs = [r for q in quantities for r in roles if r.quantity == q and not r.commanded]
+        inputs += [r for q in quantities for r in roles if r.quantity == q and r.commanded]
     else:
-        kind, ends = "", (partner, place)
+        inputs = [r for r in roles if r.commanded and r.quantity in ("position", "")]
+    return max(inputs, key=lambda r: _likeness(r, place), default=None), place
+
+
+def _axes(log: Log) -> dict[str, tuple[Role | None, Role | None]]:
+    """The kinds of axis that a log may be, the likeliest first, each with its input and output."""
+    command, place = _ends(log)
+    push = _ends(log, PUSHES)[0]
+    out: dict[str, tuple[Role | None, Role | None]] = {}
+    if place is not None and command is not None:
+        out["servo"] = command, place
+    if place is not None and push is not None:
+        out["drive"] = push, place
+        if push.quantity != "current":
+            damper = DAMPER.search(f"{log.path.name} {place.column}") and push.quantity == "force"
+            last = {"drive": out.pop("drive")} if damper and command is None else {}
+            out |= {"damper": (place, push)} | last
+    return out
+
+
+def _axis(log: Log, kind: str, ends: tuple[Role | None, Role | None]) -> tuple[bool, list[Entry]]:
+    """Whether an axis turns, and its channels."""
     rotates = any(r is not None and (r.angular or r.quantity == "torque") for r in ends)
     ends_of = {r.column for r in ends if r is not None}
     rest = [n for n, r in log.roles.items() if n not in ends_of and r.quantity != "time"]
@@ -212,7 +287,7 @@ def _axis(log: Log) -> tuple[str, bool, list[Entry]]:
     ]
     if kind == "servo":
         channels = _together(channels, ("input", "output"), log)
-    return kind, rotates, [*_time(log), *channels]
+    return rotates, [*_time(log), *channels]
 
 
 def _likeness(role: Role, other: Role | None) -> float:
@@ -265,33 +340,57 @@ def _known(values: Array) -> Array:
     return values[np.isfinite(values)]
 
 
-def _docking(log: Log) -> list[Entry]:
-    """The channels of a pose and a wrench, and the times; none if the log does not hold both."""
+def _docking(log: Log, stated: bool) -> list[Entry]:
+    """The channels of a pose and a wrench, and the times; none if the log does not hold both.
+    stated: it is known to hold them, so that a position and a force without an axis are z.
+    """
     taken: dict[str, Entry] = {}
     for name, role in log.roles.items():
-        if not role.part or role.quantity == "other":
+        part = role.part or (_along_z(role) if stated else "")
+        if not part or role.quantity == "other":
             continue
-        if role.part[0] in "ft":
+        if part[0] in "ft":
             used = set(re.findall("[a-z]+", name.lower())) & set(COMPENSATED.split())
-            channel = f"{'wrench_comp' if used else 'wrench_meas'}.{role.part}"
+            channel = f"{'wrench_comp' if used else 'wrench_meas'}.{part}"
         else:
-            channel = f"{'pose_cmd' if role.commanded else 'pose_act'}.{role.part}"
+            channel = f"{'pose_cmd' if role.commanded else 'pose_act'}.{part}"
         if channel not in taken:
             taken[channel] = _in_unit(channel, role, SI_UNIT[channel], log.data[name])
-    exact = any(c == e.column for c, e in taken.items())
-    least = 1 if exact else 2
+    # a force and a position alone may as well be those of a damper
+    exact = stated or any(c == e.column for c, e in taken.items())
+    poses = sum(c.startswith("pose_") for c in taken)
     sides = ("wrench_", "fz"), ("pose_", "pz")
-    if not all(
-        sum(c.startswith(side) for c in taken) >= least
-        and any(c.startswith(side) and c.endswith(part) for c in taken)
-        for side, part in sides
+    if poses < (1 if exact else 2) or not all(
+        any(c.startswith(side) and c.endswith(part) for c in taken) for side, part in sides
     ):
         return []
     entries = [taken[c] for c in SI_UNIT if c in taken]
     for group in ("pose_cmd", "pose_act"):
         for parts in ("p", "r"):
             entries = _together(entries, [f"{group}.{parts}{axis}" for axis in "xyz"], log)
+    for group in ("wrench_meas", "wrench_comp"):
+        entries = _pushing(entries, group, log)
     return [*_time(log), *entries]
+
+
+def _along_z(role: Role) -> str:
+    return {"force": "fz", "position": "pz"}.get(role.quantity, "")
+
+
+def _pushing(entries: Sequence[Entry], group: str, log: Log) -> list[Entry]:
+    """The entries with the signs of a wrench turned if its largest force along z is a pull."""
+    force = next((e for e in entries if e.channel == f"{group}.fz"), None)
+    if force is None:
+        return list(entries)
+    values = _known(log.data[force.column])
+    values = values - np.median(values[:FREE])
+    if values[np.argmax(np.abs(values))] > 0.0:
+        return list(entries)
+    why = "; guess: turned, so that the largest force pushes"
+    return [
+        e._replace(turned=True, why=e.why + why) if e.channel.startswith(group) else e
+        for e in entries
+    ]
 
 
 def _start(log: Log, entries: Sequence[Entry]) -> dict[str, Any]:
@@ -322,14 +421,16 @@ def _start(log: Log, entries: Sequence[Entry]) -> dict[str, Any]:
     return out | {"approach": ({"gap": -place[2]} if place[2] < 0.0 else {"gap": 0.01}) | approach}
 
 
-def _dataset_text(path: Path, beside: Path, where: str, log: Log, entries: Sequence[Entry]) -> str:
+def _dataset_text(
+    path: Path, beside: Path, runs: Sequence[str], log: Log, entries: Sequence[Entry]
+) -> str:
     lines = [
         *_head(path, log),
         f"# {beside}: rate, duration and approach are those of the log; the rest is an example:",
         "# state what you believe of your rig, its masses and inertias first.",
         f"scenario: {beside}",
         "runs:",
-        f"  - {{file: {_quoted(where)}}}",
+        *runs,
         "  # - {file: ..., set: {approach.velocity.2: 0.05}}   # a further run, and what differs",
         "channels:   # pushing gives fz > 0; if not, scale: -1 for all forces and torques",
         *_lines(entries, log),
@@ -338,7 +439,7 @@ def _dataset_text(path: Path, beside: Path, where: str, log: Log, entries: Seque
 
 
 def _axis_text(
-    path: Path, where: str, log: Log, kind: str, rotates: bool, entries: Sequence[Entry]
+    path: Path, runs: Sequence[str], log: Log, kind: str, rotates: bool, entries: Sequence[Entry]
 ) -> str:
     said = "guess" if kind else "could not be guessed; state one of them"
     lines = [
@@ -348,7 +449,7 @@ def _axis_text(
         f"rotates: {str(rotates).lower()}   # guess; true: positions in rad, forces in N m",
         f"nominal: {{}}   # {BELIEVED[kind]}",
         "runs:",
-        f"  - {{file: {_quoted(where)}}}",
+        *runs,
         "  # - {file: ...}   # further runs; three of different motions are better",
         "channels:",
         *_lines(entries, log),
@@ -378,7 +479,7 @@ def _lines(entries: Sequence[Entry], log: Log) -> Iterator[str]:
         if not e.column:
             yield f"  # {e.channel}: {{column: ...}}   # {e.why}"
             continue
-        unit = f", unit: {e.unit}" if e.unit else ""
+        unit = (f", unit: {e.unit}" if e.unit else "") + (", scale: -1" if e.turned else "")
         yield f"  {e.channel}: {{column: {_quoted(e.column)}{unit}}}   # {e.why}"
 
 

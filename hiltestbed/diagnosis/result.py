@@ -295,6 +295,9 @@ class Series:
     unit: str = ""
 
 
+CONTRADICTION = "the runs contradict each other"  # where it holds, in what is left of a finding
+
+
 @dataclass
 class Finding:
     """The result of the stage "decide".

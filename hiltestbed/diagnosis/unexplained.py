@@ -11,8 +11,11 @@ from hiltestbed.diagnosis.links import PlatformLink, WrenchLink
 from hiltestbed.diagnosis.links.base import Effects
 from hiltestbed.diagnosis.plain import listed
 from hiltestbed.diagnosis.residual import Residual
+from hiltestbed.diagnosis.result import CONTRADICTION
 from hiltestbed.frames import Array
 from hiltestbed.inference.likelihood import Likelihood, PosteriorFit, independent
+from hiltestbed.inference.model import Hypothesis
+from hiltestbed.inference.search import extended
 
 BINS = 100  # of the travel; a range is then known to 1 % of it
 HALF = 0.5  # of the sum of squares of a residual
@@ -127,7 +130,7 @@ def contradiction(found: Explanation) -> str:
     count = len(found.model.members)
     if count < 2:
         return ""
-    for known in found.singles():
+    for known in _single_causes(found):
         alone = [_alone(found, known, n) for n in range(count)]
         each = [f for f in alone if f is not None]
         if len(each) < count:
@@ -139,11 +142,26 @@ def contradiction(found: Explanation) -> str:
                 for i, f in zip(found.model.members, each, strict=True)
             )
             return (
-                f"the runs contradict each other: {effects_of(known)[0].kind} explains each of "
+                f"{CONTRADICTION}: {effects_of(known)[0].kind} explains each of "
                 f"them alone, with a size that changes from run to run, or with what differs "
                 f"between them ({sizes})"
             )
     return ""
+
+
+def _single_causes(found: Explanation) -> list[PosteriorFit]:
+    """Fits of one cause: those to all runs, and those to the run that departs most of causes that
+    explain nothing of all together, as sizes on both sides of the nominal one do.
+    """
+    models = [found.model.on([n]) for n in range(len(found.model.members))]
+    nothing = Hypothesis((), np.zeros(0), np.zeros(0))
+    worst = max(models, key=lambda model: model.excess(model.residuals(nothing)))
+    here = Likelihood(worst, independent(worst.residuals(nothing), noise_known=True))
+    out = {effects_of(f)[0].kind: f for f in found.singles()}
+    for fit in extended(here, here.start(), found.candidates):
+        if len(effects := effects_of(fit)) == 1:
+            out.setdefault(effects[0].kind, fit)
+    return list(out.values())
 
 
 def _alone(found: Explanation, known: PosteriorFit, n: int) -> PosteriorFit | None:

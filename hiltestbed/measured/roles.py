@@ -71,8 +71,9 @@ def role_of(column: str, stated: str = "") -> Role:
     unit = stated.strip("[]() ") or unit
     unit = unit if unit in NO_MECHANICAL else unit_named(unit) or unit if unit else ""
     after = re.search(r"[_ ]([A-Za-z]+)$", bare)
-    if not unit and after and tokens and tokens[-1] == after[1].lower() in SUFFIXES:
-        unit = SUFFIXES[tokens.pop()]
+    if not unit and after and after[1].lower() in SUFFIXES:
+        unit = SUFFIXES[after[1].lower()]
+        tokens = [found.lower() for found in _TOKEN.findall(bare[: after.start()])]
     words = set(tokens)
     by_length = sorted(reversed(tokens), key=lambda token: len(token) == 1)
     named = (q for token in by_length for q, known in _KNOWN.items() if token in known)
@@ -90,6 +91,7 @@ def role_of(column: str, stated: str = "") -> Role:
 
 
 def _part(tokens: list[str], quantity: str) -> str:
+    tokens = [token for token in tokens if token not in _COMMANDED | _REACHED]
     last = "".join(tokens[-1:])
     if last in ANGLES:
         return ANGLES[last]

@@ -53,6 +53,17 @@ def test_units_are_those_of_the_file_and_of_the_map(folder):
     assert not found.faults
 
 
+def test_rows_without_contact_are_said(folder):
+    t = np.arange(300) * 1e-3
+    x = 0.05 * t - 0.001
+    force = np.maximum(2e4 * x, 0.0)  # 1 N a row, above the noise from the first in contact
+    force += 0.1 * np.random.default_rng(0).standard_normal(300)
+    pd.DataFrame({"t": t, "x [mm]": 1e3 * x, "F": force}).to_csv(folder / "drop.csv", index=False)
+    data = spec(runs=[{"file": "drop.csv"}, {"file": "run_0.csv"}])
+    (remark,) = load_axis(written(folder, data)).remarks
+    assert remark.startswith("drop.csv: the displacement changes over 21 rows without a force")
+
+
 def test_what_was_found_is_read_back_and_leaves_nothing_to_find(folder):
     diagnosis = diagnose_axis(written(folder, spec()))
     out = diagnosis.write(folder / "out")

@@ -137,3 +137,21 @@ def test_causes_that_explain_only_together_are_found_together():
     assert causes["contact.dry_friction"].parameters["force"][0] == pytest.approx(limit, rel=0.03)
     assert causes["contact.backlash"].parameters["width"][0] == pytest.approx(play, rel=0.03)
     assert found_.fit.rms()[0] < 0.05 * found_.null.rms()[0]
+
+
+def test_the_friction_of_a_buffer_that_a_mass_falls_on():
+    """Few rows, a motion under way in the first one, and a turn between two rows."""
+    rng, runs, fine, every = np.random.default_rng(7), [], 1e-5, 100
+    for speed in (0.3, 0.6, 1.0):
+        x, v, rows = 0.0, speed, []
+        while len(rows) < 300 and x >= 0.0:
+            force = 20e3 * x + 200.0 * v + 60.0 * np.tanh(v / 1e-4)
+            rows.append((x, force))
+            for _ in range(every):
+                v += fine * (9.81 - (20e3 * x + 200.0 * v + 60.0 * np.tanh(v / 1e-4)) / 50.0)
+                x += fine * v
+        place, force = np.array(rows).T + [[2e-6], [0.2]] * rng.standard_normal((2, len(rows)))
+        runs.append(AxisRun(f"{speed}", 1e-3 * np.arange(len(rows)), place, force))
+    _, causes, _ = found("damper", runs, {"stiffness": 20e3, "damping": 200.0})
+    friction = causes["contact.dry_friction"].parameters["force"]
+    assert friction[0] == pytest.approx(60.0, rel=0.01)

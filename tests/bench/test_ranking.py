@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -44,3 +47,24 @@ def test_bodies_that_move_freely_have_nothing_to_compensate(
     status, out, err = call("rank", "22-air-bearing")
     assert (status, out) == (2, "")
     assert "there is no loop" in err
+
+
+def test_a_rebound_along_z_is_not_compared_with_one_along_the_impulse() -> None:
+    """A reference that parts on the slope of a cone has no rebound along z."""
+    run, reference = (
+        SimpleNamespace(figures=[SimpleNamespace(cor=cor, cor_normal=along)], trouble={})
+        for cor, along in ((0.53, 0.77), (None, 0.65))
+    )
+    assert ranking._error(cast(Any, run), cast(Any, reference)) == math.log(0.77 / 0.65)
+
+
+def test_a_method_that_a_limit_stops_says_which(
+    call: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ranking, "contenders", lambda: CONTENDERS[:1])
+    status, text, _ = call(
+        "rank", "03-bumper-delay-uncompensated", *SHORT, "--set", "safety.force=100",
+        "--out", str(tmp_path / "rank"),
+    )  # fmt: skip
+    assert status == 0
+    assert re.search(r"none: stopped at t = 0\.\d+ s: .*100", text)

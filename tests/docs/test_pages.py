@@ -57,12 +57,15 @@ def pages(reference: ModuleType) -> dict[str, str]:
 @pytest.mark.usefixtures("tables_as_shipped")
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_the_blocks_of_a_page_run_one_after_the_other(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In one folder and one namespace, as a reader would type them."""
+    """In one folder and one namespace, as a reader would type them; the numbers that a page shows
+    below a command are those that it prints.
+    """
     pytest.importorskip("pandas")
     pytest.importorskip("matplotlib").use("Agg")
     monkeypatch.chdir(tmp_path)
+    printed = ""
     namespace: dict[str, object] = {}
     for block in BLOCK.finditer(page.read_text()):
         if block["skip"]:
@@ -76,10 +79,16 @@ def test_the_blocks_of_a_page_run_one_after_the_other(
                 arguments = shlex.split(
                     line.removeprefix("$ hiltestbed ").replace(
                         "PLUGINS", str(ROOT / "examples" / "plugins")
-                    )
+                    ),
+                    comments=True,
                 )
                 if arguments[0] not in OPEN:
+                    capsys.readouterr()
                     assert status(arguments, monkeypatch) == 0, line
+                    printed = capsys.readouterr().out
+            elif not line.startswith("$"):
+                shown = re.findall(r"-?\d[\d.e+]*", line)
+                assert not [number for number in shown if number not in printed], line
 
 
 def status(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
@@ -119,6 +128,13 @@ def test_every_effect_method_column_and_name_is_in_the_reference(
     for command in (*ours, "view"):
         assert f"## `hiltestbed {command}`" in pages["reference/commands.md"]
     assert set(reference.EXIT_STATUS) == {0, 1, 2, 3}
+
+
+def test_a_page_with_a_picture_names_the_command_that_made_it() -> None:
+    for page in (*DOCS.rglob("*.md"), ROOT / "README.md"):
+        text = page.read_text()
+        if re.search(r"\.(png|gif)[\")]", text):
+            assert re.search(r"`[^`]*(python docs/examples/|hiltestbed view )[^`]*`", text), page
 
 
 LINK = re.compile(r"\]\((?!https?://|mailto:|#)([^)#]+)")

@@ -27,9 +27,9 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def log(**columns) -> Path:
+def log(**columns) -> list[Path]:
     pd.DataFrame(columns).to_csv("log.csv", index=False)
-    return Path("log.csv")
+    return [Path("log.csv")]
 
 
 def test_a_servo_is_read_as_it_was_written() -> None:
@@ -138,6 +138,29 @@ def test_a_rig_is_read_as_it_was_written_with_a_scenario_beside_it() -> None:
     assert approach.velocity[2] == pytest.approx(bounce.SPEED, rel=1e-3)
 
 
+def test_three_logs_of_a_rig_with_one_axis_and_a_force_that_shows_the_reaction() -> None:
+    """One run a log, each with the speed and the gap that it shows; a push is made positive."""
+    from hiltestbed.config.dataset import load_dataset
+
+    t, logs = np.arange(400) * 1e-3, []
+    for run, speed in enumerate((0.03, 0.05)):
+        z = -10.0 + 1e3 * speed * (t + 1e-3)
+        columns = {"Time [ms]": 1e3 * t, "Z soll [mm]": z, "Z ist [mm]": z, "Fz [kN]": -(t**2)}
+        pd.DataFrame(columns).to_csv(f"{run}.csv", index=False)
+        logs.append(Path(f"{run}.csv"))
+    found = write_from_log("rig", logs)
+    assert (found.kind, found.others) == ("dataset", ("servo", "drive", "damper"))
+    dataset = load_dataset("rig.yaml")
+    assert dataset.nominal.approach.velocity[2] == pytest.approx(0.03, rel=1e-3)
+    assert dataset.scenarios[1].approach.velocity[2] == pytest.approx(0.05, rel=1e-3)
+    assert "unit: kN, scale: -1}" in Path("rig.yaml").read_text()
+    servo = write_from_log("axis", logs, "servo")
+    assert (servo.kind, servo.not_used) == ("axis: servo", ("Fz [kN]",))
+    Path("0.csv").write_text("a,b\n1,2\n2,3\n")
+    with pytest.raises(InputError, match=r"has no column .Time .ms.. that changes"):
+        write_from_log("other", logs[::-1])
+
+
 def test_missing_samples_hide_no_approach() -> None:
     """Rows without a time or a position are passed over; both sides of them tell the speed."""
     from hiltestbed.config.dataset import load_dataset
@@ -163,7 +186,7 @@ def test_missing_samples_hide_no_approach() -> None:
 def test_what_is_no_record_of_a_motion_is_refused(text: bytes, said: str) -> None:
     Path("log.csv").write_bytes(text)
     with pytest.raises(InputError, match=said):
-        write_from_log("arm", Path("log.csv"))
+        write_from_log("arm", [Path("log.csv")])
     assert not Path("arm.yaml").exists()
 
 
@@ -176,7 +199,7 @@ def test_nothing_is_overwritten() -> None:
 
 def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
     path = log(t=SERVO.t, cmd=SERVO.u, position=SERVO.y)
-    found = CliRunner().invoke(app, ["new", "arm", "--from", str(path), "--json"])
+    found = CliRunner().invoke(app, ["new", "arm", "--from", str(path[0]), "--json"])
     assert found.exit_code == 0
     assert json.loads(found.stdout) == {
         "file": "arm.yaml",
@@ -184,9 +207,11 @@ def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
         "kind": "axis: servo",
         "channels": {"t": "t", "input": "cmd", "output": "position"},
         "open": [],
+        "not_used": [],
+        "other_kinds": [],
     }
     with pytest.raises(InputError, match=r"--from absent\.csv: names no file"):
-        write_from_log("other", Path("absent.csv"))
+        write_from_log("other", [Path("absent.csv")])
 
 
 @pytest.mark.parametrize(
@@ -195,6 +220,8 @@ def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
         ("current_position", "position", "", ""),
         ("motor_current_A", "current", "", "A"),
         ("Fz [kN]", "force", "fz", "kN"),
+        ("force_kN", "force", "", "kN"),
+        ("z_cmd_mm", "position", "pz", "mm"),
         ("ft.wrench.torque.x", "torque", "tx", ""),
         ("pose.pose.orientation.w", "", "qw", ""),
         ("joint_states.effort.elbow", "torque", "", ""),

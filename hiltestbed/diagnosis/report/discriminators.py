@@ -166,7 +166,8 @@ def springs_for_frame(f: Facts) -> Plan:
         f"Run known springs of k = {low:g} and {high:g} N/m. A frame of {frame:.3g} N/m in series "
         f"takes {100 * low / (low + frame):.2g} % off the one and "
         f"{100 * high / (high + frame):.2g} % off the other; a wrong factor takes the same part "
-        "off both, a preload adds the same force to both. Or mount a second displacement sensor "
+        "off both, or nothing where the springs replace the mechanism that is softer; a preload "
+        "adds the same force to both. Or mount a second displacement sensor "
         "across the mechanism: it sees the penetration without the frame."
     )
     return text, tuple(f.with_spring(k) for k in (low, high))

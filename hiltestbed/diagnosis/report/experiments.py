@@ -15,11 +15,12 @@ from hiltestbed.diagnosis.report.discriminators import (
     speed_ladder,
 )
 from hiltestbed.diagnosis.report.facts import Facts, facts_of
-from hiltestbed.diagnosis.result import Cause, Experiment, Finding
+from hiltestbed.diagnosis.result import CONTRADICTION, Cause, Experiment, Finding
 from hiltestbed.effects import EFFECTS
 from hiltestbed.measured import MeasuredDataset
 
 MAX_MASS_FACTOR = 100.0  # chosen: no mass is wrong by more
+REPEATS = 3  # of a run, the fewest that show a scatter
 
 
 def next_experiment(finding: Finding, dataset: MeasuredDataset) -> Experiment | None:
@@ -86,8 +87,16 @@ def plan_for(effect: str, rival: str) -> Callable[[Facts], Plan]:
 
 def for_unknown(finding: Finding, facts: Facts) -> Experiment:
     """The experiment that shows most of an effect outside the vocabulary: the link alone, one
-    variable at a time.
+    variable at a time; repeats, where the runs contradict each other.
     """
+    if CONTRADICTION in finding.left:
+        text = (
+            f"To see what differs between the runs: repeat the run at {facts.fast:g} m/s three "
+            "times in a row with nothing changed, then after a pause, and after the mechanism was "
+            "mounted anew. A size that scatters in the first three is the mechanism's own; one "
+            "that moves with the others is of its warmth, its wear or its mounting."
+        )
+        return Experiment(text, (), (facts.at_speed(facts.fast),) * REPEATS)
     if finding.link == "platform":
         plan = air_sweep(facts)
     elif finding.link == "dynamics":

@@ -33,7 +33,8 @@ WHERE = {
 def verdict_sentence(diagnosis: Conclusion) -> str:
     """The verdict in one or two self-contained sentences."""
     finding = diagnosis.finding
-    where = _capital(WHERE.get(finding.link or "", "the loop"))
+    link = WHERE.get(finding.link or "", "the loop")
+    where = _capital(link)
     left = f" {_capital(finding.left).rstrip('.')}." if finding.left else ""
     named = " and ".join(named_cause(c) for c in finding.causes)
     if finding.verdict == "no_discrepancy":
@@ -53,8 +54,9 @@ def verdict_sentence(diagnosis: Conclusion) -> str:
             [text, *(f"Not judged: {link} ({why})." for link, why in finding.not_judged.items())]
         )
     if finding.verdict == "unknown":
-        text = f"{where} departs from its model, and no effect of the vocabulary leaves only noise."
-        return f"{text}{left}" + (f" Elsewhere: {named}." if named else "")
+        start = f"Named: {named}. Besides, {link}" if named else where
+        text = "departs from its model, and no effect of the vocabulary leaves only noise."
+        return f"{start} {text}{left}"
     if finding.verdict == "named_in_part":
         share = (
             f", {100.0 * finding.explained:.0f} % of the departure on left-out runs,"
