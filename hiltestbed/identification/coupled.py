@@ -59,6 +59,21 @@ ROUNDING = 1e-10
 
 
 @njit(cache=True)
+def about_means(sums):
+    """Number of samples, and sums of x x, x v, v v, x y, v y, y y about the means."""
+    n, x, v, y, xx, xv, vv, xy, vy, yy = sums
+    return (
+        n,
+        xx - x * x / n,
+        xv - x * v / n,
+        vv - v * v / n,
+        xy - x * y / n,
+        vy - v * y / n,
+        yy - y * y / n,
+    )
+
+
+@njit(cache=True)
 def accumulate_pairs(sample, forgetting, products):
     """Add a ``sample`` (7, 4) of a captured pair to its ``products`` (PAIRS, PRODUCTS)."""
     for j in range(PAIRS):
@@ -117,16 +132,11 @@ def take_in_partner(j, products, own, other, variance, rest, out):
     Returns:
         Whether the partner is included; an upper bound of the residual sum of squares then.
     """
-    n = own[0]
+    n, a11, a12, a22, _, _, _ = about_means(own)
     m = n - 5.0
     if m < 1.0:
         return False, rest
-    a11 = own[4] - own[1] * own[1] / n
-    a12 = own[5] - own[1] * own[2] / n
-    a22 = own[6] - own[2] * own[2] / n
-    d11 = other[4] - other[1] * other[1] / n
-    d12 = other[5] - other[1] * other[2] / n
-    d22 = other[6] - other[2] * other[2] / n
+    _, d11, d12, d22, _, _, _ = about_means(other)
     b11, b12, b21, b22, e1, e2 = _across(j, products, own, other)
     det = a11 * a22 - a12 * a12
     w11, w12 = (a22 * b11 - a12 * b21) / det, (a22 * b12 - a12 * b22) / det  # W = A^-1 B

@@ -36,6 +36,7 @@ from hiltestbed.identification.coupled import (
     PAIRS,
     PARTNERS,
     PRODUCTS,
+    about_means,
     accumulate_pairs,
     take_in_partner,
 )
@@ -147,14 +148,15 @@ def _accumulate(samples, forgetting, captured, s):
         for j in range(7):
             if not (ready[i] if j < NORMAL else ready_normal[i]):
                 continue
-            _add(sums[i, j], sample[i, j], forgetting[i])
+            accumulate(sums[i, j], sample[i, j], forgetting[i])
             used[i, j] += 1.0
         if ready[i] and captured[i]:
             accumulate_pairs(sample[i], forgetting[i], products[i])
 
 
 @njit(cache=True)
-def _add(s, sample, forgetting):
+def accumulate(s, sample, forgetting):
+    """Add a ``sample`` (4,) of x, v, 1 and y to its sums ``s`` (SUMS,)."""
     x, v, one, y = sample
     for c in range(SUMS):
         s[c] *= forgetting
@@ -181,21 +183,6 @@ def _variance(j, place, noise):
 
 
 @njit(cache=True)
-def _about_means(sums):
-    """Number of samples, and sums of x x, x v, v v, x y, v y, y y about the means."""
-    n, x, v, y, xx, xv, vv, xy, vy, yy = sums
-    return (
-        n,
-        xx - x * x / n,
-        xv - x * v / n,
-        vv - v * v / n,
-        xy - x * y / n,
-        vy - v * y / n,
-        yy - y * y / n,
-    )
-
-
-@njit(cache=True)
 def _fit(sums, out):
     """Write k, c and their standard deviations to ``out`` (4,), which is unchanged if the axis has
     not moved.
@@ -204,7 +191,7 @@ def _fit(sums, out):
     """
     if sums[0] < MINIMUM_SAMPLES:
         return 0.0, 0.0
-    n, xx, xv, vv, xy, vy, total = _about_means(sums)
+    n, xx, xv, vv, xy, vy, total = about_means(sums)
     det = xx * vv - xv * xv
     if xx < n * MINIMUM_TRAVEL**2 or det <= 1e-10 * xx * vv:
         return 0.0, 0.0

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiltestbed.compensation.force_methods.phase_lead import PhaseLeadBlock
+from hiltestbed.compensation.force_methods.phase_lead import LAG, PhaseLeadBlock
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compiled.jit import njit
@@ -24,8 +24,6 @@ from hiltestbed.identification.held import UNTURNED, add_moment, referred
 
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
-
-LAG = 0.0005  # [s] time constant of the lead's pole
 
 
 class CapturedContact:

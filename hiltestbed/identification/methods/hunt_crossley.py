@@ -21,6 +21,8 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
+from hiltestbed.identification.coupled import about_means
+from hiltestbed.identification.least_squares import MINIMUM_SAMPLES, SUMS, accumulate
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier
 from hiltestbed.plugins import register
@@ -28,7 +30,6 @@ from hiltestbed.plugins import register
 if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
-MINIMUM_SAMPLES = 8
 # fraction of the deepest x so far; below it samples are skipped, since ln x magnifies any error of
 # the touch point
 SHALLOW = 0.1
@@ -60,7 +61,7 @@ class HuntCrossleyFit:
     def __init__(self, scenarios: Sequence[Scenario]) -> None:
         n = len(scenarios)
         self.source = ContactSamples(scenarios)
-        self._sums = np.zeros((n, 6, 9))
+        self._sums = np.zeros((n, 6, SUMS))
         self._deepest = np.zeros((n, 6))
         self._found = np.full((5, n, 6), np.nan)
         self.exponent, self.coefficient, self.alpha, self.stiffness, self.damping = self._found
@@ -85,22 +86,12 @@ def _fit(ready, sample, sums, deepest, samples, found):
             deepest[i, j] = max(deepest[i, j], x)
             if x <= 0.0 or y <= 0.0 or x < SHALLOW * deepest[i, j]:
                 continue
-            lx, ly, s = math.log(x), math.log(y), sums[i, j]
-            s[0] += 1.0
-            s[1] += lx
-            s[2] += v
-            s[3] += ly
-            s[4] += lx * lx
-            s[5] += lx * v
-            s[6] += v * v
-            s[7] += lx * ly
-            s[8] += v * ly
+            s = sums[i, j]
+            accumulate(s, (math.log(x), v, 1.0, math.log(y)), 1.0)
             samples[i, j] += 1.0
             if s[0] < MINIMUM_SAMPLES:
                 continue
-            n = s[0]
-            xx, xv, vv = s[4] - s[1] * s[1] / n, s[5] - s[1] * s[2] / n, s[6] - s[2] * s[2] / n
-            xy, vy = s[7] - s[1] * s[3] / n, s[8] - s[2] * s[3] / n
+            n, xx, xv, vv, xy, vy, _ = about_means(s)
             det = xx * vv - xv * xv
             if det <= 1e-10 * xx * vv:
                 continue

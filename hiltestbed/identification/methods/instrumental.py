@@ -17,6 +17,7 @@ from pydantic import Field
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
+from hiltestbed.identification.least_squares import MINIMUM_TRAVEL
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier, identifier_of
 from hiltestbed.plugins import register
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from hiltestbed.scenario import Scenario
 
 MINIMUM_SAMPLES = 12
-MINIMUM_TRAVEL = 1e-6  # [m, rad] standard deviation of x below which an axis is not excited
 LONGEST = 10_000  # ticks: seconds at any rate of a loop
 
 

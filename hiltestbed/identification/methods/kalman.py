@@ -21,6 +21,7 @@ from hiltestbed.compiled.bound import bound
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative
 from hiltestbed.frames import Array
+from hiltestbed.identification.least_squares import MINIMUM_SAMPLES
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier, identifier_of
 from hiltestbed.plugins import register
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
 P0 = 1e12  # [N^2] of the scaled state: large against any force squared
 TIME_SCALE = 0.02  # [s] the column x is scaled by the speed times this
-MINIMUM_SAMPLES = 8
 SLOWEST_SPEED = 1e-5  # [m/s, rad/s] an axis that moves more slowly is not excited
 ACCEPTED = 0.3  # relative standard deviation below which k is reported
 

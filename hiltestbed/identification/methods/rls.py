@@ -1,5 +1,5 @@
-"""Recursive least squares: on time-aligned samples, on raw samples, and on the force after a phase
-lead.
+"""Recursive least squares, on time-aligned samples, on raw samples, and on the force after a phase
+lead; and no identification.
 """
 
 from __future__ import annotations
@@ -92,3 +92,14 @@ class RlsLead(Identifier):
         )
         samples = ContactSamples(scenarios, aligned=False, lead=[o.lag for o in own])
         return RecursiveLeastSquares(samples, [o.forgetting for o in own], lead)
+
+
+@register
+class NoIdentification(Identifier):
+    """Stiffness and damping are not estimated."""
+
+    kind: Literal["none"] = "none"
+
+    @classmethod
+    def start(cls, scenarios: Sequence[Scenario]) -> None:
+        return None
