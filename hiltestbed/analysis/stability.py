@@ -15,7 +15,7 @@ docking simulator", IEEE Trans. Industrial Electronics 62(10), 2015.
 
 For a contact that can pull, this is the stability criterion. A contact that only pushes begins with
 a force step, in which the rig makes energy whatever the net damping is. It counts as stable if, in
-addition, its bounce (:mod:`hiltestbed.analysis.bounce`) ends slower than it began.
+addition, its bounce (:mod:`hiltestbed.analysis.trial`) ends slower than it began.
 
 The first contact of the approach is also simulated (:mod:`hiltestbed.analysis.trial`), with the dry
 friction of the drives, which no response includes, and with curved surfaces and their friction. Its

@@ -28,8 +28,8 @@ from hiltestbed.frames import Array
 from hiltestbed.measured.columns import Columns
 from hiltestbed.measured.formats import AnyFormat, read_columns
 from hiltestbed.measured.formats.ros2 import data_file, no_file
-from hiltestbed.measured.outliers import declared
 from hiltestbed.measured.units import UNITS, split_unit, unit_named
+from hiltestbed.measured.values import declared
 from hiltestbed.plugins import OneOf, depends
 from hiltestbed.run_folder.folders import is_file
 

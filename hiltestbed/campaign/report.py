@@ -17,8 +17,7 @@ from hiltestbed.campaign.schema import FIGURES, LoadedCampaign, Variation
 from hiltestbed.campaign.sensitivity import Sensitivity, explained_share, sensitivity
 from hiltestbed.frames import Array
 from hiltestbed.report.page import Report
-from hiltestbed.run_folder.folders import parquet_table
-from hiltestbed.run_folder.notebook import number
+from hiltestbed.run_folder.folders import number, parquet_table
 
 REPORT = "report.html"
 WORST = 10

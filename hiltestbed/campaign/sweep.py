@@ -21,8 +21,7 @@ from hiltestbed.config.validation import nearest
 from hiltestbed.config.yaml_source import key_path
 from hiltestbed.errors import InputError, MissingExtra
 from hiltestbed.report.curves import PALETTE
-from hiltestbed.run_folder.folders import parquet_table, safe_name
-from hiltestbed.run_folder.notebook import html_table
+from hiltestbed.run_folder.folders import html_table, parquet_table, safe_name
 from hiltestbed.scenario import Scenario, scenario_from
 from hiltestbed.scenario.idle import idle_keys
 

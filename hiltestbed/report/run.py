@@ -24,7 +24,7 @@ from hiltestbed.identification.samples import GATE_SIGMA
 from hiltestbed.report.curves import PALETTE, shade_contacts
 from hiltestbed.report.page import Report, new_figure, provenance
 from hiltestbed.report.table import against
-from hiltestbed.run_folder.notebook import number
+from hiltestbed.run_folder.folders import number
 from hiltestbed.run_folder.result import Run
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from hiltestbed.analysis.assessment import assess, identified, monitored
 from hiltestbed.process.output import console
-from hiltestbed.run_folder.notebook import number
+from hiltestbed.run_folder.folders import number
 
 if TYPE_CHECKING:
     from hiltestbed.process.doctor import Examined

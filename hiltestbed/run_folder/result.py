@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hiltestbed.analysis.assessment import Assessment, assess
-from hiltestbed.run_folder.notebook import html_table, number
+from hiltestbed.run_folder.folders import html_table, number
 from hiltestbed.scenario import Scenario
 from hiltestbed.signals import RunTrace
 from hiltestbed.supervision.snapshot import Snapshot

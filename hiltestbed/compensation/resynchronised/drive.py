@@ -15,8 +15,8 @@ are used:
   wrench, and drawn to the predicted state like a critically damped spring would, so that a
   correction of the prediction does not jerk the platform.
 
-After capture all six axes act at once, and :mod:`hiltestbed.compensation.resynchronised.captured`
-provides the wrench.
+After capture all six axes act at once, and
+:mod:`hiltestbed.compensation.force_methods.reconstruction` provides the wrench.
 
 The delay that the scenario states need not be right: delay and contact are fitted together
 (:mod:`~hiltestbed.compensation.resynchronised.contact_fit`), and a delay that the samples refuse is
@@ -38,9 +38,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hiltestbed.compensation.force_methods.reconstruction import CapturedContact
 from hiltestbed.compensation.measurement import Measurement
 from hiltestbed.compensation.resynchronised import contact_estimate as ce
-from hiltestbed.compensation.resynchronised.captured import CapturedContact
 from hiltestbed.compensation.resynchronised.delayed_model import (
     ANCHOR,
     DONE,

@@ -21,8 +21,7 @@ import numpy as np
 
 from hiltestbed.compiled.jit import njit
 from hiltestbed.frames import Array
-from hiltestbed.identification.coupled import about_means
-from hiltestbed.identification.least_squares import MINIMUM_SAMPLES, SUMS, accumulate
+from hiltestbed.identification.least_squares import MINIMUM_SAMPLES, SUMS, about_means, accumulate
 from hiltestbed.identification.samples import ContactSamples
 from hiltestbed.identification.settings import Identifier
 from hiltestbed.plugins import register
