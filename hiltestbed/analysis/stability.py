@@ -38,6 +38,7 @@ from typing import Any
 
 import numpy as np
 
+from hiltestbed.analysis.assessment import NEUTRAL
 from hiltestbed.analysis.ledger import contact_frequency, corrects_platform, force_path_delay
 from hiltestbed.analysis.rig_response import (
     EXACT,
@@ -48,14 +49,13 @@ from hiltestbed.analysis.rig_response import (
     six_axis_response,
 )
 from hiltestbed.analysis.trial import FirstContact, Rebounds, first_contact
-from hiltestbed.contact.directions import Direction, directions, insertion
+from hiltestbed.contact.directions import Direction, directions
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.effects import by_link
 from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.scenario import Scenario, load_scenario
 
-NEUTRAL = 5e-3  # of the energy of a bounce, as of a run (:mod:`hiltestbed.analysis.assessment`)
 BISECTIONS = 20  # bisection steps in the search for a delay or a stiffness
 LATER = "along the normal of a later touch"
 # range of the search for the stiffness limit: the stiffness times or divided by this
@@ -246,17 +246,15 @@ def judge(
     scenario: Scenario,
     response: RigResponse,
     delay: float,
-    compensated: bool = True,
-    way: Direction | None = None,
-    simulated: FirstContact | None = None,
+    compensated: bool,
+    way: Direction,
+    simulated: FirstContact | None,
 ) -> Stability | None:
-    """The stability of a scenario's contact ``way`` (default: the insertion) on a rig with a
-    response, for a force with a ``delay`` [s];
-    None if its frequency was not measured. ``simulated``: simulates the first contact, used if
-    ``way`` is the first contact.
+    """The stability of a scenario's contact ``way`` on a rig with a response, for a force with a
+    ``delay`` [s]; None if its frequency was not measured. ``simulated``: simulates the first
+    contact, used if ``way`` is the first contact.
     """
-    contact = insertion(scenario) if way is None else way
-    fine = response.finer()
+    contact, fine = way, response.finer()
     found = net_damping(fine, contact.mass, contact.stiffness, contact.damping, delay)
     if found is None:
         return None

@@ -26,8 +26,7 @@ from hiltestbed.config.yaml_source import Source, read_source
 from hiltestbed.errors import Fault, InputError
 from hiltestbed.frames import Array
 from hiltestbed.measured.columns import Columns
-from hiltestbed.measured.formats import AnyFormat, read_columns
-from hiltestbed.measured.formats.ros2 import data_file, no_file
+from hiltestbed.measured.formats import AnyFormat, data_file, no_file, read_columns
 from hiltestbed.measured.units import UNITS, split_unit, unit_named
 from hiltestbed.measured.values import declared
 from hiltestbed.plugins import OneOf, depends

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hiltestbed.analysis.spring_damper import SpringDamper
-from hiltestbed.campaign.choices import CaseGroup
+from hiltestbed.campaign.columns import CaseGroup
 from hiltestbed.campaign.schema import LoadedCampaign, Variation
 from hiltestbed.config.validation import description_of
 from hiltestbed.config.yaml_source import key_path

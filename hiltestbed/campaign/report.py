@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hiltestbed.campaign.choices import CaseGroup, choices_of, in_words, results
-from hiltestbed.campaign.columns import is_numeric
+from hiltestbed.campaign.columns import CaseGroup, choices_of, in_words, is_numeric, results
 from hiltestbed.campaign.schema import FIGURES, LoadedCampaign, Variation
 from hiltestbed.campaign.sensitivity import Sensitivity, explained_share, sensitivity
 from hiltestbed.frames import Array
