@@ -1,4 +1,4 @@
-"""Figures of a campaign: the response over two keys, the stability boundary, distributions."""
+"""Figures of a campaign: the response over two keys, the stability boundary."""
 
 from __future__ import annotations
 
@@ -289,18 +289,3 @@ def _draw_boundary(axes: Any, x: Array, y: Array, margins: Array) -> None:
     ):
         axes.contour(x, y, level, levels=[0.0], colors="black", linestyles=style, linewidths=1.6)
         axes.plot([], [], "k" + style, label=label)
-
-
-def distributions(figures: dict[str, Array]):
-    """Histograms of the named figures, each `(n,)`, the middle 99 % of each."""
-    lines = (len(figures) + 2) // 3
-    picture, axes = new_figure(9.0, 2.6 * lines, nrows=lines, ncols=3, squeeze=False)
-    for axis, (name, values) in zip(axes.flat, figures.items(), strict=False):
-        good = values[np.isfinite(values)]
-        if good.size:
-            low, high = np.quantile(good, [0.005, 0.995])
-            span = (low, high if high > low else low + 1e-9 + abs(low))
-            axis.hist(good, bins=40, range=span, color="#0b6e99")
-        axis.set(xlabel=with_unit(name), yticks=[])
-    _hide(axes, len(figures))
-    return picture
