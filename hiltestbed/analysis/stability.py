@@ -31,7 +31,7 @@ another line, and the full lag of the platform counts until that line is known.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,6 @@ from hiltestbed.frames import Array
 from hiltestbed.numerical_model.bodies import mobility
 from hiltestbed.scenario import Scenario, load_scenario
 
-BISECTIONS = 20  # bisection steps in the search for a delay or a stiffness
 LATER = "along the normal of a later touch"
 # range of the search for the stiffness limit: the stiffness times or divided by this
 SEARCH_RANGE = 1e3
@@ -319,15 +318,18 @@ def _bears(rebounds: Rebounds, fine: RigResponse, contact: Direction) -> float |
 
     def seek() -> float:
         # a lead that equals the rig's lag: no delay in total
-        low, high = min(0.0, -rebounds.lag), most
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            low, high = (
-                (middle, high) if rebounds.slower(middle, contact.stiffness) else (low, middle)
-            )
-        return low
+        least = min(0.0, -rebounds.lag)
+        return bisected(least, most, lambda delay: rebounds.slower(delay, contact.stiffness))
 
     return rebounds.settled(seek, lambda delay: (delay, contact.stiffness))
+
+
+def bisected(inside: float, outside: float, holds: Callable[[float], bool | None]) -> float:
+    """The limit up to which something ``holds``, to a millionth of the range."""
+    for _ in range(20):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if holds(middle) else (inside, middle)
+    return inside
 
 
 def net_damping(
@@ -396,10 +398,8 @@ def _largest_stiffness(
                 return None
             if state != stable:
                 inside, outside = (factor, following) if stable else (following, factor)
-                for _ in range(BISECTIONS):
-                    middle = math.sqrt(inside * outside)
-                    inside, outside = (middle, outside) if left(middle) else (inside, middle)
-                return contact.stiffness * inside
+                log = bisected(math.log(inside), math.log(outside), lambda x: left(math.exp(x)))
+                return contact.stiffness * math.exp(log)
             factor = following
         return None
 

@@ -44,15 +44,23 @@ if TYPE_CHECKING:
 LAG = 0.0005  # [s] T2 where a method does not set it
 
 
+class WithLead(ForceMethod):
+    """A method that passes the force, or what it does not know better, through a phase lead."""
+
+    lead: NotNegative | None = Field(
+        default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag"
+    )
+    lag: Positive = Field(default=LAG, description="Time constant T2 of the phase lead's pole [s]")
+
+    def memory(self) -> float:
+        return self.lag
+
+
 @register
-class PhaseLead(ForceMethod):
+class PhaseLead(WithLead):
     """First-order phase lead of the measured wrench, (T1 s + 1)/(T2 s + 1)."""
 
     kind: Literal["phase_lead"] = "phase_lead"
-    lead: NotNegative | None = Field(
-        default=None, description="Time constant T1 of the lead [s]; null: sensor.delay + lag"
-    )
-    lag: Positive = Field(default=0.0005, description="Time constant T2 of the lead's pole [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
 
     @classmethod
@@ -61,9 +69,6 @@ class PhaseLead(ForceMethod):
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         return {self.kind: lead_and_lag(scenario)[0] - self.lag}
-
-    def memory(self) -> float:
-        return self.lag
 
 
 class PhaseLeadBlock:
@@ -119,9 +124,7 @@ class SecondOrderLead(ForceMethod):
     """
 
     kind: Literal["second_order_lead"] = "second_order_lead"
-    lag: Positive = Field(
-        default=0.0005, description="Time constant T2 of the lead's double pole [s]"
-    )
+    lag: Positive = Field(default=LAG, description="Time constant T2 of the lead's double pole [s]")
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench"})
     removes_delay: ClassVar[bool] = True
 

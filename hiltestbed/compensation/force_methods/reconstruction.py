@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from hiltestbed.compensation.force_methods.phase_lead import LAG, PhaseLeadBlock
+from hiltestbed.compensation.force_methods.phase_lead import LAG, PhaseLeadBlock, WithLead
 from hiltestbed.compensation.history import History
 from hiltestbed.compensation.measurement import Measurement
-from hiltestbed.compensation.settings import ForceMethod, Input, force_of
+from hiltestbed.compensation.settings import Input, force_of
 from hiltestbed.compiled.jit import njit
 from hiltestbed.config.validation import NotNegative, Positive
 from hiltestbed.contact.directions import acting_along_z
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 @register
-class Reconstruction(ForceMethod):
+class Reconstruction(WithLead):
     """The measured force plus the change of an identified spring and damper M over the delay:
     F_meas + M(x, v) - M(x, v at t - delay).
 
@@ -52,12 +52,6 @@ class Reconstruction(ForceMethod):
     """
 
     kind: Literal["reconstruction"] = "reconstruction"
-    lead: NotNegative | None = Field(
-        default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag"
-    )
-    lag: Positive = Field(
-        default=0.0005, description="Time constant T2 of the phase lead's pole [s]"
-    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist", "identified"})
     removes_delay: ClassVar[bool] = True
 
@@ -65,12 +59,9 @@ class Reconstruction(ForceMethod):
     def start(cls, scenarios: Sequence[Scenario], model: NumericalModel) -> ReconstructionBlock:
         return ReconstructionBlock(scenarios)
 
-    def memory(self) -> float:
-        return self.lag
-
 
 @register
-class SmithPredictor(ForceMethod):
+class SmithPredictor(WithLead):
     """Smith predictor: the measured force plus the change of a given spring and damper along the
     insertion over the delay.
     """
@@ -85,12 +76,6 @@ class SmithPredictor(ForceMethod):
         description="Whether the part of the force that the predictor does not explain passes the "
         "phase lead",
     )
-    lead: NotNegative | None = Field(
-        default=None, description="Time constant T1 of the phase lead [s]; null: sensor.delay + lag"
-    )
-    lag: Positive = Field(
-        default=0.0005, description="Time constant T2 of the phase lead's pole [s]"
-    )
     reads: ClassVar[frozenset[Input]] = frozenset({"wrench", "pose", "twist"})
 
     @classmethod
@@ -99,9 +84,6 @@ class SmithPredictor(ForceMethod):
 
     def removes(self, scenario: Scenario) -> Mapping[str, float]:
         return {self.kind: scenario.sensor.delay * self.stiffness / acting_along_z(scenario)[0]}
-
-    def memory(self) -> float:
-        return self.lag
 
 
 class ReconstructionBlock:
