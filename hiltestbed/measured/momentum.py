@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -134,15 +135,14 @@ class _Fit(NamedTuple):
 
 @dataclass(frozen=True)
 class _Parts:
-    """Inner products of the motions that each column of the force causes on each axis, for the fit
-    of every order and sign of the axes.
+    """The motions that each column of the force causes on each axis, for the fit of every order and
+    sign of the axes.
 
     Attributes:
         t: (rows,) [s]. driven: (10, 3, rows) motion by column j acting along axis i, at 3 i + j; by
             the torques last.
-        motion: (3, rows) that was logged, without its linear trend.
-        seen: driven without its linear trend. gram: (10, 10) inner products of seen with each
-            other; shown: (10,) with the motion.
+        motion: (3, rows) that was logged, without its linear trend. seen: driven without its own.
+        gram: (10, 10) inner products of seen with each other; shown: (10,) with the motion.
         square: inner product of the motion with itself.
     """
 
@@ -150,23 +150,26 @@ class _Parts:
     driven: Array
     motion: Array
     seen: Array
-    gram: Array
-    shown: Array
-    square: float
 
     @classmethod
     def of(cls, t: Array, response: Array, wrench: Array, motion: Array, tick: float) -> _Parts:
         doubled = _twice(t, wrench, tick)
         along = [response[:, i, None] * doubled[j] for i in range(3) for j in range(3)]
         driven = np.stack([*along, response[:, 3:] @ doubled[3:]])
-        return cls._seen(t, driven, driven, motion)
+        return cls(t, driven, motion, _without_lines(t, driven))
 
-    @classmethod
-    def _seen(cls, t: Array, driven: Array, shifted: Array, motion: Array) -> _Parts:
-        seen = np.stack([_without_line(t, part) for part in shifted])
-        flat = seen.reshape(10, -1)
-        square = float(np.sum(motion**2))
-        return cls(t, driven, motion, seen, flat @ flat.T, flat @ motion.reshape(-1), square)
+    @cached_property
+    def gram(self) -> Array:
+        flat = self.seen.reshape(10, -1)
+        return flat @ flat.T
+
+    @cached_property
+    def shown(self) -> Array:
+        return self.seen.reshape(10, -1) @ self.motion.reshape(-1)
+
+    @cached_property
+    def square(self) -> float:
+        return float(np.sum(self.motion**2))
 
     def aligned(self, tick: float) -> tuple[float, _Parts]:
         """T [s], and the parts without shift and spread; unchanged if no T up to LATEST is found
@@ -179,7 +182,8 @@ class _Parts:
                 break
             late += moved
             shifted = _shifted(self.t, self.driven, late)
-            parts = self._seen(self.t, self.driven, shifted, self.motion - spread)
+            seen = _without_lines(self.t, shifted)
+            parts = _Parts(self.t, self.driven, self.motion - spread, seen)
             if abs(moved) < SETTLED * tick:
                 return late, parts
         return 0.0, self
@@ -283,6 +287,10 @@ def _without_line(t: Array, values: Array) -> Array:
     basis = np.stack([np.ones_like(t), t - t.mean()])
     basis /= np.linalg.norm(basis, axis=1, keepdims=True)
     return values - (values @ basis.T) @ basis
+
+
+def _without_lines(t: Array, driven: Array) -> Array:
+    return np.stack([_without_line(t, part) for part in driven])
 
 
 def _shifted(t: Array, driven: Array, late: float) -> Array:

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import codecs
 import csv
-import io
 import re
+import tempfile
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from importlib import import_module
@@ -230,47 +230,34 @@ def _batches(
 
     encoding = "utf8" if encoding.startswith("utf-8") else encoding
     columns = [str(k) for k in range(max(dialect.width, len(dialect.names)))]
-    kept = [str(k) for k in places]
-    source: Any = path
-    if dialect.delimiter == " ":
-        source, encoding = io.BufferedReader(_SingleBlanks(path, encoding), BLOCK), "utf-8"
+    kept, blank = [str(k) for k in places], dialect.delimiter == " "
 
     def invalid(row: Any) -> str:
         return "skip" if row.text.lstrip().startswith(COMMENTS) else "error"
 
     read = pa_csv.ReadOptions(
-        block_size=BLOCK, skip_rows=dialect.first, column_names=columns, encoding=encoding
+        block_size=BLOCK,
+        skip_rows=dialect.first,
+        column_names=columns,
+        encoding="utf8" if blank else encoding,
     )
     parse = pa_csv.ParseOptions(delimiter=dialect.delimiter, invalid_row_handler=invalid)
     texts = pa_csv.ConvertOptions(
         include_columns=kept, column_types=dict.fromkeys(kept, pa.string())
     )
-    with pa_csv.open_csv(source, read, parse, texts) as stream:
-        yield from stream
+    with tempfile.TemporaryFile() as blanks:
+        if blank:
+            blanks.writelines(_single_blanks(path, encoding))
+            blanks.seek(0)
+        source: Any = blanks if blank else path
+        with pa_csv.open_csv(source, read, parse, texts) as stream:
+            yield from stream
 
 
-class _SingleBlanks(io.RawIOBase):
-    """A text file with one blank between its cells and none before or after them."""
-
-    def __init__(self, path: Path, encoding: str) -> None:
-        self._file = path.open(encoding=encoding, errors="replace")
-        self._rest = b""
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        if not self._rest:
-            lines = self._file.readlines(BLOCK)
-            self._rest = "".join(" ".join(line.split()) + "\n" for line in lines).encode()
-        part = self._rest[: len(buffer)]
-        buffer[: len(part)] = part
-        self._rest = self._rest[len(part) :]
-        return len(part)
-
-    def close(self) -> None:
-        self._file.close()
-        super().close()
+def _single_blanks(path: Path, encoding: str) -> Iterator[bytes]:
+    """The lines with one blank between their cells and none before or after them, in UTF-8."""
+    with path.open(encoding=encoding, errors="replace") as file:
+        yield from (" ".join(line.split()).encode() + b"\n" for line in file)
 
 
 def _is_number(text: str | None, dialect: Dialect) -> bool:
