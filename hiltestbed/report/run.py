@@ -20,7 +20,7 @@ from hiltestbed.analysis.metrics import energy_generated
 from hiltestbed.contact.directions import acting_along_z
 from hiltestbed.contact.sides import sides_of
 from hiltestbed.identification.samples import GATE_SIGMA
-from hiltestbed.report.curves import PALETTE, shade_contacts
+from hiltestbed.report.curves import PALETTE, POINTS, shade_contacts
 from hiltestbed.report.page import Report, new_figure, provenance
 from hiltestbed.report.table import against
 from hiltestbed.run_folder.folders import number
@@ -31,7 +31,6 @@ from hiltestbed.signals import RunTrace
 REPORT = "report.html"
 NORMAL = " normal: along the contact normal of the surfaces, which is not an axis."
 STYLES = ("-", "--", ":")
-POINTS = 4000  # rows in a figure: more cannot be distinguished
 
 
 def run_report(run: Run) -> Report:
