@@ -305,16 +305,10 @@ def _across(j, products, own, other):
     y, v' y; ``own``, ``other``: the sums of both axes.
     """
     n = own[0]
-    if j < PAIRS:
-        xx = products[j, 0]
-        xv = products[j, 1]
-        vx = products[j, 2]
-        vv = products[j, 3]
-        xy = products[j, 4]
-        vy = products[j, 5]
-    else:
-        s = products[PARTNERS[j]]
-        xx, xv, vx, vv, xy, vy = s[0], s[2], s[1], s[3], s[6], s[7]
+    first = j < PAIRS
+    s = products[j if first else PARTNERS[j]]
+    xx, vv = s[0], s[3]
+    xv, vx, xy, vy = (s[1], s[2], s[4], s[5]) if first else (s[2], s[1], s[6], s[7])
     x, v, y, p, q = own[1], own[2], own[3], other[1], other[2]
     return (
         xx - x * p / n,

@@ -227,11 +227,11 @@ def _fastest(record: Record, depth: Array) -> float:
 
 def _other_axis(record: Record, found: Survey, name: str, expected: float) -> Iterator[Remark]:
     group = name.partition(".")[0]
-    own = float(np.nanmax(np.abs(from_baseline(record, found, name))))
+    own = _peak(record, found, name)
     for other in (f"{group}.fx", f"{group}.fy"):
         if not record.has(other):
             continue
-        peak = float(np.nanmax(np.abs(from_baseline(record, found, other))))
+        peak = _peak(record, found, other)
         if 0.3 * expected < peak < 3 * expected and own < 0.1 * peak:
             text = (
                 f"stays in its noise while {other} peaks at {peak:.4g} N, about what is "
@@ -239,6 +239,10 @@ def _other_axis(record: Record, found: Survey, name: str, expected: float) -> It
             )
             fix = f"exchange the columns of {name} and {other}"
             yield error("axes", record.run, name, text, fix)
+
+
+def _peak(record: Record, found: Survey, name: str) -> float:
+    return float(np.nanmax(np.abs(from_baseline(record, found, name))))
 
 
 def _force_pair(record: Record, found: Survey) -> Iterator[Remark]:
@@ -272,7 +276,7 @@ def _torques(record: Record, found: Survey) -> Iterator[Remark]:
     """Remarks on torques that would need a lever arm longer than any rig."""
     for group in ("wrench_meas", "wrench_comp"):
         names = [n for n in record.columns() if n.startswith(group + ".")]
-        peaks = {n: float(np.nanmax(np.abs(from_baseline(record, found, n)))) for n in names}
+        peaks = {n: _peak(record, found, n) for n in names}
         forces = [peak for name, peak in peaks.items() if name[-2] == "f"]
         largest = max(forces, default=0.0)
         if len(forces) < 3 or largest == 0.0:
